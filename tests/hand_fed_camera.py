@@ -11,7 +11,7 @@ import numpy as np
 from wheelsight.calibration import Calibration
 from wheelsight.devices import host_clock
 from wheelsight.devices.live_camera import CameraReport, CameraStatus, LiveFrame
-from wheelsight.events import RgbdFrame, SkippedFrame
+from wheelsight.events import AngularVelocity, RgbdFrame, SkippedFrame
 from wheelsight.geometry import PinholeCamera
 
 CAMERA = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
@@ -37,10 +37,11 @@ class HandFedCamera:
 
     def __init__(self, calibration: Calibration = CALIBRATION) -> None:
         self.name, self.calibration = "fake 1", calibration
-        self.warnings = ("It is made by hand.",)
+        self.warnings: tuple[str, ...] = ("It is made by hand.",)
         self.told = CameraReport(CameraStatus.STREAMING, host_clock.now_s())
         self.is_closed = False
         self._coming: queue.Queue[LiveFrame] = queue.Queue()
+        self._turns: queue.Queue[AngularVelocity] = queue.Queue()
 
     def put(self, live: LiveFrame) -> None:
         self._coming.put(live)
@@ -63,6 +64,17 @@ class HandFedCamera:
 
     def report(self) -> CameraReport:
         return self.told
+
+    def take_angular_velocities(self) -> list[AngularVelocity]:
+        found = []
+        while not self._turns.empty():
+            found.append(self._turns.get_nowait())
+        return found
+
+    def turn(self, *turns: AngularVelocity) -> None:
+        """Let its gyroscope tell that."""
+        for one in turns:
+            self._turns.put(one)
 
     def close(self) -> None:
         self.is_closed = True

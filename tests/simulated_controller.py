@@ -29,6 +29,7 @@ class SimulatedController:
         duties: what DRIVE last said, (0, 0) after STOP or the watchdog.
         commands: all received, (type, body).
         is_muted, is_noisy, answers: whether it sends no counts; sends noise; answers commands.
+        version: protocol, major, minor and flags that it tells.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -39,6 +40,7 @@ class SimulatedController:
         self.duties = (0, 0)
         self.commands: list[tuple[int, bytes]] = []
         self.is_muted, self.is_noisy, self.answers, self.is_paper = False, False, True, False
+        self.version = (1, 2, 3, 0)
         self._zero = (0, 0)
         self._sequence = 0
         self._booted_s = time.monotonic()
@@ -167,7 +169,7 @@ class SimulatedController:
             if not self.answers or not (was_framed or not self.is_paper):
                 return
             if kind == Command.GET_VERSION:
-                self.send(encode_message(Version(self._next(), 1, 2, 3, 0)))
+                self.send(encode_message(Version(self._next(), *self.version)))
             self.send(encode_message(Ack(self._next(), kind, sequence, 0)))
 
 

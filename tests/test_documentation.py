@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -21,9 +22,13 @@ from drives import simulate as drive_legs
 from drives import square_legs, write_recording
 from floor_plans import rooms_in_colours, two_rooms, write_plan
 from places.made_recording import write_drive
+from simulated_controller import SimulatedController
+from typer.testing import CliRunner
 from written_bags import robot_drive, write_bag
 
-from wheelsight.calibration import Calibration, Wheels, save_calibration
+from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
+from wheelsight.cli import app
+from wheelsight.recordings import open_recording
 from wheelsight.simulation import SimulationSettings, simulate, write_simulation
 from wheelsight.trajectory import read_tum
 
@@ -59,6 +64,27 @@ _BRIEF = "--duration 6 --rate 4 --size 160x120"
 SHORTER = {
     "wheelsight simulate floor4 --out": _BRIEF,
     "wheelsight simulate --plan": _BRIEF,
+}
+# A page about what one plugs in: its commands are run with stand-ins.
+YOURS = "docs/tutorial-your-robot.md"
+# In its commands, what stands for what; a controller listens at the pseudo-terminal.
+STAND_INS = {"/dev/ttyACM0": "ttyWHEELS", "--camera any": "--camera recording:my_recording"}
+# What is endless or long ends so, where the last option wins.
+ENDING = {"wheelsight wheels monitor ": "--seconds 1", "wheelsight record ": "--seconds 1"}
+# What stand-ins show is no drive: after its recording there is one, of the simulator.
+DRIVEN = ("calibration_drive", "loop")
+# Beginnings of its commands that are not run even so, and why.
+NOT_WITH_STAND_INS = {
+    "pip install ": "as above",
+    "make ": "as above",
+    "wheelsight warm-up": "minutes where nothing is compiled yet; tests/cli/test_warm_up.py",
+    "wheelsight devices": "tells of this machine; tests/cli/test_devices.py",
+    "wheelsight calibrate camera --camera any": "a minute of views; tests/cli/test_calibrate_camera.py draws them",
+    "wheelsight run calibration_drive --odometry dense": "half a minute; the truth stands for its trajectory",
+    "wheelsight calibrate base ": "ten seconds; that of docs/base-calibration.md is run",
+    "wheelsight run --live ": "rehearses for half a minute; tests/cli/test_run_live.py",
+    "wheelsight map ": "of the map that it leaves; tests/cli/test_maps.py",
+    "wheelsight drive ": "needs a map of where the camera is; tests/cli/test_drive.py",
 }
 # Only calibrations need all of RECORDING; its first seconds run alike.
 SHORT_RUN = ("wheelsight run RECORDING", "wheelsight run my_recording")
@@ -163,7 +189,7 @@ def fresh(recordings: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", [page for page in PAGES if to_run(page)])
+@pytest.mark.parametrize("page", [page for page in PAGES if to_run(page) and page != YOURS])
 def test_what_a_page_tells_to_type_works(page: str, fresh: Path) -> None:
     path = os.pathsep.join([str(fresh / "bin"), os.environ["PATH"]])
     environment = {**os.environ, "PATH": path, "PYTHONPATH": str(PROJECT)}
@@ -174,6 +200,44 @@ def test_what_a_page_tells_to_type_works(page: str, fresh: Path) -> None:
             ["bash", "-c", typed], cwd=fresh, env=environment, capture_output=True, text=True, check=False
         )
         assert answer.returncode == 0, f"{page}: {typed}\n{answer.stderr}"
+
+
+@pytest.mark.slow
+def test_the_tutorial_of_ones_own_robot_works_with_stand_ins(
+    fresh: Path, recordings: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(fresh)
+    reasons = set()
+    with SimulatedController(fresh) as controller:
+        controller.speeds = (60, 50)
+        for command in commands_of((PROJECT / YOURS).read_text(encoding="utf-8")):
+            reason = next((begin for begin in NOT_WITH_STAND_INS if command.startswith(begin)), None)
+            reasons.add(reason)
+            if reason is None:
+                type_in(command, recordings)
+    assert reasons - {None} == set(NOT_WITH_STAND_INS)
+    found = load_calibration("robot.yaml")
+    assert found.wheels is not None
+    assert found.wheels.track_width_m != 0.58
+
+
+def type_in(command: str, recordings: Path) -> None:
+    """In this process, which has loaded what takes seconds, or in a shell; stand-ins in place of what is plugged in."""
+    typed = command.partition("  #")[0]
+    for meant, stand_in in STAND_INS.items():
+        typed = typed.replace(meant, stand_in)
+    words = shlex.split(f"{typed} {next((end for begin, end in ENDING.items() if typed.startswith(begin)), '')}")
+    if words[0] == "wheelsight":
+        result = CliRunner().invoke(app, words[1:])
+        assert result.exit_code == 0, f"{typed}\n{result.output}"
+    else:
+        subprocess.run(["bash", "-c", command], check=True)
+    for name in DRIVEN:
+        if words[:2] == ["wheelsight", "record"] and name in words:
+            assert open_recording(name).wheel_count > 10
+            assert open_recording(name).frame_count > 1
+            shutil.rmtree(name)
+            _link(recordings / "RECORDING", Path(name))
 
 
 def test_every_reason_for_not_running_is_of_some_command() -> None:

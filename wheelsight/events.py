@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from wheelsight.geometry import ByteArray, Float32Array
+from wheelsight.geometry import ByteArray, Float32Array, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +54,24 @@ class YawRate:
 
     stamp_s: float
     yaw_rate_rad_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class AngularVelocity:
+    """What the gyroscope in a camera tells at `stamp_s` seconds: rad/s about the camera's x, y and z.
+
+    No event of a run: how the camera sits on its robot makes a `YawRate` of it.
+    """
+
+    stamp_s: float
+    x_rad_s: float
+    y_rad_s: float
+    z_rad_s: float
+
+    def yaw_rate(self, T_base_camera: FloatArray) -> YawRate:
+        """Its part about the base's z."""
+        x, y, z = T_base_camera[2, :3].tolist()
+        return YawRate(self.stamp_s, x * self.x_rad_s + y * self.y_rad_s + z * self.z_rad_s)
 
 
 @dataclass(frozen=True, slots=True)

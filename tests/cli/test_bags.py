@@ -10,6 +10,8 @@ import pytest
 from typer.testing import Result
 from written_bags import COLOR, DEPTH, camera_drive, circle, odometry_drive, robot_drive, write_bag
 
+from wheelsight.calibration import Calibration, Wheels, save_calibration
+from wheelsight.recordings import open_recording
 from wheelsight.trajectory import read_tum
 
 Command = Callable[..., Result]
@@ -64,3 +66,43 @@ def test_a_bag_with_nothing_to_go_by_lists_what_it_has(wheelsight: Command, tmp_
     assert result.exit_code == 2
     assert "holds nothing to localize by" in result.stderr
     assert "/tf_static (TFMessage, 1)" in result.stderr
+
+
+ROLE = ("--topic", "wheels=/nowhere")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("calibrate", "wheels", "BAG", "--out", "w.yaml"),
+        ("calibrate", "umbmark", "BAG", "BAG", "--out", "w.yaml"),
+        ("calibrate", "base", "BAG", "--out", "b.yaml"),
+        ("calibrate", "robot", "CALIBRATION", "--check", "BAG"),
+        ("places", "label", "BAG", "--out", "labels.html"),
+        ("places", "train", "BAG", "--out", "p.places"),
+    ],
+    ids=lambda words: " ".join(words[:2]),
+)
+def test_other_commands_take_topics_too(
+    words: tuple[str, ...], wheelsight: Command, robot: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    save_calibration(Calibration(wheels=Wheels(0.17, 0.17, 0.52, 3200.0)), tmp_path / "robot.yaml")
+    given = {"BAG": str(robot), "CALIBRATION": "robot.yaml"}
+    result = wheelsight(*(given.get(word, word) for word in words), *ROLE)
+    assert result.exit_code == 2, result.output
+    assert "--topic wheels=/nowhere: robot.bag has no messages of it" in result.stderr
+
+
+def test_a_bag_is_recorded_as_a_camera_is_by_the_topics_that_are_named(wheelsight: Command, tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "film", camera_drive())
+    words = ("record", "--camera", f"recording:{bag}", "--out", tmp_path / "out")
+    nowhere = wheelsight(*words, "--topic", "color=/nowhere")
+    assert nowhere.exit_code == 2
+    assert "--topic color=/nowhere" in nowhere.stderr
+    result = wheelsight(*words, "--topic", f"color={COLOR}", "--topic", f"depth={DEPTH}", "--seconds", 5)
+    assert result.exit_code == 0, result.output
+    assert open_recording(tmp_path / "out").frame_count >= 3
+    refused = wheelsight("record", "--camera", "realsense", "--topic", "gyro=none", "--out", tmp_path / "other")
+    assert refused.exit_code == 2
+    assert "--topic is of a bag" in refused.stderr

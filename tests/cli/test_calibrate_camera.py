@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import signal
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,12 +12,17 @@ import numpy as np
 import pytest
 import yaml
 from browser import open_page
-from camera_calibration.drawn_boards import pose, write_views
+from camera_calibration.drawn_boards import pose, seen_board, write_views
 from drives import simulate, write_recording
-from typer.testing import Result
+from hand_fed_camera import HandFedCamera
+from typer.testing import CliRunner, Result
 
 from wheelsight.calibration import Calibration, Wheels, load_calibration, read_layer, save_calibration
 from wheelsight.camera_calibration.board import board_from
+from wheelsight.cli import app
+from wheelsight.devices.cameras import LIVE_CAMERAS
+from wheelsight.devices.live_camera import CameraStatus, LiveFrame
+from wheelsight.events import RgbdFrame
 from wheelsight.geometry import PinholeCamera
 
 Command = Callable[..., Result]
@@ -101,6 +108,122 @@ def test_bad_views_are_refused_in_a_line(refusal: Refusal, views: Path, tmp_path
     told = refusal("calibrate", "camera", frontal, "--board", str(BOARD), "--registered", *out)
     assert "all boards face the same way" in told
     assert not (tmp_path / "robot.yaml").exists()
+
+
+class BoardCamera(HandFedCamera):
+    """Shows each board for three looks, then has ended; `on_look` is told their number."""
+
+    def __init__(self, poses: Sequence[np.ndarray], on_look: Callable[[int], None] = lambda _: None) -> None:
+        super().__init__(Calibration.registered_camera(CAMERA, source="the camera itself"))
+        self.warnings = ()
+        self._poses, self._looks, self._on_look = poses, 0, on_look
+        self._shown = [drawn_frame(T) for T in poses]
+
+    def read(self, timeout_s: float) -> LiveFrame | None:
+        if timeout_s == 0:  # nothing newer: each look gets the next
+            return None
+        self._on_look(self._looks)
+        if self._looks >= 3 * len(self._poses):
+            self.tell(CameraStatus.ENDED)
+            return None
+        stamp_s = 0.5 * self._looks
+        frame = replace(self._shown[self._looks // 3], stamp_s=stamp_s)
+        self._looks += 1
+        return LiveFrame(frame, 0.0, stamp_s, stamp_s, self._looks)
+
+
+def drawn_frame(T: np.ndarray) -> RgbdFrame:
+    """Of a board on a large plate, registered."""
+    rays = CAMERA.rays()
+    depth_m = float(T[:3, 2] @ T[:3, 3]) / (rays @ T[:3, 2])
+    grey = seen_board(BOARD, CAMERA, T)
+    return RgbdFrame(0.0, np.stack([grey] * 3, axis=-1), depth_m.astype(np.float32))
+
+
+LIVE = ("--camera", "fake", "--board", str(BOARD), "--sensor", "stereo", "--plate")
+
+
+@pytest.fixture
+def few(tmp_path: Path) -> Path:
+    """Settings of a coach that asks for little more than `POSES` show."""
+    path = tmp_path / "few.yaml"
+    path.write_text("camera_calibration: {coach: {enough: 10, columns: 1, rows: 1, tilt_deg: 20, more_views: 3}}\n")
+    return path
+
+
+def plug_in(monkeypatch: pytest.MonkeyPatch, camera: BoardCamera) -> None:
+    monkeypatch.setitem(LIVE_CAMERAS, "fake", lambda *_: camera)
+
+
+def test_a_live_camera_is_calibrated_and_it_ends_by_itself(
+    wheelsight: Command, few: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = BoardCamera([*POSES, *POSES[:3]])
+    plug_in(monkeypatch, camera)
+    out, folder = tmp_path / "robot.yaml", tmp_path / "taken"
+    result = wheelsight("calibrate", "camera", folder, *LIVE, "--config", few, "--out", out)
+    assert result.exit_code == 0, result.output
+    told = result.stderr.splitlines()
+    assert "next: the whole board, in the middle of the image" in told[0]
+    assert "view 001 taken; next: " in told[1]
+    assert f"view {len(POSES):03d} taken; nothing is missing" in result.stderr
+    assert camera.told.status is not CameraStatus.ENDED  # it was not shown the rest
+    assert camera.is_closed
+    found = load_calibration(out)
+    assert found.color is not None
+    assert found.color.fx == pytest.approx(CAMERA.fx, rel=0.01)
+    assert found.is_registered
+    assert len(list(folder.glob("*-color.png"))) == len(POSES)
+
+
+def test_ctrl_c_keeps_views_and_the_same_command_goes_on_with_them(
+    wheelsight: Command, few: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, folder = tmp_path / "robot.yaml", tmp_path / "taken"
+    words = ("calibrate", "camera", folder, *LIVE, "--config", few, "--out", out)
+    plug_in(monkeypatch, BoardCamera(POSES, lambda look: signal.raise_signal(signal.SIGINT) if look == 9 else None))
+    result = wheelsight(*words)
+    assert result.exit_code == 130, result.output
+    assert f"3 views are in {folder}; the same command goes on with them" in result.stderr
+    assert not out.exists()
+    plug_in(monkeypatch, BoardCamera(POSES))
+    result = wheelsight(*words)
+    assert result.exit_code == 0, result.output
+    assert f"3 views are in {folder}; next: " in result.stderr
+    assert len(list(folder.glob("*-color.png"))) == len(POSES)
+
+
+def test_what_was_refused_goes_on_and_at_the_cameras_end_is_an_error(
+    wheelsight: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The coach of this test asks for nothing but two views, which determine no camera."""
+    lax = tmp_path / "lax.yaml"
+    coach = "{enough: 3, columns: 1, rows: 1, tilt_deg: 1, near_far: 1.001, more_views: 2}"
+    lax.write_text(f"camera_calibration: {{coach: {coach}}}\n")
+    tilts = ((2, 2), (-2, -2), (2, -2), (-2, 2), (1, 1), (0, 0))
+    plug_in(monkeypatch, BoardCamera([pose(BOARD, 0.5 * 1.2**k, tilt) for k, tilt in enumerate(tilts)]))
+    words = ("calibrate", "camera", tmp_path / "taken", *LIVE, "--config", lax, "--out", tmp_path / "robot.yaml")
+    result = wheelsight(*words)
+    assert result.exit_code == 2, result.output
+    assert "not yet: " in result.stderr
+    assert "view 006 taken" in result.stderr
+    assert result.stderr.splitlines()[-1].startswith("error: ")
+    assert not (tmp_path / "robot.yaml").exists()
+
+
+def test_a_live_camera_without_a_board_and_options_that_mean_nothing_are_refused(
+    refusal: Refusal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = ("--out", tmp_path / "robot.yaml")
+    assert "--camera NAME" in refusal("calibrate", "camera", "--board", str(BOARD), *out)
+    assert "one folder" in refusal("calibrate", "camera", "a", "b", *LIVE, *out)
+    plug_in(monkeypatch, BoardCamera([]))
+    (tmp_path / "robot.yaml").write_text("")
+    assert "--force" in refusal("calibrate", "camera", tmp_path / "taken", *LIVE, *out)
+    (tmp_path / "robot.yaml").unlink()
+    answer = CliRunner().invoke(app, ["calibrate", "camera", str(tmp_path / "taken"), *LIVE, *map(str, out)])
+    assert answer.exit_code == 2
+    assert "error: no view of the board 9x6:35mm came from fake 1" in answer.stderr
 
 
 def test_a_robot_is_led_through_all_steps(wheelsight: Command, views: Path, tmp_path: Path) -> None:

@@ -171,6 +171,20 @@ def test_nothing_moves_where_the_question_is_answered_with_no(
         assert Commanded.DRIVE not in [kind for kind, _ in controller.commands]
 
 
+def test_a_robot_whose_firmware_stops_too_late_is_refused(
+    refusal: Refusal, kept: Path, calibration: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = HandFedCamera()
+    camera.warnings = ()
+    plug_in(monkeypatch, camera)
+    with SimulatedController(tmp_path) as controller:
+        controller.version = (1, 1, 0, 0)
+        told = refusal(*of_robot(controller.port, calibration, kept, "--camera", "fake", "--yes"))
+        assert "the controller's firmware is 1.0, older than 1.1: it stops the motors too late (write the new" in told
+        assert Commanded.DRIVE not in [kind for kind, _ in controller.commands]
+    assert camera.is_closed
+
+
 # Back, so that the camera sees the floor that is driven over next; then ahead, and round.
 LEGS = """stamp_s,v_m_s,yaw_rate_rad_s
 0,0,0

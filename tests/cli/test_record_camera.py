@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import signal
@@ -13,6 +14,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hand_fed_camera import CALIBRATION, HandFedCamera, live_frame
 from simulated_controller import SimulatedController
@@ -26,7 +28,7 @@ from wheelsight.devices.live_camera import CameraReport, CameraStatus
 from wheelsight.devices.recorder import RecorderReport
 from wheelsight.devices.recording_session import SessionLook
 from wheelsight.errors import OutputError
-from wheelsight.events import RgbdFrame
+from wheelsight.events import AngularVelocity, RgbdFrame
 from wheelsight.files import write_text
 from wheelsight.recordings import RecordingWriter, open_recording
 from wheelsight.recordings.frame_clocks import read_frame_clocks
@@ -112,9 +114,40 @@ def test_camera_and_wheels_side_by_side_with_the_robots_calibration(
     assert ticks_s[0] - 2 < frames[0].stamp_s < ticks_s[-1] + 0.1  # one clock
 
 
+def test_info_tells_how_the_cameras_clock_was_mapped(wheelsight: Command, film: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert wheelsight("record", "--camera", f"recording:{film}", "--seconds", 2, "--out", out).exit_code == 0
+    told = " ".join(wheelsight("info", out).stdout.split())
+    assert "camera clock host time less" in told
+    assert re.search(r"its mapping σ 0\.00 ms \(median\), 0\.00 ms at most, of \d+ frames", told)
+    assert "numbers missing" in told
+    figures = json.loads(wheelsight("info", out, "--json").stdout)["clock"]
+    assert figures["frames"] == len(read_frame_clocks(out))
+    assert "camera clock" not in wheelsight("info", film).stdout
+
+
 def plug_in(monkeypatch: pytest.MonkeyPatch, camera: HandFedCamera) -> None:
     """Let it be a camera called fake."""
     monkeypatch.setitem(LIVE_CAMERAS, "fake", lambda *_: camera)
+
+
+def test_the_cameras_gyroscope_is_recorded_for_a_run_that_knows_how_the_camera_sits(
+    wheelsight: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = HandFedCamera()
+    plug_in(monkeypatch, camera)
+    begin_s = host_clock.now_s()
+    for number in range(20):
+        camera.turn(AngularVelocity(begin_s + number / 200, 0.0, -0.25, 0.0))
+    camera.put(live_frame(1, begin_s))
+    result = wheelsight("record", "--camera", "fake", "--seconds", 1, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "1 frames and 0 wheel readings, and 20 of the camera's gyroscope, are in" in result.stderr
+    assert "imu.csv are not used: T_base_camera" in " ".join(wheelsight("info", tmp_path / "out").stderr.split())
+    mount = [[0.0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.2], [0, 0, 0, 1]]
+    save_calibration(replace(CALIBRATION, wheels=ROBOT, T_base_camera=np.array(mount)), tmp_path / "robot.yaml")
+    told = wheelsight("info", tmp_path / "out", "--calibration", tmp_path / "robot.yaml").stdout
+    assert re.search(r"yaw rates +20", told)
 
 
 def test_it_is_told_what_the_camera_warns_of_and_the_camera_is_given_back(

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from devices.oni_files import MAY_BE_MISSING
 
-from wheelsight.devices.camera_driver import DeviceImages
+from wheelsight.devices.camera_driver import DeviceImages, GyroDriver
 from wheelsight.devices.cameras import open_live_camera
 from wheelsight.devices.live_camera import CameraStatus, LiveFrame
 from wheelsight.devices.realsense import RealSenseDriver
@@ -46,6 +46,26 @@ class SoftCamera:
         extrinsics.rotation = [1, 0, 0, 0, 0, 1, 0, -1, 0]
         extrinsics.translation = [0.015, 0, 0]
         self.depth_profile.register_extrinsics_to(self.color_profile, extrinsics)
+
+    def add_gyro(self, rates_hz: tuple[int, ...] = (400, 200)) -> None:
+        """Mounted with its x along the depth camera's y, by a turn about z."""
+        self.motion = self.device.add_sensor("Motion Module")
+        extrinsics = rs.extrinsics()
+        extrinsics.rotation, extrinsics.translation = [0, 1, 0, -1, 0, 0, 0, 0, 1], [0, 0, 0]
+        for place, rate_hz in enumerate(rates_hz):
+            stream = rs.motion_stream()
+            stream.type, stream.index, stream.uid = rs.stream.gyro, 0, 20 + place
+            stream.fps, stream.fmt = rate_hz, rs.format.motion_xyz32f
+            self.gyro_profile = self.motion.add_motion_stream(stream)
+            self.gyro_profile.register_extrinsics_to(self.depth_profile, extrinsics)
+
+    def turn(self, number: int, x: float, y: float, z: float) -> None:
+        """A reading 1 / 200 s after the one before, on the clock of the images."""
+        frame = rs.software_motion_frame()
+        frame.data = motion(x, y, z)
+        frame.timestamp, frame.domain = 5000 + number * 5.0, rs.timestamp_domain.hardware_clock
+        frame.frame_number, frame.profile = number, self.gyro_profile.as_motion_stream_profile()
+        self.motion.on_motion_frame(frame)
 
     def give(self, number: int, *, depth_late_ms: float = 2.0) -> None:
         """Both images of frame `number`, which tell their number, 1 / 30 s after the one before."""
@@ -88,6 +108,60 @@ class SoftCamera:
         if pixels.dtype == np.uint16:
             frame.depth_units = 0.001
         sensor.on_video_frame(frame)
+
+
+def motion(x: float, y: float, z: float) -> Any:
+    found = rs.vector()
+    found.x, found.y, found.z = x, y, z
+    return found
+
+
+def test_a_gyroscope_is_read_about_the_depth_cameras_axes_by_the_clock_of_frames() -> None:
+    soft = SoftCamera()
+    soft.add_gyro()
+    driver = RealSenseDriver(None, SETTINGS, lambda: [soft.device])
+    assert isinstance(driver, GyroDriver)
+    driver.open()
+    soft.give(0)
+    for number in range(20):
+        soft.turn(number, 0.1, 0.2, 0.3 + number / 100)
+    images, turns = driver.read(5.0), driver.take_angular_velocities()
+    ends_s = time.monotonic() + 10
+    while len(turns) < 20:
+        assert time.monotonic() < ends_s
+        turns += driver.take_angular_velocities()
+    driver.close()
+    assert images is not None
+    assert images.color_s == 5.0
+    assert [turn.device_s for turn in turns] == pytest.approx([5 + number / 200 for number in range(20)])
+    for number, turn in enumerate(turns):
+        assert (turn.x_rad_s, turn.y_rad_s, turn.z_rad_s) == pytest.approx((-0.2, 0.1, 0.3 + number / 100), abs=1e-6)
+    assert driver.take_angular_velocities() == []
+
+
+def test_frames_and_readings_of_a_gyroscope_push_each_other_out_of_no_queue() -> None:
+    soft = SoftCamera()
+    soft.add_gyro()
+    with opened(soft) as camera:
+        feeding = soft.stream(range(10))
+        for number in range(100):
+            soft.turn(number, 0.0, 0.0, 1.0)
+        assert [read(camera).sequence for _ in range(10)] == list(range(10))
+        feeding.join()
+        assert camera.take_angular_velocities()
+
+
+def test_a_gyroscope_that_is_not_wanted_or_not_there_tells_nothing() -> None:
+    soft = SoftCamera()
+    with opened(soft) as camera:
+        assert camera.take_angular_velocities() == []
+    soft.add_gyro()
+    settings = SETTINGS.model_copy(update={"gyro": False})
+    driver = RealSenseDriver(None, settings, lambda: [soft.device])
+    driver.open()
+    soft.turn(0, 1.0, 2.0, 3.0)
+    assert driver.take_angular_velocities() == []
+    driver.close()
 
 
 def opened(*cameras: SoftCamera, where: str | None = None) -> StreamingCamera:

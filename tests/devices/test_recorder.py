@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,9 +14,10 @@ import pytest
 from hand_fed_camera import CALIBRATION, live_frame
 from narrowing import not_none
 
+from wheelsight.calibration import Calibration, save_calibration
 from wheelsight.devices.recorder import LiveRecorder
 from wheelsight.errors import OutputError
-from wheelsight.events import RgbdFrame, WheelTicks, YawRate
+from wheelsight.events import AngularVelocity, RgbdFrame, WheelTicks, YawRate
 from wheelsight.recordings import RecordingWriter, open_recording
 from wheelsight.recordings.frame_clocks import FrameClock, read_frame_clocks
 from wheelsight.recordings.image_files import write_color
@@ -164,3 +166,33 @@ def test_what_could_not_be_read_again_is_refused_and_the_rest_goes_on(tmp_path: 
     assert (report.frames, report.refused) == (3, 2)
     assert "does not come after" in report.refusal
     assert [frame.stamp_s - BEGIN_S for frame in frames_in(tmp_path / "r")] == [0, 1, 2]
+
+
+MOUNT = np.array([[0.0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.2], [0, 0, 0, 1]])
+
+
+def turns(begin: int, count: int = 4) -> list[AngularVelocity]:
+    return [AngularVelocity(BEGIN_S + n / 200, 0.01, -0.5 - n / 10, 0.02) for n in range(begin, begin + count)]
+
+
+def test_the_cameras_gyroscope_is_kept_and_read_once_it_is_known_how_the_camera_sits(tmp_path: Path) -> None:
+    folder = tmp_path / "r"
+    with LiveRecorder(RecordingWriter(folder, CALIBRATION)) as recorder:
+        for turn in turns(0):
+            recorder.add_reading(turn)
+        recorder.add_frame(live_frame(0, BEGIN_S))
+        wait(lambda: recorder.report().frames == 1)
+        assert (recorder.report().turns, recorder.report().readings) == (4, 0)
+    recording = open_recording(folder)
+    assert not any(isinstance(event, YawRate) for event in recording.events())
+    assert any("4 readings in imu.csv are not used: T_base_camera" in warning for warning in recording.warnings)
+    with LiveRecorder(RecordingWriter(folder, CALIBRATION, resume=True)) as recorder:
+        for turn in turns(3):  # the first was there before
+            recorder.add_reading(turn)
+        assert (recorder.report().turns, recorder.report().refused) == (3, 1)
+    save_calibration(replace(CALIBRATION, T_base_camera=MOUNT), folder / "calibration.yaml")
+    rates = [event for event in open_recording(folder).events() if isinstance(event, YawRate)]
+    assert [rate.stamp_s for rate in rates] == [BEGIN_S + n / 200 for n in range(7)]
+    assert [rate.yaw_rate_rad_s for rate in rates] == pytest.approx([0.5 + n / 10 for n in range(7)])
+    RecordingWriter(folder, Calibration(), force=True).close()
+    assert not (folder / "imu.csv").exists()

@@ -14,7 +14,7 @@ from simulated_controller import SimulatedController
 
 from wheelsight.calibration import Calibration, Wheels
 from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.devices import LinkRobot, LinkStatus, WheelLink
+from wheelsight.devices import Format, LinkRobot, LinkStatus, WheelLink
 from wheelsight.devices.protocol import Command, drive_body
 from wheelsight.errors import ArgumentError, DeviceError
 from wheelsight.events import Event, RgbdFrame, WheelTicks
@@ -266,6 +266,37 @@ def test_frames_are_sorted_in(controller: SimulatedController) -> None:
     assert sum(isinstance(event, RgbdFrame) for event in events) == 1
     assert any(isinstance(event, WheelTicks) for event in events)
     assert [event.stamp_s for event in events] == sorted(event.stamp_s for event in events)
+
+
+def test_a_firmware_that_stops_too_late_is_not_driven(robot: LinkRobot, controller: SimulatedController) -> None:
+    controller.version = (1, 1, 0, 0)
+    with pytest.raises(DeviceError, match=r"firmware is 1\.0, older than 1\.1.*\(write the new one: make -C firmware"):
+        robot.check_firmware()
+    wait(robot, lambda: bool(robot.stop_reason), AHEAD)
+    assert robot.stop_reason.startswith("the controller's firmware is 1.0, older than 1.1")
+    assert "make -C firmware/atmega8 flash" in robot.stop_reason
+    run(robot, STOP, 0.2)
+    run(robot, AHEAD, 0.3)
+    assert {kind for kind, _ in controller.commands} == {Command.GET_VERSION}
+    controller.version = (1, 1, 1, 0)
+    run(robot, STOP, 0.2)
+    wait(robot, lambda: controller.duties[0] > 50, AHEAD)
+
+
+def test_a_controller_that_answers_nothing_is_not_driven(robot: LinkRobot, controller: SimulatedController) -> None:
+    controller.answers = False
+    wait(robot, lambda: bool(robot.stop_reason), AHEAD)
+    assert robot.stop_reason == "the controller does not answer GET_VERSION (check the wire to it)"
+    assert Command.DRIVE not in {kind for kind, _ in controller.commands}
+
+
+def test_in_the_papers_format_nobody_is_asked(controller: SimulatedController) -> None:
+    controller.is_paper, controller.version = True, (1, 1, 0, 0)
+    link = WheelLink(str(controller.port))
+    with LinkRobot(link, CALIBRATION, control=PATIENT) as robot:
+        wait(robot, lambda: link.report().format is Format.PAPER)
+        wait(robot, lambda: controller.duties[0] > 50, AHEAD)
+    assert Command.GET_VERSION not in {kind for kind, _ in controller.commands}
 
 
 def test_a_calibration_without_wheels_is_refused(controller: SimulatedController) -> None:

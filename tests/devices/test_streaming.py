@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
@@ -12,10 +13,11 @@ from devices.fake_camera import CAMERA, QUICK, FakeDriver, images
 
 from wheelsight.calibration import Calibration
 from wheelsight.devices import host_clock
-from wheelsight.devices.live_camera import CameraStatus, LiveCamera, LiveFrame
+from wheelsight.devices.camera_driver import DeviceAngularVelocity
+from wheelsight.devices.live_camera import CameraStatus, HasGyro, LiveCamera, LiveFrame, take_angular_velocities
 from wheelsight.devices.streaming import StreamingCamera
 from wheelsight.errors import CalibrationError, DeviceError
-from wheelsight.events import RgbdFrame, SkippedFrame
+from wheelsight.events import AngularVelocity, RgbdFrame, SkippedFrame
 from wheelsight.geometry import PinholeCamera
 
 
@@ -248,3 +250,43 @@ def test_a_given_calibration_must_be_of_the_images(driver: FakeDriver) -> None:
     finer = Calibration.registered_camera(replace(CAMERA, fx=61.0))
     with StreamingCamera(driver, QUICK, finer) as camera:
         assert camera.calibration is finer
+
+
+class TurningDriver(FakeDriver):
+    """Has a gyroscope, which tells what a test puts into `turns`."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.turns: deque[DeviceAngularVelocity] = deque()
+
+    def take_angular_velocities(self) -> list[DeviceAngularVelocity]:
+        return [self.turns.popleft() for _ in range(len(self.turns))]
+
+
+def test_a_gyroscope_is_stamped_by_the_clock_that_frames_have_told_of() -> None:
+    driver = TurningDriver()
+    driver.turns.append(DeviceAngularVelocity(0.0, 9.0, 9.0, 9.0))  # no frame has told of the clock yet
+    with StreamingCamera(driver, QUICK) as camera:
+        assert isinstance(camera, HasGyro)
+        eventually(lambda: not driver.turns)
+        driver.give(images(0, 100.0))
+        first = read(camera)
+        driver.turns.extend(DeviceAngularVelocity(at_s, 0.1, 0.2, at_s) for at_s in (100.01, 100.015, 100.012, 100.02))
+        turns: list[AngularVelocity] = []
+
+        def have_come() -> bool:
+            turns.extend(camera.take_angular_velocities())
+            return len(turns) >= 3
+
+        eventually(have_come)
+        assert [turn.z_rad_s for turn in turns] == [100.01, 100.015, 100.02]  # one was set back
+        later_s = [turn.stamp_s - first.frame.stamp_s for turn in turns]
+        assert later_s == pytest.approx([0.01, 0.015, 0.02], abs=1e-6)
+        assert take_angular_velocities(camera) == []
+
+
+def test_a_camera_without_a_gyroscope_tells_no_turns(driver: FakeDriver, camera: StreamingCamera) -> None:
+    driver.give(images(0))
+    read(camera)
+    assert camera.take_angular_velocities() == []
+    assert take_angular_velocities(None) == ()

@@ -20,7 +20,7 @@ from wheelsight.devices import WheelLink, host_clock
 from wheelsight.devices.live_camera import CameraStatus
 from wheelsight.devices.recorder import LiveRecorder
 from wheelsight.errors import ConfigError
-from wheelsight.events import Event, RgbdFrame, WheelTicks, YawRate
+from wheelsight.events import AngularVelocity, Event, RgbdFrame, WheelTicks, YawRate
 from wheelsight.pipeline import Choice, InRealTime, LiveSensors, LiveSource, default_odometry
 from wheelsight.pipeline.rehearsal import DrawnDrive
 from wheelsight.recordings import Recording, RecordingWriter, open_recording
@@ -176,3 +176,35 @@ def test_what_is_rehearsed_is_drawn_first_and_then_seen() -> None:
     assert {type(event) for event in DrawnDrive(ROBOT).rehearsal()} == {RgbdFrame, WheelTicks, YawRate}
     by_wheels = DrawnDrive(Calibration(wheels=WHEELS))
     assert {type(event) for event in by_wheels.rehearsal()} == {WheelTicks, YawRate}
+
+
+def test_the_cameras_gyroscope_turns_the_base_by_how_the_camera_sits(tmp_path: Path) -> None:
+    """MOUNT looks ahead: the camera's y is down, the base's z up."""
+    camera = HandFedCamera(ROBOT)
+    camera.turn(AngularVelocity(0.5, 9.0, 9.0, 9.0))  # before it began
+
+    def begin() -> None:
+        camera.turn(*(AngularVelocity(1.0 + n / 200, 0.1, -0.4, 0.2) for n in range(3)))
+        camera.put(live_frame(0, 1.01))
+
+    with LiveRecorder(RecordingWriter(tmp_path / "kept", ROBOT)) as recorder:
+        source = LiveSource(LiveSensors(ROBOT, camera, recorder=recorder), on_begin=begin)
+        events = followed(source, 4)
+    rates = [event for event in events if isinstance(event, YawRate)]
+    assert [rate.stamp_s for rate in rates] == [1.0 + n / 200 for n in range(3)]
+    assert [rate.yaw_rate_rad_s for rate in rates] == pytest.approx([0.4] * 3)
+    kept = [event for event in open_recording(tmp_path / "kept").events() if isinstance(event, YawRate)]
+    assert kept == rates
+
+
+def test_without_a_mount_the_gyroscope_is_only_recorded(tmp_path: Path) -> None:
+    camera = HandFedCamera()
+
+    def begin() -> None:
+        camera.turn(AngularVelocity(1.0, 0.1, -0.4, 0.2))
+        camera.put(live_frame(0, 1.01))
+
+    with LiveRecorder(RecordingWriter(tmp_path / "kept", CALIBRATION)) as recorder:
+        events = followed(LiveSource(LiveSensors(CALIBRATION, camera, recorder=recorder), on_begin=begin), 1)
+    assert [type(event) for event in events] == [RgbdFrame]
+    assert (tmp_path / "kept" / "imu.csv").read_text().splitlines()[1:] == ["1.000000,0.100000,-0.400000,0.200000"]

@@ -221,6 +221,30 @@ class CoachSettings(Settings):
     rows: int = setting(3, "and down", CHOSEN, ge=1, le=20)
     near_far: float = setting(2.0, "farthest over nearest board", CHOSEN, gt=1, le=20)
     enough: int = setting(20, "views", _SIMULATED, ge=3, le=1000)
+    still_share: float = setting(
+        0.0015,
+        "of the image's width by which half of the corners may move in a live view that is still: 1 px of 640, so that "
+        "depth that cameras average over frames is of one place",
+        CHOSEN,
+        gt=0,
+        le=0.1,
+    )
+    still_s: float = setting(0.4, "for so many seconds; cameras average depth over fewer", CHOSEN, gt=0, le=10)
+    new_share: float = setting(
+        0.02,
+        "of the image's width by which some corner must lie elsewhere than in each live view before: what stays "
+        "where it was tells nothing new",
+        CHOSEN,
+        gt=0,
+        le=1,
+    )
+    more_views: int = setting(
+        5,
+        "live views after which calibrating is tried again where it was refused",
+        CHOSEN,
+        ge=1,
+        le=1000,
+    )
 
 
 class CameraCalibrationSettings(Settings):

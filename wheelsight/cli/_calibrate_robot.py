@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from wheelsight.cli._options import Topics
+
 Robot = Annotated[
     Path, typer.Argument(metavar="FILE", help="The robot's calibration.yaml, there or not yet.", show_default=False)
 ]
@@ -20,7 +22,7 @@ Check = Annotated[
 ]
 
 
-def robot(file: Robot, check: Check = None) -> None:
+def robot(file: Robot, check: Check = None, topic: Topics = None) -> None:
     """Lead through the calibration of a robot: what FILE has, what is missing, and what to do next.
 
     In order: the camera by a board, the wheels by a drive, the mount by a drive, then a loop to check them on.
@@ -50,7 +52,7 @@ def robot(file: Robot, check: Check = None) -> None:
         for command in missing.commands:
             stdout.print(f"  {command}", markup=False)
     if check is not None:
-        told, is_good = loop_check(check, file)
+        told, is_good = loop_check(check, file, topic)
         stdout.print(told, markup=False)
         if not is_good:
             print_warning("the loop does not close as a calibrated robot's does; see what is measured above")

@@ -25,9 +25,12 @@ Force = Annotated[
 ]
 
 
-def open_for(folder: Path, calibration: Sequence[str] | None, rate_hz: float | None = None) -> Recording:
-    """The recording, with what `--calibration` says in place of its own, and stamps as `--rate-hz` says."""
-    return open_source(folder, settings_from({"--calibration": calibration, "--rate-hz": rate_hz}))
+def open_for(
+    folder: Path, calibration: Sequence[str] | None, topics: Sequence[str] | None, rate_hz: float | None = None
+) -> Recording:
+    """The recording, with what `--calibration` says in place of its own; topics and stamps as the options say."""
+    options = {"--calibration": calibration, "--rate-hz": rate_hz, "--topic": topics}
+    return open_source(folder, settings_from(options))
 
 
 def page_beside(out: Path, force: bool) -> Path | None:

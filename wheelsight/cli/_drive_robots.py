@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -16,10 +17,13 @@ if TYPE_CHECKING:
     from wheelsight.calibration import Calibration
     from wheelsight.cli._drive_inputs import Real, Simulated
     from wheelsight.config import Config
+    from wheelsight.devices import LinkRobot, WheelLink
     from wheelsight.robots import Robot
     from wheelsight.simulation import FloorPlan
 
 _QUESTION = "Is the floor around the robot free, and is somebody at the stop button?"
+# Pairs of the paper's format are recognised within 3 s; who speaks frames is known at the first one.
+_HEARD_WITHIN_S, _LOOK_S = 3.5, 0.02
 
 
 @contextmanager
@@ -100,11 +104,20 @@ def _linked(real: Real, config: Config) -> Iterator[Robot]:
         link = WheelLink(real.port, real.baud)
         opened.callback(link.close)
         robot = opened.enter_context(LinkRobot(link, calibration, config.navigation.limits, frames=frames))
+        _check_firmware(robot, link)
         # Asked as late as can be: what can go wrong before anything moves has not.
         if not (real.yes or typer.confirm(_QUESTION)):
             typer.echo("nothing moved", err=True)
             raise typer.Exit(1)
         yield robot
+
+
+def _check_firmware(robot: LinkRobot, link: WheelLink) -> None:
+    """Refuse a controller that would stop its motors too late. Raises DeviceError."""
+    ends_s = time.monotonic() + _HEARD_WITHIN_S
+    while link.report().format is None and time.monotonic() < ends_s:
+        time.sleep(_LOOK_S)
+    robot.check_firmware()
 
 
 def _check_mount(calibration: Calibration, path: Path) -> None:

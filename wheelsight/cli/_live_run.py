@@ -96,7 +96,8 @@ def _sensors(asked: LiveRun, settings: Config, force: bool, opened: ExitStack) -
 
     camera = None
     if asked.camera is not None:
-        camera, calibration = open_robot_camera(asked.camera, settings.camera, asked.calibration)
+        of_camera = settings.camera.model_copy(update={"topics": settings.recording.topics or settings.camera.topics})
+        camera, calibration = open_robot_camera(asked.camera, of_camera, asked.calibration)
         opened.callback(camera.close)
     elif asked.calibration:
         calibration = load_calibration(*asked.calibration)

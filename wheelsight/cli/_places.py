@@ -20,6 +20,7 @@ def label(
     areas: Path | None,
     trajectory: Path | None,
     every_s: float | None,
+    topics: Sequence[str] | None,
     force: bool,
 ) -> None:
     """Write the contact sheet of a recording."""
@@ -28,7 +29,7 @@ def label(
     from wheelsight.report.places_sheet import write_sheet
 
     check_out(out, force)
-    recording = open_listed(folder)
+    recording = open_listed(folder, topics)
     source = source_of(recording, labels, areas, trajectory)
     with show_progress("reading", None) as advance:
         sheet = make_sheet(recording, source, every_s, advance)
@@ -44,6 +45,7 @@ def train(
     areas: Path | None,
     description: str,
     forest: dict[str, Any],
+    topics: Sequence[str] | None,
     force: bool,
 ) -> None:
     """Train a model on recordings, save it, and tell what it is worth."""
@@ -55,7 +57,7 @@ def train(
     for library in ("sklearn", "skops"):  # refused before the long work
         needed(library)
     check_out(out, force)
-    recordings, sources, names = open_labelled(folders, labels, areas)
+    recordings, sources, names = open_labelled(folders, labels, areas, topics)
     compile_missing(_KERNELS)
     describer = describer_from({"kind": description})
     drives = described(recordings, sources, names, describer)
@@ -74,6 +76,7 @@ def try_model(
     areas: Path | None,
     trajectory: Path | None,
     out: Path | None,
+    topics: Sequence[str] | None,
     as_json: bool,
     force: bool,
 ) -> None:
@@ -87,7 +90,7 @@ def try_model(
     if out is not None:
         needed("plotly")
         check_out(out, force)
-    model, recording = PlaceModel.load(model_path), open_listed(folder)
+    model, recording = PlaceModel.load(model_path), open_listed(folder, topics)
     source = source_of(recording, labels, areas, trajectory, needed=True)
     stamps_s = stamps_of(recording)
     label_at = dict(zip(stamps_s, source.of_frames(stamps_s, model.area_names).tolist(), strict=True))
@@ -105,14 +108,14 @@ def try_model(
         console().print(f"page: {out}", markup=False)
 
 
-def predict(model_path: Path, folder: Path, out: Path, force: bool) -> None:
+def predict(model_path: Path, folder: Path, out: Path, topics: Sequence[str] | None, force: bool) -> None:
     """Write a model's answers on a recording."""
     from wheelsight.cli._console import percent, print_note
     from wheelsight.files import write_text
     from wheelsight.places import PlaceModel, answer_all, frames_of, predictions_csv
 
     check_out(out, force)
-    model, recording = PlaceModel.load(model_path), open_listed(folder)
+    model, recording = PlaceModel.load(model_path), open_listed(folder, topics)
     compile_missing(_KERNELS)
     with show_progress("naming areas", recording.frame_count) as advance:
         answers = answer_all(model, frames_of(recording, advance))

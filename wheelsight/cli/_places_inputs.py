@@ -12,12 +12,12 @@ if TYPE_CHECKING:
     from wheelsight.recordings import Recording
 
 
-def open_listed(folder: Path) -> Recording:
-    """A recording, its warnings told on stderr."""
+def open_listed(folder: Path, topics: Sequence[str] | None) -> Recording:
+    """A recording, its warnings told on stderr; `topics` of a bag, as `--topic` says them."""
     from wheelsight.cli._console import print_warning
-    from wheelsight.recordings import open_recording
+    from wheelsight.cli._options import open_source, settings_from
 
-    recording = open_recording(folder)
+    recording = open_source(folder, settings_from({"--topic": topics}))
     for warning in recording.warnings:
         print_warning(f"{recording.name}: {warning}")
     return recording
@@ -54,7 +54,7 @@ def show_progress(action: str, count: int | None) -> Iterator[Callable[[], None]
 
 
 def open_labelled(
-    folders: Sequence[Path], labels: Sequence[Path], areas: Path | None
+    folders: Sequence[Path], labels: Sequence[Path], areas: Path | None, topics: Sequence[str] | None
 ) -> tuple[list[Recording], list[LabelSource], tuple[str, ...]]:
     """Recordings, where their labels come from, and the names of all areas, each of which some frame shows."""
     from wheelsight.errors import ConfigError
@@ -63,7 +63,7 @@ def open_labelled(
     if labels and len(labels) != len(folders):
         fix = "give --labels once for each recording, in their order, or not at all"
         raise ConfigError(f"{len(labels)} --labels for {len(folders)} recordings", fix=fix)
-    recordings = [open_listed(folder) for folder in folders]
+    recordings = [open_listed(folder, topics) for folder in folders]
     files: Sequence[Path | None] = labels or [None] * len(folders)
     sources = [source_of(r, file, areas, None, needed=True) for r, file in zip(recordings, files, strict=True)]
     names = names_of_all(sources)

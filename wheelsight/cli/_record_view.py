@@ -125,7 +125,8 @@ def tell_end(writer: RecordingWriter, recorder: LiveRecorder, out: Path, has_cam
     recorder.close()
     report = recorder.report()
     frames = f"{writer.frames} frames and " if has_camera else ""
-    print_note(f"{frames}{writer.readings} wheel readings are in {out}")
+    turns = f", and {report.turns} of the camera's gyroscope," if report.turns else ""
+    print_note(f"{frames}{writer.readings} wheel readings{turns} are in {out}")
     if report.dropped:
         share = 100 * report.dropped / (report.dropped + report.frames)
         text = f"{report.dropped} frames ({share:.1f} %) were dropped: the disk or the encoding was too slow"

@@ -29,6 +29,7 @@ class Sensors:
     infrared: bool
     baud: int
     config: Path | None
+    topics: tuple[str, ...] = ()
 
 
 @contextmanager
@@ -69,6 +70,8 @@ def _check(asked: Sensors, color: str, *, force: bool, resume: bool) -> None:
         raise ConfigError("--force begins anew and --resume does not", fix="one of them")
     if asked.infrared and asked.camera is None:
         raise ConfigError("--infrared is of a camera", fix="add --camera NAME")
+    if asked.topics and not (asked.camera or "").startswith("recording:"):
+        raise ConfigError("--topic is of a bag", fix="--camera recording:BAG, or leave it out")
 
 
 def _known(asked: Sensors, out: Path, resume: bool) -> Calibration | None:
@@ -108,7 +111,8 @@ def _settings(asked: Sensors) -> tuple[LiveCameraSettings, RecorderSettings]:
 
         config = load_config(asked.config)
         camera, recorder = config.camera, config.recorder
-    return camera.model_copy(update={"infrared": camera.infrared or asked.infrared}), recorder
+    changes = {"infrared": camera.infrared or asked.infrared, "topics": asked.topics or camera.topics}
+    return camera.model_copy(update=changes), recorder
 
 
 def _link(asked: Sensors, opened: ExitStack) -> WheelLink | None:

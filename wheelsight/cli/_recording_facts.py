@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from wheelsight.evaluation import SequenceStatistics
     from wheelsight.recordings import RecordedTopic
+    from wheelsight.recordings.clock_mapping import ClockMapping
 
 
 def topic_facts(topics: Sequence[RecordedTopic]) -> Iterator[tuple[str, str]]:
@@ -15,6 +16,19 @@ def topic_facts(topics: Sequence[RecordedTopic]) -> Iterator[tuple[str, str]]:
     for topic in topics:
         used = f", used as {topic.used_as}" if topic.used_as else ""
         yield topic.name, f"{topic.count:,} × {topic.type.rpartition('/')[2]}{used}"
+
+
+def clock_facts(clock: ClockMapping) -> Iterator[tuple[str, str]]:
+    """How the camera's clock was mapped to the host's, and how surely."""
+    if clock.offset_s is None:
+        yield "camera clock", "none: frames are stamped when they arrived"
+    else:
+        drift = "" if clock.drift_ppm is None else f", runs {clock.drift_ppm:+.0f} ppm fast"
+        yield "camera clock", f"host time less {clock.offset_s:.6f} s{drift}"
+    sigmas = f"σ {1e3 * clock.sigma_median_s:.2f} ms (median), {1e3 * clock.sigma_largest_s:.2f} ms at most"
+    yield "its mapping", f"{sigmas}, of {clock.frames} frames"
+    late = f"{1e3 * clock.arrival_median_s:.1f} ms (median), {1e3 * clock.arrival_p95_s:.1f} ms (95 %)"
+    yield "arrival", f"{late} after the stamp; {clock.missing} numbers missing"
 
 
 def truth_facts(truth: SequenceStatistics) -> Iterator[tuple[str, str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from wheelsight.calibration import read_layer
 from wheelsight.calibration_history import Measured, history_of
 from wheelsight.calibration_layers import NOMINAL
+from wheelsight.cli._calibration_files import open_for
 from wheelsight.errors import RecordingError
 from wheelsight.geometry import se3, so3
 from wheelsight.inputs import is_there
@@ -52,7 +54,7 @@ def _camera(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step
     )
     commands = (
         "wheelsight board --out board.pdf",
-        f"wheelsight calibrate camera VIEWS --board 9x6:25mm --plate --out {file}{force}",
+        f"wheelsight calibrate camera --camera any --board 9x6:25mm --plate --out {file}{force}",
     )
     return Step("camera", is_done, told, how, commands)
 
@@ -78,16 +80,15 @@ def _mount(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
     return Step("mount", is_done, told, how, (f"wheelsight calibrate base DRIVE --out {file}{force}",))
 
 
-def loop_check(folder: Path, file: Path) -> tuple[str, bool]:
+def loop_check(folder: Path, file: Path, topics: Sequence[str] | None) -> tuple[str, bool]:
     """What the wheels make of a drive that ends where it began, in a line, and whether a calibrated robot's does so.
 
     Raises:
         InputError: a recording without wheels, or a drive too short to tell.
     """
     from wheelsight.odometry.wheels import drive_of, drive_path
-    from wheelsight.recordings import OpenOptions, open_recording
 
-    source = open_recording(folder, OpenOptions(calibration=str(file)))
+    source = open_for(folder, [str(file)], topics)
     wheels = source.calibration.wheels
     if wheels is None:
         raise RecordingError("has no wheels, and FILE tells none", path=folder, fix="calibrate the wheels first")

@@ -8,10 +8,10 @@ from typing import Annotated
 import typer
 
 from wheelsight.cli._calibrate_base import base
-from wheelsight.cli._calibrate_camera import camera
 from wheelsight.cli._calibrate_robot import robot
 from wheelsight.cli._calibration_files import Force, Out, kept_in, open_for, page_beside, save_found, wheel_fields
-from wheelsight.cli._options import CalibrationFile, RecordingPath
+from wheelsight.cli._options import CalibrationFile, RecordingPath, Topics
+from wheelsight.cli.calibrate_camera import camera
 
 app = typer.Typer(no_args_is_help=True, help="Calibrate a robot: its cameras, its wheels, and where the camera sits.")
 app.command("camera")(camera)
@@ -51,6 +51,7 @@ def wheels(
     train_share: TrainShare = 0.5,
     segment: Segment = 1.0,
     delay: Delay = True,
+    topic: Topics = None,
     force: Force = False,
 ) -> None:
     """Fit both radii, the track width and the clocks' delay to a reference trajectory.
@@ -74,7 +75,7 @@ def wheels(
     from wheelsight.trajectory import read_tum
 
     page, kept = page_beside(out, force), kept_in(out, calibration)
-    source = open_for(recording, calibration)
+    source = open_for(recording, calibration, topic)
     truth = None if reference is None else read_tum(reference, body=source.body)
     with show_steps() as on_step:
         trial = try_calibration(
@@ -90,7 +91,14 @@ def wheels(
 
 
 @app.command("umbmark")
-def umbmark(runs: Runs, out: Out, calibration: CalibrationFile = None, side: Side = None, force: Force = False) -> None:
+def umbmark(
+    runs: Runs,
+    out: Out,
+    calibration: CalibrationFile = None,
+    side: Side = None,
+    topic: Topics = None,
+    force: Force = False,
+) -> None:
     """Correct wheel ratio and track width by squares, driven both ways and measured by tape (Borenstein & Feng 1996).
 
     A RUN is a recording of one square, with true poses at its start and end.
@@ -112,7 +120,7 @@ def umbmark(runs: Runs, out: Out, calibration: CalibrationFile = None, side: Sid
     if len(runs) == 1 and not runs[0].is_dir():
         squares = squares_from_table(runs[0], calibration, side)
     else:
-        squares = squares_from_recordings([open_for(run, calibration) for run in runs], side)
+        squares = squares_from_recordings([open_for(run, calibration, topic) for run in runs], side)
     found = wheel_fields(squares.result.wheels, delay=False)
     written = save_found(found, kept, squares.nominal, f"UMBmark, {squares.name}", out, measured_squares(squares))
     if page is not None:

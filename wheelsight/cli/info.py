@@ -19,7 +19,7 @@ from wheelsight.cli._options import (
     open_source,
     settings_from,
 )
-from wheelsight.cli._recording_facts import topic_facts, truth_facts
+from wheelsight.cli._recording_facts import clock_facts, topic_facts, truth_facts
 
 if TYPE_CHECKING:
     from wheelsight.recordings import AssociationReport
@@ -94,6 +94,8 @@ def _facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
     yield "gaps", _gaps(inspection)
     if inspection.frames:
         yield from _image_facts(inspection)
+    if inspection.clock is not None:
+        yield from clock_facts(inspection.clock)
     if inspection.ground_truth is None:
         yield "ground truth", "none"
 

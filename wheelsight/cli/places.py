@@ -6,7 +6,7 @@ import typer
 
 from wheelsight.cli import _places as work
 from wheelsight.cli import _places_options as options
-from wheelsight.cli._options import RecordingPath
+from wheelsight.cli._options import RecordingPath, Topics
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode="rich")
 
@@ -24,6 +24,7 @@ def label(
     areas: options.Areas = None,
     trajectory: options.Trajectory = None,
     every: options.Every = None,
+    topic: Topics = None,
     force: options.Force = False,
 ) -> None:
     """Make a page of thumbnails along time, on which a person says which area each part of a drive is in.
@@ -37,7 +38,7 @@ def label(
 
     wheelsight places label my_drive --labels my_drive-labels.csv --every 0.5 --out check.html
     """
-    work.label(recording, out, labels, areas, trajectory, every, force)
+    work.label(recording, out, labels, areas, trajectory, every, topic, force)
 
 
 @app.command()
@@ -50,6 +51,7 @@ def train(
     trees: options.Trees = 64,
     depth: options.Depth = 16,
     seed: options.Seed = 0,
+    topic: Topics = None,
     force: options.Force = False,
 ) -> None:
     """Grow a random forest that names the area of a frame, and calibrate how sure it says to be.
@@ -64,7 +66,7 @@ def train(
     wheelsight places train my_drive --labels my_drive-labels.csv --description histograms --trees 6 --out six.places
     """
     forest = {"trees": trees, "max_depth": depth, "seed": seed}
-    work.train(recordings, out, labels or [], areas, description, forest, force)
+    work.train(recordings, out, labels or [], areas, description, forest, topic, force)
 
 
 @app.command("test")
@@ -75,6 +77,7 @@ def try_model(
     areas: options.Areas = None,
     trajectory: options.Trajectory = None,
     out: options.PageIfWanted = None,
+    topic: Topics = None,
     as_json: options.AsJson = False,
     force: options.Force = False,
 ) -> None:
@@ -86,7 +89,7 @@ def try_model(
 
     wheelsight places test floor.places my_drive --labels my_drive-labels.csv --json
     """
-    work.try_model(model, recording, labels, areas, trajectory, out, as_json, force)
+    work.try_model(model, recording, labels, areas, trajectory, out, topic, as_json, force)
 
 
 @app.command()
@@ -94,6 +97,7 @@ def predict(
     model: options.Model,
     recording: RecordingPath,
     out: options.Table,
+    topic: Topics = None,
     force: options.Force = False,
 ) -> None:
     """Name the area of each frame: stamp_s, area (empty: unknown), and the probability of every area.
@@ -104,4 +108,4 @@ def predict(
 
     wheelsight places label thursday --labels predictions.csv --out check.html
     """
-    work.predict(model, recording, out, force)
+    work.predict(model, recording, out, topic, force)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from wheelsight.cli._options import Topics
 from wheelsight.cli._signals import until_stopped
 from wheelsight.cli.wheels import Baud, Seconds
 
@@ -41,6 +42,7 @@ def record(
     config: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Settings in YAML: camera and recorder.", show_default=False)
     ] = None,
+    topic: Topics = None,
     baud: Baud = 115200,
     seconds: Seconds = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the recording in DIR.")] = False,
@@ -65,7 +67,7 @@ def record(
     from wheelsight.cli._record_view import shown_looks
     from wheelsight.cli._recording import Sensors, opened_recording
 
-    asked = Sensors(camera, wheels, tuple(calibration or ()), infrared, baud, config)
+    asked = Sensors(camera, wheels, tuple(calibration or ()), infrared, baud, config, tuple(topic or ()))
     with (
         until_stopped() as is_over,
         opened_recording(asked, out, color, force=force, resume=resume) as session,

@@ -49,6 +49,10 @@ class CameraClock:
         self._map.update(device_s, arrival_s)
         return Stamp(self._growing(min(self._map.host_s(device_s), arrival_s)), self._map.sigma_s(period_s))
 
+    def host_s(self, device_s: float) -> float | None:
+        """When the device's clock showed that, by the host's, for what is no frame; None before the first frame."""
+        return self._map.host_s(device_s) if self._map.is_begun else None
+
     def restart(self) -> None:
         """The device's clock began anew: what was learned of it is forgotten."""
         self._map.restart()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from wheelsight.calibration import Calibration
 from wheelsight.errors import DeviceError
@@ -46,6 +46,16 @@ class DeviceImages:
     infrared: UInt16Array | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class DeviceAngularVelocity:
+    """A reading of a camera's gyroscope: rad/s about the depth camera's axes at `device_s` by the device's clock."""
+
+    device_s: float
+    x_rad_s: float
+    y_rad_s: float
+    z_rad_s: float
+
+
 class PlaybackEndedError(DeviceError):
     """The file that a driver plays has no more frames."""
 
@@ -66,3 +76,11 @@ class CameraDriver(Protocol):
 
     def close(self) -> None:
         """Give the device back, if it is open; raises nothing."""
+
+
+@runtime_checkable
+class GyroDriver(Protocol):
+    """A `CameraDriver` whose camera may have a gyroscope, by the clock that stamps its frames."""
+
+    def take_angular_velocities(self) -> list[DeviceAngularVelocity]:
+        """Readings since the last call, in order; none without a gyroscope. Raises DeviceError if it is gone."""

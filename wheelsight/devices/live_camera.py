@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
 
 from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame, SkippedFrame
+from wheelsight.events import AngularVelocity, RgbdFrame, SkippedFrame
 from wheelsight.geometry.arrays import UInt16Array
 
 
@@ -128,3 +128,16 @@ class LiveCamera(Protocol):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Close it."""
+
+
+@runtime_checkable
+class HasGyro(Protocol):
+    """A `LiveCamera` that may carry a gyroscope."""
+
+    def take_angular_velocities(self) -> Sequence[AngularVelocity]:
+        """Readings since the last call, at growing stamps of the host's clock; waits for none."""
+
+
+def take_angular_velocities(camera: object) -> Sequence[AngularVelocity]:
+    """Of a camera that may be none with a gyroscope; nothing then."""
+    return camera.take_angular_velocities() if isinstance(camera, HasGyro) else ()

@@ -63,11 +63,14 @@ class PlayedCamera:
     @classmethod
     def opened(cls, where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> PlayedCamera:
         """Of a recording's folder. Raises DeviceError where it has no frames of this calibration."""
-        from wheelsight.recordings import open_recording  # loads OpenCV, which other cameras need not wait for
+        from wheelsight.recordings import (  # loads OpenCV, which other cameras need not wait for
+            OpenOptions,
+            open_recording,
+        )
 
         if where is None:
             raise DeviceError("no recording is named", fix="--camera recording:DIR")
-        recording = open_recording(Path(where))
+        recording = open_recording(Path(where), OpenOptions(topics=settings.topics))
         if not recording.frame_count:
             raise DeviceError("the recording has no images", path=where)
         own = recording.calibration

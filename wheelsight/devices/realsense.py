@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wheelsight.calibration import Calibration, DepthNoise
-from wheelsight.devices.camera_driver import DeviceImages, OpenedDevice, PlaybackEndedError
+from wheelsight.devices.camera_driver import DeviceAngularVelocity, DeviceImages, OpenedDevice, PlaybackEndedError
 from wheelsight.devices.frame_pairs import FramePairs
+from wheelsight.devices.realsense_gyro import RealSenseGyro, gyro_of
 from wheelsight.devices.usb import udev_rule
 from wheelsight.errors import ConfigError, DeviceError
 from wheelsight.extras import needed
@@ -58,6 +59,7 @@ class RealSenseDriver:
         self._device: Any = None
         self._queue: Any = None
         self._running: list[Any] = []
+        self._gyro: RealSenseGyro | None = None
         self._pairs: FramePairs[Any] = FramePairs(settings.pair_gap_s)
         self._infrared: UInt16Array | None = None
         self._depth_scale_m = 0.001
@@ -91,9 +93,16 @@ class RealSenseDriver:
             raise _told(error, self._where) from error
         return None
 
+    def take_angular_velocities(self) -> list[DeviceAngularVelocity]:
+        """As `GyroDriver` has it."""
+        try:
+            return [] if self._gyro is None else self._gyro.take()
+        except RuntimeError as error:
+            raise _told(error, self._where) from error
+
     def close(self) -> None:
         """As `CameraDriver` has it."""
-        running, self._running = self._running, []
+        running, self._running, self._gyro = self._running, [], None
         for sensor in running:
             for end in (sensor.stop, sensor.close):
                 try:
@@ -144,10 +153,9 @@ class RealSenseDriver:
         self._depth_scale_m = chosen["depth"].sensor.as_depth_sensor().get_depth_scale()
         self._pairs, self._infrared = FramePairs(self._settings.pair_gap_s), None
         self._queue = self._rs.frame_queue(_QUEUED, True)
+        self._start_gyro(chosen["depth"].profile)
         for sensor in self._sensors_of(chosen):
-            if sensor.supports(self._rs.option.global_time_enabled):
-                # The library's own mapping to the host's clock tells nothing of its uncertainty.
-                sensor.set_option(self._rs.option.global_time_enabled, 0)
+            self._let_stamp(sensor)
             sensor.open([one.profile for one in chosen.values() if self._is_same(one.sensor, sensor)])
             self._running.append(sensor)
             sensor.start(self._queue)
@@ -157,6 +165,21 @@ class RealSenseDriver:
             warnings.append("The camera is on USB 2, which loses frames: use a USB 3 port and cable.")
         name = Path(str(self._where)).name if self._is_file else self._serial(self._device)
         return OpenedDevice(f"{self._info(self._device, 'name')} {name}".strip(), calibration, tuple(warnings))
+
+    def _start_gyro(self, depth_profile: Any) -> None:
+        """Where there is one, and it is wanted."""
+        gyro = gyro_of(self._rs, self._device, depth_profile) if self._settings.gyro else None
+        if gyro is None:
+            return
+        self._let_stamp(gyro.sensor)
+        self._running.append(gyro.sensor)
+        gyro.start()
+        self._gyro = gyro
+
+    def _let_stamp(self, sensor: Any) -> None:
+        """By the device's own clock: the library's mapping to the host's tells nothing of its uncertainty."""
+        if sensor.supports(self._rs.option.global_time_enabled):
+            sensor.set_option(self._rs.option.global_time_enabled, 0)
 
     def _is_same(self, one: Any, other: Any) -> bool:
         name = self._rs.camera_info.name

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from wheelsight.devices.live_camera import LiveFrame
 from wheelsight.errors import ArgumentError, OutputError, RecordingError
-from wheelsight.events import WheelTicks, YawRate
+from wheelsight.events import AngularVelocity, WheelTicks, YawRate
 from wheelsight.recordings import RecordingWriter
 from wheelsight.recordings.frame_clocks import FrameClock
 from wheelsight.recordings.writer import WrittenFrame
@@ -24,7 +24,7 @@ class RecorderReport:
     """What was recorded by now. Counts are of this recorder, not of what a resumed recording held before.
 
     Attributes:
-        frames, readings: written.
+        frames, readings, turns: written; the last are of the camera's gyroscope.
         size_bytes: of the images.
         waiting: frames that wait for the disk.
         dropped: frames for which it was too slow.
@@ -41,6 +41,7 @@ class RecorderReport:
     refused: int = 0
     refusal: str = ""
     problem: OutputError | None = None
+    turns: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +68,7 @@ class LiveRecorder:
         self.settings = settings or RecorderSettings()
         self._writer = writer
         self._waiting: deque[_Waiting] = deque()
-        self._frames = self._readings = self._size_bytes = self._dropped = self._refused = 0
+        self._frames = self._readings = self._turns = self._size_bytes = self._dropped = self._refused = 0
         self._refusal = ""
         self._problem: OutputError | None = None
         self._is_over = False
@@ -96,11 +97,15 @@ class LiveRecorder:
             self._waiting.append(_Waiting(live, written, now_s))
             self._changed.notify_all()
 
-    def add_reading(self, reading: WheelTicks | YawRate) -> None:
+    def add_reading(self, reading: WheelTicks | YawRate | AngularVelocity) -> None:
         """Write a reading of wheels or gyroscope."""
         if self._is_over or self._problem is not None:
             return
         try:
+            if isinstance(reading, AngularVelocity):
+                self._writer.add_angular_velocity(reading)
+                self._turns += 1
+                return
             self._writer.add(reading)
             self._readings += 1
         except (ArgumentError, RecordingError) as error:
@@ -112,7 +117,7 @@ class LiveRecorder:
         """How far it is."""
         with self._changed:
             counts = (self._frames, self._readings, self._size_bytes, len(self._waiting), self._dropped, self._refused)
-            return RecorderReport(*counts, self._refusal, self._problem)
+            return RecorderReport(*counts, self._refusal, self._problem, self._turns)
 
     def close(self) -> None:
         """Have what waits written, and end; may be called twice."""

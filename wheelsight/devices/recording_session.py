@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from wheelsight.devices.camera_watch import CameraWatch
 from wheelsight.devices.link import LinkReport, WheelLink
-from wheelsight.devices.live_camera import CameraReport, CameraStatus, LiveCamera
+from wheelsight.devices.live_camera import CameraReport, CameraStatus, LiveCamera, take_angular_velocities
 from wheelsight.devices.recorder import LiveRecorder, RecorderReport
 from wheelsight.errors import OutputError
 from wheelsight.files import StrPath, output_error
@@ -147,7 +147,10 @@ class RecordingSession:
     def _capture(self) -> None:
         """The thread: frames as they come."""
         while self._camera is not None and not self._is_over.is_set():
-            if (live := self._camera.read(_LONGEST_WAIT_S)) is not None:
+            live = self._camera.read(_LONGEST_WAIT_S)
+            for turn in take_angular_velocities(self._camera):
+                self._recorder.add_reading(turn)
+            if live is not None:
                 self._recorder.add_frame(live)
             elif self._camera.report().status is CameraStatus.ENDED:
                 return

@@ -12,6 +12,7 @@ from typing import Protocol
 from wheelsight.calibration import Calibration
 from wheelsight.commands import VelocityCommand
 from wheelsight.devices.link import WheelLink
+from wheelsight.devices.recognition import Format
 from wheelsight.errors import ArgumentError, DeviceError
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.robot_limits import RobotLimits
@@ -19,6 +20,9 @@ from wheelsight.robots import STOPPED
 from wheelsight.wheel_control import VelocityControl, WheelControlSettings
 
 PERIOD_S = 0.05
+# The first program that stops its motors 0.25 s after the last command; the one before waited for half a second, in
+# which a robot at 1 m/s goes on blind for 0.5 m (docs/decisions/0074).
+OLDEST_FIRMWARE = (1, 1)
 
 
 class Frames(Protocol):
@@ -37,7 +41,8 @@ class LinkRobot:
     It only listens until it is first commanded to move. It stops by itself, and says why in `stop_reason`, where ticks
     stay away or are old, a wheel does not do what it was told, the port vanishes, or the controller begins anew. Where
     `step` is no longer called, the link stops the motors after `control.hold_s`; where the program is dead, the
-    firmware does after a quarter of a second.
+    firmware does after a quarter of a second. A controller with an older firmware, which waits longer, is not driven:
+    it is asked before the first command to move.
 
     Args:
         link: to the wheel controller; closed with the robot.
@@ -85,6 +90,25 @@ class LinkRobot:
     def stop_reason(self) -> str:
         """As `Robot` has it."""
         return self._control.reason
+
+    def check_firmware(self) -> None:
+        """Ask the controller for its version; in the paper's format nobody can, and nothing is asked.
+
+        Raises:
+            DeviceError: its firmware is too old to stop the motors in time, with what to do; no answer came; or it
+                takes no commands.
+        """
+        if self._link.report().format is Format.PAPER:
+            return
+        version = self._link.ask_version()
+        if (version.major, version.minor) >= OLDEST_FIRMWARE:
+            return
+        told = f"{version.major}.{version.minor}, older than {OLDEST_FIRMWARE[0]}.{OLDEST_FIRMWARE[1]}"
+        raise DeviceError(
+            f"the controller's firmware is {told}: it stops the motors too late",
+            path=self._link.port,
+            fix="write the new one: make -C firmware/atmega8 flash, docs/firmware.md",
+        )
 
     def step(self, command: VelocityCommand) -> list[Event]:
         """Obey for one control period; what came meanwhile, by stamps.
@@ -169,11 +193,22 @@ class LinkRobot:
         duties = self._control.update(now_s, ticks, command)
         if not self._has_driven and duties.left == duties.right == 0:
             return
+        if not (self._has_driven or self._is_firmware_good()):
+            return
         self._has_driven = True
         try:
             self._link.drive(duties.left, duties.right, self._control.settings.hold_s)
         except DeviceError as error:
             self._control.stop(error.problem)
+
+    def _is_firmware_good(self) -> bool:
+        """Whether it may be driven; the reason to stop says what to do where not. The robot stands meanwhile."""
+        try:
+            self.check_firmware()
+        except DeviceError as error:
+            self._control.stop(f"{error.problem} ({error.fix})" if error.fix else error.problem)
+            return False
+        return True
 
     def _age_s(self, ticks: WheelTicks, now_s: float) -> float:
         """How much later than the quickest ones they came."""

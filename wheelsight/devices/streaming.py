@@ -12,15 +12,17 @@ from typing import Self
 
 from wheelsight.calibration import Calibration
 from wheelsight.devices import host_clock
-from wheelsight.devices.camera_driver import CameraDriver, DeviceImages, OpenedDevice, PlaybackEndedError
+from wheelsight.devices.camera_driver import CameraDriver, DeviceImages, GyroDriver, OpenedDevice, PlaybackEndedError
 from wheelsight.devices.frame_check import FrameCheck
 from wheelsight.devices.live_camera import CameraReport, CameraStatus, LiveFrame
 from wheelsight.errors import CalibrationError, DeviceError
-from wheelsight.events import RgbdFrame, SkippedFrame
+from wheelsight.events import AngularVelocity, RgbdFrame, SkippedFrame
 from wheelsight.settings import LiveCameraSettings
 
 _READ_S = 0.1
 _RATE_OVER_S = 2.0
+# Readings of a gyroscope for whoever asks late: ten seconds of the fastest.
+_MOST_READINGS = 4000
 # A library that hangs in a call is left behind rather than waited for.
 _CLOSING_S = 3.0
 
@@ -57,6 +59,8 @@ class StreamingCamera:
         self._ready = threading.Condition()
         self._kept: deque[LiveFrame | SkippedFrame] = deque()
         self._arrivals: deque[float] = deque()
+        self._turns: deque[AngularVelocity] = deque(maxlen=_MOST_READINGS)
+        self._turned_s = -float("inf")
         self._frames = self._host_drops = self._stale = self._reconnects = 0
         self._last_stamp_s: float | None = None
         self._heard_s = self._since_s = host_clock.now_s()
@@ -104,6 +108,13 @@ class StreamingCamera:
             self._has_ended()
             fresh = (f for f in found if isinstance(f, SkippedFrame) or not self._is_stale(f))
             return [f if isinstance(f, SkippedFrame) else f.frame for f in fresh]
+
+    def take_angular_velocities(self) -> list[AngularVelocity]:
+        """As `HasGyro` has it; none of a camera without a gyroscope."""
+        with self._ready:
+            found = list(self._turns)
+            self._turns.clear()
+        return found
 
     def report(self) -> CameraReport:
         """As `LiveCamera` has it; a library that hangs is told as stalled."""
@@ -168,9 +179,12 @@ class StreamingCamera:
         arrived_s = host_clock.now_s()
         if images is not None:
             self._receive(images, arrived_s)
-        elif arrived_s - self._heard_s > self._settings.reopen_s:
+        self._hear_gyro()
+        if images is not None:
+            return
+        if arrived_s - self._heard_s > self._settings.reopen_s:
             raise DeviceError(f"no frame came for {arrived_s - self._heard_s:.1f} s")
-        elif arrived_s - self._heard_s > self._settings.stall_s:
+        if arrived_s - self._heard_s > self._settings.stall_s:
             self._tell(CameraStatus.STALLED, since_s=self._heard_s)
 
     def _receive(self, images: DeviceImages, arrived_s: float) -> None:
@@ -190,6 +204,17 @@ class StreamingCamera:
             self._heard_s = arrived_s
             self._ready.notify_all()
         self._tell(CameraStatus.STREAMING)
+
+    def _hear_gyro(self) -> None:
+        """Its readings by the clock that frames have told of; what a corrected mapping sets back is left out."""
+        if not isinstance(self._driver, GyroDriver):
+            return
+        for told in self._driver.take_angular_velocities():
+            stamp_s = self._check.clock.host_s(told.device_s)
+            if stamp_s is not None and stamp_s > self._turned_s:
+                self._turned_s = stamp_s
+                with self._ready:
+                    self._turns.append(AngularVelocity(stamp_s, told.x_rad_s, told.y_rad_s, told.z_rad_s))
 
     def _wait_for_device(self, reason: DeviceError) -> None:
         """After the device went away: open it again as soon as it is there."""

@@ -9,10 +9,16 @@ from dataclasses import dataclass, replace
 from wheelsight.calibration import Calibration
 from wheelsight.devices import WheelLink, host_clock
 from wheelsight.devices.camera_watch import CameraWatch
-from wheelsight.devices.live_camera import CameraReport, CameraStatus, LiveCamera, LiveFrame
+from wheelsight.devices.live_camera import (
+    CameraReport,
+    CameraStatus,
+    LiveCamera,
+    LiveFrame,
+    take_angular_velocities,
+)
 from wheelsight.devices.recorder import LiveRecorder
 from wheelsight.errors import ConfigError
-from wheelsight.events import Event, RgbdFrame, WheelTicks
+from wheelsight.events import AngularVelocity, Event, RgbdFrame, WheelTicks, YawRate
 from wheelsight.pipeline.answer_times import AnswerTimes
 from wheelsight.pipeline.realtime_record import RealTimeRecord
 from wheelsight.pipeline.rehearsal import DrawnDrive
@@ -175,7 +181,7 @@ class LiveSource:
         """Leave out what came while others made ready."""
         for _ in self._ticks():
             pass
-        for _ in self._frames(0.0):
+        for _ in (*self._frames(0.0), *self._rates()):
             pass
         self._began_s, self._ended_s, self._heard_s = host_clock.now_s(), None, None
         self._fetched = self._answered = self._readings = 0
@@ -192,7 +198,7 @@ class LiveSource:
             self._heard_s = host_clock.now_s()
         newest: list[RgbdFrame] = frames[-1:] if images else []
         self._answered += len(newest)
-        return sorted([*ticks, *newest], key=lambda event: event.stamp_s)
+        return sorted([*ticks, *self._rates(), *newest], key=lambda event: event.stamp_s)
 
     def _ticks(self, timeout_s: float = 0.0) -> Iterator[WheelTicks]:
         """All that came; the first is waited for."""
@@ -208,7 +214,14 @@ class LiveSource:
             self._keep(live)
             yield live
 
-    def _keep(self, heard: WheelTicks | LiveFrame) -> None:
+    def _rates(self) -> list[YawRate]:
+        """All that the camera's gyroscope told; nothing where it is not known how the camera sits."""
+        turns, mount = take_angular_velocities(self._sensors.camera), self._sensors.calibration.T_base_camera
+        for turn in turns:
+            self._keep(turn)
+        return [] if mount is None else [turn.yaw_rate(mount) for turn in turns]
+
+    def _keep(self, heard: WheelTicks | LiveFrame | AngularVelocity) -> None:
         """Have it recorded, if that was asked for, from the first event on."""
         recorder = self._sensors.recorder
         if recorder is None or self._began_s is None:

@@ -13,6 +13,8 @@ from wheelsight.calibration import Calibration
 from wheelsight.evaluation import SequenceStatistics, sequence_statistics
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.geometry import Float32Array, FloatArray
+from wheelsight.recordings.clock_mapping import ClockMapping, clock_mapping
+from wheelsight.recordings.frame_clocks import read_frame_clocks
 from wheelsight.recordings.protocol import AssociationReport, ListsTopics, RecordedTopic, Recording
 from wheelsight.recordings.registration import FAR_FROM_CALIBRATED, OffsetMeter, RegistrationOffset, off_calibrated
 from wheelsight.recordings.repeats import Repeats
@@ -58,6 +60,7 @@ class Inspection:
         ground_truth: Zhang's Table 2 statistics of it, or None.
         warnings: one sentence each.
         topics: of a bag, all of them and what each is used as; else none.
+        clock: how the clock of the live camera that it is from was mapped; None where that is not known.
     """
 
     name: str
@@ -80,6 +83,7 @@ class Inspection:
     ground_truth: SequenceStatistics | None
     warnings: tuple[str, ...]
     topics: tuple[RecordedTopic, ...] = ()
+    clock: ClockMapping | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """All of it as plain nested values; may hold NaN."""
@@ -122,6 +126,7 @@ def inspect_recording(recording: Recording, on_event: Callable[[], None] | None 
         ground_truth=sequence_statistics(truth) if truth is not None and len(truth) > 1 else None,
         warnings=(*recording.warnings, *_warnings(tally, offset, recording)),
         topics=tuple(recording.topics) if isinstance(recording, ListsTopics) else (),
+        clock=clock_mapping(read_frame_clocks(recording.path)) if recording.path.is_dir() else None,
     )
 
 

@@ -1,4 +1,4 @@
-"""wheelsight's own layout: the TUM benchmark's, which any TUM tool reads, plus wheels.csv, gyro.csv, calibration.yaml.
+"""wheelsight's own layout: the TUM benchmark's, which any TUM tool reads, plus wheels, a gyroscope, calibration.yaml.
 
 A recording of wheels alone has no lists of images.
 """
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from wheelsight.calibration import Calibration
 from wheelsight.errors import CalibrationError
-from wheelsight.events import WheelTicks, YawRate
+from wheelsight.events import AngularVelocity, WheelTicks, YawRate
 from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import camera_choices, choose_calibration
 from wheelsight.recordings._images import DepthEncoding
@@ -22,6 +22,8 @@ from wheelsight.recordings.tum import DEPTH_FACTOR, beside, read_frames, read_tr
 
 WHEELS_HEADER = "stamp_s,left,right"
 GYRO_HEADER = "stamp_s,yaw_rate_rad_s"
+IMU_FILE = "imu.csv"
+IMU_HEADER = "stamp_s,x_rad_s,y_rad_s,z_rad_s"
 
 
 class NativeReader:
@@ -39,7 +41,7 @@ class NativeReader:
         has_images = any(is_there(folder / name) for name in ("rgb.txt", "depth.txt"))
         calibration = choose_calibration(folder, options, lambda: _missing(folder, has_images))
         wheels, warnings = read_wheels(folder / "wheels.csv")
-        yaw_rates, more = _read_yaw_rates(folder / "gyro.csv")
+        yaw_rates, more = _read_yaw_rates(folder, calibration)
         warnings += more
         truth = None
         if not has_images or calibration.T_base_camera is not None:
@@ -80,7 +82,29 @@ def read_wheels(path: Path) -> tuple[list[WheelTicks], list[str]]:
     return growing, warnings + more
 
 
-def _read_yaw_rates(path: Path) -> tuple[list[YawRate], list[str]]:
+def _read_yaw_rates(folder: Path, calibration: Calibration) -> tuple[list[YawRate], list[str]]:
+    """The readings of gyro.csv in order of time, or where it has none those of the camera's gyroscope; and warnings."""
+    rates, warnings = _read_gyro(folder / "gyro.csv")
+    if rates or not is_there(folder / IMU_FILE):
+        return rates, warnings
+    turns, more = read_angular_velocities(folder / IMU_FILE)
+    mount = calibration.T_base_camera
+    if mount is None:
+        unused = f"{len(turns)} readings in {IMU_FILE} are not used: T_base_camera, how the camera sits, is not known."
+        return [], [*warnings, *more, *([unused] if turns else [])]
+    return [turn.yaw_rate(mount) for turn in turns], [*warnings, *more]
+
+
+def read_angular_velocities(path: Path) -> tuple[list[AngularVelocity], list[str]]:
+    """The readings of imu.csv in order of time, about the camera's axes, and warnings. Raises RecordingError."""
+    names = IMU_HEADER.split(",")[1:]
+    table, warnings = read_columns(path, numbers=names)
+    turns = list(map(AngularVelocity, table.stamps_s, *(table[name] for name in names)))
+    growing, more = keep_growing(turns, table.lines, path)
+    return growing, warnings + more
+
+
+def _read_gyro(path: Path) -> tuple[list[YawRate], list[str]]:
     """The readings of gyro.csv in order of time, and warnings; none where there is no such file."""
     if not is_there(path):
         return [], []

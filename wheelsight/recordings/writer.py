@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from wheelsight.calibration import Calibration, save_calibration
 from wheelsight.checks import check_event, check_images, need_calibration
 from wheelsight.depth_error import DepthError
-from wheelsight.errors import CalibrationError, RecordingError
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.errors import ArgumentError, CalibrationError, RecordingError
+from wheelsight.events import AngularVelocity, Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.files import StrPath, make_output_folder
 from wheelsight.geometry import Float32Array
 from wheelsight.geometry.arrays import UInt16Array
@@ -21,7 +21,7 @@ from wheelsight.recordings.bodies import express_for
 from wheelsight.recordings.frame_clocks import CLOCK_FILE, CLOCK_HEADER, FrameClock
 from wheelsight.recordings.growing_text import GrowingText, seconds
 from wheelsight.recordings.image_files import SUFFIXES, ColorFormat, write_color, write_units
-from wheelsight.recordings.native import GYRO_HEADER, WHEELS_HEADER
+from wheelsight.recordings.native import GYRO_HEADER, IMU_FILE, IMU_HEADER, WHEELS_HEADER
 from wheelsight.recordings.protocol import Recording
 from wheelsight.recordings.resuming import check_resumable, last_stamp_s, remove_leftovers
 from wheelsight.recordings.tum import DEPTH_FACTOR
@@ -122,7 +122,7 @@ class RecordingWriter:
 
     def _begin_anew(self) -> None:
         """Leave nothing of a recording before that this one may lack."""
-        for name in (*TRUTH_FILES.values(), _LABELS, _INFRARED, CLOCK_FILE, "calibration.yaml"):
+        for name in (*TRUTH_FILES.values(), _LABELS, _INFRARED, CLOCK_FILE, IMU_FILE, "calibration.yaml"):
             (self.folder / name).unlink(missing_ok=True)
 
     def _count_earlier(self) -> None:
@@ -158,6 +158,23 @@ class RecordingWriter:
             self.readings += 1
         elif isinstance(event, YawRate):
             self._lists["gyro.csv"].append(f"{seconds(event.stamp_s)},{seconds(event.yaw_rate_rad_s)}\n")
+
+    def add_angular_velocity(self, turn: AngularVelocity) -> None:
+        """Write a reading of the camera's gyroscope, in imu.csv: how the camera sits need not be known yet.
+
+        Raises:
+            ArgumentError: a number that is not finite.
+            RecordingError: a stamp that does not grow.
+            OutputError: as `add`.
+        """
+        numbers = (turn.stamp_s, turn.x_rad_s, turn.y_rad_s, turn.z_rad_s)
+        if not np.isfinite(numbers).all():
+            raise ArgumentError(f"{turn} holds what is no number", fix="leave it out")
+        lines = self._list(IMU_FILE, f"{IMU_HEADER}\n")
+        if lines.earlier and IMU_FILE not in self._last_stamp_s:
+            self._last_stamp_s[IMU_FILE] = last_stamp_s(lines.earlier)
+        self._check_stamps(IMU_FILE, turn.stamp_s, turn.stamp_s)
+        lines.append(",".join(map(seconds, numbers)) + "\n")
 
     def check(self, event: Event) -> None:
         """Refuse what `add` refuses, and take note of its stamp: others of its kind must come after it.

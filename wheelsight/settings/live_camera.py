@@ -12,6 +12,10 @@ class LiveCameraSettings(Settings):
     height_px: int = setting(480, "height of the images that are asked for", ASKED, ge=16, le=8192)
     rate_hz: int = setting(30, "frames a second that are asked for", ASKED, ge=1, le=300)
     infrared: bool = setting(False, "whether infrared images are asked for too, where the camera has them", ASKED)
+    gyro: bool = setting(True, "whether the gyroscope of a camera that has one is read, too", CHOSEN)
+    topics: tuple[str, ...] = setting(
+        (), "of a bag that is played as a camera: which topics are what, as `recording.topics` says it", ASKED
+    )
     registered: bool = setting(
         True,
         "whether depth is asked for on colour's pixels, where the camera can; calibrating takes both as measured",
