@@ -83,7 +83,7 @@ class ViewMaker:
 
 
 def _width(view: SeenView) -> int:
-    return view.grid.levels[0].depth_m.shape[1]
+    return int(view.grid.levels[0].depth_m.shape[1])
 
 
 def known_grey(keyframe: Keyframe) -> np.ndarray:
