@@ -178,11 +178,15 @@ def followed(profile: str, seconds: float) -> Followed:
     live = LiveSensors(recording.calibration, cast(Any, camera), cast(Any, link))
     source = LiveSource(live, _endless, ready, settings=config.realtime)
 
-    def look(answers: Any) -> None:
-        if (record := answers.get("joined")) is not None and record.index >= 0:
-            watch.answer(record)
+    tracks = begin_all(source, config, None)
+    (joined,) = (track for track in tracks if track.odometry == "joined")
 
-    passage = follow(begin_all(source, config, None), source, config, look)
+    def look(answers: Any) -> None:
+        # Readings are answered too; frames alone are kept.
+        if len(joined.frames) > len(watch.frame_s):
+            watch.answer(answers[joined.odometry])
+
+    passage = follow(tracks, source, config, look)
     if passage.interruption is not None:
         raise passage.interruption
     frames_ms, (came, dropped) = 1e3 * np.array(watch.frame_s), source.frames_so_far
