@@ -1,7 +1,11 @@
-"""A wheel builds, installs in a fresh environment with the core's dependencies only, and does its main job there."""
+"""A wheel builds, installs in a fresh environment with the core's dependencies only, and does its main job there.
+
+So does an sdist; and for both processors all that is needed is there as wheels, so that nothing is compiled.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -13,6 +17,9 @@ import pytest
 from synthetic import make_tum_recording
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+
+# 568 were measured, 350 are aimed at (docs/decisions/0087): here it is seen when they grow.
+CORE_MB = 600
 
 
 def run(*command: str | Path, folder: Path) -> str:
@@ -72,3 +79,33 @@ def test_the_installed_command_tracks_a_recording(fresh_bin: Path, tmp_path: Pat
 
 def test_the_installed_dependencies_agree(fresh_bin: Path, tmp_path: Path) -> None:
     assert "No broken requirements" in pip(fresh_bin, "check", folder=tmp_path)
+
+
+def test_the_core_does_not_grow(fresh_bin: Path) -> None:
+    files = [path for path in (fresh_bin.parent / "lib").rglob("*") if path.is_file() and path.suffix != ".pyc"]
+    assert sum(path.stat().st_blocks * 512 for path in files) / 1e6 < CORE_MB
+
+
+@pytest.mark.parametrize("processor", ["x86_64", "aarch64"])
+def test_all_that_is_needed_is_there_as_wheels(wheel: Path, tmp_path: Path, processor: str) -> None:
+    platforms = [f"--platform=manylinux_2_{minor}_{processor}" for minor in (28, 27, 17)]
+    platforms.append(f"--platform=manylinux2014_{processor}")
+    which = ["--python-version=3.11", "--only-binary=:all:", "--ignore-installed", f"--target={tmp_path / 'into'}"]
+    report = tmp_path / "report.json"
+    asked: list[str | Path] = ["install", "-q", "--dry-run", f"--report={report}", *which, *platforms, wheel]
+    run(sys.executable, "-m", "pip", *asked, folder=tmp_path)
+    urls = {e["metadata"]["name"]: e["download_info"]["url"] for e in json.loads(report.read_text())["install"]}
+    assert all(url.endswith(".whl") for url in urls.values())
+    compiled = {name for name, url in urls.items() if url.endswith(f"{processor}.whl")}
+    assert {"numpy", "scipy", "llvmlite", "numba", "opencv-python-headless"} <= compiled
+
+
+def test_an_sdist_builds_and_makes_the_same_wheel(wheel: Path, project_folder: Path, tmp_path: Path) -> None:
+    tools = tmp_path / "tools"
+    run(sys.executable, "-m", "pip", "install", "-q", "--target", tools, "hatchling", folder=tmp_path)
+    build = "import sys; sys.path.insert(0, sys.argv.pop(1)); from hatchling.cli import hatchling; hatchling()"
+    run(sys.executable, "-c", build, tools, "build", "-t", "sdist", "-d", tmp_path / "dist", folder=project_folder)
+    (sdist,) = (tmp_path / "dist").glob("wheelsight-*.tar.gz")
+    run(sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", tmp_path / "again", sdist, folder=tmp_path)
+    (again,) = (tmp_path / "again").glob("*.whl")
+    assert set(zipfile.ZipFile(again).namelist()) == set(zipfile.ZipFile(wheel).namelist())

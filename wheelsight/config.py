@@ -44,6 +44,7 @@ from wheelsight.settings import (
     conflict,
     setting,
 )
+from wheelsight.settings.profiles import over_profile
 from wheelsight.slam.sessions.settings import SessionSettings
 from wheelsight.slam.settings import FROM_KEYFRAMES, LoopSettings
 
@@ -201,6 +202,9 @@ def _joined(names: tuple[OdometryName, ...]) -> str | list[str]:
 class Config(Settings):
     """Every setting of a run; the defaults are what `wheelsight run` uses when nothing is said."""
 
+    profile: Literal["pi"] | None = setting(
+        None, "settings for one kind of computer, which take the place of defaults: docs/small-computers.md", ASKED
+    )
     odometry: Annotated[
         tuple[OdometryName, ...], BeforeValidator(_split), AfterValidator(_each_once), PlainSerializer(_joined)
     ] = setting(("features",), "one name or several, in the order in which they are reported", ASKED)
@@ -230,9 +234,10 @@ class Config(Settings):
     @model_validator(mode="before")
     @classmethod
     def _resolve(cls, given: Any) -> Any:
-        """Wheels and a camera are joined unless one says otherwise; a known map is found by loops."""
+        """A profile lies under all; wheels and a camera are joined if not told otherwise; loops find a known map."""
         if not isinstance(given, dict):
             return given
+        given = over_profile(given.get("profile"), given)
         if _is_given(given, "known_map", "path") and not _is_given(given, "loops", "source"):
             given = {**given, "loops": {**(given.get("loops") or {}), "source": FROM_KEYFRAMES}}
         fusion = given.get("fusion") or {}

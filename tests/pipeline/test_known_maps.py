@@ -90,6 +90,19 @@ def test_the_second_day_is_found_and_the_map_stays_as_it_is(first_day: Path, tmp
     assert metrics_in(tmp_path / "found")["loops"]["evaluation"]["ate_m"]["rmse"] < 0.03
 
 
+@pytest.mark.parametrize(
+    ("setting", "is_second"), [("dense__finest_width_px", True), ("localizer__most_width_px", False)]
+)
+def test_days_by_images_of_two_sizes_find_each_other(tmp_path: Path, setting: str, is_second: bool) -> None:
+    small: dict[str, object] = {setting: 200}
+    first, second = ({}, small) if is_second else (small, {})
+    run(recorded(FIRST_DAY, 100.0), settings(sessions__keep_map=True, **first), tmp_path / "monday")
+    find(tmp_path / "monday", tmp_path / "found", recorded(SECOND_DAY), **second)
+    statuses = statuses_in(tmp_path / "found")
+    assert set(statuses[statuses.index("tracking") :]) == {"tracking"}
+    check_near(tmp_path / "found", SECOND_DAY)
+
+
 def test_an_extended_map_has_new_keyframes_that_hang_on_the_old_ones(monday: Path, tmp_path: Path) -> None:
     before, was = bytes_in(monday), MapFolder.open(monday / "map")
     record = find(monday, tmp_path / "found", recorded(SECOND_DAY), known_map__extend=True)

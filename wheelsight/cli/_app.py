@@ -11,6 +11,7 @@ from wheelsight._version import __version__
 from wheelsight.cli import (
     board,
     calibrate,
+    config,
     devices,
     drive,
     evaluate,
@@ -64,6 +65,7 @@ app.command("devices")(devices.devices)
 app.command("drive")(drive.drive)
 app.command("simulate")(simulate.simulate)
 app.command("warm-up")(warm_up.warm_up)
+app.command("config")(config.config)
 app.command("board")(board.board)
 app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(wheels.app, name="wheels")

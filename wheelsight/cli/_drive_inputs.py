@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from wheelsight.config import Config
     from wheelsight.pipeline.drives import Goal
 
-_CALLED = {"known_map.path": "--map", "known_map.start": "--known-start"}
+_CALLED = {"profile": "--profile", "known_map.path": "--map", "known_map.start": "--known-start"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +27,7 @@ class Asked:
     out: Path | None
     force: bool
     config: Path | None
+    profile: str | None
     settings: tuple[str, ...]
 
 
@@ -91,7 +92,7 @@ def settings_of(asked: Asked) -> Config:
 
     changes = dict(_setting(text) for text in asked.settings)
     path = None if asked.map_path is None else str(asked.map_path)
-    given: dict[str, Any] = {"known_map.path": path, "known_map.start": asked.known_start}
+    given: dict[str, Any] = {"known_map.path": path, "known_map.start": asked.known_start, "profile": asked.profile}
     if asked.explore:
         given["loops.source"] = "keyframes"
     if not is_named("odometry", asked.config):

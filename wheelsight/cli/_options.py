@@ -61,11 +61,21 @@ Topics = Annotated[
         show_default="by type, frame and name",
     ),
 ]
+Profile = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Settings for one kind of computer: pi, for a small one. --config and other options win over it; "
+        "wheelsight config --profile pi shows them.",
+        show_default="none",
+    ),
+]
 
 
 # What --start says beside --map-from.
 STARTS_IN_KNOWN_MAP = "--start in the known map"
 _SETTINGS = {
+    "--profile": "profile",
     "--odometry": "odometry",
     "--fusion": "fusion.filter",
     "--map": "map",

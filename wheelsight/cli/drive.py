@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from wheelsight.cli import _drive_options as options
+from wheelsight.cli._options import Profile
 
 
 def drive(
@@ -13,6 +14,7 @@ def drive(
     known_start: options.KnownStart = None,
     out: options.Out = None,
     config: options.SettingsFile = None,
+    profile: Profile = None,
     set_: options.Set = None,
     force: options.Force = False,
     sim: options.Sim = None,
@@ -57,6 +59,6 @@ def drive(
     from wheelsight.cli._driving import drive_there
     from wheelsight.devices.robot_camera import ANY
 
-    asked = Asked(map_, tuple(to or ()), back, explore, known_start, out, force, config, tuple(set_ or ()))
+    asked = Asked(map_, tuple(to or ()), back, explore, known_start, out, force, config, profile, tuple(set_ or ()))
     simulated = Simulated(sim, resolution, start, seed, day, people, realism, camera or "kinect-v1", size, rate)
     drive_there(asked, simulated, Real(robot, calibration, baud, yes, camera or ANY))

@@ -10,6 +10,7 @@ from wheelsight.cli._options import (
     CalibrationFile,
     DepthFactor,
     MaxGap,
+    Profile,
     RateHz,
     Topics,
     settings_from,
@@ -30,6 +31,7 @@ def run(
     camera: options.LiveCamera = None,
     calibration: CalibrationFile = None,
     config: options.SettingsFile = None,
+    profile: Profile = None,
     depth_factor: DepthFactor = None,
     max_gap: MaxGap = None,
     rate_hz: RateHz = None,
@@ -90,6 +92,8 @@ def run(
 
     wheelsight run my_recording --odometry wheels,dense --realtime --out results
 
+    wheelsight run my_drive --profile pi --out results
+
     wheelsight run --live --camera any --wheels /dev/ttyUSB0 --calibration robot.yaml --map surfels --out now
 
     wheelsight run monday --map surfels --loops keyframes --out monday_map
@@ -105,7 +109,13 @@ def run(
     start_of = "--start" if map_from is None else STARTS_IN_KNOWN_MAP
     of_places = {"--places": places, "--areas": areas, "--rectify": rectify, start_of: start}
     of_paper = {"--odometry-term": odometry_term, "--weights": weights}
-    of_all: dict[str, object] = {"--odometry": odometry, "--fusion": fusion, "--map": map_, "--loops": loops}
+    of_all: dict[str, object] = {
+        "--profile": profile,
+        "--odometry": odometry,
+        "--fusion": fusion,
+        "--map": map_,
+        "--loops": loops,
+    }
     of_all |= {"--map-from": None if map_from is None else str(map_from), "--extend": extend or None}
     given: dict[str, object] = {**of_all, **of_recording, **of_features, **of_wheels, **of_places, **of_paper}
     is_named = odometry is not None or names_odometry(config)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -89,6 +89,13 @@ class PinholeCamera:
     def has_distortion(self) -> bool:
         """Whether any distortion coefficient differs from zero."""
         return any(self.distortion)
+
+    def halved(self, times: int = 1) -> PinholeCamera:
+        """The camera of images halved so often, each pixel of a 2×2 block; a row or column left over is cut off."""
+        factor = 2.0**times
+        width, height = self.width >> times, self.height >> times
+        cx, cy = (self.cx + 0.5) / factor - 0.5, (self.cy + 0.5) / factor - 0.5  # pixel centres lie at integers
+        return replace(self, width=width, height=height, fx=self.fx / factor, fy=self.fy / factor, cx=cx, cy=cy)
 
     def project(self, p_camera: ArrayLike) -> tuple[FloatArray, BoolArray]:
         """Pixels (..., 2) of points (..., 3) in metres, and (...) whether each is in front and in the image.

@@ -16,6 +16,7 @@ from wheelsight.events import Event, RgbdFrame
 from wheelsight.geometry import FloatArray
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.localizer._loops import LoopsBeside
+from wheelsight.localizer._smaller_images import SmallerImages
 from wheelsight.localizer.by_frames import ByFrames
 from wheelsight.localizer.by_fusion import ByFusion
 from wheelsight.localizer.by_ligocki import ByLigocki
@@ -88,6 +89,11 @@ class Localizer:
         if len(settings.odometry) > 1 and settings.fusion.filter == "none":
             several = " and ".join(settings.odometry)
             raise ConfigError(f"a localizer goes by one odometry, not by {several}", fix="give it config.alone(name)")
+        # A model of places, which was trained on images of one size, says itself what is wrong with others.
+        self._has_places = places is not None or settings.places.model is not None
+        most_width_px = None if self._has_places else settings.localizer.most_width_px
+        self._images = SmallerImages(calibration, most_width_px, settings.dense.depth_jump)
+        self._calibration, calibration = calibration, self._images.calibration
         self._way: ByFrames | ByWheels | ByPlaces | ByFusion | ByLigocki
         if settings.fusion.filter != "none":
             self._way = _joined(calibration, settings, places, known, waits=waits)
@@ -100,9 +106,7 @@ class Localizer:
         self.body, self.frame, self.answers = self._way.body, self._way.frame, self._way.answers
         self.note = ""
         self._clock = SessionClock(settings.clocks)
-        # A model of places, which was trained on images of one size, says itself what is wrong with others.
-        self._has_places = places is not None or settings.places.model is not None
-        self._calibration, self._stamps = calibration, StampCheck()
+        self._stamps = StampCheck()
 
     @property
     def odometry(self) -> FeatureOdometry | DenseOdometry | WheelOdometry:
@@ -112,7 +116,7 @@ class Localizer:
     @property
     def last_matches(self) -> MatchedPixels | None:
         """What the last frame was aligned by, if it was a frame that could be."""
-        return self._way.last_matches
+        return self._images.in_full(self._way.last_matches)
 
     @property
     def last_place(self) -> PlaceMatch | None:
@@ -201,6 +205,7 @@ class Localizer:
             estimate, self.note = self._way.refuse(told, time_s)
         else:
             timed = event if time_s == event.stamp_s else replace(event, stamp_s=time_s)
+            timed = self._images.frame(timed) if isinstance(timed, RgbdFrame) else timed
             estimate, self.note = self._way.process(timed)
         shift_s = self._clock.shift_s
         return estimate if estimate is None or not shift_s else replace(estimate, stamp_s=estimate.stamp_s + shift_s)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from wheelsight.config import Config, OdometryName
-from wheelsight.odometry.dense import DenseSettings
-from wheelsight.odometry.features import FeatureSettings
 from wheelsight.pipeline.origin import frame_count_of, wheel_count_of
 from wheelsight.pipeline.realtime import RealTimeRecording
 from wheelsight.sources import EventSource
@@ -40,8 +38,9 @@ def default_odometry(source: EventSource, config: Config) -> Choice:
     if calibration.T_base_camera is None:
         why = "the calibration has no T_base_camera (wheelsight calibrate base finds it)"
         return Choice(("features",), f"{told} are not used: {why}")
-    asks_dense = config.map is not None or config.dense != DenseSettings()
-    by_features = config.features != FeatureSettings() and not asks_dense
+    unasked = Config(profile=config.profile)
+    asks_dense = config.map is not None or config.dense != unasked.dense
+    by_features = config.features != unasked.features and not asks_dense
     return Choice(("wheels", "features" if by_features else "dense"))
 
 

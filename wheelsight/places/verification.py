@@ -135,6 +135,7 @@ class PlaceVerifier:
         if isinstance(found, Refusal):
             return self._refused(candidate, found, len(matched))
         other = self._views.of_keyframe(keyframe) if isinstance(keyframe, Keyframe) else keyframe
+        view, other = self._views.of_one_size(view, other)
         counts = (len(matched), found.inliers)
         judged = self._by_surfaces(view, other, found, len(matched))
         if judged.reason is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from wheelsight.odometry.dense.keypoints import KeypointTracker
 from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.threads import Rows
 
+# Halving brings no two widths nearer than this factor.
+_ALIKE = np.sqrt(2)
 NO_FEATURES = KeyframeFeatures(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 4), np.uint64))
 
 
@@ -63,6 +65,25 @@ class ViewMaker:
         while levels[0].depth_m.shape[1] > self.settings.finest_width_px:
             levels = coarser(levels[1], self.settings, self.rows)
         return SeenView(GridFrame(keyframe.stamp_s, levels, np.zeros(6)), keyframe.features or NO_FEATURES)
+
+    def of_one_size(self, first: SeenView, second: SeenView) -> tuple[SeenView, SeenView]:
+        """Both on grids that are about as wide, for surfaces are aligned level by level; the wider one is halved.
+
+        Keyframes of a known map may come of a run with other settings, such as those of a profile.
+        """
+        while _width(first) > _ALIKE * _width(second):
+            first = self._halved(first)
+        while _width(second) > _ALIKE * _width(first):
+            second = self._halved(second)
+        return first, second
+
+    def _halved(self, view: SeenView) -> SeenView:
+        levels = coarser(view.grid.levels[1], self.settings, self.rows)
+        return replace(view, grid=replace(view.grid, levels=levels))
+
+
+def _width(view: SeenView) -> int:
+    return int(view.grid.levels[0].depth_m.shape[1])
 
 
 def known_grey(keyframe: Keyframe) -> np.ndarray:

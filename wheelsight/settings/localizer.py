@@ -6,7 +6,7 @@ from typing import Self
 
 from pydantic import model_validator
 
-from wheelsight.settings.base import CHOSEN, ON_SIMULATOR, Settings, conflict, setting
+from wheelsight.settings.base import ASKED, CHOSEN, ON_SIMULATOR, Settings, conflict, setting
 
 
 class BaseCheckSettings(Settings):
@@ -215,6 +215,14 @@ class LocalizerSettings(Settings):
     base_check: BaseCheckSettings = BaseCheckSettings()
     color_check: ColorCheckSettings = ColorCheckSettings()
     frame_gate: FrameGateSettings = FrameGateSettings()
+    most_width_px: int | None = setting(
+        None,
+        "images wider than this are halved until they are not, before anything looks at them; with a model of places, "
+        "which is trained on images of one size, they stay as they are",
+        ASKED,
+        ge=16,
+        le=8192,
+    )
     pace_s: float = setting(
         0.35,
         "where wheels slip, the camera is expected to go on as it went; over a longer gap, seconds, the mean velocity "

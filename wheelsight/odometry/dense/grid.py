@@ -142,7 +142,7 @@ class Gridder:
         """Depth (h, w) as measured, halved."""
         depth_m = frame.depth_m
         for _ in range(self.halvings):
-            depth_m = _halved_depth(depth_m, self._settings.depth_jump, self._rows)
+            depth_m = halved_depth(depth_m, self._settings.depth_jump, self._rows)
         return depth_m
 
     def _small_grey(self, frame: RgbdFrame) -> Float32Array:
@@ -205,9 +205,22 @@ def coarser(finest: Level, settings: DenseSettings, rows: Rows) -> tuple[Level, 
     for number in range(settings.levels):
         last = levels[-1]
         # The same slope is twice the step from pixel to pixel.
-        depth_m = _halved_depth(last.depth_m, settings.depth_jump * (1 << number), rows)
+        depth_m = halved_depth(last.depth_m, settings.depth_jump * (1 << number), rows)
         levels.append(Level(_scaled(last.intrinsics, 1), depth_m, _halved_grey(last.grey, rows)))
     return tuple(levels)
+
+
+def halved_depth(depth_m: Float32Array, jump: float, rows: Rows) -> Float32Array:
+    """Depth (h, w) at half the size: of each 2×2 block the mean of its nearest surface, never over an edge.
+
+    Args:
+        depth_m: (H, W), 0 where unknown; a row or column left over is not looked at.
+        jump: share of the nearest depth by which others on its surface lie behind it at most.
+        rows: that share the work.
+    """
+    half = np.empty((depth_m.shape[0] // 2, depth_m.shape[1] // 2), np.float32)
+    rows.share(len(half), lambda begin, end: kernels.halve_depth(depth_m, jump, begin, end, half))
+    return half
 
 
 def vignetting_of(squared_tangent: FloatArray) -> FloatArray:
@@ -217,12 +230,6 @@ def vignetting_of(squared_tangent: FloatArray) -> FloatArray:
 
 def _grey(color: ByteArray) -> ByteArray:
     return np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
-
-
-def _halved_depth(depth_m: Float32Array, jump: float, rows: Rows) -> Float32Array:
-    half = np.empty((depth_m.shape[0] // 2, depth_m.shape[1] // 2), np.float32)
-    rows.share(len(half), lambda begin, end: kernels.halve_depth(depth_m, jump, begin, end, half))
-    return half
 
 
 def _halved_grey(grey: Float32Array, rows: Rows) -> Float32Array:

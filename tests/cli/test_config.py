@@ -1,0 +1,55 @@
+"""`wheelsight config`, and `--profile` of runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import yaml
+from typer.testing import Result
+
+from wheelsight.cli._drive_inputs import Asked, settings_of
+from wheelsight.config import Config, load_config
+from wheelsight.settings.profiles import over_profile
+
+Command = Callable[..., Result]
+Refusal = Callable[..., str]
+
+
+def test_all_settings_are_printed_as_a_run_takes_them(wheelsight: Command, tmp_path: Path) -> None:
+    printed = wheelsight("config")
+    assert printed.exit_code == 0, printed.output
+    file = tmp_path / "all.yaml"
+    file.write_text(printed.stdout)
+    assert load_config(file) == Config()
+
+
+def test_what_a_profile_changes_is_printed_alone_and_options_of_a_file_over_it(
+    wheelsight: Command, tmp_path: Path
+) -> None:
+    changed = yaml.safe_load(wheelsight("config", "--profile", "pi", "--changed").stdout)
+    assert changed == {"profile": "pi", **over_profile("pi", {})}
+    file = tmp_path / "own.yaml"
+    file.write_text("features: {seed: 7}\nnavigation: {mppi: {rollouts: 2000}}\n")
+    changed = yaml.safe_load(wheelsight("config", "--profile", "pi", "--config", file, "--changed").stdout)
+    assert changed["features"]["seed"] == 7
+    assert "navigation" not in changed
+
+
+def test_a_profile_that_is_not_there_is_refused(refusal: Refusal, tmp_path: Path) -> None:
+    told = "--profile is 'nano' (known: 'pi')"
+    assert refusal("config", "--profile", "nano") == told
+    assert refusal("run", tmp_path, "--profile", "nano", "--out", tmp_path / "out") == told
+
+
+def test_a_run_writes_down_its_profile(wheelsight: Command, wheels: Path, tmp_path: Path) -> None:
+    result = wheelsight("run", wheels, "--odometry", "wheels", "--profile", "pi", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    written = load_config(tmp_path / "out" / "config.yaml")
+    assert written == load_config(overrides={"profile": "pi", "odometry": "wheels"})
+
+
+def test_a_drive_goes_by_a_profile_and_by_what_is_set_over_it() -> None:
+    asked = Asked(None, (), False, True, None, Path("out"), False, None, "pi", ("navigation.mppi.rollouts=300",))
+    config = settings_of(asked)
+    assert (config.profile, config.navigation.mppi.rollouts, config.localizer.most_width_px) == ("pi", 300, 320)
