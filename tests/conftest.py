@@ -19,7 +19,14 @@ _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
 # The same examples in every run: a hundred of an identity find no more than thirty.
 settings.register_profile("wheelsight", deadline=None, derandomize=True, max_examples=30)
+settings.register_profile("quick", parent=settings.get_profile("wheelsight"), max_examples=12)
 settings.load_profile("wheelsight")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Without the slow tests, identities are tried by fewer examples, too."""
+    if config.option.markexpr == "not slow":
+        settings.load_profile("quick")
 
 
 def pytest_collection_finish() -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -21,9 +22,11 @@ from drives import simulate as drive_legs
 from drives import square_legs, write_recording
 from floor_plans import rooms_in_colours, two_rooms, write_plan
 from places.made_recording import write_drive
+from typer.testing import CliRunner
 from written_bags import robot_drive, write_bag
 
 from wheelsight.calibration import Calibration, Wheels, save_calibration
+from wheelsight.cli import app
 from wheelsight.simulation import SimulationSettings, simulate, write_simulation
 from wheelsight.trajectory import read_tum
 
@@ -60,6 +63,8 @@ SHORTER = {
     "wheelsight simulate floor4 --out": _BRIEF,
     "wheelsight simulate --plan": _BRIEF,
 }
+# What means something to a shell, which then runs the command.
+FOR_A_SHELL = re.compile(r"[*?$|&;<>`\n\\]")
 # Only calibrations need all of RECORDING; its first seconds run alike.
 SHORT_RUN = ("wheelsight run RECORDING", "wheelsight run my_recording")
 LANGUAGES = ("console", "sh")
@@ -164,16 +169,21 @@ def fresh(recordings: Path, tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in PAGES if to_run(page)])
-def test_what_a_page_tells_to_type_works(page: str, fresh: Path) -> None:
+def test_what_a_page_tells_to_type_works(page: str, fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Most commands in this process, which has loaded by then what each would load anew; index.md's in a shell."""
     path = os.pathsep.join([str(fresh / "bin"), os.environ["PATH"]])
     environment = {**os.environ, "PATH": path, "PYTHONPATH": str(PROJECT)}
+    monkeypatch.chdir(fresh)
     for command in to_run(page):
         more = next((options for begin, options in SHORTER.items() if command.startswith(begin)), "")
         typed = f"{command.split('  #')[0].replace(*SHORT_RUN)} {more}"
-        answer = subprocess.run(
-            ["bash", "-c", typed], cwd=fresh, env=environment, capture_output=True, text=True, check=False
-        )
-        assert answer.returncode == 0, f"{page}: {typed}\n{answer.stderr}"
+        if typed.startswith("wheelsight ") and not FOR_A_SHELL.search(typed):
+            result = CliRunner().invoke(app, shlex.split(typed)[1:])
+            code, told = result.exit_code, f"{result.output}\n{result.exception!r}"
+        else:
+            answer = subprocess.run(["bash", "-c", typed], env=environment, capture_output=True, text=True, check=False)
+            code, told = answer.returncode, answer.stderr
+        assert code == 0, f"{page}: {typed}\n{told}"
 
 
 def test_every_reason_for_not_running_is_of_some_command() -> None:

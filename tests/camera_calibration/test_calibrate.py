@@ -137,7 +137,7 @@ def camera_calibration_of(rig: Rig):
 
 def test_registered_depth_has_one_lens_and_an_error() -> None:
     rng = np.random.default_rng(9)
-    rig = small(RIGS["kinect-v2"](rng))
+    rig = small(RIGS["kinect-v2"](rng), 320)
     rig = replace(rig, color=rig.depth, T_color_depth=np.eye(4), far_m=2.0)
     seen = board_views(rig, rng, VIEWS)
     views = tuple(replace(view, infrared=None) for view in seen.views)
@@ -194,7 +194,7 @@ def middle(k: int) -> View:
 
 def test_depth_from_one_distance_is_refused() -> None:
     rng = np.random.default_rng(3)
-    rig = replace(small(RIGS["kinect-v2"](rng)), near_m=1.5, far_m=1.6)
+    rig = replace(small(RIGS["kinect-v2"](rng), 320), near_m=1.5, far_m=1.6)
     with pytest.raises(CalibrationError, match="add views from twice as far"):
         calibrate_camera(board_views(rig, rng, 12), BOARD, CameraSetup("tof", on_plate=True))
 
