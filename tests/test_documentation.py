@@ -62,6 +62,10 @@ _BRIEF = "--duration 6 --rate 4 --size 160x120"
 SHORTER = {
     "wheelsight simulate floor4 --out": _BRIEF,
     "wheelsight simulate --plan": _BRIEF,
+    # The second day must still be found in the map of the first.
+    "wheelsight simulate flat --rate 8 --duration 20": "--duration 10 --rate 5",
+    "wheelsight simulate flat --day 1": "--duration 5 --rate 5",
+    "wheelsight simulate square --rate 8": "--duration 3 --rate 5",
 }
 # What means something to a shell, which then runs the command.
 FOR_A_SHELL = re.compile(r"[*?$|&;<>`\n\\]")

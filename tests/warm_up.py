@@ -1,6 +1,6 @@
-"""Compiles all kernels before the tests of a fresh clone, in two processes: else two workers compile most of them twice.
+"""Compiles all kernels before the tests of a fresh clone, in two processes: else both workers compile most of them.
 
-    python tests/warm_up.py
+python tests/warm_up.py
 """
 
 from __future__ import annotations
