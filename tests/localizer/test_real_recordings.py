@@ -98,7 +98,7 @@ def test_a_camera_through_a_localizer_is_dense_odometry(data_folder: Path, name:
         np.testing.assert_array_equal(ours.covariance, theirs.covariance)
 
 
-@pytest.mark.parametrize("odometry", ["features", "dense"])
+@pytest.mark.parametrize("odometry", mostly_slow(["features", "dense"], quick=["features"]))
 def test_real_images_listed_twice_are_tracked_as_if_listed_once(data_folder: Path, odometry: str) -> None:
     recording = open_recording(data_folder / "rgbd" / "freiburg1_rpy_part")
     frames = [event for event in islice(recording.events(), 30) if isinstance(event, RgbdFrame)]
