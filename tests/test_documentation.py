@@ -172,6 +172,7 @@ def fresh(recordings: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("page", [page for page in PAGES if to_run(page)])
 def test_what_a_page_tells_to_type_works(page: str, fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Most commands in this process, which has loaded by then what each would load anew; index.md's in a shell."""
