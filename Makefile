@@ -48,6 +48,7 @@ endif
 # What pytest and programs that tests start have translated is kept for the next, wherever the environment says otherwise.
 test: export PYTHONDONTWRITEBYTECODE :=
 test: $(VENV)/.installed-dev
+	$(if $(QUICK),,$(BIN)/python tests/warm_up.py)
 	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal $(QUICK) $(ARGS)
 
 check: $(VENV)/.installed-dev docs

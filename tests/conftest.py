@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 from pathlib import Path
@@ -18,7 +19,21 @@ _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
 # The same examples in every run: a hundred of an identity find no more than thirty.
 settings.register_profile("wheelsight", deadline=None, derandomize=True, max_examples=30)
+settings.register_profile("quick", parent=settings.get_profile("wheelsight"), max_examples=12)
 settings.load_profile("wheelsight")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Without the slow tests, identities are tried by fewer examples, too."""
+    if config.option.markexpr == "not slow":
+        settings.load_profile("quick")
+
+
+def pytest_collection_finish() -> None:
+    """Ten thousand collected tests live until the end: the garbage collector need not walk them again and again."""
+    gc.freeze()
+    # Python's 700 let it run some ten thousand times a session, and hypothesis times each of its runs.
+    gc.set_threshold(20_000, 20, 20)
 
 
 @pytest.fixture(scope="session")

@@ -124,27 +124,32 @@ def make_tum_recording(
 def _cast(origin: FloatArray, rays: FloatArray) -> tuple[FloatArray, IntArray]:
     """Where rays (N, 3) first meet a surface: the factor (N,) along the ray, and the surface's number (N,)."""
     with np.errstate(divide="ignore"):
-        inverse = 1.0 / rays
-    best, face = _slabs(origin, inverse, *ROOM)[1]
+        inverse = np.ascontiguousarray(1.0 / rays.T)
+    leaves = _slabs(origin, inverse, *ROOM)[1]
+    best, axis = _nearest(leaves)
+    face = axis + 3 * (np.take_along_axis(inverse, axis[None], axis=0)[0] >= 0)
     for number, (low, high) in enumerate(BOXES, start=1):
-        (enter, enter_face), (leave, _) = _slabs(origin, inverse, low, high)
-        hit = (enter > 1e-6) & (enter < leave) & (enter < best)
-        best, face = np.where(hit, enter, best), np.where(hit, enter_face + 6 * number, face)
+        enters, leaves = _slabs(origin, inverse, low, high)
+        enter = np.maximum(np.maximum(enters[0], enters[1]), enters[2])
+        leave = np.minimum(np.minimum(leaves[0], leaves[1]), leaves[2])
+        hit = np.flatnonzero((enter > 1e-6) & (enter < leave) & (enter < best))
+        axis = enters[:, hit].argmax(axis=0)
+        best[hit], face[hit] = enter[hit], axis + 3 * (inverse[axis, hit] < 0) + 6 * number
     return best, face
 
 
 def _slabs(
     origin: FloatArray, inverse: FloatArray, low: tuple[float, ...], high: tuple[float, ...]
-) -> tuple[tuple[FloatArray, IntArray], tuple[FloatArray, IntArray]]:
-    """Where rays enter and leave a box: factors (N,) and faces (N,), 0 to 5: axis, plus 3 on the high side."""
-    to_low, to_high = (np.array(low) - origin) * inverse, (np.array(high) - origin) * inverse
-    near, far = np.minimum(to_low, to_high), np.maximum(to_low, to_high)
-    enter_axis, leave_axis = near.argmax(axis=1), far.argmin(axis=1)
-    row = np.arange(len(inverse))
-    backward = inverse < 0
-    enter_face = enter_axis + 3 * backward[row, enter_axis]
-    leave_face = leave_axis + 3 * ~backward[row, leave_axis]
-    return (near[row, enter_axis], enter_face), (far[row, leave_axis], leave_face)
+) -> tuple[FloatArray, FloatArray]:
+    """Factors (3, N) at which rays enter and leave what lies between a box's two faces across each axis."""
+    to_low, to_high = ((np.array(face) - origin)[:, None] * inverse for face in (low, high))
+    return np.minimum(to_low, to_high), np.maximum(to_low, to_high)
+
+
+def _nearest(factors: FloatArray) -> tuple[FloatArray, IntArray]:
+    """The least (N,) of factors (3, N), and its axis."""
+    least, axis = np.minimum(factors[0], factors[1]), (factors[1] < factors[0]).astype(int)
+    return np.minimum(least, factors[2]), np.where(factors[2] < least, 2, axis)
 
 
 def _paint(p_odom: FloatArray, face: IntArray, seed: int) -> ByteArray:

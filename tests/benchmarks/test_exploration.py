@@ -113,6 +113,7 @@ def test_targets_are_by_the_worst() -> None:
     assert "touched sofa" in worst.sentence
 
 
+@pytest.mark.slow
 def test_without_errors_two_rooms_are_seen_on_a_way_of_few_tours() -> None:
     """By far more than is to be seen, hence of more than the two tours that are to be reached."""
     plan = plan_of(10.0, 5.0, (5.0, 0.0, 5.1, 1.9), (5.0, 3.1, 5.1, 5.0), (1.0, 4.2, 3.0, 5.0))

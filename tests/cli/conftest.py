@@ -1,13 +1,15 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from stand_ins import leave_pages_bare
 from synthetic import make_tum_recording
+from typer.main import get_command
 from typer.testing import CliRunner, Result
 
 from wheelsight.calibration import Calibration, Wheels
@@ -34,6 +36,14 @@ def bare_pages(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
 @pytest.fixture
 def drawn_pages() -> None:
     """Asked for by tests that want the page of a run as it is."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def built_commands() -> Iterator[None]:
+    """Typer builds all commands for each one that is typed; here they are built once, which hundreds of tests need."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("typer.testing._get_command", cache(get_command))
+        yield
 
 
 @pytest.fixture

@@ -90,6 +90,7 @@ def test_views_give_a_file_with_a_history_and_a_page(wheelsight: Command, views:
         assert word in page
 
 
+@pytest.mark.slow
 @pytest.mark.browser
 def test_the_page_opens(wheelsight: Command, views: Path, chromium: str, tmp_path: Path) -> None:
     options = ("--board", str(BOARD), "--sensor", "stereo", "--registered", "--plate")

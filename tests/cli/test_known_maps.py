@@ -76,6 +76,7 @@ def test_a_map_of_another_camera_is_refused(refusal: Refusal, monday: Path, room
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_the_next_drive_is_found_and_another_room_is_told_of(
     wheelsight: Command, monday: Path, one_room: Path, tmp_path: Path
 ) -> None:

@@ -92,6 +92,7 @@ def test_it_is_a_robot_that_listens_until_told_to_move(robot: LinkRobot, control
     assert controller.commands == []
 
 
+@pytest.mark.slow
 def test_weak_motors_reach_the_speed_told(robot: LinkRobot, motors: Motors) -> None:
     """By feed-forward alone they would stay at 85 % of it."""
     began_s = time.monotonic()

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from grids import mostly_slow
 
 from wheelsight.association import associate
 from wheelsight.evaluation import Statistics, ate, rpe
@@ -34,7 +35,7 @@ PAIRS = {
 UNITS = {"frames": Unit.frames, "metres": Unit.meters}
 
 
-@pytest.fixture(scope="module", params=PAIRS)
+@pytest.fixture(scope="module", params=mostly_slow(PAIRS, quick=["fr1_xyz", "kitti_00"]))
 def pair(request: pytest.FixtureRequest, data_folder: Path) -> tuple[Trajectory, Trajectory]:
     estimate, truth = (data_folder / "trajectories" / name for name in PAIRS[request.param])
     if request.param.startswith("kitti"):

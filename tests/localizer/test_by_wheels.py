@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from grids import mostly_slow
 
 from wheelsight.calibration import Calibration, Wheels
 from wheelsight.config import load_config
@@ -69,7 +70,10 @@ def by_wheels_alone(seed: int, rest_s: float) -> list[Estimate]:
     return answers_to(events_of(driven(seed), rest_s=rest_s), **{"wheels.gyro": False})[1]
 
 
-@pytest.mark.parametrize(("seed", "rest_s"), [(seed, 10.0 * (seed % 2)) for seed in range(1, 11)])
+@pytest.mark.parametrize(
+    ("seed", "rest_s"),
+    mostly_slow([(seed, 10.0 * (seed % 2)) for seed in range(1, 11)], quick=[(1, 10.0), (2, 0.0)]),
+)
 def test_wheels_with_a_gyroscope_are_hardly_worse_than_wheels_alone(seed: int, rest_s: float) -> None:
     subject, both, notes = answers_to(events_of(driven(seed), rest_s=rest_s))
     alone = by_wheels_alone(seed, rest_s)
@@ -79,7 +83,7 @@ def test_wheels_with_a_gyroscope_are_hardly_worse_than_wheels_alone(seed: int, r
     assert not notes
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", mostly_slow([1, 2, 3], quick=[1]))
 def test_what_wheels_have_wrong_the_gyroscope_tells(seed: int) -> None:
     """Radii a percent apart and a track 2 % wrong, of a robot that never rests."""
     drive = driven(seed, right_radius_m=0.1717, track_width_m=0.53)

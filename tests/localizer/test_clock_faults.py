@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from grids import mostly_slow
 from localizer.joined_drives import (
     CALIBRATION,
     WHEELS,
@@ -40,7 +41,7 @@ AT_S = 102.0
 
 
 @SEEDS
-@pytest.mark.parametrize("apart_s", [1e-6, 1e-4, 1e-3, 5e-3])
+@pytest.mark.parametrize("apart_s", mostly_slow([1e-6, 1e-4, 1e-3, 5e-3], quick=[1e-6, 5e-3]))
 def test_readings_that_arrive_together_cost_little_accuracy(
     monkeypatch: pytest.MonkeyPatch, apart_s: float, seed: int
 ) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from grids import mostly_slow
 from localizer.joined_drives import CALIBRATION, WHEELS, Drive, Sight, answers_to, drive, joined, yaw_rates
 from narrowing import not_none
 
@@ -76,7 +77,7 @@ def test_the_filter_knows_what_the_calibration_says_of_the_gyroscope() -> None:
     assert ByFusion(replace(CALIBRATION, gyro=gyro), load_config(overrides=JOINED)).filter.gyro == gyro
 
 
-@pytest.mark.parametrize("is_stated", [True, False])
+@pytest.mark.parametrize("is_stated", mostly_slow([True, False], quick=[False]))
 def test_straight_on_a_bias_does_not_turn_the_base(monkeypatch: pytest.MonkeyPatch, is_stated: bool) -> None:
     """Six seconds in the dark, after a turn by which the gyroscope has shown that it is one."""
     made = drive(((6.0, 0.5, 0.5), (5.5, 0.6, 0.0)), partial(dark_after, 6.5))
@@ -107,7 +108,10 @@ def last_without_gyroscope() -> FusedEstimate:
 
 
 @pytest.mark.parametrize(
-    ("factor", "said"), [(-1.0, "turns the other way"), (180 / np.pi, "degrees"), (0.0, "stays at")]
+    ("factor", "said"),
+    mostly_slow(
+        [(-1.0, "turns the other way"), (180 / np.pi, "degrees"), (0.0, "stays at")], quick=[(180 / np.pi, "degrees")]
+    ),
 )
 def test_a_gyroscope_that_contradicts_the_wheels_changes_nothing(
     monkeypatch: pytest.MonkeyPatch, factor: float, said: str

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from grids import mostly_slow
 from localizer.joined_drives import off_m, spread_m
 from room_drive import T_BASE_CAMERA, make_room_drive
 from synthetic import render_room
@@ -63,7 +64,7 @@ def answers_of(subject: Localizer, events: list[Event]) -> Answers:
     return answers
 
 
-@pytest.mark.parametrize("camera", ["dense", "features", "map"])
+@pytest.mark.parametrize("camera", mostly_slow(["dense", "features", "map"], quick=["features", "map"]))
 def test_a_blackout_on_a_drive(room: Room, camera: str) -> None:
     calibration, events, truth = room
     way = since_begin(truth)

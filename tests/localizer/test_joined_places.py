@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache, partial
+from itertools import product
 from typing import Any, cast
 
 import numpy as np
 import pytest
 from area_drive import AREAS, T_WORLD_START, area_drive, calibration
+from grids import mostly_slow
 from localizer.joined_drives import Eye, MapOfFrames, Sight
 from narrowing import not_none
 from places.made import trained
@@ -118,8 +120,13 @@ def test_the_covariance_is_honest_while_they_hold_it(held_in_the_dark: Answers) 
     assert (errors_m(answers) < 3 * np.array(spread_m)).mean() > 0.95
 
 
-@pytest.mark.parametrize("kind", ["next one", "shuffled", "always one"])
-@pytest.mark.parametrize("seeing_s", [0.0, 20.0, 1000.0])
+@pytest.mark.parametrize(
+    ("kind", "seeing_s"),
+    mostly_slow(
+        product(["next one", "shuffled", "always one"], [0.0, 20.0, 1000.0]),
+        quick=[("next one", 0.0), ("shuffled", 0.0), ("always one", 20.0)],
+    ),
+)
 def test_a_forest_that_is_worth_nothing_harms_little(
     made: Callable[..., Localizer], alone_m: Callable[[float], FloatArray], kind: str, seeing_s: float
 ) -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from grids import mostly_slow
 from narrowing import not_none
 from places.seen_room import frame_at, standing
 from synthetic import CAMERA
@@ -71,7 +72,7 @@ def off(T: FloatArray | None, T_room_camera: FloatArray) -> tuple[float, float]:
     return float(np.linalg.norm(D[:3, 3])), float(so3.angle(D[:3, :3]))
 
 
-@pytest.mark.parametrize("extends", [False, True])
+@pytest.mark.parametrize("extends", mostly_slow([False, True], quick=[True]))
 def test_the_second_day_is_found_in_the_map_of_the_first(before: tuple[Localizer, KnownMap], extends: bool) -> None:
     given = known(before, extends=extends)
     count, T_before = len(given.store), np.array(given.store.T_map_keyframe)

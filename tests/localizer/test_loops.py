@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import synthetic
+from grids import mostly_slow
 from narrowing import not_none
 from room_drive import make_room_drive
 
@@ -61,7 +62,7 @@ class Told:
         return PoseUpdate(T, np.zeros(self.known, np.int64), np.zeros((0, 2), np.int64))
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", mostly_slow(WAYS, quick=["map", "wheels and features"]))
 def test_odom_does_not_jump_where_the_map_does(
     room: Recording, events: list[Event], way: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import synthetic
+from grids import mostly_slow
 from narrowing import not_none
 from stand_ins import CAMERA
 
@@ -45,7 +46,7 @@ def off_m(T: FloatArray | None, expected: FloatArray) -> float:
     return float(np.linalg.norm((se3.invert(expected) @ T)[:3, 3]))
 
 
-@pytest.mark.parametrize("odometry", ["dense", "features"])
+@pytest.mark.parametrize("odometry", mostly_slow(["dense", "features"], quick=["features"]))
 def test_a_moved_keyframe_takes_along_all_that_hangs_on_it(frames: list[RgbdFrame], odometry: str) -> None:
     still, subject = localizer(odometry), localizer(odometry)
     expected, before = answers(still, frames), answers(subject, frames[:12])
@@ -67,7 +68,7 @@ def test_a_moved_keyframe_takes_along_all_that_hangs_on_it(frames: list[RgbdFram
     assert off_m(after[0].T_odom_body, NUDGE @ not_none(expected[12].T_odom_body)) < 0.1
 
 
-@pytest.mark.parametrize("odometry", ["dense", "features"])
+@pytest.mark.parametrize("odometry", mostly_slow(["dense", "features"], quick=["features"]))
 def test_where_all_keyframes_are_moved_the_way_goes_on_from_there(frames: list[RgbdFrame], odometry: str) -> None:
     still, subject = localizer(odometry), localizer(odometry)
     expected, _ = answers(still, frames), answers(subject, frames[:12])

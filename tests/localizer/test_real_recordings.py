@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from grids import mostly_slow
 
 from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
@@ -46,7 +47,10 @@ def rmse_m(answers: list[Estimate], recording: Recording) -> float:
 
 @pytest.mark.parametrize(
     ("name", "has_gyro", "first"),
-    [("skid_steer_run20", True, None), ("mocap_floor", False, 1000), ("corridor_864m", False, 1000)],
+    mostly_slow(
+        [("skid_steer_run20", True, None), ("mocap_floor", False, 1000), ("corridor_864m", False, 1000)],
+        quick=[("mocap_floor", False, 1000)],
+    ),
 )
 def test_wheels_are_no_worse_joined_with_a_dark_camera_than_alone(
     data_folder: Path, name: str, has_gyro: bool, first: int | None
@@ -81,20 +85,20 @@ def test_wheels_through_a_localizer_are_wheel_odometry(data_folder: Path, name: 
         np.testing.assert_array_equal(ours.T_odom_body, plain.process(reading).T_odom_body)
 
 
-@pytest.mark.parametrize("name", ["freiburg1_rpy_part", "red_kitchen"])
+@pytest.mark.parametrize("name", mostly_slow(["freiburg1_rpy_part", "red_kitchen"], quick=["freiburg1_rpy_part"]))
 def test_a_camera_through_a_localizer_is_dense_odometry(data_folder: Path, name: str) -> None:
     recording = open_recording(data_folder / "rgbd" / name)
     plain = DenseOdometry(recording.calibration)
     through = Localizer(recording.calibration, load_config(overrides={"odometry": "dense"}))
     frames = (event for event in recording.events() if isinstance(event, RgbdFrame))
-    for frame in islice(frames, 30):
+    for frame in islice(frames, 15):
         ours, theirs = through.process(frame), plain.process(frame)
         assert ours is not None
         np.testing.assert_array_equal(ours.T_odom_body, theirs.T_odom_body)
         np.testing.assert_array_equal(ours.covariance, theirs.covariance)
 
 
-@pytest.mark.parametrize("odometry", ["features", "dense"])
+@pytest.mark.parametrize("odometry", mostly_slow(["features", "dense"], quick=["features"]))
 def test_real_images_listed_twice_are_tracked_as_if_listed_once(data_folder: Path, odometry: str) -> None:
     recording = open_recording(data_folder / "rgbd" / "freiburg1_rpy_part")
     frames = [event for event in islice(recording.events(), 30) if isinstance(event, RgbdFrame)]
@@ -110,7 +114,10 @@ def test_real_images_listed_twice_are_tracked_as_if_listed_once(data_folder: Pat
         np.testing.assert_array_equal(answer.T_odom_body, expected.T_odom_body)
 
 
-@pytest.mark.parametrize(("name", "repeated"), [("freiburg1_rpy_part", 0), ("red_kitchen", 31)])
+@pytest.mark.parametrize(
+    ("name", "repeated"),
+    mostly_slow([("freiburg1_rpy_part", 0), ("red_kitchen", 31)], quick=[("freiburg1_rpy_part", 0)]),
+)
 def test_real_images_repeat_where_files_do_and_nowhere_else(data_folder: Path, name: str, repeated: int) -> None:
     """Those of the red kitchen were recorded with 31 of 500 frames twice, bit for bit."""
     repeats, events = Repeats(), open_recording(data_folder / "rgbd" / name).events()

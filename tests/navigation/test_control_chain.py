@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from grids import mostly_slow
 from navigation.test_controllers import WAYS
 from navigation.unicycle import CHAIR, NOBODY, Camera, Unicycle, centres_of, clearance_m, field_of
 
@@ -11,7 +12,7 @@ from wheelsight.navigation import CollisionMonitor, ControlReason, MonitorState,
 
 
 @pytest.mark.parametrize(
-    "name", ["straight", "a narrow door", pytest.param("a corridor", marks=pytest.mark.slow), "a sharp corner"]
+    "name", mostly_slow(["straight", "a narrow door", "a corridor", "a sharp corner"], quick=["a narrow door"])
 )
 def test_a_monitor_lets_a_controller_arrive(name: str) -> None:
     cells, path = WAYS[name]

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from grids import mostly_slow
 from navigation.unicycle import (
     CHAIR,
     NOBODY,
@@ -72,7 +73,9 @@ def drive(make: Callable[..., Controller], cells: BoolArray, path: Path, base: U
 
 
 @both
-@pytest.mark.parametrize("name", WAYS)
+@pytest.mark.parametrize(
+    "name", mostly_slow(WAYS, quick=["another heading at the end", "backward, turn, forward", "a narrow door"])
+)
 def test_it_arrives_and_touches_nothing(make: Callable[..., Controller], name: str) -> None:
     cells, path = WAYS[name]
     drove = drive(make, cells, path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 from navigation.rooms import Ride, Walls
 
 from wheelsight.geometry import FloatArray
@@ -71,6 +72,7 @@ def crossed(begin: tuple[float, float], velocity: tuple[float, float], *, is_pre
     return result
 
 
+@pytest.mark.slow
 def test_told_who_walks_where_it_arrives_sooner_and_keeps_away() -> None:
     crossings = (((8.2, 10.0), (-0.15, -1.3)), ((10.6, -1.2), (-0.3, 0.8)))
     told = [crossed(*crossing, is_predicted=True) for crossing in crossings]

@@ -140,6 +140,7 @@ def test_a_map_with_loops_has_the_edges_by_which_its_graph_hangs_together(tmp_pa
     assert len(found.store) >= 3
 
 
+@pytest.mark.slow
 def test_a_map_lies_where_the_corrected_way_has_it_even_after_a_piece_that_nobody_could_place(tmp_path: Path) -> None:
     """Behind a cover the camera is turned back; what it sees then is kept far off until it is recognised."""
     back = [at(step, 0.15) for step in range(75, 5, -1)]

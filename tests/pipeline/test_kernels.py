@@ -69,6 +69,7 @@ def test_what_needs_a_library_that_is_missing_is_left_out(monkeypatch: pytest.Mo
     assert kernels.usable_parts() == ("wheels", "features", "dense", "joined", "loops", "places", "navigation")
 
 
+@pytest.mark.slow
 def test_what_cannot_be_compiled_is_told_by_its_last_line() -> None:
     with pytest.raises(OutputError, match=r"kernels could not be compiled: KeyError: 'nothing'"):
         kernels.compile_kernels(["nothing"])

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from grids import mostly_slow
 from pipeline.made import FILES, metrics_in, names_in, status_in
 from pipeline.two_days import CALIBRATION, FIRST_DAY, OTHER_ROOM, SECOND_DAY, covered, frames_of, recorded
 from stand_ins import MemoryRecording
@@ -125,7 +126,7 @@ def test_an_extended_map_has_new_keyframes_that_hang_on_the_old_ones(monday: Pat
     check_near(tmp_path / "again", SECOND_DAY[::-1])
 
 
-@pytest.mark.parametrize("extends", [False, True])
+@pytest.mark.parametrize("extends", mostly_slow([False, True], quick=[True]))
 def test_another_room_is_not_recognised_and_told_so(monday: Path, tmp_path: Path, extends: bool) -> None:
     count, recognition = len(MapFolder.open(monday / "map").store), bytes_in(monday)["recognition.npz"]
     before = bytes_in(monday)
@@ -181,6 +182,7 @@ def mounted(calibration: Calibration) -> Calibration:
     return replace(calibration, T_base_camera=FIRST_DAY[0])
 
 
+@pytest.mark.slow
 def test_a_start_is_believed_but_told_where_nothing_bears_it_out(tmp_path: Path) -> None:
     """The map of a robot begins where its base did; the second day begins a turn of 45° further."""
     found, elsewhere = tmp_path / "found", tmp_path / "elsewhere"

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from grids import mostly_slow
 from stand_ins import MemoryRecording
 from synthetic import CAMERA, make_tum_recording, render_room, wobbling_trajectory
 
@@ -136,7 +137,7 @@ def test_a_calibration_that_images_contradict_is_probably_another_cameras(right:
     assert inspect(room_frames(), near).warnings == ()
 
 
-@pytest.mark.parametrize("scale", [0.55, 0.71, 0.8, 1.25, 1.4, 1.8])
+@pytest.mark.parametrize("scale", mostly_slow([0.55, 0.71, 0.8, 1.25, 1.4, 1.8], quick=[0.55, 1.25]))
 def test_depth_of_another_lens_is_told_with_how_much_it_shows(scale: float) -> None:
     inspection = inspect(room_frames(4, -3, scale, number=8))
     assert inspection.offset is not None
@@ -216,7 +217,10 @@ def test_a_real_camera_that_is_registered(handheld: tuple[Calibration, list[Rgbd
 @pytest.mark.data
 @pytest.mark.parametrize(
     ("turned", "told"),
-    [((1, 1), None), ((1, -1), "mirrored left to right"), ((-1, 1), "upside down"), ((-1, -1), "turned by 180°")],
+    mostly_slow(
+        [((1, 1), None), ((1, -1), "mirrored left to right"), ((-1, 1), "upside down"), ((-1, -1), "turned by 180°")],
+        quick=[((1, -1), "mirrored left to right")],
+    ),
 )
 def test_real_images_mirrored_against_each_other(
     handheld: tuple[Calibration, list[RgbdFrame]], turned: tuple[int, int], told: str | None

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import shapely
 from floor_plans import two_rooms, write_plan
+from grids import mostly_slow
 from small_rooms import looking, room
 
 from wheelsight.errors import ConfigError
@@ -87,7 +88,7 @@ def test_what_is_behind_an_open_door_is_seen() -> None:
     assert {swing.to_share for swing in doors.swings[0]} == {0.0, 1.0}
 
 
-@pytest.fixture(scope="module", params=["flat", "house"])
+@pytest.fixture(scope="module", params=mostly_slow(["flat", "house"], quick=["flat"]))
 def recording(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> SimulatedRecording:
     settings = SimulationSettings("flat", size=(64, 48), seed=2, duration_s=40.0, passersby=2, doors=4)
     if request.param == "house":

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import shapely
 from floor_plans import DOORWAYS_M, UNKNOWN, rooms_in_colours, two_rooms, write_plan
+from grids import mostly_slow
 
 from wheelsight.errors import AreaError, ConfigError, MapError
 from wheelsight.simulation import FloorPlan, Robot, SimulationSettings, World, simulate
@@ -89,7 +90,7 @@ def test_nothing_but_walls_and_doors_closes_the_floor(world: World) -> None:
         assert far.min() > 0
 
 
-@pytest.mark.parametrize("yaw_rad", [0.5, 3.14])
+@pytest.mark.parametrize("yaw_rad", mostly_slow([0.5, 3.14], quick=[0.5]))
 def test_a_rotated_origin_turns_the_world(tmp_path: Path, yaw_rad: float) -> None:
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     turned = built(write_plan(tmp_path, two_rooms(), (5.0, 3.0, yaw_rad)))
@@ -99,7 +100,7 @@ def test_a_rotated_origin_turns_the_world(tmp_path: Path, yaw_rad: float) -> Non
     assert find_collision(turned, turned.route, Robot().width_m / 2 + 0.1) is None
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", mostly_slow(range(4), quick=[0, 1]))
 def test_the_route_is_a_loop_that_keeps_clear_of_everything(house: Path, world: World, seed: int) -> None:
     world = built(house, seed) if seed else world
     assert world.is_loop

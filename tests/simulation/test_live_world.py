@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+from grids import mostly_slow
 from small_rooms import corridor, room
 
 from wheelsight.commands import STOP, VelocityCommand
@@ -65,7 +66,7 @@ def test_a_corner_that_turns_into_a_wall_is_the_robots() -> None:
     assert simulator.contacts[0].place_m[1] == pytest.approx(1.4, abs=0.01)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", mostly_slow(range(3), quick=[0]))
 def test_people_keep_away_from_a_robot_that_stands(seed: int) -> None:
     simulator = in_corridor((17.0, 0.0, 0.0), 4, seed=seed)
     nearest_m, crossings = [], 0

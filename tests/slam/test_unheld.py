@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from wheelsight.geometry import se3
@@ -123,7 +123,6 @@ def driven(rng, solver, count, off, false):
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-@settings(deadline=None, max_examples=25)
 @given(
     st.integers(0, 2**32 - 1),
     st.integers(3, 14),

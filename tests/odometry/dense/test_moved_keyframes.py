@@ -38,7 +38,11 @@ def move_all(store: KeyframeStore, T_new_old: FloatArray) -> None:
     store.move(list(store), T_new_old @ store.T_map_keyframe)
 
 
-@pytest.mark.parametrize("settings", [{}, BUSY, {"reference": "previous"}], ids=["keyframes", "many", "previous"])
+@pytest.mark.parametrize(
+    "settings",
+    [{}, pytest.param(BUSY, marks=pytest.mark.slow), {"reference": "previous"}],
+    ids=["keyframes", "many", "previous"],
+)
 def test_where_all_keyframes_are_moved_alike_all_that_follows_is(
     frames: list[RgbdFrame], settings: dict[str, Any]
 ) -> None:

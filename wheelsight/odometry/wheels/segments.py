@@ -37,7 +37,9 @@ class Segments:
         `sizes_m` is left radius, right radius, track width; `mount` (3,) is x, y and yaw of T_axle_body: where the
         body that the reference follows sits, seen from the middle of the axle.
         """
-        start, end = (poses_at(drive, sizes_m, stamps_s + delay_s) for stamps_s in (self.start_s, self.end_s))
+        # Both at once: the whole drive is integrated for each call.
+        both = poses_at(drive, sizes_m, np.concatenate([self.start_s, self.end_s]) + delay_s)
+        start, end = both[: len(self)], both[len(self) :]
         step = (end - start)[:, :2] @ np.array([1, 1j])
         turn_rad = end[:, 2] - start[:, 2]
         swing = complex(*mount[:2]) * (np.exp(1j * turn_rad) - 1)
