@@ -144,7 +144,7 @@ def test_the_cameras_own_calibration_lies_under_the_robots(tmp_path: Path, monke
 
 def plug_in(monkeypatch: pytest.MonkeyPatch, camera: HandFedCamera) -> list[Any]:
     """Let it be the only camera; the calibrations that it is asked to go by."""
-    for kind in tuple(LIVE_CAMERAS):
+    for kind in reversed(tuple(LIVE_CAMERAS)):  # what is put back last comes last, and their order is told
         monkeypatch.delitem(LIVE_CAMERAS, kind)
     asked: list[Any] = []
 
