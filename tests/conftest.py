@@ -29,6 +29,15 @@ def pytest_configure(config: pytest.Config) -> None:
         settings.load_profile("quick")
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Those of long_tests.txt are slow: all of them together would be half of what `make test` takes."""
+    long = set((PROJECT / "tests" / "long_tests.txt").read_text(encoding="utf-8").splitlines())
+    for item in items:
+        if item.nodeid in long:
+            item.add_marker(pytest.mark.slow)
+
+
 def pytest_collection_finish() -> None:
     """Ten thousand collected tests live until the end: the garbage collector need not walk them again and again."""
     gc.freeze()
