@@ -35,6 +35,7 @@ from wheelsight.settings import (
     ASKED,
     CHOSEN,
     LiveCameraSettings,
+    LivePageSettings,
     LocalizerSettings,
     RealTimeSettings,
     RecognitionSettings,
@@ -226,6 +227,7 @@ class Config(Settings):
     realtime: RealTimeSettings = RealTimeSettings()
     camera: LiveCameraSettings = LiveCameraSettings()
     recorder: RecorderSettings = RecorderSettings()
+    page: LivePageSettings = LivePageSettings()
 
     @model_validator(mode="before")
     @classmethod
