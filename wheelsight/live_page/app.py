@@ -20,6 +20,8 @@ from wheelsight.live_page.viewers import SentAwayError, Viewer, Viewers
 from wheelsight.settings import LivePageSettings
 
 _TOO_LARGE = 1009
+# To send to a page that has gone by then raises the one or the other.
+_GONE = (WebSocketDisconnect, RuntimeError)
 _FILES = {"/": "page.html", "/page.css": "page.css", "/page.js": "page.js"}
 _KINDS = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
 _PICTURES = {"plan.png": "image/png", "costmap.png": "image/png", "camera.jpg": "image/jpeg"}
@@ -109,20 +111,20 @@ class _Socket:
         except SentAwayError as sent_away:
             await self._send_away(websocket, sent_away)
             return
-        sending = asyncio.create_task(self._send(websocket, viewer))
-        receiving = asyncio.create_task(self._receive(websocket, viewer))
+        tasks = [asyncio.create_task(way(websocket, viewer)) for way in (self._send, self._receive)]
         try:
-            done, _ = await asyncio.wait({sending, receiving}, return_when=asyncio.FIRST_COMPLETED)
-            for task in done:
-                task.result()
-        except SentAwayError as sent_away:
-            await self._send_away(websocket, sent_away)
-        except WebSocketDisconnect:
-            pass
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
             self._viewers.leave(viewer)
-            for task in (sending, receiving):
+            for task in tasks:
                 task.cancel()
+            await asyncio.wait(tasks)
+        raised = [error for task in tasks if not task.cancelled() and (error := task.exception()) is not None]
+        for error in raised:
+            if isinstance(error, SentAwayError):
+                await self._send_away(websocket, error)
+            elif not isinstance(error, _GONE):
+                raise error
 
     async def _receive(self, websocket: WebSocket, viewer: Viewer) -> None:
         while True:
@@ -139,7 +141,9 @@ class _Socket:
         while True:
             for text in await viewer.waiting():
                 try:
-                    await asyncio.wait_for(websocket.send_text(text), self._settings.send_s)
+                    # `wait_for` of Python 3.11 may forget that it was cancelled.
+                    async with asyncio.timeout(self._settings.send_s):
+                        await websocket.send_text(text)
                 except TimeoutError:
                     raise SentAwayError(1008, "a page that never reads") from None
 
@@ -149,4 +153,5 @@ class _Socket:
         # One that reads nothing takes no farewell, too.
         if websocket.application_state is WebSocketState.CONNECTED:
             with suppress(RuntimeError, WebSocketDisconnect, TimeoutError):
-                await asyncio.wait_for(websocket.close(sent_away.code, str(sent_away)), self._settings.send_s)
+                async with asyncio.timeout(self._settings.send_s):
+                    await websocket.close(sent_away.code, str(sent_away))

@@ -81,6 +81,7 @@ class PageServer:
 
 
 def _bound(host: str, port: int) -> socket.socket:
+    made: socket.socket | None = None
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
         family, kind, protocol, _, address = found[0]
@@ -89,6 +90,8 @@ def _bound(host: str, port: int) -> socket.socket:
         made.bind(address)
         made.listen(_BACKLOG)
     except (OSError, OverflowError) as error:
+        if made is not None:
+            made.close()
         fix = "another --host or --port; --port 0 takes any that is free"
         raise ConfigError(f"nothing can be served at {host}, port {port}: {error}", fix=fix) from error
     return made
