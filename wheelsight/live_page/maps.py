@@ -11,7 +11,7 @@ import numpy as np
 
 from wheelsight.config import Config, KnownMapSettings, StartSettings
 from wheelsight.errors import ConfigError, MapError
-from wheelsight.files import make_output_folder
+from wheelsight.files import StrPath, make_output_folder
 from wheelsight.geometry import FloatArray
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.live_page.driven import Driven
@@ -42,16 +42,17 @@ class DriveMaps:
     """
 
     def __init__(
-        self, config: Config, known: Path | None, start: StartSettings | None, out: Path | None, *, in_step: bool
+        self, config: Config, known: StrPath | None, start: StartSettings | None, out: StrPath | None, *, in_step: bool
     ) -> None:
         if known is None and out is None:
             raise ConfigError("there is no map to drive in", fix="--map DIR; or --out DIR, which a new one goes to")
-        self._config, self._out, self._in_step = config, out, in_step
+        self._config, self._in_step = config, in_step
+        self._out = None if out is None else Path(out)
         self._start, self._saved = start, ""
-        self._paths = {} if out is None else _maps_in(out)
+        self._paths = {} if self._out is None else _maps_in(self._out)
         self.first = NEW
         if known is not None:
-            self.first = known.resolve().name or str(known)
+            self.first = Path(known).resolve().name or str(known)
             self._paths = {self.first: find_map(known), **self._paths}
 
     def names(self) -> tuple[str, ...]:

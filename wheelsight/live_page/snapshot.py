@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from wheelsight.estimates import Status
 from wheelsight.geometry import FloatArray, se2, se3
 from wheelsight.live_page.driven import Driven
 from wheelsight.live_page.pictures import camera_jpeg, costmap_png, plan_png
@@ -71,9 +72,11 @@ class Telling:
         self._pictures: dict[str, Picture] = {}
         self._made_of: dict[str, object] = {}
         self._number, self._pictured_s = 0, -np.inf
+        self._was_tracked = False
 
     def begin(self) -> None:
         """Another map: nothing of the last one is shown any more."""
+        self._was_tracked = False
         self._way.clear()
         self._pictures.clear()
         self._made_of.clear()
@@ -85,13 +88,16 @@ class Telling:
     def of(self, driven: Driven, feedback: Feedback, facts: Mapping[str, Any]) -> Snapshot:
         """Of a period, with facts that the session adds."""
         senses = driven.navigator.senses
-        self._follow(feedback.pose)
+        # Wheels alone begin at the map's origin, before the first frame or a known start tells where that is.
+        self._was_tracked = self._was_tracked or feedback.status is Status.TRACKING
+        pose = feedback.pose if self._was_tracked else None
+        self._follow(pose)
         self._picture(senses)
         told = {
             **facts,
             **_task(feedback),
-            "pose": _rounded(feedback.pose),
-            "ellipse": _ellipse(senses),
+            "pose": _rounded(pose),
+            "ellipse": None if pose is None else _ellipse(senses),
             "footprint": _rounded(driven.navigator.footprint.corners),
             "path": [] if feedback.plan is None else _path(feedback.plan.poses),
             "way": _rounded(np.array(self._way).reshape(-1, 2)),
