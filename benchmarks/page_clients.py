@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import threading
 import time
+from collections.abc import Callable
 from http.client import HTTPConnection
 from typing import Any
 
 from websockets.sync.client import ClientConnection, connect
 
 _WAIT_S = 20.0
+# Metres or radians a second.
+_MOVES = 0.02
 _ALIVE = '{"type": "alive"}'
 _ALIVE_S = 0.5
 _KINDS = {"plan": "png", "costmap": "png", "camera": "jpg"}
@@ -27,21 +30,25 @@ def watch(port: int, clients: int, seconds: float) -> list[tuple[int, int]]:
     return found
 
 
-def click(port: int, goals: list[tuple[float, float]], moves_m_s: float, longest_s: float) -> list[float | None]:
-    """Seconds from each goal's click until the page is told that the robot moves; None where that never was."""
+def click(port: int, goal: tuple[float, float], times: int, longest_s: float) -> list[tuple[float, float]]:
+    """When a goal was clicked, and when the page was told that the robot moves, by the clock that all processes share.
+
+    After each it is stopped, and waited for until it stands. Raises TimeoutError where it does not move, or stand.
+    """
     found = []
     with _opened(port) as socket:
-        for x_m, y_m in goals:
-            _until(socket, lambda robot: robot["state"] in ("idle", "arrived", "failed"), longest_s)
-            _until(socket, lambda robot: abs(robot["speed_m_s"]) < 0.01 and abs(robot["turn_rad_s"]) < 0.01, longest_s)
+        for _ in range(times):
+            _until(socket, lambda robot: not _moves(robot), longest_s)
             clicked_s = time.monotonic()
-            socket.send(json.dumps({"type": "goal", "x_m": x_m, "y_m": y_m, "yaw_rad": None}))
-
-            def moves(robot: dict[str, Any]) -> bool:
-                return abs(robot["speed_m_s"]) > moves_m_s or abs(robot["turn_rad_s"]) > moves_m_s
-
-            found.append(time.monotonic() - clicked_s if _until(socket, moves, longest_s) else None)
+            socket.send(json.dumps({"type": "goal", "x_m": goal[0], "y_m": goal[1], "yaw_rad": None}))
+            _until(socket, _moves, longest_s)
+            found.append((clicked_s, time.monotonic()))
+            socket.send('{"type": "stop"}')
     return found
+
+
+def _moves(robot: dict[str, Any]) -> bool:
+    return bool(abs(robot["speed_m_s"]) >= _MOVES or abs(robot["turn_rad_s"]) >= _MOVES)
 
 
 def press(port: int, times: int, every_s: float) -> list[float]:
@@ -81,8 +88,8 @@ def _watch(port: int, seconds: float) -> tuple[int, int]:
     return updates, images
 
 
-def _until(socket: ClientConnection, what: Any, longest_s: float) -> bool:
-    """Whether something comes to be of the robot."""
+def _until(socket: ClientConnection, what: Callable[[dict[str, Any]], bool], longest_s: float) -> dict[str, Any]:
+    """What is told of the robot once something is so. Raises TimeoutError."""
     ends_s, alive_s = time.monotonic() + longest_s, 0.0
     while time.monotonic() < ends_s:
         told = json.loads(socket.recv(timeout=_WAIT_S))
@@ -90,8 +97,8 @@ def _until(socket: ClientConnection, what: Any, longest_s: float) -> bool:
             alive_s = time.monotonic()
             socket.send(_ALIVE)
         if "robot" in told and told["robot"]["phase"] == "driving" and what(told["robot"]):
-            return True
-    return False
+            return dict(told["robot"])
+    raise TimeoutError("the robot does not do what it was asked")
 
 
 def _opened(port: int) -> ClientConnection:

@@ -51,6 +51,9 @@ class ObedientRobot(RoomRobot):
         self.commands = [*self.commands[-50:], obeyed]
         return super().step(obeyed)
 
+    def __enter__(self) -> ObedientRobot:
+        return self
+
     def stop(self) -> None:
         self.stops_s.append(time.monotonic())
         super().stop()

@@ -7,6 +7,7 @@ import time
 import numpy as np
 import pytest
 from live_page.room_session import BEGIN, is_near, room_session
+from narrowing import not_none
 
 from wheelsight.commands import STOP
 from wheelsight.errors import DeviceError
@@ -99,7 +100,7 @@ def test_a_new_map_is_saved_and_gone_on_in_from_where_the_robot_stands() -> None
         assert not told["is_new"]
         name, pose = served.maps.opened_with[-1]
         assert name == "yesterday"
-        np.testing.assert_allclose(pose, BEGIN, atol=1e-6)
+        np.testing.assert_allclose(not_none(pose), np.array(BEGIN), atol=1e-6)
         served.session.ask(Explore(type="explore"))
         served.until(has_said("this map is finished"))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import sys
 import threading
 import time
 from types import TracebackType
@@ -19,7 +20,7 @@ _BACKLOG = 32
 
 
 class PageServer:
-    """Use it in a `with` block.
+    """Use it in a `with` block; within, threads of the program take turns more often.
 
     Args:
         app: the application.
@@ -52,10 +53,12 @@ class PageServer:
             access_log=False,
             log_config=None,
         )
-        self._server = uvicorn.Server(config)
+        self._server, self._switch_s = uvicorn.Server(config), settings.switch_s
+        self._switch_before_s = sys.getswitchinterval()
         self._thread = threading.Thread(target=self._run, name="wheelsight-page", daemon=True)
 
     def __enter__(self) -> PageServer:
+        sys.setswitchinterval(self._switch_s)
         self._thread.start()
         until_s = time.monotonic() + _STARTS_S
         while not self._server.started:
@@ -67,6 +70,7 @@ class PageServer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        sys.setswitchinterval(self._switch_before_s)
         self._server.should_exit = True
         self._thread.join(_ENDS_S)
         self._socket.close()

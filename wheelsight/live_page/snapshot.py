@@ -137,6 +137,7 @@ class Telling:
 
 def _task(feedback: Feedback) -> dict[str, Any]:
     return {
+        "stamp_s": round(feedback.stamp_s, 3),
         "state": str(feedback.state),
         "doing": feedback.doing,
         "status": STATUS_WORDS[feedback.status],

@@ -31,6 +31,13 @@ class LivePageSettings(Settings):
         ge=0.6,
         le=60,
     )
+    switch_s: float = setting(
+        0.001,
+        "for which a thread keeps Python to itself while others wait, of 0.005 else: STOP passes from thread to thread",
+        "python -m benchmarks.live_page: worst of 100 stops 50 ms after the press with 0.005",
+        ge=0.0001,
+        le=0.1,
+    )
     most_viewers: int = setting(8, "pages at once", CHOSEN, ge=1, le=200)
     most_connections: int = setting(
         64, "connections at once, with those that fetch images: a browser opens six", CHOSEN, ge=8, le=2000
