@@ -151,9 +151,9 @@ def _no_http(port: int) -> str:
 
 
 def _by_name(port: int) -> str:
-    lines = ("GET /live HTTP/1.1", "Host: evil.example", "Upgrade: websocket", "Connection: Upgrade")
-    lines += ("Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==", "Sec-WebSocket-Version: 13")
-    return _answer(port, "".join(f"{line}\r\n" for line in (*lines, "")).encode())
+    lines = ["GET /live HTTP/1.1", "Host: evil.example", "Upgrade: websocket", "Connection: Upgrade"]
+    lines += ["Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==", "Sec-WebSocket-Version: 13", ""]
+    return _answer(port, "".join(f"{line}\r\n" for line in lines).encode())
 
 
 def _answer(port: int, sent: bytes) -> str:

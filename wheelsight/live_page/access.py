@@ -126,7 +126,7 @@ def _asked(scope: _Scope) -> str:
         query = parse_qs(scope.get("query_string", b"").decode("latin-1"), max_num_fields=_MOST_FIELDS)
     except ValueError:
         return ""
-    return query.get("token", [""])[0]
+    return str(query.get("token", [""])[0])
 
 
 def _kept(headers: dict[bytes, bytes]) -> str:

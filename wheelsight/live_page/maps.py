@@ -46,7 +46,7 @@ class DriveMaps:
     ) -> None:
         if known is None and out is None:
             raise ConfigError("there is no map to drive in", fix="--map DIR; or --out DIR, which a new one goes to")
-        self._config, self._in_step = config, in_step
+        self._config, self._in_step = _by_the_wall(config) if in_step else config, in_step
         self._out = None if out is None else Path(out)
         self._start, self._saved = start, ""
         self._paths = {} if self._out is None else _maps_in(self._out)
@@ -147,6 +147,13 @@ class NewPlaces:
         """See `Places`."""
         table = self._store.T_map_keyframe.copy()
         self.named = self.named.with_pose(NamedPose(name, pose).hung_on_nearest(table, np.arange(len(table))))
+
+
+def _by_the_wall(config: Config) -> Config:
+    """A robot that goes by the wall's clock waits for a plan as long as that takes, and need not feign it."""
+    navigator = config.navigation.navigator.model_copy(update={"planning_s": 0.0, "mapping_s": 0.0})
+    navigation = config.navigation.model_copy(update={"navigator": navigator})
+    return config.model_copy(update={"navigation": navigation})
 
 
 def _where(named: NamedPoses, T_map_keyframe: FloatArray) -> dict[str, FloatArray]:
