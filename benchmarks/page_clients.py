@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from http.client import HTTPConnection
 from typing import Any
@@ -14,6 +15,7 @@ from websockets.sync.client import ClientConnection, connect
 _WAIT_S = 20.0
 # Metres or radians a second.
 _MOVES = 0.02
+_DRIVES_M_S, _STILL = 0.1, 10
 _ALIVE = '{"type": "alive"}'
 _ALIVE_S = 0.5
 _KINDS = {"plan": "png", "costmap": "png", "camera": "jpg"}
@@ -38,13 +40,22 @@ def click(port: int, goal: tuple[float, float], times: int, longest_s: float) ->
     found = []
     with _opened(port) as socket:
         for _ in range(times):
-            _until(socket, lambda robot: not _moves(robot), longest_s)
+            still = deque([False] * _STILL, maxlen=_STILL)
+            # After a stop a chair rocks.
+            _until(socket, lambda robot, still=still: _all_of(still, not _moves(robot)), longest_s)
             clicked_s = time.monotonic()
             socket.send(json.dumps({"type": "goal", "x_m": goal[0], "y_m": goal[1], "yaw_rad": None}))
             _until(socket, _moves, longest_s)
             found.append((clicked_s, time.monotonic()))
+            _until(socket, lambda robot: abs(robot["speed_m_s"]) > _DRIVES_M_S, longest_s)
             socket.send('{"type": "stop"}')
     return found
+
+
+def _all_of(last: deque[bool], newest: bool) -> bool:
+    """Whether it is so, and was each of the last times."""
+    last.append(newest)
+    return all(last)
 
 
 def _moves(robot: dict[str, Any]) -> bool:
