@@ -199,7 +199,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="Markdown to write")
     arguments = parser.parse_args()
     about, console = machine.description(), Console(width=150)
-    about["Command"] = "`python -m benchmarks.live_page`"
+    given = " ".join(f"--{name} {value:g}" for name, value in vars(arguments).items() if name != "out")
+    about["Command"] = f"`python -m benchmarks.live_page {given}`"
     with running(arguments.rate) as run:
         loads = [watched(run, clients, arguments.seconds) for clients in (0, CLIENTS)]
         console.print(*loads)

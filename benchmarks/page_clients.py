@@ -40,9 +40,8 @@ def click(port: int, goal: tuple[float, float], times: int, longest_s: float) ->
     found = []
     with _opened(port) as socket:
         for _ in range(times):
-            still = deque([False] * _STILL, maxlen=_STILL)
             # After a stop a chair rocks.
-            _until(socket, lambda robot, still=still: _all_of(still, not _moves(robot)), longest_s)
+            _until(socket, _Still(), longest_s)
             clicked_s = time.monotonic()
             socket.send(json.dumps({"type": "goal", "x_m": goal[0], "y_m": goal[1], "yaw_rad": None}))
             _until(socket, _moves, longest_s)
@@ -52,10 +51,15 @@ def click(port: int, goal: tuple[float, float], times: int, longest_s: float) ->
     return found
 
 
-def _all_of(last: deque[bool], newest: bool) -> bool:
-    """Whether it is so, and was each of the last times."""
-    last.append(newest)
-    return all(last)
+class _Still:
+    """Whether a robot stands, and stood each of the last times that this was asked."""
+
+    def __init__(self) -> None:
+        self._last = deque([False] * _STILL, maxlen=_STILL)
+
+    def __call__(self, robot: dict[str, Any]) -> bool:
+        self._last.append(not _moves(robot))
+        return all(self._last)
 
 
 def _moves(robot: dict[str, Any]) -> bool:
