@@ -28,7 +28,7 @@ ifeq ($(RECORDING),)
 # are. On the way something lies on the camera, and a wheel is lifted.
 # Then another looks at a home that it does not know, at 5 images a second, which halves the work. On the next day it is
 # switched on in the other room, in other light and with chairs elsewhere, and nobody tells it where.
-demo: $(VENV)/.installed-sim,report
+demo: $(VENV)/.installed-sim,report,web
 	$(BIN)/wheelsight simulate square --rate 10 --right-radius 0.171 --track 0.525 --cover 10:13 --lift 19:22 \
 		--out "$(OUT)/drive" --force
 	$(BIN)/wheelsight run "$(OUT)/drive" --odometry wheels,dense --map surfels --out "$(OUT)/results" --force
@@ -40,6 +40,9 @@ demo: $(VENV)/.installed-sim,report
 	@echo '  $(OUT)/results/report.html   wheels and camera joined, against the truth'
 	@echo '  $(OUT)/explored/drive.html   how it looked at all rooms, with the loops that it closed'
 	@echo '  $(OUT)/driven/drive.html     how it found itself on the next day, and drove to its goal'
+	@echo
+	@echo 'Click a goal yourself, and see it arrive; Ctrl-C ends it:'
+	@echo '  $(BIN)/wheelsight serve --sim studio --map "$(OUT)/explored" --known-start 0,0,0'
 else
 demo: $(VENV)/.installed-report
 	$(BIN)/wheelsight run "$(RECORDING)" $(if $(ODOMETRY),--odometry "$(ODOMETRY)") --out "$(OUT)/results" --force

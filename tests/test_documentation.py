@@ -49,6 +49,7 @@ NOT_RUN = {
     "wheelsight run --live ": "needs a camera or a wheel controller; tests/cli/test_run_live.py",
     "wheelsight run corridor ": "of the recording that the controller made",
     "wheelsight drive ": "needs the map of a building that the simulator has; tests/cli/test_drive.py",
+    "wheelsight serve ": "goes on until it is interrupted; tests/cli/test_serve.py",
     "wheelsight map info home": "of the map that an exploration leaves after minutes",
     "wheelsight map name ": "names a place of that map; tests/cli/test_maps.py",
     "wheelsight simulate flat --laps 2": "a minute of driving, for that map",

@@ -59,6 +59,7 @@ LAYERS = (
     "telemetry",
     "pipeline",
     "report",
+    "live_page",
     "runs",
     "cli",
     "__main__",

@@ -35,6 +35,7 @@ from wheelsight.settings import (
     ASKED,
     CHOSEN,
     LiveCameraSettings,
+    LivePageSettings,
     LocalizerSettings,
     RealTimeSettings,
     RecognitionSettings,
@@ -230,6 +231,7 @@ class Config(Settings):
     realtime: RealTimeSettings = RealTimeSettings()
     camera: LiveCameraSettings = LiveCameraSettings()
     recorder: RecorderSettings = RecorderSettings()
+    page: LivePageSettings = LivePageSettings()
 
     @model_validator(mode="before")
     @classmethod

@@ -17,6 +17,9 @@ _EXTRAS = {
     "pyrealsense2": ("pyrealsense2", "pyrealsense2"),
     "skimage": ("scikit-image", "scikit-image"),
     "sklearn": ("scikit-learn", "scikit-learn skops"),
+    "starlette": ("Starlette", "starlette uvicorn websockets"),
+    "uvicorn": ("uvicorn", "starlette uvicorn websockets"),
+    "websockets": ("websockets", "starlette uvicorn websockets"),
     "skops": ("skops", "scikit-learn skops"),
 }
 

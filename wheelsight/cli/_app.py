@@ -21,6 +21,7 @@ from wheelsight.cli import (
     places,
     record,
     run,
+    serve,
     simulate,
     warm_up,
     wheels,
@@ -63,6 +64,7 @@ app.command("export")(export.export)
 app.command("record")(record.record)
 app.command("devices")(devices.devices)
 app.command("drive")(drive.drive)
+app.command("serve")(serve.serve)
 app.command("simulate")(simulate.simulate)
 app.command("warm-up")(warm_up.warm_up)
 app.command("config")(config.config)

@@ -60,10 +60,24 @@ class Real:
 
 def check(asked: Asked, simulated: Simulated, real: Real) -> None:
     """Raises ConfigError for options that mean nothing together."""
+    _check_one(simulated, real)
+    _check_task(asked)
+    _check_options(simulated, real)
+
+
+def check_robot(simulated: Simulated, real: Real) -> None:
+    """The same of those that name a robot."""
+    _check_one(simulated, real)
+    _check_options(simulated, real)
+
+
+def _check_one(simulated: Simulated, real: Real) -> None:
     if (simulated.sim is None) == (real.port is None):
         problem = "no robot is named" if real.port is None else "a robot is either simulated or real"
         raise ConfigError(problem, fix="one of --sim WORLD and --robot PORT")
-    _check_task(asked)
+
+
+def _check_options(simulated: Simulated, real: Real) -> None:
     if real.port is None and (real.calibration is not None or real.yes):
         option = "--yes" if real.calibration is None else "--calibration"
         raise ConfigError(f"{option} is of a real robot", fix="--robot PORT, or leave it out")

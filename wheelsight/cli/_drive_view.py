@@ -15,21 +15,14 @@ from rich.text import Text
 
 from wheelsight.cli._console import console, facts_table
 from wheelsight.cli._drive_plan import as_text, plan_signs
-from wheelsight.estimates import Status
 from wheelsight.geometry import ByteArray
-from wheelsight.navigation import Feedback, Footprint, MonitorState, Navigator, Transition
+from wheelsight.navigation import Feedback, Footprint, Navigator, Transition
+from wheelsight.navigation.words import STATUS_WORDS, monitor_words
 
 _VIEWS_A_S, _LINES_A_S = 5, 1
 _ACROSS_M = 8.0
 _FACTS_WIDTH, _MOST_COLUMNS, _LEAST_COLUMNS, _LINES_BELOW = 44, 64, 20, 9
 _TRANSITIONS = 5
-_STATUS = {
-    Status.INITIALIZING: "looks for its place in the map",
-    Status.TRACKING: "knows where it is",
-    Status.COASTING: "by its wheels alone",
-    Status.FAILING: "does not trust where it is",
-    Status.LOST: "lost",
-}
 
 
 class DriveView:
@@ -95,7 +88,7 @@ def line_of(feedback: Feedback) -> str:
 def facts_of(feedback: Feedback) -> Iterator[tuple[str, str]]:
     """Names and values."""
     yield "state", f"{feedback.state}, {feedback.doing}" if feedback.doing else str(feedback.state)
-    yield "status", _STATUS[feedback.status]
+    yield "status", STATUS_WORDS[feedback.status]
     if feedback.pose is not None:
         x_m, y_m, yaw = feedback.pose
         yield "place", f"{x_m:.2f}, {y_m:.2f} m, {math.degrees(yaw):.0f}°"
@@ -104,12 +97,3 @@ def facts_of(feedback: Feedback) -> Iterator[tuple[str, str]]:
     if feedback.to_go_m is not None:
         yield "to go", f"{feedback.to_go_m:.1f} m"
     yield "monitor", monitor_words(feedback)
-
-
-def monitor_words(feedback: Feedback) -> str:
-    """What the collision monitor does, and why."""
-    found = feedback.monitor
-    if found is None or found.state is MonitorState.FREE:
-        return "lets it drive"
-    does = "slows it down" if found.state is MonitorState.SLOWED else "holds it"
-    return f"{does}: {found.reason}" if found.reason is not None else does

@@ -15,6 +15,7 @@ from wheelsight.commands import VelocityCommand
 from wheelsight.errors import ArgumentError
 from wheelsight.events import Event, RgbdFrame, WheelSpeeds, WheelTicks
 from wheelsight.geometry import BoolArray, FloatArray, se2
+from wheelsight.keyframes import KeyframeStore
 from wheelsight.navigation.collision_monitor import CollisionMonitor
 from wheelsight.navigation.costmap import CellState, Costmap
 from wheelsight.navigation.depth_viewer import DepthViewer
@@ -99,6 +100,11 @@ class Senses:
     def floor(self) -> Floor:
         """As it was given."""
         return self._floor
+
+    @property
+    def keyframes(self) -> KeyframeStore | None:
+        """Of the localization."""
+        return self._localization.keyframes
 
     def hear(self, events: Sequence[Event], now_s: float) -> None:
         """All that came in a period, which ends now. Raises what the localization raises."""

@@ -6,6 +6,7 @@ and by what places are recognised.
 
 from wheelsight.settings.base import ASKED, CHOSEN, ON_SIMULATOR, Settings, bounds, conflict, setting
 from wheelsight.settings.live_camera import LiveCameraSettings
+from wheelsight.settings.live_page import LivePageSettings
 from wheelsight.settings.localizer import (
     BaseCheckSettings,
     ColorCheckSettings,
@@ -25,6 +26,7 @@ __all__ = [
     "FernSettings",
     "FrameGateSettings",
     "LiveCameraSettings",
+    "LivePageSettings",
     "LocalizerSettings",
     "PlaceVerificationSettings",
     "RealTimeSettings",

@@ -1,0 +1,106 @@
+"""`wheelsight serve`: what is refused before anything moves, who may speak to it, and that Ctrl-C ends it."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from urllib.error import HTTPError
+from urllib.request import urlopen
+
+import pytest
+from sessions.kept_views import write_map
+
+from wheelsight.cli._serving import Refusals, Served, access_of, addresses
+from wheelsight.errors import ConfigError
+
+Refusal = Callable[..., str]
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        ((), "no robot is named (one of --sim WORLD and --robot PORT)"),
+        (("--sim", "flat", "--robot", "p"), "a robot is either simulated or real"),
+        (("--sim", "flat"), "there is no map to drive in (--map DIR; or --out DIR"),
+        (("--sim", "flat", "--yes"), "--yes is of a real robot"),
+        (("--sim", "flat", "--map", "nowhere"), "there is no such folder"),
+        (("--sim", "flat", "--out", "maps", "--known-start", "0,0,0"), "--known-start is of a map (--map DIR)"),
+        (("--sim", "flat", "--out", "maps", "--token", "short"), "--token can be guessed"),
+        (("--sim", "flat", "--out", "maps", "--token", "with signs; 0123456789"), "--token can be guessed"),
+        (("--sim", "nowhere", "--out", "maps"), "--sim is 'nowhere', no world and no file"),
+        (("--sim", "flat", "--out", "maps", "--set", "page.updates_hz=0"), "page.updates_hz"),
+    ],
+)
+def test_what_means_nothing_is_refused_in_a_line(refusal: Refusal, options: tuple[str, ...], problem: str) -> None:
+    assert problem in refusal("serve", *options)
+
+
+def test_where_a_robot_stands_needs_a_heading(refusal: Refusal, tmp_path: Path) -> None:
+    write_map(tmp_path / "home", 3)
+    told = refusal("serve", "--sim", "flat", "--map", tmp_path / "home", "--known-start", "1,2")
+    assert told.startswith("--known-start is '1,2' (X,Y,YAW_DEG")
+
+
+def served(host: str, token: str | None = None) -> Served:
+    return Served(None, None, host, 0, token)
+
+
+def test_a_token_is_made_for_all_but_this_computer() -> None:
+    assert access_of(served("127.0.0.1")).token == ""
+    assert access_of(served("::1")).is_loopback
+    made = {access_of(served(host)).token for host in ("0.0.0.0", "192.168.1.3", "robot.home", "::")}
+    assert len(made) == 4
+    assert min(map(len, made)) >= 32
+    assert not access_of(served("0.0.0.0")).is_loopback
+    given = access_of(served("127.0.0.1", "0123456789abcdef"))
+    assert given.token == "0123456789abcdef"
+    with pytest.raises(ConfigError, match="16 letters and digits"):
+        access_of(served("0.0.0.0", "0123"))
+
+
+def test_the_address_that_is_printed_holds_the_token() -> None:
+    assert addresses("127.0.0.1", 8765, "") == ["http://127.0.0.1:8765/"]
+    assert addresses("::1", 80, "abc") == ["http://[::1]:80/?token=abc"]
+    (told,) = addresses("0.0.0.0", 80, "abc")
+    assert "0.0.0.0" not in told
+
+
+def test_a_flood_of_refusals_is_counted_and_not_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    refusals = Refusals()
+    for number in range(500):
+        refusals.tell(f"refused {number}")
+    assert len(capsys.readouterr().err.splitlines()) <= 12
+
+
+@pytest.mark.slow
+def test_it_serves_until_it_is_interrupted_and_leaves_a_map(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "wheelsight", "serve", "--sim", "studio", "--size", "160x120", "--port", "0"]
+    command += ["--out", str(tmp_path / "maps"), "--host", "0.0.0.0"]
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"})
+    try:
+        assert running.stdout is not None
+        line = running.stdout.readline()
+        found = re.fullmatch(r"http://[^:/]+:(\d+)/\?token=(\w{32,})\n", line)
+        assert found is not None, line
+        port, token = found.groups()
+        home = f"http://127.0.0.1:{port}/"
+        with pytest.raises(HTTPError, match="401"):
+            urlopen(home, timeout=20)
+        with urlopen(f"{home}?token={token}", timeout=20) as answer:
+            assert b"STOP" in answer.read()
+        time.sleep(5)  # there is something to write
+        running.send_signal(signal.SIGINT)
+        assert running.wait(120) == 0
+    finally:
+        running.kill()
+        running.wait(10)
+        if running.stdout is not None:
+            running.stdout.close()
+    (made,) = (tmp_path / "maps").iterdir()
+    assert (made / "map" / "map.json").is_file()

@@ -1,0 +1,74 @@
+"""Maps that a session can drive in: those of before by name, and names that stay with them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sessions.kept_views import write_map
+
+from wheelsight.config import load_config
+from wheelsight.errors import ConfigError, MapError
+from wheelsight.keyframes import KeyframeStore
+from wheelsight.live_page import NEW, DriveMaps
+from wheelsight.live_page.maps import KnownPlaces, NewPlaces
+from wheelsight.slam.sessions import MapFolder
+
+CONFIG = load_config(overrides={"odometry": "wheels,dense", "loops.source": "keyframes"})
+HERE = np.array([0.5, 0.1, 1.0])
+
+
+def maps(known: Path | None, out: Path | None) -> DriveMaps:
+    return DriveMaps(CONFIG, known, None, out, in_step=True)
+
+
+def test_maps_are_told_by_their_folders_the_newest_first(tmp_path: Path) -> None:
+    for name in ("2026-11-24 09.00.00", "2026-11-25 09.00.00"):
+        (tmp_path / "out" / name).mkdir(parents=True)
+        write_map(tmp_path / "out" / name / "map", 3)
+    (tmp_path / "out" / "notes").mkdir()
+    write_map(tmp_path / "home", 3)
+    found = maps(tmp_path / "home", tmp_path / "out")
+    assert found.first == "home"
+    assert found.names() == ("home", "2026-11-25 09.00.00", "2026-11-24 09.00.00", NEW)
+    assert maps(tmp_path / "home", None).names() == ("home",)
+    assert maps(None, tmp_path / "nothing yet").names() == (NEW,)
+    assert maps(None, tmp_path / "nothing yet").first == NEW
+
+
+def test_without_a_map_and_a_folder_there_is_nothing_to_drive_in(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="there is no map to drive in"):
+        maps(None, None)
+    with pytest.raises(MapError, match="no such folder"):
+        maps(tmp_path / "nowhere", None)
+
+
+def test_a_name_is_in_the_map_at_once(tmp_path: Path) -> None:
+    write_map(tmp_path / "map", 3)
+    places = KnownPlaces(tmp_path / "map")
+    assert places.where() == {}
+    places.name("desk", HERE)
+    np.testing.assert_allclose(places.where()["desk"], HERE)
+    np.testing.assert_allclose(KnownPlaces(tmp_path / "map").where()["desk"], HERE)
+    folder = MapFolder.open(tmp_path / "map")
+    assert folder.named_poses().named("desk").keyframe is not None
+    folder.close()
+    with pytest.raises(MapError, match="is no name for a place"):
+        places.name("a, b", HERE)
+
+
+def test_names_of_a_map_that_is_made_move_with_its_keyframes(tmp_path: Path) -> None:
+    write_map(tmp_path / "map", 3)
+    folder = MapFolder.open(tmp_path / "map")
+    store = KeyframeStore()
+    for number in folder.store:
+        store.add(folder.store[number], folder.store.pose(number))
+    places = NewPlaces(store)
+    places.name("desk", HERE)
+    moved = store.T_map_keyframe.copy()
+    moved[:, 0, 3] += 2.0
+    store.move(list(store), moved)
+    np.testing.assert_allclose(places.where()["desk"], HERE + [2.0, 0, 0], atol=1e-9)
+    store.close()
+    folder.close()

@@ -1,0 +1,145 @@
+"""A session drives where it is asked, stops before all else, and goes from map to map."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from live_page.room_session import BEGIN, is_near, room_session
+from narrowing import not_none
+
+from wheelsight.commands import STOP
+from wheelsight.errors import DeviceError
+from wheelsight.live_page.messages import Explore, GoToName, GoToPose, NamePlace, SaveMap, StartMap
+
+THERE = GoToPose(type="goal", x_m=5.0, y_m=3.0, yaw_rad=0.0)
+
+
+def has_said(words: str):
+    return lambda told: any(words in one["text"] for one in told["said"])
+
+
+def test_a_goal_is_driven_to_and_told() -> None:
+    with room_session(paces=False) as served:
+        told = served.until(lambda told: told["pose"] is not None)
+        assert told["pose"] == list(BEGIN)
+        assert told["status"] == "knows where it is"
+        assert served.session.ask(THERE) == ""
+        told = served.until(lambda told: told["state"] == "driving" and told["speed_m_s"] > 0.3)
+        assert told["path"][-1] == pytest.approx([5.0, 3.0], abs=0.1)
+        assert told["goal"] == pytest.approx([5.0, 3.0, 0.0], abs=0.1)
+        assert served.session.latest.is_driving
+        told = served.until(lambda told: told["state"] == "arrived")
+        assert is_near(told, 5.0, 3.0)
+        assert len(told["way"]) > 20
+        assert has_said("arrived: (5.00, 3.00) m")(served.until(has_said("arrived")))
+
+
+def test_what_is_asked_for_before_a_stop_is_not_done_after_it() -> None:
+    with room_session() as served:
+        served.robot.goes_on.clear()
+        time.sleep(0.1)  # the period that was under way hangs in the next one
+        served.session.ask(THERE)
+        served.session.stop("somebody pressed STOP")
+        served.robot.goes_on.set()
+        told = served.until(has_said("left out"))
+        assert told["stopped"] == "somebody pressed STOP"
+        assert served.stands
+        served.session.ask(THERE)
+        served.until(lambda told: told["speed_m_s"] > 0.1)
+
+
+def test_stop_ends_the_task_and_the_robot_stays() -> None:
+    with room_session() as served:
+        served.session.ask(THERE)
+        served.until(lambda told: told["speed_m_s"] > 0.3)
+        served.session.stop("somebody pressed STOP")
+        told = served.until(lambda told: told["state"] == "failed" and told["speed_m_s"] == 0)
+        assert has_said("not arrived: somebody pressed STOP")(told)
+        stood_at = served.robot.base.pose.copy()
+        time.sleep(0.5)
+        np.testing.assert_allclose(served.robot.base.pose, stood_at, atol=1e-3)
+        assert served.robot.commands[-1] == STOP
+
+
+def test_a_place_is_named_and_driven_to_by_its_name() -> None:
+    with room_session(paces=False) as served:
+        served.session.ask(NamePlace(type="name", name="door"))
+        told = served.until(has_said("this place is called door"))
+        assert served.until(lambda told: told["places"])["places"] == [{"name": "door", "pose": list(BEGIN)}]
+        served.session.ask(THERE)
+        served.until(lambda told: told["state"] == "arrived")
+        served.session.ask(GoToName(type="go", name="nowhere"))
+        served.until(has_said("no place of the map is called 'nowhere'"))
+        served.session.ask(GoToName(type="go", name="door"))
+        told = served.until(has_said("arrived: door"))
+        assert is_near(told, 1.5, 3.0)
+
+
+def test_maps_change_only_while_it_stands() -> None:
+    with room_session() as served:
+        served.session.ask(THERE)
+        served.until(lambda told: told["speed_m_s"] > 0.2)
+        served.session.ask(StartMap(type="start", map="yesterday"))
+        served.until(has_said("stop the robot first"))
+        served.session.stop("somebody pressed STOP")
+        served.until(lambda told: told["speed_m_s"] == 0)
+        served.session.ask(StartMap(type="start", map="yesterday"))
+        told = served.until(lambda told: told["map"] == "yesterday" and told["phase"] == "driving")
+        assert told["stopped"], "nothing moves because of another map"
+        assert served.maps.opened_with == [("today", None), ("yesterday", None)]
+
+
+def test_a_new_map_is_saved_and_gone_on_in_from_where_the_robot_stands() -> None:
+    with room_session("new") as served:
+        assert served.until(lambda told: told["phase"] == "driving")["is_new"]
+        served.session.ask(SaveMap(type="save"))
+        told = served.until(lambda told: told["map"] == "yesterday" and told["phase"] == "driving")
+        assert has_said("the map is saved")(told)
+        assert not told["is_new"]
+        name, pose = served.maps.opened_with[-1]
+        assert name == "yesterday"
+        np.testing.assert_allclose(not_none(pose), np.array(BEGIN), atol=1e-6)
+        served.session.ask(Explore(type="explore"))
+        served.until(has_said("this map is finished"))
+
+
+def test_a_map_that_cannot_be_opened_is_told_and_another_can_be_chosen() -> None:
+    with room_session("broken") as served:
+        told = served.until(lambda told: told["phase"] == "choose")
+        assert has_said("is damaged")(told)
+        served.session.ask(THERE)
+        served.until(has_said("choose a map first"))
+        served.session.ask(StartMap(type="start", map="today"))
+        served.until(lambda told: told["phase"] == "driving")
+
+
+def test_a_robot_that_is_gone_ends_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    with room_session() as served:
+
+        def unplugged(command):
+            raise DeviceError("the port is gone")
+
+        monkeypatch.setattr(served.robot, "step", unplugged)
+        told = served.until(lambda told: told["phase"] == "choose")
+        assert has_said("the port is gone")(told)
+        assert served.robot.stops_s
+
+
+def test_too_much_at_once_is_refused() -> None:
+    with room_session() as served:
+        served.robot.goes_on.clear()
+        refused = [served.session.ask(THERE) for _ in range(40)]
+        assert refused[0] == ""
+        assert refused[-1] == "too much was asked at once; it is left out"
+
+
+def test_the_end_stops_the_robot_first() -> None:
+    with room_session() as served:
+        served.session.ask(THERE)
+        served.until(lambda told: told["speed_m_s"] > 0.3)
+        served.session.close()
+        assert served.robot.stops_s
+        assert served.session.is_over
+        assert "begin wheelsight serve again" in served.session.ask(THERE)

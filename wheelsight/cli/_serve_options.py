@@ -1,0 +1,39 @@
+"""The options of `wheelsight serve` that `wheelsight drive` does not have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+_PAGE = "The page"
+
+MapsFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        metavar="DIR",
+        help="Folder for maps that are made, each in one of its own; those that are there can be driven in.",
+        show_default="none",
+    ),
+]
+Host = Annotated[
+    str,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Where the page is served: this computer alone, or, behind a token, any that reaches the address.",
+        rich_help_panel=_PAGE,
+    ),
+]
+Port = Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.", rich_help_panel=_PAGE)]
+Token = Annotated[
+    str | None,
+    typer.Option(
+        metavar="TEXT",
+        help="What each request must hold; 16 letters and digits at least.",
+        show_default="made anew, and none on this computer alone",
+        rich_help_panel=_PAGE,
+    ),
+]
+Rate = Annotated[float, typer.Option(metavar="HZ", help="Images a second.", rich_help_panel="A simulated robot")]

@@ -1,0 +1,140 @@
+"""What `wheelsight serve` does: robot, session, page, until somebody ends it."""
+
+from __future__ import annotations
+
+import secrets
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from wheelsight.cli._console import print_note, print_warning
+from wheelsight.cli._drive_inputs import Asked, Real, Simulated, check_robot, settings_of
+from wheelsight.cli._drive_robots import robot_of
+from wheelsight.cli._signals import until_stopped
+from wheelsight.errors import ConfigError
+
+if TYPE_CHECKING:
+    from wheelsight.config import Config, StartSettings
+    from wheelsight.live_page import Access, DriveMaps, Session
+
+_PARTS = ("wheels", "dense", "joined", "loops", "navigation")
+_LIBRARIES = ("starlette", "uvicorn", "websockets")
+_TOKEN_BYTES, _SHORTEST_TOKEN = 24, 16
+_LOOK_S, _LINES_A_S = 0.1, 5
+
+
+@dataclass(frozen=True, slots=True)
+class Served:
+    """The options of the page."""
+
+    map_path: Path | None
+    known_start: str | None
+    host: str
+    port: int
+    token: str | None
+
+
+class Refusals:
+    """Prints who was refused, a few lines a second at most; the rest is counted."""
+
+    def __init__(self) -> None:
+        self._second, self._printed, self._unsaid = 0, 0, 0
+
+    def tell(self, line: str) -> None:
+        """One more."""
+        second = int(time.monotonic())
+        if second != self._second:
+            if self._unsaid:
+                print_warning(f"refused {self._unsaid} more")
+            self._second, self._printed, self._unsaid = second, 0, 0
+        if self._printed < _LINES_A_S:
+            self._printed += 1
+            print_warning(line)
+        else:
+            self._unsaid += 1
+
+
+def serve_there(asked: Asked, simulated: Simulated, real: Real, served: Served) -> None:
+    """Until Ctrl-C or SIGTERM. Raises what was handed in wrong, before anything moves."""
+    from wheelsight.cli._compiling import compile_missing
+    from wheelsight.extras import needed
+
+    for library in _LIBRARIES:
+        needed(library)
+    check_robot(simulated, real)
+    config, access = settings_of(asked), access_of(served)
+    is_simulated = real.port is None
+    maps = _maps_of(config, served, asked.out, in_step=is_simulated)
+    compile_missing((*_PARTS, *(("simulation",) if is_simulated else ())))
+    with robot_of(simulated, real, config) as robot:
+        from wheelsight.live_page import Session
+
+        with Session(robot, maps, config.page, paces=is_simulated, on_problem=print_warning) as session:
+            _serve(session, config, access, served)
+            # Before what takes its time, such as to write a map.
+            session.stop("the program ends")
+            print_note("stopped; ending")
+
+
+def access_of(served: Served) -> Access:
+    """Who may speak to the page. Raises ConfigError."""
+    from wheelsight.live_page import Access, is_loopback
+
+    token = served.token
+    if token is not None and (len(token) < _SHORTEST_TOKEN or not token.isascii() or not token.isalnum()):
+        raise ConfigError("--token can be guessed, or is no word", fix=f"{_SHORTEST_TOKEN} letters and digits, or more")
+    at_home = is_loopback(served.host)
+    if token is None:
+        token = "" if at_home else secrets.token_hex(_TOKEN_BYTES)
+    return Access(at_home, token)
+
+
+def _maps_of(config: Config, served: Served, out: Path | None, *, in_step: bool) -> DriveMaps:
+    from wheelsight.live_page import DriveMaps
+
+    if served.known_start is not None and served.map_path is None:
+        raise ConfigError("--known-start is of a map", fix="--map DIR")
+    start = None if served.known_start is None else _start_of(served.known_start)
+    return DriveMaps(config, served.map_path, start, out, in_step=in_step)
+
+
+def _start_of(text: str) -> StartSettings:
+    import math
+
+    from wheelsight.cli._map_names import pose_of
+    from wheelsight.config import StartSettings
+
+    x_m, y_m, yaw = pose_of("--known-start", text).tolist()
+    if math.isnan(yaw):
+        raise ConfigError(f"--known-start is {text!r}", fix="X,Y,YAW_DEG in metres and degrees, such as 3.2,1.5,90")
+    return StartSettings(x_m=x_m, y_m=y_m, yaw_deg=math.degrees(yaw))
+
+
+def _serve(session: Session, config: Config, access: Access, served: Served) -> None:
+    from wheelsight.live_page.app import page_app
+    from wheelsight.live_page.server import PageServer
+
+    app = page_app(session, config.page, access, Refusals().tell)
+    with until_stopped() as is_over, PageServer(app, served.host, served.port, config.page) as server:
+        for line in addresses(served.host, server.port, access.token):
+            typer.echo(line)
+        if access.token and not access.is_loopback:
+            print_warning("what pages say is not encrypted: on a network that you trust alone")
+        waiting = threading.Event()
+        while not is_over():
+            waiting.wait(_LOOK_S)
+
+
+def addresses(host: str, port: int, token: str) -> list[str]:
+    """Where the page is, for people."""
+    import socket
+
+    if host in ("0.0.0.0", "::", ""):
+        host = socket.gethostname()
+    elif ":" in host:
+        host = f"[{host}]"
+    return [f"http://{host}:{port}/" + (f"?token={token}" if token else "")]

@@ -1,0 +1,143 @@
+"""Who may speak to the page: by host, origin and token; as a layer about the application."""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import Awaitable, Callable, MutableMapping
+from dataclasses import dataclass
+from http.cookies import CookieError, SimpleCookie
+from secrets import compare_digest
+from typing import Any
+from urllib.parse import parse_qs
+
+_Scope = MutableMapping[str, Any]
+_Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
+_Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+App = Callable[[_Scope, _Receive, _Send], Awaitable[None]]
+
+_COOKIE, _MOST_FIELDS = "wheelsight", 10
+# Nothing of the page comes from elsewhere, goes elsewhere, or is shown within another page.
+_HEADERS = (
+    (b"cache-control", b"no-store"),
+    (b"content-security-policy", b"default-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"x-content-type-options", b"nosniff"),
+)
+
+
+def is_loopback(host: str) -> bool:
+    """Whether nobody but this computer can reach it there."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """What is asked of each request.
+
+    Attributes:
+        is_loopback: whether it is served to this computer alone. Then a page of elsewhere may still reach it by a name
+            that it has led here, and is known by that name.
+        token: or empty for none.
+    """
+
+    is_loopback: bool
+    token: str = ""
+
+    def refusal(self, scope: _Scope) -> tuple[int, str] | None:
+        """Status and why it is refused; None where it is not."""
+        headers = dict(scope["headers"])
+        host = headers.get(b"host", b"").decode("latin-1")
+        if self.is_loopback and not is_loopback(_without_port(host)):
+            return 403, f"the host {host[:80]!r} is not this computer"
+        origin = headers.get(b"origin")
+        if origin is not None and origin.decode("latin-1") not in (f"http://{host}", f"https://{host}"):
+            return 403, f"the origin {origin.decode('latin-1')[:80]!r} is not this page"
+        if self.token and not self._has_token(scope, headers):
+            return 401, "no token, or a wrong one: open the address that wheelsight serve printed"
+        return None
+
+    def cookie(self, scope: _Scope) -> str:
+        """What a browser is to keep, so that all it asks for holds the token; empty where it asked with none."""
+        if not self.token or not _is_same(_asked(scope), self.token):
+            return ""
+        return f"{_COOKIE}={self.token}; HttpOnly; SameSite=Strict; Path=/"
+
+    def _has_token(self, scope: _Scope, headers: dict[bytes, bytes]) -> bool:
+        kind, _, given = headers.get(b"authorization", b"").decode("latin-1").partition(" ")
+        told = [_asked(scope), given if kind.lower() == "bearer" else "", _kept(headers)]
+        return any(_is_same(one, self.token) for one in told)
+
+
+class Guarded:
+    """An application that is asked for nothing but what `access` lets pass.
+
+    Args:
+        app: the application.
+        access: what is asked.
+        on_refusal: told in a line who was refused, and why.
+    """
+
+    def __init__(self, app: App, access: Access, on_refusal: Callable[[str], None]) -> None:
+        self._app, self._access, self._on_refusal = app, access, on_refusal
+
+    async def __call__(self, scope: _Scope, receive: _Receive, send: _Send) -> None:
+        """As ASGI has it."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        refused = self._access.refusal(scope)
+        if refused is None:
+            await self._app(scope, receive, _with_headers(send, self._access.cookie(scope)))
+            return
+        status, why = refused
+        who = (scope.get("client") or ("somebody",))[0]
+        self._on_refusal(f"refused {who}: {why}")
+        if scope["type"] == "websocket":
+            await receive()
+            await send({"type": "websocket.close", "code": 1008, "reason": why})
+            return
+        headers = [(b"content-type", b"text/plain; charset=utf-8"), *_HEADERS]
+        await send({"type": "http.response.start", "status": status, "headers": headers})
+        await send({"type": "http.response.body", "body": f"{why}\n".encode()})
+
+
+def _with_headers(send: _Send, cookie: str) -> _Send:
+    more = [*_HEADERS, *([(b"set-cookie", cookie.encode())] if cookie else [])]
+
+    async def sent(message: MutableMapping[str, Any]) -> None:
+        if message["type"] == "http.response.start":
+            message["headers"] = [*message.get("headers", ()), *more]
+        await send(message)
+
+    return sent
+
+
+def _without_port(host: str) -> str:
+    name, _, port = host.rpartition(":")
+    return (name if name and port.isdigit() else host).strip("[]")
+
+
+def _asked(scope: _Scope) -> str:
+    try:
+        query = parse_qs(scope.get("query_string", b"").decode("latin-1"), max_num_fields=_MOST_FIELDS)
+    except ValueError:
+        return ""
+    return str(query.get("token", [""])[0])
+
+
+def _kept(headers: dict[bytes, bytes]) -> str:
+    try:
+        found = SimpleCookie(headers.get(b"cookie", b"").decode("latin-1")).get(_COOKIE)
+    except CookieError:
+        return ""
+    value: str = "" if found is None else found.value
+    return value
+
+
+def _is_same(given: str, token: str) -> bool:
+    """Takes as long for any, so that nobody finds it letter by letter."""
+    return compare_digest(given.encode("utf-8", "replace"), token.encode())
