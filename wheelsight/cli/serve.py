@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from wheelsight.cli import _drive_options as options
 from wheelsight.cli import _serve_options as serve_options
+from wheelsight.cli._options import Profile
 
 
 def serve(
@@ -14,6 +15,7 @@ def serve(
     port: serve_options.Port = 8765,
     token: serve_options.Token = None,
     config: options.SettingsFile = None,
+    profile: Profile = None,
     set_: options.Set = None,
     sim: options.Sim = None,
     resolution: options.Resolution = None,
@@ -50,7 +52,7 @@ def serve(
     from wheelsight.devices.robot_camera import ANY
 
     # Where no map of before is driven in first, and on the page, a new one is made.
-    asked = Asked(None, (), False, True, None, out, False, config, tuple(set_ or ()))
+    asked = Asked(None, (), False, True, None, out, False, config, profile, tuple(set_ or ()))
     simulated = Simulated(sim, resolution, start, seed, day, people, realism, camera or "kinect-v1", size, rate)
     real = Real(robot, calibration, baud, yes, camera or ANY)
     serve_there(asked, simulated, real, Served(map_, known_start, host, port, token))
