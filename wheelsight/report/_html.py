@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 from wheelsight.report import _plotly as go
+from wheelsight.report._packing import lean_json
 
 
 def section(key: str, title: str, intro: str, *parts: str) -> str:
@@ -22,7 +23,7 @@ def paragraph(text: str, kind: str = "") -> str:
 
 def plot(key: str, figure: go.Figure, title: str, sentence: str, alt: str) -> str:
     """A plotly figure as data that the page's script draws, with its caption; `alt` says what it shows."""
-    data = figure.to_json().replace("<", "\\u003c")
+    data = lean_json(figure.to_json()).replace("<", "\\u003c")
     height = figure.layout.height
     return (
         f"<figure>\n<figcaption><strong>{escape(title)}.</strong> {escape(sentence)}</figcaption>\n"

@@ -17,7 +17,7 @@ from wheelsight.report import _html as html
 from wheelsight.report import _map as surfels
 from wheelsight.report import _sections as sections
 from wheelsight.report import loop_figures, words
-from wheelsight.report._plotly import get_plotlyjs
+from wheelsight.report._packing import packed
 from wheelsight.report.summary import Summary, summarise
 from wheelsight.report.verdict import judge, notes
 
@@ -28,7 +28,7 @@ _BODIES = {
 
 
 def write_report(record: RunRecord, path: StrPath) -> None:
-    """Write the page about `record` to `path`, atomically, about 5 MB and the pictures. Raises OutputError."""
+    """Write the page about `record` to `path`, atomically, under 3 MB. Raises OutputError."""
     # A folder's name may hold bytes that are no text; they must not cost the page.
     path = Path(path)
     write_text(path, render(record).encode("utf-8", "replace").decode("utf-8"))
@@ -54,7 +54,8 @@ def render(record: RunRecord) -> str:
 
 def fill_template(**parts: str) -> str:
     """A whole page of parts in HTML: kicker, title, facts, tone, phrase, sentences, tiles, notes, sections, footer."""
-    assets = {"style": _asset("style.css"), "plotly": get_plotlyjs(), "script": _asset("page.js")}
+    plotly = packed(_asset("plotly-cartesian.min.js").encode())
+    assets = {"style": _asset("style.css"), "plotly": plotly, "script": _asset("page.js")}
     return Template(_asset("template.html")).substitute(parts, **assets)
 
 
