@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-# A figure 1000 px wide may be zoomed in a hundred times before rounding by so much of its extent moves a line by a pixel.
+# Of its extent: a figure 1000 px wide may be zoomed in a hundred times before such a rounding moves a line by a pixel.
 _SEEN_SHARE = 1e-5
 
 
