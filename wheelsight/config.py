@@ -40,6 +40,7 @@ from wheelsight.settings import (
     RecognitionSettings,
     RecorderSettings,
     Settings,
+    ViewerSettings,
     bounds,
     conflict,
     setting,
@@ -230,6 +231,7 @@ class Config(Settings):
     navigation: NavigationSettings = NavigationSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
     report: ReportSettings = ReportSettings()
+    viewer: ViewerSettings = ViewerSettings()
     realtime: RealTimeSettings = RealTimeSettings()
     camera: LiveCameraSettings = LiveCameraSettings()
     recorder: RecorderSettings = RecorderSettings()
