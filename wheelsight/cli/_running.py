@@ -66,8 +66,8 @@ def track(
 def _watcher(target: str, source: EventSource, settings: Config, force: bool) -> AbstractContextManager[RerunLog]:
     """Raises ConfigError where Rerun is not installed, OutputError where the file must not be written."""
     from wheelsight.cli._outputs import check_out
-    from wheelsight.viewer import SPAWN, rerun_log
+    from wheelsight.viewer import is_file, rerun_log
 
-    if target != SPAWN:
+    if is_file(target):
         check_out(Path(target), force)
     return rerun_log(target, source.calibration, settings.tracks, settings.viewer)

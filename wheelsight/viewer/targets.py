@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import socket
 import subprocess
@@ -26,13 +25,20 @@ from wheelsight.viewer.rerun_log import RerunLog
 SPAWN = "spawn"
 _APPLICATION = "wheelsight"
 _LOOPBACK = "127.0.0.1"
+_ADDRESS = "rerun+http://"
+# A viewer that does not listen by then never will: one on a busy machine of two cores took 2 s.
 _START_S = 20.0
-_VIEWER = (sys.executable, "-m", "rerun")
+VIEWER = (sys.executable, "-m", "rerun")
 
 
 def why_no_rerun() -> str | None:
     """Why nothing can be shown in Rerun: it is not installed. None where it is."""
     return why_missing("rerun")
+
+
+def is_file(target: str) -> bool:
+    """Whether a target is a file, and no viewer."""
+    return target != SPAWN and not target.startswith(_ADDRESS)
 
 
 @contextmanager
@@ -41,12 +47,13 @@ def rerun_log(
     calibration: Calibration,
     tracks: Sequence[str],
     settings: ViewerSettings | None = None,
-    viewer: Sequence[str] = _VIEWER,
+    viewer: Sequence[str] = VIEWER,
 ) -> Iterator[RerunLog]:
     """What a run is shown by, as the `watcher` of `run_each`; all is written once it is closed.
 
     Args:
-        target: a file to write, .rrd; or "spawn": a viewer that is started, and stays when the run is over.
+        target: a file to write, .rrd; or "spawn": a viewer that is started, and stays when the run is over; or the
+            address of one that is there, rerun+http://….
         calibration: of the run.
         tracks: names of what it follows.
         settings: or the defaults.
@@ -58,9 +65,11 @@ def rerun_log(
     """
     stream = _stream()
     if target == SPAWN:
-        stream.connect_grpc(_started(viewer), default_blueprint=blueprint_of(tracks))
-    else:
+        target, _ = start_viewer(viewer)
+    if is_file(target):
         _save(stream, Path(target), tracks)
+    else:
+        stream.connect_grpc(target, default_blueprint=blueprint_of(tracks))
     log = RerunLog(stream, calibration, tracks, settings or ViewerSettings())
     try:
         yield log
@@ -88,29 +97,33 @@ def _save(stream: Any, path: Path, tracks: Sequence[str]) -> None:
     stream.save(path, default_blueprint=blueprint_of(tracks))
 
 
-def _started(viewer: Sequence[str]) -> str:
-    """The address of a viewer that has just been started, on loopback alone."""
+def start_viewer(viewer: Sequence[str] = VIEWER) -> tuple[str, subprocess.Popen[bytes]]:
+    """The address of a viewer that is started, on loopback alone, and its process. Raises ConfigError."""
     with socket.socket() as found:
         found.bind((_LOOPBACK, 0))
         port = found.getsockname()[1]
     command = [*viewer, "--bind", _LOOPBACK, "--port", str(port), "--expect-data-soon"]
     try:
-        process = subprocess.Popen(command, env=_environment(), start_new_session=True)
+        process = subprocess.Popen(command, env=_environment(viewer), start_new_session=True)
     except OSError as error:
         raise ConfigError(f"Rerun's viewer cannot be started: {error}", fix="--rerun FILE.rrd") from error
     deadline_s = time.monotonic() + _START_S
     while time.monotonic() < deadline_s and process.poll() is None:
         with contextlib.suppress(OSError), socket.create_connection((_LOOPBACK, port), timeout=1):
-            return f"rerun+http://{_LOOPBACK}:{port}/proxy"
+            return f"{_ADDRESS}{_LOOPBACK}:{port}/proxy", process
         time.sleep(0.05)
     process.kill()
     raise ConfigError("Rerun's viewer did not start: it needs a screen", fix="--rerun FILE.rrd, and open that later")
 
 
-def _environment() -> dict[str, str]:
-    """In which the viewer tells nobody how it is used; on Linux, where its settings are found by this variable."""
+def _environment(viewer: Sequence[str]) -> dict[str, str]:
+    """In which the viewer tells nobody how it is used; on Linux, where this variable says where it is told so.
+
+    Its user's own settings stay as they are. The viewer itself writes it: how, is its own business.
+    """
     folder = Path(tempfile.gettempdir()) / f"wheelsight-rerun-{os.getuid() if hasattr(os, 'getuid') else 0}"
-    settings = folder / "rerun" / "analytics.json"
-    settings.parent.mkdir(parents=True, exist_ok=True)
-    settings.write_text(json.dumps({"analytics_enabled": False, "analytics_id": "", "metadata": {}}), encoding="utf-8")
-    return {**os.environ, "XDG_CONFIG_HOME": str(folder)}
+    environment = {**os.environ, "XDG_CONFIG_HOME": str(folder)}
+    done = subprocess.run([*viewer, "analytics", "disable"], env=environment, capture_output=True, check=False)
+    if done.returncode:
+        raise ConfigError("Rerun's viewer does not let its analytics be switched off", fix="--rerun FILE.rrd")
+    return environment
