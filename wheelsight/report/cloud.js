@@ -18,12 +18,12 @@ const CLOUD_LINES = `
 attribute vec3 at;
 uniform vec3 right, up, back, centre;
 uniform vec2 shift;
-uniform float distance, aspect, focal, nearest, farthest;
+uniform float distance, aspect, focal, nearest, farthest, lift;
 void main() {
   vec3 p = at - centre;
-  float depth = distance - dot(p, back);
+  float depth = distance - dot(p, back), before = max(depth - lift, nearest);
   gl_Position = vec4(focal / aspect * dot(p, right) + shift.x * depth, focal * dot(p, up) + shift.y * depth,
-    (depth * (farthest + nearest) - 2.0 * farthest * nearest) / (farthest - nearest), depth);
+    depth * ((farthest + nearest) - 2.0 * farthest * nearest / before) / (farthest - nearest), depth);
 }`;
 const cloudProgram = (gl, vertex, fragment) => {
   const program = gl.createProgram();
@@ -55,7 +55,7 @@ const readCloud = (bytes, told) => {
 };
 const showCloud = async (place) => {
   const told = JSON.parse(place.dataset.cloud), canvas = place.querySelector("canvas");
-  const gl = canvas.getContext("webgl", { antialias: true, preserveDrawingBuffer: true });
+  const gl = canvas.getContext("webgl", { alpha: false, antialias: true, preserveDrawingBuffer: true });
   if (!gl || typeof DecompressionStream === "undefined") return;
   const data = readCloud(await unpack(place.nextElementSibling.textContent), told);
   const points = cloudProgram(gl, CLOUD_POINTS, "varying vec3 tint; void main() { gl_FragColor = vec4(tint, 1.0); }");
@@ -114,14 +114,14 @@ const showCloud = async (place) => {
     const used = [bind(points, "at", held.at, gl.FLOAT, false), bind(points, "colour", held.colour, gl.UNSIGNED_BYTE, true), bind(points, "normal", held.normal, gl.BYTE, true)];
     gl.drawArrays(gl.POINTS, 0, told.points);
     used.forEach((where) => gl.disableVertexAttribArray(where));
-    begin(strokes);
+    begin(strokes)("lift", Math.max(2 * told.edge, 0.02)); // a path on the floor is not below it
     bind(strokes, "at", held.lines, gl.FLOAT, false);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
     for (const [isHidden, alpha] of [[true, 0.08], [false, 1]]) { // what lies behind a wall shows faintly
       if (isHidden) gl.disable(gl.DEPTH_TEST); else gl.enable(gl.DEPTH_TEST);
-      stroke(0, 2 * told.path, [0.835, 0.369, 0], alpha);
       stroke(2 * told.path, 2 * told.loops, [0, 0.62, 0.451], alpha);
+      stroke(0, 2 * told.path, [0.835, 0.369, 0], alpha);
     }
     gl.disable(gl.BLEND);
     place.dataset.drawn = told.points;

@@ -18,6 +18,8 @@ _SIZE_PX = (560, 960)
 _YAW_RAD, _PITCH_RAD = np.radians(-30), np.radians(42)
 # Of the points, on each side: strays must not make a room small.
 _STRAY_SHARE = 0.02
+# A sphere about them is seen whole at 1.06; rooms are flat, and fill the view when it is nearer.
+_FILL = 0.95
 _WHITE, _ORANGE, _GREEN = 255, (213, 94, 0), (0, 158, 115)
 
 
@@ -44,7 +46,7 @@ class View:
         if len(path):
             low, high = np.minimum(low, path.min(axis=0)), np.maximum(high, path.max(axis=0))
         radius_m = max(float(np.linalg.norm(high - low)) / 2, 0.05)
-        return cls((low + high) / 2, 0.85 * radius_m * float(_FOCAL))
+        return cls((low + high) / 2, _FILL * radius_m * float(_FOCAL))
 
     def to_dict(self) -> dict[str, object]:
         """For the page's script."""
@@ -77,7 +79,7 @@ def draw_cloud(
     faces = np.einsum("ij,ij->i", cloud.normal.astype(float) @ R_plan_map.T, towards) > 0
     px = view.project(position[faces])
     _draw_points(image, px, cloud.color[faces], cloud.edge_m)
-    for lines, colour in ((path, _ORANGE), (loops, _GREEN)):
+    for lines, colour in ((loops, _GREEN), (path, _ORANGE)):
         ends = view.project(lines.reshape(-1, 3)).reshape(-1, 2, 3)
         ends = ends[(ends[..., 2] > 0).all(axis=1), :, :2]
         cv2.polylines(image, list(np.rint(ends).astype(np.int32)), False, colour, 2, cv2.LINE_AA)
