@@ -117,10 +117,12 @@ def ways_of(page: Page) -> list[str]:
 
 
 # What a reader does, and what the canvas shows after each: at first, turned, nearer, moved, from above, at home again.
-HANDS = """<script>addEventListener("load", () => setTimeout(async () => {
+# Frames are asked for of the clock, since a browser whose time runs ahead draws hardly any.
+HANDS = """<script>requestAnimationFrame = (draw) => setTimeout(draw, 0);
+addEventListener("load", () => setTimeout(async () => {
   const canvas = document.querySelector(".cloud canvas"), shots = [];
   if (!canvas.parentNode.dataset.drawn) return;
-  const shoot = () => new Promise((done) => requestAnimationFrame(() => done(shots.push(canvas.toDataURL("image/png")))));
+  const shoot = () => new Promise((done) => setTimeout(() => done(shots.push(canvas.toDataURL())), 300));
   const press = (key, shiftKey = false) => canvas.dispatchEvent(new KeyboardEvent("keydown", { key, shiftKey }));
   const point = (kind, clientX) => canvas.dispatchEvent(new PointerEvent(kind, { pointerId: 1, clientX, clientY: 9 }));
   canvas.setPointerCapture = () => {};

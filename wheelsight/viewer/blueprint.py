@@ -12,7 +12,7 @@ MAP, ODOM, OTHERS = "map", "map/odom", "map/others"
 ROBOT, TRAIL, KEYFRAMES, LOOPS, SURFELS = f"{ODOM}/robot", f"{ODOM}/trail", "map/keyframes", "map/loops", "map/surfels"
 CAMERA = f"{ROBOT}/camera"
 COLOR, DEPTH = f"{CAMERA}/color", f"{CAMERA}/depth"
-PLAN, STATUS, CURVES, WORDS = "map/plan", "status", "curves", "words"
+STATUS, CURVES, WORDS = "status", "curves", "words"
 
 
 def blueprint_of(tracks: Sequence[str]) -> Any:

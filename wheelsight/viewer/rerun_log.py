@@ -78,12 +78,6 @@ class RerunLog:
                 self._show_keyframes(track, until=None)
                 self._show_surfels(track)
 
-    def show_plan(self, stamp_s: float, poses: FloatArray) -> None:
-        """A plan: x, y, yaw (n, 3) in the map."""
-        self._at(stamp_s)
-        line = np.column_stack([poses[:, :2], np.zeros(len(poses))])
-        self._log(at.PLAN, self._rr.LineStrips3D([line], colors=_ORANGE, radii=self._px(_LINE_PX)))
-
     def _show_answer(self, track: Track, estimate: Estimate, answer: FrameRecord) -> None:
         name = track.odometry
         self._at(estimate.stamp_s)
