@@ -58,6 +58,7 @@ LAYERS = (
     "localizer",
     "telemetry",
     "pipeline",
+    "viewer",
     "report",
     "live_page",
     "runs",

@@ -41,6 +41,7 @@ from wheelsight.settings import (
     RecognitionSettings,
     RecorderSettings,
     Settings,
+    ViewerSettings,
     bounds,
     conflict,
     setting,
@@ -169,10 +170,17 @@ class EvaluationSettings(Settings):
     )
 
 
+# docs/decisions/0089
+_CLOUD_SOURCE = "each costs the page 12 bytes; with 60 000 pages stay under 3 MB"
+
+
 class ReportSettings(Settings):
     """What report.html shows beside the curves."""
 
     pictures: int = setting(4, "frames drawn with their matches", CHOSEN, ge=0, le=100)
+    cloud_points: int = setting(
+        50_000, "most points of the map that can be turned on the page; 0: none", _CLOUD_SOURCE, ge=0, le=60_000
+    )
 
 
 def _is_given(given: Mapping[str, Any], section: str, name: str) -> bool:
@@ -228,6 +236,7 @@ class Config(Settings):
     navigation: NavigationSettings = NavigationSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
     report: ReportSettings = ReportSettings()
+    viewer: ViewerSettings = ViewerSettings()
     realtime: RealTimeSettings = RealTimeSettings()
     camera: LiveCameraSettings = LiveCameraSettings()
     recorder: RecorderSettings = RecorderSettings()

@@ -15,6 +15,7 @@ _EXTRAS = {
     "plotly": ("plotly", "plotly"),
     "rosbags": ("rosbags", "rosbags"),
     "pyrealsense2": ("pyrealsense2", "pyrealsense2"),
+    "rerun": ("Rerun", "rerun-sdk"),
     "skimage": ("scikit-image", "scikit-image"),
     "sklearn": ("scikit-learn", "scikit-learn skops"),
     "starlette": ("Starlette", "starlette uvicorn websockets"),

@@ -9,6 +9,7 @@ from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath
 from wheelsight.pipeline import FrameRecord, RunRecord
+from wheelsight.pipeline.track import Watcher
 from wheelsight.report import why_no_page, write_page
 from wheelsight.sources import EventSource
 
@@ -61,6 +62,7 @@ def run_each(
     on_code: Callable[[int, int], None] = lambda done, total: None,
     on_event: Callable[[Mapping[str, FrameRecord]], None] | None = None,
     duration_s: float | None = None,
+    watcher: Watcher | None = None,
 ) -> tuple[RunRecord, ...]:
     """`pipeline.run_each`, which says all about it, with one page of everything: `report.html` in `out`.
 
@@ -77,4 +79,5 @@ def run_each(
         on_event=on_event,
         draw=draw,
         duration_s=duration_s,
+        watcher=watcher,
     )

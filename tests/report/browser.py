@@ -9,7 +9,6 @@ from pathlib import Path
 _FLAGS = (
     "--headless=new",
     "--no-sandbox",
-    "--disable-gpu",
     "--disable-quic",
     "--no-first-run",
     "--disable-background-networking",
@@ -24,9 +23,13 @@ _FLAGS = (
 )
 
 
-def open_page(chromium: str, page: Path) -> tuple[str, list[str]]:
+# WebGL by Chromium's own renderer, which needs no graphics card; or none at all.
+WITH_WEBGL, WITHOUT_WEBGL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader"), ("--disable-3d-apis",)
+
+
+def open_page(chromium: str, page: Path, flags: tuple[str, ...] = WITHOUT_WEBGL) -> tuple[str, list[str]]:
     """The document after its scripts have run, and every line that it wrote to the browser's console."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        command = [chromium, *_FLAGS, f"--user-data-dir={profile}", page.resolve().as_uri()]
+        command = [chromium, *_FLAGS, *flags, f"--user-data-dir={profile}", page.resolve().as_uri()]
         done = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", timeout=120, check=True)
     return done.stdout, [line for line in done.stderr.splitlines() if ":CONSOLE:" in line]

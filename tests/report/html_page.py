@@ -87,7 +87,7 @@ class Page(HTMLParser):
             self._tile[0] = data
         elif tag == "dd":
             self._tile[2 if held["class"] == "more" else 1] = data
-        elif tag in ("th", "td"):
+        elif tag in ("th", "td") or (tag == "a" and self._open[-2][0] in ("th", "td")):
             self._row.append(data)
         if tag not in ("script", "style"):
             self.text += data

@@ -14,6 +14,7 @@ from wheelsight.estimates import Reason, Status
 from wheelsight.evaluation import evaluate
 from wheelsight.geometry import ByteArray, se3
 from wheelsight.mapping import MapStatus
+from wheelsight.mapping.cloud import MapCloud
 from wheelsight.mapping.plan import Plan
 from wheelsight.odometry.wheels import integrate_log
 from wheelsight.pipeline import FrameRecord, MapPicture, MapRecord, MatchPicture, RunRecord
@@ -117,8 +118,20 @@ def example_map(pictures: int = 2, **others: Any) -> MapRecord:
     shots = [rng.integers(0, 255, (60, 80, 3), np.uint8) for _ in range(2 * pictures)]
     views = tuple(MapPicture(START_S + k, shots[2 * k], shots[2 * k + 1]) for k in range(pictures))
     plan = Plan(image, is_known, 0.01, np.eye(3), np.array([-4.0, 3.0]))
-    plain = MapRecord(MapStatus(412_345, 300_000, 412_345, 0, 72_000_000), 480, "map.surfels", plan, views)
+    status = MapStatus(412_345, 300_000, 412_345, 0, 72_000_000)
+    plain = MapRecord(status, 480, "map.surfels", plan, views, cloud=example_cloud())
     return replace(plain, **others)
+
+
+def example_cloud() -> MapCloud:
+    """The same floor, and a green wall behind it that is seen from the room."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-4, 4, 0.1), np.arange(-3, 3, 0.1)))
+    u, v = (axis.ravel() for axis in np.meshgrid(np.arange(-4, 4, 0.1), np.arange(0, 2, 0.1)))
+    floor, wall = np.column_stack([x, y, 0 * x]), np.column_stack([u, 0 * u + 3, v])
+    normal = np.concatenate([np.tile([0.0, 0, 1], (len(floor), 1)), np.tile([0.0, -1, 0], (len(wall), 1))])
+    color = np.concatenate([np.tile([170, 40, 30], (len(floor), 1)), np.tile([20, 160, 60], (len(wall), 1))])
+    position = np.concatenate([floor, wall]).astype(np.float32)
+    return MapCloud(position, normal.astype(np.float32), color.astype(np.uint8), 0.1, 300_000)
 
 
 def _frame(i: int, stamp_s: float, frames: int, rng: np.random.Generator) -> FrameRecord:

@@ -24,7 +24,7 @@ def _page(folder: Path) -> Page:
 
 def _image(uri: str) -> np.ndarray:
     kind, data = uri.split(",", 1)
-    assert kind == "data:image/jpeg;base64"
+    assert kind == "data:image/webp;base64"
     image = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR)
     assert image is not None
     return image[..., ::-1]

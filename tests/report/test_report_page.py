@@ -101,7 +101,7 @@ def test_figures_hold_the_records_numbers(tmp_path: Path) -> None:
     run = example_run(300)
     plot = _page(run, tmp_path).plots["plot-errors"]
     drawn = plot.numbers(plot.spec["data"][0], "y")
-    np.testing.assert_array_equal(drawn[~np.isnan(drawn)], not_none(run.evaluation).ate.errors_m)
+    np.testing.assert_allclose(drawn[~np.isnan(drawn)], not_none(run.evaluation).ate.errors_m, rtol=1e-6)
 
 
 def test_it_holds_all_it_needs(tmp_path: Path) -> None:
@@ -205,7 +205,7 @@ def test_it_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
 
 def test_its_size_is_plotlys_and_little_more(tmp_path: Path) -> None:
     write_report(example_run(20_000), tmp_path / "report.html")
-    assert (tmp_path / "report.html").stat().st_size < 7e6
+    assert (tmp_path / "report.html").stat().st_size < 2e6
 
 
 def test_a_drive_by_wheels_shows_what_makes_sense_of_it(tmp_path: Path) -> None:

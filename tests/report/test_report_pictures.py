@@ -61,7 +61,7 @@ def test_no_matches_and_matches_that_are_not_finite() -> None:
 def test_the_page_gets_a_jpeg() -> None:
     picture = example_picture()
     kind, data = data_uri(picture).split(",")
-    assert kind == "data:image/jpeg;base64"
+    assert kind == "data:image/webp;base64"
     image = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR)
     assert image is not None
     assert image.shape == draw_matches(picture).shape

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,10 +16,16 @@ if TYPE_CHECKING:
     from wheelsight.config import Config
     from wheelsight.pipeline import FrameRecord, RunRecord
     from wheelsight.sources import EventSource
+    from wheelsight.viewer import RerunLog
 
 
-def track(source: EventSource, settings: Config, out: Path, force: bool) -> Sequence[RunRecord]:
-    """Run, with progress on stderr; Ctrl-C ends it with the exit code of an interruption."""
+def track(
+    source: EventSource, settings: Config, out: Path, force: bool, rerun: str | None = None
+) -> Sequence[RunRecord]:
+    """Run, with progress on stderr; Ctrl-C ends it with the exit code of an interruption.
+
+    `rerun` is where Rerun is shown it, if anywhere: a file, or "spawn".
+    """
     from wheelsight import runs
     from wheelsight.cli._compiling import compile_missing
     from wheelsight.cli._console import print_note
@@ -38,6 +44,7 @@ def track(source: EventSource, settings: Config, out: Path, force: bool) -> Sequ
 
     try:
         with ExitStack() as shown:
+            watcher = None if rerun is None else shown.enter_context(_watcher(rerun, source, settings, force))
 
             def begin() -> None:
                 can_draw()
@@ -48,8 +55,19 @@ def track(source: EventSource, settings: Config, out: Path, force: bool) -> Sequ
                 if done == 1:
                     print_note(f"making {total:,} keyframes ready to be recognised")
 
-            return runs.run_each(source, settings, out, force=force, on_ready=begin, on_code=code, on_event=show)
+            told = {"on_ready": begin, "on_code": code, "on_event": show, "watcher": watcher}
+            return runs.run_each(source, settings, out, force=force, **told)
     except KeyboardInterrupt as interruption:
         found = f"what was found until then is in {out}" if answered else "nothing was found until then"
         print_note(f"interrupted; {found}")
         raise typer.Exit(INTERRUPTED) from interruption
+
+
+def _watcher(target: str, source: EventSource, settings: Config, force: bool) -> AbstractContextManager[RerunLog]:
+    """Raises ConfigError where Rerun is not installed, OutputError where the file must not be written."""
+    from wheelsight.cli._outputs import check_out
+    from wheelsight.viewer import is_file, rerun_log
+
+    if is_file(target):
+        check_out(Path(target), force)
+    return rerun_log(target, source.calibration, settings.tracks, settings.viewer)

@@ -52,6 +52,7 @@ def run(
     wheels: options.Wheels = None,
     seconds: options.Seconds = None,
     record: options.Record = None,
+    rerun: options.Rerun = None,
     seed: options.Seed = None,
     force: options.Force = False,
 ) -> None:
@@ -98,6 +99,8 @@ def run(
 
     wheelsight run monday --map surfels --loops keyframes --out monday_map
 
+    wheelsight run my_drive --map surfels --rerun run.rrd --out results
+
     wheelsight run tuesday --map-from monday_map --out found_again
     """
     asked = LiveRun(live, recording, camera, wheels, seconds, record, tuple(calibration or ()), baud)
@@ -124,5 +127,5 @@ def run(
         if not is_named:
             given["--odometry"] = chosen_odometry(source, settings)
             settings = settings_from(given, config)
-        records = track(source, settings, out, force)
+        records = track(source, settings, out, force, rerun)
     print_summary(records, out)

@@ -98,6 +98,11 @@ class LoopsBeside:
         return bool((se3.view_shift_m(se3.invert(T[0]) @ T) >= self._apart_m).any())
 
     @property
+    def kept(self) -> IntArray:
+        """(K, 2) numbers of the keyframes that loops tie to each other, by what is known now."""
+        return self._loops
+
+    @property
     def has_new(self) -> bool:
         """Whether odometry has kept keyframes that were not handed over."""
         return len(self._store) > self._told

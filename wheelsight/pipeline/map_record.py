@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from wheelsight.geometry import ByteArray
 from wheelsight.mapping import MapStatus
+from wheelsight.mapping.cloud import MapCloud
 from wheelsight.mapping.plan import Plan
 
 
@@ -35,6 +36,7 @@ class MapRecord:
         plan: it from above, or None where it is empty.
         pictures: it along the way.
         is_levelled: whether the calibration tells which way is up, and not the surfels alone.
+        cloud: it as a few points, to be turned on the page, or None.
     """
 
     status: MapStatus
@@ -43,6 +45,7 @@ class MapRecord:
     plan: Plan | None
     pictures: tuple[MapPicture, ...] = ()
     is_levelled: bool = True
+    cloud: MapCloud | None = None
 
     @property
     def sentence(self) -> str:

@@ -13,7 +13,8 @@ from wheelsight.calibration import Calibration
 from wheelsight.estimates import Estimate
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera, se3
-from wheelsight.mapping import SurfelMap
+from wheelsight.mapping import SurfelMap, Surfels
+from wheelsight.mapping.cloud import cloud_of
 from wheelsight.mapping.plan import Plan, plan_of
 from wheelsight.mapping.upright import upward
 from wheelsight.pipeline.map_record import MapPicture, MapRecord
@@ -117,6 +118,7 @@ def map_record_of(
     stops: Sequence[Stop],
     T_map_body: FloatArray,
     calibration: Calibration,
+    cloud_points: int = 0,
 ) -> MapRecord:
     """The record of a run's map.
 
@@ -125,11 +127,13 @@ def map_record_of(
         stops: where to look at it from.
         T_map_body: (n, 4, 4) of the whole way, in the map.
         calibration: tells the colour camera, and which way is up where it has `T_base_camera`.
+        cloud_points: how many points of it at most a page is to turn.
     """
     is_levelled = calibration.T_base_camera is not None
     pictures = tuple(MapPicture(stop.stamp_s, stop.color, _seen(surfel_map, stop, calibration)) for stop in stops)
-    status, plan = surfel_map.status(), _plan(surfel_map, T_map_body, calibration)
-    return MapRecord(status, surfel_map.frames, MAP_FILE, plan, pictures, is_levelled)
+    surfels = _surest(surfel_map)
+    plan, cloud = _plan(surfels, T_map_body, calibration), cloud_of(surfels, cloud_points)
+    return MapRecord(surfel_map.status(), surfel_map.frames, MAP_FILE, plan, pictures, is_levelled, cloud)
 
 
 def camera_of(T_map_body: FloatArray, T_base_camera: FloatArray | None) -> FloatArray:
@@ -137,10 +141,13 @@ def camera_of(T_map_body: FloatArray, T_base_camera: FloatArray | None) -> Float
     return T_map_body if T_base_camera is None else T_map_body @ T_base_camera
 
 
-def _plan(surfel_map: SurfelMap, T_map_body: FloatArray, calibration: Calibration) -> Plan | None:
+def _surest(surfel_map: SurfelMap) -> Surfels:
+    """Its stable surfels; all where none is stable."""
     surfels = surfel_map.surfels("stable")
-    if not len(surfels.grey):
-        surfels = surfel_map.surfels()
+    return surfels if len(surfels.grey) else surfel_map.surfels()
+
+
+def _plan(surfels: Surfels, T_map_body: FloatArray, calibration: Calibration) -> Plan | None:
     if not len(surfels.grey) or not len(T_map_body):
         return None
     T_map_camera = camera_of(T_map_body, calibration.T_base_camera)

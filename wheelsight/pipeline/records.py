@@ -70,7 +70,7 @@ def _record_of(track: Track, passage: Passage, source: EventSource, config: Conf
     evaluation = None
     if truth is not None:
         evaluation, problem = _compare(estimate, truth, config, track)
-    surfels = _map(track, passage, source)
+    surfels = _map(track, passage, source, config)
     kept = finish_map(track, passage)  # after the map was laid where the trajectory has it
     return RunRecord(
         recording=source.name,
@@ -103,7 +103,7 @@ def _record_of(track: Track, passage: Passage, source: EventSource, config: Conf
     )
 
 
-def _map(track: Track, passage: Passage, source: EventSource) -> MapRecord | None:
+def _map(track: Track, passage: Passage, source: EventSource, config: Config) -> MapRecord | None:
     if track.localizer.map is None or passage.is_torn:
         return None
     if track.localizer.loops is None:
@@ -111,7 +111,7 @@ def _map(track: Track, passage: Passage, source: EventSource) -> MapRecord | Non
     else:
         track.stops.follow(track.localizer.loops.finish())
     way = (track.stops.found, np.array(track.stops.T_map_body, float).reshape(-1, 4, 4))
-    return map_record_of(track.localizer.map, *way, source.calibration)
+    return map_record_of(track.localizer.map, *way, source.calibration, config.report.cloud_points)
 
 
 def _map_warnings(track: Track, passage: Passage, config: Config) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ from wheelsight.pipeline.places import PlacesOfRun, places_of
 from wheelsight.pipeline.realtime import RealTimeRecording
 from wheelsight.pipeline.records import records_of
 from wheelsight.pipeline.run_record import FrameRecord, RunRecord
-from wheelsight.pipeline.track import UNITS, Passage, Track, begin_all, follow
+from wheelsight.pipeline.track import UNITS, Passage, Track, Watcher, begin_all, follow
 from wheelsight.recordings import Recording
 from wheelsight.recordings.clocks import FRAMES, WHEELS, refuse_if_apart, refuse_other_units
 from wheelsight.slam.sessions import MapFolder
@@ -36,6 +36,7 @@ def run_each(
     on_event: Callable[[Mapping[str, FrameRecord]], None] | None = None,
     draw: Draw | None = None,
     duration_s: float | None = None,
+    watcher: Watcher | None = None,
 ) -> tuple[RunRecord, ...]:
     """Run every odometry that `config` names over one pass of the events, each alone, and report them together.
 
@@ -50,6 +51,7 @@ def run_each(
         on_event: called after each event that was answered, with each odometry's answer by its name.
         draw: writes a page of the records to a path, such as `report.write_page`; None: no page.
         duration_s: ends so many seconds after the first event, by its stamp; None: with the source.
+        watcher: is shown each event that was answered, and the end.
 
     Raises:
         InputError: what cannot end well, before anything is written; or the source cannot be read on.
@@ -58,9 +60,12 @@ def run_each(
     folder = make_output_folder(Path(out), force)
     on_ready()
     with keeping_maps(tracks, source, config, folder, known):
-        passage = follow(tracks, source, config, on_event, None if places is None else places.places, duration_s)
+        known_places = None if places is None else places.places
+        passage = follow(tracks, source, config, on_event, known_places, duration_s, watcher)
         _raise_where_nothing(passage)
         records = records_of(passage, source, config, places, matches)
+        if watcher is not None:
+            watcher.finish(passage.tracks)
     write_results(records, passage, source, config, folder, draw)
     if passage.interruption is not None:
         raise passage.interruption

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 from wheelsight.config import Config, TrackName
 from wheelsight.errors import WheelsightError
@@ -81,6 +81,7 @@ class Track:
         stops: where to look at the map from, where one is built.
         map_writer, map_path: what writes a map folder for the next drive, and where, if anything does.
         extends: whether that is the known map, to which nothing is added before it is known where in it the robot is.
+        last: what it answered last, or None.
     """
 
     odometry: TrackName
@@ -96,6 +97,7 @@ class Track:
     map_writer: MapWriter | None = None
     map_path: Path | None = None
     extends: bool = False
+    last: Estimate | None = None
 
     @classmethod
     def begin(
@@ -127,6 +129,7 @@ class Track:
         seconds = time.perf_counter() - started
         if estimate is None:
             return None
+        self.last = estimate
         is_joined = self.odometry == "joined"  # which knows the pose though the event told it nothing
         if estimate.T_odom_body is not None and (estimate.reason is None or is_joined):
             self.poses.append(estimate)
@@ -182,6 +185,16 @@ def _look(localizer: Localizer, estimate: Estimate) -> Look:
     return Look(estimate.stamp_s, match.probabilities, named, belief, trust)
 
 
+class Watcher(Protocol):
+    """Is shown a run as it goes, such as a viewer; it changes nothing."""
+
+    def step(self, event: Event, answers: Mapping[str, FrameRecord], tracks: Sequence[Track]) -> None:
+        """An event was answered."""
+
+    def finish(self, tracks: Sequence[Track]) -> None:
+        """All is over, and loops are as they stay."""
+
+
 @dataclass
 class Passage:
     """One pass over a recording.
@@ -233,6 +246,7 @@ def follow(
     on_event: Callable[[Mapping[str, FrameRecord]], None] | None = None,
     places: Places | None = None,
     duration_s: float | None = None,
+    watcher: Watcher | None = None,
 ) -> Passage:
     """Hand each event to every track, in their order; without one that looks, no image is decoded.
 
@@ -252,6 +266,8 @@ def follow(
                 given = [(track.odometry, track.step(event)) for track in tracks]
                 passage.is_torn = False
             answers: dict[str, FrameRecord] = {odometry: answer for odometry, answer in given if answer is not None}
+            if answers and watcher is not None:
+                watcher.step(event, answers, tracks)
             if answers and on_event is not None:
                 on_event(answers)
     except (KeyboardInterrupt, WheelsightError) as interruption:

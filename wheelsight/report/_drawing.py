@@ -11,6 +11,7 @@ from wheelsight.pipeline.label_runs import runs
 from wheelsight.pipeline.run_record import FrameRecord, RunRecord
 from wheelsight.report import _plotly as go
 from wheelsight.report import _series as series
+from wheelsight.report.summary import cold_frames
 
 # Okabe and Ito's colours; these four also stand out from white and from near black.
 BLUE, GREEN, VERMILLION, GREY = "#0072B2", "#009E73", "#D55E00", "#808080"
@@ -137,3 +138,9 @@ def time_axis_until(figure: go.Figure, end_s: float, title: str) -> None:
 def used_frames(record: RunRecord) -> list[FrameRecord]:
     """The frames that odometry judged."""
     return [frame for frame in record.frames if not frame.is_skipped]
+
+
+def warm_frames(record: RunRecord) -> list[FrameRecord]:
+    """`used_frames` without the first ones, where kernels were still compiled or loaded."""
+    cold = {frame.index for frame in cold_frames(record)}
+    return [frame for frame in used_frames(record) if frame.index not in cold]

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 
 from wheelsight.report import _plotly as go
+from wheelsight.report._packing import lean_json
+
+# As `section` writes it.
+_HEADING = re.compile('<h2 id="([^"]+)">([^<]*)</h2>')
+_FEWEST_LINKED = 3
 
 
 def section(key: str, title: str, intro: str, *parts: str) -> str:
@@ -22,7 +28,7 @@ def paragraph(text: str, kind: str = "") -> str:
 
 def plot(key: str, figure: go.Figure, title: str, sentence: str, alt: str) -> str:
     """A plotly figure as data that the page's script draws, with its caption; `alt` says what it shows."""
-    data = figure.to_json().replace("<", "\\u003c")
+    data = lean_json(figure.to_json()).replace("<", "\\u003c")
     height = figure.layout.height
     return (
         f"<figure>\n<figcaption><strong>{escape(title)}.</strong> {escape(sentence)}</figcaption>\n"
@@ -68,6 +74,11 @@ def table(caption: str, head: Sequence[str], rows: Sequence[Sequence[str]], main
     )
 
 
+def lines(sentences: Iterable[str]) -> str:
+    """One short sentence a line."""
+    return "<br>\n".join(escape(sentence) for sentence in sentences)
+
+
 def folded(title: str, text: str) -> str:
     """Preformatted text, folded away until asked for."""
     return fold(title, f"<pre>{escape(text)}</pre>")
@@ -80,3 +91,12 @@ def fold(title: str, part: str) -> str:
 
 def _class(kind: str) -> str:
     return f' class="{kind}"' if kind else ""
+
+
+def contents(sections: str) -> str:
+    """Links to sections of HTML by their headings; nothing where there are hardly any."""
+    found = _HEADING.findall(sections)
+    if len(found) < _FEWEST_LINKED:
+        return ""
+    links = "\n".join(f'<li><a href="#{key}">{title}</a></li>' for key, title in found)
+    return f'<nav aria-label="Contents">\n<ul>\n{links}\n</ul>\n</nav>'

@@ -28,14 +28,15 @@ def judge(record: RunRecord, summary: Summary, facts: JoinedFacts, best_alone: B
         phrase = f"Joined: {error} off (RMSE){_beside(best_alone)}"
     elif summary.posed:
         phrase = f"Joined: {phrase[0].lower()}{phrase[1:]}, without a truth to judge it by"
-    sentences = (
+    led, accuracy, speed = (
         _leading_sentence(summary, facts),
-        _flags_sentence(facts),
         accuracy_sentence(record, summary),
-        _consistency_sentence(facts),
         speed_sentence(summary),
     )
-    return Verdict(phrase, tuple(filter(None, sentences)), tone)
+    consistency = _consistency_sentence(facts)
+    sentences = filter(None, (led, _flags_sentence(facts), accuracy, consistency, speed))
+    chief = filter(None, (led, consistency or accuracy, speed))
+    return Verdict(phrase, tuple(sentences), tone, tuple(chief))
 
 
 def tiles(record: RunRecord, facts: JoinedFacts, best_alone: BestAlone | None) -> Iterable[tuple[str, str, str]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from wheelsight.pipeline.map_record import MapPicture, MapRecord
 from wheelsight.pipeline.run_record import RunRecord
+from wheelsight.report import _cloud as points
 from wheelsight.report import _drawing as drawing
 from wheelsight.report import _html as html
 from wheelsight.report import map_figures as figures
@@ -22,9 +23,8 @@ def section(record: RunRecord, of: str = "") -> str:
         return html.section(key, title, "", html.paragraph("It is empty: no frame had a pose.", "missing"))
     start_s = record.frames[0].stamp_s if record.frames else 0.0
     shown = html.group("pictures", [_picture(picture, start_s) for picture in record.map.pictures])
-    return html.section(
-        key, title, _intro(record.map, of), _plan(record, of, key), shown if record.map.pictures else ""
-    )
+    figures_of = (points.figure(record, key), _plan(record, of, key), shown if record.map.pictures else "")
+    return html.section(key, title, _intro(record.map, of), *figures_of)
 
 
 def tile(found: MapRecord) -> tuple[str, str, str]:

@@ -19,8 +19,3 @@ def __getattr__(name: str) -> Any:
 def make_subplots(**layout: Any) -> Any:
     """As `plotly.subplots.make_subplots`."""
     return needed("plotly.subplots").make_subplots(**layout)
-
-
-def get_plotlyjs() -> str:
-    """plotly.js, as text."""
-    return str(needed("plotly.offline").get_plotlyjs())

@@ -13,7 +13,7 @@ from wheelsight.report import _drawing as drawing
 from wheelsight.report import _html as html
 from wheelsight.report import figures, words
 from wheelsight.report.pictures import data_uri
-from wheelsight.report.summary import Summary
+from wheelsight.report.summary import Summary, cold_frames
 
 MOST_PICTURES = 12
 _VIEW_NAMES = {"xy": "x–y", "xz": "x–z", "yz": "y–z"}
@@ -161,8 +161,8 @@ def timing(record: RunRecord, summary: Summary, of: str = "") -> str:
         _key("time", of),
         figures.time_figure(record, colour),
         "Time a frame",
-        f"{numbers}; reading images is not included. Triangles at the upper edge are frames that took longer still; "
-        "the first may have compiled kernels, once after installation.",
+        f"{numbers}; reading images is not included. Triangles at the upper edge are frames that took longer still."
+        f"{_cold_sentence(record)}",
         f"Time a frame over the run. {numbers}.",
     )
     spread = html.plot(
@@ -174,6 +174,15 @@ def timing(record: RunRecord, summary: Summary, of: str = "") -> str:
     )
     pair = html.group("pair", [spread, *_stages(record, of, colour)])
     return html.section(_key("timing", of), _title("Was it quick enough?", of), "", over, pair)
+
+
+def _cold_sentence(record: RunRecord) -> str:
+    cold = cold_frames(record)
+    if not cold:
+        return ""
+    which = "The first frame, which took" if len(cold) == 1 else f"The first {len(cold)} frames, which took up to"
+    slowest = words.duration(max(frame.seconds for frame in cold))
+    return f" {which} {slowest}, {'is' if len(cold) == 1 else 'are'} not drawn: kernels were still compiled or loaded."
 
 
 def _stages(record: RunRecord, of: str, colour: str) -> list[str]:

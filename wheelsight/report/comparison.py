@@ -11,6 +11,7 @@ from wheelsight._version import __version__
 from wheelsight.files import StrPath, write_text
 from wheelsight.pipeline.joined import JOINED, BestAlone, JoinedFacts, best_alone_of, facts_of, joined_of
 from wheelsight.pipeline.run_record import RunRecord
+from wheelsight.report import _files as files
 from wheelsight.report import _html as html
 from wheelsight.report import _joined as fusion
 from wheelsight.report import _map as surfels
@@ -24,6 +25,7 @@ from wheelsight.report.summary import Summary, summarise
 from wheelsight.report.verdict import Tone, Verdict, judge, notes
 
 _MOST_OF_THE_TIME = 0.95
+_MOST_LINES = 3
 _HEAD = (
     "Odometry",
     "ATE, RMSE",
@@ -53,11 +55,11 @@ def write_comparison(records: Sequence[RunRecord], path: StrPath) -> None:
     """Write the page about `records`, each of another odometry, to `path`, atomically. Raises OutputError."""
     # A folder's name may hold bytes that are no text; they must not cost the page.
     path = Path(path)
-    write_text(path, render_comparison(records).encode("utf-8", "replace").decode("utf-8"))
+    write_text(path, render_comparison(records, path.parent).encode("utf-8", "replace").decode("utf-8"))
 
 
-def render_comparison(records: Sequence[RunRecord]) -> str:
-    """The page about several odometries as HTML that refers to nothing outside itself."""
+def render_comparison(records: Sequence[RunRecord], folder: Path | None = None) -> str:
+    """The page about several odometries as HTML that needs nothing outside; it links results that lie in `folder`."""
     joined, judged = _joined_of(records), []
     for record in records:
         summary = summarise(record)
@@ -73,14 +75,31 @@ def render_comparison(records: Sequence[RunRecord]) -> str:
         facts=" · ".join(escape(fact) for fact in _facts(records)),
         tone=_tone(judged),
         phrase=escape(_phrase(records) if joined is None else judged[0][2].phrase),
-        sentences="<br>\n".join(
-            escape(f"{record.odometry.capitalize()}: {' '.join(verdict.sentences)}") for record, _, verdict in judged
-        ),
+        sentences=html.lines(_lines(judged) if joined is None else judged[0][2].lines),
+        more=html.fold("Each in words", f"<p>{html.lines(_sentences(judged))}</p>"),
         tiles="\n".join(html.tile(*tile) for tile in _tiles(judged, joined)),
         notes=_notes(judged, paths),
-        sections="\n".join(part for part in _sections(judged, paths, joined) if part),
+        sections="\n".join(
+            filter(None, (*_sections(judged, paths, joined), files.section(folder, [r.odometry for r in records])))
+        ),
         footer=escape("Lengths are in metres, stamps in seconds. This page needs no network."),
     )
+
+
+def _lines(judged: Sequence[Judged]) -> list[str]:
+    """One a track: how long it was followed, how far off, how quick."""
+    found = []
+    for record, summary, _ in judged[:_MOST_LINES]:
+        judged_by = record.evaluation
+        off = "" if judged_by is None else f"{words.length(judged_by.ate.translation.rmse)} off (RMSE)"
+        quick = f"{words.duration(summary.median_s)} a {summary.unit}" if summary.median_s > 0 else ""
+        posed = f"a pose in {words.percent(summary.pose_share)} of {summary.unit}s"
+        found.append(f"{record.odometry.capitalize()}: {', '.join(filter(None, (posed, off, quick)))}.")
+    return found
+
+
+def _sentences(judged: Sequence[Judged]) -> list[str]:
+    return [f"{record.odometry.capitalize()}: {' '.join(verdict.sentences)}" for record, _, verdict in judged]
 
 
 def _joined_of(records: Sequence[RunRecord]) -> _Joined | None:

@@ -173,9 +173,12 @@ def matches_figure(record: RunRecord) -> go.Figure:
 
 
 def time_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
-    """How long each frame took, ms; frames far slower than the rest are marked at the upper edge."""
+    """How long each frame took, ms; frames far slower than the rest are marked at the upper edge.
+
+    The first ones are left out where kernels were still compiled.
+    """
     figure = drawing.style(go.Figure(), 270, hovermode="closest", showlegend=False)
-    frames = drawing.used_frames(record)
+    frames = drawing.warm_frames(record)
     x = record.seconds_since_start([frame.stamp_s for frame in frames])
     ms = np.array([1e3 * frame.seconds for frame in frames], float)
     top = _time_ceiling_ms(ms)
@@ -202,9 +205,9 @@ def time_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
 
 
 def time_histogram_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
-    """How the times of frames spread, ms, with the median and the 95th percentile."""
+    """How the times of frames spread, ms, with the median and the 95th percentile; as in `time_figure`."""
     figure = drawing.style(go.Figure(), 270, hovermode="closest", showlegend=False, bargap=0.08)
-    ms = np.array([1e3 * frame.seconds for frame in drawing.used_frames(record)], float)
+    ms = np.array([1e3 * frame.seconds for frame in drawing.warm_frames(record)], float)
     ms = ms[np.isfinite(ms)]
     top = _time_ceiling_ms(ms)
     counts, edges = np.histogram(ms, bins=40, range=(0, top))

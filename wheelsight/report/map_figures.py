@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import math
 
 import cv2
@@ -16,9 +15,9 @@ from wheelsight.report import _drawing as drawing
 from wheelsight.report import _plotly as go
 from wheelsight.report import _series as series
 from wheelsight.report._drawing import BLUE
+from wheelsight.report.pictures import webp_uri
 
 _HEIGHT_PX = 640
-_QUALITY = 82
 _GUTTER_PX = 6
 _PANEL_WIDTH_PX = 640
 
@@ -34,7 +33,7 @@ def plan_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
     figure = drawing.style(go.Figure(), _HEIGHT_PX, hovermode="closest", showlegend=False)
     (left, bottom), (right, top) = _corners(plan)
     place = {"x": left, "y": top, "sizex": right - left, "sizey": top - bottom, "xref": "x", "yref": "y"}
-    figure.add_layout_image(source=_data_uri(plan.image), layer="below", sizing="stretch", **place)
+    figure.add_layout_image(source=webp_uri(plan.image), layer="below", sizing="stretch", **place)
     _, positions_m = series.with_gaps(
         record.estimate.stamps_s, record.estimate.positions_m, series.poseless_stamps_s(record)
     )
@@ -68,8 +67,8 @@ def draw_view(picture: MapPicture) -> ByteArray:
 
 
 def view_uri(picture: MapPicture) -> str:
-    """`draw_view` as a JPEG in a data URI."""
-    return _data_uri(draw_view(picture))
+    """`draw_view` in a data URI."""
+    return webp_uri(draw_view(picture))
 
 
 def _corners(plan: Plan) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -101,8 +100,3 @@ def _panel(image: ByteArray) -> ByteArray:
     size = (_PANEL_WIDTH_PX, max(1, round(image.shape[0] * _PANEL_WIDTH_PX / image.shape[1])))
     how = cv2.INTER_AREA if image.shape[1] > _PANEL_WIDTH_PX else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(image, size, interpolation=how), np.uint8)
-
-
-def _data_uri(image: ByteArray) -> str:
-    _, jpeg = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    return "data:image/jpeg;base64," + base64.b64encode(jpeg.tobytes()).decode("ascii")

@@ -13,11 +13,12 @@ import yaml
 from wheelsight._version import __version__
 from wheelsight.files import StrPath, write_text
 from wheelsight.pipeline.run_record import RunRecord
+from wheelsight.report import _files as files
 from wheelsight.report import _html as html
 from wheelsight.report import _map as surfels
 from wheelsight.report import _sections as sections
 from wheelsight.report import loop_figures, words
-from wheelsight.report._plotly import get_plotlyjs
+from wheelsight.report._packing import packed
 from wheelsight.report.summary import Summary, summarise
 from wheelsight.report.verdict import judge, notes
 
@@ -28,14 +29,14 @@ _BODIES = {
 
 
 def write_report(record: RunRecord, path: StrPath) -> None:
-    """Write the page about `record` to `path`, atomically, about 5 MB and the pictures. Raises OutputError."""
+    """Write the page about `record` to `path`, atomically, under 3 MB. Raises OutputError."""
     # A folder's name may hold bytes that are no text; they must not cost the page.
     path = Path(path)
-    write_text(path, render(record).encode("utf-8", "replace").decode("utf-8"))
+    write_text(path, render(record, path.parent).encode("utf-8", "replace").decode("utf-8"))
 
 
-def render(record: RunRecord) -> str:
-    """The page about `record` as HTML that refers to nothing outside itself."""
+def render(record: RunRecord, folder: Path | None = None) -> str:
+    """The page about `record` as HTML that needs nothing outside itself; it links results that lie in `folder`."""
     summary = summarise(record)
     verdict = judge(record, summary)
     return fill_template(
@@ -44,18 +45,24 @@ def render(record: RunRecord) -> str:
         facts=" · ".join(escape(fact) for fact in _facts(record)),
         tone=verdict.tone,
         phrase=escape(verdict.phrase),
-        sentences=escape(" ".join(verdict.sentences)),
+        sentences=html.lines(verdict.lines),
         tiles="\n".join(html.tile(*tile) for tile in _tiles(record, summary)),
         notes=_notes(record, summary),
-        sections="\n".join(part for part in _sections(record, summary) if part),
+        sections="\n".join(part for part in (*_sections(record, summary), files.section(folder)) if part),
         footer=escape(_footer(record)),
     )
 
 
 def fill_template(**parts: str) -> str:
-    """A whole page of parts in HTML: kicker, title, facts, tone, phrase, sentences, tiles, notes, sections, footer."""
-    assets = {"style": _asset("style.css"), "plotly": get_plotlyjs(), "script": _asset("page.js")}
-    return Template(_asset("template.html")).substitute(parts, **assets)
+    """A whole page of parts in HTML: kicker, title, facts, tone, phrase, sentences, tiles, notes, sections, footer.
+
+    And `more`, below the sentences, if there is more to say.
+    """
+    plotly = packed(_asset("plotly-cartesian.min.js").encode())
+    script = _asset("page.js") + (_asset("cloud.js") if 'class="cloud"' in parts["sections"] else "")
+    assets = {"style": _asset("style.css"), "plotly": plotly, "script": script}
+    assets["contents"] = html.contents(parts["notes"] + parts["sections"])
+    return Template(_asset("template.html")).substitute({"more": "", **parts}, **assets)
 
 
 def _asset(name: str) -> str:

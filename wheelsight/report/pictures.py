@@ -16,7 +16,7 @@ _HALO_RGB = (255, 255, 255)
 _PANEL_WIDTH_PX = 640
 _GUTTER_PX = 6
 _DRAWN_LINES = 100
-_JPEG_QUALITY = 85
+_QUALITY = 85
 _SUBPIXEL_BITS = 4
 
 
@@ -44,9 +44,14 @@ def draw_matches(picture: MatchPicture) -> ByteArray:
 
 
 def data_uri(picture: MatchPicture) -> str:
-    """`draw_matches` as a JPEG in a data URI."""
-    _, jpeg = cv2.imencode(".jpg", draw_matches(picture)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-    return "data:image/jpeg;base64," + base64.b64encode(jpeg.tobytes()).decode("ascii")
+    """`draw_matches` in a data URI."""
+    return webp_uri(draw_matches(picture))
+
+
+def webp_uri(image: ByteArray) -> str:
+    """An image (H, W, 3) uint8, red green blue, as WebP in a data URI."""
+    _, webp = cv2.imencode(".webp", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_WEBP_QUALITY, _QUALITY])
+    return "data:image/webp;base64," + base64.b64encode(webp.tobytes()).decode("ascii")
 
 
 def _panel(color: ByteArray) -> tuple[ByteArray, float]:

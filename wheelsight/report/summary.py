@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 
 from wheelsight.estimates import Status
 from wheelsight.pipeline.label_runs import runs
-from wheelsight.pipeline.run_record import RunRecord
+from wheelsight.pipeline.run_record import FrameRecord, RunRecord
 
 SKIPPED = "skipped"
+# What is compiled or loaded once makes a first frame slower by so many times than the usual one. Fewer frames than
+# these do not tell what is usual.
+_COLD_TIMES, _LEAST_FRAMES = 10.0, 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +90,15 @@ def summarise(record: RunRecord) -> Summary:
         longest_s=_percentile(seconds, 100),
         unit=record.unit,
     )
+
+
+def cold_frames(record: RunRecord) -> tuple[FrameRecord, ...]:
+    """The first frames, where kernels were still compiled or loaded: those far slower than a usual one."""
+    used = [frame for frame in record.frames if not frame.is_skipped and np.isfinite(frame.seconds)]
+    if len(used) < _LEAST_FRAMES:
+        return ()
+    limit_s = _COLD_TIMES * float(np.median([frame.seconds for frame in used]))
+    return tuple(takewhile(lambda frame: frame.seconds > limit_s, used))
 
 
 def lost_spans_s(record: RunRecord) -> list[tuple[float, float]]:

@@ -13,15 +13,22 @@ Tone = Literal["good", "fair", "poor"]
 
 _ALMOST_ALL = 0.95
 _MOST_REASONS = 8
+_MOST_LINES = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """A run in a phrase, the sentences that bear it out, and how it sounds."""
+    """A run in a phrase, the sentences that bear it out, and how it sounds; `chief` are those that stand at the top."""
 
     phrase: str
     sentences: tuple[str, ...]
     tone: Tone
+    chief: tuple[str, ...] = ()
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """Three at most, for the top of a page."""
+        return (self.chief or self.sentences)[:_MOST_LINES]
 
 
 def judge(record: RunRecord, summary: Summary) -> Verdict:

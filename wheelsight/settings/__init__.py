@@ -16,6 +16,7 @@ from wheelsight.settings.localizer import (
 from wheelsight.settings.real_time import RealTimeSettings
 from wheelsight.settings.recognition import FernSettings, PlaceVerificationSettings, RecognitionSettings, WordSettings
 from wheelsight.settings.recorder import RecorderSettings
+from wheelsight.settings.viewer import ViewerSettings
 
 __all__ = [
     "ASKED",
@@ -33,6 +34,7 @@ __all__ = [
     "RecognitionSettings",
     "RecorderSettings",
     "Settings",
+    "ViewerSettings",
     "WordSettings",
     "bounds",
     "conflict",
