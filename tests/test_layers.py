@@ -60,6 +60,7 @@ LAYERS = (
     "pipeline",
     "report",
     "runs",
+    "batch",
     "cli",
     "__main__",
 )
