@@ -46,6 +46,9 @@ def run_plan(plan: Plan, out: Path, processes: int, scheduler: str | None, setti
             if step.job is not None and step.outcome is not None and step.outcome.problem is not None:
                 progress.tell(f"{_name(step.job)}: {step.outcome.problem}")
 
+        for case in plan.cases:
+            if case.problem is not None:
+                progress.tell(f"{case.recording}, {case.config}: {case.problem}")
         return run_batch(plan, out, runner, show)
 
 

@@ -66,6 +66,9 @@ def batch(
     allowed_cost = None if cost_tolerance is None else share(cost_tolerance, "--cost-tolerance")
     before = None if baseline is None else read_rows(baseline)
     plan = plan_of(named_recordings(recordings), tuple(config or ()), seeds, settings)
+    once = sum(0 < len(case.jobs) < seeds for case in plan.cases)
+    if once:
+        print_note(f"{once} of {len(plan.cases)} rows have nothing random, and are run once")
     try:
         rows = run_plan(plan, out, jobs or cores(), scheduler, settings)
     except KeyboardInterrupt as interruption:
