@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -72,29 +73,32 @@ def test_processes_do_not_hear_ctrl_c_and_one_runs_several_jobs(tmp_path: Path) 
     assert len([path for path in tmp_path.iterdir() if path.name.startswith("worker-")]) == 1
 
 
+@pytest.mark.slow
 def test_who_stops_asking_leaves_no_process(tmp_path: Path) -> None:
-    answers = run_on_processes([job("a"), job("b", marks=tmp_path)], 2, works.waits, tmp_path)
-    (tmp_path / "go").write_text("")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(tmp_path)  # where "a" looks for it, too
-        assert next(answers).problem is None
-        (tmp_path / "go").unlink()
-        answers.close()
+    (tmp_path / "now").mkdir()
+    (tmp_path / "now" / "go").write_text("")
+    jobs = [job("a", marks=tmp_path / "now"), job("b", marks=tmp_path)]
+    answers = run_on_processes(jobs, 2, works.waits, tmp_path)
+    assert next(answers).problem is None
+    until(lambda: tries(tmp_path, "b"))
+    answers.close()
+    assert not is_running(tries(tmp_path, "b")[0])
 
 
 def test_ctrl_c_while_jobs_run_leaves_no_process(tmp_path: Path) -> None:
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    before, here = signal.signal(signal.SIGINT, signal.default_int_handler), threading.get_ident()
+
+    def press() -> None:
+        until(lambda: tries(tmp_path, "a"))
+        signal.pthread_kill(here, signal.SIGINT)
+
+    presser = threading.Thread(target=press)
     try:
-        answers = run_on_processes([job("a", marks=tmp_path)], 1, works.waits, tmp_path)
-        child = os.fork()
-        if child == 0:
-            until(lambda: tries(tmp_path, "a"))
-            os.kill(os.getppid(), signal.SIGINT)
-            os._exit(0)
+        presser.start()
         with pytest.raises(KeyboardInterrupt):
-            next(answers)
-        os.waitpid(child, 0)
+            next(run_on_processes([job("a", marks=tmp_path)], 1, works.waits, tmp_path))
     finally:
+        presser.join()
         signal.signal(signal.SIGINT, before)
     (worker,) = tries(tmp_path, "a")
     assert not is_running(worker)

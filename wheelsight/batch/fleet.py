@@ -49,7 +49,7 @@ def run_on_fleet(
             for number, job in enumerate(jobs)
         }
         try:
-            for future in distributed.as_completed(list(futures)):
+            for future in distributed.as_completed(list(futures), loop=client.loop):
                 yield _outcome(future, futures[future], distributed)
         finally:
             if client.status == "running":
