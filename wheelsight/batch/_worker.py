@@ -10,8 +10,10 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
+from pathlib import Path
 from typing import Any
 
 
@@ -51,4 +53,6 @@ def _end_with_parent(folder: str) -> None:
     assert parent is not None
     wait([parent.sentinel])
     shutil.rmtree(folder, ignore_errors=True)
+    with suppress(OSError):  # the last one removes what all of them were in
+        Path(folder).parent.rmdir()
     os._exit(1)

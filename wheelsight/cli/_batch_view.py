@@ -97,14 +97,15 @@ def batch_table(rows: Sequence[Row]) -> Table:
         caption_justify="left",
         caption_style="",
     )
-    table.add_column("recording\nconfig", overflow="ellipsis", no_wrap=True, min_width=12)
+    table.add_column("recording\nconfig", min_width=12)  # what may be wrapped gives way, and its lines do not wrap
     for figure in FIGURES:
         table.add_column(figure.title.replace(", ", "\n"), justify="right", no_wrap=True)
-    table.add_column("status", overflow="fold")
+    table.add_column("status", overflow="fold", min_width=6)
     for row in rows:
         figures = [_two_lines(figure, row) for figure in FIGURES]
         style = None if row.status == DONE else "red"
-        table.add_row(Text(f"{row.recording}\n{row.config}"), *figures, Text(row.status), style=style)
+        name = Text(f"{row.recording}\n{row.config}", no_wrap=True, overflow="ellipsis")
+        table.add_row(name, *figures, Text(row.status), style=style)
     return table
 
 
