@@ -45,6 +45,7 @@ NOT_RUN = {
     "python papers/": "needs recordings that are not part of the project; tests/papers",
     "wheelsight wheels ": "needs a wheel controller; tests/cli/test_wheels.py",
     "wheelsight devices": "tells of this machine; tests/cli/test_devices.py",
+    "wheelsight batch RECORDING": "of whole recordings; docs/batch.md's is of short ones",
     "wheelsight record ": "needs a wheel controller or a camera; tests/cli/test_record.py, test_record_camera.py",
     "wheelsight run --live ": "needs a camera or a wheel controller; tests/cli/test_run_live.py",
     "wheelsight run corridor ": "of the recording that the controller made",

@@ -62,6 +62,7 @@ LAYERS = (
     "report",
     "live_page",
     "runs",
+    "batch",
     "cli",
     "__main__",
 )

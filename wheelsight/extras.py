@@ -10,6 +10,7 @@ from wheelsight.errors import ConfigError
 # By the name that is imported: the library's, and all that its extra brings, by names that install from anywhere.
 _EXTRAS = {
     "av": ("PyAV", "av"),
+    "distributed": ("Dask", "distributed"),
     "gtsam": ("GTSAM", "gtsam"),
     "mujoco": ("MuJoCo", "mujoco matplotlib"),
     "plotly": ("plotly", "plotly"),

@@ -31,13 +31,13 @@ def test_help_names_every_command_and_loads_nothing_heavy() -> None:
         "print('loaded:', *sys.modules)\n"
     )
     answer = python(code)
-    for command in ("info", "run", "evaluate", "export"):
+    for command in ("info", "run", "batch", "evaluate", "export"):
         assert f" {command} " in answer
     loaded = {name.split(".")[0] for name in answer.split("loaded: ")[1].split()}
     assert loaded & HEAVY == set()
 
 
-@pytest.mark.parametrize("command", ["info", "run", "evaluate", "export"])
+@pytest.mark.parametrize("command", ["info", "run", "batch", "evaluate", "export"])
 def test_help_of_each_command_shows_an_example(wheelsight: Command, command: str) -> None:
     result = wheelsight(command, "--help")
     assert result.exit_code == 0

@@ -9,6 +9,7 @@ import typer.core
 
 from wheelsight._version import __version__
 from wheelsight.cli import (
+    batch,
     board,
     calibrate,
     config,
@@ -59,6 +60,7 @@ app = typer.Typer(
 )
 app.command("info")(info.info)
 app.command("run")(run.run)
+app.command("batch")(batch.batch)
 app.command("evaluate")(evaluate.evaluate)
 app.command("export")(export.export)
 app.command("record")(record.record)

@@ -1,0 +1,58 @@
+"""What a process of the pool does: run one job after another until nobody hands it one."""
+
+from __future__ import annotations
+
+import faulthandler
+import os
+import shutil
+import signal
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing import parent_process
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any
+
+
+def serve(connection: Connection, work: Callable[[Any], object], folder: str) -> None:
+    """Answer each job with its outcome.
+
+    Args:
+        connection: to who hands them out.
+        work: what is done with a job.
+        folder: what is written meanwhile goes there, stderr too.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    tempfile.tempdir = folder
+    _speak_into(os.path.join(folder, "stderr.txt"))  # noqa: PTH118 - before anything else is loaded
+    threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
+    while True:
+        try:
+            job = connection.recv()
+        except EOFError:
+            return
+        connection.send(work(job))
+
+
+def _speak_into(log: str) -> None:
+    """Libraries that speak to the terminal would tear the progress bar; the last words of a process are its reason."""
+    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+        os.dup2(descriptor, stream.fileno())
+    os.close(descriptor)
+    faulthandler.enable()
+
+
+def _end_with_parent(folder: str) -> None:
+    """Whoever started this process may be killed without a word to it."""
+    parent = parent_process()
+    assert parent is not None
+    wait([parent.sentinel])
+    shutil.rmtree(folder, ignore_errors=True)
+    with suppress(OSError):  # the last one removes what all of them were in
+        Path(folder).parent.rmdir()
+    os._exit(1)

@@ -1,0 +1,182 @@
+"""Processes of this computer that run jobs, one each at a time; one that is killed takes no other with it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import tempfile
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from pathlib import Path
+from typing import Protocol
+
+from wheelsight.batch._worker import serve
+from wheelsight.batch.jobs import Job
+from wheelsight.batch.outcome import Outcome
+
+_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_END_S = 10.0
+
+
+class Work(Protocol):
+    """A function of a module, which another process can import."""
+
+    def __call__(self, job: Job, /) -> Outcome:
+        """Runs it."""
+
+
+@dataclass(slots=True)
+class _Worker:
+    """A process, the way to it, what it runs, and where its stderr goes."""
+
+    process: SpawnProcess
+    connection: Connection
+    log: Path
+    job: Job | None = None
+
+
+def run_on_processes(
+    jobs: Sequence[Job],
+    processes: int,
+    work: Work,
+    scratch: Path,
+    *,
+    tries: int = 2,
+    on_death: Callable[[Job, str], None] = lambda job, why: None,
+) -> Generator[Outcome]:
+    """Outcomes as they come; however the iteration ends, no process is left.
+
+    Ctrl-C reaches this process alone: the others do not hear it, and are ended from here.
+
+    Args:
+        jobs: in this order.
+        processes: how many at once.
+        work: what each does with a job.
+        scratch: folder for what they write meanwhile.
+        tries: how often a job is run whose process dies, each time in another one.
+        on_death: told of each job whose process died but is tried again, and how it died.
+    """
+    waiting, tried = deque(jobs), dict[str, int]()
+    workers: list[_Worker] = []
+    try:
+        while waiting or any(worker.job is not None for worker in workers):
+            _hand_out(waiting, workers, processes, lambda: _start(work, scratch))
+            busy = {worker.connection: worker for worker in workers if worker.job is not None}
+            for connection in wait([*busy]):
+                assert isinstance(connection, Connection)
+                worker = busy[connection]
+                job, worker.job = worker.job, None
+                assert job is not None
+                outcome = _answer(worker)
+                if outcome is None:
+                    workers.remove(worker)
+                    tried[job.id] = tried.get(job.id, 0) + 1
+                    why = _why_dead(worker)
+                    if tried[job.id] < tries:
+                        waiting.appendleft(job)
+                        on_death(job, why)
+                        continue
+                    outcome = Outcome(job.id, f"{why}, {_times(tried[job.id])}", is_killed=True)
+                yield outcome
+    finally:
+        for worker in workers:
+            _end(worker)
+
+
+def _hand_out(waiting: deque[Job], workers: list[_Worker], processes: int, start: Callable[[], _Worker]) -> None:
+    """A job to each worker that has none, and new workers as far as there are jobs and cores for them."""
+    for worker in [worker for worker in workers if worker.job is None]:
+        if waiting and not _give(worker, waiting):
+            workers.remove(worker)
+            _end(worker)
+    while waiting and len(workers) < processes:
+        worker = start()
+        workers.append(worker)
+        if not _give(worker, waiting):
+            worker.job = waiting.popleft()  # it died at its start, which counts as the job's
+
+
+def _give(worker: _Worker, waiting: deque[Job]) -> bool:
+    """Hand a worker the next job; False where it has died meanwhile."""
+    try:
+        worker.connection.send(waiting[0])
+    except OSError:
+        return False
+    worker.job = waiting.popleft()
+    return True
+
+
+def _answer(worker: _Worker) -> Outcome | None:
+    """What a worker answers; None where it has died."""
+    try:
+        answer = worker.connection.recv()
+    except (EOFError, OSError):
+        return None
+    assert isinstance(answer, Outcome)
+    return answer
+
+
+def _start(work: Work, scratch: Path) -> _Worker:
+    context = get_context("spawn")  # forked, it would inherit threads' locks, and kernels being compiled
+    folder = Path(tempfile.mkdtemp(prefix="worker-", dir=scratch))
+    ours, theirs = context.Pipe()
+    process = context.Process(target=serve, args=(theirs, work, str(folder)), daemon=True)
+    with _quiet_and_single():
+        process.start()
+    theirs.close()
+    return _Worker(process, ours, folder / "stderr.txt")
+
+
+@contextmanager
+def _quiet_and_single() -> Iterator[None]:
+    """A process started here hears no Ctrl-C from its first moment on, and its libraries have one thread each.
+
+    Ctrl-C that comes meanwhile is heard here right after.
+    """
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT]) if sys.platform != "win32" else None
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+        if held is not None and sys.platform != "win32":
+            signal.pthread_sigmask(signal.SIG_SETMASK, held)
+
+
+def _why_dead(worker: _Worker) -> str:
+    """How a process ended that was to answer."""
+    worker.process.join(_END_S)
+    code = worker.process.exitcode
+    _end(worker)
+    if code is not None and code < 0:
+        name = signal.Signals(-code).name if -code in list(signal.Signals) else f"signal {-code}"
+        hint = ", as the system does where memory runs out" if name == "SIGKILL" else ""
+        return f"its process was killed by {name}{hint}"
+    return f"its process ended with code {code}{_last_line(worker.log)}"
+
+
+def _last_line(log: Path) -> str:
+    lines = log.read_text(encoding="utf-8", errors="replace").split("\n") if log.exists() else []
+    said = [line.strip() for line in lines if line.strip()]
+    return f": {said[-1]}" if said else ""
+
+
+def _times(count: int) -> str:
+    return {1: "once", 2: "twice"}.get(count, f"{count} times")
+
+
+def _end(worker: _Worker) -> None:
+    worker.connection.close()
+    worker.process.kill()
+    worker.process.join(_END_S)
