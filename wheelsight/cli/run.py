@@ -11,6 +11,7 @@ from wheelsight.cli._options import (
     DepthFactor,
     MaxGap,
     RateHz,
+    Rerun,
     Topics,
     settings_from,
 )
@@ -50,7 +51,7 @@ def run(
     wheels: options.Wheels = None,
     seconds: options.Seconds = None,
     record: options.Record = None,
-    rerun: options.Rerun = None,
+    rerun: Rerun = None,
     seed: options.Seed = None,
     force: options.Force = False,
 ) -> None:
