@@ -49,8 +49,9 @@ def track(
             compile_missing(parts_of(settings))
             shown.enter_context(progress)
 
-        told = {"on_ready": begin, "on_code": _note_code, "on_event": show, "watcher": watcher}
-        return runs.run_each(source, settings, out, force=force, **told)
+        return runs.run_each(
+            source, settings, out, force=force, on_ready=begin, on_code=_note_code, on_event=show, watcher=watcher
+        )
 
 
 def _note_code(done: int, total: int) -> None:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath, make_output_folder
+from wheelsight.localizer import Places
 from wheelsight.pipeline.kept_maps import keeping_maps
 from wheelsight.pipeline.known_maps import open_known
 from wheelsight.pipeline.loops import MatchesOfRun, matches_of_run
@@ -57,15 +58,18 @@ def run_each(
     tracks, places, matches, known = _begin(source, config, on_code)
     folder = make_output_folder(Path(out), force)
     on_ready()
-    areas = None if places is None else places.places
     with keeping_maps(tracks, source, config, folder, known):
-        passage = follow(tracks, source, config, on_event, areas, duration_s, watcher)
+        passage = follow(tracks, source, config, on_event, _areas_of(places), duration_s, watcher)
         _raise_where_nothing(passage)
         records = records_of(passage, source, config, places, matches)
         _show_end(watcher, passage)
     write_results(records, passage, source, config, folder, draw)
     _raise_interruption(passage)
     return records
+
+
+def _areas_of(places: PlacesOfRun | None) -> Places | None:
+    return None if places is None else places.places
 
 
 def _raise_interruption(passage: Passage) -> None:
