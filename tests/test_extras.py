@@ -19,7 +19,7 @@ from wheelsight.extras import needed, why_missing
 from wheelsight.pipeline import kernels
 from wheelsight.recordings import write_recording
 
-LIBRARIES = ("plotly", "sklearn", "skops")
+LIBRARIES = ("plotly", "rerun", "sklearn", "skops")
 ROOT = Path(wheelsight.__file__).parent
 MODULES = [
     ".".join(path.relative_to(ROOT.parent).with_suffix("").parts).removesuffix(".__init__")

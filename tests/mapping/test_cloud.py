@@ -28,7 +28,7 @@ def made(surfels: Surfels, most: int) -> tuple[FloatArray, FloatArray, FloatArra
     cloud = cloud_of(surfels, most)
     assert cloud is not None
     assert cloud.of == len(surfels.grey)
-    return cloud.position, cloud.normal, cloud.color.astype(float), cloud.edge_m
+    return cloud.position.astype(float), cloud.normal.astype(float), cloud.color.astype(float), cloud.edge_m
 
 
 @pytest.mark.parametrize("most", [100, 1000, 5000])

@@ -115,3 +115,14 @@ def open_source(folder: Path, settings: Config) -> Recording:
     from wheelsight.recordings import open_recording
 
     return open_recording(folder, settings.recording.open_options())
+
+
+Rerun = Annotated[
+    str | None,
+    typer.Option(
+        "--rerun",
+        metavar="FILE.rrd|spawn",
+        help="Show the run in Rerun as it goes: written to a file, or in a viewer that is started here.",
+        show_default="not shown",
+    ),
+]

@@ -132,15 +132,6 @@ Record = Annotated[
     Path | None,
     typer.Option(metavar="DIR", help="With --live: record what is followed, too.", show_default="not recorded"),
 ]
-Rerun = Annotated[
-    str | None,
-    typer.Option(
-        "--rerun",
-        metavar="FILE.rrd|spawn",
-        help="Show the run in Rerun as it goes: written to a file, or in a viewer that is started here.",
-        show_default="not shown",
-    ),
-]
 LiveRecording = Annotated[
     Path | None,
     typer.Argument(metavar="[RECORDING]", help="Folder of the recording; none with --live.", show_default=False),

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,7 +28,6 @@ def track(
     """
     from wheelsight import runs
     from wheelsight.cli._compiling import compile_missing
-    from wheelsight.cli._console import print_note
     from wheelsight.cli._outputs import can_draw
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.cli._run_status import RunStatus
@@ -42,21 +41,33 @@ def track(
         answered[:] = [True]
         show_progress(progress, source, settings, status.after(answers))
 
+    with _told_where(out, answered), ExitStack() as shown:
+        watcher = None if rerun is None else shown.enter_context(_watcher(rerun, source, settings, force))
+
+        def begin() -> None:
+            can_draw()
+            compile_missing(parts_of(settings))
+            shown.enter_context(progress)
+
+        return runs.run_each(
+            source, settings, out, force=force, on_ready=begin, on_code=_note_code, on_event=show, watcher=watcher
+        )
+
+
+def _note_code(done: int, total: int) -> None:
+    from wheelsight.cli._console import print_note
+
+    if done == 1:
+        print_note(f"making {total:,} keyframes ready to be recognised")
+
+
+@contextmanager
+def _told_where(out: Path, answered: Sequence[bool]) -> Iterator[None]:
+    """Ctrl-C ends it with the exit code of an interruption, and says what was found."""
+    from wheelsight.cli._console import print_note
+
     try:
-        with ExitStack() as shown:
-            watcher = None if rerun is None else shown.enter_context(_watcher(rerun, source, settings, force))
-
-            def begin() -> None:
-                can_draw()
-                compile_missing(parts_of(settings))
-                shown.enter_context(progress)
-
-            def code(done: int, total: int) -> None:
-                if done == 1:
-                    print_note(f"making {total:,} keyframes ready to be recognised")
-
-            told = {"on_ready": begin, "on_code": code, "on_event": show, "watcher": watcher}
-            return runs.run_each(source, settings, out, force=force, **told)
+        yield
     except KeyboardInterrupt as interruption:
         found = f"what was found until then is in {out}" if answered else "nothing was found until then"
         print_note(f"interrupted; {found}")

@@ -12,6 +12,7 @@ from wheelsight.cli._options import (
     MaxGap,
     Profile,
     RateHz,
+    Rerun,
     Topics,
     settings_from,
 )
@@ -52,7 +53,7 @@ def run(
     wheels: options.Wheels = None,
     seconds: options.Seconds = None,
     record: options.Record = None,
-    rerun: options.Rerun = None,
+    rerun: Rerun = None,
     seed: options.Seed = None,
     force: options.Force = False,
 ) -> None:

@@ -100,7 +100,10 @@ class LoopsBeside:
     @property
     def kept(self) -> IntArray:
         """(K, 2) numbers of the keyframes that loops tie to each other, by what is known now."""
-        return self._loops
+        if self._closed is None:
+            return self._loops
+        ends = [(loop.first, loop.second) for loop in self._closed.loops.kept]
+        return np.array(ends, np.int64).reshape(-1, 2)
 
     @property
     def has_new(self) -> bool:

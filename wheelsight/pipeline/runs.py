@@ -9,6 +9,7 @@ from typing import NamedTuple
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath, make_output_folder
+from wheelsight.localizer import Places
 from wheelsight.pipeline.kept_maps import keeping_maps
 from wheelsight.pipeline.known_maps import open_known
 from wheelsight.pipeline.loops import MatchesOfRun, matches_of_run
@@ -40,18 +41,16 @@ def run_each(
 ) -> tuple[RunRecord, ...]:
     """Run every odometry that `config` names over one pass of the events, each alone, and report them together.
 
-    One leaves trajectory, status, metrics and configuration in `out`; each of several the first three in a folder of
-    its name. What was tracked until Ctrl-C, or until the source breaks off, is written before the exception goes on.
+    One leaves its results in `out`, each of several in a folder of its name there. What was tracked until Ctrl-C, or
+    until the source breaks off, is written before the exception goes on.
 
     Args:
-        source: a recording, also one `in_real_time`, or what gives events from elsewhere, without an end.
+        source: a recording, also one `in_real_time`, or what gives events without an end.
         config, out, force: all settings; folder for the results, made if need be; whether it may hold something.
-        on_ready: called once all is checked and `out` is made, before the first event.
-        on_code: called while keyframes of a known map are made ready, with how many are, and of how many.
-        on_event: called after each event that was answered, with each odometry's answer by its name.
+        on_ready, on_code: called before the first event; while keyframes of a known map are made ready, with how many.
+        on_event, watcher: called after each event that was answered, with each odometry's answer by its name.
         draw: writes a page of the records to a path, such as `report.write_page`; None: no page.
         duration_s: ends so many seconds after the first event, by its stamp; None: with the source.
-        watcher: is shown each event that was answered, and the end.
 
     Raises:
         InputError: what cannot end well, before anything is written; or the source cannot be read on.
@@ -60,16 +59,28 @@ def run_each(
     folder = make_output_folder(Path(out), force)
     on_ready()
     with keeping_maps(tracks, source, config, folder, known):
-        known_places = None if places is None else places.places
-        passage = follow(tracks, source, config, on_event, known_places, duration_s, watcher)
+        passage = follow(tracks, source, config, on_event, _areas_of(places), duration_s, watcher)
         _raise_where_nothing(passage)
         records = records_of(passage, source, config, places, matches)
-        if watcher is not None:
-            watcher.finish(passage.tracks)
+        _show_end(watcher, passage)
     write_results(records, passage, source, config, folder, draw)
+    _raise_interruption(passage)
+    return records
+
+
+def _areas_of(places: PlacesOfRun | None) -> Places | None:
+    return None if places is None else places.places
+
+
+def _raise_interruption(passage: Passage) -> None:
     if passage.interruption is not None:
         raise passage.interruption
-    return records
+
+
+def _show_end(watcher: Watcher | None, passage: Passage) -> None:
+    """Nothing of a run that was torn within a step: what was being built then is not to be trusted."""
+    if watcher is not None and not passage.is_torn:
+        watcher.finish(passage.tracks)
 
 
 def _raise_where_nothing(passage: Passage) -> None:

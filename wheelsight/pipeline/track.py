@@ -261,11 +261,7 @@ def follow(
             started = time.perf_counter()
         for event in _until(events, duration_s):
             yaw_rates += isinstance(event, YawRate)
-            with whole_step():
-                passage.is_torn = True
-                given = [(track.odometry, track.step(event)) for track in tracks]
-                passage.is_torn = False
-            answers: dict[str, FrameRecord] = {odometry: answer for odometry, answer in given if answer is not None}
+            answers = _answers(passage, event)
             if answers and watcher is not None:
                 watcher.step(event, answers, tracks)
             if answers and on_event is not None:
@@ -281,6 +277,15 @@ def follow(
     passage.elapsed_s = time.perf_counter() - started
     passage.unused = unused_of(source, config, yaw_rates)
     return passage
+
+
+def _answers(passage: Passage, event: Event) -> dict[str, FrameRecord]:
+    """Of each track that answers it."""
+    with whole_step():
+        passage.is_torn = True
+        given = [(track.odometry, track.step(event)) for track in passage.tracks]
+        passage.is_torn = False
+    return {odometry: answer for odometry, answer in given if answer is not None}
 
 
 def _rehearse_all(source: InRealTime, config: Config, places: Places | None) -> None:

@@ -207,8 +207,10 @@ def time_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
 def time_histogram_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
     """How the times of frames spread, ms, with the median and the 95th percentile; as in `time_figure`."""
     figure = drawing.style(go.Figure(), 270, hovermode="closest", showlegend=False, bargap=0.08)
-    ms = np.array([1e3 * frame.seconds for frame in drawing.warm_frames(record)], float)
-    ms = ms[np.isfinite(ms)]
+    all_ms, ms = (
+        np.array([1e3 * frame.seconds for frame in frames if np.isfinite(frame.seconds)], float)
+        for frames in (drawing.used_frames(record), drawing.warm_frames(record))
+    )
     top = _time_ceiling_ms(ms)
     counts, edges = np.histogram(ms, bins=40, range=(0, top))
     figure.add_bar(
@@ -219,7 +221,7 @@ def time_histogram_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
         hovertemplate="%{y} frames at %{x:.1f} ms<extra></extra>",
     )
     for percent, name, height in ((50, "median", 1.0), (95, "95 %", 0.88)) if len(ms) else ():
-        at = float(np.percentile(ms, percent))
+        at = float(np.percentile(all_ms, percent))
         side = "right" if at > 0.7 * top else "left"
         figure.add_shape(type="line", x0=at, x1=at, y0=0, y1=height, yref="paper", line=drawing.DASHED)
         figure.add_annotation(

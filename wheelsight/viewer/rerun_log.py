@@ -153,7 +153,8 @@ class RerunLog:
         keyframe = store[number]
         depth_m, grey = keyframe.depth_m, keyframe.grey
         step = max(1, int(np.ceil(np.sqrt(depth_m.size / self._settings.keyframe_points))))
-        v, u = (index[::step, ::step].ravel() for index in np.indices(depth_m.shape))
+        rows, columns = np.indices(depth_m.shape)[:, ::step, ::step]
+        v, u = rows.ravel(), columns.ravel()
         z = depth_m[v, u]
         v, u, z = v[z > 0], u[z > 0], z[z > 0]
         fx, fy, cx, cy = keyframe.intrinsics
