@@ -58,6 +58,7 @@ LAYERS = (
     "localizer",
     "telemetry",
     "pipeline",
+    "exports",
     "report",
     "runs",
     "cli",

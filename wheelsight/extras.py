@@ -12,6 +12,7 @@ _EXTRAS = {
     "av": ("PyAV", "av"),
     "gtsam": ("GTSAM", "gtsam"),
     "mujoco": ("MuJoCo", "mujoco matplotlib"),
+    "octomap": ("octomap-python", "octomap-python"),
     "plotly": ("plotly", "plotly"),
     "rosbags": ("rosbags", "rosbags"),
     "pyrealsense2": ("pyrealsense2", "pyrealsense2"),

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wheelsight.calibration import Calibration, load_calibration
+from wheelsight.calibration import Calibration, load_calibration, parse_calibration
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry import FloatArray
 from wheelsight.inputs import is_there
@@ -24,7 +25,7 @@ from wheelsight.recordings.rosbag.recording import BagPlan, BagRecording
 from wheelsight.recordings.rosbag.robot import Robot, read_robot
 from wheelsight.recordings.rosbag.stamps import TopicClock, clocks_of, header_of
 from wheelsight.recordings.rosbag.storage import OpenBag, open_bag
-from wheelsight.recordings.rosbag.topics import Choices, Roles, lacks, roles_of
+from wheelsight.recordings.rosbag.topics import CALIBRATION, TEXT, Choices, Roles, lacks, roles_of
 from wheelsight.recordings.rosbag.wheels import JointSpeeds, OdometrySpeeds, SpeedReader, told_by_twist
 
 _FIRST_MESSAGES = 5
@@ -68,11 +69,19 @@ def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
     used_as = {name: " and ".join(r for r, n in roles.used.items() if n == name) for name in roles.used.values()}
     recording = BagRecording(
         bag.path,
-        _calibrated(bag.path, robot, options),
+        _calibrated(bag, roles, robot, options),
         plan,
         tuple(RecordedTopic(topic.name, topic.type, topic.count, used_as.get(topic.name, "")) for topic in bag.topics),
         ends,
-        (*roles.warnings, *warnings, *robot.warnings, *of_gravity, *of_wheels, *stamp_warnings(_outer(ends))),
+        (
+            *bag.warnings,
+            *roles.warnings,
+            *warnings,
+            *robot.warnings,
+            *of_gravity,
+            *of_wheels,
+            *stamp_warnings(_outer(ends)),
+        ),
         variances,
     )
     if roles.color is not None and roles.depth is not None:
@@ -81,11 +90,14 @@ def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
     return recording
 
 
-def _calibrated(path: Path, robot: Robot, options: OpenOptions) -> Calibration:
+def _calibrated(bag: OpenBag, roles: Roles, robot: Robot, options: OpenOptions) -> Calibration:
     """The robot as the bag tells it, under what the user says of it, and what a calibration.yaml beside it says."""
+    path = bag.path
     beside = path / "calibration.yaml"
     over = [*([beside] if is_there(beside) else []), *options.calibrations]
-    known = robot.calibration
+    known, own = robot.calibration, _own(bag, roles)
+    if own is not None:
+        known = own if known is None else known.updated_by(own)
     if options.camera is not None:
         camera = load_camera(options.camera)
         known = camera if known is None else known.updated_by(camera)
@@ -100,6 +112,14 @@ def _calibrated(path: Path, robot: Robot, options: OpenOptions) -> Calibration:
         problem = "joint states tell how far wheels turn, but not how large they are"
         raise CalibrationError(problem, path=path, fix="give a calibration.yaml with wheels by --calibration")
     return calibration
+
+
+def _own(bag: OpenBag, roles: Roles) -> Calibration | None:
+    """What a bag of our own carries as text; its wheels where their joints are used. Raises CalibrationError."""
+    if not any(topic.name == CALIBRATION and topic.type == TEXT and topic.count for topic in bag.topics):
+        return None
+    told = parse_calibration(bag.decode(bag.first(CALIBRATION)[0]).data, bag.path)
+    return told if roles.joints is not None else replace(told, wheels=None)
 
 
 def _wheels(bag: OpenBag, roles: Roles) -> tuple[Callable[[], SpeedReader] | None, list[str], SpeedVariances | None]:
