@@ -115,7 +115,7 @@ class RobotTopics:
         yield Sent(late_s, f"{depth_topic}/image_raw/compressedDepth", depth)
 
     def _of_wheels(self, event: WheelTicks | WheelSpeeds) -> Iterator[Sent]:
-        """JointState: angles of ticks; of speeds, which hold until the next ones, themselves and what they add up to."""
+        """JointState: angles of ticks; of speeds, which hold until the next ones, themselves and what they sum to."""
         if self._calibration is None or self._calibration.wheels is None:
             return
         speeds: list[float] = []

@@ -100,9 +100,7 @@ def growing_bag(path: StrPath) -> Iterator[BagFile]:
     Whatever ends the program leaves what was flushed; the block's end adds the index. Raises as `new_bag`.
     """
     path = Path(path)
-    check_bag_name(path)
-    if path.suffix.lower() != ".mcap":
-        raise ConfigError(f"{str(path)!r} cannot grow: a ROS 1 bag is none without its index", fix="name it .mcap")
+    check_growing_name(path)
     try:
         with _temporary(path) as folder:
             writer = _writer(folder / "bag.mcap", folder)
@@ -110,10 +108,17 @@ def growing_bag(path: StrPath) -> Iterator[BagFile]:
             written = folder / "bag" / "bag.mcap"
             with suppress(PermissionError):  # of Windows, where it moves once it is closed
                 written.replace(path)
+                shutil.rmtree(folder)  # lest a kill leave it
             try:
                 yield BagFile(writer, Messages(is_ros1=False))
+            except OSError:  # what comes after half a record is lost to every reader: nothing more is written
+                with suppress(Exception):
+                    writer.abort()
+                raise
             finally:
-                writer.close()
+                written.parent.mkdir(parents=True, exist_ok=True)  # for metadata.yaml, which a file alone needs not
+                if writer.storage is not None:
+                    writer.close()
                 if written.is_file():
                     written.replace(path)
     except OSError as error:
@@ -127,6 +132,13 @@ def check_bag_name(path: Path) -> None:
             f"{str(path)!r} does not end in .mcap or .bag", fix="MCAP for ROS 2 and Foxglove, .bag for ROS 1"
         )
     check_name(path)
+
+
+def check_growing_name(path: Path) -> None:
+    """Likewise, for a bag that is to be one while it grows."""
+    check_bag_name(path)
+    if path.suffix.lower() != ".mcap":
+        raise ConfigError(f"{str(path)!r} cannot grow: a ROS 1 bag is none without its index", fix="name it .mcap")
 
 
 def check_library() -> None:
