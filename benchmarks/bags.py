@@ -1,6 +1,6 @@
-"""How fast bags are read and written: frames a second of 640×480 colour and depth; and how long an hour's takes to open.
+"""How fast bags are read and written: frames a second of 640×480 colour and depth; and how long an hour takes to open.
 
-`python -m benchmarks.bags [--frames 150] [--minutes 60] [--only raw|hour|written]`; written into a temporary folder, 0.5 GB.
+`python -m benchmarks.bags [--frames 150] [--minutes 60] [--only raw|hour|written]`; in a temporary folder, of 0.5 GB.
 Needs the extra `bags`. Figures are of processor time, on one core: other programs on the machine do not change them.
 """
 
@@ -35,7 +35,7 @@ _START_NS = 1_700_000_000 * 10**9
 _COLOR, _DEPTH, _INFO, _ODOM = "/camera/color", "/camera/aligned_depth_to_color", "/camera/color/camera_info", "/odom"
 _HOUR, _RAW, _WRITTEN = "hour", "raw", "written"
 # What our own writer makes: file's ending, how images are kept, and whether the target is asked of it.
-_OWN: tuple[tuple[str, ImageForm, bool], ...] = (
+OWN: tuple[tuple[str, ImageForm, bool], ...] = (
     (".mcap", "raw", True),
     (".bag", "raw", True),
     (".mcap", "png", False),
@@ -241,7 +241,7 @@ def _measure_reading(folder: Path, frames: int, table: Table) -> bool:
 
 def _measure_writing(folder: Path, frames: int, table: Table) -> bool:
     is_met = True
-    for suffix, images, is_asked in _OWN:
+    for suffix, images, is_asked in OWN:
         rate = write_rate(folder / f"written{suffix}", images, frames)
         is_met &= not is_asked or rate >= WRITTEN_PER_S
         name = f"{'ROS 1' if suffix == '.bag' else 'ROS 2 MCAP'}, {images} images, written"

@@ -113,6 +113,11 @@ class _Writing:
         is_of_base = has_base or (self.calibration is not None and self.calibration.color is None)
         self.body = lived.body if lived is not None else "base" if is_of_base else "camera"
         self.robot = RobotTopics(make, self.calibration, parts.images)
+        # Without a map the frame map begins where odom does; in one that was never recognised nobody knows.
+        is_lost = lived is not None and lived.frame == ODOM and source.corrected is None and source.map is not None
+        self.fixed = ODOM if is_lost else MAP
+        if is_lost:
+            self.warnings.append("Nothing leads from map to odom: where the run lies in its map is not known.")
 
     def messages(self) -> Iterator[Sent]:
         """All: what is told once comes first, with the stamp of the first of all others."""
@@ -126,7 +131,7 @@ class _Writing:
     def _once(self, begin_s: float) -> Iterator[Sent]:
         yield from self.robot.mounts(begin_s)
         for topic, way in self._ways():
-            path = self.make.path(begin_s, MAP, way.stamps_s, way.T_frame_body)
+            path = self.make.path(begin_s, self.fixed, way.stamps_s, way.T_frame_body)
             yield Sent(begin_s, topic, path, is_latched=True)
         yield from self._map(begin_s)
 
@@ -180,7 +185,7 @@ class _Writing:
         for row, (stamp_s, T) in enumerate(lived):
             known = None if C is None else C[row]
             yield Sent(stamp_s, "/odom", self.make.odometry(stamp_s, (ODOM, child), T, moving[row], known))
-            joined = [(MAP, ODOM, at[stamp_s])] if stamp_s in at else []
+            joined = [(MAP, ODOM, at[stamp_s])] if stamp_s in at and self.fixed == MAP else []
             yield Sent(stamp_s, "/tf", self.make.transforms(stamp_s, [*joined, (ODOM, child, T)]))
 
     def _statuses(self) -> Iterator[Sent]:
