@@ -103,7 +103,7 @@ def test_what_is_missing_is_told_with_its_fix(refusal: Refusal, results: Path, t
     assert "--ply and --mesh are two files (give one of them at a time)" in refusal(
         "export", results, "--ply", "--mesh"
     )
-    assert "--voxel is of meshes alone" in refusal("export", results, "--ply", "--voxel", "0.1")
+    assert "--voxel is of meshes and bags and --format alone" in refusal("export", results, "--ply", "--voxel", "0.1")
     assert "does not end in .ply" in refusal("export", results, "--ply", "--out", tmp_path / "x.obj")
 
 

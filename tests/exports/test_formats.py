@@ -55,7 +55,7 @@ def way() -> Trajectory:
     poses = [np.eye(4)]
     for _ in range(4):
         poses.append(poses[-1] @ STEP)
-    return Trajectory(1_700_000_000.25 + 0.1 * np.arange(5), np.array(poses), body="base")
+    return Trajectory(1_700_000_000.25 + 0.1 * np.arange(5), np.array(poses, float), body="base")
 
 
 @pytest.mark.parametrize("form", ["tum", "kitti"])
@@ -132,6 +132,12 @@ def colored(tmp_path: Path) -> tuple[Path, Recording]:
     return run, recording
 
 
+def image_in(path: Path) -> np.ndarray:
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    return np.asarray(image)
+
+
 def world_point(T_map_camera: FloatArray, recording: Recording, row: int) -> tuple[FloatArray, FloatArray]:
     """A pixel of the recording's frame, and where in the map what it shows lies."""
     frames = [event for event in recording.events() if isinstance(event, RgbdFrame)][::4]
@@ -164,7 +170,7 @@ def test_colmap_projects_points_of_the_map_where_the_images_show_them(
         seen = se3.apply(T_camera_map, p_map[None])[0]
         # COLMAP's pixels have their centres at halves
         assert_allclose(seen[:2] / seen[2] * (fx, fy) + (cx, cy), px + 0.5, atol=1e-3)
-        image = cv2.imread(str(tmp_path / "colmap" / "images" / name))
+        image = image_in(tmp_path / "colmap" / "images" / name)
         frames = [event for event in recording.events() if isinstance(event, RgbdFrame)]
         assert_allclose(image[..., ::-1], frames[4 * row].color)
     assert (model / "points3D.txt").read_text() == ""  # this map has no surfels
@@ -187,7 +193,7 @@ def test_nerfstudio_has_the_axes_of_opengl_and_z_up(
         assert z < 0  # OpenGL looks along -z, y up
         found = (frame["fl_x"] * x / -z + frame["cx"], frame["fl_y"] * -y / -z + frame["cy"])
         assert_allclose(found, px + 0.5, atol=1e-3)
-        depth = cv2.imread(str(tmp_path / "nerf" / frame["depth_file_path"]), cv2.IMREAD_UNCHANGED)
+        depth = image_in(tmp_path / "nerf" / frame["depth_file_path"])
         assert depth.dtype == np.uint16
         assert depth[30, 20] / 1000 == pytest.approx(-z, abs=1e-3)
 
@@ -202,7 +208,7 @@ def test_a_map_alone_gives_its_grey_keyframes(export: Command, kept_map: Path, t
         # The map is that of a base: its axes stay, only the camera's are turned.
         expected = kept.store.T_map_keyframe[number] @ np.diag([1, -1, -1, 1])
         assert_allclose(frame["transform_matrix"], expected, atol=1e-12)
-        image = cv2.imread(str(tmp_path / "nerf" / frame["file_path"]), cv2.IMREAD_UNCHANGED)
+        image = image_in(tmp_path / "nerf" / frame["file_path"])
         assert image.shape == (frame["h"], frame["w"])
     again = export(kept_map, "--format", "nerfstudio", "--out", tmp_path / "nerf")
     assert again.exit_code == 2
@@ -219,7 +225,8 @@ def test_a_map_in_a_bag_has_its_occupancy_and_the_way_between_keyframes(kept_map
     assert (grid.info.origin.position.x, grid.info.origin.position.y) == pytest.approx(plan.origin[:2])
     assert grid.info.resolution == pytest.approx(plan.resolution_m)
     kept = MapFolder.open(kept_map)
-    T_map_base = kept.store.T_map_keyframe @ se3.invert(kept.calibration.T_base_camera)
+    assert kept.calibration.T_base_camera is not None
+    T_map_base = se3.compose(kept.store.T_map_keyframe, se3.invert(kept.calibration.T_base_camera))
     poses = read["/trajectory"].message.poses
     assert [pose.pose.position.x for pose in poses] == pytest.approx(T_map_base[:, 0, 3])
 
