@@ -14,8 +14,9 @@ import pytest
 from bag_contents import messages_in, on_topic
 from numpy.testing import assert_allclose, assert_array_equal
 from typer.testing import Result
+from written_bags import odometry_drive, write_bag
 
-from wheelsight.events import RgbdFrame
+from wheelsight.events import RgbdFrame, WheelTicks
 from wheelsight.geometry import se3
 from wheelsight.recordings import open_recording
 from wheelsight.recordings.rosbag import writing
@@ -109,6 +110,26 @@ def test_a_run_of_the_bag_by_its_wheels_comes_to_the_same_poses(
         found, known = read_tum(tmp_path / "again" / "trajectory.txt"), read_tum(driven / "trajectory.txt")
         assert_allclose(found.stamps_s, known.stamps_s, atol=1e-9)
         assert_allclose(found.T_frame_body, known.T_frame_body, atol=1e-7)
+
+
+@BOTH
+def test_counts_of_encoders_come_back_as_they_were_and_speeds_as_speeds(
+    wheelsight: Command, wheels: Path, tmp_path: Path, suffix: str
+) -> None:
+    bag = tmp_path / f"wheels{suffix}"
+    assert wheelsight("export", wheels, "--bag", bag).exit_code == 0
+    known, found = (list(open_recording(path).events()) for path in (wheels, bag))
+    assert all(isinstance(event, WheelTicks) for event in found)
+    assert [(event.left, event.right) for event in found] == [(event.left, event.right) for event in known]
+    assert [event.stamp_s for event in found] == pytest.approx([event.stamp_s for event in known])
+    odometry = write_bag(tmp_path / f"odometry{suffix if suffix == '.bag' else ''}", odometry_drive(suffix == ".bag"))
+    again = tmp_path / f"again{suffix}"
+    assert wheelsight("export", odometry, "--bag", again).exit_code == 0
+    known, found = (list(open_recording(path).events()) for path in (odometry, again))
+    assert len(found) == len(known) > 50
+    for one, other in zip(known, found, strict=True):
+        assert other.left_rad_s == pytest.approx(one.left_rad_s, abs=1e-6)
+        assert other.right_rad_s == pytest.approx(one.right_rad_s, abs=1e-6)
 
 
 @BOTH

@@ -55,7 +55,11 @@ def way() -> Trajectory:
     poses = [np.eye(4)]
     for _ in range(4):
         poses.append(poses[-1] @ STEP)
-    return Trajectory(1_700_000_000.25 + 0.1 * np.arange(5), np.array(poses, float), body="base")
+    return Trajectory(
+        np.array([1_700_000_000.25 + 0.1 * number for number in range(5)], np.float64),
+        np.array(poses, float),
+        body="base",
+    )
 
 
 @pytest.mark.parametrize("form", ["tum", "kitti"])
