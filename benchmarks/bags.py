@@ -1,6 +1,6 @@
-"""How fast bags are read: frames a second of 640×480 colour and depth, and how long an hour's bag takes to open.
+"""How fast bags are read and written: frames a second of 640×480 colour and depth; and how long an hour takes to open.
 
-`python -m benchmarks.bags [--frames 150] [--minutes 60] [--only raw|hour]`; written into a temporary folder, 0.5 GB.
+`python -m benchmarks.bags [--frames 150] [--minutes 60] [--only raw|hour|written]`; in a temporary folder, of 0.5 GB.
 Needs the extra `bags`. Figures are of processor time, on one core: other programs on the machine do not change them.
 """
 
@@ -21,14 +21,26 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from wheelsight.calibration import Calibration
+from wheelsight.events import RgbdFrame
 from wheelsight.extras import needed
+from wheelsight.geometry import PinholeCamera
 from wheelsight.recordings import open_recording
+from wheelsight.recordings.rosbag.robot_topics import ImageForm, RobotTopics
+from wheelsight.recordings.rosbag.writing import new_bag
 
-FRAMES_PER_S, OPEN_S = 150.0, 2.0
+FRAMES_PER_S, WRITTEN_PER_S, OPEN_S = 150.0, 100.0, 2.0
 _WIDTH, _HEIGHT, _FRAME_HZ, _WHEELS_HZ = 640, 480, 30, 50
 _START_NS = 1_700_000_000 * 10**9
 _COLOR, _DEPTH, _INFO, _ODOM = "/camera/color", "/camera/aligned_depth_to_color", "/camera/color/camera_info", "/odom"
-_HOUR = "hour"
+_HOUR, _RAW, _WRITTEN = "hour", "raw", "written"
+# What our own writer makes: file's ending, how images are kept, and whether the target is asked of it.
+OWN: tuple[tuple[str, ImageForm, bool], ...] = (
+    (".mcap", "raw", True),
+    (".bag", "raw", True),
+    (".mcap", "png", False),
+    (".mcap", "jpeg", False),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,6 +185,21 @@ def read_rate(path: Path, frames: int) -> float:
     return frames / spent_s
 
 
+def write_rate(path: Path, images: ImageForm, frames: int) -> float:
+    """Frames a second of processor time that become messages and a file on the disk."""
+    color, units = _images(_WIDTH, _HEIGHT)
+    depth_m = (units / 1000).astype(np.float32)
+    camera = PinholeCamera(_WIDTH, _HEIGHT, 0.8 * _WIDTH, 0.8 * _WIDTH, _WIDTH / 2, _HEIGHT / 2)
+    begin_s = time.process_time()
+    with new_bag(path) as bag:
+        robot = RobotTopics(bag.make, Calibration.registered_camera(camera), images)
+        for number in range(frames):
+            frame = RgbdFrame(number / _FRAME_HZ, color, depth_m, number)
+            for sent in robot.of_frame(frame):
+                bag.add(sent.topic, sent.message, sent.stamp_s)
+    return frames / (time.process_time() - begin_s)
+
+
 def opening_s(path: Path) -> float:
     """Processor time to open a bag, the second time, so that nothing is imported meanwhile."""
     open_recording(path)
@@ -186,26 +213,50 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=150)
     parser.add_argument("--minutes", type=float, default=60.0)
-    parser.add_argument("--only", choices=("raw", _HOUR))
+    parser.add_argument("--only", choices=(_RAW, _HOUR, _WRITTEN))
     arguments = parser.parse_args(words)
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     table = Table("bag", "measured", "target")
     is_met = True
     with tempfile.TemporaryDirectory() as folder:
-        for number, kind in enumerate(KINDS if arguments.only != _HOUR else ()):
-            path = write(Path(folder) / f"frames{number}", kind, arguments.frames, (_WIDTH, _HEIGHT))
-            rate = read_rate(path, arguments.frames)
-            is_met &= kind.is_packed or rate >= FRAMES_PER_S
-            table.add_row(kind.name, f"{rate:.0f} frames/s", "none" if kind.is_packed else f"{FRAMES_PER_S:.0f}")
-        for number, kind in enumerate(KINDS[:3] if arguments.only != "raw" else ()):
-            frames = round(60 * arguments.minutes * _FRAME_HZ)
-            path = write(Path(folder) / f"hour{number}", kind, frames, (32, 32), one_a_chunk=True)
-            spent_s = opening_s(path)
-            is_met &= spent_s <= OPEN_S
-            table.add_row(f"{kind.name}, {arguments.minutes:g} minutes", f"opens in {spent_s:.2f} s", f"{OPEN_S:g}")
+        if arguments.only in (None, _RAW):
+            is_met &= _measure_reading(Path(folder), arguments.frames, table)
+        if arguments.only in (None, _WRITTEN):
+            is_met &= _measure_writing(Path(folder), arguments.frames, table)
+        if arguments.only in (None, _HOUR):
+            is_met &= _measure_opening(Path(folder), arguments.minutes, table)
     Console(width=100).print(table)
     return 0 if is_met else 1
+
+
+def _measure_reading(folder: Path, frames: int, table: Table) -> bool:
+    is_met = True
+    for number, kind in enumerate(KINDS):
+        rate = read_rate(write(folder / f"frames{number}", kind, frames, (_WIDTH, _HEIGHT)), frames)
+        is_met &= kind.is_packed or rate >= FRAMES_PER_S
+        table.add_row(kind.name, f"{rate:.0f} frames/s", "none" if kind.is_packed else f"{FRAMES_PER_S:.0f}")
+    return is_met
+
+
+def _measure_writing(folder: Path, frames: int, table: Table) -> bool:
+    is_met = True
+    for suffix, images, is_asked in OWN:
+        rate = write_rate(folder / f"written{suffix}", images, frames)
+        is_met &= not is_asked or rate >= WRITTEN_PER_S
+        name = f"{'ROS 1' if suffix == '.bag' else 'ROS 2 MCAP'}, {images} images, written"
+        table.add_row(name, f"{rate:.0f} frames/s", f"{WRITTEN_PER_S:.0f}" if is_asked else "none")
+    return is_met
+
+
+def _measure_opening(folder: Path, minutes: float, table: Table) -> bool:
+    is_met = True
+    for number, kind in enumerate(KINDS[:3]):
+        path = write(folder / f"hour{number}", kind, round(60 * minutes * _FRAME_HZ), (32, 32), one_a_chunk=True)
+        spent_s = opening_s(path)
+        is_met &= spent_s <= OPEN_S
+        table.add_row(f"{kind.name}, {minutes:g} minutes", f"opens in {spent_s:.2f} s", f"{OPEN_S:g}")
+    return is_met
 
 
 if __name__ == "__main__":

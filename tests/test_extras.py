@@ -63,7 +63,7 @@ def test_a_run_without_plotly_leaves_all_but_the_page_and_says_what_to_install(
     assert done.exit_code == 0, done.output
     assert "no page is drawn: plotly is missing (pip install plotly)" in " ".join(done.stderr.split())
     files = {path.name for path in (tmp_path / "out").iterdir()}
-    assert files == {"trajectory.txt", "status.csv", "metrics.json", "config.yaml"}
+    assert files == {"trajectory.txt", "covariances.csv", "status.csv", "metrics.json", "config.yaml"}
     assert "report" not in done.stdout
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["evaluation"] is not None
 

@@ -59,6 +59,7 @@ LAYERS = (
     "telemetry",
     "pipeline",
     "viewer",
+    "exports",
     "report",
     "live_page",
     "runs",

@@ -19,7 +19,7 @@ import wheelsight
 from wheelsight import Trajectory, read_kitti, read_tum, write_kitti, write_tum
 
 _NOT_IMPORTED = ("cli", "__main__")
-_ANSWERS = ("LabelFile.__init__", "LabelSource.__init__")  # made by readers, not by users
+_ANSWERS = ("Exported.__init__", "LabelFile.__init__", "LabelSource.__init__")  # made by readers, not by users
 
 
 def packages() -> list[str]:

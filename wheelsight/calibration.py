@@ -27,6 +27,7 @@ __all__ = [
     "Wheels",
     "calibration_fields",
     "load_calibration",
+    "parse_calibration",
     "read_layer",
     "save_calibration",
     "save_layer",
@@ -189,8 +190,22 @@ def read_layer(path: StrPath) -> dict[str, Any]:
     from wheelsight.inputs import read_yaml
 
     path = Path(path)
+    return _checked_layer(read_yaml(path, CalibrationError), path)
 
-    document = read_yaml(path, CalibrationError)
+
+def parse_calibration(text: str, path: StrPath) -> Calibration:
+    """The calibration of a calibration.yaml's text, which `path` holds. Raises CalibrationError."""
+    from wheelsight.inputs import parse_yaml
+
+    path = Path(path)
+    layer = _checked_layer(parse_yaml(text, path, CalibrationError), path)
+    try:
+        return _from_document(layer)
+    except CalibrationError as error:
+        raise CalibrationError(error.problem, path=path, fix=error.fix) from error
+
+
+def _checked_layer(document: Any, path: Path) -> dict[str, Any]:
     try:
         known = mapping(document, "calibration", _TOP_FIELDS)
         if known.get("format") != FORMAT:

@@ -13,6 +13,7 @@ _EXTRAS = {
     "distributed": ("Dask", "distributed"),
     "gtsam": ("GTSAM", "gtsam"),
     "mujoco": ("MuJoCo", "mujoco matplotlib"),
+    "octomap": ("octomap-python", "octomap-python"),
     "plotly": ("plotly", "plotly"),
     "rosbags": ("rosbags", "rosbags"),
     "pyrealsense2": ("pyrealsense2", "pyrealsense2"),

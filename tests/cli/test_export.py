@@ -99,11 +99,11 @@ def test_what_is_missing_is_told_with_its_fix(refusal: Refusal, results: Path, t
     fix = "(make one: wheelsight run RECORDING --odometry dense --map surfels --out DIR)"
     assert refusal("export", tmp_path / "plain", "--ply") == f"{tmp_path / 'plain'}: holds no map.surfels {fix}"
     assert refusal("export", tmp_path / "none", "--ply").endswith("there is no such folder or file (check the path)")
-    assert "one of --ply and --mesh is needed" in refusal("export", results)
+    assert "one of --ply, --mesh, --bag, --format is needed" in refusal("export", results)
     assert "--ply and --mesh are two files (give one of them at a time)" in refusal(
         "export", results, "--ply", "--mesh"
     )
-    assert "--voxel is of meshes alone" in refusal("export", results, "--ply", "--voxel", "0.1")
+    assert "--voxel is of meshes and bags and --format alone" in refusal("export", results, "--ply", "--voxel", "0.1")
     assert "does not end in .ply" in refusal("export", results, "--ply", "--out", tmp_path / "x.obj")
 
 

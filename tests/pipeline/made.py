@@ -18,8 +18,8 @@ from wheelsight.geometry import se3
 from wheelsight.odometry.wheels import integrate_log
 from wheelsight.trajectory import Trajectory
 
-FILES = {"trajectory.txt", "status.csv", "metrics.json", "config.yaml", "report.html"}
-OF_ONE = {"trajectory.txt", "status.csv", "metrics.json"}
+FILES = {"trajectory.txt", "covariances.csv", "status.csv", "metrics.json", "config.yaml", "report.html"}
+OF_ONE = {"trajectory.txt", "covariances.csv", "status.csv", "metrics.json"}
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
 BY_WHEELS = load_config(overrides={"odometry": "wheels"})
 BOTH = load_config(overrides={"odometry": "wheels,features", "fusion": "none"})

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from wheelsight.devices.recorder import LiveRecorder
     from wheelsight.devices.recording_session import SessionLook
-    from wheelsight.recordings import RecordingWriter
+    from wheelsight.recordings.writer import LiveWriter
 
 # A line for a log, where no terminal watches.
 _LINE_EVERY_S = 10.0
@@ -120,7 +120,7 @@ def note(text: str) -> None:
     print_note(f"{time.strftime('%H:%M:%S')} {text}")
 
 
-def tell_end(writer: RecordingWriter, recorder: LiveRecorder, out: Path, has_camera: bool) -> None:
+def tell_end(writer: LiveWriter, recorder: LiveRecorder, out: Path, has_camera: bool) -> None:
     """What is in the folder by now, and what is not."""
     recorder.close()
     report = recorder.report()

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
+from wheelsight.cli._recording_place import BagPlace
 from wheelsight.errors import ConfigError, OutputError
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from wheelsight.devices import WheelLink
     from wheelsight.devices.live_camera import LiveCamera
     from wheelsight.devices.recording_session import RecordingSession
-    from wheelsight.recordings import RecordingWriter
+    from wheelsight.recordings.writer import LiveWriter
     from wheelsight.settings import LiveCameraSettings, RecorderSettings
 
 
@@ -33,7 +34,9 @@ class Sensors:
 
 
 @contextmanager
-def opened_recording(asked: Sensors, out: Path, color: str, *, force: bool, resume: bool) -> Iterator[RecordingSession]:
+def opened_recording(
+    asked: Sensors, out: Path | BagPlace, color: str, *, force: bool, resume: bool
+) -> Iterator[RecordingSession]:
     """Sensors and recording opened for the block; what is refused leaves no folder, and what is over is told.
 
     Raises InputError.
@@ -46,16 +49,26 @@ def opened_recording(asked: Sensors, out: Path, color: str, *, force: bool, resu
 
     _check(asked, color, force=force, resume=resume)
     of_camera, of_recorder = _settings(asked)
-    known = _known(asked, out, resume)
+    bag = out if isinstance(out, BagPlace) else None
+    folder = out.path.parent if isinstance(out, BagPlace) else out
+    if bag is not None:
+        bag.check(has_infrared=asked.infrared, force=force, resume=resume)
+        of_recorder = bag.settings(of_recorder)
+    known = _known(asked, folder, resume)
     with ExitStack() as opened:
-        opened.enter_context(new_output_folder(out, force or resume))  # refused before a device is touched
+        # refused before a device is touched
+        opened.enter_context(new_output_folder(folder, force or resume or bag is not None))
         camera, calibration = _camera(asked, of_camera, known, opened)
         link = _link(asked, opened)
-        writer = RecordingWriter(out, calibration, force, color=color, resume=resume)  # type: ignore[arg-type]
+        writer: LiveWriter
+        if bag is not None:
+            writer = bag.writer(calibration, color, of_recorder)
+        else:
+            writer = RecordingWriter(folder, calibration, force, color=color, resume=resume)  # type: ignore[arg-type]
         recorder = opened.enter_context(LiveRecorder(writer, of_recorder))
-        _check_time(writer)
-        opened.callback(tell_end, writer, recorder, out, camera is not None)
-        yield RecordingSession(recorder, out, camera, link, note)
+        _check_time(writer, folder)
+        opened.callback(tell_end, writer, recorder, folder if bag is None else bag.path, camera is not None)
+        yield RecordingSession(recorder, folder, camera, link, note)
 
 
 def _check(asked: Sensors, color: str, *, force: bool, resume: bool) -> None:
@@ -125,11 +138,11 @@ def _link(asked: Sensors, opened: ExitStack) -> WheelLink | None:
     return opened.enter_context(WheelLink(asked.wheels, asked.baud, note_status(asked.wheels)))
 
 
-def _check_time(writer: RecordingWriter) -> None:
+def _check_time(writer: LiveWriter, folder: Path) -> None:
     """Refuse to go on with a recording whose stamps are still to come. Raises OutputError."""
     from wheelsight.devices import host_clock
 
     ahead_s = writer.last_stamp_s - host_clock.now_s()
     if ahead_s > 0:
         problem = f"its last stamp lies {ahead_s:.0f} s in the future: the clock was set back"
-        raise OutputError(problem, path=writer.folder, fix="set this computer's clock, or record into another --out")
+        raise OutputError(problem, path=folder, fix="set this computer's clock, or record into another --out")

@@ -22,7 +22,13 @@ CameraKind = Annotated[
 
 
 def record(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the recording; made.", show_default=False)],
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder of the recording; made.", show_default=False)
+    ] = None,
+    bag: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write a bag of ROS 2, .mcap, in place of a folder.", show_default=False),
+    ] = None,
     camera: CameraKind = None,
     wheels: Annotated[
         str | None, typer.Option(metavar="PORT", help="Serial port of the wheel controller.", show_default="none")
@@ -63,14 +69,17 @@ def record(
     wheelsight record --camera any --wheels /dev/ttyUSB0 --out corridor --resume
 
     wheelsight record --wheels /dev/ttyUSB0 --out square --seconds 60
+
+    wheelsight record --camera any --wheels /dev/ttyUSB0 --calibration robot.yaml --bag corridor.mcap
     """
     from wheelsight.cli._record_view import shown_looks
     from wheelsight.cli._recording import Sensors, opened_recording
+    from wheelsight.cli._recording_place import place_of
 
     asked = Sensors(camera, wheels, tuple(calibration or ()), infrared, baud, config, tuple(topic or ()))
     with (
         until_stopped() as is_over,
-        opened_recording(asked, out, color, force=force, resume=resume) as session,
+        opened_recording(asked, place_of(out, bag), color, force=force, resume=resume) as session,
         shown_looks() as show,
     ):
         session.run(is_over, show, seconds)

@@ -7,13 +7,13 @@ import time
 from collections import deque
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 from wheelsight.devices.live_camera import LiveFrame
 from wheelsight.errors import ArgumentError, OutputError, RecordingError
 from wheelsight.events import AngularVelocity, WheelTicks, YawRate
-from wheelsight.recordings import RecordingWriter
 from wheelsight.recordings.frame_clocks import FrameClock
-from wheelsight.recordings.writer import WrittenFrame
+from wheelsight.recordings.writer import LiveWriter
 from wheelsight.settings import RecorderSettings
 
 THREAD = "wheelsight-recorder"
@@ -49,7 +49,7 @@ class _Waiting:
     """A frame on its way to the disk, and since when."""
 
     live: LiveFrame
-    written: Future[WrittenFrame]
+    written: Future[Any]
     since_s: float
 
 
@@ -64,7 +64,7 @@ class LiveRecorder:
         settings: of None, the defaults.
     """
 
-    def __init__(self, writer: RecordingWriter, settings: RecorderSettings | None = None) -> None:
+    def __init__(self, writer: LiveWriter, settings: RecorderSettings | None = None) -> None:
         self.settings = settings or RecorderSettings()
         self._writer = writer
         self._waiting: deque[_Waiting] = deque()

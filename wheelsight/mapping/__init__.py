@@ -1,6 +1,6 @@
 """Mapping: surfels that frames are fused into, views predicted from them, files and meshes; occupancy of the floor."""
 
-from wheelsight.mapping.export import Mesh, mesh_of, write_mesh_ply, write_ply
+from wheelsight.mapping.export import Mesh, colors_of, mesh_of, write_mesh_ply, write_ply
 from wheelsight.mapping.map_edits import EditKind, MapEdit, MapEdits
 from wheelsight.mapping.named_poses import NamedPose, NamedPoses
 from wheelsight.mapping.occupancy import CellKind, OccupancyGrid
@@ -28,6 +28,7 @@ __all__ = [
     "SurfelMap",
     "SurfelSettings",
     "Surfels",
+    "colors_of",
     "load_map",
     "mesh_of",
     "save_map",

@@ -13,6 +13,7 @@ import numpy as np
 
 from wheelsight.config import Config, TrackName, save_config
 from wheelsight.files import make_output_folder, output_error, write_text
+from wheelsight.pipeline.covariances import COVARIANCES_FILE, write_covariances
 from wheelsight.pipeline.kept_maps import save_surfels
 from wheelsight.pipeline.loops import CORRECTED_FILE, JUDGED_FILE, judged_csv
 from wheelsight.pipeline.maps import MAP_FILE
@@ -25,7 +26,17 @@ from wheelsight.sources import EventSource
 from wheelsight.trajectory import write_tum
 
 PAGE_FILE = "report.html"
-_OF_ONE = ("trajectory.txt", "status.csv", "metrics.json", "areas.csv", CORRECTED_FILE, JUDGED_FILE, MAP_FILE)
+STATUS_FILE, METRICS_FILE, TRAJECTORY_FILE = "status.csv", "metrics.json", "trajectory.txt"
+_OF_ONE = (
+    TRAJECTORY_FILE,
+    COVARIANCES_FILE,
+    STATUS_FILE,
+    METRICS_FILE,
+    "areas.csv",
+    CORRECTED_FILE,
+    JUDGED_FILE,
+    MAP_FILE,
+)
 
 
 Draw = Callable[[Sequence[RunRecord], Path], None]
@@ -51,7 +62,7 @@ def write_results(
     else:
         for record in records:
             _write_one(record, passage, source, make_output_folder(folder / record.odometry, force=True))
-        _write_json(joint_metrics(records, passage, source), folder / "metrics.json")
+        _write_json(joint_metrics(records, passage, source), folder / METRICS_FILE)
     if draw is None:
         _forget(folder / PAGE_FILE)
     else:
@@ -73,13 +84,16 @@ def _forget_others(records: Sequence[RunRecord], folder: Path) -> None:
 
 
 def _write_one(record: RunRecord, passage: Passage, source: EventSource, folder: Path) -> None:
-    write_tum(record.estimate, folder / "trajectory.txt")
-    write_text(folder / "status.csv", _status_csv(record))
+    _forget(folder / COVARIANCES_FILE)  # first: no table tells of another run's poses
+    write_tum(record.estimate, folder / TRAJECTORY_FILE)
+    if record.estimate.covariances is not None:
+        write_covariances(record.estimate, folder / COVARIANCES_FILE)
+    write_text(folder / STATUS_FILE, _status_csv(record))
     if record.rectification is not None:
         write_text(folder / "areas.csv", looks_csv(record.rectification))
     _write_correction(record, folder)
     _write_map(record, passage, folder / MAP_FILE)
-    _write_json(metrics_of(record, passage, source), folder / "metrics.json")
+    _write_json(metrics_of(record, passage, source), folder / METRICS_FILE)
 
 
 def _write_correction(record: RunRecord, folder: Path) -> None:

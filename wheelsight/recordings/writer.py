@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,40 @@ class WrittenFrame:
     lines: dict[str, str]
     size_bytes: int
     too_far: int
+
+
+class LiveWriter(Protocol):
+    """Where what live sensors say is written: frames by several threads, listed by one in the order they came."""
+
+    @property
+    def last_stamp_s(self) -> float:
+        """The newest of all sensors; -∞ before the first."""
+
+    @property
+    def frames(self) -> int:
+        """How many it has by now."""
+
+    @property
+    def readings(self) -> int:
+        """How many wheel readings it has."""
+
+    def check(self, event: Event) -> None:
+        """Refuse what cannot be read again. Raises ArgumentError, RecordingError."""
+
+    def add(self, event: Event) -> None:
+        """Write one event. Raises as `check`, and OutputError."""
+
+    def add_angular_velocity(self, turn: AngularVelocity) -> None:
+        """Write a reading of the camera's gyroscope. Raises as `add`."""
+
+    def write_frame(self, frame: RgbdFrame, infrared: UInt16Array | None = None) -> Any:
+        """Encode a frame that was checked; what it comes to tells its `size_bytes`. Raises OutputError."""
+
+    def list_frame(self, written: Any, clock: FrameClock | None = None) -> None:
+        """Let readers find a frame. Raises OutputError."""
+
+    def close(self) -> None:
+        """End. Raises OutputError."""
 
 
 class RecordingWriter:

@@ -30,6 +30,22 @@ class RecorderSettings(Settings):
         ge=1,
         le=64,
     )
+    bag_wait_s: float = setting(
+        0.4,
+        "likewise of a frame on its way into a bag: readers put messages in order within half a second "
+        "(recording.bag.order_s), and would leave out what comes later still",
+        CHOSEN,
+        gt=0,
+        le=60,
+    )
+    bag_flush_s: float = setting(
+        0.5,
+        "how often a bag is made readable up to there, seconds: with bag_wait_s under a second, so that whatever ends "
+        "the program loses no more. Each time is a chunk of MCAP, of which a reader's index has a line",
+        CHOSEN,
+        gt=0,
+        le=60,
+    )
     least_free_mb: float = setting(
         200.0,
         "recording ends when so little room is left on the disk, MB, before other programs fail for want of it",

@@ -25,14 +25,15 @@ from wheelsight.events import RgbdFrame, SkippedFrame, WheelSpeeds
 from wheelsight.recordings import open_recording
 from wheelsight.recordings.clocks import FRAMES as FRAME_STAMPS
 from wheelsight.recordings.clocks import WHEELS, listed_stamps, refuse_if_apart
+from wheelsight.recordings.rosbag.writing import new_bag
 
 
-def file_of(folder: Path, is_ros1: bool = False, **how: str) -> Path:
-    written = write_bag(folder / ("drive.bag" if is_ros1 else "drive"), camera_drive(is_ros1), **how)
+def file_of(folder: Path, is_ros1: bool = False, frames: int = FRAMES, **how: str) -> Path:
+    written = write_bag(folder / ("drive.bag" if is_ros1 else "drive"), camera_drive(is_ros1, frames), **how)
     return written if is_ros1 else next(file for file in written.iterdir() if file.suffix != ".yaml")
 
 
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9])
 @pytest.mark.parametrize("way", ["ROS 1", "mcap", "sqlite3"])
 def test_a_bag_that_is_cut_off_is_refused_in_one_line_or_read_in_part(tmp_path: Path, way: str, share: float) -> None:
     path = file_of(tmp_path, is_ros1=True) if way == "ROS 1" else file_of(tmp_path, storage=way)
@@ -58,11 +59,34 @@ def test_a_bag_without_an_index_says_how_to_make_one(tmp_path: Path) -> None:
         open_recording(path)
 
 
-def test_an_mcap_without_an_end_says_how_to_recover_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize("missing", [1, 9, 37, 300])
+def test_an_mcap_without_an_end_is_read_and_that_is_said(tmp_path: Path, missing: int) -> None:
     path = file_of(tmp_path)
+    path.write_bytes(path.read_bytes()[:-missing])
+    (tmp_path / "drive" / "metadata.yaml").unlink()
+    recording = open_recording(path)
+    assert recording.warnings[0].startswith("drive.mcap has no end, as where its recorder was killed.")
+    assert len(list(recording.events())) == FRAMES
+
+
+def test_an_mcap_that_is_cut_in_a_chunk_keeps_the_chunks_before(tmp_path: Path) -> None:
+    path = file_of(tmp_path, frames=150)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    recording = open_recording(path)
+    assert "bytes after them are no whole record" in recording.warnings[0]
+    assert 20 < len(list(recording.events())) < 150
+
+
+def test_messages_of_a_cut_mcap_that_are_not_in_order_are_refused(tmp_path: Path) -> None:
+    drive = camera_drive()
+    ordered = sorted(drive.messages, key=lambda item: item[0])
+    path = tmp_path / "drive.mcap"
+    with new_bag(path) as bag:
+        for at_s, topic, message in (*ordered[3:], *ordered[:3]):
+            bag.add(topic, message, START_S + at_s)
     path.write_bytes(path.read_bytes()[:-9])
-    with pytest.raises(RecordingError, match=r"is cut off: it has no end .mcap recover"):
-        open_recording(path)
+    with pytest.raises(RecordingError, match=r"not in order of receipt .mcap recover drive\.mcap"):
+        list(open_recording(path).events())
 
 
 @pytest.mark.parametrize("name", ["text.bag", "text.mcap", "text.db3"])

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wheelsight.calibration import Calibration, load_calibration
+from wheelsight.calibration import Calibration, load_calibration, parse_calibration
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry import FloatArray
 from wheelsight.inputs import is_there
@@ -24,8 +25,8 @@ from wheelsight.recordings.rosbag.recording import BagPlan, BagRecording
 from wheelsight.recordings.rosbag.robot import Robot, read_robot
 from wheelsight.recordings.rosbag.stamps import TopicClock, clocks_of, header_of
 from wheelsight.recordings.rosbag.storage import OpenBag, open_bag
-from wheelsight.recordings.rosbag.topics import Choices, Roles, lacks, roles_of
-from wheelsight.recordings.rosbag.wheels import JointSpeeds, OdometrySpeeds, SpeedReader, told_by_twist
+from wheelsight.recordings.rosbag.topics import CALIBRATION, TEXT, Choices, Roles, lacks, roles_of
+from wheelsight.recordings.rosbag.wheels import JointSpeeds, JointTicks, OdometrySpeeds, SpeedReader, told_by_twist
 
 _FIRST_MESSAGES = 5
 
@@ -62,17 +63,26 @@ def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
     clocks, warnings = clocks_of({topic: bag.first(topic)[0] for topic in used}, bag.is_ros1, settings.most_apart_s)
     robot = read_robot(bag, roles, settings)
     up, of_gravity = up_of_gyro(bag, roles, robot, settings)
-    wheels, of_wheels, variances = _wheels(bag, roles)
+    calibration = _calibrated(bag, roles, robot, options)
+    wheels, of_wheels, variances = _wheels(bag, roles, calibration)
     plan = BagPlan(roles, clocks, wheels, up, _wait_s(bag, roles, options), options)
     ends = _ends(bag, roles, clocks)
     used_as = {name: " and ".join(r for r, n in roles.used.items() if n == name) for name in roles.used.values()}
     recording = BagRecording(
         bag.path,
-        _calibrated(bag.path, robot, options),
+        calibration,
         plan,
         tuple(RecordedTopic(topic.name, topic.type, topic.count, used_as.get(topic.name, "")) for topic in bag.topics),
         ends,
-        (*roles.warnings, *warnings, *robot.warnings, *of_gravity, *of_wheels, *stamp_warnings(_outer(ends))),
+        (
+            *bag.warnings,
+            *roles.warnings,
+            *warnings,
+            *robot.warnings,
+            *of_gravity,
+            *of_wheels,
+            *stamp_warnings(_outer(ends)),
+        ),
         variances,
     )
     if roles.color is not None and roles.depth is not None:
@@ -81,11 +91,14 @@ def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
     return recording
 
 
-def _calibrated(path: Path, robot: Robot, options: OpenOptions) -> Calibration:
+def _calibrated(bag: OpenBag, roles: Roles, robot: Robot, options: OpenOptions) -> Calibration:
     """The robot as the bag tells it, under what the user says of it, and what a calibration.yaml beside it says."""
+    path = bag.path
     beside = path / "calibration.yaml"
     over = [*([beside] if is_there(beside) else []), *options.calibrations]
-    known = robot.calibration
+    known, own = robot.calibration, _own(bag, roles)
+    if own is not None:
+        known = own if known is None else known.updated_by(own)
     if options.camera is not None:
         camera = load_camera(options.camera)
         known = camera if known is None else known.updated_by(camera)
@@ -102,12 +115,25 @@ def _calibrated(path: Path, robot: Robot, options: OpenOptions) -> Calibration:
     return calibration
 
 
-def _wheels(bag: OpenBag, roles: Roles) -> tuple[Callable[[], SpeedReader] | None, list[str], SpeedVariances | None]:
+def _own(bag: OpenBag, roles: Roles) -> Calibration | None:
+    """What a bag of our own carries as text; its wheels where their joints are used. Raises CalibrationError."""
+    if not any(topic.name == CALIBRATION and topic.type == TEXT and topic.count for topic in bag.topics):
+        return None
+    told = parse_calibration(bag.decode(bag.first(CALIBRATION)[0]).data, bag.path)
+    return told if roles.joints is not None else replace(told, wheels=None)
+
+
+def _wheels(
+    bag: OpenBag, roles: Roles, calibration: Calibration
+) -> tuple[Callable[[], SpeedReader] | None, list[str], SpeedVariances | None]:
     """What makes a reader of the wheels' topic, sentences on it, and what it states of its own errors."""
     if roles.wheels is None:
         return None, [], None
     if roles.joints is not None:
         names = f"{'+'.join(roles.joints.left)} and {'+'.join(roles.joints.right)}"
+        ticks_per_turn = _ticks_per_turn(bag, roles, calibration)
+        if ticks_per_turn is not None:
+            return partial(JointTicks, roles.joints, ticks_per_turn), [], None
         return partial(JointSpeeds, roles.joints), [f"{roles.wheels.name}: wheels are the joints {names}."], None
     topic = roles.wheels.name
     sampled = [bag.decode(message) for message in (*bag.first(topic, _FIRST_MESSAGES), bag.last(topic))]
@@ -116,6 +142,16 @@ def _wheels(bag: OpenBag, roles: Roles) -> tuple[Callable[[], SpeedReader] | Non
     told = [f"{topic}: wheels are known by {how}; it is the robot's own estimate, no truth."]
     nominal = need_wheels(shipped_robot("velocities"))
     return partial(OdometrySpeeds, nominal, by_twist), told, _variances(bag, topic, sampled[0])
+
+
+def _ticks_per_turn(bag: OpenBag, roles: Roles, calibration: Calibration) -> float | None:
+    """Of the encoders whose counts a bag of our own tells as angles, without speeds; else None."""
+    own = _own(bag, roles)
+    if own is None or own.wheels is None or calibration.wheels is None or roles.wheels is None:
+        return None
+    has_speeds = len(bag.decode(bag.first(roles.wheels.name)[0]).velocity) > 0
+    is_same = own.wheels.ticks_per_turn == calibration.wheels.ticks_per_turn
+    return own.wheels.ticks_per_turn if is_same and not has_speeds else None
 
 
 def _variances(bag: OpenBag, topic: str, first: Any) -> SpeedVariances | None:

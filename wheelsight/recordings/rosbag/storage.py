@@ -13,6 +13,7 @@ from typing import Any
 
 from wheelsight.errors import RecordingError
 from wheelsight.extras import needed
+from wheelsight.recordings.rosbag.cut_mcap import CutMcap, cut_mcap
 from wheelsight.recordings.rosbag.files import parts_of
 from wheelsight.recordings.rosbag.ros1 import Ros1Reader
 
@@ -25,6 +26,7 @@ _FIXES = (
     ("not indexed", "has no index: its recorder did not end it", "rosbag reindex FILE"),
     ("index looks damaged", "is cut off: its index is not where it should be", "rosbag reindex FILE"),
     ("File end magic", "is cut off: it has no end", "mcap recover FILE -o whole.mcap"),
+    ("Unindexed", "is cut off, and its messages are not in order of receipt", "mcap recover FILE -o whole.mcap"),
     ("Profile is not ros2", "is an MCAP file, but not of ROS 2", "record it with ros2 bag, or convert it"),
     ("type definitions", "does not say what its messages hold", "record with ROS 2 Iron or later, or as MCAP"),
     ("database", "is no sqlite3 database, or a damaged one", "sqlite3 FILE .recover"),
@@ -67,10 +69,11 @@ class OpenBag:
         topics: in order of name.
         start_ns, end_ns: the time of the first receipt and just after the last.
         is_ros1: whether messages are serialized as ROS 1 does.
+        warnings: one sentence each on files that lack their end.
     """
 
-    def __init__(self, path: Path, readers: Sequence[Any], is_ros1: bool) -> None:
-        self.path, self.is_ros1 = path, is_ros1
+    def __init__(self, path: Path, readers: Sequence[Any], is_ros1: bool, warnings: tuple[str, ...] = ()) -> None:
+        self.path, self.is_ros1, self.warnings = path, is_ros1, warnings
         self._readers = sorted(readers, key=lambda reader: reader.start_time)
         self._stores: dict[str, Any] = {}
         self._firsts: dict[str, Message] = {}
@@ -165,14 +168,21 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
     """
     parts = parts_of(path)
     is_ros1 = parts[0].suffix == ".bag"
-    reader = Ros1Reader if is_ros1 else needed("rosbags.rosbag2").Reader
+    reader: Any = Ros1Reader if is_ros1 else needed("rosbags.rosbag2").Reader
     with ExitStack() as stack:
         try:
-            readers = [stack.enter_context(reader(part)) for part in parts]
-            bag = OpenBag(path, readers, is_ros1)
+            cut = {part: found for part in parts if part.suffix == ".mcap" and (found := cut_mcap(part)) is not None}
+            readers = [stack.enter_context(reader(cut.get(part, part))) for part in parts]
+            bag = OpenBag(path, readers, is_ros1, tuple(map(_without_end, cut.values())))
         except Exception as error:
             raise _refusal(path, error) from error
         yield bag
+
+
+def _without_end(cut: CutMcap) -> str:
+    lost = f"; {cut.lost_bytes:,} bytes after them are no whole record" if cut.lost_bytes else ""
+    told = f"{cut.name} has no end, as where its recorder was killed. All messages are read that are whole"
+    return f"{told}{lost}. Without an index that takes longer: mcap recover makes one."
 
 
 def _plain(data: bytes) -> bytes:

@@ -16,7 +16,10 @@ from wheelsight.recordings.rosbag.wheels import Joints, wheel_joints
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 INFO, IMU = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/Imu"
 ODOMETRY, JOINTS = "nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState"
+TEXT = "std_msgs/msg/String"
 TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+# Text of a calibration.yaml, which wheelsight's own bags carry; an Odometry beside it is its estimate.
+CALIBRATION = "/wheelsight/calibration"
 NONE = "none"
 _TYPES = {
     "color": (IMAGE, COMPRESSED),
@@ -124,9 +127,17 @@ def roles_of(bag: OpenBag, choices: Choices) -> Roles:
     # Registered depth has the colour camera's pixels.
     own_depth = None if depth is None or depth.says_registered else depth
     depth_info = None if own_depth is None else chosen.get("depth_info") or _info_of(own_depth, frames)
-    wheels, joints = _wheels(bag, filled, chosen, choices, warnings)
+    wheels, joints = _wheels(bag, _measured(filled, color is not None), chosen, choices, warnings)
     gyro = _gyro(filled, chosen, warnings)
     return Roles(color, depth, color_info, depth_info, wheels, joints, gyro, tuple(warnings))
+
+
+def _measured(filled: Sequence[Topic], has_camera: bool) -> list[Topic]:
+    """Topics that may tell of wheels: in a bag of our own an Odometry is our estimate, by the other sensors."""
+    is_own = any(topic.name == CALIBRATION for topic in filled)
+    if is_own and (has_camera or any(topic.type == JOINTS for topic in filled)):
+        return [topic for topic in filled if topic.type != ODOMETRY]
+    return list(filled)
 
 
 def _joints(text: str, role: str, names: str) -> Joints:
@@ -223,7 +234,7 @@ def _wheels(
     bag: OpenBag, filled: Sequence[Topic], chosen: Mapping[str, str], choices: Choices, warnings: list[str]
 ) -> tuple[Topic | None, Joints | None]:
     if "wheels" in chosen:
-        topic = next((topic for topic in filled if topic.name == chosen["wheels"]), None)
+        topic = next((topic for topic in bag.topics if topic.name == chosen["wheels"]), None)
         if topic is None or topic.type == ODOMETRY:
             return topic, None
         return topic, choices.joints or _joints_in(bag, topic.name)

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from wheelsight.calibration import Wheels
-from wheelsight.events import WheelSpeeds
+from wheelsight.events import WheelSpeeds, WheelTicks
 from wheelsight.geometry import se2
 from wheelsight.recordings._wheel_recording import speeds_of_wheels
 
@@ -38,11 +38,35 @@ class SpeedReader(Protocol):
 
     unusable: int
 
-    def add(self, stamp_s: float, message: Any) -> WheelSpeeds | None:
-        """The speeds from the message before until this one, or None where there are none yet."""
+    def add(self, stamp_s: float, message: Any) -> WheelSpeeds | WheelTicks | None:
+        """The speeds from the message before until this one, or the counts of this one; None where there are none."""
 
     def end(self) -> WheelSpeeds | None:
         """The speeds of the last message, which hold until nobody knows when."""
+
+
+class JointTicks:
+    """Counts of encoders, of joints whose angles are known to be made of them.
+
+    Attributes:
+        unusable: messages that lack one of the joints, or whose numbers are none.
+    """
+
+    def __init__(self, joints: Joints, ticks_per_turn: float) -> None:
+        self.unusable = 0
+        self._names, self._per_rad = (joints.left[0], joints.right[0]), ticks_per_turn / (2 * math.pi)
+
+    def add(self, stamp_s: float, message: Any) -> WheelTicks | None:
+        """See `SpeedReader`."""
+        angles = dict(zip(message.name, message.position, strict=False))
+        told = [float(angles.get(name, math.nan)) * self._per_rad for name in self._names]
+        if not all(map(math.isfinite, told)):
+            self.unusable += 1
+            return None
+        return WheelTicks(stamp_s, round(told[0]), round(told[1]))
+
+    def end(self) -> None:
+        """See `SpeedReader`."""
 
 
 class OdometrySpeeds:

@@ -6,7 +6,7 @@ Written while driving so that a kill at any moment loses the last seconds at mos
 from wheelsight.slam.sessions.edges import SeenKeyframe, odometry_edge
 from wheelsight.slam.sessions.hanging import lie_together
 from wheelsight.slam.sessions.header import MapCamera, MapHeader
-from wheelsight.slam.sessions.info import MAP_FOLDER, MapInfo, find_map, info_of
+from wheelsight.slam.sessions.info import MAP_FOLDER, MapInfo, find_map, info_of, is_map
 from wheelsight.slam.sessions.kept import KeptKeyframes
 from wheelsight.slam.sessions.map_folder import MapFolder, discard_map
 from wheelsight.slam.sessions.merging import MergedMap, merge
@@ -39,6 +39,7 @@ __all__ = [
     "find_map",
     "fused_anew",
     "info_of",
+    "is_map",
     "lie_together",
     "merge",
     "occupancy_of",

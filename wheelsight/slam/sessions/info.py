@@ -99,13 +99,18 @@ def info_of(folder: MapFolder) -> MapInfo:
     )
 
 
+def is_map(path: StrPath) -> bool:
+    """Whether a folder has what says that it is a map."""
+    return is_there(Path(path) / HEADER_FILE)
+
+
 def find_map(path: StrPath) -> Path:
     """The map folder that a path names: itself, or that of a run's folder. Raises MapError."""
     path = Path(path)
     if not is_there(path):
         raise MapError("there is no such folder", path=path, fix="check the path")
     own = [path, *(path / track / MAP_FOLDER for track in _OF_RUN)]
-    found = next((folder for folder in own if is_there(folder / HEADER_FILE)), None)
+    found = next((folder for folder in own if is_map(folder)), None)
     if found is None:
         fix = "make one: wheelsight run RECORDING --odometry dense --map surfels --out DIR"
         raise MapError("is no map, and no folder of a run with one", path=path, fix=fix)

@@ -1,0 +1,215 @@
+"""A run, a map or a recording as a bag that Foxglove, RViz and Nav2 open."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from wheelsight.errors import InputError, OutputError
+from wheelsight.exports.map_points import points_of
+from wheelsight.exports.ros_axes import (
+    body_frame,
+    map_to_odom,
+    pose_covariances,
+    twists,
+    upright,
+    upright_points,
+)
+from wheelsight.exports.sources import Exported, StatusRow
+from wheelsight.files import StrPath
+from wheelsight.geometry import se3
+from wheelsight.recordings import express_for
+from wheelsight.recordings.rosbag.messages import Diagnosis, Messages
+from wheelsight.recordings.rosbag.robot_topics import ImageForm, RobotTopics, Sent
+from wheelsight.recordings.rosbag.writing import new_bag
+from wheelsight.ros_map import read_ros_map
+from wheelsight.slam.sessions.map_folder import OCCUPANCY_FILE
+from wheelsight.trajectory import Trajectory
+
+MAP, ODOM = "map", "odom"
+DEFAULT_VOXEL_M = 0.05
+# How a run's words are told to who looks at lights: green, yellow, red.
+_LEVELS = {"tracking": 0, "coasting": 1, "initializing": 1, "failing": 2, "lost": 2}
+_ERROR = 2
+_TELL_EVERY = 50
+
+
+@dataclass(frozen=True, slots=True)
+class BagParts:
+    """What goes into a bag.
+
+    Attributes:
+        images: how camera images are written, or None for none; see `RobotTopics`.
+        voxel_m: side of the cubes that each get one point of the map.
+    """
+
+    images: ImageForm | None = None
+    voxel_m: float = DEFAULT_VOXEL_M
+
+
+@dataclass(frozen=True, slots=True)
+class BagReport:
+    """What was written.
+
+    Attributes:
+        topics: how many messages there are of each.
+        size_bytes: of the file.
+        warnings: one sentence on each part that is not in it.
+    """
+
+    topics: dict[str, int]
+    size_bytes: int
+    warnings: tuple[str, ...]
+
+
+def export_bag(
+    source: Exported,
+    path: StrPath,
+    parts: BagParts | None = None,
+    on_message: Callable[[int], None] = lambda done: None,
+) -> BagReport:
+    """Write a bag: of ROS 2 where the name ends in .mcap, of ROS 1 where it ends in .bag.
+
+    Args:
+        source: what to write.
+        path: of the file; it is there once it is whole.
+        parts: what of it.
+        on_message: called now and again with how many messages are written.
+
+    Raises:
+        ConfigError: another ending, or rosbags is not installed.
+        InputError: what is to be written cannot be read, or is nothing at all.
+        OutputError: the file cannot be written, or the disk is full.
+    """
+    path, parts = Path(path), parts or BagParts()
+    counts: dict[str, int] = {}
+    with new_bag(path) as bag:
+        writing = _Writing(source, parts, bag.make)
+        for sent in writing.messages():
+            bag.add(sent.topic, sent.message, sent.stamp_s, is_latched=sent.is_latched)
+            counts[sent.topic] = counts.get(sent.topic, 0) + 1
+            if bag.count % _TELL_EVERY == 0:
+                on_message(bag.count)
+        if not counts:
+            raise OutputError(
+                "would be empty: there is nothing to write", path=path, fix="give a run, a map or a recording"
+            )
+    return BagReport(counts, path.stat().st_size, tuple(writing.warnings))
+
+
+class _Writing:
+    """The messages of one bag, in order of time, and what is missing."""
+
+    def __init__(self, source: Exported, parts: BagParts, make: Messages) -> None:
+        self.source, self.parts, self.make = source, parts, make
+        self.warnings: list[str] = []
+        lived, self.calibration = source.trajectory, source.calibration
+        has_base = self.calibration is not None and self.calibration.T_base_camera is not None
+        is_of_base = has_base or (self.calibration is not None and self.calibration.color is None)
+        self.body = lived.body if lived is not None else "base" if is_of_base else "camera"
+        self.robot = RobotTopics(make, self.calibration, parts.images)
+        # Without a map the frame map begins where odom does; in one that was never recognised nobody knows.
+        is_lost = lived is not None and lived.frame == ODOM and source.corrected is None and source.map is not None
+        self.fixed = ODOM if is_lost else MAP
+        if is_lost:
+            self.warnings.append("Nothing leads from map to odom: where the run lies in its map is not known.")
+
+    def messages(self) -> Iterator[Sent]:
+        """All: what is told once comes first, with the stamp of the first of all others."""
+        streams = (self._poses(), self._statuses(), self._events())
+        told = heapq.merge(*streams, key=lambda sent: sent.stamp_s)
+        first = next(told, None)
+        begin_s = first.stamp_s if first is not None else self._first_keyframe_s()
+        yield from self._once(begin_s)
+        yield from chain([] if first is None else [first], told)
+
+    def _once(self, begin_s: float) -> Iterator[Sent]:
+        yield from self.robot.mounts(begin_s)
+        for topic, way in self._ways():
+            path = self.make.path(begin_s, self.fixed, way.stamps_s, way.T_frame_body)
+            yield Sent(begin_s, topic, path, is_latched=True)
+        yield from self._map(begin_s)
+
+    def _ways(self) -> Iterator[tuple[str, Trajectory]]:
+        """The way as known at the end; of a map, from keyframe to keyframe; and the true one of a recording."""
+        lived = self.source.trajectory
+        if lived is not None:
+            way = self.source.corrected or lived
+            yield "/trajectory", upright(way)
+        elif self.source.map is not None:
+            yield "/trajectory", upright(self._keyframes())
+        elif self.source.recording is not None and self.source.recording.ground_truth is not None:
+            yield "/ground_truth", upright(self.source.recording.ground_truth)
+
+    def _keyframes(self) -> Trajectory:
+        folder = self.source.need_map()
+        stamped = sorted((folder.contents.places[number].stamp_s, number) for number in folder.store)
+        T_map_camera = folder.store.T_map_keyframe[[number for _, number in stamped]]
+        stamps_s = np.array([stamp_s for stamp_s, _ in stamped])
+        keeps = np.diff(stamps_s, prepend=-np.inf) > 0  # drives of before may have been stamped from 0 too
+        return express_for(self.body, Trajectory(stamps_s[keeps], T_map_camera[keeps]), folder.calibration)
+
+    def _first_keyframe_s(self) -> float:
+        places = {} if self.source.map is None else self.source.map.contents.places
+        return min((place.stamp_s for place in places.values()), default=0.0)
+
+    def _map(self, begin_s: float) -> Iterator[Sent]:
+        points = points_of(self.source, self.parts.voxel_m)
+        if points is not None:
+            p = upright_points(points.p_map, self.body)
+            yield Sent(begin_s, "/map_points", self.make.points(begin_s, MAP, p, points.colors), is_latched=True)
+        folder = self.source.map
+        if folder is None:
+            return
+        if not (folder.path / OCCUPANCY_FILE).is_file():
+            self.warnings.append("There is no /map: what is free of the floor is not known of this map.")
+            return
+        grid = read_ros_map(folder.path / OCCUPANCY_FILE)
+        about = (grid.occupancy, grid.resolution_m, se3.from_plane(*grid.origin))
+        yield Sent(begin_s, "/map", self.make.occupancy(begin_s, MAP, *about), is_latched=True)
+
+    def _poses(self) -> Iterator[Sent]:
+        """/odom, and in /tf map to odom to the body, at each pose."""
+        lived, corrected = self.source.trajectory, self.source.corrected
+        if lived is None:
+            return
+        lived, corrected = upright(lived), None if corrected is None else upright(corrected)
+        known_s, T_map_odom = map_to_odom(lived, corrected)
+        at = dict(zip(known_s.tolist(), T_map_odom, strict=True))
+        C, moving, child = pose_covariances(lived), twists(lived), body_frame(lived.body)
+        for row, (stamp_s, T) in enumerate(lived):
+            known = None if C is None else C[row]
+            yield Sent(stamp_s, "/odom", self.make.odometry(stamp_s, (ODOM, child), T, moving[row], known))
+            joined = [(MAP, ODOM, at[stamp_s])] if stamp_s in at and self.fixed == MAP else []
+            yield Sent(stamp_s, "/tf", self.make.transforms(stamp_s, [*joined, (ODOM, child, T)]))
+
+    def _statuses(self) -> Iterator[Sent]:
+        rows = sorted(self.source.status(), key=lambda row: row.stamp_s)
+        for row in rows:
+            yield Sent(row.stamp_s, "/diagnostics", self.make.diagnostics(row.stamp_s, [_diagnosis(row)]))
+
+    def _events(self) -> Iterator[Sent]:
+        """What the sensors said; of a run whose recording is not there, nothing, and that is told."""
+        try:
+            recording = self.source.recording
+        except InputError as error:
+            if self.parts.images is not None:
+                raise
+            self.warnings.append(f"There are no topics of sensors: {error}.")
+            return
+        if recording is None:
+            if self.parts.images is not None:
+                self.warnings.append("There are no images: only a recording, or a run of one, has them.")
+            return
+        for event in recording.events(images=self.parts.images is not None):
+            yield from self.robot.of_event(event)
+
+
+def _diagnosis(row: StatusRow) -> Diagnosis:
+    told = f"{row.status}: {row.reason}" if row.reason else row.status
+    return Diagnosis(_LEVELS.get(row.status, _ERROR), "wheelsight: localization", told, row.details)
