@@ -136,6 +136,23 @@ def test_counts_of_encoders_come_back_as_they_were_and_speeds_as_speeds(
     assert_allclose(heard, told, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("format: [", "is not YAML"),
+        ("format: other", "field format is 'other'"),
+        ("a" * 2_000_000, "its calibration is of 2,000,000 characters, more than 1,048,576"),
+    ],
+)
+def test_a_calibration_in_a_bag_that_is_none_is_refused(refusal: Refusal, tmp_path: Path, text: str, told: str) -> None:
+    with writing.new_bag(tmp_path / "a.mcap") as bag:
+        bag.add("/wheelsight/calibration", bag.make.text(text), 0.0, is_latched=True)
+        bag.add("/joint_states", bag.make.joints(0.0, ("left_wheel", "right_wheel"), (0.0, 0.0), ()), 0.0)
+    problem = refusal("info", tmp_path / "a.mcap")
+    assert problem.startswith(str(tmp_path / "a.mcap"))
+    assert told in problem
+
+
 @BOTH
 def test_a_run_of_raw_images_comes_to_the_same_poses(
     wheelsight: Command, room: Path, tmp_path: Path, suffix: str

@@ -29,6 +29,7 @@ from wheelsight.recordings.rosbag.topics import CALIBRATION, TEXT, Choices, Role
 from wheelsight.recordings.rosbag.wheels import JointSpeeds, JointTicks, OdometrySpeeds, SpeedReader, told_by_twist
 
 _FIRST_MESSAGES = 5
+_LONGEST_CALIBRATION = 1 << 20  # as a file of YAML may have bytes
 
 
 class BagReader:
@@ -119,7 +120,11 @@ def _own(bag: OpenBag, roles: Roles) -> Calibration | None:
     """What a bag of our own carries as text; its wheels where their joints are used. Raises CalibrationError."""
     if not any(topic.name == CALIBRATION and topic.type == TEXT and topic.count for topic in bag.topics):
         return None
-    told = parse_calibration(bag.decode(bag.first(CALIBRATION)[0]).data, bag.path)
+    text = bag.decode(bag.first(CALIBRATION)[0]).data
+    if len(text) > _LONGEST_CALIBRATION:
+        problem = f"its calibration is of {len(text):,} characters, more than {_LONGEST_CALIBRATION:,}"
+        raise CalibrationError(problem, path=bag.path, fix="check what wrote it")
+    told = parse_calibration(text, bag.path)
     return told if roles.joints is not None else replace(told, wheels=None)
 
 
