@@ -25,6 +25,7 @@ from wheelsight.trajectory import Trajectory
 def test_names_are_sorted():
     assert reader_names() == [
         "azure_kinect",
+        "eth3d",
         "measurement_lines",
         "openloris",
         "rosbag",
@@ -61,6 +62,7 @@ def test_a_missing_folder_a_file_and_an_unknown_folder(tmp_path, tum_folder):
         open_recording(tmp_path / "empty")
     for name in reader_names():
         assert f"{name} needs " in str(caught.value)
+    assert "…" not in str(caught.value)
 
 
 def test_a_folder_of_recordings_points_to_one(tmp_path, tum_folder):

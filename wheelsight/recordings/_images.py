@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -79,6 +80,23 @@ def is_depth_image(path: Path) -> bool | None:
 def image_size(image: NDArray[np.generic]) -> str:
     """Width × height of an image, for messages."""
     return f"{image.shape[1]}×{image.shape[0]}"
+
+
+def color_size(paths: Iterable[Path]) -> tuple[int, int]:
+    """Width and height of the first of these colour images that tells them.
+
+    Raises RecordingError naming the first image where none does.
+    """
+    first: RecordingError | None = None
+    for path in paths:
+        try:
+            size = picture_size(read_bytes(path, _KINDS["colour"], RecordingError))
+            if size is not None:
+                return size
+            raise RecordingError("colour image is damaged, or no image", path=path, fix="convert it to PNG")
+        except RecordingError as error:
+            first = first or error
+    raise first or RecordingError("there are no colour images")
 
 
 def decoded_color(data: bytes, path: Path) -> ByteArray:

@@ -11,6 +11,7 @@ from wheelsight.recordings._wheel_recording import WheelRecording
 from wheelsight.recordings.azure_kinect import AzureKinectReader
 from wheelsight.recordings.clocks import listed_stamps, stamp_warnings
 from wheelsight.recordings.counters import counter_warnings
+from wheelsight.recordings.eth3d import Eth3dReader
 from wheelsight.recordings.image_recording import ImageRecording
 from wheelsight.recordings.measurement_lines import MeasurementLineReader
 from wheelsight.recordings.native import NativeReader
@@ -22,17 +23,18 @@ from wheelsight.recordings.skid_steer import SkidSteerReader
 from wheelsight.recordings.tum import TumReader
 from wheelsight.recordings.velocities import VelocityReader
 
-_READERS: tuple[Reader, ...] = (
+_OF_FOLDERS: tuple[Reader, ...] = (
     NativeReader(),
     OpenLorisReader(),
     SevenScenesReader(),
+    Eth3dReader(),
     TumReader(),
     SkidSteerReader(),
     VelocityReader(),
     MeasurementLineReader(),
-    BagReader(),
-    AzureKinectReader(),
 )
+_OF_FILES: tuple[Reader, ...] = (BagReader(), AzureKinectReader())
+_READERS = (*_OF_FOLDERS, *_OF_FILES)
 _SEARCH_DEPTH = 3
 _MOST_SEARCHED = 10_000  # folders, which take a second or two
 
@@ -117,5 +119,9 @@ def _unknown(folder: Path) -> RecordingError:
     inside = find_recordings(folder)
     if inside:
         return RecordingError("is no recording itself", path=folder, fix=f"did you mean {inside[0]}?")
-    needs = "; ".join(f"{reader.name} needs {reader.needs}" for reader in _READERS)
-    return RecordingError("no reader recognises this folder", path=folder, fix=needs)
+    folders, files = (_needs(readers) for readers in (_OF_FOLDERS, _OF_FILES))
+    return RecordingError(f"no reader recognises this folder; {folders}", path=folder, fix=files)
+
+
+def _needs(readers: tuple[Reader, ...]) -> str:
+    return "; ".join(f"{reader.name} needs {reader.needs}" for reader in readers)

@@ -6,24 +6,19 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from wheelsight.calibration import Calibration
-from wheelsight.errors import CalibrationError, RecordingError, TrajectoryError
-from wheelsight.geometry import FloatArray, se3, so3
+from wheelsight.errors import CalibrationError, RecordingError
 from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import choose_calibration, load_camera
 from wheelsight.recordings._file_lists import ListedFile
 from wheelsight.recordings._images import DepthEncoding
+from wheelsight.recordings._numbered import WrittenPose, rate_of, read_matrix, true_poses
 from wheelsight.recordings.image_recording import ImageRecording, complete, pair_images
 from wheelsight.recordings.protocol import OpenOptions
-from wheelsight.recordings.text import read_lines
 from wheelsight.trajectory import Trajectory
 
-_RATE_HZ = 30.0
 _DEPTH = DepthEncoding(factor=1000.0, invalid=65535)
 _FILE = re.compile(r"frame-(\d{6})\.(?:(color)\.(?:png|jpe?g)|(depth)\.png|(pose)\.txt)")
-_ORTHONORMAL_TOLERANCE = 1e-2
 
 
 class SevenScenesReader:
@@ -34,7 +29,7 @@ class SevenScenesReader:
     """
 
     name = "seven_scenes"
-    needs = "frame-NNNNNN.color.png (or .jpg) and frame-NNNNNN.depth.png"
+    needs = "frame-NNNNNN.color.png or .jpg, and .depth.png"
 
     def recognises(self, folder: Path) -> bool:
         """Whether a file is called as the frames are."""
@@ -42,15 +37,14 @@ class SevenScenesReader:
 
     def open(self, folder: Path, options: OpenOptions) -> ImageRecording:
         """The recording in `folder`. Stamps are the frames' numbers at 30 Hz, or the rate given. Raises InputError."""
-        rate_hz = options.rate_hz or _RATE_HZ
+        warnings: list[str] = []
+        rate_hz = rate_of(options, warnings)
         files = _list_files(folder, rate_hz)
         for kind in ("color", "depth"):
             if not files[kind]:
                 raise RecordingError(f"holds no frame-NNNNNN.{kind} image", path=folder, fix=f"it needs {self.needs}")
         calibration = choose_calibration(folder, options, lambda: _calibration(folder))
         frames, association = pair_images(files["color"], files["depth"], 0.0, folder)
-        assumed = "" if options.rate_hz else "; others by --rate-hz"
-        warnings = [f"The format has no time stamps; {rate_hz:g} frames a second are assumed{assumed}."]
         if not calibration.is_registered:
             warnings.append(
                 "Colour and depth images are not registered: things lie up to about 40 px apart in them. "
@@ -89,7 +83,7 @@ def _calibration(folder: Path) -> Calibration:
     if not is_there(path):
         return shipped
     try:
-        (fx, skew, cx), (_, fy, cy), bottom = _read_matrix(path, 3)
+        (fx, skew, cx), (_, fy, cy), bottom = read_matrix(path, 3)
         if skew != 0 or bottom.tolist() != [0, 0, 1]:
             raise CalibrationError("is not an intrinsic matrix fx 0 cx, 0 fy cy, 0 0 1")
         depth = replace(shipped.cameras[1], fx=float(fx), fy=float(fy), cx=float(cx), cy=float(cy))
@@ -99,32 +93,8 @@ def _calibration(folder: Path) -> Calibration:
 
 
 def _read_truth(poses: list[ListedFile], warnings: list[str]) -> Trajectory | None:
-    """T_frame_camera of the depth camera; poses that are not finite, where tracking was lost, are left out.
-
-    Rotations are brought to the nearest orthonormal one: the files' are off by 4e-4.
-    """
-    matrices = [(pose, _read_matrix(pose.path, 4)) for pose in poses]
-    known = [(pose, T) for pose, T in matrices if np.isfinite(T).all()]
-    if len(known) < len(poses):
-        warnings.append(f"{len(poses) - len(known)} of {len(poses)} true poses are not finite and were left out.")
-    if not known:
-        return None
-    T = np.stack([matrix for _, matrix in known])
-    R = so3.nearest(T[:, :3, :3])
-    off = np.abs(R - T[:, :3, :3]).max(axis=(1, 2))
-    if off.max() > _ORTHONORMAL_TOLERANCE:
-        raise TrajectoryError("the first 3×3 numbers are no rotation", path=known[int(off.argmax())][0].path)
-    warnings.append("True poses come from the tracker of a Kinect, not from motion capture: good to about 2 cm.")
-    return Trajectory(np.array([pose.stamp_s for pose, _ in known]), se3.from_parts(R, T[:, :3, 3]))
-
-
-def _read_matrix(path: Path, size: int) -> FloatArray:
-    """The (size, size) numbers in a text file. Raises RecordingError naming it."""
-    try:
-        rows = [[float(word) for word in line.text.split()] for line in read_lines(path)]
-        matrix = np.array(rows, np.float64)
-    except ValueError as error:
-        raise RecordingError(f"is not a {size}×{size} matrix: {error}", path=path) from error
-    if matrix.shape != (size, size):
-        raise RecordingError(f"holds {matrix.size} numbers, not a {size}×{size} matrix", path=path)
-    return matrix
+    """T_frame_camera of the depth camera; the files' rotations are 4e-4 off orthonormal."""
+    truth = true_poses([WrittenPose(pose.stamp_s, read_matrix(pose.path, 4), pose.path) for pose in poses], warnings)
+    if truth is not None:
+        warnings.append("True poses come from the tracker of a Kinect, not from motion capture: good to about 2 cm.")
+    return truth

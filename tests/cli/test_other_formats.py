@@ -1,0 +1,34 @@
+"""Recordings in formats of other people, through the commands a user types."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from other_formats import make_eth3d
+from typer.testing import Result
+
+from wheelsight.trajectory import read_tum
+
+Command = Callable[..., Result]
+MAKERS = {"eth3d": make_eth3d}
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_info_and_run_work_on_it(wheelsight: Command, tmp_path: Path, name: str) -> None:
+    truth = MAKERS[name](tmp_path / "recording", 6)
+    told = wheelsight("info", tmp_path / "recording")
+    assert told.exit_code == 0, told.output
+    assert name in told.stdout
+    result = wheelsight("run", tmp_path / "recording", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    found = read_tum(tmp_path / "out" / "trajectory.txt")
+    assert len(found) == len(truth) == 6
+
+
+def test_info_on_an_unknown_folder_lists_the_formats(refusal: Callable[..., str], tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("nothing\n")
+    told = refusal("info", tmp_path)
+    for name in MAKERS:
+        assert f"{name} needs " in told
