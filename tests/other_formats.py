@@ -9,7 +9,7 @@ import numpy as np
 from synthetic import CAMERA, make_tum_recording, render_room, wobbling_trajectory
 
 from wheelsight.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera
-from wheelsight.trajectory import Trajectory
+from wheelsight.trajectory import Trajectory, write_tum
 
 
 def make_eth3d(folder: Path, frames: int = 3, camera: PinholeCamera = CAMERA) -> Trajectory:
@@ -17,6 +17,27 @@ def make_eth3d(folder: Path, frames: int = 3, camera: PinholeCamera = CAMERA) ->
     truth = make_tum_recording(folder, frames, camera)
     (folder / "calibration.yaml").unlink()
     (folder / "calibration.txt").write_text(f"{camera.fx} {camera.fy} {camera.cx} {camera.cy}\n")
+    return truth
+
+
+ICL_CAMERA = PinholeCamera(640, 480, 481.2, 480.0, 319.5, 239.5)
+
+
+def make_icl_nuim(folder: Path, frames: int = 2, *, as_rendered: bool = False) -> Trajectory:
+    """Frames from 1, as published for TUM's tools or as rendered; true poses with y up."""
+    truth = numbered_truth(frames, first=1)
+    mirror = np.diag([1.0, -1.0, 1.0, 1.0])
+    numbers = np.arange(1.0, frames + 1)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_tum(Trajectory(numbers, mirror @ truth.T_frame_body @ mirror), folder / "livingRoom2.gt.freiburg")
+    lengths = np.linalg.norm(ICL_CAMERA.rays(), axis=-1)
+    for number, (color, depth_m) in enumerate(rendered(truth, ICL_CAMERA), start=1):
+        if not as_rendered:
+            names = folder / "rgb" / f"{number}.png", folder / "depth" / f"{number}.png"
+            write_images(*names, color, depth_m, 5000.0)
+            continue
+        assert cv2.imwrite(str(folder / f"scene_00_{number:04}.png"), color[..., ::-1])
+        np.savetxt(folder / f"scene_00_{number:04}.depth", (depth_m * lengths).reshape(1, -1), fmt="%.6g")
     return truth
 
 

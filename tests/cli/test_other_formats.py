@@ -6,25 +6,26 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from other_formats import make_eth3d
+from other_formats import make_eth3d, make_icl_nuim
 from typer.testing import Result
 
 from wheelsight.trajectory import read_tum
 
 Command = Callable[..., Result]
-MAKERS = {"eth3d": make_eth3d}
+FRAMES = 4
+MAKERS = {"eth3d": make_eth3d, "icl_nuim": make_icl_nuim}
 
 
 @pytest.mark.parametrize("name", MAKERS)
 def test_info_and_run_work_on_it(wheelsight: Command, tmp_path: Path, name: str) -> None:
-    truth = MAKERS[name](tmp_path / "recording", 6)
+    truth = MAKERS[name](tmp_path / "recording", FRAMES)
     told = wheelsight("info", tmp_path / "recording")
     assert told.exit_code == 0, told.output
     assert name in told.stdout
     result = wheelsight("run", tmp_path / "recording", "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     found = read_tum(tmp_path / "out" / "trajectory.txt")
-    assert len(found) == len(truth) == 6
+    assert len(found) == len(truth) == FRAMES
 
 
 def test_info_on_an_unknown_folder_lists_the_formats(refusal: Callable[..., str], tmp_path: Path) -> None:

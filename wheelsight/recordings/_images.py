@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wheelsight.depth_error import NO_DISPARITY, DepthError
 from wheelsight.errors import RecordingError
-from wheelsight.geometry import MOST_PIXELS, ByteArray, Float32Array
+from wheelsight.geometry import MOST_PIXELS, ByteArray, Float32Array, PinholeCamera
 from wheelsight.inputs import Kind, picture_size, read_bytes, scan_count
 
 _PLAUSIBLE_MEDIAN_M = (0.05, 50.0)
@@ -25,17 +25,22 @@ _KINDS = {
     kind: Kind(f"a {kind} image", most_mb=128, missing=f"listed {kind} image is absent") for kind in ("colour", "depth")
 }
 
+_DISTANCES = Kind("a text of distances", most_mb=32, missing="listed depth image is absent")  # of 640×480 has 3 MB
+_LONGEST_NUMBER = 40  # characters
+
 
 @dataclass(frozen=True, slots=True)
 class DepthEncoding:
     """How 16-bit depth images are to be read: units a metre, and which raw value besides 0 means nothing measured.
 
-    Where they hold raw disparities of Kinect v1, `disparity` tells what those are.
+    Where they hold raw disparities of Kinect v1, `disparity` tells what those are. Where they are text, for each pixel
+    a distance from the camera's centre, `rays` is that camera.
     """
 
     factor: float
     invalid: int | None = None
     disparity: DepthError | None = None
+    rays: PinholeCamera | None = None
 
 
 def read_color(path: Path) -> ByteArray:
@@ -50,6 +55,8 @@ def read_depth(path: Path, encoding: DepthEncoding) -> Float32Array:
         RecordingError: naming the file, if it is no 16-bit image with one channel, holds no depth at all,
             or its median depth is under 5 cm or over 50 m.
     """
+    if encoding.rays is not None:
+        return _of_distances(path, encoding, encoding.rays)
     return depth_of_units(_decode(path, cv2.IMREAD_UNCHANGED, "depth"), encoding, path)
 
 
@@ -146,6 +153,24 @@ def _check_size(data: bytes, path: Path, kind: str) -> None:
     if width * height * scan_count(data) > _MOST_PIXELS_DECODED:
         problem = f"{kind} image has {scan_count(data)} scans, which take long to decode"
         raise RecordingError(problem, path=path, fix="convert it to PNG")
+
+
+def _of_distances(path: Path, encoding: DepthEncoding, camera: PinholeCamera) -> Float32Array:
+    """Depth (H, W) of distances along rays, row by row; what is not finite or negative was not measured."""
+    words = read_bytes(path, _DISTANCES, RecordingError).split()
+    if len(words) != camera.width * camera.height:
+        problem = f"holds {len(words)} distances where {camera.width}×{camera.height} pixels need one each"
+        raise RecordingError(problem, path=path, fix="copy the file again, or give its camera with --camera")
+    if max(map(len, words)) > _LONGEST_NUMBER:
+        raise RecordingError("holds what is no number", path=path, fix="copy the file again")
+    try:
+        distances = np.array(words).astype(np.float64).reshape(camera.height, camera.width)
+    except ValueError as error:
+        raise RecordingError(f"holds what is no number: {error}", path=path, fix="copy the file again") from error
+    distances[~(np.isfinite(distances) & (distances > 0))] = 0
+    depth_m = (distances / encoding.factor / np.linalg.norm(camera.rays(), axis=-1)).astype(np.float32)
+    _check_scale(_median(depth_m, path), path, encoding)
+    return depth_m
 
 
 def _of_disparity(raw: NDArray[np.integer], disparity: DepthError, path: Path) -> Float32Array:

@@ -12,6 +12,7 @@ from wheelsight.recordings.azure_kinect import AzureKinectReader
 from wheelsight.recordings.clocks import listed_stamps, stamp_warnings
 from wheelsight.recordings.counters import counter_warnings
 from wheelsight.recordings.eth3d import Eth3dReader
+from wheelsight.recordings.icl_nuim import IclNuimReader
 from wheelsight.recordings.image_recording import ImageRecording
 from wheelsight.recordings.measurement_lines import MeasurementLineReader
 from wheelsight.recordings.native import NativeReader
@@ -28,6 +29,7 @@ _OF_FOLDERS: tuple[Reader, ...] = (
     OpenLorisReader(),
     SevenScenesReader(),
     Eth3dReader(),
+    IclNuimReader(),
     TumReader(),
     SkidSteerReader(),
     VelocityReader(),
@@ -70,7 +72,9 @@ def _open(folder: Path, options: OpenOptions) -> Recording:
         raise RecordingError("there is no such folder", path=folder, fix="check the path")
     reader = _reader_of(folder)
     if reader is None and not folder.is_dir():
-        raise RecordingError("is a file, but no recording in one", path=folder, fix="give the folder, a bag or an .mkv")
+        raise RecordingError(
+            "is a file, but no recording in one", path=folder, fix="give the folder, a bag or an .mkv"
+        )
     if reader is None:
         raise _unknown(folder)
     return _with_doubts(reader.open(folder, options))
