@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -10,6 +13,8 @@ from synthetic import CAMERA, make_tum_recording, render_room, wobbling_trajecto
 
 from wheelsight.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera
 from wheelsight.trajectory import Trajectory, write_tum
+
+FINE_JPEG = (cv2.IMWRITE_JPEG_QUALITY, 98, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 
 
 def make_eth3d(folder: Path, frames: int = 3, camera: PinholeCamera = CAMERA) -> Trajectory:
@@ -41,6 +46,52 @@ def make_icl_nuim(folder: Path, frames: int = 2, *, as_rendered: bool = False) -
     return truth
 
 
+def make_replica(folder: Path, frames: int = 2, camera: PinholeCamera = CAMERA) -> Trajectory:
+    """A room with the camera's file in the folder above, as it serves all rooms."""
+    truth = numbered_truth(frames)
+    for number, (color, depth_m) in enumerate(rendered(truth, camera)):
+        names = (f"frame{number:06}.jpg", f"depth{number:06}.png")
+        color_path, depth_path = (folder / "results" / name for name in names)
+        write_images(color_path, depth_path, color, depth_m, 6553.5)
+    lines = (" ".join(f"{value:.18e}" for value in T.ravel()) + "\n" for T in truth.T_frame_body)
+    (folder / "traj.txt").write_text("".join(lines))
+    numbers = {
+        "w": camera.width,
+        "h": camera.height,
+        "fx": camera.fx,
+        "fy": camera.fy,
+        "cx": camera.cx,
+        "cy": camera.cy,
+    }
+    (folder.parent / "cam_params.json").write_text(json.dumps({"camera": {**numbers, "scale": 6553.5}}))
+    return truth
+
+
+SENS_COLOR, SENS_DEPTH = PinholeCamera(324, 242, 290.0, 291.0, 162.0, 121.0), PinholeCamera(160, 120, 140, 141, 80, 60)
+
+
+def make_scannet(path: Path, frames: int = 2, *, microseconds: int = 33_333) -> Trajectory:
+    """A .sens: a colour camera larger than depth's, both at one place. Stamps count from a second; 0 gives none."""
+    truth = numbered_truth(frames)
+    eye = np.eye(4)
+    head = struct.pack("<IQ9s", 4, 9, b"StructIO.")
+    for camera in (SENS_COLOR, SENS_DEPTH):
+        K = eye.copy()
+        K[:3, :3] = camera.K
+        head += struct.pack("<16f16f", *K.ravel(), *eye.ravel())
+    sizes = (SENS_COLOR.width, SENS_COLOR.height, SENS_DEPTH.width, SENS_DEPTH.height)
+    parts = [head + struct.pack("<iiIIIIfQ", 2, 1, *sizes, 1000.0, frames)]
+    for number, T in enumerate(truth.T_frame_body):
+        color, depth_m = render_room(T, SENS_COLOR)[0], render_room(T, SENS_DEPTH)[1]
+        jpeg = cv2.imencode(".jpg", color[..., ::-1], FINE_JPEG)[1].tobytes()
+        depth = zlib.compress(np.rint(depth_m * 1000.0).astype("<u2").tobytes())
+        stamp = (1_000_000 + number * microseconds) * (microseconds > 0)
+        parts.append(struct.pack("<16fQQQQ", *T.ravel(), stamp, stamp, len(jpeg), len(depth)) + jpeg + depth)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(b"".join(parts))
+    return truth
+
+
 def rendered(truth: Trajectory, camera: PinholeCamera) -> list[tuple[ByteArray, Float32Array]]:
     """Colour and depth of each pose."""
     return [render_room(T, camera) for T in truth.T_frame_body]
@@ -56,7 +107,7 @@ def write_images(color_path: Path, depth_path: Path, color: ByteArray, depth_m: 
     for path in (color_path, depth_path):
         path.parent.mkdir(parents=True, exist_ok=True)
     units = np.rint(depth_m.astype(np.float64) * factor).clip(0, 65535).astype(np.uint16)
-    assert cv2.imwrite(str(color_path), color[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 98])
+    assert cv2.imwrite(str(color_path), color[..., ::-1], FINE_JPEG)
     assert cv2.imwrite(str(depth_path), units)
 
 

@@ -29,6 +29,7 @@ def test_names_are_sorted():
         "icl_nuim",
         "measurement_lines",
         "openloris",
+        "replica",
         "rosbag",
         "seven_scenes",
         "skid_steer",

@@ -18,6 +18,7 @@ from wheelsight.recordings.measurement_lines import MeasurementLineReader
 from wheelsight.recordings.native import NativeReader
 from wheelsight.recordings.openloris import OpenLorisReader
 from wheelsight.recordings.protocol import OpenOptions, Reader, Recording
+from wheelsight.recordings.replica import ReplicaReader
 from wheelsight.recordings.rosbag.reader import BagReader
 from wheelsight.recordings.seven_scenes import SevenScenesReader
 from wheelsight.recordings.skid_steer import SkidSteerReader
@@ -30,6 +31,7 @@ _OF_FOLDERS: tuple[Reader, ...] = (
     SevenScenesReader(),
     Eth3dReader(),
     IclNuimReader(),
+    ReplicaReader(),
     TumReader(),
     SkidSteerReader(),
     VelocityReader(),
