@@ -6,23 +6,24 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from other_formats import make_eth3d, make_icl_nuim
+from other_formats import make_eth3d, make_icl_nuim, make_replica, make_scannet
 from typer.testing import Result
 
 from wheelsight.trajectory import read_tum
 
 Command = Callable[..., Result]
 FRAMES = 4
-MAKERS = {"eth3d": make_eth3d, "icl_nuim": make_icl_nuim}
+MAKERS = {"eth3d": make_eth3d, "icl_nuim": make_icl_nuim, "replica": make_replica, "scannet": make_scannet}
 
 
 @pytest.mark.parametrize("name", MAKERS)
 def test_info_and_run_work_on_it(wheelsight: Command, tmp_path: Path, name: str) -> None:
-    truth = MAKERS[name](tmp_path / "recording", FRAMES)
-    told = wheelsight("info", tmp_path / "recording")
+    path = tmp_path / ("recording.sens" if name == "scannet" else "recording")
+    truth = MAKERS[name](path, FRAMES)
+    told = wheelsight("info", path)
     assert told.exit_code == 0, told.output
     assert name in told.stdout
-    result = wheelsight("run", tmp_path / "recording", "--out", tmp_path / "out")
+    result = wheelsight("run", path, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     found = read_tum(tmp_path / "out" / "trajectory.txt")
     assert len(found) == len(truth) == FRAMES

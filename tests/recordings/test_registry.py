@@ -31,6 +31,7 @@ def test_names_are_sorted():
         "openloris",
         "replica",
         "rosbag",
+        "scannet",
         "seven_scenes",
         "skid_steer",
         "tum",

@@ -20,6 +20,7 @@ from wheelsight.recordings.openloris import OpenLorisReader
 from wheelsight.recordings.protocol import OpenOptions, Reader, Recording
 from wheelsight.recordings.replica import ReplicaReader
 from wheelsight.recordings.rosbag.reader import BagReader
+from wheelsight.recordings.scannet import ScanNetReader
 from wheelsight.recordings.seven_scenes import SevenScenesReader
 from wheelsight.recordings.skid_steer import SkidSteerReader
 from wheelsight.recordings.tum import TumReader
@@ -37,7 +38,7 @@ _OF_FOLDERS: tuple[Reader, ...] = (
     VelocityReader(),
     MeasurementLineReader(),
 )
-_OF_FILES: tuple[Reader, ...] = (BagReader(), AzureKinectReader())
+_OF_FILES: tuple[Reader, ...] = (BagReader(), AzureKinectReader(), ScanNetReader())
 _READERS = (*_OF_FOLDERS, *_OF_FILES)
 _SEARCH_DEPTH = 3
 _MOST_SEARCHED = 10_000  # folders, which take a second or two
@@ -52,7 +53,7 @@ def open_recording(path: StrPath, options: OpenOptions | None = None) -> Recordi
     """The recording at a path, by the first reader that recognises it.
 
     Args:
-        path: a folder, or for bags and an .mkv a file, of one of the formats in `reader_names()`.
+        path: a folder, or for bags, an .mkv and a .sens a file, of one of the formats in `reader_names()`.
         options: what the files do not say; None for the defaults.
 
     Raises:
@@ -75,7 +76,7 @@ def _open(folder: Path, options: OpenOptions) -> Recording:
     reader = _reader_of(folder)
     if reader is None and not folder.is_dir():
         raise RecordingError(
-            "is a file, but no recording in one", path=folder, fix="give the folder, a bag or an .mkv"
+            "is a file, but no recording in one", path=folder, fix="give the folder, a bag, an .mkv or a .sens"
         )
     if reader is None:
         raise _unknown(folder)
