@@ -92,6 +92,34 @@ def make_scannet(path: Path, frames: int = 2, *, microseconds: int = 33_333) -> 
     return truth
 
 
+def make_three_d_match(folder: Path, frames: int = 2, camera: PinholeCamera = CAMERA) -> Trajectory:
+    """A sequence, with the camera of all in the folder above."""
+    truth = numbered_truth(frames)
+    for number, ((color, depth_m), T) in enumerate(zip(rendered(truth, camera), truth.T_frame_body, strict=True)):
+        color_path, depth_path = (folder / f"frame-{number:06}.{kind}.png" for kind in ("color", "depth"))
+        write_images(color_path, depth_path, color, depth_m, 1000.0)
+        (folder / f"frame-{number:06}.pose.txt").write_text(text_of(T))
+    (folder.parent / "camera-intrinsics.txt").write_text(text_of(camera.K))
+    return truth
+
+
+REDWOOD_CAMERA = PinholeCamera(640, 480, 525.0, 525.0, 319.5, 239.5)
+
+
+def make_redwood(folder: Path, frames: int = 2) -> Trajectory:
+    """Images counted from 0, poses from 1."""
+    truth = numbered_truth(frames)
+    log = ""
+    for number, ((color, depth_m), T) in enumerate(
+        zip(rendered(truth, REDWOOD_CAMERA), truth.T_frame_body, strict=True)
+    ):
+        names = folder / "image" / f"{number:05}.jpg", folder / "depth" / f"{number:05}.png"
+        write_images(*names, color, depth_m, 1000.0)
+        log += f"{number} {number} {number + 1}\n{text_of(T)}"
+    (folder / "livingroom1-traj.log").write_text(log)
+    return truth
+
+
 def rendered(truth: Trajectory, camera: PinholeCamera) -> list[tuple[ByteArray, Float32Array]]:
     """Colour and depth of each pose."""
     return [render_room(T, camera) for T in truth.T_frame_body]

@@ -6,14 +6,21 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from other_formats import make_eth3d, make_icl_nuim, make_replica, make_scannet
+from other_formats import make_eth3d, make_icl_nuim, make_redwood, make_replica, make_scannet, make_three_d_match
 from typer.testing import Result
 
 from wheelsight.trajectory import read_tum
 
 Command = Callable[..., Result]
 FRAMES = 4
-MAKERS = {"eth3d": make_eth3d, "icl_nuim": make_icl_nuim, "replica": make_replica, "scannet": make_scannet}
+MAKERS = {
+    "eth3d": make_eth3d,
+    "icl_nuim": make_icl_nuim,
+    "replica": make_replica,
+    "scannet": make_scannet,
+    "three_d_match": make_three_d_match,
+    "redwood": make_redwood,
+}
 
 
 @pytest.mark.parametrize("name", MAKERS)

@@ -29,16 +29,18 @@ def test_names_are_sorted():
         "icl_nuim",
         "measurement_lines",
         "openloris",
+        "redwood",
         "replica",
         "rosbag",
         "scannet",
         "seven_scenes",
         "skid_steer",
+        "three_d_match",
         "tum",
         "velocities",
         "wheelsight",
     ]
-    assert camera_names() == ["freiburg1", "freiburg2", "freiburg3", "icl_nuim", "seven_scenes"]
+    assert camera_names() == ["freiburg1", "freiburg2", "freiburg3", "icl_nuim", "redwood", "seven_scenes"]
 
 
 @pytest.mark.parametrize("name", camera_names())

@@ -168,7 +168,8 @@ def _of_distances(path: Path, encoding: DepthEncoding, camera: PinholeCamera) ->
     except ValueError as error:
         raise RecordingError(f"holds what is no number: {error}", path=path, fix="copy the file again") from error
     distances[~(np.isfinite(distances) & (distances > 0))] = 0
-    depth_m = (distances / encoding.factor / np.linalg.norm(camera.rays(), axis=-1)).astype(np.float32)
+    lengths = np.linalg.norm(camera.rays(), axis=-1)
+    depth_m: Float32Array = (distances / encoding.factor / lengths).astype(np.float32)
     _check_scale(_median(depth_m, path), path, encoding)
     return depth_m
 

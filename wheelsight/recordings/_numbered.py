@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wheelsight.errors import RecordingError, TrajectoryError
+from wheelsight.errors import CalibrationError, RecordingError, TrajectoryError
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.recordings._file_lists import ListedFile
 from wheelsight.recordings.protocol import OpenOptions
@@ -61,6 +61,14 @@ def read_matrix(path: Path, size: int) -> FloatArray:
     if matrix.shape != (size, size):
         raise RecordingError(f"holds {matrix.size} numbers, not a {size}×{size} matrix", path=path)
     return matrix
+
+
+def intrinsic_numbers(path: Path) -> tuple[float, float, float, float]:
+    """fx, fy, cx, cy of the matrix (3, 3) in a text file. Raises RecordingError or CalibrationError."""
+    (fx, skew, cx), (_, fy, cy), bottom = read_matrix(path, 3).tolist()
+    if skew != 0 or bottom != [0, 0, 1]:
+        raise CalibrationError("is not an intrinsic matrix fx 0 cx, 0 fy cy, 0 0 1")
+    return fx, fy, cx, cy
 
 
 def true_poses(poses: Sequence[WrittenPose], warnings: list[str]) -> Trajectory | None:

@@ -18,18 +18,22 @@ from wheelsight.recordings.measurement_lines import MeasurementLineReader
 from wheelsight.recordings.native import NativeReader
 from wheelsight.recordings.openloris import OpenLorisReader
 from wheelsight.recordings.protocol import OpenOptions, Reader, Recording
+from wheelsight.recordings.redwood import RedwoodReader
 from wheelsight.recordings.replica import ReplicaReader
 from wheelsight.recordings.rosbag.reader import BagReader
 from wheelsight.recordings.scannet import ScanNetReader
 from wheelsight.recordings.seven_scenes import SevenScenesReader
 from wheelsight.recordings.skid_steer import SkidSteerReader
+from wheelsight.recordings.three_d_match import ThreeDMatchReader
 from wheelsight.recordings.tum import TumReader
 from wheelsight.recordings.velocities import VelocityReader
 
 _OF_FOLDERS: tuple[Reader, ...] = (
     NativeReader(),
     OpenLorisReader(),
+    ThreeDMatchReader(),
     SevenScenesReader(),
+    RedwoodReader(),
     Eth3dReader(),
     IclNuimReader(),
     ReplicaReader(),

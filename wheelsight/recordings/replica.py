@@ -34,7 +34,7 @@ class ReplicaReader:
     """Colour and depth, both rendered at one place; units a metre as the camera's file says."""
 
     name = "replica"
-    needs = "results/frameNNNNNN.jpg and depthNNNNNN.png; cam_params.json in it or above"
+    needs = "results/frameN.jpg and depthN.png, and cam_params.json"
 
     def recognises(self, folder: Path) -> bool:
         """Whether images lie in results/ called as theirs."""
@@ -88,9 +88,11 @@ def _read_camera(folder: Path) -> _Written | None:
 
 
 def _units_a_metre(written: _Written | None) -> float:
-    factor = _DEPTH_FACTOR if written is None else written.values.get("scale", _DEPTH_FACTOR)
+    if written is None:
+        return _DEPTH_FACTOR
+    factor = written.values.get("scale", _DEPTH_FACTOR)
     if isinstance(factor, bool) or not isinstance(factor, int | float) or not factor > 0:
-        raise CalibrationError(f"scale is {factor!r}, not a positive number", path=written and written.path, fix=_FIX)
+        raise CalibrationError(f"scale is {factor!r}, not a positive number", path=written.path, fix=_FIX)
     return float(factor)
 
 

@@ -140,7 +140,7 @@ def _stamps_s(sens: SensFile, options: OpenOptions, warnings: list[str]) -> list
     """Of colour, in microseconds in the file; where they do not grow, as in files that have none, by a rate."""
     stamps = np.array([frame.color_stamp for frame in sens.frames], np.float64)
     if options.rate_hz is None and (np.diff(stamps) > 0).all() and stamps[-1] > 0:
-        return (stamps / _MICROSECONDS).tolist()
+        return [float(stamp_s) for stamp_s in stamps / _MICROSECONDS]
     rate_hz = rate_of(options, warnings)
     return [number / rate_hz for number in range(len(stamps))]
 
