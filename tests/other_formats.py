@@ -120,6 +120,18 @@ def make_redwood(folder: Path, frames: int = 2) -> Trajectory:
     return truth
 
 
+BONN_CAMERA = PinholeCamera(
+    640, 480, 542.822841, 542.576870, 315.593520, 237.756098, (0.039903, -0.099343, -0.000730, -0.000144, 0.0)
+)
+
+
+def make_bonn(folder: Path, frames: int = 2) -> Trajectory:
+    """TUM's lists; the camera's poses are written, and tests say what they mean."""
+    truth = make_tum_recording(folder, frames, BONN_CAMERA)
+    (folder / "calibration.yaml").unlink()
+    return truth
+
+
 def rendered(truth: Trajectory, camera: PinholeCamera) -> list[tuple[ByteArray, Float32Array]]:
     """Colour and depth of each pose."""
     return [render_room(T, camera) for T in truth.T_frame_body]

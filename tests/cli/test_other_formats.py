@@ -6,7 +6,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from other_formats import make_eth3d, make_icl_nuim, make_redwood, make_replica, make_scannet, make_three_d_match
+from other_formats import (
+    make_bonn,
+    make_eth3d,
+    make_icl_nuim,
+    make_redwood,
+    make_replica,
+    make_scannet,
+    make_three_d_match,
+)
 from typer.testing import Result
 
 from wheelsight.trajectory import read_tum
@@ -14,6 +22,7 @@ from wheelsight.trajectory import read_tum
 Command = Callable[..., Result]
 FRAMES = 4
 MAKERS = {
+    "bonn": make_bonn,
     "eth3d": make_eth3d,
     "icl_nuim": make_icl_nuim,
     "replica": make_replica,
@@ -25,7 +34,7 @@ MAKERS = {
 
 @pytest.mark.parametrize("name", MAKERS)
 def test_info_and_run_work_on_it(wheelsight: Command, tmp_path: Path, name: str) -> None:
-    path = tmp_path / ("recording.sens" if name == "scannet" else "recording")
+    path = tmp_path / {"scannet": "recording.sens", "bonn": "rgbd_bonn_box"}.get(name, "recording")
     truth = MAKERS[name](path, FRAMES)
     told = wheelsight("info", path)
     assert told.exit_code == 0, told.output

@@ -84,5 +84,5 @@ def test_truth_of_two_rooms_is_refused_and_none_is_said(tmp_path: Path) -> None:
 
 def test_a_folder_without_images_names_what_it_needs(tmp_path: Path) -> None:
     (tmp_path / "traj0.gt.freiburg").write_text("1 0 0 0 0 0 0 1\n")
-    with pytest.raises(RecordingError, match=r"holds no colour image \(it needs rgb/N.png"):
+    with pytest.raises(RecordingError, match=r"holds no colour image \(it needs \*.gt.freiburg"):
         open_recording(tmp_path)

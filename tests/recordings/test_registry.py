@@ -25,6 +25,7 @@ from wheelsight.trajectory import Trajectory
 def test_names_are_sorted():
     assert reader_names() == [
         "azure_kinect",
+        "bonn",
         "eth3d",
         "icl_nuim",
         "measurement_lines",
@@ -40,7 +41,7 @@ def test_names_are_sorted():
         "velocities",
         "wheelsight",
     ]
-    assert camera_names() == ["freiburg1", "freiburg2", "freiburg3", "icl_nuim", "redwood", "seven_scenes"]
+    assert camera_names() == ["bonn", "freiburg1", "freiburg2", "freiburg3", "icl_nuim", "redwood", "seven_scenes"]
 
 
 @pytest.mark.parametrize("name", camera_names())

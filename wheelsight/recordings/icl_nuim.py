@@ -30,7 +30,7 @@ class IclNuimReader:
     """Colour and registered depth: 16-bit PNG at 5000 units a metre, or text of distances along the pixels' rays."""
 
     name = "icl_nuim"
-    needs = "rgb/N.png, depth/N.png and *.gt.freiburg, or scene_00_NNNN.png and .depth"
+    needs = "*.gt.freiburg, rgb/ and depth/, or scene_*.png and .depth"
 
     def recognises(self, folder: Path) -> bool:
         """Whether true poses called as theirs, or distances as rendered, are there."""

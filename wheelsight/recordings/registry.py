@@ -9,6 +9,7 @@ from wheelsight.errors import RecordingError
 from wheelsight.files import StrPath
 from wheelsight.recordings._wheel_recording import WheelRecording
 from wheelsight.recordings.azure_kinect import AzureKinectReader
+from wheelsight.recordings.bonn import BonnReader
 from wheelsight.recordings.clocks import listed_stamps, stamp_warnings
 from wheelsight.recordings.counters import counter_warnings
 from wheelsight.recordings.eth3d import Eth3dReader
@@ -37,6 +38,7 @@ _OF_FOLDERS: tuple[Reader, ...] = (
     Eth3dReader(),
     IclNuimReader(),
     ReplicaReader(),
+    BonnReader(),
     TumReader(),
     SkidSteerReader(),
     VelocityReader(),

@@ -45,9 +45,16 @@ class TumReader:
 
 
 def open_lists(
-    folder: Path, options: OpenOptions, name: str, calibration_of: Callable[[tuple[FramePaths, ...]], Calibration]
+    folder: Path,
+    options: OpenOptions,
+    name: str,
+    calibration_of: Callable[[tuple[FramePaths, ...]], Calibration],
+    truth_of: Callable[[Path, list[str]], Trajectory | None] | None = None,
 ) -> ImageRecording:
-    """The recording of rgb.txt, depth.txt and groundtruth.txt, of the format `name`. Raises InputError."""
+    """The recording of rgb.txt, depth.txt and groundtruth.txt, of the format `name`. Raises InputError.
+
+    `truth_of` reads groundtruth.txt, if it is not of the camera as it stands.
+    """
     frames, association, warnings = read_frames(folder, options)
     return complete(
         ImageRecording(
@@ -58,7 +65,7 @@ def open_lists(
             association=association,
             frames=frames,
             encoding=DepthEncoding(options.depth_factor or DEPTH_FACTOR),
-            ground_truth=beside(read_truth(folder / "groundtruth.txt", warnings), frames, options),
+            ground_truth=beside((truth_of or read_truth)(folder / "groundtruth.txt", warnings), frames, options),
             warnings=tuple(warnings),
         )
     )
