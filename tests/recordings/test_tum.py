@@ -63,7 +63,10 @@ def test_the_folder_name_tells_the_camera(tmp_path, name, camera):
 def test_no_camera_is_ever_guessed(tum_folder, name):
     (tum_folder / "calibration.yaml").unlink()
     folder = tum_folder.rename(tum_folder.parent / name)
-    with pytest.raises(CalibrationError, match=r"--camera: freiburg1, freiburg2, freiburg3, seven_scenes, or a"):
+    with pytest.raises(
+        CalibrationError,
+        match=r"--camera: bonn, freiburg1, freiburg2, freiburg3, icl_nuim, redwood, seven_scenes, or a",
+    ):
         open_recording(folder)
 
 

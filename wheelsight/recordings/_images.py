@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from wheelsight.depth_error import NO_DISPARITY, DepthError
 from wheelsight.errors import RecordingError
-from wheelsight.geometry import MOST_PIXELS, ByteArray, Float32Array
+from wheelsight.geometry import MOST_PIXELS, ByteArray, Float32Array, PinholeCamera
 from wheelsight.inputs import Kind, picture_size, read_bytes, scan_count
 
 _PLAUSIBLE_MEDIAN_M = (0.05, 50.0)
@@ -24,17 +25,22 @@ _KINDS = {
     kind: Kind(f"a {kind} image", most_mb=128, missing=f"listed {kind} image is absent") for kind in ("colour", "depth")
 }
 
+_DISTANCES = Kind("a text of distances", most_mb=32, missing="listed depth image is absent")  # of 640×480 has 3 MB
+_LONGEST_NUMBER = 40  # characters
+
 
 @dataclass(frozen=True, slots=True)
 class DepthEncoding:
     """How 16-bit depth images are to be read: units a metre, and which raw value besides 0 means nothing measured.
 
-    Where they hold raw disparities of Kinect v1, `disparity` tells what those are.
+    Where they hold raw disparities of Kinect v1, `disparity` tells what those are. Where they are text, for each pixel
+    a distance from the camera's centre, `rays` is that camera.
     """
 
     factor: float
     invalid: int | None = None
     disparity: DepthError | None = None
+    rays: PinholeCamera | None = None
 
 
 def read_color(path: Path) -> ByteArray:
@@ -49,6 +55,8 @@ def read_depth(path: Path, encoding: DepthEncoding) -> Float32Array:
         RecordingError: naming the file, if it is no 16-bit image with one channel, holds no depth at all,
             or its median depth is under 5 cm or over 50 m.
     """
+    if encoding.rays is not None:
+        return _of_distances(path, encoding, encoding.rays)
     return depth_of_units(_decode(path, cv2.IMREAD_UNCHANGED, "depth"), encoding, path)
 
 
@@ -79,6 +87,23 @@ def is_depth_image(path: Path) -> bool | None:
 def image_size(image: NDArray[np.generic]) -> str:
     """Width × height of an image, for messages."""
     return f"{image.shape[1]}×{image.shape[0]}"
+
+
+def color_size(paths: Iterable[Path]) -> tuple[int, int]:
+    """Width and height of the first of these colour images that tells them.
+
+    Raises RecordingError naming the first image where none does.
+    """
+    first: RecordingError | None = None
+    for path in paths:
+        try:
+            size = picture_size(read_bytes(path, _KINDS["colour"], RecordingError))
+            if size is not None:
+                return size
+            raise RecordingError("colour image is damaged, or no image", path=path, fix="convert it to PNG")
+        except RecordingError as error:
+            first = first or error
+    raise first or RecordingError("there are no colour images")
 
 
 def decoded_color(data: bytes, path: Path) -> ByteArray:
@@ -128,6 +153,25 @@ def _check_size(data: bytes, path: Path, kind: str) -> None:
     if width * height * scan_count(data) > _MOST_PIXELS_DECODED:
         problem = f"{kind} image has {scan_count(data)} scans, which take long to decode"
         raise RecordingError(problem, path=path, fix="convert it to PNG")
+
+
+def _of_distances(path: Path, encoding: DepthEncoding, camera: PinholeCamera) -> Float32Array:
+    """Depth (H, W) of distances along rays, row by row; what is not finite or negative was not measured."""
+    words = read_bytes(path, _DISTANCES, RecordingError).split()
+    if len(words) != camera.width * camera.height:
+        problem = f"holds {len(words)} distances where {camera.width}×{camera.height} pixels need one each"
+        raise RecordingError(problem, path=path, fix="copy the file again, or give its camera with --camera")
+    if max(map(len, words)) > _LONGEST_NUMBER:
+        raise RecordingError("holds what is no number", path=path, fix="copy the file again")
+    try:
+        distances = np.array(words).astype(np.float64).reshape(camera.height, camera.width)
+    except ValueError as error:
+        raise RecordingError(f"holds what is no number: {error}", path=path, fix="copy the file again") from error
+    distances[~(np.isfinite(distances) & (distances > 0))] = 0
+    lengths = np.linalg.norm(camera.rays(), axis=-1)
+    depth_m: Float32Array = (distances / encoding.factor / lengths).astype(np.float32)
+    _check_scale(_median(depth_m, path), path, encoding)
+    return depth_m
 
 
 def _of_disparity(raw: NDArray[np.integer], disparity: DepthError, path: Path) -> Float32Array:

@@ -30,7 +30,7 @@ class NativeReader:
     """What `RecordingWriter` writes."""
 
     name = "wheelsight"
-    needs = "wheels.csv and calibration.yaml, with images rgb.txt and depth.txt"
+    needs = "wheels.csv and calibration.yaml; images as tum"
 
     def recognises(self, folder: Path) -> bool:
         """Whether wheels.csv is there."""

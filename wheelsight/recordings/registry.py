@@ -9,30 +9,43 @@ from wheelsight.errors import RecordingError
 from wheelsight.files import StrPath
 from wheelsight.recordings._wheel_recording import WheelRecording
 from wheelsight.recordings.azure_kinect import AzureKinectReader
+from wheelsight.recordings.bonn import BonnReader
 from wheelsight.recordings.clocks import listed_stamps, stamp_warnings
 from wheelsight.recordings.counters import counter_warnings
+from wheelsight.recordings.eth3d import Eth3dReader
+from wheelsight.recordings.icl_nuim import IclNuimReader
 from wheelsight.recordings.image_recording import ImageRecording
 from wheelsight.recordings.measurement_lines import MeasurementLineReader
 from wheelsight.recordings.native import NativeReader
 from wheelsight.recordings.openloris import OpenLorisReader
 from wheelsight.recordings.protocol import OpenOptions, Reader, Recording
+from wheelsight.recordings.redwood import RedwoodReader
+from wheelsight.recordings.replica import ReplicaReader
 from wheelsight.recordings.rosbag.reader import BagReader
+from wheelsight.recordings.scannet import ScanNetReader
 from wheelsight.recordings.seven_scenes import SevenScenesReader
 from wheelsight.recordings.skid_steer import SkidSteerReader
+from wheelsight.recordings.three_d_match import ThreeDMatchReader
 from wheelsight.recordings.tum import TumReader
 from wheelsight.recordings.velocities import VelocityReader
 
-_READERS: tuple[Reader, ...] = (
+_OF_FOLDERS: tuple[Reader, ...] = (
     NativeReader(),
     OpenLorisReader(),
+    ThreeDMatchReader(),
     SevenScenesReader(),
+    RedwoodReader(),
+    Eth3dReader(),
+    IclNuimReader(),
+    ReplicaReader(),
+    BonnReader(),
     TumReader(),
     SkidSteerReader(),
     VelocityReader(),
     MeasurementLineReader(),
-    BagReader(),
-    AzureKinectReader(),
 )
+_OF_FILES: tuple[Reader, ...] = (BagReader(), AzureKinectReader(), ScanNetReader())
+_READERS = (*_OF_FOLDERS, *_OF_FILES)
 _SEARCH_DEPTH = 3
 _MOST_SEARCHED = 10_000  # folders, which take a second or two
 
@@ -46,7 +59,7 @@ def open_recording(path: StrPath, options: OpenOptions | None = None) -> Recordi
     """The recording at a path, by the first reader that recognises it.
 
     Args:
-        path: a folder, or for bags and an .mkv a file, of one of the formats in `reader_names()`.
+        path: a folder, or for bags, an .mkv and a .sens a file, of one of the formats in `reader_names()`.
         options: what the files do not say; None for the defaults.
 
     Raises:
@@ -68,7 +81,9 @@ def _open(folder: Path, options: OpenOptions) -> Recording:
         raise RecordingError("there is no such folder", path=folder, fix="check the path")
     reader = _reader_of(folder)
     if reader is None and not folder.is_dir():
-        raise RecordingError("is a file, but no recording in one", path=folder, fix="give the folder, a bag or an .mkv")
+        raise RecordingError(
+            "is a file, but no recording in one", path=folder, fix="give the folder, a bag, an .mkv or a .sens"
+        )
     if reader is None:
         raise _unknown(folder)
     return _with_doubts(reader.open(folder, options))
@@ -117,5 +132,9 @@ def _unknown(folder: Path) -> RecordingError:
     inside = find_recordings(folder)
     if inside:
         return RecordingError("is no recording itself", path=folder, fix=f"did you mean {inside[0]}?")
-    needs = "; ".join(f"{reader.name} needs {reader.needs}" for reader in _READERS)
-    return RecordingError("no reader recognises this folder", path=folder, fix=needs)
+    folders, files = (_needs(readers) for readers in (_OF_FOLDERS, _OF_FILES))
+    return RecordingError(f"no reader recognises this folder; {folders}", path=folder, fix=files)
+
+
+def _needs(readers: tuple[Reader, ...]) -> str:
+    return "; ".join(f"{reader.name} needs {reader.needs}" for reader in readers)

@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from wheelsight.calibration import Calibration
-from wheelsight.errors import CalibrationError, RecordingError, TrajectoryError
-from wheelsight.geometry import FloatArray, se3, so3
+from wheelsight.errors import CalibrationError, RecordingError
 from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import choose_calibration, load_camera
 from wheelsight.recordings._file_lists import ListedFile
 from wheelsight.recordings._images import DepthEncoding
-from wheelsight.recordings.image_recording import ImageRecording, complete, pair_images
-from wheelsight.recordings.protocol import OpenOptions
-from wheelsight.recordings.text import read_lines
+from wheelsight.recordings._numbered import WrittenPose, intrinsic_numbers, need_files, rate_of, read_matrix, true_poses
+from wheelsight.recordings.image_recording import FramePaths, ImageRecording, complete, pair_images
+from wheelsight.recordings.protocol import OpenOptions, Reader
 from wheelsight.trajectory import Trajectory
 
-_RATE_HZ = 30.0
 _DEPTH = DepthEncoding(factor=1000.0, invalid=65535)
 _FILE = re.compile(r"frame-(\d{6})\.(?:(color)\.(?:png|jpe?g)|(depth)\.png|(pose)\.txt)")
-_ORTHONORMAL_TOLERANCE = 1e-2
+
+_OF_TRUTH = "True poses come from the tracker of a Kinect, not from motion capture: good to about 2 cm."
 
 
 class SevenScenesReader:
@@ -34,41 +32,55 @@ class SevenScenesReader:
     """
 
     name = "seven_scenes"
-    needs = "frame-NNNNNN.color.png (or .jpg) and frame-NNNNNN.depth.png"
+    needs = "frame-NNNNNN.color.png or .jpg, and .depth.png"
 
     def recognises(self, folder: Path) -> bool:
         """Whether a file is called as the frames are."""
-        return any(_FILE.fullmatch(path.name) for path in folder.glob("frame-*"))
+        return has_frames(folder)
 
     def open(self, folder: Path, options: OpenOptions) -> ImageRecording:
         """The recording in `folder`. Stamps are the frames' numbers at 30 Hz, or the rate given. Raises InputError."""
-        rate_hz = options.rate_hz or _RATE_HZ
-        files = _list_files(folder, rate_hz)
-        for kind in ("color", "depth"):
-            if not files[kind]:
-                raise RecordingError(f"holds no frame-NNNNNN.{kind} image", path=folder, fix=f"it needs {self.needs}")
         calibration = choose_calibration(folder, options, lambda: _calibration(folder))
-        frames, association = pair_images(files["color"], files["depth"], 0.0, folder)
-        assumed = "" if options.rate_hz else "; others by --rate-hz"
-        warnings = [f"The format has no time stamps; {rate_hz:g} frames a second are assumed{assumed}."]
-        if not calibration.is_registered:
-            warnings.append(
-                "Colour and depth images are not registered: things lie up to about 40 px apart in them. "
-                f"They are joined by T_color_depth of: {calibration.source}."
-            )
-        return complete(
-            ImageRecording(
-                name=folder.resolve().name,
-                path=folder,
-                format=self.name,
-                calibration=calibration,
-                association=association,
-                frames=frames,
-                encoding=replace(_DEPTH, factor=options.depth_factor or _DEPTH.factor),
-                ground_truth=_read_truth(files["pose"], warnings),
-                warnings=tuple(warnings),
-            )
+        return open_frames(folder, options, self, _OF_TRUTH, lambda _: calibration)
+
+
+def has_frames(folder: Path) -> bool:
+    """Whether a file is called as the frames are."""
+    return any(_FILE.fullmatch(path.name) for path in folder.glob("frame-*"))
+
+
+def open_frames(
+    folder: Path,
+    options: OpenOptions,
+    reader: Reader,
+    of_truth: str,
+    calibration_of: Callable[[tuple[FramePaths, ...]], Calibration],
+) -> ImageRecording:
+    """The recording of the frames in `folder`, as `reader`'s; `of_truth` says what its poses are. Raises InputError."""
+    warnings: list[str] = []
+    files = _list_files(folder, rate_of(options, warnings))
+    for kind in ("color", "depth"):
+        need_files(files[kind], f"frame-NNNNNN.{kind} image", folder, reader.needs)
+    frames, association = pair_images(files["color"], files["depth"], 0.0, folder)
+    calibration = calibration_of(frames)
+    if not calibration.is_registered:
+        warnings.append(
+            "Colour and depth images are not registered: things lie up to about 40 px apart in them. "
+            f"They are joined by T_color_depth of: {calibration.source}."
         )
+    return complete(
+        ImageRecording(
+            name=folder.resolve().name,
+            path=folder,
+            format=reader.name,
+            calibration=calibration,
+            association=association,
+            frames=frames,
+            encoding=replace(_DEPTH, factor=options.depth_factor or _DEPTH.factor),
+            ground_truth=_read_truth(files["pose"], of_truth, warnings),
+            warnings=tuple(warnings),
+        )
+    )
 
 
 def _list_files(folder: Path, rate_hz: float) -> dict[str, list[ListedFile]]:
@@ -89,42 +101,16 @@ def _calibration(folder: Path) -> Calibration:
     if not is_there(path):
         return shipped
     try:
-        (fx, skew, cx), (_, fy, cy), bottom = _read_matrix(path, 3)
-        if skew != 0 or bottom.tolist() != [0, 0, 1]:
-            raise CalibrationError("is not an intrinsic matrix fx 0 cx, 0 fy cy, 0 0 1")
-        depth = replace(shipped.cameras[1], fx=float(fx), fy=float(fy), cx=float(cx), cy=float(cy))
+        fx, fy, cx, cy = intrinsic_numbers(path)
+        depth = replace(shipped.cameras[1], fx=fx, fy=fy, cx=cx, cy=cy)
     except (CalibrationError, RecordingError) as error:
         raise CalibrationError(error.problem, path=path, fix="correct or remove the file") from error
     return replace(shipped, depth=depth)
 
 
-def _read_truth(poses: list[ListedFile], warnings: list[str]) -> Trajectory | None:
-    """T_frame_camera of the depth camera; poses that are not finite, where tracking was lost, are left out.
-
-    Rotations are brought to the nearest orthonormal one: the files' are off by 4e-4.
-    """
-    matrices = [(pose, _read_matrix(pose.path, 4)) for pose in poses]
-    known = [(pose, T) for pose, T in matrices if np.isfinite(T).all()]
-    if len(known) < len(poses):
-        warnings.append(f"{len(poses) - len(known)} of {len(poses)} true poses are not finite and were left out.")
-    if not known:
-        return None
-    T = np.stack([matrix for _, matrix in known])
-    R = so3.nearest(T[:, :3, :3])
-    off = np.abs(R - T[:, :3, :3]).max(axis=(1, 2))
-    if off.max() > _ORTHONORMAL_TOLERANCE:
-        raise TrajectoryError("the first 3×3 numbers are no rotation", path=known[int(off.argmax())][0].path)
-    warnings.append("True poses come from the tracker of a Kinect, not from motion capture: good to about 2 cm.")
-    return Trajectory(np.array([pose.stamp_s for pose, _ in known]), se3.from_parts(R, T[:, :3, 3]))
-
-
-def _read_matrix(path: Path, size: int) -> FloatArray:
-    """The (size, size) numbers in a text file. Raises RecordingError naming it."""
-    try:
-        rows = [[float(word) for word in line.text.split()] for line in read_lines(path)]
-        matrix = np.array(rows, np.float64)
-    except ValueError as error:
-        raise RecordingError(f"is not a {size}×{size} matrix: {error}", path=path) from error
-    if matrix.shape != (size, size):
-        raise RecordingError(f"holds {matrix.size} numbers, not a {size}×{size} matrix", path=path)
-    return matrix
+def _read_truth(poses: list[ListedFile], of_truth: str, warnings: list[str]) -> Trajectory | None:
+    """T_frame_camera of the depth camera; the files' rotations are 4e-4 off orthonormal."""
+    truth = true_poses([WrittenPose(pose.stamp_s, read_matrix(pose.path, 4), pose.path) for pose in poses], warnings)
+    if truth is not None:
+        warnings.append(of_truth)
+    return truth

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,20 +41,34 @@ class TumReader:
             InputError: naming file and line; also for a camera that neither folder name, file nor option tells.
         """
         calibration = choose_calibration(folder, options, lambda: _camera_by_name(folder))
-        frames, association, warnings = read_frames(folder, options)
-        return complete(
-            ImageRecording(
-                name=folder.resolve().name,
-                path=folder,
-                format=self.name,
-                calibration=calibration,
-                association=association,
-                frames=frames,
-                encoding=DepthEncoding(options.depth_factor or DEPTH_FACTOR),
-                ground_truth=beside(read_truth(folder / "groundtruth.txt", warnings), frames, options),
-                warnings=tuple(warnings),
-            )
+        return open_lists(folder, options, self.name, lambda _: calibration)
+
+
+def open_lists(
+    folder: Path,
+    options: OpenOptions,
+    name: str,
+    calibration_of: Callable[[tuple[FramePaths, ...]], Calibration],
+    truth_of: Callable[[Path, list[str]], Trajectory | None] | None = None,
+) -> ImageRecording:
+    """The recording of rgb.txt, depth.txt and groundtruth.txt, of the format `name`. Raises InputError.
+
+    `truth_of` reads groundtruth.txt, if it is not of the camera as it stands.
+    """
+    frames, association, warnings = read_frames(folder, options)
+    return complete(
+        ImageRecording(
+            name=folder.resolve().name,
+            path=folder,
+            format=name,
+            calibration=calibration_of(frames),
+            association=association,
+            frames=frames,
+            encoding=DepthEncoding(options.depth_factor or DEPTH_FACTOR),
+            ground_truth=beside((truth_of or read_truth)(folder / "groundtruth.txt", warnings), frames, options),
+            warnings=tuple(warnings),
         )
+    )
 
 
 def read_frames(folder: Path, options: OpenOptions) -> tuple[tuple[FramePaths, ...], AssociationReport, list[str]]:
