@@ -110,9 +110,7 @@ class LiveBag:
         """Write what the camera's gyroscope tells of the base, as its yaw rate. Raises as `add`."""
         T_base_camera = self._calibration.T_base_camera
         if T_base_camera is None:
-            problem = (
-                "the calibration does not say where the camera sits, nor therefore what its gyroscope tells of the base"
-            )
+            problem = "its gyroscope tells nothing of the base while nobody knows where the camera sits"
             raise RecordingError(problem, path=self._path, fix="wheelsight calibrate base finds T_base_camera")
         self.add(turn.yaw_rate(np.asarray(T_base_camera)))
 
