@@ -37,12 +37,7 @@ def run_on_fleet(
         DeviceError: no scheduler answers, or it went away.
     """
     distributed = needed("distributed")
-    try:
-        client = distributed.Client(address, timeout=connect_s, set_as_default=False)
-    except (OSError, TimeoutError, ValueError) as error:
-        fix = "start one: dask scheduler; its address is told then"
-        raise DeviceError(f"no scheduler answers at {address}", fix=fix) from error
-    with client:
+    with _client(distributed, address, connect_s) as client:
         _look_at(client.scheduler_info(n_workers=-1)["workers"], on_note)
         futures = {
             client.submit(work, job, key=f"wheelsight-{job.id}", pure=False, priority=-number): job
@@ -54,6 +49,14 @@ def run_on_fleet(
         finally:
             if client.status == "running":
                 client.cancel([future for future in futures if not future.done()])
+
+
+def _client(distributed: Any, address: str, connect_s: float) -> Any:
+    try:
+        return distributed.Client(address, timeout=connect_s, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        fix = "start one: dask scheduler; its address is told then"
+        raise DeviceError(f"no scheduler answers at {address}", fix=fix) from error
 
 
 def _look_at(workers: dict[str, Any], on_note: Callable[[str], None]) -> None:

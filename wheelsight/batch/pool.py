@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import tempfile
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -62,22 +62,16 @@ def run_on_processes(
         tries: how often a job is run whose process dies, each time in another one.
         on_death: told of each job whose process died but is tried again, and how it died.
     """
-    waiting, tried = deque(jobs), dict[str, int]()
-    workers: list[_Worker] = []
+    waiting, tried, workers = deque(jobs), Counter[str](), list[_Worker]()
     try:
         while waiting or any(worker.job is not None for worker in workers):
             _hand_out(waiting, workers, processes, lambda: _start(work, scratch))
-            busy = {worker.connection: worker for worker in workers if worker.job is not None}
-            for connection in wait([*busy]):
-                assert isinstance(connection, Connection)
-                worker = busy[connection]
-                job, worker.job = worker.job, None
-                assert job is not None
-                outcome = _answer(worker)
+            for worker in _heard(workers):
+                job, outcome = _take(worker)
                 if outcome is None:
                     workers.remove(worker)
-                    tried[job.id] = tried.get(job.id, 0) + 1
                     why = _why_dead(worker)
+                    tried[job.id] += 1
                     if tried[job.id] < tries:
                         waiting.appendleft(job)
                         on_death(job, why)
@@ -87,6 +81,13 @@ def run_on_processes(
     finally:
         for worker in workers:
             _end(worker)
+
+
+def _heard(workers: Sequence[_Worker]) -> list[_Worker]:
+    """Waits until some of those that have a job have answered, or died."""
+    busy = [worker for worker in workers if worker.job is not None]
+    heard = wait([worker.connection for worker in busy])
+    return [worker for worker in busy if worker.connection in heard]
 
 
 def _hand_out(waiting: deque[Job], workers: list[_Worker], processes: int, start: Callable[[], _Worker]) -> None:
@@ -112,14 +113,16 @@ def _give(worker: _Worker, waiting: deque[Job]) -> bool:
     return True
 
 
-def _answer(worker: _Worker) -> Outcome | None:
-    """What a worker answers; None where it has died."""
+def _take(worker: _Worker) -> tuple[Job, Outcome | None]:
+    """Of a worker that was heard, its job and the outcome; None where it has died. It is free then."""
+    job, worker.job = worker.job, None
+    assert job is not None
     try:
         answer = worker.connection.recv()
     except (EOFError, OSError):
-        return None
+        return job, None
     assert isinstance(answer, Outcome)
-    return answer
+    return job, answer
 
 
 def _start(work: Work, scratch: Path) -> _Worker:
