@@ -17,11 +17,11 @@ from other_formats import (
 )
 from typer.testing import Result
 
-from wheelsight.trajectory import read_tum
+from wheelsight.trajectory import Trajectory, read_tum
 
 Command = Callable[..., Result]
 FRAMES = 4
-MAKERS = {
+MAKERS: dict[str, Callable[[Path, int], Trajectory]] = {
     "bonn": make_bonn,
     "eth3d": make_eth3d,
     "icl_nuim": make_icl_nuim,
