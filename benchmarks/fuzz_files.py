@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
+import struct
 import time
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -127,8 +130,55 @@ def targets() -> list[Target]:
         Target("skid_steer", skid, _play),
         Target("velocities", speeds, _play),
         Target("measurement_lines", measured, _play),
+        *_other_formats(images, lists),
         *_single_files(),
     ]
+
+
+def _other_formats(images: Files, lists: Files) -> list[Target]:
+    """Formats of other people, of small images."""
+    pose, numbers = "1 0 0 0.5\n0 1 0 0\n0 0 1 0\n0 0 0 1\n", (("color", "rgb"), ("depth", "depth"))
+    calibration = {"calibration.yaml": _calibration()}
+    eth3d = {**images, **lists} | {
+        "calibration.txt": b"14 14 7.5 5.5\n",
+        "groundtruth.txt": b"0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n",
+    }
+    icl = {**images, **calibration} | {"traj0.gt.freiburg": b"".join(b"%d 0 0 0 0 0 0 1\n" % i for i in range(_FRAMES))}
+    rendered = {f"scene_00_{i:04d}.png": images[f"rgb/{i}.png"] for i in range(_FRAMES)} | calibration
+    rendered |= {f"scene_00_{i:04d}.depth": b"1.5 " * (_CAMERA.width * _CAMERA.height) for i in range(_FRAMES)}
+    replica = {f"results/frame{i:06d}.png": images[f"rgb/{i}.png"] for i in range(_FRAMES)}
+    replica |= {f"results/depth{i:06d}.png": images[f"depth/{i}.png"] for i in range(_FRAMES)}
+    camera = {"w": _CAMERA.width, "h": _CAMERA.height, "fx": 14, "fy": 14, "cx": 7.5, "cy": 5.5, "scale": 5000}
+    replica |= {"cam_params.json": json.dumps({"camera": camera}).encode()}
+    replica |= {"traj.txt": (pose.replace("\n", " ") + "\n").encode() * _FRAMES}
+    match = {f"seq-01/frame-{i:06d}.{a}.png": images[f"{b}/{i}.png"] for i in range(_FRAMES) for a, b in numbers}
+    match |= {"camera-intrinsics.txt": b"14 0 7.5\n0 14 5.5\n0 0 1\n"}
+    log = "".join(f"{i} {i} {i + 1}\n{pose}" for i in range(_FRAMES))
+    return [
+        Target("eth3d", eth3d, _play),
+        Target("icl_nuim", icl, _play),
+        Target("icl_nuim distances", rendered, _play),
+        Target("replica", replica, _play),
+        Target("three_d_match", match, lambda folder: _play(folder / "seq-01")),
+        Target("redwood", {**images, **calibration} | {"a.log": log.encode()}, _play),
+        Target("scannet", {"a.sens": _sens(images)}, lambda folder: _play(folder / "a.sens")),
+    ]
+
+
+def _sens(images: Files) -> bytes:
+    """A .sens of colour as PNG and depth as zlib packs it."""
+    width, height, matrix = _CAMERA.width, _CAMERA.height, struct.Struct("<16f")
+    K = np.eye(4)
+    K[:3, :3] = _CAMERA.K
+    head = struct.pack("<IQ3s", 4, 3, b"abc") + 2 * (matrix.pack(*K.ravel()) + matrix.pack(*np.eye(4).ravel()))
+    head += struct.pack("<iiIIIIfQ", 1, 1, width, height, width, height, 1000.0, _FRAMES)
+    depth = zlib.compress(np.full((height, width), 1500, "<u2").tobytes())
+    for i in range(_FRAMES):
+        color = images[f"rgb/{i}.png"]
+        head += (
+            matrix.pack(*np.eye(4).ravel()) + struct.pack("<4Q", i + 1, i + 1, len(color), len(depth)) + color + depth
+        )
+    return head
 
 
 def controls() -> list[Target]:

@@ -117,7 +117,7 @@ def test_ground_truth_with_impossible_rotations(refused: Refusal, room: Path, qu
 
 def test_a_camera_that_nothing_names(refused: Refusal, room: Path) -> None:
     (room / "calibration.yaml").unlink()
-    assert "say which with --camera: freiburg1, freiburg2, freiburg3" in refused(room)
+    assert "say which with --camera: bonn, freiburg1, freiburg2, freiburg3" in refused(room)
 
 
 def test_an_unknown_camera(refused: Refusal, room: Path) -> None:
