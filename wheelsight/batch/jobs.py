@@ -15,6 +15,7 @@ from wheelsight.batch.outcome import problem_of
 from wheelsight.batch.settings import BatchSettings
 from wheelsight.config import Config, is_named, load_config
 from wheelsight.errors import ConfigError
+from wheelsight.files import StrPath
 from wheelsight.pipeline import default_odometry
 from wheelsight.pipeline.joined import JOINED
 from wheelsight.recordings import open_recording
@@ -85,7 +86,7 @@ class Plan(NamedTuple):
 
 
 def plan_of(
-    recordings: Sequence[Path], configs: Sequence[Path], seeds: int, settings: BatchSettings | None = None
+    recordings: Sequence[StrPath], configs: Sequence[StrPath], seeds: int, settings: BatchSettings | None = None
 ) -> Plan:
     """Open each recording, resolve each configuration for it, and name what is to be run.
 
@@ -100,12 +101,13 @@ def plan_of(
     Raises:
         ConfigError: a file of settings is wrong for any recording.
     """
-    files: tuple[Path | None, ...] = tuple(configs) or (None,)
+    paths, given = [Path(path) for path in recordings], [Path(path) for path in configs]
+    files: tuple[Path | None, ...] = tuple(given) or (None,)
     for file in files:
         _refuse(load_config(file, None if is_named("odometry", file) else {"odometry": _ANY}), file)
-    config_names = [DEFAULTS] if not configs else short_names([file.with_suffix("") for file in configs])
+    config_names = [DEFAULTS] if not given else short_names([file.with_suffix("") for file in given])
     cases, jobs = [], dict[str, Job]()
-    for path, name in zip(recordings, short_names(recordings), strict=True):
+    for path, name in zip(paths, short_names(paths), strict=True):
         digest = _told(partial(digest_of, path, settings))
         for file, config_name in zip(files, config_names, strict=True):
             case, made = _case(path, file, Case(name, config_name), digest, seeds)

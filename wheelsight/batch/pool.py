@@ -19,6 +19,7 @@ from typing import Protocol
 from wheelsight.batch._worker import serve
 from wheelsight.batch.jobs import Job
 from wheelsight.batch.outcome import Outcome
+from wheelsight.files import StrPath
 
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _END_S = 10.0
@@ -45,7 +46,7 @@ def run_on_processes(
     jobs: Sequence[Job],
     processes: int,
     work: Work,
-    scratch: Path,
+    scratch: StrPath,
     *,
     tries: int = 2,
     on_death: Callable[[Job, str], None] = lambda job, why: None,
@@ -65,7 +66,7 @@ def run_on_processes(
     waiting, tried, workers = deque(jobs), Counter[str](), list[_Worker]()
     try:
         while waiting or any(worker.job is not None for worker in workers):
-            _hand_out(waiting, workers, processes, lambda: _start(work, scratch))
+            _hand_out(waiting, workers, processes, lambda: _start(work, Path(scratch)))
             for worker in _heard(workers):
                 job, outcome = _take(worker)
                 if outcome is None:
