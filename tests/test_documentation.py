@@ -43,6 +43,7 @@ NOT_RUN = {
     "python3 -m venv ": "changes the environment",
     "python -m benchmarks": "takes minutes; tests/benchmarks",
     "python papers/": "needs recordings that are not part of the project; tests/papers",
+    "rerun ": "opens a window; tests/viewer reads the files",
     "wheelsight wheels ": "needs a wheel controller; tests/cli/test_wheels.py",
     "wheelsight devices": "tells of this machine; tests/cli/test_devices.py",
     "wheelsight batch RECORDING": "of whole recordings; docs/batch.md's is of short ones",
