@@ -27,7 +27,7 @@ from wheelsight.runs import run_each
 from wheelsight.settings import ViewerSettings
 from wheelsight.sources import EventSource
 from wheelsight.trajectory import Trajectory
-from wheelsight.viewer import SPAWN, rerun_log, start_viewer, why_no_rerun
+from wheelsight.viewer import SPAWN, open_rerun, start_viewer, why_no_rerun
 
 pytest.importorskip("rerun", reason="rerun-sdk is not installed")
 from rerun.chunk import RrdReader
@@ -51,7 +51,7 @@ def truth(monkeypatch: pytest.MonkeyPatch) -> Trajectory:
 def shown(
     source: EventSource, config: Config, folder: Path, settings: ViewerSettings | None = None
 ) -> tuple[RunRecord, ...]:
-    with rerun_log(str(folder / "run.rrd"), source.calibration, config.tracks, settings) as log:
+    with open_rerun(str(folder / "run.rrd"), source.calibration, config.tracks, settings) as log:
         return run_each(source, config, folder / "out", watcher=log)
 
 
@@ -173,7 +173,7 @@ def test_it_opens_with_a_blueprint(truth: Trajectory, tmp_path: Path) -> None:
 
 def test_a_file_that_cannot_be_written_is_said_before_the_run(truth: Trajectory, tmp_path: Path) -> None:
     source = MemoryRecording(frames_at(truth), truth)
-    with pytest.raises(OutputError), rerun_log(str(tmp_path / "no" / "run.rrd"), source.calibration, ("features",)):
+    with pytest.raises(OutputError), open_rerun(str(tmp_path / "no" / "run.rrd"), source.calibration, ("features",)):
         pytest.fail("it was opened")
 
 
@@ -181,7 +181,7 @@ def test_without_rerun_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch, 
     monkeypatch.setitem(sys.modules, "rerun", None)
     assert why_no_rerun() is not None
     calibration = MemoryRecording([]).calibration
-    with pytest.raises(ConfigError, match="pip install rerun-sdk"), rerun_log("a.rrd", calibration, ("features",)):
+    with pytest.raises(ConfigError, match="pip install rerun-sdk"), open_rerun("a.rrd", calibration, ("features",)):
         pytest.fail("it was opened")
 
 
@@ -212,7 +212,7 @@ def test_a_viewer_that_is_started_hears_all_on_loopback_alone(
     source = MemoryRecording(frames_at(truth), truth)
     address, process = start_viewer((sys.executable, "-c", STAND_IN))
     try:
-        with rerun_log(address, source.calibration, ("features",)) as log:
+        with open_rerun(address, source.calibration, ("features",)) as log:
             (record,) = run_each(source, BY_FEATURES, tmp_path / "out", watcher=log)
         analytics, options = json.loads((tmp_path / "told.json").read_text())
         port = int(options[options.index("--port") + 1])
@@ -245,5 +245,5 @@ def holds(path: Path, poses: int) -> bool:
 def test_a_viewer_that_does_not_start_is_said(code: str, said: str) -> None:
     calibration = MemoryRecording([]).calibration
     viewer = (sys.executable, "-c", code)
-    with pytest.raises(ConfigError, match=said), rerun_log(SPAWN, calibration, ("wheels",), viewer=viewer):
+    with pytest.raises(ConfigError, match=said), open_rerun(SPAWN, calibration, ("wheels",), viewer=viewer):
         pytest.fail("it was opened")

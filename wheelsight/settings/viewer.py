@@ -13,5 +13,9 @@ class ViewerSettings(Settings):
     )
     image_width_px: int = setting(320, "width to which wider images are brought", CHOSEN, ge=16, le=8192)
     jpeg_quality: int = setting(80, "of colour images", CHOSEN, ge=1, le=100)
-    keyframe_points: int = setting(3000, "points of a keyframe at most, evenly over its image; 0: none", CHOSEN, ge=0)
-    map_points: int = setting(50_000, "points of the finished surfel map at most; 0: none", CHOSEN, ge=0)
+    keyframe_points: int = setting(
+        3000, "points of a keyframe at most, evenly over its image; 0: none", CHOSEN, ge=0, le=1_000_000
+    )
+    map_points: int = setting(
+        50_000, "points of the finished surfel map at most; 0: none", CHOSEN, ge=0, le=100_000_000
+    )

@@ -14,7 +14,7 @@ from wheelsight.slam.known import KnownMap
 from wheelsight.slam.loops import LoopReport
 from wheelsight.slam.piece_graph import PieceGraph
 from wheelsight.slam.settings import LoopSettings
-from wheelsight.slam.steps import ANCHOR_SIGMA, anchor, step_edge, told_edge
+from wheelsight.slam.steps import ANCHOR_SIGMA, along_floor, anchor, step_edge
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,11 +114,10 @@ class DriveGraph:
         self._told = np.concatenate([self._told, self._told[-1:] @ laid])
 
     def _edge(self, before: LivedKeyframe, keyframe: LivedKeyframe) -> RelativePose:
-        ends = before.number, keyframe.number
-        if keyframe.motion is not None:
-            return told_edge(ends, keyframe.motion, self._settings.matches)
         then, now = ((one.T_odom_keyframe, one.covariance) for one in (before, keyframe))
-        return step_edge(ends, then, now, self._settings.matches)
+        edge = step_edge((before.number, keyframe.number), then, now, self._settings.matches)
+        up = before.T_odom_keyframe[2, :3]
+        return edge if keyframe.motion is None else along_floor(edge, keyframe.motion, up)
 
     def near(self, limit_m: float) -> tuple[KeyframeId, ...]:
         """Keyframes next to the last one, of its piece, the nearest first; turns by a radian count as 1.5 m."""

@@ -41,12 +41,22 @@ def step_edge(
     """From one keyframe to the next, by poses (4, 4) with covariances (6, 6) that grow along the way."""
     T_step, _ = motions.between(*before, *now)
     _, grown = motions.step_between(*before, *now)
-    return told_edge(ends, (motions.mended(T_step), grown), settings)
-
-
-def told_edge(
-    ends: tuple[KeyframeId, KeyframeId], motion: tuple[FloatArray, FloatArray], settings: LeastErrors
-) -> RelativePose:
-    """From one keyframe to the next, by the motion (4, 4) between them with its own covariance (6, 6)."""
     least = np.diag(np.square([settings.plane_sigma_m] * 3 + [settings.plane_sigma_rad] * 3))
-    return RelativePose(*ends, motion[0], motion[1] + least)
+    return RelativePose(*ends, motions.mended(T_step), grown + least)
+
+
+def along_floor(edge: RelativePose, motion: tuple[FloatArray, FloatArray], up: FloatArray) -> RelativePose:
+    """An edge by poses that takes from a motion (4, 4), with its covariance (6, 6), what is in the floor's plane.
+
+    `up` (3,) is the plane's normal as the first keyframe has it. Height and tilt are those of the poses: that a floor
+    is level is known of each pose, and no motion between two tells it.
+    """
+    T, C = motion
+    floor, turn = np.eye(3) - np.outer(up, up), np.outer(up, up)
+    in_plane = np.zeros((6, 6))
+    in_plane[:3, :3], in_plane[3:, 3:] = floor, turn
+    out_of_plane = np.eye(6) - in_plane
+    ahead = in_plane @ motions.log(motions.times(T, motions.inverse(edge.T_first_second)))
+    covariance = in_plane @ C @ in_plane + out_of_plane @ edge.covariance @ out_of_plane
+    T_first_second = motions.mended(motions.times(motions.exp(ahead), edge.T_first_second))
+    return RelativePose(edge.first, edge.second, T_first_second, covariance + ANCHOR_SIGMA**2 * np.eye(6))

@@ -42,7 +42,7 @@ def is_file(target: str) -> bool:
 
 
 @contextmanager
-def rerun_log(
+def open_rerun(
     target: str,
     calibration: Calibration,
     tracks: Sequence[str],
