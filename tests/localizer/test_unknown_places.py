@@ -81,6 +81,7 @@ class Loops:
     times: int
     is_joined: bool = True
     asked: list[int] = field(default_factory=list)
+    has_new: bool = False
 
     def move_keyframes(self, stamp_s: float, keyframe: KeyframeId | None) -> None:
         pass

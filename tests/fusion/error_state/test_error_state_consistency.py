@@ -86,7 +86,7 @@ def test_nis_of_gyroscope_and_places_are_chi_squared():
 
 def test_what_is_held_does_not_grow(rng):
     """The time of an event is measured by `benchmarks.joined_hour`."""
-    steps = simulate(Drive(seconds=12.0), rng, PLAIN)
+    steps = simulate(Drive(seconds=24.0), rng, PLAIN)
     follow(ErrorStateFilter(T_BASE_CAMERA), steps)  # loads kernels: some are called first in the middle of the drive
     fusion, held = ErrorStateFilter(T_BASE_CAMERA), []
     tracemalloc.start()
