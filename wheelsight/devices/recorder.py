@@ -93,6 +93,8 @@ class LiveRecorder:
             self._refuse(error)
             return
         with self._changed:
+            if self._is_over or self._problem is not None:  # since it was asked
+                return
             written = self._pool.submit(self._writer.write_frame, live.frame, live.infrared)
             self._waiting.append(_Waiting(live, written, now_s))
             self._changed.notify_all()
