@@ -81,7 +81,7 @@ class LiveRecorder:
         """Have a frame written, or drop it where the disk is too slow; never waits."""
         now_s = time.monotonic()
         with self._changed:
-            if self._is_over or self._problem is not None:
+            if not self._goes_on():
                 return
             is_late = self._waiting and now_s - self._waiting[0].since_s > self.settings.longest_wait_s
             if is_late or len(self._waiting) >= self.settings.most_waiting:
@@ -93,7 +93,7 @@ class LiveRecorder:
             self._refuse(error)
             return
         with self._changed:
-            if self._is_over or self._problem is not None:  # since it was asked
+            if not self._goes_on():  # the disk was found full meanwhile
                 return
             written = self._pool.submit(self._writer.write_frame, live.frame, live.infrared)
             self._waiting.append(_Waiting(live, written, now_s))
@@ -165,6 +165,9 @@ class LiveRecorder:
         with self._changed:
             self._frames += 1
             self._size_bytes += written.size_bytes
+
+    def _goes_on(self) -> bool:
+        return not self._is_over and self._problem is None
 
     def _refuse(self, error: ArgumentError | RecordingError) -> None:
         with self._changed:
