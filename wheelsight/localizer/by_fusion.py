@@ -178,7 +178,7 @@ class ByFusion:
         self._check.look(event)
         answer = self._frame(event, expected)
         self._camera.lead(answer)
-        if self.loops is not None and self.loops.has_new:
+        if self.loops is not None and self.loops.has_new and answer.covariance is not None:
             motion = self.filter.keep_frame(event.stamp_s)
             self.loops.hand_over(event.stamp_s, self._map.T_odom_map, answer.covariance, motion)
         return self._checked(self._placed(event, answer)), self._base.deaf
