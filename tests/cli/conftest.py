@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hand_fed_camera import CALIBRATION, live_frame
 from stand_ins import leave_pages_bare
 from synthetic import make_tum_recording
 from typer.main import get_command
@@ -31,6 +32,16 @@ def compiled(monkeypatch: pytest.MonkeyPatch) -> None:
 def bare_pages(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     if "drawn_pages" not in request.fixturenames:
         leave_pages_bare(monkeypatch)
+
+
+@pytest.fixture(scope="session")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six seconds of frames at 15 Hz, each of which tells its number."""
+    folder = tmp_path_factory.mktemp("film") / "film"
+    with RecordingWriter(folder, CALIBRATION) as writer:
+        for number in range(90):
+            writer.add(live_frame(number, number / 15).frame)
+    return folder
 
 
 @pytest.fixture

@@ -23,23 +23,13 @@ from typer.testing import Result
 from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
 from wheelsight.errors import CalibrationError, OutputError, RecordingError
 from wheelsight.events import AngularVelocity, RgbdFrame, WheelTicks
-from wheelsight.recordings import RecordingWriter, open_recording
+from wheelsight.recordings import open_recording
 from wheelsight.recordings.rosbag import writing
 from wheelsight.recordings.rosbag.live import LiveBag
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]
 ROBOT = Wheels(0.17, 0.17, 0.6, 3200.0)
-
-
-@pytest.fixture(scope="module")
-def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six seconds of frames at 15 Hz, each of which tells its number."""
-    folder = tmp_path_factory.mktemp("film") / "film"
-    with RecordingWriter(folder, CALIBRATION) as writer:
-        for number in range(90):
-            writer.add(live_frame(number, number / 15).frame)
-    return folder
 
 
 @pytest.fixture

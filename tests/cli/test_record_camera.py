@@ -38,16 +38,6 @@ Refusal = Callable[..., str]
 ROBOT = Wheels(0.17, 0.17, 0.6, 3200.0)
 
 
-@pytest.fixture(scope="module")
-def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six seconds of frames at 15 Hz, each of which tells its number."""
-    folder = tmp_path_factory.mktemp("film") / "film"
-    with RecordingWriter(folder, CALIBRATION) as writer:
-        for number in range(90):
-            writer.add(live_frame(number, number / 15).frame)
-    return folder
-
-
 def frames_in(folder: Path) -> list[RgbdFrame]:
     return [event for event in open_recording(folder).events() if isinstance(event, RgbdFrame)]
 
