@@ -107,6 +107,7 @@ class Estimate:
         matches: of this frame's alignment.
         inliers: likewise.
         T_map_odom: (4, 4) where the frame odom lies in the map (ROS REP 105); it moves where the map knows better.
+        covariance_map: (6, 6) of the left perturbation (v, ω) of `T_map_body`, where loops tell how surely it is known.
         keyframe: by which this pose is remembered, or None; see `wheelsight.keyframes`.
         T_keyframe_body: (4, 4) where the body is relative to that keyframe, or None. When keyframes move,
             `T_map_keyframe @ T_keyframe_body` is where the body has been.
@@ -121,6 +122,7 @@ class Estimate:
     matches: int = 0
     inliers: int = 0
     T_map_odom: FloatArray = field(default_factory=lambda: _IDENTITY, kw_only=True)
+    covariance_map: FloatArray | None = field(default=None, kw_only=True)
     keyframe: KeyframeId | None = field(default=None, kw_only=True)
     T_keyframe_body: FloatArray | None = field(default=None, kw_only=True)
 

@@ -14,11 +14,11 @@ from wheelsight.config import load_config
 from wheelsight.estimates import Estimate, Status
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.geometry import se3
-from wheelsight.keyframes import Keyframe, KeyframeStore
+from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.localizer import Localizer
 from wheelsight.localizer._loops import LoopsBeside
 from wheelsight.recordings import Recording, open_recording
-from wheelsight.slam.drive_graph import PoseUpdate
+from wheelsight.slam.drive_graph import KeyframePlace, PoseUpdate
 from wheelsight.slam.live import LiveLoops
 
 FAR = se3.exp([3.0, -2.0, 1.0, 0.4, -0.6, 0.8])
@@ -122,4 +122,45 @@ def test_loops_tie_keyframes_to_older_ones_where_they_are_seen_from_apart(
     assert not beside.tie(3)
     beside.move_keyframes(10.0, None)
     assert beside.tie(3) == ties
+    beside.close()
+
+
+@pytest.mark.parametrize(
+    ("sigma_m", "sigma_rad", "is_sure"), [(0.1, 0.03, True), (0.3, 0.03, False), (0.1, 0.2, False), (None, None, False)]
+)
+def test_a_piece_counts_as_joined_once_it_is_sure_where_it_lies(
+    monkeypatch: pytest.MonkeyPatch, sigma_m: float | None, sigma_rad: float | None, is_sure: bool
+) -> None:
+    store, settings = KeyframeStore(), load_config(overrides={"loops.source": "keyframes"})
+    beside = LoopsBeside(store, Calibration.registered_camera(synthetic.CAMERA), settings, waits=True)
+    blank = np.ones((24, 32), np.float32)
+    for x_m in (0.0, 1.0):
+        store.add(Keyframe.of_images(x_m, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), se3.from_plane(x_m, 0, 0))
+    beside.begin_piece(KeyframeId(1))
+    assert not beside.is_joined
+    C_odom = 0.01 * np.eye(6)
+    seen = Estimate(1.1, Status.TRACKING, se3.from_plane(1.5, 0, 0), C_odom + 1e-4 * np.eye(6))
+    laid = PoseUpdate(FAR @ store.T_map_keyframe, np.zeros(2, np.int64), np.zeros((0, 2), np.int64))
+    place = None
+    if sigma_m is not None and sigma_rad is not None:
+        C = np.diag(np.square([sigma_m] * 3 + [sigma_rad] * 3))
+        T_map = FAR @ se3.from_plane(1.0, 0, 0)
+        # Of the map's origin the left perturbation turns about; the keyframe is as uncertain as C says by itself.
+        Ad = se3.adjoint(se3.from_parts(np.eye(3), T_map[:3, 3]))
+        place = KeyframePlace(KeyframeId(1), se3.from_plane(1.0, 0, 0), C_odom, T_map, Ad @ C @ Ad.T)
+
+    def due(live: LiveLoops, stamp_s: float) -> PoseUpdate:
+        live.place = place
+        return laid
+
+    monkeypatch.setattr(LiveLoops, "due", due)
+    beside.move_keyframes(1.0, None)
+    assert beside.is_joined == is_sure
+    called = beside.called(seen)
+    assert called.status is (Status.TRACKING if is_sure else Status.COASTING)
+    assert (called.covariance_map is not None) == is_sure
+    if called.covariance_map is not None and sigma_m is not None:
+        # 0.1 m at the keyframe, and what odometry has grown by since: 0.01 m, and little by turns at half a metre.
+        C_now = se3.position_covariance(FAR @ se3.from_plane(1.5, 0, 0), called.covariance_map)
+        assert np.sqrt(C_now.max()) == pytest.approx(sigma_m, rel=0.1)
     beside.close()

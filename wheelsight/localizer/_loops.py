@@ -11,6 +11,7 @@ from wheelsight.calibration import Calibration
 from wheelsight.config import Config
 from wheelsight.estimates import Estimate, Status
 from wheelsight.geometry import FloatArray, IntArray, se3
+from wheelsight.geometry import motion_kernels as motions
 from wheelsight.keyframes import KeyframeId, KeyframeStore
 from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.drive_graph import LivedKeyframe, PoseUpdate
@@ -43,26 +44,26 @@ class LoopsBeside:
         *,
         waits: bool,
     ) -> None:
-        self._store, self._settings, self._apart_m = store, settings.loops.pieces, settings.loops.join_apart_m
+        self._store, self._settings = store, settings.loops
         self._live = LiveLoops(store, calibration, settings.loops, settings.recognition, known=known, waits=waits)
         self._told = len(store)
         self._closed: ClosedLoops | None = None
         self._loops: IntArray = np.zeros((0, 2), np.int64)
         self._pieces: list[int] = [0]  # by the numbers of their first keyframes
-        self.is_joined, self._is_new = True, False
+        self._is_laid, self.is_joined, self._is_new = True, True, False
         if known is not None and len(store) and known.start is None:
             self.begin_piece(KeyframeId(len(store)))
             self._is_new = True  # in this map it has not been anywhere yet
 
     def apart(self, T_map_camera: FloatArray) -> FloatArray:
         """T_map_camera (4, 4) at which odometry is to begin another piece of map, of a camera at (4, 4) in this one."""
-        here = 0 if self.is_joined else len(self._pieces) - 1
+        here = 0 if self._is_laid else len(self._pieces) - 1
         return self._apart(len(self._pieces)) @ se3.invert(self._apart(here)) @ T_map_camera
 
     def begin_piece(self, keyframe: KeyframeId) -> None:
         """A keyframe begins a piece of map, apart from the others."""
         self._pieces.append(keyframe)
-        self.is_joined = False
+        self._is_laid = self.is_joined = False
 
     def move_keyframes(self, stamp_s: float, keyframe: KeyframeId | None) -> FloatArray | None:
         """Put keyframes to where loops have them; T_new_old (4, 4) of one of them, or None where none has moved.
@@ -70,20 +71,33 @@ class LoopsBeside:
         Those that are newer than what the thread knows go with the last one that it does.
         """
         update = self._live.due(stamp_s)
-        if update is None:
-            return None
+        T_new_old = None if update is None else self._move(update, keyframe)
+        if self._is_laid and not self.is_joined and self._is_sure():
+            self.is_joined, self._is_new = True, False
+        return T_new_old
+
+    def _move(self, update: PoseUpdate, keyframe: KeyframeId | None) -> FloatArray:
         self._loops = update.loops
         T_known, T_old = self._laid(update), np.array(self._store.T_map_keyframe)
         count = len(T_known)
         T_newer = T_old[count:]
         if self._pieces[-1] < count:  # else the newer ones are of a piece that the thread has not heard of
             T_newer = T_known[-1] @ se3.invert(T_old[count - 1]) @ T_newer
-            self.is_joined = bool(update.piece[-1] == 0)
-            self._is_new &= not self.is_joined
+            self._is_laid = bool(update.piece[-1] == 0)
+            self.is_joined &= self._is_laid
         T_new = np.concatenate([T_known, T_newer])
         self._store.move(list(self._store), T_new)
         at = count - 1 if keyframe is None else keyframe
         return np.asarray(se3.nearest(T_new[at] @ se3.invert(T_old[at])))
+
+    def _is_sure(self) -> bool:
+        """Whether the newest keyframe that was judged is of this piece, and surely enough placed in the map."""
+        place, limits = self._live.place, self._settings
+        if place is None or place.number < self._pieces[-1]:
+            return False
+        C = se3.position_covariance(place.T_map_keyframe, place.covariance)
+        sigma_m, sigma_rad = (np.sqrt(np.linalg.eigvalsh(one)[-1]) for one in (C, place.covariance[3:, 3:]))
+        return bool(sigma_m <= limits.sure_m and sigma_rad <= limits.sure_rad)
 
     def tie(self, number: int) -> bool:
         """Whether loops tie keyframes from `number` on to older ones, and were seen from apart as those between pieces.
@@ -95,7 +109,7 @@ class LoopsBeside:
         if not len(ends):
             return False
         T = self._store.T_map_keyframe[ends]
-        return bool((se3.view_shift_m(se3.invert(T[0]) @ T) >= self._apart_m).any())
+        return bool((se3.view_shift_m(se3.invert(T[0]) @ T) >= self._settings.join_apart_m).any())
 
     @property
     def kept(self) -> IntArray:
@@ -139,10 +153,22 @@ class LoopsBeside:
         return np.asarray(se3.nearest(se3.invert(T_map_before) @ T_map_now))
 
     def called(self, answer: AnyEstimate) -> AnyEstimate:
-        """The answer, by a status that says whether it is known where in the map it is."""
-        if self.is_joined or answer.status not in (Status.TRACKING, Status.COASTING):
+        """The answer, by a status that says whether it is known where in the map it is; if so, how surely."""
+        if self.is_joined:
+            return replace(answer, covariance_map=self._covariance_map(answer))
+        if answer.status not in (Status.TRACKING, Status.COASTING):
             return answer
         return replace(answer, status=Status.INITIALIZING if self._is_new else Status.COASTING)
+
+    def _covariance_map(self, answer: Estimate) -> FloatArray | None:
+        """(6, 6) of T_map_body: of the newest keyframe that was judged, and what odometry's has grown by since."""
+        place = self._live.place
+        if place is None or answer.T_odom_body is None or answer.covariance is None:
+            return None
+        before = place.T_odom_keyframe, place.covariance_odom
+        _, grown = motions.step_between(*before, answer.T_odom_body, answer.covariance)
+        Ad = se3.adjoint(place.T_map_keyframe)
+        return np.asarray(place.covariance + Ad @ grown @ Ad.T)
 
     @property
     def recognizer(self) -> Recognizer:
@@ -163,7 +189,7 @@ class LoopsBeside:
         self._live.close()
 
     def _apart(self, piece: int) -> FloatArray:
-        return apart(piece, self._settings)
+        return apart(piece, self._settings.pieces)
 
     def _laid(self, update: PoseUpdate) -> FloatArray:
         """T_map_keyframe (K, 4, 4), pieces apart."""

@@ -58,6 +58,25 @@ class PoseUpdate:
     loops: IntArray
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyframePlace:
+    """How surely a keyframe is placed in the map.
+
+    Attributes:
+        number: of the keyframe.
+        T_odom_keyframe: (4, 4) as odometry handed it over.
+        covariance_odom: (6, 6) of the left perturbation (v, ω) of that, as then.
+        T_map_keyframe: (4, 4).
+        covariance: (6, 6) of the left perturbation (v, ω) of that.
+    """
+
+    number: KeyframeId
+    T_odom_keyframe: FloatArray
+    covariance_odom: FloatArray
+    T_map_keyframe: FloatArray
+    covariance: FloatArray
+
+
 class DriveGraph:
     """See the module.
 
@@ -93,6 +112,17 @@ class DriveGraph:
     def report(self) -> LoopReport:
         """What became of all loops so far."""
         return self._graph.report()
+
+    def place(self) -> KeyframePlace | None:
+        """How surely the newest keyframe is placed in the map; None while nobody knows where its piece lies."""
+        newest = self._before
+        if newest is None or self._graph.pieces[-1] > 0:
+            return None
+        covariance = self._graph.covariance(newest.number)
+        if covariance is None:
+            return None
+        lived = newest.T_odom_keyframe, newest.covariance
+        return KeyframePlace(newest.number, *lived, self._graph.poses[-1], covariance)
 
     def review(self) -> None:
         """Judge all loops anew."""

@@ -19,7 +19,7 @@ from wheelsight.geometry import BoolArray, FloatArray, se3
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.places.recognition import Recognizer
 from wheelsight.settings import RecognitionSettings
-from wheelsight.slam.drive_graph import DriveGraph, LivedKeyframe, PoseUpdate
+from wheelsight.slam.drive_graph import DriveGraph, KeyframePlace, LivedKeyframe, PoseUpdate
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.known import KnownMap
 from wheelsight.slam.loops import LoopReport
@@ -74,6 +74,19 @@ class ClosedLoops:
         return np.asarray(self.T_map_keyframe[self.known :] @ se3.invert(self.T_odom_keyframe))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """What the thread found of a keyframe.
+
+    Attributes:
+        update: where all keyframes are by now, if its loops have moved any.
+        place: how surely it is placed in the map; None while nobody knows where its piece lies.
+    """
+
+    update: PoseUpdate | None
+    place: KeyframePlace | None
+
+
 class LiveLoops:
     """See the module.
 
@@ -84,6 +97,9 @@ class LiveLoops:
         known: what an earlier drive has left, whose keyframes the store has.
         waits: an answer is waited for once it is due, so that the same recording gives the same poses. A robot that
             drives does not wait: it takes what is there.
+
+    Attributes:
+        place: of the newest keyframe that an answer was taken of; see `Judged`.
     """
 
     def __init__(
@@ -101,10 +117,11 @@ class LiveLoops:
         self._watcher = PlaceWatcher(store, calibration, self._settings.seen, recognition, recognizer)
         self._graph = DriveGraph(self._settings, known)
         self._lived: list[LivedKeyframe] = []
-        self._waiting: deque[tuple[float, Future[PoseUpdate | None]]] = deque()
+        self._waiting: deque[tuple[float, Future[Judged]]] = deque()
         self._thread: ThreadPoolExecutor | None = None
         self._unseen = 0
         self._judged_s: list[float] = []
+        self.place: KeyframePlace | None = None
 
     def add(self, keyframe: LivedKeyframe) -> None:
         """Have the thread look whether a keyframe shows a place seen before."""
@@ -123,7 +140,8 @@ class LiveLoops:
         newest: PoseUpdate | None = None
         while self._waiting and self._is_due(stamp_s, *self._waiting[0]):
             found = self._waiting.popleft()[1].result()
-            newest = newest if found is None else found
+            newest = newest if found.update is None else found.update
+            self.place = found.place
         return newest
 
     def finish(self) -> ClosedLoops:
@@ -153,17 +171,17 @@ class LiveLoops:
         if thread is not None:
             thread.shutdown()
 
-    def _is_due(self, stamp_s: float, keyframe_s: float, judged: Future[PoseUpdate | None]) -> bool:
+    def _is_due(self, stamp_s: float, keyframe_s: float, judged: Future[Judged]) -> bool:
         return stamp_s >= keyframe_s + self._settings.latency_s if self._waits else judged.done()
 
-    def _judge(self, keyframe: LivedKeyframe, has_time: bool) -> PoseUpdate | None:
-        """The thread: one keyframe; where all are by now, if its loops have moved any."""
+    def _judge(self, keyframe: LivedKeyframe, has_time: bool) -> Judged:
+        """The thread: one keyframe."""
         started = time.perf_counter()
         self._graph.add(keyframe)
         if has_time:
             loops = self._watcher.look(keyframe.number, self._graph.near(self._settings.seen.near_m))
         else:
             loops = self._watcher.pass_by(keyframe.number)
-        update = self._graph.close(loops)
+        judged = Judged(self._graph.close(loops), self._graph.place())
         self._judged_s.append(time.perf_counter() - started)
-        return update
+        return judged

@@ -12,6 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from wheelsight.geometry import FloatArray, IntArray, se3, so3
+from wheelsight.keyframes import KeyframeId
 from wheelsight.slam.graph import Prior, RelativePose
 from wheelsight.slam.loops import LoopCloser, LoopReport, laid_by
 from wheelsight.slam.pose_graph import new_pose_graph
@@ -71,6 +72,11 @@ class PieceGraph:
         self._graph.add_prior(prior)
         if until_joined:
             self._held[self._piece[prior.keyframe]] = prior
+
+    def covariance(self, keyframe: KeyframeId) -> FloatArray | None:
+        """(6, 6) of the left perturbation (v, ω) of a keyframe's pose in its piece; None where no digits tell it."""
+        self._graph.update()
+        return self._graph.marginal(keyframe)
 
     def close(self, loops: Sequence[RelativePose]) -> bool:
         """Judge loops; whether they have joined two pieces, of which the one of the higher number moves."""

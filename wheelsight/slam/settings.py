@@ -162,6 +162,15 @@ class LoopSettings(Settings):
     join_majority: float = setting(
         2.0, "for each loop between these pieces that says otherwise, so many have to agree", CHOSEN, ge=0, le=1000
     )
+    sure_m: float = setting(
+        0.15,
+        "where a piece lies counts as known once the newest keyframe's standard deviation is at most this, metres along"
+        " the worst axis",
+        "reckoned: a place 0.5 m off is a wrong one, and this is less than a third of that",
+        gt=0,
+        le=100,
+    )
+    sure_rad: float = setting(0.06, "likewise, radians", "reckoned, likewise: of 10 degrees", gt=0, le=3)
     most_across: int = setting(
         60,
         "loops between pieces that are remembered, the newest: of more, comparing takes long",
