@@ -14,7 +14,7 @@ PYTHON ?= python3
 RECORDING ?=
 ODOMETRY ?=
 OUT ?= out/demo
-# Processes that tests are shared between; the one that runs out of tests takes of another's.
+# Processes that tests are shared between, one more than cores; the one that runs out of tests takes of another's.
 WORKERS ?= auto
 
 VENV := .venv

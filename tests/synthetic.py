@@ -51,13 +51,18 @@ def render_room(
     return color.copy(), depth_m.copy()
 
 
+@lru_cache(maxsize=8)
+def _rays(camera: PinholeCamera) -> FloatArray:
+    return camera.rays()
+
+
 # Tests ask for the same few poses again and again: half a megabyte an image.
 @lru_cache(maxsize=256)
 def _rendered(
     pose: bytes, camera: PinholeCamera, seed: int, depth_noise: bool, blank: bool, rows: tuple[int, int]
 ) -> tuple[ByteArray, Float32Array]:
     T_odom_camera = np.frombuffer(pose).reshape(4, 4)
-    origin, rays = T_odom_camera[:3, 3], camera.rays()[slice(*rows)] @ T_odom_camera[:3, :3].T
+    origin, rays = T_odom_camera[:3, 3], _rays(camera)[slice(*rows)] @ T_odom_camera[:3, :3].T
     depth_m, face = _cast(origin, rays.reshape(-1, 3))
     depth_m, face = depth_m.reshape(rays.shape[:2]), face.reshape(rays.shape[:2])
     color = _paint(origin + rays * depth_m[..., None], face, seed)
@@ -112,7 +117,7 @@ def make_tum_recording(
         units = np.rint(depth_m * 5000).clip(0, 65535).astype(np.uint16)
         for name, image, stamp in (("rgb", color[..., ::-1], stamp_s), ("depth", units, stamp_s + depth_delay_s)):
             file = f"{name}/{stamp:.6f}.png"
-            assert cv2.imwrite(str(folder / file), image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+            assert cv2.imwrite(str(folder / file), image, [cv2.IMWRITE_PNG_COMPRESSION, 0])
             lists[name].append(f"{stamp:.6f} {file}")
     for name, lines in lists.items():
         (folder / f"{name}.txt").write_text("\n".join(lines) + "\n")
@@ -128,14 +133,29 @@ def _cast(origin: FloatArray, rays: FloatArray) -> tuple[FloatArray, IntArray]:
     leaves = _slabs(origin, inverse, *ROOM)[1]
     best, axis = _nearest(leaves)
     face = axis + 3 * (np.take_along_axis(inverse, axis[None], axis=0)[0] >= 0)
+    lengths = np.sqrt(np.einsum("nk,nk->n", rays, rays))
     for number, (low, high) in enumerate(BOXES, start=1):
-        enters, leaves = _slabs(origin, inverse, low, high)
+        near = _rays_near(origin, rays, lengths, low, high)
+        toward = inverse[:, near]
+        enters, leaves = _slabs(origin, toward, low, high)
         enter = np.maximum(np.maximum(enters[0], enters[1]), enters[2])
         leave = np.minimum(np.minimum(leaves[0], leaves[1]), leaves[2])
-        hit = np.flatnonzero((enter > 1e-6) & (enter < leave) & (enter < best))
+        hit = np.flatnonzero((enter > 1e-6) & (enter < leave) & (enter < best[near]))
         axis = enters[:, hit].argmax(axis=0)
-        best[hit], face[hit] = enter[hit], axis + 3 * (inverse[axis, hit] < 0) + 6 * number
+        best[near[hit]], face[near[hit]] = enter[hit], axis + 3 * (toward[axis, hit] < 0) + 6 * number
     return best, face
+
+
+def _rays_near(
+    origin: FloatArray, rays: FloatArray, lengths: FloatArray, low: tuple[float, ...], high: tuple[float, ...]
+) -> IntArray:
+    """Which rays (N, 3) of those lengths (N,) may meet a box: those within the cone about the ball around it."""
+    to_middle = (np.array(low) + high) / 2 - origin
+    distance_m, radius_m = np.linalg.norm(to_middle), 1.001 * np.linalg.norm(np.subtract(high, low)) / 2
+    if distance_m <= radius_m:
+        return np.arange(len(rays))
+    cosine = np.sqrt(1 - (radius_m / distance_m) ** 2)
+    return np.flatnonzero(rays @ to_middle >= cosine * distance_m * lengths)
 
 
 def _slabs(

@@ -10,6 +10,7 @@ from configuration_page import PAGE, page
 
 from wheelsight.config import Config, load_config, save_config
 from wheelsight.errors import ConfigError
+from wheelsight.files import settings_text
 
 
 def write(folder: Path, text: str) -> Path:
@@ -39,6 +40,14 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     assert config != Config()
     save_config(config, tmp_path / "out.yaml")
     assert load_config(tmp_path / "out.yaml") == config
+
+
+def test_what_is_written_is_the_same_with_libyaml_and_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = Config().to_dict() | {"note": "of a flat: 3 × 4 m", "start": [0.5, 1e-7, None, True]}
+    told = settings_text(settings)
+    monkeypatch.delattr(yaml, "CSafeDumper", raising=False)
+    assert told == settings_text(settings)
+    assert yaml.safe_load(told) == yaml.safe_load(yaml.safe_dump(settings))
 
 
 def test_a_file_changes_what_it_names_and_options_win_over_it(tmp_path: Path) -> None:

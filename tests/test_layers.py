@@ -8,6 +8,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
+from sources import imports_in
 
 PACKAGE = Path(__file__).resolve().parent.parent / "wheelsight"
 LAYERS = (
@@ -73,10 +74,10 @@ LONGEST_COMMAND = 150
 
 def imports_of(source: str) -> Iterator[tuple[int, str]]:
     """Line and full name of everything imported, inside functions and TYPE_CHECKING blocks too."""
-    for node in ast.walk(ast.parse(source)):
+    for node in imports_in(source):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, alias.name) for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
+        else:
             assert node.level == 0, f"line {node.lineno}: relative import; write the whole name"
             yield from ((node.lineno, f"{node.module}.{alias.name}") for alias in node.names)
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from sources import imports_in
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("wheelsight", "tests", "benchmarks", "examples", "papers")
@@ -21,12 +22,10 @@ EXCEPTIONS: set[tuple[str, str]] = set()
 
 def private_imports(source: str, package: str) -> Iterator[str]:
     """Private modules and names that a source in a package imports from other packages, up to the underscore."""
-    for node in ast.walk(ast.parse(source)):
-        names: list[str] = []
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            names = [f"{node.module}.{alias.name}" for alias in node.names]
+    for node in imports_in(source):
+        names = [alias.name for alias in node.names]
+        if isinstance(node, ast.ImportFrom):
+            names = [f"{node.module}.{name}" for name in names]
         for name in names:
             private = private_part(name)
             home = package_with(private)

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
-import yaml
 from pydantic import (
     AfterValidator,
     BeforeValidator,
@@ -19,7 +18,7 @@ from pydantic import (
 from wheelsight.camera_calibration.settings import CameraCalibrationSettings
 from wheelsight.clocks import ClockSettings
 from wheelsight.errors import ConfigError
-from wheelsight.files import StrPath, write_text
+from wheelsight.files import StrPath, settings_text, write_text
 from wheelsight.fusion import AxisWeights, FusionSettings, OdometryTerm, Weights
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.inputs import line_of, read_yaml
@@ -363,7 +362,7 @@ def is_named(setting: str, path: StrPath | None) -> bool:
 def save_config(config: Config, path: StrPath) -> None:
     """Write all settings, defaults included, as YAML that `load_config` reads back. Raises OutputError."""
     path = Path(path)
-    write_text(path, yaml.safe_dump(config.to_dict(), sort_keys=False))
+    write_text(path, settings_text(config.to_dict()))
 
 
 def _read(path: Path) -> dict[str, Any]:

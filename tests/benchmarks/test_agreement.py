@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,8 @@ from wheelsight.events import RgbdFrame
 from wheelsight.geometry import se3
 from wheelsight.trajectory import Trajectory
 
-pytest.importorskip("open3d", reason="Open3D is not installed: pip install '.[bench]'")
+# Not loaded here: each process that tests are shared between would, at most one of which needs it.
+pytestmark = pytest.mark.skipif(find_spec("open3d") is None, reason="Open3D is not installed: pip install '.[bench]'")
 
 TRUTH = synthetic.wobbling_trajectory(31)
 

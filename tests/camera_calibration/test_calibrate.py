@@ -68,8 +68,10 @@ def test_lenses_apart_and_depth_come_out(calibrated: tuple[Rig, ViewSet, CameraC
     assert found.color_residuals.rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.1)
 
 
-def test_what_is_found_goes_into_a_calibration(calibrated: tuple[Rig, ViewSet, CameraCalibration]) -> None:
-    rig, _, found = calibrated
+@pytest.mark.parametrize("name", sorted(RIGS))
+def test_what_is_found_goes_into_a_calibration(name: str) -> None:
+    rig, seen = rig_of(name, 11)
+    found = calibrate_camera(seen, BOARD, CameraSetup(rig.sensor, on_plate=True))
     calibration = camera_calibration(found)
     assert calibration.color == found.color
     assert calibration.depth_error.is_of_disparity == rig.is_disparity

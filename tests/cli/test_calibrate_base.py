@@ -176,7 +176,7 @@ def test_a_simulated_drive_from_end_to_end(wheelsight: Command, tmp_path: Path) 
     sizes = tmp_path / "sizes.yaml"
     assert wheelsight("calibrate", "wheels", tmp_path / "drive", "--out", sizes).exit_code == 0
     given = ("--calibration", sizes, "--calibration", out)
-    result = wheelsight("run", tmp_path / "drive", "--odometry", "wheels,dense", *given, "--out", tmp_path / "run")
+    result = wheelsight("run", tmp_path / "drive", "--odometry", "wheels,features", *given, "--out", tmp_path / "run")
     assert result.exit_code == 0, result.output
     metrics = json.loads((tmp_path / "run" / "joined" / "metrics.json").read_text())
     assert metrics["evaluation"]["ate_m"]["rmse"] < 0.03

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 import pytest
 from live_page.room_session import SETTINGS, room_session
@@ -27,6 +28,50 @@ def page(access: Access, refusals: list[str] | None = None) -> Iterator[tuple[Te
     with room_session() as served, TestClient(page_app(served.session, SETTINGS, access, kept.append), HOME) as client:
         served.until(lambda told: "camera" in told["pictures"])
         yield client, served.robot.stops_s
+
+
+@dataclass
+class Asked:
+    """A page that several tests ask: who was refused, and how often its robot was stopped, in the present one."""
+
+    client: TestClient
+    stops_s: list[float]
+    refusals: list[str]
+
+    def forget(self) -> Asked:
+        self.stops_s.clear()
+        self.refusals.clear()
+        return self
+
+    def until_stopped(self) -> None:
+        ends_s = time.monotonic() + 5
+        while not self.stops_s:
+            assert time.monotonic() < ends_s
+            time.sleep(0.002)
+
+
+@pytest.fixture(scope="module")
+def shared_at_home() -> Iterator[Asked]:
+    refusals: list[str] = []
+    with page(Access(True), refusals) as (client, stops_s):
+        yield Asked(client, stops_s, refusals)
+
+
+@pytest.fixture(scope="module")
+def shared_behind_a_token() -> Iterator[Asked]:
+    refusals: list[str] = []
+    with page(Access(False, TOKEN), refusals) as (client, stops_s):
+        yield Asked(client, stops_s, refusals)
+
+
+@pytest.fixture
+def at_home(shared_at_home: Asked) -> Asked:
+    return shared_at_home.forget()
+
+
+@pytest.fixture
+def behind_a_token(shared_behind_a_token: Asked) -> Asked:
+    return shared_behind_a_token.forget()
 
 
 @pytest.mark.parametrize(
@@ -67,43 +112,43 @@ def test_the_page_and_its_images_come_and_nothing_may_lead_out() -> None:
 
 
 @pytest.mark.parametrize("host", ["evil.org", "evil.org:8765", "127.0.0.1.evil.org", "localhost.evil.org:8765", ""])
-def test_a_name_that_somebody_led_here_is_refused(host: str) -> None:
-    refusals: list[str] = []
-    with page(Access(True), refusals) as (client, stops_s):
-        for path in PATHS:
-            assert client.request("POST" if path == "/stop" else "GET", path, headers={"host": host}).status_code == 403
-        with pytest.raises(WebSocketDisconnect), client.websocket_connect(LIVE, headers={"host": host}):
-            pass
-        assert not stops_s
-        assert len(refusals) == len(PATHS) + 1
-        assert "is not this computer" in refusals[-1]
+def test_a_name_that_somebody_led_here_is_refused(at_home: Asked, host: str) -> None:
+    client, refusals = at_home.client, at_home.refusals
+    for path in PATHS:
+        assert client.request("POST" if path == "/stop" else "GET", path, headers={"host": host}).status_code == 403
+    with pytest.raises(WebSocketDisconnect), client.websocket_connect(LIVE, headers={"host": host}):
+        pass
+    assert not at_home.stops_s
+    assert len(refusals) == len(PATHS) + 1
+    assert "is not this computer" in refusals[-1]
 
 
 @pytest.mark.parametrize("origin", ["http://evil.org", "null", "http://127.0.0.1:8766", "http://localhost:8765"])
-def test_another_page_is_refused(origin: str) -> None:
-    with page(Access(True)) as (client, stops_s):
-        assert client.post("/stop", headers={"origin": origin}).status_code == 403
-        with pytest.raises(WebSocketDisconnect), client.websocket_connect(LIVE, headers={"origin": origin}):
-            pass
-        assert not stops_s
-        assert client.post("/stop", headers={"origin": HOME}).status_code == 200
+def test_another_page_is_refused(at_home: Asked, origin: str) -> None:
+    client = at_home.client
+    assert client.post("/stop", headers={"origin": origin}).status_code == 403
+    with pytest.raises(WebSocketDisconnect), client.websocket_connect(LIVE, headers={"origin": origin}):
+        pass
+    assert not at_home.stops_s
+    assert client.post("/stop", headers={"origin": HOME}).status_code == 200
+    at_home.until_stopped()
 
 
 @pytest.mark.parametrize(
     "given", ["", "?token=", "?token=wrong", f"?token={TOKEN[:-1]}", f"?tokens={TOKEN}", "?" + 20 * "a=b&"]
 )
-def test_without_the_token_nothing_is_answered(given: str) -> None:
-    refusals: list[str] = []
-    with page(Access(False, TOKEN), refusals) as (client, stops_s):
-        for path in PATHS:
-            answer = client.request("POST" if path == "/stop" else "GET", path + given)
-            assert answer.status_code == 401
-            assert answer.text.startswith("no token")
-            assert answer.text.count("\n") == 1
-        with pytest.raises(WebSocketDisconnect), client.websocket_connect(f"{LIVE}{given}"):
-            pass
-        assert not stops_s
-        assert all(TOKEN not in line for line in refusals)
+def test_without_the_token_nothing_is_answered(behind_a_token: Asked, given: str) -> None:
+    client = behind_a_token.client
+    for path in PATHS:
+        answer = client.request("POST" if path == "/stop" else "GET", path + given)
+        assert answer.status_code == 401
+        assert answer.text.startswith("no token")
+        assert answer.text.count("\n") == 1
+    with pytest.raises(WebSocketDisconnect), client.websocket_connect(f"{LIVE}{given}"):
+        pass
+    assert not behind_a_token.stops_s
+    assert len(behind_a_token.refusals) == len(PATHS) + 1
+    assert all(TOKEN not in line for line in behind_a_token.refusals)
 
 
 def test_a_browser_keeps_the_token_and_needs_it_once() -> None:
@@ -123,12 +168,8 @@ def test_a_browser_keeps_the_token_and_needs_it_once() -> None:
         assert client.get(f"/?token={TOKEN}", headers={"host": "robot.home:8765"}).status_code == 200
 
 
-def test_stop_is_of_everybody_who_may_see_the_page() -> None:
-    with page(Access(True)) as (client, stops_s):
-        assert client.get("/stop").status_code == 405
-        assert not stops_s
-        assert client.post("/stop").text == "stopped\n"
-        ends_s = time.monotonic() + 5
-        while not stops_s:
-            assert time.monotonic() < ends_s
-            time.sleep(0.002)
+def test_stop_is_of_everybody_who_may_see_the_page(at_home: Asked) -> None:
+    assert at_home.client.get("/stop").status_code == 405
+    assert not at_home.stops_s
+    assert at_home.client.post("/stop").text == "stopped\n"
+    at_home.until_stopped()

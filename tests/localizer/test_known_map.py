@@ -19,6 +19,7 @@ from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.keyframes import KeyframeId, KeyframeStore
 from wheelsight.localizer import Localizer
+from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.known import KnownMap
 
 RATE_HZ, STEP_RAD = 15.0, np.radians(4.0)
@@ -119,7 +120,8 @@ def test_who_says_where_it_begins_is_believed_and_corrected(before: tuple[Locali
     subject.close()
 
 
-def test_a_known_map_needs_loops(before: tuple[Localizer, KnownMap]) -> None:
+def test_a_known_map_needs_loops() -> None:
     config = load_config(overrides={"odometry": "dense"})
+    empty = KnownMap(KeyframeStore(), Recognizer(), ())
     with pytest.raises(ConfigError, match="found by loops"):
-        Localizer(CALIBRATION, config, known=known(before))
+        Localizer(CALIBRATION, config, known=empty)

@@ -17,16 +17,24 @@ from wheelsight.errors import MapError, OutputError
 from wheelsight.mapping import SurfelMap, Surfels, SurfelSettings, load_map, save_map
 
 
-@pytest.fixture
-def surfel_map(rng: np.random.Generator) -> SurfelMap:
-    """Of which some surfels hang on two keyframes, and others on none."""
-    store = kept_keyframes(2)
+@pytest.fixture(scope="module")
+def surfel_map() -> SurfelMap:
+    """Of which some surfels hang on two keyframes, and others on none; nobody changes it."""
+    store, rng = kept_keyframes(2), np.random.default_rng(20240817)
     made = SurfelMap(SurfelSettings(active_s=7.0, threads=1), store)
     walls = [Wall(2.0, slope=0.3), Wall(1.4, low=-0.1, high=0.1)]
     for k, keyframe in enumerate([None] * 4 + [0] * 4 + [1] * 4):
         T = pose(0.05 * k)
         fuse(made, see(walls, T, rng), T, k * FRAME_S, keyframe)
     return made
+
+
+@pytest.fixture(scope="module")
+def saved(surfel_map: SurfelMap, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Its file."""
+    path = tmp_path_factory.mktemp("saved") / "a.map"
+    save_map(surfel_map, path)
+    return path.read_bytes()
 
 
 def test_what_was_saved_is_loaded(surfel_map, tmp_path):
@@ -192,10 +200,9 @@ def header_entry(name: str, value: object) -> Callable[[dict[str, Any], bytearra
         (lambda data: rewritten(data, put(12, np.nan)), "variance_m2"),
     ],
 )
-def test_what_is_no_map_is_refused_in_one_line(surfel_map, tmp_path, damage, word):
+def test_what_is_no_map_is_refused_in_one_line(saved, tmp_path, damage, word):
     path = tmp_path / "a.map"
-    save_map(surfel_map, path)
-    path.write_bytes(damage(path.read_bytes()))
+    path.write_bytes(damage(saved))
     with pytest.raises(MapError, match=word) as raised:
         load_map(path)
     assert str(path) in str(raised.value)

@@ -94,11 +94,14 @@ def test_the_second_day_is_found_and_the_map_stays_as_it_is(first_day: Path, tmp
 @pytest.mark.parametrize(
     ("setting", "is_second"), [("dense__finest_width_px", True), ("localizer__most_width_px", False)]
 )
-def test_days_by_images_of_two_sizes_find_each_other(tmp_path: Path, setting: str, is_second: bool) -> None:
+def test_days_by_images_of_two_sizes_find_each_other(
+    first_day: Path, tmp_path: Path, setting: str, is_second: bool
+) -> None:
     small: dict[str, object] = {setting: 200}
-    first, second = ({}, small) if is_second else (small, {})
-    run(recorded(FIRST_DAY, 100.0), settings(sessions__keep_map=True, **first), tmp_path / "monday")
-    find(tmp_path / "monday", tmp_path / "found", recorded(SECOND_DAY), **second)
+    if not is_second:
+        run(recorded(FIRST_DAY, 100.0), settings(sessions__keep_map=True, **small), tmp_path / "monday")
+    monday = first_day if is_second else tmp_path / "monday"
+    find(monday, tmp_path / "found", recorded(SECOND_DAY), **(small if is_second else {}))
     statuses = statuses_in(tmp_path / "found")
     assert set(statuses[statuses.index("tracking") :]) == {"tracking"}
     check_near(tmp_path / "found", SECOND_DAY)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,11 @@ _RATE_HZ = 30.0
 
 def example_run(frames: int = 500, seed: int = 1, with_truth: bool = True, **others: Any) -> RunRecord:
     """A hand-held camera's run: it fails, is lost a tenth of the time, recovers; two frames were unreadable."""
+    return replace(_run(frames, seed, with_truth), **others)
+
+
+@cache
+def _run(frames: int, seed: int, with_truth: bool) -> RunRecord:
     rng = np.random.default_rng(seed)
     stamps_s = START_S + np.arange(frames) / _RATE_HZ
     records = tuple(_frame(i, stamp, frames, rng) for i, stamp in enumerate(stamps_s))
@@ -39,7 +45,7 @@ def example_run(frames: int = 500, seed: int = 1, with_truth: bool = True, **oth
             evaluation, problem = evaluate(estimate, truth, frame_stamps_s=stamps_s), None
         except EvaluationError as error:
             problem = str(error)
-    plain = RunRecord(
+    return RunRecord(
         recording="corridor with a lost while",
         format="tum",
         frames=records,
@@ -54,7 +60,6 @@ def example_run(frames: int = 500, seed: int = 1, with_truth: bool = True, **oth
         peak_memory_mb=312.4,
         finished_at=datetime(2024, 8, 17, 14, 3, tzinfo=UTC),
     )
-    return replace(plain, **others)
 
 
 def empty_run(frames: int = 30) -> RunRecord:

@@ -117,12 +117,16 @@ def test_it_holds_all_it_needs(tmp_path: Path) -> None:
     assert "default-src 'none'" in policy
 
 
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Page:
+    return _page(example_run(60, pictures=(example_picture(),)), tmp_path_factory.mktemp("plain"))
+
+
 @pytest.mark.parametrize(
     "hostile", ["</title><script>alert(1)</script>", '"><img src=x onerror=alert(1)>', "$title ${x} $$", "</script>"]
 )
-def test_hostile_names_stay_text(hostile: str, tmp_path: Path) -> None:
+def test_hostile_names_stay_text(plain: Page, hostile: str, tmp_path: Path) -> None:
     run = example_run(60, pictures=(example_picture(),))
-    plain = _page(run, tmp_path)
     frames = tuple(replace(f, note=hostile) if f.is_skipped or i == 3 else f for i, f in enumerate(run.frames))
     page = _page(
         replace(

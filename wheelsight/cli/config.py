@@ -25,10 +25,9 @@ def config(
 
     wheelsight config > settings.yaml
     """
-    import yaml
-
+    from wheelsight.files import settings_text
     from wheelsight.settings.profiles import differing
 
     settings = settings_from({"--profile": profile}, config).to_dict()
     shown = differing(settings, settings_from({}).to_dict()) if changed else settings
-    typer.echo(yaml.safe_dump(shown, sort_keys=False), nl=False)
+    typer.echo(settings_text(shown), nl=False)

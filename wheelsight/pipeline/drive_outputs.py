@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from wheelsight._version import __version__
-from wheelsight.files import StrPath, write_text
+from wheelsight.files import StrPath, settings_text, write_text
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry.se2 import wrap_angle
 from wheelsight.pipeline.drive_record import DriveRecord, GoalRecord, StopRecord
@@ -24,7 +23,7 @@ _PLAN_STEP_M = 0.1
 def write_drive(record: DriveRecord, folder: StrPath) -> None:
     """drive.json, trajectory.txt and config.yaml in a folder that is there. Raises OutputError."""
     folder = Path(folder)
-    write_text(folder / SETTINGS_FILE, yaml.safe_dump(record.config, sort_keys=False))
+    write_text(folder / SETTINGS_FILE, settings_text(record.config))
     write_tum(record.way, folder / WAY_FILE)
     write_text(folder / DRIVE_FILE, json.dumps(drive_dict(record), indent=2, allow_nan=False) + "\n")
 

@@ -86,14 +86,14 @@ class OffsetMeter:
         self._far.keep(contrasts, borders)
         if size[0] <= 2 * right or size[1] <= 2 * down:
             return  # smaller than the shifts that are tried
-        spectra = [np.fft.rfft2(cv2.resize(contrast, size, interpolation=cv2.INTER_AREA)) for contrast in contrasts]
+        spectra = [cv2.dft(cv2.resize(contrast, size, interpolation=cv2.INTER_AREA)) for contrast in contrasts]
         for index, scale in enumerate(_SEARCH_SCALES):
             about = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), 0.0, float(scale))
             product = np.zeros_like(spectra[0])
             for spectrum, border in zip(spectra, borders, strict=True):
                 moved = cv2.resize(cv2.warpAffine(border, about, (width, height)), size, interpolation=cv2.INTER_AREA)
-                product += spectrum * np.conj(np.fft.rfft2(moved))
-            fit = np.fft.irfft2(product, s=size[::-1])
+                product += _correlation(spectrum, moved)
+            fit = cv2.idft(product, flags=cv2.DFT_SCALE)
             self._fit[index] += np.roll(fit, (down, right), (0, 1))[: 2 * down + 1, : 2 * right + 1]
         self._edges += sum(float(border.sum()) for border in borders) / self._reduction**2
 
@@ -131,7 +131,7 @@ class _FarSearch:
     def offset(self) -> RegistrationOffset | None:
         """What is found far off, or None."""
         every = -(-len(self._kept) // _FAR_FRAMES) if self._kept else 1
-        edges = [(np.fft.rfft2(contrast), px) for kept in self._kept[::every] for contrast, px in kept]
+        edges = [(cv2.dft(contrast), px) for kept in self._kept[::every] for contrast, px in kept]
         if not any(len(px) for _, px in edges):
             return None
         fits = {
@@ -160,8 +160,8 @@ class _FarSearch:
             inside = (x >= 0) & (x < columns) & (y >= 0) & (y < rows)
             count += int(np.count_nonzero(inside))
             moved = np.bincount(y[inside] * columns + x[inside], minlength=rows * columns).reshape(rows, columns)
-            product += spectrum * np.conj(np.fft.rfft2(moved))
-        fit = np.fft.irfft2(product, s=(rows, columns))
+            product += _correlation(spectrum, moved.astype(np.float32))
+        fit = cv2.idft(product, flags=cv2.DFT_SCALE)
         near = np.roll(fit, (down, right), (0, 1))[: 2 * down + 1, : 2 * right + 1]
         y_best, x_best = np.unravel_index(near.argmax(), near.shape)
         shift_px = step * (np.array([x_best, y_best]) - _FAR_PX)
@@ -176,6 +176,11 @@ class _FarFit:
 
     deviations: float
     offset: RegistrationOffset
+
+
+def _correlation(spectrum: Any, moved: Any) -> Any:
+    """The spectrum of how well an image falls on one of that spectrum, over all shifts; as OpenCV packs it."""
+    return cv2.mulSpectrums(spectrum, cv2.dft(moved), 0, conjB=True)
 
 
 def _far_size(width: int, height: int) -> tuple[int, int]:

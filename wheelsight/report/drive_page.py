@@ -8,10 +8,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import yaml
 
 from wheelsight._version import __version__
-from wheelsight.files import StrPath, write_bytes, write_text
+from wheelsight.files import StrPath, settings_text, write_bytes, write_text
 from wheelsight.geometry import ByteArray
 from wheelsight.mapping.occupancy_picture import PlanLine, PlanMark, picture_of
 from wheelsight.pipeline.drive_record import DriveRecord, FilmImage
@@ -177,7 +176,7 @@ def _stops(record: DriveRecord) -> str:
 def _log(record: DriveRecord) -> str:
     rows = transition_rows(record)
     table = html.table("All changes of state.", ("Seconds", "From", "To", "Why"), rows)
-    settings = yaml.safe_dump(record.config["navigation"], sort_keys=False)
+    settings = settings_text(record.config["navigation"])
     return html.section(
         "log", "The log", "", html.fold("All changes of state", table), html.folded("Settings of navigation", settings)
     )

@@ -8,10 +8,8 @@ from importlib import resources
 from pathlib import Path
 from string import Template
 
-import yaml
-
 from wheelsight._version import __version__
-from wheelsight.files import StrPath, write_text
+from wheelsight.files import StrPath, settings_text, write_text
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _files as files
 from wheelsight.report import _html as html
@@ -140,5 +138,5 @@ def _sections(record: RunRecord, summary: Summary) -> list[str]:
 def settings(record: RunRecord) -> str:
     """The resolved configuration, folded away."""
     plain = json.loads(json.dumps(record.config, default=str))
-    text = yaml.safe_dump(plain, sort_keys=False, allow_unicode=True) if plain else "none recorded"
+    text = settings_text(plain) if plain else "none recorded"
     return html.section("settings", "Settings", "", html.folded("Show the settings of this run", text))

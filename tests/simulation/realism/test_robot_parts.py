@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import welch
+from scipy.signal import bilinear, lfilter, welch
 from small_rooms import room
 
 from wheelsight.areas import Area, AreaMap
@@ -15,7 +15,7 @@ from wheelsight.simulation import Robot, Surface, World, build_world
 from wheelsight.simulation._ground import drag_n
 from wheelsight.simulation.lighting import Lighting
 from wheelsight.simulation.realism import Realism, carriage_of
-from wheelsight.simulation.realism.body import BodyMotion, BodySettings
+from wheelsight.simulation.realism.body import BodyMotion, BodySettings, sprung
 from wheelsight.simulation.realism.floor import Floor, FloorSettings
 from wheelsight.simulation.realism.lights import Lights, LightSettings
 from wheelsight.simulation.realism.mount import MountSettings, mounted
@@ -88,6 +88,15 @@ def test_a_body_at_even_speed_on_an_even_floor_stays_where_it_is():
     np.testing.assert_allclose(
         motion.T_base_body(np.linspace(0.5, 4.5, 50)), np.broadcast_to(np.eye(4), (50, 4, 4)), atol=1e-7
     )
+
+
+@pytest.mark.parametrize("period_s", [0.001, 0.02])
+def test_a_mass_on_a_spring_moves_as_the_filter_of_the_bilinear_transform(period_s, rng):
+    own, damped = QUIET.own_rad_s, 2 * QUIET.damping * QUIET.own_rad_s
+    goal = 0.3 + np.cumsum(rng.normal(0, 1e-3, 5000))
+    b, a = bilinear([damped, own**2], [1, damped, own**2], 1 / period_s)
+    expected = lfilter(b, a, goal - goal[0]) + goal[0]
+    np.testing.assert_allclose(sprung(goal, QUIET, period_s), expected, rtol=0, atol=1e-12)
 
 
 def test_braking_dips_the_nose_by_the_springs_stiffness():

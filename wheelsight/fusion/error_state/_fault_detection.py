@@ -25,6 +25,7 @@ from enum import Enum
 from functools import cache
 
 import numpy as np
+from scipy.special import chdtri, gammaincinv
 
 from wheelsight.estimates import Reason
 from wheelsight.fusion.error_state import _pose_kernels as kernels
@@ -156,16 +157,13 @@ def gate(settings: FilterParameters, degrees: int) -> float:
 @cache
 def gate_of(wrongly: float) -> float:
     """The largest NIS of one degree of freedom that a good measurement has, but for such a share of them."""
-    from scipy.stats import chi2
-
-    return float(chi2.isf(wrongly, 1))
+    return float(chdtri(1, wrongly))
 
 
 @cache
 def _quantile(share: float, degrees: int) -> float:
-    from scipy.stats import chi2
-
-    return float(chi2.ppf(share, degrees))
+    # As scipy.stats.chi2, which takes a third of a second to load.
+    return float(2 * gammaincinv(degrees / 2, share))
 
 
 def updated(

@@ -13,7 +13,7 @@ import numpy as np
 from wheelsight.calibration import Wheels
 from wheelsight.geometry import FloatArray, IntArray, se3, so3
 from wheelsight.odometry.extrinsics.settings import DEFAULTS, TurningSettings
-from wheelsight.odometry.wheels.drive import Drive, poses_at
+from wheelsight.odometry.wheels.drive import Drive, yaw_at_readings
 from wheelsight.trajectory import Trajectory
 
 
@@ -43,24 +43,21 @@ def common_turning(
     start, end = _intervals(camera.stamps_s, settings)
     turns = so3.log(se3.invert(camera.T_frame_body[start])[:, :3, :3] @ camera.T_frame_body[end, :3, :3])
     steps = round(settings.largest_offset_s / settings.step_s)
+    turned_rad = yaw_at_readings(drive, wheels)
     best = Turning(np.array([0.0, -1.0, 0.0]), wheels.delay_s, 0.0)
     for delay_s in wheels.delay_s + settings.step_s * np.arange(-steps, steps + 1):
         begin_s, until_s = camera.stamps_s[start] + delay_s, camera.stamps_s[end] + delay_s
         inside = (begin_s >= drive.stamps_s[0]) & (until_s <= drive.stamps_s[-1])
         if np.count_nonzero(inside) < max(1.0, settings.fewest_share * len(start)):
             continue
-        yaw_rad = _yaw_at(drive, wheels, until_s[inside]) - _yaw_at(drive, wheels, begin_s[inside])
+        ends_rad = (np.interp(stamps_s[inside], drive.stamps_s, turned_rad) for stamps_s in (until_s, begin_s))
+        yaw_rad = np.subtract(*ends_rad)
         axis = yaw_rad @ turns[inside]
         size = float(np.sqrt(np.sum(yaw_rad**2) * np.sum(turns[inside] ** 2)))
         agreement = float(np.linalg.norm(axis)) / size if size > 0 else 0.0
         if agreement > best.agreement:
             best = Turning(axis / np.linalg.norm(axis), float(delay_s), agreement)
     return best
-
-
-def _yaw_at(drive: Drive, wheels: Wheels, stamps_s: FloatArray) -> FloatArray:
-    sizes_m = np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
-    return poses_at(drive, sizes_m, stamps_s)[:, 2]
 
 
 def _intervals(stamps_s: FloatArray, settings: TurningSettings) -> tuple[IntArray, IntArray]:

@@ -85,6 +85,12 @@ def drive_path(drive: Drive, wheels: Wheels, stamps_s: ArrayLike) -> Trajectory:
     return Trajectory(np.asarray(stamps_s, float), se3.from_plane(x, y, yaw_rad), body="base", frame="odom")
 
 
+def yaw_at_readings(drive: Drive, wheels: Wheels) -> FloatArray:
+    """Yaw (N,), from 0 at the first reading on beyond a turn; between readings it is linear in time."""
+    sizes_m = np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
+    return np.concatenate([[0.0], np.cumsum(_arcs(np.diff(drive.left_rad), np.diff(drive.right_rad), sizes_m)[1])])
+
+
 def poses_at(drive: Drive, sizes_m: FloatArray, stamps_s: FloatArray) -> FloatArray:
     """x, y, yaw (M, 3) at stamps (M,) of the readings' clock; `sizes_m` is left radius, right radius, track width.
 

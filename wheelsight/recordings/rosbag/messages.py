@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,17 @@ class Diagnosis:
     values: tuple[tuple[str, str], ...] = ()
 
 
+@cache
+def _types(is_ros1: bool) -> Any:
+    """A store of them, which makes a program for each type once."""
+    typesys = needed("rosbags.typesys")
+    types = typesys.get_typestore(typesys.Stores.ROS1_NOETIC if is_ros1 else typesys.Stores.ROS2_JAZZY)
+    if is_ros1:  # which has it in a package of its own
+        definition = "geometry_msgs/TransformStamped[] transforms"
+        types.register(typesys.get_types_from_msg(definition, _TF))
+    return types
+
+
 class Messages:
     """Makes messages of ROS 1 (Noetic) or ROS 2 (Jazzy); those types are the same in all releases since.
 
@@ -44,12 +56,9 @@ class Messages:
     """
 
     def __init__(self, is_ros1: bool) -> None:
-        typesys = needed("rosbags.typesys")
+        needed("rosbags.typesys")
         self.is_ros1 = is_ros1
-        self.types = typesys.get_typestore(typesys.Stores.ROS1_NOETIC if is_ros1 else typesys.Stores.ROS2_JAZZY)
-        if is_ros1:  # which has it in a package of its own
-            definition = "geometry_msgs/TransformStamped[] transforms"
-            self.types.register(typesys.get_types_from_msg(definition, _TF))
+        self.types = _types(is_ros1)
 
     def bytes_of(self, message: Any) -> bytes:
         """A message as it is sent."""

@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -139,23 +140,29 @@ class OpenBag:
 
     def _learn(self, topic: str, type_: str) -> Any:
         """A store that knows a type: as the bag defines it, else as ROS does."""
-        typesys = needed("rosbags.typesys")
         definition = self._of_topic[topic].msgdef
-        if definition.format.name == "NONE":
-            store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC if self.is_ros1 else typesys.Stores.LATEST)
-        else:
-            store = typesys.get_typestore(typesys.Stores.EMPTY)
-            store.register(_defined(definition, type_, typesys))
+        store = _store_of(type_, definition.format.name, definition.data, self.is_ros1)
         self._stores[type_] = store
         return store
 
 
-def _defined(definition: Any, type_: str, typesys: Any) -> dict[str, Any]:
+# A store makes a program for each type: bags of one robot, which define theirs alike, share them.
+@lru_cache(maxsize=128)
+def _store_of(type_: str, language: str, definition: str, is_ros1: bool) -> Any:
+    typesys = needed("rosbags.typesys")
+    if language == "NONE":
+        return typesys.get_typestore(typesys.Stores.ROS1_NOETIC if is_ros1 else typesys.Stores.LATEST)
+    store = typesys.get_typestore(typesys.Stores.EMPTY)
+    store.register(_defined(type_, language, definition, typesys))
+    return store
+
+
+def _defined(type_: str, language: str, definition: str, typesys: Any) -> dict[str, Any]:
     """The types of a definition in ROS's own language, or in one or several of IDL."""
-    if definition.format.name == "MSG":
-        return dict(typesys.get_types_from_msg(definition.data, type_))
-    parts = [part.partition("\n")[2] for part in definition.data.split(_IDL_RULE) if part.startswith("IDL: ")]
-    return {name: of for part in parts or [definition.data] for name, of in typesys.get_types_from_idl(part).items()}
+    if language == "MSG":
+        return dict(typesys.get_types_from_msg(definition, type_))
+    parts = [part.partition("\n")[2] for part in definition.split(_IDL_RULE) if part.startswith("IDL: ")]
+    return {name: of for part in parts or [definition] for name, of in typesys.get_types_from_idl(part).items()}
 
 
 @contextmanager

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.linalg.blas import dtbsv
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import bilinear, lfilter
 
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.simulation.realism.floor import Floor
@@ -76,10 +76,10 @@ class BodyMotion:
             strength * trembling(len(rim_m_s), period_s, settings.bands_hz, rates, rng)
             for rates in (settings.roll_rad_s, settings.pitch_rad_s, settings.yaw_rad_s)
         ]
-        self._up_m = _sprung(self._up_m, settings, period_s)
+        self._up_m = sprung(self._up_m, settings, period_s)
         self._angles_rad = np.stack(shakes)
-        self._angles_rad[0] += _sprung(roll, settings, period_s)
-        self._angles_rad[1] += _sprung(pitch, settings, period_s)
+        self._angles_rad[0] += sprung(roll, settings, period_s)
+        self._angles_rad[1] += sprung(pitch, settings, period_s)
 
     def T_base_body(self, stamps_s: ArrayLike) -> FloatArray:
         """(N, 4, 4) where the body is, at times (N,), from where it is on a level floor at rest."""
@@ -113,11 +113,28 @@ def jolts(T_world_base: FloatArray, robot: Robot, floor: Floor) -> tuple[FloatAr
     return (back_m - front_m) / _CASTOR_X_M, (left - right) / (2 * half_m), back_m
 
 
-def _sprung(goal: FloatArray, settings: BodySettings, period_s: float) -> FloatArray:
+def sprung(goal: FloatArray, settings: BodySettings, period_s: float) -> FloatArray:
     """What a mass on a spring does whose rest position is `goal` (N,)."""
-    own, damping = settings.own_rad_s, settings.damping
-    b, a = bilinear([2 * damping * own, own**2], [1, 2 * damping * own, own**2], 1 / period_s)
-    return np.asarray(lfilter(b, a, goal - goal[0]) + goal[0], float)
+    (b0, b1, b2), (_, a1, a2) = spring(settings, period_s)
+    x = goal - goal[0]
+    driven = b0 * x
+    driven[1:] += b1 * x[:-1]
+    driven[2:] += b2 * x[:-2]
+    # y[n] + a1 y[n-1] + a2 y[n-2] = driven[n], three bands of a triangle: scipy.signal, whose lfilter does the same,
+    # takes half a second to load.
+    bands = np.empty((3, len(x)), order="F")
+    bands[:] = np.array([[1.0], [a1], [a2]])
+    return np.asarray(dtbsv(2, bands, driven, lower=1, diag=1) + goal[0], float)
+
+
+def spring(settings: BodySettings, period_s: float) -> tuple[FloatArray, FloatArray]:
+    """The filter b, a (3,) from rest position to position of a damped mass, sampled by the bilinear transform."""
+    own, k = settings.own_rad_s, 2 / period_s
+    damped = 2 * settings.damping * own * k
+    first = k**2 + damped + own**2
+    b = np.array([damped + own**2, 2 * own**2, own**2 - damped])
+    a = np.array([first, 2 * own**2 - 2 * k**2, k**2 - damped + own**2])
+    return b / first, a / first
 
 
 def trembling(

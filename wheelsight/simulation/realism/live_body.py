@@ -7,10 +7,9 @@ from collections import deque
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.signal import bilinear
 
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.simulation.realism.body import BodySettings, jolts, trembling
+from wheelsight.simulation.realism.body import BodySettings, jolts, spring, trembling
 from wheelsight.simulation.realism.floor import Floor
 from wheelsight.simulation.robot import Robot
 
@@ -86,8 +85,7 @@ class _Spring:
     """A mass on a spring, at rest at the first goal."""
 
     def __init__(self, settings: BodySettings, period_s: float) -> None:
-        own, damping = settings.own_rad_s, settings.damping
-        self._b, self._a = bilinear([2 * damping * own, own**2], [1, 2 * damping * own, own**2], 1 / period_s)
+        self._b, self._a = spring(settings, period_s)
         self._z = [0.0, 0.0]
         self._rest: float | None = None
 
