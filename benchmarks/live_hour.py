@@ -29,6 +29,7 @@ from wheelsight.estimates import Status
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.pipeline import run_each
 from wheelsight.pipeline.realtime_record import RealTimeRecord
+from wheelsight.pipeline.rehearsal import DrawnDrive
 from wheelsight.pipeline.rehearses import Rehearses
 from wheelsight.pipeline.run_record import FrameRecord
 from wheelsight.pipeline.track import Track
@@ -86,7 +87,7 @@ class Hour:
 
     Attributes:
         minutes: those that were driven to their end.
-        start_mb: what the process held before the first event.
+        start_mb: what the process held before the first event, kernels loaded.
         peak_mb: the most that it ever held, when results were written too.
         not_compared: keyframes that the loop thread had no time for.
         loops: that were kept.
@@ -119,6 +120,7 @@ class PipedDrive:
         send: what the other process does.
 
     Attributes:
+        start_mb: what this process held when the first event was asked for.
         spent_s: of processor time that each frame (True) and each reading took since the last minute ended.
     """
 
@@ -132,10 +134,12 @@ class PipedDrive:
         theirs.close()
         self.calibration: Calibration = self._connection.recv()
         self.spent_s: dict[bool, list[float]] = {True: [], False: []}
+        self.start_mb = float("nan")
         self._frames = self._readings = 0
 
     def events(self, *, images: bool = True) -> Iterator[Event]:
         """As they come. Raises EOFError where the other process has died."""
+        self.start_mb = memory_of("Rss")
         while (event := self._connection.recv()) is not None:
             is_frame = isinstance(event, RgbdFrame)
             self._frames += is_frame
@@ -146,8 +150,8 @@ class PipedDrive:
         self._process.join()
 
     def rehearsals(self) -> tuple[Rehearses, ...]:
-        """None: nobody waits for a frame here."""
-        return ()
+        """The one of a live source: kernels are loaded before the first event."""
+        return (DrawnDrive(self.calibration),)
 
     def report(self) -> RealTimeRecord:
         """That none was dropped."""
@@ -228,14 +232,14 @@ def peak_mb() -> float:
 
 def drive_hour(minutes: float, tell: Callable[[Minute], None], send: Send = send_drive, minute_s: float = 60.0) -> Hour:
     """Drive in this process; `tell` hears of each minute as it ends."""
-    source, start_mb = PipedDrive(minutes, send), memory_of("Rss")
+    source = PipedDrive(minutes, send)
     watcher = MinuteWatcher(source, tell, minute_s)
     with tempfile.TemporaryDirectory() as out:
         records = run_each(source, load_config(overrides=SETTINGS), out, force=True, watcher=watcher)
     (joined,) = (record for record in records if record.odometry == "joined")
     closed = joined.correction
     unseen, kept = (0, 0) if closed is None else (closed.unseen, len(closed.found.loops.kept))
-    return Hour(tuple(watcher.minutes), start_mb, peak_mb(), unseen, kept)
+    return Hour(tuple(watcher.minutes), source.start_mb, peak_mb(), unseen, kept)
 
 
 def driven_apart(minutes: float) -> Hour:

@@ -18,6 +18,7 @@ from wheelsight.geometry import ByteArray, FloatArray
 from wheelsight.localizer import Localizer, Places
 from wheelsight.mapping import SurfelMap
 from wheelsight.pipeline.choice import unused_of
+from wheelsight.pipeline.free_memory import give_back
 from wheelsight.pipeline.interrupts import whole_step
 from wheelsight.pipeline.lived_poses import LivedPoses
 from wheelsight.pipeline.maps import Stops
@@ -260,6 +261,7 @@ def follow(
     try:
         if isinstance(source, InRealTime):
             _rehearse_all(source, config, places)
+            give_back()
             started = time.perf_counter()
         for event in _until(events, duration_s):
             yaw_rates += isinstance(event, YawRate)
