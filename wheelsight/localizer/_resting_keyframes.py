@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from wheelsight.errors import MapError
 from wheelsight.files import StrPath
 from wheelsight.keyframes import Keyframe, KeyframeFeatures, KeyframeId, KeyframeStore
+from wheelsight.settings import LocalizerSettings
 
 _LOST = "the disk is full or gone: free some, or drive on without this keyframe"
 
@@ -61,6 +62,13 @@ class RestingKeyframes:
         like = [(array.dtype, array.shape) for array in arrays]
         self._store.rest(number, partial(_read, self._file, self._end, like))
         self._end = self._file.tell()
+
+
+def resting_keyframes(store: KeyframeStore | None, settings: LocalizerSettings) -> RestingKeyframes | None:
+    """What bounds a store's memory by the settings; None without a store, or where all are to stay."""
+    if store is None or settings.memory_keyframes is None:
+        return None
+    return RestingKeyframes(store, settings.memory_keyframes, settings.resting_folder)
 
 
 def _arrays_of(keyframe: Keyframe) -> list[NDArray[np.generic]]:

@@ -16,7 +16,7 @@ from wheelsight.events import Event, RgbdFrame
 from wheelsight.geometry import FloatArray
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.localizer._loops import LoopsBeside
-from wheelsight.localizer._resting_keyframes import RestingKeyframes
+from wheelsight.localizer._resting_keyframes import resting_keyframes
 from wheelsight.localizer._smaller_images import SmallerImages
 from wheelsight.localizer.by_frames import ByFrames
 from wheelsight.localizer.by_fusion import ByFusion
@@ -105,9 +105,7 @@ class Localizer:
         else:
             self._way = ByFrames(calibration, settings, known, waits=waits)
         self.body, self.frame, self.answers = self._way.body, self._way.frame, self._way.answers
-        self.note, of = "", settings.localizer
-        rests = self.keyframes is not None and of.memory_keyframes is not None
-        self._resting = RestingKeyframes(self.keyframes, of.memory_keyframes, of.resting_folder) if rests else None
+        self.note, self._resting = "", resting_keyframes(self.keyframes, settings.localizer)
         self._clock = SessionClock(settings.clocks)
         self._stamps = StampCheck()
 

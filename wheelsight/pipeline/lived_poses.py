@@ -85,7 +85,7 @@ class LivedPoses:
         stored = np.empty((self._stored, _ROW))
         if self._file is not None and self._stored:
             self._file.seek(0)
-            into = memoryview(stored).cast("B")
+            into = stored.data.cast("B")
             while into:
                 count = self._file.readinto(into)  # type: ignore[attr-defined]
                 if not count:
