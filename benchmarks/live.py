@@ -4,7 +4,8 @@ Real recordings are played at their own pace, frames decoded beforehand, once wi
 threads. The loop thread works beside, and nobody waits for it; of keyframes it had no time for, the table tells. "A
 frame" is the time from the frame to its answer. "The longest closure" is the longest time that a frame stood still for
 keyframes to be moved. With `--minutes` wheels and camera, joined, also drive laps of a simulated house for so long,
-rendered one frame after the other, with loops closed and a map built: what does memory do?
+with loops closed and a map built and written: what do memory and the time of a frame do? The drive is rendered by
+another process, so that what this one holds is what `wheelsight run --live` would hold, its records and results too.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks import machine
-from benchmarks.joined_hour import Quarter, hour_recording, hour_sheet, quarters_of
+from benchmarks.live_hour import Hour, driven_apart, hour_sheets, judge_hour
 from benchmarks.measure import keep_to
 from benchmarks.sequences import default_data_folder
 from benchmarks.table import Sheet, targets_sheet, write_page
@@ -35,7 +36,7 @@ from wheelsight.recordings import open_recording
 
 RECORDINGS = "rgbd_dataset_freiburg1_desk", "freiburg1_rpy_part", "red_kitchen"
 WITHOUT, WITH = "without", "with"
-GROWTH_PERCENT, CLOSURE_MS, HOUR_MB = 10.0, 50.0, 1000.0
+GROWTH_PERCENT, CLOSURE_MS = 10.0, 50.0
 _WARM_UP_FRAMES = 5
 _MORE_S = 2.0  # of the loop thread, after the last frame, so that the next drive does not wait for it
 HEADER = "recording", "loops", "frames", "median ms", "p95 ms", "closures", "the longest closure ms", "not compared"
@@ -133,7 +134,7 @@ def _paced(localizer: Localizer, frames: Sequence[RgbdFrame]) -> Iterator[float]
         yield time.perf_counter() - given_s
 
 
-def judge(drives: Sequence[Drive], quarters: Sequence[Quarter], minutes: float) -> Iterator[Target]:
+def judge(drives: Sequence[Drive], hour: Hour | None) -> Iterator[Target]:
     """What must be reached."""
     for bare, looped in zip(drives[::2], drives[1::2], strict=True):
         name = bare.name
@@ -142,28 +143,18 @@ def judge(drives: Sequence[Drive], quarters: Sequence[Quarter], minutes: float) 
             more = 100 * (after_ms / before_ms - 1)
             yield Target(f"{name}: {figure} of a frame, more than without loops", GROWTH_PERCENT, more, "%")
     closures = [seconds for drive in drives for seconds in drive.closure_s]
-    longest_ms = 1e3 * max(closures) if closures else None
-    yield Target(f"the longest closure of {len(closures)}", CLOSURE_MS, longest_ms, "ms")
-    if quarters:
-        yield Target(f"memory after {minutes:g} minutes with loops and a map", HOUR_MB, quarters[-1].memory_mb, "MB", 0)
+    if drives:
+        longest_ms = 1e3 * max(closures) if closures else None
+        yield Target(f"the longest closure of {len(closures)}", CLOSURE_MS, longest_ms, "ms")
+    if hour is not None:
+        yield from judge_hour(hour)
 
 
-def sheets_of(drives: Sequence[Drive], quarters: Sequence[Quarter], minutes: float) -> list[Sheet]:
+def sheets_of(drives: Sequence[Drive], hour: Hour | None) -> list[Sheet]:
     """What was measured, and what must be reached."""
-    sheets = [Sheet("Frames at their own pace", HEADER, tuple(drive.row for drive in drives))]
-    if quarters:
-        sheets.append(hour_sheet(quarters, minutes))
-    return [*sheets, targets_sheet(list(judge(drives, quarters, minutes)))]
-
-
-def driven(minutes: float) -> list[Quarter]:
-    """Laps of a house, with loops closed and a map built."""
-    recording = hour_recording(minutes)
-    overrides = {"odometry": "wheels,dense", "map": "surfels", "loops.source": "keyframes"}
-    localizer = Localizer(recording.calibration, load_config(overrides=overrides))
-    quarters = quarters_of(recording, localizer)
-    localizer.close()
-    return quarters
+    sheets = [Sheet("Frames at their own pace", HEADER, tuple(drive.row for drive in drives))] if drives else []
+    sheets += [] if hour is None else hour_sheets(hour)
+    return [*sheets, targets_sheet(list(judge(drives, hour)))]
 
 
 def main() -> None:
@@ -181,8 +172,7 @@ def main() -> None:
         for loops in (WITHOUT, WITH):
             drives.append(played(arguments.data / "rgbd" / name, loops))
             console.print(" · ".join(drives[-1].row))
-    quarters = driven(arguments.minutes) if arguments.minutes > 0 else []
-    sheets = sheets_of(drives, quarters, arguments.minutes)
+    sheets = sheets_of(drives, driven_apart(arguments.minutes) if arguments.minutes > 0 else None)
     for sheet in sheets:
         console.print(sheet.to_rich())
     if arguments.out is not None:

@@ -96,6 +96,7 @@ class KeyframeStore:
 
     Attributes:
         revision: grows each time keyframes are moved; adding one moves none.
+        is_written: whether somebody writes all its keyframes to a map, where they rest.
     """
 
     def __init__(self) -> None:
@@ -109,7 +110,7 @@ class KeyframeStore:
         self._unreleased: deque[int] = deque()
         self._read: OrderedDict[int, Keyframe] = OrderedDict()
         self._lock = threading.Lock()
-        self.revision = 0
+        self.revision, self.is_written = 0, False
 
     def __len__(self) -> int:
         return len(self._keyframes)

@@ -16,6 +16,7 @@ from wheelsight.events import Event, RgbdFrame
 from wheelsight.geometry import FloatArray
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.localizer._loops import LoopsBeside
+from wheelsight.localizer._resting_keyframes import resting_keyframes
 from wheelsight.localizer._smaller_images import SmallerImages
 from wheelsight.localizer.by_frames import ByFrames
 from wheelsight.localizer.by_fusion import ByFusion
@@ -104,7 +105,7 @@ class Localizer:
         else:
             self._way = ByFrames(calibration, settings, known, waits=waits)
         self.body, self.frame, self.answers = self._way.body, self._way.frame, self._way.answers
-        self.note = ""
+        self.note, self._resting = "", resting_keyframes(self.keyframes, settings.localizer)
         self._clock = SessionClock(settings.clocks)
         self._stamps = StampCheck()
 
@@ -207,6 +208,8 @@ class Localizer:
             timed = event if time_s == event.stamp_s else replace(event, stamp_s=time_s)
             timed = self._images.frame(timed) if isinstance(timed, RgbdFrame) else timed
             estimate, self.note = self._way.process(timed)
+        if self._resting is not None:
+            self._resting.look()
         shift_s = self._clock.shift_s
         return estimate if estimate is None or not shift_s else replace(estimate, stamp_s=estimate.stamp_s + shift_s)
 

@@ -55,9 +55,10 @@ class RestingSurfels:
         self._folder, self._made = folder, 0
         self._temporary: Path | None = None
         self._pieces: dict[int, _Piece] = {}
+        self._count = 0  # a run asks at each reading, and there may be thousands of pieces
 
     def __len__(self) -> int:
-        return sum(piece.count for piece in self._pieces.values())
+        return self._count
 
     @property
     def keyframes(self) -> IntArray:
@@ -76,6 +77,7 @@ class RestingSurfels:
         path.write_bytes(rows.tobytes())
         self._forget(keyframe)
         self._pieces[keyframe] = _Piece(path, len(rows), T_map_keyframe.copy())
+        self._count += len(rows)
 
     def take(self, keyframe: int, T_map_keyframe: FloatArray) -> SurfelArrays:
         """What hangs on a keyframe that is at (4, 4) by now; it rests no longer."""
@@ -109,6 +111,7 @@ class RestingSurfels:
     def _forget(self, keyframe: int) -> None:
         piece = self._pieces.pop(keyframe, None)
         if piece is not None:
+            self._count -= piece.count
             piece.path.unlink(missing_ok=True)
 
     def _new_path(self) -> Path:

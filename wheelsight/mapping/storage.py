@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import math
 import zlib
+from collections.abc import Iterable, Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ import numpy as np
 
 from wheelsight.errors import MapError
 from wheelsight.files import StrPath, atomic_write
-from wheelsight.geometry import FloatArray, se3
+from wheelsight.geometry import FloatArray, IntArray, se3
 from wheelsight.inputs import Kind, parse_json, read_bytes
 from wheelsight.inputs.settings import checked_settings
 from wheelsight.mapping.settings import SurfelSettings
@@ -61,8 +62,7 @@ def save_map(surfel_map: SurfelMap, path: StrPath) -> None:
     surfels = surfel_map.surfels()
     # Sorted, so that equal maps are equal files, however their surfels came to be where they lie in memory.
     order = np.lexsort(surfels.position.T)
-    arrays = [np.ascontiguousarray(getattr(surfels, name)[order], dtype) for name, dtype, _ in _FIELDS]
-    arrays.append(np.ascontiguousarray(surfel_map.T_map_keyframe, "<f8"))
+    T_map_keyframe = np.ascontiguousarray(surfel_map.T_map_keyframe, "<f8")
     header = {
         "frame": FRAME,
         "surfels": len(surfels.grey),
@@ -70,13 +70,20 @@ def save_map(surfel_map: SurfelMap, path: StrPath) -> None:
         "keyframes": len(surfel_map.T_map_keyframe),
         "stamp_s": surfel_map.stamp_s if math.isfinite(surfel_map.stamp_s) else None,
         "dropped": surfel_map.dropped,
-        "crc32": _crc(arrays),
+        "crc32": _crc(_sorted(surfels, order, T_map_keyframe)),
         "settings": surfel_map.settings.model_dump(),
     }
     with atomic_write(path, "wb") as stream:
         stream.write(f"{FORMAT}\n{json.dumps(header)}\n".encode())
-        for array in arrays:
+        for array in _sorted(surfels, order, T_map_keyframe):
             stream.write(array.data)
+
+
+def _sorted(surfels: Surfels, order: IntArray, T_map_keyframe: FloatArray) -> Iterator[np.ndarray]:
+    """The arrays of a file, one at a time: all together would take as much memory as the map once more."""
+    for name, dtype, _ in _FIELDS:
+        yield np.ascontiguousarray(getattr(surfels, name)[order], dtype)
+    yield T_map_keyframe
 
 
 def load_map(path: StrPath) -> SurfelMap:
@@ -194,7 +201,7 @@ def _map_of(header: dict[str, Any], surfels: Surfels, T_map_keyframe: FloatArray
     return surfel_map
 
 
-def _crc(arrays: list[np.ndarray]) -> int:
+def _crc(arrays: Iterable[np.ndarray]) -> int:
     crc = 0
     for array in arrays:
         crc = zlib.crc32(array.data, crc)

@@ -17,14 +17,17 @@ from wheelsight.keyframes import KeyframeId, KeyframeStore
 from wheelsight.mapping import _fusion_kernels as fusion
 from wheelsight.mapping import _match_kernels as match
 from wheelsight.mapping import _view_kernels as view
-from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, RADIUS, InView, SurfelArrays
+from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, InView, SurfelArrays
 from wheelsight.mapping._inputs import Frame, Pose, checked_frame, checked_motion, checked_pose, rays_of
 from wheelsight.mapping.blocks import Blocks
+from wheelsight.mapping.copies import SurfelCopies
 from wheelsight.mapping.resting import Nearness
 from wheelsight.mapping.settings import SurfelSettings
 from wheelsight.mapping.values import ColoredView, FusedFrame, MapStatus, Surfels
 from wheelsight.threads import Rows
 from wheelsight.views import PredictedView, Surface
+
+_COPIED_AT_ONCE = 1 << 16  # 5 MB
 
 
 class SurfelMap:
@@ -78,34 +81,26 @@ class SurfelMap:
 
     def status(self) -> MapStatus:
         """How the map stands; goes over all surfels."""
-        everything = list(self._parts())
-        stable = sum(int(np.count_nonzero(self._are_stable(part))) for part in everything)
-        active = sum(int(np.count_nonzero(part.seen_s[:, 1] >= self._active_since_s)) for part in everything)
+        stable = active = 0
+        for part in self._parts():
+            stable += int(np.count_nonzero(self._are_stable(part)))
+            active += int(np.count_nonzero(part.seen_s[:, 1] >= self._active_since_s))
         rests = len(self._nearness.resting)
         return MapStatus(len(self), stable, active, self.dropped, self.memory_bytes, rests)
 
     def surfels(self, which: Literal["all", "stable"] = "all") -> Surfels:
         """Copies of all surfels, or of the stable ones, block by block."""
         self._follow()
-        parts = (part if which == "all" else _chosen(part, self._are_stable(part)) for part in self._parts())
-        geometry, look, seen_s, variance, keyframe = map(np.concatenate, zip(*parts, strict=True))
-        return Surfels(
-            geometry[:, :3].copy(),
-            geometry[:, 4:7].copy(),
-            geometry[:, RADIUS].copy(),
-            look[:, :3].copy(),
-            look[:, 3].copy(),
-            geometry[:, CONFIDENCE].copy(),
-            variance,
-            seen_s[:, 0].copy(),
-            seen_s[:, 1].copy(),
-            keyframe,
-        )
+        copies = SurfelCopies(len(self))
+        for part in self._parts():
+            copies.add(part if which == "all" else _chosen(part, self._are_stable(part)))
+        return copies.all()
 
     def _parts(self) -> Iterator[SurfelArrays]:
-        """Copies of all that is in memory, block by block, and then of what rests on the disk."""
+        """Copies of all that is in memory, block by block, and then of what rests on the disk; a part at a time."""
         slots = self.blocks.slots()
-        yield SurfelArrays(*(array[slots] for array in self.blocks.surfels))
+        for begin in range(0, len(slots), _COPIED_AT_ONCE):
+            yield SurfelArrays(*(array[slots[begin : begin + _COPIED_AT_ONCE]] for array in self.blocks.surfels))
         yield from self._nearness.resting.all(self.T_map_keyframe)
 
     def _are_stable(self, part: SurfelArrays) -> BoolArray:

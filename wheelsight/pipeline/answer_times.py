@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections import deque
 
 import numpy as np
@@ -17,8 +18,7 @@ class AnswerTimes:
     """
 
     def __init__(self, recent: int) -> None:
-        self._frames_s: list[float] = []
-        self._readings_s: list[float] = []
+        self._frames_s, self._readings_s = array("d"), array("d")
         self._lately: deque[tuple[float, float]] = deque(maxlen=recent)
 
     def add(self, event: Event, now_s: float) -> None:

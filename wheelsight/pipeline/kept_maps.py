@@ -56,7 +56,9 @@ def _begin(track: Track, source: EventSource, config: Config, path: Path) -> Non
     discard_map(path)
     factor = config.recording.depth_factor
     kept = MapFolder.create(path, source.calibration, config.sessions, source=source.name, depth_factor=factor)
-    track.map_writer, track.map_path = MapWriter(kept, store, config.recognition), path
+    # Who closes loops knows by what keyframes are recognised: once is enough, 13 kB a keyframe.
+    recognition = config.recognition if track.localizer.loops is None else None
+    track.map_writer, track.map_path = MapWriter(kept, store, recognition), path
 
 
 def _close(track: Track) -> None:
@@ -83,8 +85,10 @@ def finish_map(track: Track, passage: Passage) -> KeptMapRecord | None:
         return None
     surfels = None if passage.is_torn or track.extends else track.localizer.map
     loops = track.localizer.loops
-    if loops is None or passage.is_torn:
+    if loops is None:
         writer.close(surfels)
+    elif passage.is_torn:
+        writer.close(surfels, None if track.extends else loops.recognizer)
     else:
         closed = loops.finish()
         if track.extends:

@@ -65,7 +65,7 @@ def _with_correction(record: RunRecord, track: Track, config: Config, matches: M
 
 
 def _record_of(track: Track, passage: Passage, source: EventSource, config: Config) -> RunRecord:
-    estimate = _trajectory(track)
+    estimate = track.poses.trajectory(track.localizer.body, track.localizer.frame)
     truth, problem = _truth(source, track.localizer.body)
     evaluation = None
     if truth is not None:
@@ -145,21 +145,6 @@ def _repeats(track: Track) -> tuple[str, ...]:
         return ()
     told = f"{count} of {len(track.frames)} listed frames show the same image as the frame before and were skipped"
     return (f"{told}: fewer images a second were taken than were recorded.",)
-
-
-def _trajectory(track: Track) -> Trajectory:
-    at = {
-        estimate.stamp_s: estimate for estimate in track.poses
-    }  # a frame may have a reading's stamp: the later counts
-    poses = [at[stamp_s] for stamp_s in sorted(at)]  # readings are told of late where wheels have a delay
-    covariances = [estimate.covariance for estimate in poses]
-    return Trajectory(
-        np.array([estimate.stamp_s for estimate in poses], float),
-        np.array([estimate.T_odom_body for estimate in poses], float).reshape(-1, 4, 4),
-        None if not poses or any(c is None for c in covariances) else np.array(covariances, float),
-        body=track.localizer.body,
-        frame=track.localizer.frame,
-    )
 
 
 def _truth(source: EventSource, body: str) -> tuple[Trajectory | None, str | None]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from array import array
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +18,9 @@ from wheelsight.geometry import ByteArray, FloatArray
 from wheelsight.localizer import Localizer, Places
 from wheelsight.mapping import SurfelMap
 from wheelsight.pipeline.choice import unused_of
+from wheelsight.pipeline.free_memory import give_back
 from wheelsight.pipeline.interrupts import whole_step
+from wheelsight.pipeline.lived_poses import LivedPoses
 from wheelsight.pipeline.maps import Stops
 from wheelsight.pipeline.origin import frame_count_of, spread, wheel_count_of
 from wheelsight.pipeline.rectification_record import Look
@@ -90,8 +93,8 @@ class Track:
     photographer: Photographer
     T_base_camera: FloatArray | None = None
     frames: list[FrameRecord] = field(default_factory=list)
-    poses: list[Estimate] = field(default_factory=list)
-    stage_seconds: dict[str, list[float]] = field(default_factory=dict)
+    poses: LivedPoses = field(default_factory=LivedPoses)
+    stage_seconds: dict[str, array[float]] = field(default_factory=dict)
     looks: list[Look] = field(default_factory=list)
     stops: Stops = field(default_factory=lambda: Stops([]))
     map_writer: MapWriter | None = None
@@ -132,7 +135,7 @@ class Track:
         self.last = estimate
         is_joined = self.odometry == "joined"  # which knows the pose though the event told it nothing
         if estimate.T_odom_body is not None and (estimate.reason is None or is_joined):
-            self.poses.append(estimate)
+            self.poses.add(estimate)
         if isinstance(event, RgbdFrame) and not localizer.note:
             self.photographer.look(event, estimate, localizer.last_matches)
             self.stops.look(event, estimate, localizer.T_odom_map, self.T_base_camera)
@@ -164,9 +167,9 @@ class Track:
     def _add_stages(self, seconds: Mapping[str, float]) -> None:
         if seconds.keys() > self.stage_seconds.keys():
             # The first frame skips stages: their order is that of a frame which has them all.
-            self.stage_seconds = {stage: self.stage_seconds.get(stage, []) for stage in seconds}
+            self.stage_seconds = {stage: self.stage_seconds.get(stage, array("d")) for stage in seconds}
         for stage, spent in seconds.items():
-            self.stage_seconds.setdefault(stage, []).append(spent)
+            self.stage_seconds.setdefault(stage, array("d")).append(spent)
 
 
 def _size(surfel_map: SurfelMap | None) -> tuple[int | None, int]:
@@ -258,6 +261,7 @@ def follow(
     try:
         if isinstance(source, InRealTime):
             _rehearse_all(source, config, places)
+            give_back()
             started = time.perf_counter()
         for event in _until(events, duration_s):
             yaw_rates += isinstance(event, YawRate)

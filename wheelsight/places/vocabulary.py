@@ -98,8 +98,9 @@ def _grown(tree: kernels.Tree, nodes: int, blocks: int) -> kernels.Tree:
     for name, needed in room.items():
         array = getattr(tree, name)
         if len(array) < needed:
-            more = np.zeros((max(needed, 2 * len(array)) - len(array), *array.shape[1:]), array.dtype)
-            grown[name] = np.concatenate([array, more])
+            # Pages of zeros that nobody has written to take no memory yet.
+            grown[name] = np.zeros((max(needed, 2 * len(array)), *array.shape[1:]), array.dtype)
+            grown[name][: len(array)] = array
     return tree._replace(**grown)
 
 

@@ -215,6 +215,15 @@ class LocalizerSettings(Settings):
     base_check: BaseCheckSettings = BaseCheckSettings()
     color_check: ColorCheckSettings = ColorCheckSettings()
     frame_gate: FrameGateSettings = FrameGateSettings()
+    memory_keyframes: int | None = setting(
+        256,
+        "where no map is written: keyframes that so many newer ones follow go to a temporary file, as they are, and "
+        "leave memory after twice as many, 180 kB each; of those so many are held that were asked for last; null: all "
+        "stay",
+        "as `sessions.memory_keyframes`",
+        ge=1,
+        le=1_000_000,
+    )
     most_width_px: int | None = setting(
         None,
         "images wider than this are halved until they are not, before anything looks at them; with a model of places, "
@@ -222,6 +231,9 @@ class LocalizerSettings(Settings):
         ASKED,
         ge=16,
         le=8192,
+    )
+    resting_folder: str | None = setting(
+        None, "in which that file is; none for the system's folder of temporary files", CHOSEN
     )
     pace_s: float = setting(
         0.35,

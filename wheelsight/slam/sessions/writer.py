@@ -90,6 +90,7 @@ class MapWriter:
         self._work: queue.SimpleQueue[_Work | None] = queue.SimpleQueue()
         self._is_closed = False
         store.hold(folder.settings.memory_keyframes)
+        store.is_written = True
         self._written = _Written(folder, store, self._recognizer)
         self._thread = threading.Thread(target=self._write, name=THREAD, daemon=True)
         self._thread.start()
