@@ -109,6 +109,6 @@ def record(
     with (
         until_stopped() as is_over,
         opened_recording(asked, place_of(out, bag), color, force=force, resume=resume) as session,
-        shown_looks() as show,
+        shown_looks(seconds) as show,
     ):
         session.run(is_over, show, seconds)
