@@ -7,11 +7,12 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import pytest
 import typer
 from typer import Context
+from typer.core import TyperGroup
 from typer.main import get_command
 from typer.testing import CliRunner, Result
 
@@ -46,17 +47,19 @@ def test_help_names_every_command_and_loads_nothing_heavy() -> None:
     assert loaded & HEAVY == set()
 
 
+GROUP = cast(TyperGroup, get_command(app))
+
+
 def registered_commands() -> list[str]:
-    return get_command(app).list_commands(Context(get_command(app)))  # type: ignore[attr-defined, no-any-return]
+    return GROUP.list_commands(Context(GROUP))
 
 
 def all_commands() -> list[str]:
     """Also those of groups, such as "map info"."""
-    group = get_command(app)
     found = []
     for name in registered_commands():
-        below = getattr(group.commands[name], "commands", None)  # type: ignore[attr-defined]
-        found += [f"{name} {inner}" for inner in below] if below else [name]
+        below = GROUP.commands[name]
+        found += [f"{name} {inner}" for inner in below.commands] if isinstance(below, TyperGroup) else [name]
     return found
 
 

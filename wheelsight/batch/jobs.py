@@ -67,17 +67,17 @@ class Case:
         recording: its name, as much of its path as tells it apart.
         config: the configuration's.
         odometry: whose figures count: "joined" where sensors are, else "rectified", else the first that is named.
-        chosen: what is followed where the configuration names nothing, such as "wheels,dense"; else empty.
         jobs: identities, one a seed.
         problem: why there are none, or None.
+        chosen: what is followed where the configuration names nothing, such as "wheels,dense"; else empty.
     """
 
     recording: str
     config: str
     odometry: str = ""
-    chosen: str = ""
     jobs: tuple[str, ...] = ()
     problem: str | None = None
+    chosen: str = ""
 
 
 class Plan(NamedTuple):
