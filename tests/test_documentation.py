@@ -17,6 +17,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import yaml
 from area_drive import write_area_drive
 from documentation_blocks import USERS_CODE, declared, python_blocks, unmade
 from drives import simulate as drive_legs
@@ -309,6 +310,31 @@ def test_a_strict_checker_takes_what_pages_show(tmp_path: Path) -> None:
     environment = {**os.environ, "MYPYPATH": str(PROJECT)}
     told = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert told.returncode == 0, told.stdout + told.stderr
+
+
+def test_the_site_begins_with_tutorials_and_has_each_page_once() -> None:
+    menu = yaml.safe_load((PROJECT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
+    assert [name for entry in menu[:2] for name in entry] == ["Start", "Tutorials"]
+    shown = list(leaves(menu))
+    there = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
+    assert sorted(shown) == sorted(there - {f"decisions/{page.name}" for page in DECISIONS})
+    start = (DOCS / "index.md").read_text(encoding="utf-8")
+    assert re.findall(r"^## (.*)$", start, re.MULTILINE)[0] == "Tutorials"
+
+
+def leaves(menu: object) -> Iterator[str]:
+    if isinstance(menu, str):
+        yield menu
+    for below in menu.values() if isinstance(menu, dict) else menu if isinstance(menu, list) else ():
+        yield from leaves(below)
+
+
+def test_pictures_of_the_first_pages_load_quickly() -> None:
+    for page, of_images in ((PROJECT / "README.md", "docs/images"), (DOCS / "index.md", "images")):
+        names = re.findall(rf"\]\({of_images}/([\w.-]+)\)", page.read_text(encoding="utf-8"))
+        assert len(names) >= 2
+        for name in names:
+            assert (DOCS / "images" / name).stat().st_size < 150_000, name
 
 
 @pytest.mark.parametrize("page", DECISIONS, ids=lambda path: path.stem)
