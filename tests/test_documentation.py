@@ -17,7 +17,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import yaml
 from area_drive import write_area_drive
+from documentation_blocks import USERS_CODE, declared, python_blocks, unmade
 from drives import simulate as drive_legs
 from drives import square_legs, write_recording
 from floor_plans import rooms_in_colours, two_rooms, write_plan
@@ -274,6 +276,65 @@ def test_what_pages_import_is_there() -> None:
     assert len(imports) > 10
     for line in sorted(imports):
         exec(line, {})
+
+
+def typed_blocks() -> dict[str, str]:
+    """Each python block of README and docs as a file of its own."""
+    pages = (PROJECT / "README.md", *sorted(DOCS.rglob("*.md")))
+    return {
+        f"{re.sub(r'[^a-z]', '_', path.relative_to(PROJECT).as_posix().lower())}_{line}.py": declared(block)
+        for path in pages
+        for line, block in python_blocks(path)
+    }
+
+
+def test_what_blocks_take_for_given_is_declared() -> None:
+    assert unmade("import a.b as c\nd = [e for e in c.f(g)]\nprint(lambda h: h, d)\n") == ["g"]
+    assert declared("print(stamp_s)\n").endswith("stamp_s: float = _given\nprint(stamp_s)\n")
+    assert declared("print(events)\n").splitlines()[2:4] == [
+        "from wheelsight.events import Event",
+        "events: list[Event] = _given",
+    ]
+    assert len(typed_blocks()) > 30
+
+
+@pytest.mark.slow
+def test_a_strict_checker_takes_what_pages_show(tmp_path: Path) -> None:
+    """mypy --strict, without pydantic's plugin, as a user of the package runs it; once for all blocks."""
+    for name, text in {**typed_blocks(), "users.py": USERS_CODE}.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    (tmp_path / "mypy.ini").write_text(
+        "[mypy]\nstrict = true\nfollow_imports = silent\n[mypy-open3d.*]\nignore_missing_imports = true\n"
+    )
+    command = [sys.executable, "-m", "mypy", "--config-file", "mypy.ini", "."]
+    environment = {**os.environ, "MYPYPATH": str(PROJECT)}
+    told = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert told.returncode == 0, told.stdout + told.stderr
+
+
+def test_the_site_begins_with_tutorials_and_has_each_page_once() -> None:
+    menu = yaml.safe_load((PROJECT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
+    assert [name for entry in menu[:2] for name in entry] == ["Start", "Tutorials"]
+    shown = list(leaves(menu))
+    there = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
+    assert sorted(shown) == sorted(there - {f"decisions/{page.name}" for page in DECISIONS})
+    start = (DOCS / "index.md").read_text(encoding="utf-8")
+    assert re.findall(r"^## (.*)$", start, re.MULTILINE)[0] == "Tutorials"
+
+
+def leaves(menu: object) -> Iterator[str]:
+    if isinstance(menu, str):
+        yield menu
+    for below in menu.values() if isinstance(menu, dict) else menu if isinstance(menu, list) else ():
+        yield from leaves(below)
+
+
+def test_pictures_of_the_first_pages_load_quickly() -> None:
+    for page, of_images in ((PROJECT / "README.md", "docs/images"), (DOCS / "index.md", "images")):
+        names = re.findall(rf"\]\({of_images}/([\w.-]+)\)", page.read_text(encoding="utf-8"))
+        assert len(names) >= 2
+        for name in names:
+            assert (DOCS / "images" / name).stat().st_size < 150_000, name
 
 
 @pytest.mark.parametrize("page", DECISIONS, ids=lambda path: path.stem)

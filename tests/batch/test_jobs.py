@@ -101,6 +101,14 @@ def test_each_seed_is_a_job_on_one_thread(room: Path) -> None:
     assert {one.settings["dense"]["threads"] for one in plan.jobs.values()} == {1}
 
 
+def test_where_nothing_is_named_it_is_known_what_was_chosen(room: Path, drive: Path, by_wheels: Path) -> None:
+    plan = plan_of([room, drive], [], 1)
+    assert [case.chosen for case in plan.cases] == ["features", "wheels"]
+    assert [case.problem for case in plan.cases] == [None, None]
+    (case,) = plan_of([drive], [by_wheels], 1).cases
+    assert (case.chosen, case.odometry) == ("", "wheels")
+
+
 def test_what_cannot_be_run_is_a_row_with_its_reason_and_the_rest_goes_on(
     drive: Path, by_wheels: Path, tmp_path: Path
 ) -> None:
@@ -111,7 +119,7 @@ def test_what_cannot_be_run_is_a_row_with_its_reason_and_the_rest_goes_on(
     problems = {(case.recording, case.config): case.problem or "" for case in plan.cases}
     assert "wheels.csv:2: right is 'x'" in problems["broken", "wheels"]
     assert problems["drive", "wheels"] == ""
-    assert "map is built by dense odometry" in problems["drive", "surfels"]
+    assert "has no images for --map" in problems["drive", "surfels"]
     assert "nowhere" in problems["nowhere", "wheels"]
     assert len(plan.jobs) == 1
 

@@ -1,15 +1,25 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, cast
 
 import pytest
-from typer.testing import Result
+import typer
+from typer import Context
+from typer.core import TyperGroup
+from typer.main import get_command
+from typer.testing import CliRunner, Result
 
 from wheelsight import __version__
+from wheelsight.cli import app
+from wheelsight.cli._help import laid_out
+from wheelsight.cli._takes import takes
 
 Command = Callable[..., Result]
 
@@ -31,17 +41,107 @@ def test_help_names_every_command_and_loads_nothing_heavy() -> None:
         "print('loaded:', *sys.modules)\n"
     )
     answer = python(code)
-    for command in ("info", "run", "batch", "evaluate", "export"):
+    for command in registered_commands():
         assert f" {command} " in answer
     loaded = {name.split(".")[0] for name in answer.split("loaded: ")[1].split()}
     assert loaded & HEAVY == set()
 
 
-@pytest.mark.parametrize("command", ["info", "run", "batch", "evaluate", "export"])
-def test_help_of_each_command_shows_an_example(wheelsight: Command, command: str) -> None:
-    result = wheelsight(command, "--help")
-    assert result.exit_code == 0
-    assert f"wheelsight {command} " in result.output.split("Examples")[1]
+GROUP = cast(TyperGroup, get_command(app))
+
+
+def registered_commands() -> list[str]:
+    return GROUP.list_commands(Context(GROUP))
+
+
+def all_commands() -> list[str]:
+    """Also those of groups, such as "map info"."""
+    found = []
+    for name in registered_commands():
+        below = GROUP.commands[name]
+        found += [f"{name} {inner}" for inner in below.commands] if isinstance(below, TyperGroup) else [name]
+    return found
+
+
+def page_of(wheelsight: Command, monkeypatch: pytest.MonkeyPatch, command: str, columns: int = 80) -> list[str]:
+    monkeypatch.setattr("typer.rich_utils.MAX_WIDTH", columns)
+    result = wheelsight(*command.split(), "--help")
+    assert result.exit_code == 0, result.output
+    return result.output.splitlines()
+
+
+def test_commands_stand_in_groups_a_line_each(wheelsight: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    lines = page_of(wheelsight, monkeypatch, "")
+    panels = [line.strip("╭╮─ ") for line in lines if line.startswith("╭")]
+    assert panels == [
+        *("Options", "Run and look", "Record", "Calibrate", "Maps", "Drive", "Many recordings", "Set up"),
+    ]
+    inside = lines[lines.index(next(line for line in lines if "Run and look" in line)) :]
+    rows = [line for line in inside if line.startswith("│")]
+    assert [row.split()[1] for row in rows] == registered_commands()
+
+
+@pytest.mark.parametrize("command", all_commands())
+def test_help_of_each_command_fits_80_columns_and_shows_examples(
+    wheelsight: Command, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    lines = page_of(wheelsight, monkeypatch, command)
+    assert max(map(len, lines)) <= 80
+    assert "…" not in "".join(lines)
+    assert "<bool>" not in "".join(lines)
+    examples = lines[[line.strip() for line in lines].index("Examples") + 1 :]
+    assert examples[0].startswith(f" $ wheelsight {command}")
+
+
+@pytest.mark.parametrize("command", ["run", "simulate", "drive", "serve", "record", "batch"])
+def test_long_help_stands_in_panels(wheelsight: Command, monkeypatch: pytest.MonkeyPatch, command: str) -> None:
+    """None so long that one has to search it."""
+    lines = page_of(wheelsight, monkeypatch, command)
+    sizes, panel = dict[str, int](), ""
+    for line in lines:
+        if line.startswith("╭"):
+            panel = line.strip("╭╮─ ")
+        elif re.match(r"│ [* ]*(--|[A-Z])", line):
+            sizes[panel] = sizes.get(panel, 0) + 1
+    assert len(sizes) >= 3
+    assert "Output" in sizes
+    assert max(sizes.values()) <= 11
+
+
+def test_paragraphs_are_as_wide_as_the_terminal() -> None:
+    told = """What it does.
+
+    One line
+    and another.
+
+    [bold]Examples[/bold]
+
+    wheelsight one
+
+    wheelsight two --long
+    """
+    shown = "What it does.\n\nOne line and another.\n\n[bold]Examples[/bold]\n$ wheelsight one\n$ wheelsight two --long"
+    assert laid_out(told) == shown
+
+
+def test_a_commands_options_are_the_fields_of_a_class() -> None:
+    @dataclass(frozen=True)
+    class Asked:
+        name: str
+        times: Annotated[int, typer.Option("--times", min=1)] = 2
+
+    said = []
+
+    @takes(Asked)
+    def greet(asked: Asked) -> None:
+        said.append(asked)
+
+    single = typer.Typer()
+    single.command()(greet)
+    assert CliRunner().invoke(single, ["you", "--times", "3"]).exit_code == 0
+    assert CliRunner().invoke(single, ["you"]).exit_code == 0
+    assert CliRunner().invoke(single, ["you", "--times", "0"]).exit_code == 2
+    assert said == [Asked("you", 3), Asked("you")]
 
 
 def test_compiled_kernels_that_can_be_kept_nowhere_are_told_in_one_line(room: Path, tmp_path: Path) -> None:

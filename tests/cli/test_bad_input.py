@@ -175,6 +175,6 @@ def test_a_full_disk(refusal: Refusal, room: Path, tmp_path: Path, monkeypatch: 
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "fsync", full)
-    message = refusal("run", room, "--out", tmp_path / "out")
+    message = refusal("run", room, "--odometry", "features", "--out", tmp_path / "out")
     assert message.startswith(f"{tmp_path / 'out'}")
     assert message.endswith(": no space left on the disk (free some space, or choose another folder)")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from wheelsight.cli._drive_plan import Sign, as_text, plan_signs
-from wheelsight.cli._drive_view import line_of
+from wheelsight.cli._drive_view import SoFar, line_of
 from wheelsight.commands import STOP
 from wheelsight.estimates import Status
 from wheelsight.mapping import CellKind, OccupancyGrid
@@ -83,10 +83,18 @@ def test_two_cells_are_a_letter_and_without_colours_the_higher_one(floor: Static
 
 def test_a_line_tells_state_status_speed_way_and_why() -> None:
     held = replace(STILL, monitor=MonitorResult(STOP, MonitorState.STOPPED, MonitorReason.OBSTACLE))
-    assert line_of(held) == (
+    so_far, at_s = SoFar(), 10.0
+    for _ in range(5):
+        so_far.add(replace(held, stamp_s=at_s))
+        at_s += 1.0
+    assert (so_far.seconds, so_far.way_m) == (4.0, 2.0)
+    told = line_of(held, so_far, 24.3)
+    assert told.startswith(
         "12.3 s state: driving, kitchen; status: knows where it is; place: 1.00, 0.00 m, 0°; speed: 0.50 m/s; "
-        "to go: 3.4 m; monitor: holds it: something in the way"
+        "so far: 0:04, 2.0 m, 24 m² seen; rate: "
     )
+    assert told.endswith("; to go: 3.4 m, 0:07 left; monitor: holds it: something in the way")
     lost = replace(STILL, pose=None, to_go_m=None, status=Status.LOST, turn_rad_s=-0.5, doing="")
-    told = "12.3 s state: driving; status: lost; speed: 0.50 m/s, -29°/s; monitor: lets it drive"
-    assert line_of(lost) == told
+    told = line_of(lost, SoFar(), 0.0)
+    assert told.startswith("12.3 s state: driving; status: lost; speed: 0.50 m/s, -29°/s; so far: 0:00, 0.0 m, 0 m²")
+    assert told.endswith(" times real time; monitor: lets it drive")

@@ -244,16 +244,18 @@ LOOK = SessionLook(
 
 
 def test_the_line_is_as_long_as_the_terminal_is_wide() -> None:
-    assert line_of(LOOK, 120) == (
-        "12:05 · 30.0 frames/s · 16 dropped (slow disk 12, refused 1, camera 3) · 17.4 MB/s, 54 GB free, full in 52 min"
+    assert line_of(LOOK, 130) == (
+        "12:05 · 21000 frames, 30.0/s · 16 dropped (slow disk 12, refused 1, camera 3) · 17.4 MB/s, 54 GB free, "
+        "full in 52 min"
     )
     both = replace(LOOK, link=LINK)
-    assert line_of(both, 80) == "12:05 30 fr/s 50 wh/s dropped: disk 12 refused 1 camera 3 17 MB/s 54 GB=52 min"
-    assert line_of(both, 60) == "12:05 30 fr/s 50 wh/s 16 dropped 17 MB/s 54 GB=52 min"
-    for width in (120, 100, 80, 60, 40):
+    assert line_of(both, 90) == "12:05 21000 fr 30/s 50 wh/s dropped: disk 12 refused 1 camera 3 17 MB/s 54 GB=52 min"
+    assert line_of(both, 60) == "12:05 21000 fr 30/s 50 wh/s 16 dropped 17 MB/s 54 GB=52 min"
+    assert line_of(both, 58, 1200) == "12:05/20:00 21000 fr 30/s 50 wh/s 16 dropped 54 GB=52 min"
+    for width in (130, 100, 80, 60, 40):
         assert len(line_of(both, width)) <= width
 
 
 def test_nothing_is_dropped_is_said_too() -> None:
     calm = replace(LOOK, recorder=RecorderReport(frames=10), camera=CameraReport(CameraStatus.STREAMING, 0.0))
-    assert line_of(calm, 80) == "12:05 · 30.0 frames/s · 0 dropped · 17.4 MB/s, 54 GB free, full in 52 min"
+    assert line_of(calm, 80) == "12:05 · 10 frames, 30.0/s · 0 dropped · 17.4 MB/s, 54 GB free, full in 52 min"

@@ -63,7 +63,7 @@ def test_a_terminal_sees_how_it_keeps_up(
     monkeypatch.setenv("COLUMNS", "160")
     result = wheelsight("run", drive, "--realtime", "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
-    assert " frames/s, " in result.stderr
+    assert " frames/s " in result.stderr
     assert " ms late, " in result.stderr
     assert " dropped" in result.stderr
     frames = open_recording(drive).frame_count

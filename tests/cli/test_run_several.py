@@ -80,7 +80,7 @@ def test_what_joining_came_to_is_said(wheelsight: Command, drive: Path, tmp_path
 def test_without_a_name_all_sensors_are_joined(wheelsight: Command, drive: Path, tmp_path: Path) -> None:
     result = wheelsight("run", drive, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
-    assert result.stderr == ""
+    assert result.stderr == "wheels and camera are joined (--odometry wheels,dense; dense: the camera alone)\n"
     assert (tmp_path / "out" / "joined" / "trajectory.txt").is_file()
     assert load_config(tmp_path / "out" / "config.yaml").odometry == ("wheels", "dense")
 
@@ -89,7 +89,8 @@ def test_what_is_not_joined_is_said_in_one_line(wheelsight: Command, tmp_path: P
     make_room_drive(tmp_path / "drive", frames=4, mounted=False)
     result = wheelsight("run", tmp_path / "drive", "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
-    (line,) = result.stderr.splitlines()
+    chosen, line = result.stderr.splitlines()
+    assert chosen == "the camera is followed by its features (--odometry features; dense: by all pixels)"
     assert line.startswith("warning: ")
     assert "wheel readings are not used: the calibration has no T_base_camera" in line
 

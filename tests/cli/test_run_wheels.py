@@ -28,6 +28,18 @@ def test_wheels_are_run_and_summed_up(wheelsight: Command, wheels: Path, tmp_pat
     assert metrics["evaluation"]["ate_m"]["rmse"] < 1e-6
 
 
+def test_wheels_without_images_are_followed_alone_and_it_is_said(
+    wheelsight: Command, wheels: Path, tmp_path: Path
+) -> None:
+    result = wheelsight("run", wheels, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert result.stderr == "the wheels alone are followed (--odometry wheels)\n"
+    assert yaml.safe_load((tmp_path / "out" / "config.yaml").read_text())["odometry"] == "wheels"
+    told = wheelsight("run", wheels, "--odometry", "wheels", "--out", tmp_path / "named")
+    assert told.stderr == ""
+    assert (tmp_path / "named" / "trajectory.txt").read_bytes() == (tmp_path / "out" / "trajectory.txt").read_bytes()
+
+
 def test_a_robot_calibrated_once_serves_its_later_recordings(wheelsight: Command, wheels: Path, tmp_path: Path) -> None:
     robot = load_calibration(wheels / "calibration.yaml").wheels
     assert robot is not None
@@ -111,7 +123,8 @@ def test_a_gyroscope_that_agrees_is_not_spoken_of(wheelsight: Command, tmp_path:
 
 def test_what_cannot_be_run_is_one_line(refusal: Callable[..., str], wheels: Path, room: Path, tmp_path: Path) -> None:
     out = ("--out", tmp_path / "out")
-    assert refusal("run", wheels, *out).endswith("has no images (--odometry wheels)")
+    assert refusal("run", wheels, "--odometry", "dense", *out).endswith("has no images (--odometry wheels)")
+    assert refusal("run", wheels, "--map", "surfels", *out).endswith("has no images for --map (leave it out)")
     assert refusal("run", room, "--odometry", "wheels", *out).endswith("has no wheel readings (--odometry features)")
     assert "no such file" in refusal("run", wheels, "--odometry", "wheels", "--calibration", "none.yaml", *out).lower()
     assert "known: 'arc', 'midpoint' or 'euler'" in refusal("run", wheels, "--integration", "rk4", *out)

@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 from room_drive import make_room_drive
 
-from wheelsight.config import load_config
+from wheelsight.config import OdometryName, load_config
+from wheelsight.errors import ConfigError
 from wheelsight.pipeline import Choice, default_odometry
 from wheelsight.pipeline.choice import unused_of
 from wheelsight.recordings import open_recording
@@ -57,6 +58,27 @@ def test_frames_without_cameras_are_not_used(drive: ImageRecording) -> None:
 
 def test_one_sensor_leaves_nothing_over(drive: ImageRecording) -> None:
     assert default_odometry(replace(drive, wheels=()), load_config()) == Choice(("features",))
+    assert default_odometry(replace(drive, frames=()), load_config()) == Choice(("wheels",))
+
+
+def test_a_camera_alone_is_followed_by_what_settings_ask_for(drive: ImageRecording) -> None:
+    mapped = load_config(overrides={"odometry": "wheels,dense", "map": "surfels"})
+    assert default_odometry(replace(drive, wheels=()), mapped) == Choice(("dense",))
+
+
+def test_wheels_alone_make_no_map(drive: ImageRecording) -> None:
+    mapped = load_config(overrides={"odometry": "wheels,dense", "map": "surfels"})
+    with pytest.raises(ConfigError, match=r"has no images for --map \(leave it out\)"):
+        default_odometry(replace(drive, frames=()), mapped)
+
+
+@pytest.mark.parametrize(
+    "odometry", [("wheels", "dense"), ("wheels", "features"), ("wheels",), ("features",), ("dense",)]
+)
+def test_a_choice_tells_the_option_that_would_make_it(odometry: tuple[OdometryName, ...]) -> None:
+    told = Choice(odometry).told
+    assert f"(--odometry {','.join(odometry)}" in told
+    assert "\n" not in told
 
 
 @pytest.mark.parametrize(

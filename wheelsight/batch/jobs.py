@@ -69,6 +69,7 @@ class Case:
         odometry: whose figures count: "joined" where sensors are, else "rectified", else the first that is named.
         jobs: identities, one a seed.
         problem: why there are none, or None.
+        chosen: what is followed where the configuration names nothing, such as "wheels,dense"; else empty.
     """
 
     recording: str
@@ -76,6 +77,7 @@ class Case:
     odometry: str = ""
     jobs: tuple[str, ...] = ()
     problem: str | None = None
+    chosen: str = ""
 
 
 class Plan(NamedTuple):
@@ -159,8 +161,9 @@ def _case(path: Path, file: Path | None, case: Case, digest: Digest | _Problem, 
     found = digest if isinstance(digest, _Problem) else _told(lambda: _jobs(path, file, digest, seeds))
     if isinstance(found, _Problem):
         return replace(case, problem=found.text), []
-    track, jobs = found
-    return replace(case, odometry=track, jobs=tuple(job.id for job in jobs)), jobs
+    config, jobs = found
+    chosen = "" if is_named("odometry", file) else ",".join(config.odometry)
+    return replace(case, odometry=main_track(config), chosen=chosen, jobs=tuple(job.id for job in jobs)), jobs
 
 
 def _told(work: Callable[[], _Answer]) -> _Answer | _Problem:
@@ -171,18 +174,19 @@ def _told(work: Callable[[], _Answer]) -> _Answer | _Problem:
         return _Problem(problem_of(error))
 
 
-def _jobs(path: Path, file: Path | None, digest: Digest, seeds: int) -> tuple[str, list[Job]]:
-    """Whose figures count, and a job a seed. Raises InputError where it cannot be run."""
+def _jobs(path: Path, file: Path | None, digest: Digest, seeds: int) -> tuple[Config, list[Job]]:
+    """The configuration for it, and a job a seed. Raises InputError where it cannot be run."""
     config = _resolved(path, file)
     files = _named_files(config)
-    return main_track(config), [_job(path, one, seed, digest, files) for seed, one in enumerate(seeded(config, seeds))]
+    return config, [_job(path, one, seed, digest, files) for seed, one in enumerate(seeded(config, seeds))]
 
 
 def _resolved(path: Path, file: Path | None) -> Config:
     """All settings for one recording, its odometry chosen where no file names one; one thread each."""
     told: dict[str, Any] = {"dense.threads": 1, "surfels.threads": 1}
     if not is_named("odometry", file):
-        config = load_config(file, {**told, "odometry": _ANY})
+        # Without our own settings of dense odometry, which would look as if the file asked for that.
+        config = load_config(file, {"odometry": _ANY})
         recording = open_recording(path, config.recording.open_options())
         told["odometry"] = ",".join(default_odometry(recording, config).odometry)
         return _absolute(load_config(file, told))

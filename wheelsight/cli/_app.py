@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import typer
-import typer.core
 
 from wheelsight._version import __version__
 from wheelsight.cli import (
@@ -28,11 +27,17 @@ from wheelsight.cli import (
     wheels,
 )
 from wheelsight.cli._console import INPUT_IS_WRONG, INTERRUPTED, print_error, speak_any_encoding
+from wheelsight.cli._help import Command, Group
 from wheelsight.errors import WheelsightError
 
 
-class _Commands(typer.core.TyperGroup):
+class _Commands(Group):
     """Tells a user's errors in one line; anything else is a bug and keeps its traceback."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """As the panels have them: typer would put all groups last."""
+        del ctx
+        return [name for _, commands in _COMMANDS for _, name, _ in commands]
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -58,23 +63,62 @@ app = typer.Typer(
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command("info")(info.info)
-app.command("run")(run.run)
-app.command("batch")(batch.batch)
-app.command("evaluate")(evaluate.evaluate)
-app.command("export")(export.export)
-app.command("record")(record.record)
-app.command("devices")(devices.devices)
-app.command("drive")(drive.drive)
-app.command("serve")(serve.serve)
-app.command("simulate")(simulate.simulate)
-app.command("warm-up")(warm_up.warm_up)
-app.command("config")(config.config)
-app.command("board")(board.board)
-app.add_typer(calibrate.app, name="calibrate")
-app.add_typer(wheels.app, name="wheels")
-app.add_typer(places.app, name="places")
-app.add_typer(maps.app, name="map")
+# Panels of the help in the order in which a newcomer needs them, and a line about each command.
+_COMMANDS: tuple[tuple[str, tuple[tuple[Any, str, str], ...]], ...] = (
+    (
+        "Run and look",
+        (
+            (info.info, "info", "What is in a recording, and what is wrong with it"),
+            (run.run, "run", "Where the robot or its camera went, a map, a report"),
+            (evaluate.evaluate, "evaluate", "A trajectory against the truth"),
+            (export.export, "export", "A run or its map for other programs"),
+            (simulate.simulate, "simulate", "A drive through a simulated world, with truth"),
+        ),
+    ),
+    (
+        "Record",
+        (
+            (devices.devices, "devices", "Cameras and serial ports that are plugged in"),
+            (record.record, "record", "A camera and wheels as a recording"),
+            (wheels.app, "wheels", "A wheel controller, live: monitor, serve"),
+        ),
+    ),
+    (
+        "Calibrate",
+        (
+            (calibrate.app, "calibrate", "Camera, wheels, and where the camera sits"),
+            (board.board, "board", "A board to calibrate cameras by, for a printer"),
+        ),
+    ),
+    (
+        "Maps",
+        (
+            (maps.app, "map", "A map of a run: info, name, export, merge, ..."),
+            (places.app, "places", "Areas of a building: label, train, test, predict"),
+        ),
+    ),
+    (
+        "Drive",
+        (
+            (drive.drive, "drive", "A robot goes to places of a map, or explores"),
+            (serve.serve, "serve", "A page to see a robot and lead it"),
+        ),
+    ),
+    ("Many recordings", ((batch.batch, "batch", "Many recordings by several settings, one table"),)),
+    (
+        "Set up",
+        (
+            (warm_up.warm_up, "warm-up", "Compile all kernels, once after installation"),
+            (config.config, "config", "The settings that a run would go by"),
+        ),
+    ),
+)
+for _panel, _commands in _COMMANDS:
+    for _command, _name, _told in _commands:
+        if isinstance(_command, typer.Typer):
+            app.add_typer(_command, name=_name, short_help=_told, rich_help_panel=_panel)
+        else:
+            app.command(_name, cls=Command, short_help=_told, rich_help_panel=_panel)(_command)
 
 
 def _print_version(wanted: bool) -> None:
@@ -91,7 +135,9 @@ def _about(
 ) -> None:
     """Where a wheeled robot is and what its place looks like, from its wheels and a depth camera.
 
-    Begin with [bold]wheelsight info RECORDING[/bold], then [bold]wheelsight run RECORDING --out DIR[/bold].
+    Begin with [bold]wheelsight info RECORDING[/bold], then [bold]wheelsight run RECORDING --out DIR[/bold]. Without a
+    recording: [bold]wheelsight simulate square --out drive[/bold]. [bold]wheelsight COMMAND --help[/bold] shows
+    examples.
     """
 
 

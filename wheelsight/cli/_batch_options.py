@@ -9,7 +9,10 @@ from typing import Annotated
 
 import typer
 
+from wheelsight.cli._options import OUTPUT
 from wheelsight.errors import ConfigError
+
+_RUNS, _BASELINE = "What is run", "Against a baseline"
 
 Recordings = Annotated[
     list[str],
@@ -21,19 +24,34 @@ Recordings = Annotated[
 ]
 Out = Annotated[
     Path,
-    typer.Option(metavar="DIR", help="Folder for the table and what is done; made if need be.", show_default=False),
+    typer.Option(
+        metavar="DIR",
+        help="Folder for the table and what is done; made if need be.",
+        show_default=False,
+        rich_help_panel=OUTPUT,
+    ),
 ]
 Configs = Annotated[
     list[Path] | None,
     typer.Option(
-        "--config", metavar="FILE", help="Settings in YAML. May be given again.", show_default="the defaults alone"
+        "--config",
+        metavar="FILE",
+        help="Settings in YAML. May be given again.",
+        show_default="the defaults alone",
+        rich_help_panel=_RUNS,
     ),
 ]
 Seeds = Annotated[
-    int, typer.Option(min=1, metavar="N", help="Runs of each; where nothing is random, one is made, not N.")
+    int,
+    typer.Option(
+        min=1, metavar="N", help="Runs of each; where nothing is random, one is made, not N.", rich_help_panel=_RUNS
+    ),
 ]
 Jobs = Annotated[
-    int | None, typer.Option("--jobs", min=1, metavar="N", help="Processes at once.", show_default="one a core")
+    int | None,
+    typer.Option(
+        "--jobs", min=1, metavar="N", help="Processes at once.", show_default="one a core", rich_help_panel=_RUNS
+    ),
 ]
 Scheduler = Annotated[
     str | None,
@@ -41,14 +59,25 @@ Scheduler = Annotated[
         metavar="ADDRESS",
         help="Run on the workers of a Dask scheduler, such as tcp://192.168.1.5:8786.",
         show_default="on this computer",
+        rich_help_panel=_RUNS,
     ),
 ]
 Baseline = Annotated[
     Path | None,
-    typer.Option(metavar="CSV", help="table.csv of an earlier batch; what is worse is named.", show_default="none"),
+    typer.Option(
+        metavar="CSV",
+        help="table.csv of an earlier batch; what is worse is named.",
+        show_default="none",
+        rich_help_panel=_BASELINE,
+    ),
 ]
 Tolerance = Annotated[
-    str, typer.Option(metavar="SHARE", help="By how much errors may grow, and frames with a pose get fewer.")
+    str,
+    typer.Option(
+        metavar="SHARE",
+        help="By how much errors may grow, and frames with a pose get fewer.",
+        rich_help_panel=_BASELINE,
+    ),
 ]
 CostTolerance = Annotated[
     str | None,
@@ -56,6 +85,7 @@ CostTolerance = Annotated[
         metavar="SHARE",
         help="By how much time and memory may grow; only where the baseline is of the same computer.",
         show_default="not judged",
+        rich_help_panel=_BASELINE,
     ),
 ]
 

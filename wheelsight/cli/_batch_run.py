@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections import Counter
 from collections.abc import Generator, Sequence
 from pathlib import Path
 
@@ -21,13 +22,18 @@ from wheelsight.batch import (
 from wheelsight.batch.kept import KeptOutcomes
 from wheelsight.cli._batch_view import BatchProgress
 from wheelsight.cli._compiling import compile_missing
+from wheelsight.cli._console import print_note
 from wheelsight.config import Config
 from wheelsight.pipeline.kernels import parts_of
 
 
-def run_plan(plan: Plan, out: Path, processes: int, scheduler: str | None, settings: BatchSettings) -> Sequence[Row]:
-    """Rows of the table, with progress on stderr; what is done already is not run again."""
+def run_plan(
+    plan: Plan, out: Path, processes: int, scheduler: str | None, settings: BatchSettings, notes: Sequence[str] = ()
+) -> Sequence[Row]:
+    """Rows of the table, with progress on stderr, after some notes; what is done already is not run again."""
     done = KeptOutcomes(out).found(plan.jobs)  # refuses a folder of something else before anything is compiled
+    for note in notes:
+        print_note(note)
     if scheduler is None:
         _compile([job for job in plan.jobs.values() if job.id not in done])
     with tempfile.TemporaryDirectory(prefix=".scratch-", dir=out) as scratch, BatchProgress() as progress:
@@ -50,6 +56,17 @@ def run_plan(plan: Plan, out: Path, processes: int, scheduler: str | None, setti
             if case.problem is not None:
                 progress.tell(f"{case.recording}, {case.config}: {case.problem}")
         return run_batch(plan, out, runner, show)
+
+
+def told_of(plan: Plan, seeds: int) -> list[str]:
+    """What is run otherwise than a user may expect, and which odometry it is where no configuration names one."""
+    told = []
+    if once := sum(0 < len(case.jobs) < seeds for case in plan.cases):
+        told.append(f"{once} of {len(plan.cases)} rows have nothing random, and are run once")
+    if chosen := Counter(case.chosen for case in plan.cases if case.chosen):
+        found = ", ".join(f"{name} of {count}" for name, count in chosen.most_common())
+        told.append(f"odometry by what a recording has: {found} (odometry: in a --config chooses otherwise)")
+    return told
 
 
 def _compile(jobs: Sequence[Job]) -> None:

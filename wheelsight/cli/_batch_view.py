@@ -8,15 +8,13 @@ from types import TracebackType
 from typing import Self
 
 from rich.box import SIMPLE_HEAD
-from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
-from rich.table import Column, Table
+from rich.progress import ProgressColumn, Task, TextColumn
+from rich.table import Table
 from rich.text import Text
 
 from wheelsight.batch import Done, Row
 from wheelsight.batch.table import DONE, FIGURES, Figure, shown
-from wheelsight.cli._console import console
-
-_BESIDE_BAR, _SHORTEST_BAR, _LONGEST_BAR = 60, 10, 40
+from wheelsight.cli._progress import left_text, progress_line, whole
 
 
 class _TimeLeft(ProgressColumn):
@@ -25,32 +23,19 @@ class _TimeLeft(ProgressColumn):
     def render(self, task: Task) -> Text:
         """Such as "12:30 left"."""
         ends_s = task.fields["ends_s"]
-        if ends_s is None:
-            return Text("--:-- left")
-        left_s = max(round(ends_s - time.monotonic()), 0)
-        hours = f"{left_s // 3600}:{left_s // 60 % 60:02d}" if left_s >= 3600 else str(left_s // 60)
-        return Text(f"{hours}:{left_s % 60:02d} left")
+        return Text(left_text(None if ends_s is None else ends_s - time.monotonic()))
 
 
 class BatchProgress:
     """Jobs, rate, time left and how many are broken, on stderr while its `with` block runs; notes above it."""
 
     def __init__(self) -> None:
-        stderr = console(stderr=True)
-        whole = Column(no_wrap=True, overflow="ignore")
-        self._progress = Progress(
-            TextColumn("batch", table_column=whole),
-            BarColumn(min(_LONGEST_BAR, max(_SHORTEST_BAR, stderr.width - _BESIDE_BAR))),
-            TextColumn("{task.fields[count]}", table_column=whole),
-            TextColumn("{task.fields[rate]}", table_column=whole),
-            _TimeLeft(table_column=whole),
-            TextColumn("{task.fields[status]}", table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)),
-            console=stderr,
-            disable=not stderr.is_terminal,
-            expand=True,
-            transient=True,
+        self._progress = progress_line(
+            TextColumn("{task.fields[count]}", table_column=whole()),
+            TextColumn("{task.fields[rate]}", table_column=whole()),
+            _TimeLeft(table_column=whole()),
         )
-        self._task = self._progress.add_task("", total=1, count="", rate="", ends_s=None, status="")
+        self._task = self._progress.add_task("batch", total=1, count="", rate="", ends_s=None, status="")
         self._began_s = time.monotonic()
         self._jobs = self._broken = 0
 

@@ -120,7 +120,7 @@ def show_steps() -> Iterator[Callable[[str], None]]:
         yield lambda _: None
         return
     with stderr.status("starting") as status:
-        yield status.update
+        yield lambda step: status.update(step[: stderr.width - 2])
 
 
 def _wheels(calibration: Calibration) -> Wheels:

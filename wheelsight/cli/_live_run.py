@@ -12,6 +12,7 @@ from wheelsight.errors import ConfigError
 
 if TYPE_CHECKING:
     from wheelsight.calibration import Calibration
+    from wheelsight.cli._run_options import RunOptions
     from wheelsight.config import Config
     from wheelsight.devices.recorder import LiveRecorder
     from wheelsight.pipeline import LiveSensors, LiveSource
@@ -30,6 +31,12 @@ class LiveRun:
     record: Path | None
     calibration: tuple[str, ...]
     baud: int | None
+
+    @classmethod
+    def of(cls, given: RunOptions) -> LiveRun:
+        """Those that were typed."""
+        sensors = given.recording, given.camera, given.wheels
+        return cls(given.live, *sensors, given.seconds, given.record, tuple(given.calibration or ()), given.baud)
 
     def check(self, realtime: bool, wheels_from: str | None) -> None:
         """Raises ConfigError for options that mean nothing together."""

@@ -20,8 +20,9 @@ def names_odometry(config: Path | None) -> bool:
     return is_named("odometry", config)
 
 
-def chosen_odometry(source: EventSource, settings: Config) -> str:
-    """What suits the source, as `--odometry` takes it."""
+def chosen_odometry(source: EventSource, settings: Config) -> tuple[str, str]:
+    """What suits the source, as `--odometry` takes it, and the line that tells of it. Raises ConfigError."""
     from wheelsight.pipeline import default_odometry
 
-    return ",".join(default_odometry(source, settings).odometry)
+    choice = default_odometry(source, settings)
+    return ",".join(choice.odometry), choice.told

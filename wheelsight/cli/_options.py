@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from wheelsight.config import Config
     from wheelsight.recordings import Recording
 
+# Panels of the help that several commands have.
+INPUT, OUTPUT, SETTINGS = "Input", "Output", "Settings"
+
 RecordingPath = Annotated[
     Path, typer.Argument(metavar="RECORDING", help="Folder of the recording, or a ROS bag.", show_default=False)
 ]
@@ -21,6 +24,7 @@ Camera = Annotated[
         metavar="NAME|FILE",
         help="Calibration to use: the name of a shipped one, such as freiburg1, or a calibration.yaml.",
         show_default="what the recording itself says",
+        rich_help_panel=INPUT,
     ),
 ]
 CalibrationFile = Annotated[
@@ -30,16 +34,22 @@ CalibrationFile = Annotated[
         help="calibration.yaml whose parts (cameras, mount, wheels, gyro) stand in place of the recording's; what it "
         "leaves out stays. May be given again: each is laid over those before.",
         show_default=False,
+        rich_help_panel=INPUT,
     ),
 ]
 DepthFactor = Annotated[
     float | None,
-    typer.Option(help="Depth units a metre in the depth images.", show_default="as its format says"),
+    typer.Option(
+        help="Depth units a metre in the depth images.", show_default="as its format says", rich_help_panel=INPUT
+    ),
 ]
 MaxGap = Annotated[
     float | None,
     typer.Option(
-        metavar="SECONDS", help="Largest distance in time of a colour and a depth image.", show_default="0.02"
+        metavar="SECONDS",
+        help="Largest distance in time of a colour and a depth image.",
+        show_default="0.02",
+        rich_help_panel=INPUT,
     ),
 ]
 RateHz = Annotated[
@@ -49,6 +59,7 @@ RateHz = Annotated[
         metavar="HZ",
         help="How many a second the images' stamps count: 30 for numbers of a 30 Hz camera, 1000 for milliseconds.",
         show_default="stamps are seconds",
+        rich_help_panel=INPUT,
     ),
 ]
 Topics = Annotated[
@@ -57,8 +68,9 @@ Topics = Annotated[
         "--topic",
         metavar="ROLE=TOPIC",
         help="Of a bag: which topic is color, depth, color_info, depth_info, wheels or gyro; none leaves one out. May "
-        "be given again. Joints of wheels: wheels=/joint_states:left_joint,right_joint.",
+        "be given again. Joints of wheels: wheels=/joints:left,right.",
         show_default="by type, frame and name",
+        rich_help_panel=INPUT,
     ),
 ]
 Profile = Annotated[
@@ -68,6 +80,7 @@ Profile = Annotated[
         help="Settings for one kind of computer: pi, for a small one. --config and other options win over it; "
         "wheelsight config --profile pi shows them.",
         show_default="none",
+        rich_help_panel=SETTINGS,
     ),
 ]
 
@@ -124,5 +137,6 @@ Rerun = Annotated[
         metavar="FILE.rrd|spawn",
         help="Show the run in Rerun as it goes: written to a file, or in a viewer that is started here.",
         show_default="not shown",
+        rich_help_panel=OUTPUT,
     ),
 ]

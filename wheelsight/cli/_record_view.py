@@ -21,51 +21,58 @@ if TYPE_CHECKING:
 _LINE_EVERY_S = 10.0
 
 
-def line_of(look: SessionLook, width: int) -> str:
-    """Time, frames and readings a second, drops by cause, disk: with all words where there is room, else with few."""
-    for separator, parts in ((" · ", _words(look)), (" · ", _fewer_words(look))):
-        if len(text := separator.join(parts)) <= width:
-            return text
+def line_of(look: SessionLook, width: int, seconds: float | None = None) -> str:
+    """Time, count, rate, drops by cause, disk: with all words where there is room, else with few.
+
+    Of a recording that ends after some seconds the time says of how many.
+    """
     causes = " ".join(f"{_short(cause)} {count}" for cause, count in look.drops.items())
-    for drops in (f"dropped: {causes}", f"{sum(look.drops.values())} dropped"):
-        if len(text := " ".join(_fewest_words(look, drops if causes else ""))) <= width:
-            return text
-    return text[: max(width, 0)]
+    few = f"{sum(look.drops.values())} dropped" if causes else ""
+    lines = [" · ".join(_words(look, seconds)), " · ".join(_fewer_words(look, seconds))]
+    lines += [" ".join(_fewest_words(look, seconds, f"dropped: {causes}" if causes else ""))]
+    lines += [" ".join(_fewest_words(look, seconds, few, has_speed=has_speed)) for has_speed in (True, False)]
+    return next((line for line in lines if len(line) <= width), lines[-1][: max(width, 0)])
 
 
-def _words(look: SessionLook) -> Iterator[str]:
-    yield clock_of(look.seconds)
+def _words(look: SessionLook, seconds: float | None) -> Iterator[str]:
+    yield _time_of(look, seconds, " of ")
     if look.camera is not None:
-        yield f"{look.frames_per_s:.1f} frames/s"
+        yield f"{look.recorder.frames} frames, {look.frames_per_s:.1f}/s"
     if look.link is not None:
-        yield f"{look.readings_per_s:.0f} wheel readings/s"
+        yield f"{look.recorder.readings} wheel readings, {look.readings_per_s:.0f}/s"
     if look.camera is not None:
         yield _drops(look, str)
     yield f"{look.bytes_per_s / 1e6:.1f} MB/s, {_bytes(look.free_bytes)} free{_left(look, ', full in ')}"
 
 
-def _fewer_words(look: SessionLook) -> Iterator[str]:
-    yield clock_of(look.seconds)
+def _fewer_words(look: SessionLook, seconds: float | None) -> Iterator[str]:
+    yield _time_of(look, seconds, "/")
     if look.camera is not None:
-        yield f"{look.frames_per_s:.1f} frames/s"
+        yield f"{look.recorder.frames} frames, {look.frames_per_s:.1f}/s"
     if look.link is not None:
-        yield f"{look.readings_per_s:.0f} wheels/s"
+        yield f"{look.recorder.readings} wheels, {look.readings_per_s:.0f}/s"
     if look.camera is not None:
         yield _drops(look, _short)
     yield f"{look.bytes_per_s / 1e6:.0f} MB/s"
     yield f"{_bytes(look.free_bytes)}{_left(look, ' = ')}"
 
 
-def _fewest_words(look: SessionLook, drops: str) -> Iterator[str]:
-    yield clock_of(look.seconds)
+def _fewest_words(look: SessionLook, seconds: float | None, drops: str, *, has_speed: bool = True) -> Iterator[str]:
+    yield _time_of(look, seconds, "/")
     if look.camera is not None:
-        yield f"{look.frames_per_s:.0f} fr/s"
+        yield f"{look.recorder.frames} fr {look.frames_per_s:.0f}/s"
     if look.link is not None:
-        yield f"{look.readings_per_s:.0f} wh/s"
+        counted = f"{look.recorder.readings} " if look.camera is None else ""
+        yield f"{counted}{look.readings_per_s:.0f} wh/s"
     if drops:
         yield drops
-    yield f"{look.bytes_per_s / 1e6:.0f} MB/s"
+    if has_speed:
+        yield f"{look.bytes_per_s / 1e6:.0f} MB/s"
     yield f"{_bytes(look.free_bytes)}{_left(look, '=')}"
+
+
+def _time_of(look: SessionLook, seconds: float | None, of: str) -> str:
+    return clock_of(look.seconds) if seconds is None else f"{clock_of(look.seconds)}{of}{clock_of(seconds)}"
 
 
 def _drops(look: SessionLook, named: Callable[[str], str]) -> str:
@@ -98,19 +105,19 @@ def _bytes(count: int) -> str:
 
 
 @contextmanager
-def shown_looks() -> Iterator[Callable[[SessionLook], None]]:
-    """What shows a look: a line on a terminal that changes, or one every ten seconds."""
+def shown_looks(seconds: float | None = None) -> Iterator[Callable[[SessionLook], None]]:
+    """What shows a look, of so many seconds if given: a line on a terminal that changes, or one every ten seconds."""
     stderr = console(stderr=True)
     if stderr.is_terminal:
         with stderr.status("") as line:
-            yield lambda look: line.update(line_of(look, stderr.width - 2))
+            yield lambda look: line.update(line_of(look, stderr.width - 2, seconds))
         return
     shown_s = [time.monotonic()]
 
     def show(look: SessionLook) -> None:
         if time.monotonic() - shown_s[0] >= _LINE_EVERY_S:
             shown_s[0] = time.monotonic()
-            stderr.print(line_of(look, stderr.width))
+            stderr.print(line_of(look, stderr.width, seconds))
 
     yield show
 

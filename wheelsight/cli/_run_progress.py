@@ -70,16 +70,22 @@ def show_progress(progress: FrameProgress, source: EventSource, settings: Config
     if isinstance(source, InRealTime):
         status = " · ".join(filter(None, [status, words(source)]))
         if counts_frames(source, settings):
-            progress.reach(source.frames_so_far[0], frame_count_of(source), status)
+            progress.reach(source.frames_so_far[0], frame_count_of(source), status, rate_of(source))
             return
     progress.advance(status)
 
 
+def rate_of(recording: InRealTime) -> str:
+    """Of frames that were answered, such as "29.8 frames/s"; nothing before the first."""
+    lately = recording.lately()
+    return "" if lately is None else f"{lately[0]:.1f} frames/s"
+
+
 def words(recording: InRealTime) -> str:
-    """Such as "29.8 frames/s, 31 ms late, 12 dropped"."""
+    """Such as "31 ms late, 12 dropped"."""
     parts = []
     if (lately := recording.lately()) is not None:
-        parts += [f"{lately[0]:.1f} frames/s", f"{1e3 * lately[1]:.0f} ms late"]
+        parts.append(f"{1e3 * lately[1]:.0f} ms late")
     frames, dropped = recording.frames_so_far
     if frames:
         parts.append(f"{dropped} dropped")

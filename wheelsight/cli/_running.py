@@ -20,14 +20,15 @@ if TYPE_CHECKING:
 
 
 def track(
-    source: EventSource, settings: Config, out: Path, force: bool, rerun: str | None = None
+    source: EventSource, settings: Config, out: Path, force: bool, rerun: str | None = None, told: str = ""
 ) -> Sequence[RunRecord]:
     """Run, with progress on stderr; Ctrl-C ends it with the exit code of an interruption.
 
-    `rerun` is where Rerun is shown it, if anywhere: a file, or "spawn".
+    `rerun` is where Rerun is shown it, if anywhere: a file, or "spawn". `told` is said once nothing can be refused.
     """
     from wheelsight import runs
     from wheelsight.cli._compiling import compile_missing
+    from wheelsight.cli._console import print_note
     from wheelsight.cli._outputs import can_draw
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.cli._run_status import RunStatus
@@ -45,6 +46,8 @@ def track(
         watcher = None if rerun is None else shown.enter_context(_watcher(rerun, source, settings, force))
 
         def begin() -> None:
+            if told:
+                print_note(told)
             can_draw()
             compile_missing(parts_of(settings))
             shown.enter_context(progress)

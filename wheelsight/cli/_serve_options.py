@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from wheelsight.cli._options import OUTPUT
+
 _PAGE = "The page"
 
 MapsFolder = Annotated[
@@ -16,6 +18,7 @@ MapsFolder = Annotated[
         metavar="DIR",
         help="Folder for maps that are made, each in one of its own; those that are there can be driven in.",
         show_default="none",
+        rich_help_panel=OUTPUT,
     ),
 ]
 Host = Annotated[

@@ -3,67 +3,86 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wheelsight.errors import ConfigError
 
 if TYPE_CHECKING:
-    from wheelsight.simulation import FloorPlan, SimulationSettings
+    from wheelsight.cli._simulation_options import SimulateOptions
+    from wheelsight.simulation import FloorPlan, Robot, SimulationSettings, WheelFaults
 
 _TIMES_FORM = "FROM:TO in seconds, such as 12:15.5"
 _START_FORM = "X,Y,YAW_DEG in metres and degrees, such as 4,2.5,90"
 _PATCH_FORM = "X,Y,R in metres, such as 4,2.5,0.6"
 
 
-def settings_from(
-    given: dict[str, Any],
-    *,
-    size: str,
-    robot: dict[str, Any],
-    times: dict[str, list[str] | None],
-    ice: list[str] | None,
-) -> SimulationSettings:
+def settings_from(given: SimulateOptions, plan: FloorPlan | None) -> SimulationSettings:
     """The settings that the options tell. Raises ConfigError naming the option whose words mean nothing."""
-    from wheelsight.simulation import Patch, Robot, SimulationSettings, WheelFaults
+    from wheelsight.simulation import SimulationSettings
 
-    faults = WheelFaults(
-        dropouts_s=times_of("--dropout", times["--dropout"]),
-        unplugged_s=times_of("--unplug", times["--unplug"]),
-        patches=tuple(Patch(*patch) for patch in patches_of("--ice", ice)),
-        lifted_s=times_of("--lift", times["--lift"]),
+    building: dict[str, Any] = {"world": given.world} if plan is None else {"plan": plan}
+    # What it is called is checked by the settings, which name what there is.
+    named: dict[str, Any] = {"realism": given.realism}
+    return SimulationSettings(
+        **building,
+        **named,
+        camera=given.camera,
+        laps=given.laps,
+        seed=given.seed,
+        day=given.day,
+        speed_m_s=given.speed,
+        duration_s=given.duration,
+        rate_hz=given.rate,
+        is_reverse=given.reverse,
+        velocities=given.drive,
+        stops_to_turn=given.stop_and_turn,
+        doors=given.doors,
+        passersby=given.passers_by,
+        has_motion_blur=given.motion_blur,
+        has_slip=not given.no_slip,
+        size=size_of(given.size, given.camera),
+        robot=_robot(given),
+        faults=_faults(given),
+        covered_s=times_of("--cover", given.cover),
     )
-    covered_s = times_of("--cover", times["--cover"])
-    image_px = size_of(size, given["camera"])
-    true_robot = Robot(**{name: value for name, value in robot.items() if value is not None})
-    return SimulationSettings(**given, size=image_px, robot=true_robot, faults=faults, covered_s=covered_s)
 
 
-def plan_of(
-    world: str | None,
-    path: Path | None,
-    *,
-    resolution: float | None,
-    areas: Path | None,
-    start: str | None,
-    way: float | None,
-) -> FloorPlan | None:
+def _robot(given: SimulateOptions) -> Robot:
+    from wheelsight.simulation import Robot
+
+    told = {"left_radius_m": given.left_radius, "right_radius_m": given.right_radius, "track_width_m": given.track}
+    sizes: dict[str, Any] = {name: size_m for name, size_m in told.items() if size_m is not None}
+    return Robot(**sizes, has_gyro=given.gyro)
+
+
+def _faults(given: SimulateOptions) -> WheelFaults:
+    from wheelsight.simulation import Patch, WheelFaults
+
+    return WheelFaults(
+        dropouts_s=times_of("--dropout", given.dropout),
+        unplugged_s=times_of("--unplug", given.unplug),
+        patches=tuple(Patch(*patch) for patch in patches_of("--ice", given.ice)),
+        lifted_s=times_of("--lift", given.lift),
+    )
+
+
+def plan_of(given: SimulateOptions) -> FloorPlan | None:
     """The floor plan that the options tell, if any. Raises ConfigError for options that mean nothing together."""
     from wheelsight.simulation import FloorPlan
 
-    if path is None:
-        given = {"--resolution": resolution, "--areas": areas, "--start": start, "--way": way}
-        for option, value in given.items():
+    if given.plan is None:
+        of_plan = ("--resolution", given.resolution), ("--areas", given.areas), ("--start", given.start)
+        for option, value in (*of_plan, ("--way", given.way)):
             if value is not None:
                 raise ConfigError(f"{option} means nothing without a plan", fix="--plan map.yaml")
         return None
-    if world is not None:
-        raise ConfigError(f"both the world {world} and a plan are given", fix="leave one of them out")
+    if given.world is not None:
+        raise ConfigError(f"both the world {given.world} and a plan are given", fix="leave one of them out")
     pose = None
-    if start is not None:
-        x_m, y_m, yaw_deg = _numbers("--start", start, ",", 3, _START_FORM)
+    if given.start is not None:
+        x_m, y_m, yaw_deg = _numbers("--start", given.start, ",", 3, _START_FORM)
         pose = x_m, y_m, math.radians(yaw_deg)
-    return FloorPlan(path, resolution, areas, pose, way)
+    return FloorPlan(given.plan, given.resolution, given.areas, pose, given.way)
 
 
 def size_of(text: str, camera: str) -> tuple[int, int] | None:

@@ -58,7 +58,7 @@ def batch(
     wheelsight batch data --scheduler tcp://192.168.1.5:8786 --out table
     """
     from wheelsight.batch import BatchSettings, named_recordings, plan_of, read_rows
-    from wheelsight.cli._batch_run import run_plan
+    from wheelsight.cli._batch_run import run_plan, told_of
     from wheelsight.cli._console import print_note
 
     settings = BatchSettings()
@@ -66,11 +66,8 @@ def batch(
     allowed_cost = None if cost_tolerance is None else share(cost_tolerance, "--cost-tolerance")
     before = None if baseline is None else read_rows(baseline)
     plan = plan_of(named_recordings(recordings), tuple(config or ()), seeds, settings)
-    once = sum(0 < len(case.jobs) < seeds for case in plan.cases)
-    if once:
-        print_note(f"{once} of {len(plan.cases)} rows have nothing random, and are run once")
     try:
-        rows = run_plan(plan, out, jobs or cores(), scheduler, settings)
+        rows = run_plan(plan, out, jobs or cores(), scheduler, settings, told_of(plan, seeds))
     except KeyboardInterrupt as interruption:
         print_note(f"interrupted; what is done is kept in {out}, and the same command goes on")
         raise typer.Exit(INTERRUPTED) from interruption

@@ -14,7 +14,8 @@ def board(
         str,
         typer.Option(
             metavar="BOARD",
-            help="9x6:25mm: inner corners and side of a square; charuco:9x6:28mm[:MARKER[:DICTIONARY]]: squares, side.",
+            help="9x6:25mm: inner corners and side of a square; charuco:9x6:28mm: squares and side, "
+            "then :MARKER:DICTIONARY if need be.",
         ),
     ] = "9x6:25mm",
     paper: Annotated[str, typer.Option(metavar="PAPER", help="A4, A3, A2 or Letter.")] = "A4",

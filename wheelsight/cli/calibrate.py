@@ -10,13 +10,19 @@ import typer
 from wheelsight.cli._calibrate_base import base
 from wheelsight.cli._calibrate_robot import robot
 from wheelsight.cli._calibration_files import Force, Out, kept_in, open_for, page_beside, save_found, wheel_fields
+from wheelsight.cli._help import Command, Group
 from wheelsight.cli._options import CalibrationFile, RecordingPath, Topics
 from wheelsight.cli.calibrate_camera import camera
 
-app = typer.Typer(no_args_is_help=True, help="Calibrate a robot: its cameras, its wheels, and where the camera sits.")
-app.command("camera")(camera)
-app.command("base")(base)
-app.command("robot")(robot)
+app = typer.Typer(
+    cls=Group,
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    help="Calibrate a robot: its cameras, its wheels, and where the camera sits.",
+)
+app.command("camera", cls=Command)(camera)
+app.command("base", cls=Command)(base)
+app.command("robot", cls=Command)(robot)
 
 Reference = Annotated[
     Path | None,
@@ -42,7 +48,7 @@ Side = Annotated[
 ]
 
 
-@app.command("wheels")
+@app.command("wheels", cls=Command)
 def wheels(
     recording: RecordingPath,
     out: Out,
@@ -90,7 +96,7 @@ def wheels(
     print_trial(trial, written, page)
 
 
-@app.command("umbmark")
+@app.command("umbmark", cls=Command)
 def umbmark(
     runs: Runs,
     out: Out,

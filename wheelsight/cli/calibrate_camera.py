@@ -34,8 +34,8 @@ BoardText = Annotated[
     typer.Option(
         "--board",
         metavar="BOARD",
-        help="9x6:25mm: inner corners and side of a square; charuco:9x6:27mm[:MARKER[:DICTIONARY]]: squares, side; "
-        "? for an unknown side, which depth then tells.",
+        help="9x6:25mm: inner corners and side of a square; charuco:9x6:27mm: squares and "
+        "side, then :MARKER:DICTIONARY if need be; ? for an unknown side, which depth then tells.",
         show_default=False,
     ),
 ]

@@ -9,9 +9,10 @@ import typer
 
 from wheelsight.cli import _map_options as options
 from wheelsight.cli import _maps as work
+from wheelsight.cli._help import Command, Group
 from wheelsight.cli._map_export import Exports
 
-app = typer.Typer(no_args_is_help=True, rich_markup_mode="rich")
+app = typer.Typer(cls=Group, no_args_is_help=True, rich_markup_mode="rich")
 
 
 @app.callback()
@@ -19,7 +20,7 @@ def _about() -> None:
     """The map that a run leaves for the next drive: info, name, export, rebuild, merge, prune."""
 
 
-@app.command()
+@app.command(cls=Command)
 def info(
     source: options.MapPath,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
@@ -35,7 +36,7 @@ def info(
     work.info(source, as_json)
 
 
-@app.command()
+@app.command(cls=Command)
 def name(
     source: options.MapPath,
     called: options.Called = None,
@@ -59,7 +60,7 @@ def name(
     work.name(source, called, at, show_list=show_list, remove=remove)
 
 
-@app.command()
+@app.command(cls=Command)
 def export(
     source: options.MapPath,
     out: options.Points = None,
@@ -87,7 +88,7 @@ def export(
     work.export(source, Exports(out, occupancy, picture, resolution, everything), force)
 
 
-@app.command()
+@app.command(cls=Command)
 def rebuild(source: options.MapPath, out: options.NewMap) -> None:
     """Make a map anew of its keyframes, where they are by now: surfels are fused again, what is outdated is left out.
 
@@ -102,7 +103,7 @@ def rebuild(source: options.MapPath, out: options.NewMap) -> None:
     work.rebuild(source, out)
 
 
-@app.command()
+@app.command(cls=Command)
 def merge(
     first: Annotated[
         Path, typer.Argument(metavar="A", help="A map, or the run that left it; its frame stays.", show_default=False)
@@ -124,7 +125,7 @@ def merge(
     work.merge(first, second, out)
 
 
-@app.command()
+@app.command(cls=Command)
 def prune(source: options.MapPath, out: options.NewMap) -> None:
     """Leave out keyframes whose view another one shows, so that a map that is extended daily does not grow for ever.
 

@@ -6,9 +6,10 @@ import typer
 
 from wheelsight.cli import _places as work
 from wheelsight.cli import _places_options as options
+from wheelsight.cli._help import Command, Group
 from wheelsight.cli._options import RecordingPath, Topics
 
-app = typer.Typer(no_args_is_help=True, rich_markup_mode="rich")
+app = typer.Typer(cls=Group, no_args_is_help=True, rich_markup_mode="rich")
 
 
 @app.callback()
@@ -16,7 +17,7 @@ def _about() -> None:
     """Which area of a building a frame was taken in: label, train, test, predict."""
 
 
-@app.command()
+@app.command(cls=Command)
 def label(
     recording: RecordingPath,
     out: options.Page,
@@ -41,7 +42,7 @@ def label(
     work.label(recording, out, labels, areas, trajectory, every, topic, force)
 
 
-@app.command()
+@app.command(cls=Command)
 def train(
     recordings: options.Recordings,
     out: options.ModelToWrite,
@@ -69,7 +70,7 @@ def train(
     work.train(recordings, out, labels or [], areas, description, forest, topic, force)
 
 
-@app.command("test")
+@app.command("test", cls=Command)
 def try_model(
     model: options.Model,
     recording: RecordingPath,
@@ -92,7 +93,7 @@ def try_model(
     work.try_model(model, recording, labels, areas, trajectory, out, topic, as_json, force)
 
 
-@app.command()
+@app.command(cls=Command)
 def predict(
     model: options.Model,
     recording: RecordingPath,

@@ -7,9 +7,11 @@ from typing import Annotated
 
 import typer
 
-from wheelsight.cli._options import Topics
+from wheelsight.cli._options import OUTPUT, Topics
 from wheelsight.cli._signals import until_stopped
 from wheelsight.cli.wheels import Baud, Seconds
+
+_SENSORS = "Sensors"
 
 CameraKind = Annotated[
     str | None,
@@ -17,42 +19,69 @@ CameraKind = Annotated[
         metavar="NAME",
         help="Camera: its kind, or kind:serial number; any for the first that is plugged in; recording:DIR plays one.",
         show_default="none",
+        rich_help_panel=_SENSORS,
     ),
+]
+WheelsPort = Annotated[
+    str | None,
+    typer.Option(
+        metavar="PORT",
+        help="Serial port of the wheel controller.",
+        show_default="none",
+        rich_help_panel=_SENSORS,
+    ),
+]
+Calibrations = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="FILE",
+        help="calibration.yaml to put into the recording, over what the camera says of itself. May be given again.",
+        show_default="none",
+        rich_help_panel=_SENSORS,
+    ),
+]
+Infrared = Annotated[
+    bool,
+    typer.Option("--infrared", help="Infrared images too, where the camera has them.", rich_help_panel=_SENSORS),
+]
+Out = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="Folder of the recording; made.", show_default=False, rich_help_panel=OUTPUT),
+]
+Bag = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Write a bag of ROS 2, .mcap, in place of a folder.",
+        show_default=False,
+        rich_help_panel=OUTPUT,
+    ),
+]
+Color = Annotated[
+    str,
+    typer.Option(metavar="png|jpeg", help="How colour is kept: exactly, or small.", rich_help_panel=OUTPUT),
+]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on with the recording in DIR.", rich_help_panel=OUTPUT)]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite a recording in DIR.", rich_help_panel=OUTPUT)]
+SettingsFile = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Settings in YAML: camera and recorder.", show_default=False)
 ]
 
 
 def record(
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder of the recording; made.", show_default=False)
-    ] = None,
-    bag: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write a bag of ROS 2, .mcap, in place of a folder.", show_default=False),
-    ] = None,
+    out: Out = None,
+    bag: Bag = None,
+    color: Color = "png",
+    resume: Resume = False,
+    force: Force = False,
     camera: CameraKind = None,
-    wheels: Annotated[
-        str | None, typer.Option(metavar="PORT", help="Serial port of the wheel controller.", show_default="none")
-    ] = None,
-    calibration: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="FILE",
-            help="calibration.yaml to put into the recording, over what the camera says of itself. May be given again.",
-            show_default="none",
-        ),
-    ] = None,
-    color: Annotated[str, typer.Option(metavar="png|jpeg", help="How colour is kept: exactly, or small.")] = "png",
-    infrared: Annotated[
-        bool, typer.Option("--infrared", help="Infrared images too, where the camera has them.")
-    ] = False,
-    config: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Settings in YAML: camera and recorder.", show_default=False)
-    ] = None,
-    topic: Topics = None,
+    wheels: WheelsPort = None,
     baud: Baud = 115200,
+    calibration: Calibrations = None,
+    infrared: Infrared = False,
+    topic: Topics = None,
     seconds: Seconds = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the recording in DIR.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite a recording in DIR.")] = False,
+    config: SettingsFile = None,
 ) -> None:
     """Record a camera, wheels, or both until Ctrl-C, which `wheelsight run DIR` reads.
 
@@ -80,6 +109,6 @@ def record(
     with (
         until_stopped() as is_over,
         opened_recording(asked, place_of(out, bag), color, force=force, resume=resume) as session,
-        shown_looks() as show,
+        shown_looks(seconds) as show,
     ):
         session.run(is_over, show, seconds)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from wheelsight.cli import _drive_options as options
+from wheelsight.cli import _drive_robot_options as robots
 from wheelsight.cli import _serve_options as serve_options
 from wheelsight.cli._options import Profile
 
@@ -17,20 +18,20 @@ def serve(
     config: options.SettingsFile = None,
     profile: Profile = None,
     set_: options.Set = None,
-    sim: options.Sim = None,
-    resolution: options.Resolution = None,
-    start: options.Start = None,
-    seed: options.Seed = 0,
-    day: options.Day = 0,
-    people: options.People = 0,
-    realism: options.Realism = "real",
-    camera: options.CameraName = None,
-    size: options.Size = "half",
+    sim: robots.Sim = None,
+    resolution: robots.Resolution = None,
+    start: robots.Start = None,
+    seed: robots.Seed = 0,
+    day: robots.Day = 0,
+    people: robots.People = 0,
+    realism: robots.Realism = "real",
+    camera: robots.CameraName = None,
+    size: robots.Size = "half",
     rate: serve_options.Rate = 5.0,
-    robot: options.RobotPort = None,
-    calibration: options.CalibrationFile = None,
-    baud: options.Baud = 115200,
-    yes: options.Yes = False,
+    robot: robots.RobotPort = None,
+    calibration: robots.CalibrationFile = None,
+    baud: robots.Baud = 115200,
+    yes: robots.Yes = False,
 ) -> None:
     """Show a robot on a page, and lead it there: click a goal, name a place, save the map, STOP.
 

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from wheelsight.cli import _simulation_options as options
 from wheelsight.cli._console import INTERRUPTED
 from wheelsight.cli._simulation_inputs import plan_of, settings_from
+from wheelsight.cli._simulation_options import SimulateOptions
+from wheelsight.cli._takes import takes
 from wheelsight.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -17,42 +18,8 @@ if TYPE_CHECKING:
     from wheelsight.simulation import SimulatedRecording, SimulationSettings
 
 
-def simulate(
-    world: options.World = None,
-    out: options.Out = None,
-    plan: options.Plan = None,
-    resolution: options.Resolution = None,
-    areas: options.AreasImage = None,
-    start: options.Start = None,
-    way: options.WayLength = None,
-    laps: options.Laps = 1,
-    camera: options.Camera = "kinect-v1",
-    size: options.Size = "half",
-    rate: options.Rate = None,
-    seed: options.Seed = 0,
-    day: options.Day = 0,
-    speed: options.Speed = 0.8,
-    duration: options.Duration = None,
-    reverse: options.Reverse = False,
-    drive: options.DriveFile = None,
-    stop_and_turn: options.StopAndTurn = False,
-    passers_by: options.PassersBy = 0,
-    doors: options.Doors = 0,
-    realism: options.Realism = "real",
-    motion_blur: options.MotionBlur = False,
-    gyro: options.Gyro = False,
-    left_radius: options.LeftRadius = None,
-    right_radius: options.RightRadius = None,
-    track: options.Track = None,
-    no_slip: options.NoSlip = False,
-    dropout: options.Dropout = None,
-    unplug: options.Unplug = None,
-    ice: options.Ice = None,
-    lift: options.Lift = None,
-    cover: options.Cover = None,
-    show_list: options.ShowList = False,
-    force: options.Force = False,
-) -> None:
+@takes(SimulateOptions)
+def simulate(options: SimulateOptions) -> None:
     """Drive a wheelchair with a depth camera through a simulated world: a recording with truth goes to DIR.
 
     DIR gets what any recording has (images, wheels.csv, calibration.yaml with what a user would measure), and beside it
@@ -75,24 +42,15 @@ def simulate(
 
     wheelsight simulate --list
     """
-    if show_list:
+    if options.show_list:
         _print_list()
         return
-    building = plan_of(world, plan, resolution=resolution, areas=areas, start=start, way=way)
-    if (world is None and building is None) or out is None:
-        missing = "--out DIR" if out is None and (world or building) else "a WORLD"
+    plan = plan_of(options)
+    is_named = options.world is not None or plan is not None
+    if not is_named or options.out is None:
+        missing = "--out DIR" if is_named else "a WORLD"
         raise ConfigError(f"{missing} is missing", fix="wheelsight simulate floor4 --out DIR, or --list")
-    settings = settings_from(
-        ({"world": world} if building is None else {"plan": building})
-        | {"camera": camera, "laps": laps, "seed": seed, "day": day, "speed_m_s": speed, "duration_s": duration}
-        | {"rate_hz": rate, "is_reverse": reverse, "velocities": drive, "stops_to_turn": stop_and_turn, "doors": doors}
-        | {"passersby": passers_by, "has_motion_blur": motion_blur, "has_slip": not no_slip, "realism": realism},
-        size=size,
-        robot={"left_radius_m": left_radius, "right_radius_m": right_radius, "track_width_m": track, "has_gyro": gyro},
-        times={"--dropout": dropout, "--unplug": unplug, "--lift": lift, "--cover": cover},
-        ice=ice,
-    )
-    _simulate(settings, out, force)
+    _simulate(settings_from(options, plan), options.out, options.force)
 
 
 def _simulate(settings: SimulationSettings, out: Path, force: bool) -> None:

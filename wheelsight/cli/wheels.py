@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from wheelsight.cli._help import Command, Group
 from wheelsight.cli._signals import until_stopped
 
 if TYPE_CHECKING:
     from wheelsight.calibration import Wheels
     from wheelsight.devices import LinkStatus
 
-app = typer.Typer(no_args_is_help=True, rich_markup_mode="rich")
+app = typer.Typer(cls=Group, no_args_is_help=True, rich_markup_mode="rich")
 
 Port = Annotated[str, typer.Argument(metavar="PORT", help="Serial port, such as /dev/ttyUSB0.", show_default=False)]
 Baud = Annotated[int, typer.Option(min=1, metavar="RATE", help="Baud rate of the line.")]
@@ -31,7 +32,7 @@ def _about() -> None:
     """The wheel controller on a serial port."""
 
 
-@app.command()
+@app.command(cls=Command)
 def monitor(
     port: Port,
     calibration: Annotated[
@@ -72,7 +73,7 @@ def monitor(
                 live.update(live_table(port, meter.look(link.report())), refresh=True)
 
 
-@app.command()
+@app.command(cls=Command)
 def serve(
     port: Port,
     pipe: Annotated[Path, typer.Option(metavar="PATH", help="Named pipe to write to; made.", show_default=False)],

@@ -11,6 +11,7 @@ from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate
 from wheelsight.events import Event, RgbdFrame
+from wheelsight.files import StrPath
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.localizer import Localizer, LocalizerBeside, LocalizerInStep
 from wheelsight.navigation import (
@@ -74,7 +75,7 @@ class MappingLocalizer:
 def exploring(
     robot: Robot,
     config: Config,
-    path: Path,
+    path: StrPath,
     *,
     in_step: bool,
     trusts_floor: bool = False,
@@ -110,10 +111,10 @@ def exploring(
         floor = GrowingFloor(localization, calibration, footprint, near_m, config.sessions.occupancy, worker=growing)
         watched = WatchedRobot(robot, DriveRecorder(footprint))
         navigator = Navigator(watched, localization, floor, config.navigation, **how)
-        yield Drive(watched, navigator, lambda: floor.grid, path.parent.name or path.name)
+        yield Drive(watched, navigator, lambda: floor.grid, Path(path).parent.name or Path(path).name)
 
 
-def loops_of(path: Path) -> int:
+def loops_of(path: StrPath) -> int:
     """How many loops a map has, once its exploration is over. Raises MapError."""
     with closing(MapFolder.open(path)) as folder:
         return sum(edge.is_loop for edge in folder.edges)
