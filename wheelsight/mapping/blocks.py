@@ -137,6 +137,11 @@ class Blocks:
         died, self._cursor = self._compact(self._cursor, cells, _SWEPT_SURFELS, now_s, rules, np.zeros(0, np.int64))
         return died
 
+    def sweep_all(self, now_s: float, rules: FloatArray) -> int:
+        """The same in all cells at once."""
+        everything = int(self._counters[CELLS]), np.iinfo(np.int64).max
+        return self._compact(0, *everything, now_s, rules, np.zeros(0, np.int64))[0]
+
     def move(self, T_new_old: FloatArray, now_s: float, rules: FloatArray) -> None:
         """Move surfels with their keyframes: (K + 1, 4, 4) by keyframe, the last of those that name none of these.
 

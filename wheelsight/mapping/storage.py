@@ -1,19 +1,20 @@
-"""Maps in files: one line that names the format, one line of JSON that says what follows, and then plain arrays.
+"""Maps in files: one line that names the format, one line of JSON that says what follows, and then surfels, compressed.
 
-The arrays are those of `Surfels`, one after the other in the order of the header's `fields`, row by row, and then the
-poses T_map_keyframe (keyframes, 4, 4) of float64; numbers are in little-endian order. Whoever can read JSON and raw
-numbers can read a map. All of it is in the frame that the header names, which is `map`.
+What is compressed, by LZMA in an .xz container, are the columns of `mapping.columns` in the order of the header's
+`columns`, and the poses T_map_keyframe (keyframes, 4, 4) of float64; numbers are in little-endian order. Whoever can
+read JSON and .xz can read a map. All of it is in the frame that the header names, which is `map`.
 
-Files of version 1 have neither keyframes nor the name of a frame; their surfels hang on no keyframe.
+Files of versions 1 and 2 have plain arrays instead, those of version 1 neither keyframes nor the name of a frame; their
+surfels hang on no keyframe.
 """
 
 from __future__ import annotations
 
 import json
+import lzma
 import math
 import zlib
-from collections.abc import Iterable, Iterator
-from dataclasses import fields
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +22,17 @@ import numpy as np
 
 from wheelsight.errors import MapError
 from wheelsight.files import StrPath, atomic_write
-from wheelsight.geometry import FloatArray, IntArray, se3
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.inputs import Kind, parse_json, read_bytes
 from wheelsight.inputs.settings import checked_settings
+from wheelsight.mapping import old_storage
+from wheelsight.mapping.columns import COLUMNS, columns_of, packed, surfels_of, unpacked
 from wheelsight.mapping.settings import SurfelSettings
 from wheelsight.mapping.surfels import SurfelMap
 from wheelsight.mapping.values import FRAME, Surfels
 
-FORMAT = "wheelsight-map-2"
-_FIRST_FORMAT = "wheelsight-map-1"
+FORMAT = "wheelsight-map-3"
+_VERSIONS = (FORMAT, old_storage.SECOND_FORMAT, old_storage.FIRST_FORMAT)
 _LONGEST_HEADER = 1 << 16
 _NO_MAP = "give a file that `save_map` wrote"
 # Beyond 16 km, float32 no longer tells millimetres apart; the others are far beyond what a map ever holds.
@@ -37,53 +40,54 @@ _LARGEST = {"position": 16_000.0, "normal": 1.01, "radius_m": 100.0, "color": 10
 _LARGEST |= {"confidence": 1e9, "variance_m2": 1e4, "first_s": 1e20, "last_s": 1e20}
 _FILE = Kind("a map", most_mb=2000, fix=_NO_MAP)
 _DAMAGED = "it is damaged or cut short: use another copy"
-# Name, type and number of columns; 0 for a flat array.
-_FIELDS = (
-    ("position", "<f4", 3),
-    ("normal", "<f4", 3),
-    ("radius_m", "<f4", 0),
-    ("color", "<f4", 3),
-    ("grey", "<f4", 0),
-    ("confidence", "<f4", 0),
-    ("variance_m2", "<f4", 0),
-    ("first_s", "<f8", 0),
-    ("last_s", "<f8", 0),
-    ("keyframe", "<i4", 0),
-)
 # Settings that files of before have, and that mean nothing now.
 _RETIRED = ("beyond_share",)
 _COUNTS, _POSE_BYTES = ("surfels", "keyframes"), 16 * 8
-assert tuple(name for name, _, _ in _FIELDS) == tuple(field.name for field in fields(Surfels))
+# More than the largest file of version 2 held, lest a few damaged bytes ask for all memory.
+_MOST = {"surfels": 30_000_000, "keyframes": 10_000_000}
+# Columns are mostly noise, in which a longer search finds hardly more: preset 6 takes eight times as long for 1 %.
+_COMPRESSION = {
+    "id": lzma.FILTER_LZMA2,
+    "preset": 0,
+    "dict_size": 1 << 16,
+    "lc": 4,
+    "lp": 0,
+    "pb": 0,
+    "mode": lzma.MODE_NORMAL,
+    "mf": lzma.MF_HC3,
+    "nice_len": 273,
+    "depth": 1,
+}
+_MOST_MEMORY = 16 << 20
 
 
 def save_map(surfel_map: SurfelMap, path: StrPath) -> None:
-    """Write a whole map, atomically. Raises OutputError."""
+    """Write a whole map, atomically, in steps that `mapping.columns` tells. Raises OutputError."""
     path = Path(path)
-    surfels = surfel_map.surfels()
-    # Sorted, so that equal maps are equal files, however their surfels came to be where they lie in memory.
-    order = np.lexsort(surfels.position.T)
     T_map_keyframe = np.ascontiguousarray(surfel_map.T_map_keyframe, "<f8")
+    columns = columns_of(surfel_map.surfels(), surfel_map.stamp_s, surfel_map.settings.stable_confidence)
+    # Whole, but compressed: the header before it tells its length.
+    body = _compressed([*columns.values()], T_map_keyframe)
     header = {
         "frame": FRAME,
-        "surfels": len(surfels.grey),
-        "fields": [[name, dtype, columns] for name, dtype, columns in _FIELDS],
-        "keyframes": len(surfel_map.T_map_keyframe),
+        "surfels": len(columns["keyframe"]),
+        "columns": [list(column) for column in COLUMNS],
+        "keyframes": len(T_map_keyframe),
         "stamp_s": surfel_map.stamp_s if math.isfinite(surfel_map.stamp_s) else None,
         "dropped": surfel_map.dropped,
-        "crc32": _crc(_sorted(surfels, order, T_map_keyframe)),
+        "bytes": len(body),
+        "crc32": zlib.crc32(body),
         "settings": surfel_map.settings.model_dump(),
     }
     with atomic_write(path, "wb") as stream:
         stream.write(f"{FORMAT}\n{json.dumps(header)}\n".encode())
-        for array in _sorted(surfels, order, T_map_keyframe):
-            stream.write(array.data)
+        stream.write(body)
 
 
-def _sorted(surfels: Surfels, order: IntArray, T_map_keyframe: FloatArray) -> Iterator[np.ndarray]:
-    """The arrays of a file, one at a time: all together would take as much memory as the map once more."""
-    for name, dtype, _ in _FIELDS:
-        yield np.ascontiguousarray(getattr(surfels, name)[order], dtype)
-    yield T_map_keyframe
+def _compressed(columns: list[np.ndarray], T_map_keyframe: FloatArray) -> bytes:
+    compressor = lzma.LZMACompressor(lzma.FORMAT_XZ, lzma.CHECK_NONE, filters=[_COMPRESSION])
+    pieces = [compressor.compress(packed(column)) for column in columns]
+    return b"".join([*pieces, compressor.compress(T_map_keyframe.tobytes()), compressor.flush()])
 
 
 def load_map(path: StrPath) -> SurfelMap:
@@ -96,22 +100,26 @@ def load_map(path: StrPath) -> SurfelMap:
     path = Path(path)
     data = read_bytes(path, _FILE, MapError)
     try:
-        header, body = _split(data)
-        contents = _contents(header, body)
-        del data, body  # as large as the map
-        return _map_of(header, *contents)
+        version, header, body = _split(data)
+        settings = _settings_of(header)
+        surfels, T_map_keyframe = _contents(version, header, body, settings)
+        del data, body  # of old versions as large as the map
+        _refuse_impossible(surfels)
+        _refuse_wrong_keyframes(surfels, T_map_keyframe)
+        return _map_of(header, surfels, T_map_keyframe, settings)
     except MapError as error:
         raise MapError(error.problem, path=path, fix=error.fix) from error
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise MapError(f"its header is not one: {type(error).__name__}", path=path, fix=_DAMAGED) from error
 
 
-def _split(data: bytes) -> tuple[dict[str, Any], memoryview]:
-    """Header, as the present version has it, and all that follows."""
+def _split(data: bytes) -> tuple[str, dict[str, Any], memoryview]:
+    """Version, header, and all that follows."""
     name, _, rest = data[:_LONGEST_HEADER].partition(b"\n")
-    if name not in (FORMAT.encode(), _FIRST_FORMAT.encode()):
+    version = name[:40].decode("ascii", "replace")
+    if version not in _VERSIONS or len(name) > len(version):
         if name.startswith(FORMAT.rpartition("-")[0].encode()):
-            raise MapError(f"is of version {name[:40].decode('ascii', 'replace')!r}, not {FORMAT!r}", fix=_NO_MAP)
+            raise MapError(f"is of version {version!r}, not {FORMAT!r}", fix=_NO_MAP)
         raise MapError("is no map", fix=_NO_MAP)
     text, newline, _ = rest.partition(b"\n")
     if not newline:
@@ -122,43 +130,59 @@ def _split(data: bytes) -> tuple[dict[str, Any], memoryview]:
         raise MapError(f"its header is not one: {error}", fix=_DAMAGED) from error
     if not isinstance(header, dict):
         raise MapError("its header is no object", fix=_DAMAGED)
-    if name == _FIRST_FORMAT.encode():
-        header |= {"frame": FRAME, "keyframes": 0}
-    is_known = header["fields"] == [list(field) for field in _fields_of(name)]
-    if header["frame"] != FRAME or not is_known or not all(_is_count(header[name]) for name in _COUNTS):
-        raise MapError(f"its frame, fields or counts are not those of {name.decode()}", fix=_DAMAGED)
-    return header, memoryview(data)[len(name) + len(text) + 2 :]
+    if version == FORMAT:
+        is_known = header["columns"] == [list(column) for column in COLUMNS]
+    else:
+        is_known = old_storage.known_fields(header, version)
+    if header["frame"] != FRAME or not is_known or not all(_is_count(header[name], _MOST[name]) for name in _COUNTS):
+        raise MapError(f"its frame, fields or counts are not those of {version}", fix=_DAMAGED)
+    return version, header, memoryview(data)[len(name) + len(text) + 2 :]
 
 
-def _fields_of(name: bytes) -> tuple[tuple[str, str, int], ...]:
-    return _FIELDS if name == FORMAT.encode() else _FIELDS[:-1]
+def _is_count(value: object, most: float = math.inf) -> bool:
+    return type(value) is int and 0 <= value <= most
 
 
-def _is_count(value: object) -> bool:
-    return type(value) is int and value >= 0
+def _settings_of(header: dict[str, Any]) -> SurfelSettings:
+    told = {name: value for name, value in dict(header["settings"]).items() if name not in _RETIRED}
+    return checked_settings(SurfelSettings, told, MapError, "settings: ", _DAMAGED)
 
 
-def _contents(header: dict[str, Any], body: memoryview) -> tuple[Surfels, FloatArray]:
+def _contents(
+    version: str, header: dict[str, Any], body: memoryview, settings: SurfelSettings
+) -> tuple[Surfels, FloatArray]:
     """Surfels, and T_map_keyframe (keyframes, 4, 4)."""
-    n, keyframes, fields = header["surfels"], header["keyframes"], header["fields"]
-    expected = n * sum(np.dtype(dtype).itemsize * max(columns, 1) for _, dtype, columns in fields)
-    expected += keyframes * _POSE_BYTES
-    if len(body) != expected:
-        raise MapError(f"holds {len(body)} bytes of surfels and keyframes, not {expected}", fix=_DAMAGED)
+    if version != FORMAT:
+        return old_storage.contents_of(header, body, _DAMAGED)
+    if len(body) != header["bytes"]:
+        raise MapError(f"holds {len(body)} bytes of surfels and keyframes, not {header['bytes']}", fix=_DAMAGED)
     if zlib.crc32(body) != header["crc32"]:
         raise MapError("its checksum is wrong", fix=_DAMAGED)
-    arrays, begin = [], 0
-    for _, dtype, columns in fields:
-        flat = np.frombuffer(body, dtype, n * max(columns, 1), begin)
-        begin += flat.nbytes
-        arrays.append(flat.reshape(n, columns).copy() if columns else flat.copy())
-    if len(fields) < len(_FIELDS):
-        arrays.append(np.full(n, -1, np.int32))
-    surfels = Surfels(*arrays)
-    T_map_keyframe = np.frombuffer(body, "<f8", 16 * keyframes, begin).reshape(-1, 4, 4).astype(float)
-    _refuse_impossible(surfels)
-    _refuse_wrong_keyframes(surfels, T_map_keyframe)
-    return surfels, T_map_keyframe
+    lengths = [header["surfels"] * np.dtype(dtype).itemsize for _, dtype in COLUMNS]
+    *columns, poses = _decompressed(body, [*lengths, header["keyframes"] * _POSE_BYTES])
+    found = {name: unpacked(column, dtype) for (name, dtype), column in zip(COLUMNS, columns, strict=True)}
+    stamp_s = -math.inf if header["stamp_s"] is None else float(header["stamp_s"])
+    T_map_keyframe = np.frombuffer(poses, "<f8").reshape(-1, 4, 4).astype(float)
+    return surfels_of(found, stamp_s, settings.stable_confidence), T_map_keyframe
+
+
+def _decompressed(body: memoryview, lengths: list[int]) -> Iterator[bytes]:
+    """Pieces of so many bytes. Raises MapError where there are more or fewer."""
+    decompressor = lzma.LZMADecompressor(lzma.FORMAT_XZ, _MOST_MEMORY)
+    given: bytes | memoryview = body
+    try:
+        for length in lengths:
+            piece = b"" if decompressor.eof else decompressor.decompress(given, length)
+            given = b""
+            if len(piece) != length:
+                raise MapError("its surfels and keyframes are fewer than it says", fix=_DAMAGED)
+            yield piece
+        if not decompressor.eof and decompressor.decompress(given, 1):
+            raise MapError("its surfels and keyframes are more than it says", fix=_DAMAGED)
+    except lzma.LZMAError as error:
+        raise MapError(f"its surfels cannot be unpacked: {error}", fix=_DAMAGED) from error
+    if not decompressor.eof or decompressor.unused_data:
+        raise MapError("its surfels and keyframes are more than it says", fix=_DAMAGED)
 
 
 def _refuse_impossible(surfels: Surfels) -> None:
@@ -185,9 +209,9 @@ def _refuse_wrong_keyframes(surfels: Surfels, T_map_keyframe: FloatArray) -> Non
         raise MapError(f"keyframe holds numbers beyond the {len(T_map_keyframe)} there are", fix=_DAMAGED)
 
 
-def _map_of(header: dict[str, Any], surfels: Surfels, T_map_keyframe: FloatArray) -> SurfelMap:
-    told = {name: value for name, value in dict(header["settings"]).items() if name not in _RETIRED}
-    settings = checked_settings(SurfelSettings, told, MapError, "settings: ", _DAMAGED)
+def _map_of(
+    header: dict[str, Any], surfels: Surfels, T_map_keyframe: FloatArray, settings: SurfelSettings
+) -> SurfelMap:
     stamp_s, dropped, n = header["stamp_s"], header["dropped"], len(surfels.grey)
     if not _is_count(dropped):
         raise MapError(f"dropped is {dropped!r}, not a count", fix=_DAMAGED)
@@ -199,10 +223,3 @@ def _map_of(header: dict[str, Any], surfels: Surfels, T_map_keyframe: FloatArray
     if surfel_map.add(surfels, stamp_s) != n:
         raise MapError(f"{n} surfels find no room in a map of {settings.max_surfels}", fix=_DAMAGED)
     return surfel_map
-
-
-def _crc(arrays: Iterable[np.ndarray]) -> int:
-    crc = 0
-    for array in arrays:
-        crc = zlib.crc32(array.data, crc)
-    return crc

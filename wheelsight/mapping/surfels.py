@@ -153,6 +153,13 @@ class SurfelMap:
             self._follower.moves()  # moved below, with those that hang on none
         self.blocks.move(T[None], self.stamp_s, self._rules)
 
+    def settle(self) -> int:
+        """Let unstable surfels go whose time has come, wherever they are in memory; how many did.
+
+        While frames are fused a part of the map is swept a frame.
+        """
+        return self.blocks.sweep_all(self.stamp_s, self._rules)
+
     def _follow(self) -> None:
         """Move surfels as their keyframes have moved since this was called last."""
         moves = None if self._follower is None else self._follower.moves()

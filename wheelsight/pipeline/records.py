@@ -106,6 +106,7 @@ def _record_of(track: Track, passage: Passage, source: EventSource, config: Conf
 def _map(track: Track, passage: Passage, source: EventSource, config: Config) -> MapRecord | None:
     if track.localizer.map is None or passage.is_torn:
         return None
+    track.localizer.map.settle()
     if track.localizer.loops is None:
         track.stops.lay(track.localizer.map)
     else:
