@@ -21,7 +21,7 @@ from wheelsight.inputs import parse_json
 from wheelsight.recordings._azure_calibration import Registration, read_lenses
 from wheelsight.recordings._calibrated import corrected_depth
 from wheelsight.recordings._cameras import choose_calibration
-from wheelsight.recordings.protocol import AssociationReport, OpenOptions
+from wheelsight.recordings.protocol import AssociationReport, Layout, OpenOptions
 from wheelsight.trajectory import Trajectory
 
 _COLOR, _DEPTH = "COLOR", "DEPTH"
@@ -32,6 +32,7 @@ class AzureKinectReader:
     """A file of `k4arecorder`, or of another program that writes what it writes."""
 
     name = "azure_kinect"
+    layout = Layout.FILE
     needs = "an .mkv"
 
     def recognises(self, folder: Path) -> bool:

@@ -15,7 +15,7 @@ from wheelsight.recordings._file_lists import ListedFile
 from wheelsight.recordings._images import DepthEncoding
 from wheelsight.recordings._numbered import need_files, numbered_files, rate_of
 from wheelsight.recordings.image_recording import ImageRecording, pair_images, recording_of
-from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.protocol import Layout, OpenOptions
 from wheelsight.recordings.tum import DEPTH_FACTOR
 from wheelsight.trajectory import Trajectory, read_tum
 
@@ -30,6 +30,7 @@ class IclNuimReader:
     """Colour and registered depth: 16-bit PNG at 5000 units a metre, or text of distances along the pixels' rays."""
 
     name = "icl_nuim"
+    layout = Layout.NUMBERED
     needs = "*.gt.freiburg, rgb/ and depth/, or scene_*.png and .depth"
 
     def recognises(self, folder: Path) -> bool:

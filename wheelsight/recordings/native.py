@@ -15,7 +15,7 @@ from wheelsight.recordings._cameras import camera_choices, choose_calibration
 from wheelsight.recordings._images import DepthEncoding
 from wheelsight.recordings._wheel_recording import WheelRecording
 from wheelsight.recordings.image_recording import ImageRecording, recording_of
-from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.protocol import Layout, OpenOptions
 from wheelsight.recordings.tables import read_columns
 from wheelsight.recordings.text import keep_growing
 from wheelsight.recordings.tum import DEPTH_FACTOR, beside, read_frames, read_truth
@@ -30,6 +30,7 @@ class NativeReader:
     """What `RecordingWriter` writes."""
 
     name = "wheelsight"
+    layout = Layout.WHEELS
     needs = "wheels.csv and calibration.yaml; images as tum"
 
     def recognises(self, folder: Path) -> bool:

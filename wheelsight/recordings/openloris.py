@@ -15,7 +15,7 @@ from wheelsight.recordings._cameras import choose_calibration
 from wheelsight.recordings._file_lists import read_file_list
 from wheelsight.recordings._images import DepthEncoding
 from wheelsight.recordings.image_recording import ImageRecording, pair_images, recording_of
-from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.protocol import Layout, OpenOptions
 from wheelsight.recordings.tum import read_truth
 
 _CAMERA = "d400_color_optical_frame"
@@ -32,6 +32,7 @@ class OpenLorisReader:
     """Colour and depth aligned to it, both of a RealSense D435i; 1000 depth units a metre; truth of base_link."""
 
     name = "openloris"
+    layout = Layout.LISTS
     needs = "color.txt, aligned_depth.txt and sensors.yaml"
 
     def recognises(self, folder: Path) -> bool:

@@ -14,7 +14,7 @@ from wheelsight.recordings._file_lists import ListedFile
 from wheelsight.recordings._images import DepthEncoding
 from wheelsight.recordings._numbered import WrittenPose, need_files, numbered_files, rate_of, true_poses
 from wheelsight.recordings.image_recording import ImageRecording, pair_images, recording_of
-from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.protocol import Layout, OpenOptions
 from wheelsight.recordings.text import Line, read_lines
 
 _COLOR_FOLDERS = ("rgb", "image", "color")
@@ -28,6 +28,7 @@ class RedwoodReader:
     """Colour and registered depth in millimetres; poses in the log map the camera into the room."""
 
     name = "redwood"
+    layout = Layout.NUMBERED
     needs = "rgb/, image/ or color/ with N.jpg, depth/N.png and one *.log"
 
     def recognises(self, folder: Path) -> bool:

@@ -17,7 +17,7 @@ from wheelsight.recordings._cameras import choose_calibration
 from wheelsight.recordings._images import DepthEncoding
 from wheelsight.recordings._numbered import WrittenPose, need_files, numbered_files, rate_of, true_poses
 from wheelsight.recordings.image_recording import ImageRecording, pair_images, recording_of
-from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.protocol import Layout, OpenOptions
 from wheelsight.recordings.text import read_lines
 from wheelsight.trajectory import Trajectory
 
@@ -34,6 +34,7 @@ class ReplicaReader:
     """Colour and depth, both rendered at one place; units a metre as the camera's file says."""
 
     name = "replica"
+    layout = Layout.NUMBERED
     needs = "results/frameN.jpg and depthN.png, and cam_params.json"
 
     def recognises(self, folder: Path) -> bool:

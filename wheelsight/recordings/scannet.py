@@ -22,7 +22,7 @@ from wheelsight.recordings._numbered import WrittenPose, rate_of, true_poses
 from wheelsight.recordings._read_ahead import read_ahead
 from wheelsight.recordings._sens_file import SensFile, SensFrame, SensHeader, color_of, depth_units_of, read_sens
 from wheelsight.recordings.bodies import express_for
-from wheelsight.recordings.protocol import AssociationReport, ListedFrame, OpenOptions
+from wheelsight.recordings.protocol import AssociationReport, Layout, ListedFrame, OpenOptions
 from wheelsight.trajectory import Trajectory
 
 _FRAMES_READ_AHEAD = 4
@@ -34,6 +34,7 @@ class ScanNetReader:
     """A file of ScanNet's, or of another program that writes version 4 of its format."""
 
     name = "scannet"
+    layout = Layout.FILE
     needs = "a .sens"
 
     def recognises(self, folder: Path) -> bool:

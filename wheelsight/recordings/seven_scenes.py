@@ -15,7 +15,7 @@ from wheelsight.recordings._file_lists import ListedFile
 from wheelsight.recordings._images import DepthEncoding
 from wheelsight.recordings._numbered import WrittenPose, intrinsic_numbers, need_files, rate_of, read_matrix, true_poses
 from wheelsight.recordings.image_recording import FramePaths, ImageRecording, pair_images, recording_of
-from wheelsight.recordings.protocol import OpenOptions, Reader
+from wheelsight.recordings.protocol import Layout, OpenOptions, Reader
 from wheelsight.trajectory import Trajectory
 
 _DEPTH = DepthEncoding(factor=1000.0, invalid=65535)
@@ -32,6 +32,7 @@ class SevenScenesReader:
     """
 
     name = "seven_scenes"
+    layout = Layout.NUMBERED
     needs = "frame-NNNNNN.color.png or .jpg, and .depth.png"
 
     def recognises(self, folder: Path) -> bool:

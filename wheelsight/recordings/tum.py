@@ -16,7 +16,7 @@ from wheelsight.recordings._cameras import camera_choices, choose_calibration, l
 from wheelsight.recordings._file_lists import read_file_list
 from wheelsight.recordings._images import DepthEncoding
 from wheelsight.recordings.image_recording import FramePaths, ImageRecording, PairedImages, pair_images, recording_of
-from wheelsight.recordings.protocol import AssociationReport, OpenOptions
+from wheelsight.recordings.protocol import AssociationReport, Layout, OpenOptions
 from wheelsight.trajectory import Trajectory, read_tum
 
 DEPTH_FACTOR = 5000.0
@@ -28,6 +28,7 @@ class TumReader:
     """Colour and registered depth in PNG or JPEG files; 5000 depth units a metre."""
 
     name = "tum"
+    layout = Layout.LISTS
     needs = "rgb.txt and depth.txt"
 
     def recognises(self, folder: Path) -> bool:
