@@ -23,8 +23,8 @@ _LINE_EVERY_S = 10.0
 
 def line_of(look: SessionLook, width: int) -> str:
     """Time, frames and readings a second, drops by cause, disk: with all words where there is room, else with few."""
-    for separator, parts in ((" · ", _words(look)), (" · ", _fewer_words(look))):
-        if len(text := separator.join(parts)) <= width:
+    for are_few in (False, True):
+        if len(text := " · ".join(_words(look, are_few))) <= width:
             return text
     causes = " ".join(f"{_short(cause)} {count}" for cause, count in look.drops.items())
     for drops in (f"dropped: {causes}", f"{sum(look.drops.values())} dropped"):
@@ -33,27 +33,19 @@ def line_of(look: SessionLook, width: int) -> str:
     return text[: max(width, 0)]
 
 
-def _words(look: SessionLook) -> Iterator[str]:
+def _words(look: SessionLook, are_few: bool) -> Iterator[str]:
     yield clock_of(look.seconds)
     if look.camera is not None:
         yield f"{look.frames_per_s:.1f} frames/s"
     if look.link is not None:
-        yield f"{look.readings_per_s:.0f} wheel readings/s"
+        yield f"{look.readings_per_s:.0f} {'wheels' if are_few else 'wheel readings'}/s"
     if look.camera is not None:
-        yield _drops(look, str)
-    yield f"{look.bytes_per_s / 1e6:.1f} MB/s, {_bytes(look.free_bytes)} free{_left(look, ', full in ')}"
-
-
-def _fewer_words(look: SessionLook) -> Iterator[str]:
-    yield clock_of(look.seconds)
-    if look.camera is not None:
-        yield f"{look.frames_per_s:.1f} frames/s"
-    if look.link is not None:
-        yield f"{look.readings_per_s:.0f} wheels/s"
-    if look.camera is not None:
-        yield _drops(look, _short)
-    yield f"{look.bytes_per_s / 1e6:.0f} MB/s"
-    yield f"{_bytes(look.free_bytes)}{_left(look, ' = ')}"
+        yield _drops(look, _short if are_few else str)
+    if are_few:
+        yield f"{look.bytes_per_s / 1e6:.0f} MB/s"
+        yield f"{_bytes(look.free_bytes)}{_left(look, ' = ')}"
+    else:
+        yield f"{look.bytes_per_s / 1e6:.1f} MB/s, {_bytes(look.free_bytes)} free{_left(look, ', full in ')}"
 
 
 def _fewest_words(look: SessionLook, drops: str) -> Iterator[str]:
