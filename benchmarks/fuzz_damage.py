@@ -149,6 +149,8 @@ def _changes_of(name: str, data: bytes) -> tuple[Callable[[bytes, Rng], bytes], 
         return (*_BYTES, *_ARCHIVE * 3)
     if name.endswith(".surfels"):
         return (*_BYTES, *_MAP * 3)
+    if name.endswith((".sens", ".bag", ".mcap")):
+        return _BYTES
     if name.endswith(".yaml"):
         return (*_BYTES, *_TEXT, *_YAML * 4)
     return (*_BYTES, *_TEXT * 4)

@@ -55,6 +55,18 @@ def test_a_png_whose_parts_contradict_it_has_no_size(parts: bytes) -> None:
     assert picture_size(b"\x89PNG\r\n\x1a\n" + parts + chunk(b"IEND", b"")) is None
 
 
+@pytest.mark.parametrize("count", [99_000, 101_000])
+def test_what_would_take_long_to_go_through_has_no_size(count: int) -> None:
+    """Each is of so many parts; readers are to refuse in a moment what is made to hold them up."""
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 16, 12, 16, 0, 0, 0, 0))
+    png = b"\x89PNG\r\n\x1a\n" + header + count * chunk(b"tEXt", b"") + chunk(b"IEND", b"")
+    frame = b"\xff\xc0" + struct.pack(">HBHHB", 8, 8, 12, 16, 1)
+    size = (16, 12) if count < 100_000 else None
+    assert picture_size(png) == size
+    assert picture_size(b"\xff\xd8" + count * b"\xff\x01" + frame) == size
+    assert picture_size(b"\xff\xd8" + count * b"\xff" + frame) == size
+
+
 def test_a_tile_larger_than_its_image_counts() -> None:
     fields = ((256, 16), (257, 16), (322, 1 << 16), (323, 1 << 15))
     packed = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in fields)

@@ -75,7 +75,7 @@ class Eye:
         self._rng = np.random.default_rng(7)
         self._key: tuple[float, FloatArray] | None = None  # stamp and T_odom_camera
         self._last: tuple[float, FloatArray] | None = None
-        self._place, self._wrong = 0, np.eye(4)
+        self._place, self._wrong, self._T_first = 0, np.eye(4), T_base_camera
         self.stage_seconds, self.store = {"align": 0.001}, KeyframeStore()
         self.priors: dict[float, tuple[float, FloatArray | None]] = {}
         self.others: dict[float, tuple[FloatArray | None, ...]] = {}
@@ -97,7 +97,7 @@ class Eye:
         frame = replace(frame, stamp_s=self.taken_s.get(frame.index, frame.stamp_s))
         shows = self._sight(frame.stamp_s)
         if self._last is None and shows.blind is None:
-            return self._begin(frame.stamp_s, self._T_base_camera)
+            return self._begin(frame.stamp_s, self._T_first)
         if self._last is None or self._key is None or shows.blind is not None or shows.place != self._place:
             return self._fail(shows.blind or Reason.NOT_RECOGNISED, frame.stamp_s)
         self.priors[frame.stamp_s] = self._last[0], T_previous_current_prior
@@ -118,6 +118,9 @@ class Eye:
         self.restarts[frame.stamp_s] = T_odom_camera
         self._place = self._sight(frame.stamp_s).place
         return self._begin(frame.stamp_s, T_odom_camera)
+
+    def begin_at(self, T_map_camera: FloatArray) -> None:
+        self._T_first = T_map_camera
 
     def miss(self, stamp_s: float) -> Estimate:
         return self._fail(Reason.FRAME_UNUSABLE, stamp_s)

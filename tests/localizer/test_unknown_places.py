@@ -90,7 +90,7 @@ class Loops:
         self.asked.append(number)
         return len(self.asked) >= self.times
 
-    def hand_over(self, stamp_s: float, T_odom_map: FloatArray, covariance: FloatArray | None) -> None:
+    def hand_over(self, stamp_s: float, T_odom_map: FloatArray, covariance: FloatArray) -> None:
         pass
 
     def called(self, answer: FusedEstimate) -> FusedEstimate:

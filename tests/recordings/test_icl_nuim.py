@@ -69,6 +69,18 @@ def test_damaged_distances_spoil_one_frame(tmp_path: Path, change: object, probl
     assert isinstance(second, RgbdFrame)
 
 
+@pytest.mark.parametrize("word", [b"1e300", b"9e38", b"-1", b"nan", b"inf"])
+def test_a_distance_of_no_camera_was_not_measured(tmp_path: Path, word: bytes) -> None:
+    make_icl_nuim(tmp_path, as_rendered=True)
+    path = tmp_path / "scene_00_0001.depth"
+    path.write_bytes(word + path.read_bytes()[path.read_bytes().index(b" ") :])
+    first, second = open_recording(tmp_path).events()
+    assert isinstance(first, RgbdFrame)
+    assert isinstance(second, RgbdFrame)
+    assert first.depth_m[0, 0] == 0
+    assert (first.depth_m.ravel()[1:] > 0).all()
+
+
 def test_truth_of_two_rooms_is_refused_and_none_is_said(tmp_path: Path) -> None:
     make_icl_nuim(tmp_path, as_rendered=True)
     path = tmp_path / "livingRoom2.gt.freiburg"

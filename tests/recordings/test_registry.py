@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -67,8 +68,24 @@ def test_a_missing_folder_a_file_and_an_unknown_folder(tmp_path, tum_folder):
     with pytest.raises(RecordingError) as caught:
         open_recording(tmp_path / "empty")
     for name in reader_names():
-        assert f"{name} needs " in str(caught.value)
-    assert "…" not in str(caught.value)
+        assert re.search(rf"[:,] {name}\b", str(caught.value))
+    assert "docs/recordings.md" in not_none(caught.value.fix)
+    assert len(caught.value.problem) < 400  # half of what an error shows, so that more formats have room
+
+
+@pytest.mark.parametrize(
+    ("there", "told"),
+    [
+        ("imu.csv", "skid_steer needs encoders.csv and imu.csv"),
+        ("sensors.yaml", "openloris needs color.txt, aligned_depth.txt and sensors.yaml"),
+        ("cam_params.json", "replica needs results/frameN.jpg and depthN.png, and cam_params.json"),
+    ],
+)
+def test_an_unknown_folder_is_told_what_is_missing(tmp_path, there, told):
+    (tmp_path / there).write_text("")
+    with pytest.raises(RecordingError) as caught:
+        open_recording(tmp_path)
+    assert told in not_none(caught.value.fix)
 
 
 def test_a_folder_of_recordings_points_to_one(tmp_path, tum_folder):

@@ -28,33 +28,25 @@ def line_of(look: SessionLook, width: int, seconds: float | None = None) -> str:
     """
     causes = " ".join(f"{_short(cause)} {count}" for cause, count in look.drops.items())
     few = f"{sum(look.drops.values())} dropped" if causes else ""
-    lines = [" · ".join(_words(look, seconds)), " · ".join(_fewer_words(look, seconds))]
+    lines = [" · ".join(_words(look, seconds, are_few)) for are_few in (False, True)]
     lines += [" ".join(_fewest_words(look, seconds, f"dropped: {causes}" if causes else ""))]
     lines += [" ".join(_fewest_words(look, seconds, few, has_speed=has_speed)) for has_speed in (True, False)]
     return next((line for line in lines if len(line) <= width), lines[-1][: max(width, 0)])
 
 
-def _words(look: SessionLook, seconds: float | None) -> Iterator[str]:
-    yield _time_of(look, seconds, " of ")
+def _words(look: SessionLook, seconds: float | None, are_few: bool) -> Iterator[str]:
+    yield _time_of(look, seconds, "/" if are_few else " of ")
     if look.camera is not None:
         yield f"{look.recorder.frames} frames, {look.frames_per_s:.1f}/s"
     if look.link is not None:
-        yield f"{look.recorder.readings} wheel readings, {look.readings_per_s:.0f}/s"
+        yield f"{look.recorder.readings} {'wheels' if are_few else 'wheel readings'}, {look.readings_per_s:.0f}/s"
     if look.camera is not None:
-        yield _drops(look, str)
-    yield f"{look.bytes_per_s / 1e6:.1f} MB/s, {_bytes(look.free_bytes)} free{_left(look, ', full in ')}"
-
-
-def _fewer_words(look: SessionLook, seconds: float | None) -> Iterator[str]:
-    yield _time_of(look, seconds, "/")
-    if look.camera is not None:
-        yield f"{look.recorder.frames} frames, {look.frames_per_s:.1f}/s"
-    if look.link is not None:
-        yield f"{look.recorder.readings} wheels, {look.readings_per_s:.0f}/s"
-    if look.camera is not None:
-        yield _drops(look, _short)
-    yield f"{look.bytes_per_s / 1e6:.0f} MB/s"
-    yield f"{_bytes(look.free_bytes)}{_left(look, ' = ')}"
+        yield _drops(look, _short if are_few else str)
+    if are_few:
+        yield f"{look.bytes_per_s / 1e6:.0f} MB/s"
+        yield f"{_bytes(look.free_bytes)}{_left(look, ' = ')}"
+    else:
+        yield f"{look.bytes_per_s / 1e6:.1f} MB/s, {_bytes(look.free_bytes)} free{_left(look, ', full in ')}"
 
 
 def _fewest_words(look: SessionLook, seconds: float | None, drops: str, *, has_speed: bool = True) -> Iterator[str]:

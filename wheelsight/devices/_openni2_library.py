@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from wheelsight.devices._c_library import c_library
 from wheelsight.errors import DeviceError
 from wheelsight.geometry import ByteArray
 from wheelsight.geometry.arrays import UInt16Array
@@ -111,17 +112,12 @@ class StreamFrame:
 @cache
 def library() -> Any:
     """The library, ready. Raises DeviceError where it is missing or does not start."""
-    for name in _NAMES:
-        try:
-            found = c.CDLL(name)
-        except OSError:
-            continue
-        found.oniGetExtendedError.restype = c.c_char_p
-        found.oniDeviceGetSensorInfo.restype = c.POINTER(_SensorInfo)
-        if found.oniInitialize(_API_VERSION) != 0:
-            raise DeviceError(f"OpenNI2 does not start: {_last_error(found)}", fix="reinstall libopenni2-0")
-        return found
-    raise DeviceError("OpenNI2 is missing", fix="sudo apt-get install libopenni2-0")
+    found = c_library("OpenNI2", _NAMES, "libopenni2-0")
+    found.oniGetExtendedError.restype = c.c_char_p
+    found.oniDeviceGetSensorInfo.restype = c.POINTER(_SensorInfo)
+    if found.oniInitialize(_API_VERSION) != 0:
+        raise DeviceError(f"OpenNI2 does not start: {_last_error(found)}", fix="reinstall libopenni2-0")
+    return found
 
 
 def driver_folder() -> Path | None:

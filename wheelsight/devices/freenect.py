@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from wheelsight.calibration_parts import least_step
+from wheelsight.devices._c_library import c_library
 from wheelsight.devices.camera_driver import DeviceImages, OpenedDevice
 from wheelsight.devices.frame_pairs import FramePairs, Stamped
 from wheelsight.devices.nominal_cameras import structured_light
@@ -65,15 +66,10 @@ _Callback = c.CFUNCTYPE(None, c.c_void_p, c.c_void_p, c.c_uint32)
 @cache
 def library() -> Any:
     """The library. Raises DeviceError where it is missing."""
-    for name in _NAMES:
-        try:
-            found = c.CDLL(name)
-        except OSError:
-            continue
-        for finder in (found.freenect_find_video_mode, found.freenect_find_depth_mode):
-            finder.restype = _Mode
-        return found
-    raise DeviceError("libfreenect is missing", fix="sudo apt-get install libfreenect0.5")
+    found = c_library("libfreenect", _NAMES, "libfreenect0.5")
+    for finder in (found.freenect_find_video_mode, found.freenect_find_depth_mode):
+        finder.restype = _Mode
+    return found
 
 
 class FreenectDriver:

@@ -59,14 +59,21 @@ class CameraMap:
         anchor: the frame against which the camera's motions are told to the filter; None before the camera begins.
         seen_s: stamp of the last frame that was believed.
         keyframe: by which the camera remembers it.
+
+    Args:
+        T_base_camera: (4, 4).
+        T_map_camera: (4, 4) where the camera is at first, while the base is at the origin of odom; None: the map
+            begins there.
     """
 
-    def __init__(self, T_base_camera: FloatArray) -> None:
+    def __init__(self, T_base_camera: FloatArray, T_map_camera: FloatArray | None = None) -> None:
         self.T_odom_map: FloatArray = np.eye(4)
         self.anchor: Anchor | None = None
         self.seen_s = -np.inf
         self._T_base_camera = T_base_camera
         self._T_map_odom: FloatArray = np.eye(4)
+        if T_map_camera is not None:
+            self._lay(T_base_camera, T_map_camera)
         self._T_map_camera: FloatArray | None = None  # at the last frame, where that was believed
         self.keyframe: KeyframeId | None = None
         self._T_keyframe_map: FloatArray | None = None
@@ -83,9 +90,11 @@ class CameraMap:
     def lay(self, T_odom_base: FloatArray | None) -> None:
         """Put the map to where the last frame, if it was believed, is where the base was by what is known now."""
         if self._T_map_camera is not None and T_odom_base is not None:
-            T_odom_camera = motions.times(T_odom_base, self._T_base_camera)
-            self.T_odom_map = motions.mended(motions.times(T_odom_camera, motions.inverse(self._T_map_camera)))
-            self._T_map_odom = motions.inverse(self.T_odom_map)
+            self._lay(motions.times(T_odom_base, self._T_base_camera), self._T_map_camera)
+
+    def _lay(self, T_odom_camera: FloatArray, T_map_camera: FloatArray) -> None:
+        self.T_odom_map = motions.mended(motions.times(T_odom_camera, motions.inverse(T_map_camera)))
+        self._T_map_odom = motions.inverse(self.T_odom_map)
 
     def moved(self, T_new_old: FloatArray) -> None:
         """Loops have moved the map by (4, 4), from the left, where the camera is; in odom nothing moves."""

@@ -69,6 +69,10 @@ class FusedCamera:
             self._pace.tell(frame.stamp_s, seen.T_odom_body)
         return seen
 
+    def begin_at(self, T_map_camera: FloatArray) -> None:
+        """Where the camera is (4, 4), if the next frame is the first one that shows enough."""
+        self.odometry.begin_at(T_map_camera)
+
     def moved(self, T_new_old: FloatArray) -> None:
         """Loops have moved the map by (4, 4), from the left, where the camera is."""
         self._pace.moved(T_new_old)

@@ -128,21 +128,20 @@ class LoopsBeside:
         self,
         stamp_s: float,
         T_odom_map: FloatArray,
-        covariance: FloatArray | None,
+        covariance: FloatArray,
         motion: tuple[FloatArray, FloatArray] | None = None,
     ) -> None:
         """Keyframes that odometry has kept at a frame, where the camera's pose in odom is as uncertain as (6, 6).
 
         `motion`: of the camera since the last one that was handed over; see `LivedKeyframe`.
         """
-        if covariance is None:
-            return
         for number in range(self._told, len(self._store)):
             T_odom_keyframe = se3.nearest(T_odom_map @ self._store.pose(KeyframeId(number)))
             begins = number > 0 and number in self._pieces
             T_before_now = self._laid_since(KeyframeId(number))
             lived = (KeyframeId(number), stamp_s, T_odom_keyframe, covariance, begins, T_before_now)
-            self._live.add(LivedKeyframe(*lived, None if number > self._told else motion))
+            since = None if number > self._told else motion
+            self._live.add(LivedKeyframe(*lived, since, self._store.pose(KeyframeId(number))))
         self._told = len(self._store)
 
     def _laid_since(self, number: KeyframeId) -> FloatArray | None:

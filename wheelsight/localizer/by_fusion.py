@@ -17,7 +17,7 @@ from wheelsight.localizer._camera import mount_of
 from wheelsight.localizer._camera_map import Anchor, CameraMap, blurred, is_far, strayed
 from wheelsight.localizer._carried import Carried, UnsureStart
 from wheelsight.localizer._fused_camera import FusedCamera
-from wheelsight.localizer._loops import loops_beside
+from wheelsight.localizer._loops import begin_in, loops_beside
 from wheelsight.localizer._place_sense import PlaceSense
 from wheelsight.localizer.by_places import Places
 from wheelsight.localizer.map_builder import MapBuilder
@@ -55,7 +55,9 @@ class ByFusion:
         self._base = BaseSensors(calibration, settings.wheels)
         self.hears: tuple[type[Event], ...] = (*self._base.hears, RgbdFrame, SkippedFrame)
         self._camera = FusedCamera(calibration, settings, T_base_camera, known)
-        self._map, self._of_frame = CameraMap(T_base_camera), frame_covariance(calibration)
+        begins = None if known is None else begin_in(known, calibration, settings.loops.pieces)
+        self._map, self._of_frame = CameraMap(T_base_camera, begins), frame_covariance(calibration)
+        self._start_is_said = known is not None and known.start is not None
         self._places = None if places is None else PlaceSense(places, settings.fusion.areas)
         T_start, spread = (None, None) if self._places is None else self._places.start
         filter_settings = settings.fusion.error_state.with_wheels(calibration.wheels)
@@ -187,6 +189,8 @@ class ByFusion:
         """Track, judge, and remember what was believed."""
         self._map.forget_frame()
         self._close_loops(frame.stamp_s)
+        if self._start_is_said and self._map.anchor is None:  # said of the robot at first, which may have moved since
+            self._camera.begin_at(self._map.camera_at(self.filter.when_imaged(frame.stamp_s)))
         twist = self._camera.twist(self.filter.estimate)
         seen = self._camera.process(frame, expected, twist, ask_wheels=not self._check.suspects_wheels)
         if seen.T_odom_body is None:

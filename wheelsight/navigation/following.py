@@ -10,12 +10,13 @@ import numpy as np
 from wheelsight.commands import VelocityCommand
 from wheelsight.errors import ArgumentError
 from wheelsight.geometry import FloatArray
+from wheelsight.geometry.se2 import wrap_angle
 from wheelsight.navigation._field_kernels import clearance_at, free_arc, people_apart
 from wheelsight.navigation.control_settings import FollowSettings
 from wheelsight.navigation.control_values import ControlReason, ControlResult, DrivenPath, MotionState
 from wheelsight.navigation.fields import CostField, Outline, checked, outline_of
 from wheelsight.navigation.footprint import Footprint
-from wheelsight.navigation.segments import Segment, cut, wrapped
+from wheelsight.navigation.segments import Segment, cut
 from wheelsight.robot_limits import RobotLimits
 
 _TURN_STEP_RAD = 0.05
@@ -134,7 +135,7 @@ class PathFollower:
         goal, s, state = self._poses[-1], self._settings, situation.state
         if np.hypot(*(state.pose[:2] - goal[:2])) > s.goal_m:
             return self._stand(ControlReason.MISSED)
-        if abs(wrapped(float(state.pose[2] - goal[2]))) > s.goal_rad / 2 or abs(state.turn_rad_s) > s.standing_rad_s:
+        if abs(wrap_angle(state.pose[2] - goal[2])) > s.goal_rad / 2 or abs(state.turn_rad_s) > s.standing_rad_s:
             turning = self._turn_to(situation, float(goal[2]))
             if turning is not None:
                 return turning
@@ -162,7 +163,7 @@ class PathFollower:
         if situation.rest_m <= s.at_end_m or (stands and situation.rest_m <= 2 * s.at_end_m):
             return None if stands and abs(state.turn_rad_s) <= s.standing_rad_s else self._stand(None)
         heading = float(np.arctan2(point[3], point[2]))
-        off = abs(wrapped(heading - float(state.pose[2])))
+        off = abs(wrap_angle(heading - state.pose[2]))
         if self._is_turning or (stands and off > s.turn_first_rad):
             self._is_turning = off > s.turned_rad
             turning = self._turn_to(situation, heading)
@@ -184,7 +185,7 @@ class PathFollower:
     def _turn_to(self, situation: Situation, yaw: float) -> ControlResult | None:
         """A turn in place; None where it is turned."""
         s, state = self._settings, situation.state
-        off = wrapped(yaw - float(state.pose[2]))
+        off = float(wrap_angle(yaw - state.pose[2]))
         turns = abs(state.turn_rad_s) > s.standing_rad_s
         if abs(off) <= s.at_yaw_rad:
             return self._stand(None) if turns else None

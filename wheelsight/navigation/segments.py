@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from wheelsight.geometry import FloatArray
+from wheelsight.geometry.se2 import wrap_angle
 
 _SAME_M, _SAME_RAD = 1e-3, 1e-3
 _MOST_TURN_RAD = 3.0
@@ -46,7 +47,7 @@ def cut(poses: FloatArray, spacing_m: float, kink_rad: float) -> tuple[Segment, 
         way = after[:2] - before[:2]
         if np.hypot(*way) >= _SAME_M:
             made.drive(way, before, after, kink_rad)
-        elif abs(wrapped(after[2] - before[2])) > _SAME_RAD:
+        elif abs(wrap_angle(after[2] - before[2])) > _SAME_RAD:
             made.turn(after)
     made.turn(poses[-1])
     return tuple(made.segments)
@@ -67,7 +68,7 @@ class _Cutter:
     def drive(self, way: FloatArray, before: FloatArray, after: FloatArray, kink_rad: float) -> None:
         """A piece of a way; on with those before where it is as they are."""
         direction, heading = _driving(way, float(before[2]), float(after[2]))
-        if self._direction and (direction != self._direction or abs(wrapped(heading - self._yaw)) > kink_rad):
+        if self._direction and (direction != self._direction or abs(wrap_angle(heading - self._yaw)) > kink_rad):
             self.turn(np.array([*before[:2], heading]))
         self._nodes.append(after[:2])
         self._headings.append(heading)
@@ -77,7 +78,7 @@ class _Cutter:
         """End what is driven; and a turn to a pose's yaw, where that is another."""
         if self._headings:
             self.segments.append(_driven(np.array(self._nodes), self._headings, self._direction, self._spacing_m))
-        turn = wrapped(float(pose[2]) - self._yaw)
+        turn = float(wrap_angle(pose[2] - self._yaw))
         if abs(turn) > _SAME_RAD:
             self._turn(turn, np.array([*self._nodes[-1], pose[2]]))
         self._yaw, self._nodes = float(pose[2]), [pose[:2]]
@@ -93,18 +94,13 @@ class _Cutter:
         self.segments.append(Segment(0, np.empty((0, 5)), end))
 
 
-def wrapped(angle_rad: float) -> float:
-    """The same angle from -π to π."""
-    return float((angle_rad + np.pi) % (2 * np.pi) - np.pi)
-
-
 def _driving(way: FloatArray, yaw_before: float, yaw_after: float) -> tuple[int, float]:
     """Direction of a piece, and the robot's heading along it."""
     along = float(np.arctan2(way[1], way[0]))
     by_before, by_after = np.cos(along - yaw_before), np.cos(along - yaw_after)
     # One of both may be that of a robot or a goal, which looks anywhere.
     direction = 1 if (by_before if abs(by_before) > abs(by_after) else by_after) >= 0 else -1
-    return direction, along if direction > 0 else wrapped(along + np.pi)
+    return direction, along if direction > 0 else float(wrap_angle(along + np.pi))
 
 
 def _driven(nodes: FloatArray, headings: list[float], direction: int, spacing_m: float) -> Segment:

@@ -27,6 +27,7 @@ _KINDS = {
 
 _DISTANCES = Kind("a text of distances", most_mb=32, missing="listed depth image is absent")  # of 640×480 has 3 MB
 _LONGEST_NUMBER = 40  # characters
+_FARTHEST_M = 1e6  # no camera measures so far, and what is much larger has no place in 32 bits
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +157,7 @@ def _check_size(data: bytes, path: Path, kind: str) -> None:
 
 
 def _of_distances(path: Path, encoding: DepthEncoding, camera: PinholeCamera) -> Float32Array:
-    """Depth (H, W) of distances along rays, row by row; what is not finite or negative was not measured."""
+    """Depth (H, W) of distances along rays, row by row; what is no distance of this world was not measured."""
     words = read_bytes(path, _DISTANCES, RecordingError).split()
     if len(words) != camera.width * camera.height:
         problem = f"holds {len(words)} distances where {camera.width}×{camera.height} pixels need one each"
@@ -167,7 +168,8 @@ def _of_distances(path: Path, encoding: DepthEncoding, camera: PinholeCamera) ->
         distances = np.array(words).astype(np.float64).reshape(camera.height, camera.width)
     except ValueError as error:
         raise RecordingError(f"holds what is no number: {error}", path=path, fix="copy the file again") from error
-    distances[~(np.isfinite(distances) & (distances > 0))] = 0
+    most = encoding.factor * _FARTHEST_M
+    distances[~((distances > 0) & (distances <= most))] = 0
     lengths = np.linalg.norm(camera.rays(), axis=-1)
     depth_m: Float32Array = (distances / encoding.factor / lengths).astype(np.float32)
     _check_scale(_median(depth_m, path), path, encoding)

@@ -19,8 +19,9 @@ from wheelsight.geometry import ByteArray
 from wheelsight.geometry.arrays import UInt16Array
 from wheelsight.inputs import parse_json
 from wheelsight.recordings._azure_calibration import Registration, read_lenses
+from wheelsight.recordings._calibrated import corrected_depth
 from wheelsight.recordings._cameras import choose_calibration
-from wheelsight.recordings.protocol import AssociationReport, OpenOptions
+from wheelsight.recordings.protocol import AssociationReport, Layout, OpenOptions
 from wheelsight.trajectory import Trajectory
 
 _COLOR, _DEPTH = "COLOR", "DEPTH"
@@ -31,6 +32,7 @@ class AzureKinectReader:
     """A file of `k4arecorder`, or of another program that writes what it writes."""
 
     name = "azure_kinect"
+    layout = Layout.FILE
     needs = "an .mkv"
 
     def recognises(self, folder: Path) -> bool:
@@ -137,7 +139,7 @@ class AzureKinectRecording:
         if pixels is None or pixels.shape != (camera.height, camera.width, 3):
             return SkippedFrame(pair.stamp_s, "colour image is damaged", index)
         seen, depth_m = self.registration.straightened(pixels), self.registration.registered(depth_mm)
-        depth_m = self.calibration.depth_error.corrected(depth_m, self.calibration.cameras[1])
+        depth_m = corrected_depth(seen, depth_m, self.calibration, (self.path, self.path))
         return RgbdFrame(pair.stamp_s, seen, depth_m, index, pair.depth_late_s)
 
 

@@ -11,7 +11,7 @@ from wheelsight.geometry import se3
 from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import choose_calibration, load_camera
 from wheelsight.recordings.image_recording import ImageRecording
-from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.protocol import Layout, OpenOptions
 from wheelsight.recordings.tum import open_lists, read_truth
 from wheelsight.trajectory import Trajectory
 
@@ -33,6 +33,7 @@ class BonnReader:
     """Colour and registered depth in PNG files; 5000 depth units a metre."""
 
     name = "bonn"
+    layout = Layout.LISTS
     needs = f"as tum, in {_PREFIX}*"
 
     def recognises(self, folder: Path) -> bool:

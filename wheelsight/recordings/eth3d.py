@@ -12,7 +12,7 @@ from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import choose_calibration
 from wheelsight.recordings._images import color_size
 from wheelsight.recordings.image_recording import FramePaths, ImageRecording
-from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.protocol import Layout, OpenOptions
 from wheelsight.recordings.text import read_lines
 from wheelsight.recordings.tum import open_lists
 
@@ -24,6 +24,7 @@ class Eth3dReader:
     """Undistorted colour and depth registered to it, both of a global shutter; 5000 depth units a metre."""
 
     name = "eth3d"
+    layout = Layout.LISTS
     needs = "as tum, and calibration.txt"
 
     def recognises(self, folder: Path) -> bool:

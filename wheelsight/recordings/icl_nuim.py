@@ -14,8 +14,8 @@ from wheelsight.recordings._cameras import choose_calibration, load_camera
 from wheelsight.recordings._file_lists import ListedFile
 from wheelsight.recordings._images import DepthEncoding
 from wheelsight.recordings._numbered import need_files, numbered_files, rate_of
-from wheelsight.recordings.image_recording import ImageRecording, complete, pair_images
-from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.image_recording import ImageRecording, pair_images, recording_of
+from wheelsight.recordings.protocol import Layout, OpenOptions
 from wheelsight.recordings.tum import DEPTH_FACTOR
 from wheelsight.trajectory import Trajectory, read_tum
 
@@ -30,6 +30,7 @@ class IclNuimReader:
     """Colour and registered depth: 16-bit PNG at 5000 units a metre, or text of distances along the pixels' rays."""
 
     name = "icl_nuim"
+    layout = Layout.NUMBERED
     needs = "*.gt.freiburg, rgb/ and depth/, or scene_*.png and .depth"
 
     def recognises(self, folder: Path) -> bool:
@@ -44,19 +45,15 @@ class IclNuimReader:
         color, depth = _list_files(folder, rate_hz)
         need_files(color, "colour image", folder, self.needs)
         need_files(depth, "depth image", folder, self.needs)
-        frames, association = pair_images(color, depth, 0.0, folder)
-        return complete(
-            ImageRecording(
-                name=folder.resolve().name,
-                path=folder,
-                format=self.name,
-                calibration=calibration,
-                association=association,
-                frames=frames,
-                encoding=_encoding(depth, calibration, options),
-                ground_truth=_read_truth(folder, rate_hz, warnings),
-                warnings=tuple(warnings),
-            )
+        images = pair_images(color, depth, 0.0, folder)
+        return recording_of(
+            folder,
+            self.name,
+            calibration,
+            images,
+            _encoding(depth, calibration, options),
+            _read_truth(folder, rate_hz, warnings),
+            warnings,
         )
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from wheelsight.association import associate
 from wheelsight.calibration import Calibration
 from wheelsight.errors import CalibrationError, RecordingError
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks, YawRate
-from wheelsight.geometry import PinholeCamera
+from wheelsight.recordings._calibrated import corrected_depth
 from wheelsight.recordings._file_lists import ListedFile
 from wheelsight.recordings._images import DepthEncoding, image_size, read_color, read_depth
 from wheelsight.recordings._read_ahead import read_ahead
@@ -101,13 +102,10 @@ class ImageRecording:
         encoding = replace(self.encoding, disparity=error) if error.is_of_disparity else self.encoding
         color, depth_m = read_color(files.color), read_depth(files.depth, encoding)
         registered = self.calibration.is_registered
-        color_camera, depth_camera = self.calibration.cameras
         if registered and color.shape[:2] != depth_m.shape:
             problem = f"depth image is {image_size(depth_m)}, its colour image {image_size(color)}"
             raise RecordingError(problem, path=files.depth, fix="register depth to colour, or give T_color_depth")
-        _check_size("colour", image_size(color), color_camera, files.color)
-        _check_size("depth", image_size(depth_m), depth_camera, files.depth)
-        depth_m = error.corrected(depth_m, depth_camera)
+        depth_m = corrected_depth(color, depth_m, self.calibration, (files.color, files.depth))
         return RgbdFrame(files.stamp_s, color, depth_m, index, files.depth_late_s)
 
     def _frame_or_reason(self, index: int) -> RgbdFrame | SkippedFrame:
@@ -117,13 +115,52 @@ class ImageRecording:
             return SkippedFrame(self.frames[index].stamp_s, error.problem, index)
 
 
-def complete(recording: ImageRecording) -> ImageRecording:
-    """A recording tried and made ready: some frame can be read, truth is told for its body, warnings are added.
+class PairedImages(NamedTuple):
+    """The frames of a folder, and how colour and depth were paired."""
+
+    frames: tuple[FramePaths, ...]
+    association: AssociationReport
+
+
+def recording_of(
+    folder: Path,
+    reader: str,
+    calibration: Calibration,
+    images: PairedImages,
+    encoding: DepthEncoding,
+    truth: Trajectory | None,
+    warnings: Sequence[str],
+    *,
+    wheels: Sequence[WheelTicks] = (),
+    yaw_rates: Sequence[YawRate] = (),
+) -> ImageRecording:
+    """The recording in a folder, tried: some frame can be read, truth is told for its body, warnings are added.
+
+    Args:
+        folder: where it lies, whose name is the recording's.
+        reader: its name.
+        calibration, encoding, wheels, yaw_rates: as `ImageRecording` has them.
+        images: its frames.
+        truth: T_frame_body of camera or base.
+        warnings: of what was read so far.
 
     Raises:
         RecordingError: none of some frames spread over the recording can be used; says why the first cannot.
         CalibrationError: the ground truth describes another body, and nothing says where that is.
     """
+    recording = ImageRecording(
+        name=folder.resolve().name,
+        path=folder,
+        format=reader,
+        calibration=calibration,
+        association=images.association,
+        frames=images.frames,
+        encoding=encoding,
+        ground_truth=truth,
+        warnings=tuple(warnings),
+        wheels=tuple(wheels),
+        yaw_rates=tuple(yaw_rates),
+    )
     _try_frames(recording)
     if recording.ground_truth is None:
         return recording
@@ -136,7 +173,7 @@ def complete(recording: ImageRecording) -> ImageRecording:
 
 def pair_images(
     color: Sequence[ListedFile], depth: Sequence[ListedFile], max_gap_s: float, color_list: Path
-) -> tuple[tuple[FramePaths, ...], AssociationReport]:
+) -> PairedImages:
     """Frames of the colour and depth images that belong together, and how that went.
 
     Raises:
@@ -160,19 +197,11 @@ def pair_images(
         for (i, j), late in zip(pairs.tolist(), late_s.tolist(), strict=True)
     )
     largest_s = float(np.abs(color_s[pairs[:, 0]] - depth_s[pairs[:, 1]]).max())
-    return frames, AssociationReport(len(color), len(depth), len(frames), max_gap_s, largest_s)
+    return PairedImages(frames, AssociationReport(len(color), len(depth), len(frames), max_gap_s, largest_s))
 
 
 def _stamp_s(event: Event | ListedFrame) -> float:
     return event.stamp_s
-
-
-def _check_size(name: str, size: str, camera: PinholeCamera, path: Path) -> None:
-    expected = f"{camera.width}×{camera.height}"
-    if size != expected:
-        raise RecordingError(
-            f"{name} image is {size}, the calibration's {expected}", path=path, fix="choose another with --camera"
-        )
 
 
 def _try_frames(recording: ImageRecording) -> None:

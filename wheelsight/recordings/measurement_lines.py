@@ -16,7 +16,7 @@ from wheelsight.geometry import FloatArray, se3
 from wheelsight.matches import Match, SpeedVariances
 from wheelsight.recordings._cameras import choose_calibration
 from wheelsight.recordings._wheel_recording import WheelRecording, need_wheels, shipped_robot, speeds_of_wheels
-from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.protocol import Layout, OpenOptions
 from wheelsight.recordings.text import keep_growing, read_lines
 from wheelsight.trajectory import Trajectory
 
@@ -40,6 +40,7 @@ class MeasurementLineReader:
     """
 
     name = "measurement_lines"
+    layout = Layout.WHEELS
     needs = f"one {_INPUT} of odom2 lines, and {_TRUTH}"
 
     def recognises(self, folder: Path) -> bool:

@@ -14,8 +14,8 @@ from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import camera_choices, choose_calibration
 from wheelsight.recordings._images import DepthEncoding
 from wheelsight.recordings._wheel_recording import WheelRecording
-from wheelsight.recordings.image_recording import ImageRecording, complete
-from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.image_recording import ImageRecording, recording_of
+from wheelsight.recordings.protocol import Layout, OpenOptions
 from wheelsight.recordings.tables import read_columns
 from wheelsight.recordings.text import keep_growing
 from wheelsight.recordings.tum import DEPTH_FACTOR, beside, read_frames, read_truth
@@ -30,6 +30,7 @@ class NativeReader:
     """What `RecordingWriter` writes."""
 
     name = "wheelsight"
+    layout = Layout.WHEELS
     needs = "wheels.csv and calibration.yaml; images as tum"
 
     def recognises(self, folder: Path) -> bool:
@@ -49,22 +50,18 @@ class NativeReader:
         if not has_images:
             given = (tuple(wheels), tuple(yaw_rates), truth, tuple(warnings))
             return WheelRecording(folder.resolve().name, folder, self.name, calibration, *given)
-        frames, association, more = read_frames(folder, options)
+        images, more = read_frames(folder, options)
         warnings += more
-        return complete(
-            ImageRecording(
-                name=folder.resolve().name,
-                path=folder,
-                format=self.name,
-                calibration=calibration,
-                association=association,
-                frames=frames,
-                encoding=DepthEncoding(options.depth_factor or DEPTH_FACTOR),
-                ground_truth=truth or beside(read_truth(folder / "groundtruth.txt", warnings), frames, options),
-                warnings=tuple(warnings),
-                wheels=tuple(wheels),
-                yaw_rates=tuple(yaw_rates),
-            )
+        return recording_of(
+            folder,
+            self.name,
+            calibration,
+            images,
+            DepthEncoding(options.depth_factor or DEPTH_FACTOR),
+            truth or beside(read_truth(folder / "groundtruth.txt", warnings), images.frames, options),
+            warnings,
+            wheels=wheels,
+            yaw_rates=yaw_rates,
         )
 
 

@@ -14,8 +14,8 @@ from wheelsight.inputs import is_there, read_yaml
 from wheelsight.recordings._cameras import choose_calibration
 from wheelsight.recordings._file_lists import read_file_list
 from wheelsight.recordings._images import DepthEncoding
-from wheelsight.recordings.image_recording import ImageRecording, complete, pair_images
-from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.image_recording import ImageRecording, pair_images, recording_of
+from wheelsight.recordings.protocol import Layout, OpenOptions
 from wheelsight.recordings.tum import read_truth
 
 _CAMERA = "d400_color_optical_frame"
@@ -32,6 +32,7 @@ class OpenLorisReader:
     """Colour and depth aligned to it, both of a RealSense D435i; 1000 depth units a metre; truth of base_link."""
 
     name = "openloris"
+    layout = Layout.LISTS
     needs = "color.txt, aligned_depth.txt and sensors.yaml"
 
     def recognises(self, folder: Path) -> bool:
@@ -45,7 +46,7 @@ class OpenLorisReader:
         depth, depth_warnings = read_file_list(folder / "aligned_depth.txt")
         warnings += depth_warnings
         calibration = choose_calibration(folder, options, lambda: _calibration(folder))
-        frames, association = pair_images(color, depth, options.max_gap_s, folder / "color.txt")
+        images = pair_images(color, depth, options.max_gap_s, folder / "color.txt")
         if is_there(folder / "odom.txt"):
             warnings.append("odom.txt holds poses the robot computed, no encoder ticks; it is not used.")
         truth = read_truth(folder / "groundtruth.txt", warnings, body="base")
@@ -54,18 +55,14 @@ class OpenLorisReader:
                 "The ground truth describes the base, but nothing says where the camera is; it is not used."
             )
             truth = None
-        return complete(
-            ImageRecording(
-                name=folder.resolve().name,
-                path=folder,
-                format=self.name,
-                calibration=calibration,
-                association=association,
-                frames=frames,
-                encoding=DepthEncoding(options.depth_factor or _DEPTH_FACTOR),
-                ground_truth=truth,
-                warnings=tuple(warnings),
-            )
+        return recording_of(
+            folder,
+            self.name,
+            calibration,
+            images,
+            DepthEncoding(options.depth_factor or _DEPTH_FACTOR),
+            truth,
+            warnings,
         )
 
 

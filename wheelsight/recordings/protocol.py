@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from os import PathLike
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -194,12 +195,25 @@ class OpenOptions:
         return (self.calibration,) if isinstance(self.calibration, str | PathLike) else tuple(self.calibration)
 
 
+class Layout(StrEnum):
+    """By what a format is told from others, in words for a user whose folder is of none."""
+
+    LISTS = "lists of images"
+    NUMBERED = "numbered images"
+    WHEELS = "tables of wheels"
+    FILE = "one file"
+
+
 class Reader(Protocol):
     """Reads one format of recording."""
 
     @property
     def name(self) -> str:
         """What the format is called."""
+
+    @property
+    def layout(self) -> Layout:
+        """What its recordings are made of."""
 
     @property
     def needs(self) -> str:

@@ -13,8 +13,8 @@ from wheelsight.recordings._cameras import choose_calibration, load_camera
 from wheelsight.recordings._file_lists import ListedFile
 from wheelsight.recordings._images import DepthEncoding
 from wheelsight.recordings._numbered import WrittenPose, need_files, numbered_files, rate_of, true_poses
-from wheelsight.recordings.image_recording import ImageRecording, complete, pair_images
-from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.image_recording import ImageRecording, pair_images, recording_of
+from wheelsight.recordings.protocol import Layout, OpenOptions
 from wheelsight.recordings.text import Line, read_lines
 
 _COLOR_FOLDERS = ("rgb", "image", "color")
@@ -28,6 +28,7 @@ class RedwoodReader:
     """Colour and registered depth in millimetres; poses in the log map the camera into the room."""
 
     name = "redwood"
+    layout = Layout.NUMBERED
     needs = "rgb/, image/ or color/ with N.jpg, depth/N.png and one *.log"
 
     def recognises(self, folder: Path) -> bool:
@@ -44,19 +45,15 @@ class RedwoodReader:
         color, depth = (numbered_files(place.iterdir(), _IMAGE, rate_hz) for place in (color_folder, folder / "depth"))
         need_files(color, "colour image called by its number", color_folder, self.needs)
         need_files(depth, "depth image called by its number", folder / "depth", self.needs)
-        frames, association = pair_images(color, depth, 0.0, folder)
-        return complete(
-            ImageRecording(
-                name=folder.resolve().name,
-                path=folder,
-                format=self.name,
-                calibration=calibration,
-                association=association,
-                frames=frames,
-                encoding=DepthEncoding(options.depth_factor or _DEPTH_FACTOR),
-                ground_truth=true_poses(_read_log(_only_log(folder), depth, warnings), warnings),
-                warnings=tuple(warnings),
-            )
+        images = pair_images(color, depth, 0.0, folder)
+        return recording_of(
+            folder,
+            self.name,
+            calibration,
+            images,
+            DepthEncoding(options.depth_factor or _DEPTH_FACTOR),
+            true_poses(_read_log(_only_log(folder), depth, warnings), warnings),
+            warnings,
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 from wheelsight.errors import RecordingError
@@ -18,7 +19,7 @@ from wheelsight.recordings.image_recording import ImageRecording
 from wheelsight.recordings.measurement_lines import MeasurementLineReader
 from wheelsight.recordings.native import NativeReader
 from wheelsight.recordings.openloris import OpenLorisReader
-from wheelsight.recordings.protocol import OpenOptions, Reader, Recording
+from wheelsight.recordings.protocol import Layout, OpenOptions, Reader, Recording
 from wheelsight.recordings.redwood import RedwoodReader
 from wheelsight.recordings.replica import ReplicaReader
 from wheelsight.recordings.rosbag.reader import BagReader
@@ -29,7 +30,7 @@ from wheelsight.recordings.three_d_match import ThreeDMatchReader
 from wheelsight.recordings.tum import TumReader
 from wheelsight.recordings.velocities import VelocityReader
 
-_OF_FOLDERS: tuple[Reader, ...] = (
+_READERS: tuple[Reader, ...] = (
     NativeReader(),
     OpenLorisReader(),
     ThreeDMatchReader(),
@@ -43,9 +44,12 @@ _OF_FOLDERS: tuple[Reader, ...] = (
     SkidSteerReader(),
     VelocityReader(),
     MeasurementLineReader(),
+    BagReader(),
+    AzureKinectReader(),
+    ScanNetReader(),
 )
-_OF_FILES: tuple[Reader, ...] = (BagReader(), AzureKinectReader(), ScanNetReader())
-_READERS = (*_OF_FOLDERS, *_OF_FILES)
+_LEAST = f"the least is tum's: {TumReader.needs}"
+_MOST_NEAR = 3
 _SEARCH_DEPTH = 3
 _MOST_SEARCHED = 10_000  # folders, which take a second or two
 
@@ -132,9 +136,17 @@ def _unknown(folder: Path) -> RecordingError:
     inside = find_recordings(folder)
     if inside:
         return RecordingError("is no recording itself", path=folder, fix=f"did you mean {inside[0]}?")
-    folders, files = (_needs(readers) for readers in (_OF_FOLDERS, _OF_FILES))
-    return RecordingError(f"no reader recognises this folder; {folders}", path=folder, fix=files)
+    named = {kind: sorted(reader.name for reader in _READERS if reader.layout is kind) for kind in Layout}
+    known = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in named.items())
+    return RecordingError(f"no reader recognises this folder; known are {known}", path=folder, fix=_fix_of(folder))
 
 
-def _needs(readers: tuple[Reader, ...]) -> str:
-    return "; ".join(f"{reader.name} needs {reader.needs}" for reader in readers)
+def _fix_of(folder: Path) -> str:
+    """What else the formats need that need some of what is there; of none, where to read about all of them."""
+    near = (f"{reader.name} needs {reader.needs}" for reader in _READERS if _has_some(folder, reader.needs))
+    return "; ".join(islice(near, _MOST_NEAR)) or f"docs/recordings.md says which files each needs; {_LEAST}"
+
+
+def _has_some(folder: Path, needs: str) -> bool:
+    names = (word.strip(",;") for word in needs.split())
+    return any((folder / name).exists() for name in names if name.endswith("/") or "." in name)

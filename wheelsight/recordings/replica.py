@@ -16,8 +16,8 @@ from wheelsight.inputs import Kind, is_there, parse_json, read_text
 from wheelsight.recordings._cameras import choose_calibration
 from wheelsight.recordings._images import DepthEncoding
 from wheelsight.recordings._numbered import WrittenPose, need_files, numbered_files, rate_of, true_poses
-from wheelsight.recordings.image_recording import ImageRecording, complete, pair_images
-from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.image_recording import ImageRecording, pair_images, recording_of
+from wheelsight.recordings.protocol import Layout, OpenOptions
 from wheelsight.recordings.text import read_lines
 from wheelsight.trajectory import Trajectory
 
@@ -34,6 +34,7 @@ class ReplicaReader:
     """Colour and depth, both rendered at one place; units a metre as the camera's file says."""
 
     name = "replica"
+    layout = Layout.NUMBERED
     needs = "results/frameN.jpg and depthN.png, and cam_params.json"
 
     def recognises(self, folder: Path) -> bool:
@@ -47,22 +48,18 @@ class ReplicaReader:
         rate_hz = rate_of(options, warnings)
         written = _read_camera(folder)
         calibration = choose_calibration(folder, options, lambda: _calibration(folder, written))
-        images = list((folder / "results").iterdir())
-        color, depth = (numbered_files(images, pattern, rate_hz) for pattern in (_COLOR, _DEPTH))
+        files = list((folder / "results").iterdir())
+        color, depth = (numbered_files(files, pattern, rate_hz) for pattern in (_COLOR, _DEPTH))
         need_files(color, "colour image", folder / "results", self.needs)
-        frames, association = pair_images(color, depth, 0.0, folder / "results")
-        return complete(
-            ImageRecording(
-                name=folder.resolve().name,
-                path=folder,
-                format=self.name,
-                calibration=calibration,
-                association=association,
-                frames=frames,
-                encoding=DepthEncoding(options.depth_factor or _units_a_metre(written)),
-                ground_truth=_read_truth(folder / _TRUTH, rate_hz, warnings),
-                warnings=tuple(warnings),
-            )
+        images = pair_images(color, depth, 0.0, folder / "results")
+        return recording_of(
+            folder,
+            self.name,
+            calibration,
+            images,
+            DepthEncoding(options.depth_factor or _units_a_metre(written)),
+            _read_truth(folder / _TRUTH, rate_hz, warnings),
+            warnings,
         )
 
 

@@ -15,13 +15,14 @@ from wheelsight.calibration import Calibration
 from wheelsight.errors import CalibrationError, RecordingError
 from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.geometry import PinholeCamera, se3
+from wheelsight.recordings._calibrated import corrected_depth
 from wheelsight.recordings._cameras import choose_calibration
-from wheelsight.recordings._images import DepthEncoding, decoded_color, depth_of_units, image_size
+from wheelsight.recordings._images import DepthEncoding, decoded_color, depth_of_units
 from wheelsight.recordings._numbered import WrittenPose, rate_of, true_poses
 from wheelsight.recordings._read_ahead import read_ahead
 from wheelsight.recordings._sens_file import SensFile, SensFrame, SensHeader, color_of, depth_units_of, read_sens
 from wheelsight.recordings.bodies import express_for
-from wheelsight.recordings.protocol import AssociationReport, ListedFrame, OpenOptions
+from wheelsight.recordings.protocol import AssociationReport, Layout, ListedFrame, OpenOptions
 from wheelsight.trajectory import Trajectory
 
 _FRAMES_READ_AHEAD = 4
@@ -33,6 +34,7 @@ class ScanNetReader:
     """A file of ScanNet's, or of another program that writes version 4 of its format."""
 
     name = "scannet"
+    layout = Layout.FILE
     needs = "a .sens"
 
     def recognises(self, folder: Path) -> bool:
@@ -111,13 +113,7 @@ class ScanNetRecording:
         color = decoded_color(color_of(self.path, frame), self.path)
         units = depth_units_of(self.path, frame, self.header)
         depth_m = depth_of_units(units, self.encoding, self.path)
-        for name, size, camera in zip(
-            ("colour", "depth"), (image_size(color), image_size(depth_m)), self.calibration.cameras, strict=True
-        ):
-            if size != f"{camera.width}×{camera.height}":
-                problem = f"{name} image is {size}, the calibration's {camera.width}×{camera.height}"
-                raise RecordingError(problem, path=self.path, fix="choose another with --camera")
-        depth_m = self.calibration.depth_error.corrected(depth_m, self.calibration.cameras[1])
+        depth_m = corrected_depth(color, depth_m, self.calibration, (self.path, self.path))
         return RgbdFrame(self.stamps_s[index], color, depth_m, index)
 
     def _frame_or_reason(self, index: int) -> RgbdFrame | SkippedFrame:

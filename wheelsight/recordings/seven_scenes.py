@@ -14,8 +14,8 @@ from wheelsight.recordings._cameras import choose_calibration, load_camera
 from wheelsight.recordings._file_lists import ListedFile
 from wheelsight.recordings._images import DepthEncoding
 from wheelsight.recordings._numbered import WrittenPose, intrinsic_numbers, need_files, rate_of, read_matrix, true_poses
-from wheelsight.recordings.image_recording import FramePaths, ImageRecording, complete, pair_images
-from wheelsight.recordings.protocol import OpenOptions, Reader
+from wheelsight.recordings.image_recording import FramePaths, ImageRecording, pair_images, recording_of
+from wheelsight.recordings.protocol import Layout, OpenOptions, Reader
 from wheelsight.trajectory import Trajectory
 
 _DEPTH = DepthEncoding(factor=1000.0, invalid=65535)
@@ -32,6 +32,7 @@ class SevenScenesReader:
     """
 
     name = "seven_scenes"
+    layout = Layout.NUMBERED
     needs = "frame-NNNNNN.color.png or .jpg, and .depth.png"
 
     def recognises(self, folder: Path) -> bool:
@@ -61,25 +62,21 @@ def open_frames(
     files = _list_files(folder, rate_of(options, warnings))
     for kind in ("color", "depth"):
         need_files(files[kind], f"frame-NNNNNN.{kind} image", folder, reader.needs)
-    frames, association = pair_images(files["color"], files["depth"], 0.0, folder)
-    calibration = calibration_of(frames)
+    images = pair_images(files["color"], files["depth"], 0.0, folder)
+    calibration = calibration_of(images.frames)
     if not calibration.is_registered:
         warnings.append(
             "Colour and depth images are not registered: things lie up to about 40 px apart in them. "
             f"They are joined by T_color_depth of: {calibration.source}."
         )
-    return complete(
-        ImageRecording(
-            name=folder.resolve().name,
-            path=folder,
-            format=reader.name,
-            calibration=calibration,
-            association=association,
-            frames=frames,
-            encoding=replace(_DEPTH, factor=options.depth_factor or _DEPTH.factor),
-            ground_truth=_read_truth(files["pose"], of_truth, warnings),
-            warnings=tuple(warnings),
-        )
+    return recording_of(
+        folder,
+        reader.name,
+        calibration,
+        images,
+        replace(_DEPTH, factor=options.depth_factor or _DEPTH.factor),
+        _read_truth(files["pose"], of_truth, warnings),
+        warnings,
     )
 
 

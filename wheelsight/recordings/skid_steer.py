@@ -9,7 +9,7 @@ from wheelsight.events import WheelTicks, YawRate
 from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import choose_calibration
 from wheelsight.recordings._wheel_recording import WheelRecording, shipped_robot
-from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.protocol import Layout, OpenOptions
 from wheelsight.recordings.tables import read_columns
 from wheelsight.recordings.text import keep_growing
 from wheelsight.recordings.tum import read_truth
@@ -26,6 +26,7 @@ class SkidSteerReader:
     """
 
     name = "skid_steer"
+    layout = Layout.WHEELS
     needs = "encoders.csv and imu.csv"
 
     def recognises(self, folder: Path) -> bool:

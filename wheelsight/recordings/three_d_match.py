@@ -12,7 +12,7 @@ from wheelsight.recordings._cameras import choose_calibration
 from wheelsight.recordings._images import color_size
 from wheelsight.recordings._numbered import intrinsic_numbers
 from wheelsight.recordings.image_recording import FramePaths, ImageRecording
-from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.protocol import Layout, OpenOptions
 from wheelsight.recordings.seven_scenes import has_frames, open_frames
 
 _INTRINSICS = "camera-intrinsics.txt"
@@ -24,6 +24,7 @@ class ThreeDMatchReader:
     """Colour and depth registered to it; depth in millimetres, 0 or 65535 where nothing was measured."""
 
     name = "three_d_match"
+    layout = Layout.NUMBERED
     needs = "as seven_scenes, and camera-intrinsics.txt above"
 
     def recognises(self, folder: Path) -> bool:

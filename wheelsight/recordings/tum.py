@@ -15,8 +15,8 @@ from wheelsight.recordings._associations import read_associations
 from wheelsight.recordings._cameras import camera_choices, choose_calibration, load_camera
 from wheelsight.recordings._file_lists import read_file_list
 from wheelsight.recordings._images import DepthEncoding
-from wheelsight.recordings.image_recording import FramePaths, ImageRecording, complete, pair_images
-from wheelsight.recordings.protocol import AssociationReport, OpenOptions
+from wheelsight.recordings.image_recording import FramePaths, ImageRecording, PairedImages, pair_images, recording_of
+from wheelsight.recordings.protocol import AssociationReport, Layout, OpenOptions
 from wheelsight.trajectory import Trajectory, read_tum
 
 DEPTH_FACTOR = 5000.0
@@ -28,6 +28,7 @@ class TumReader:
     """Colour and registered depth in PNG or JPEG files; 5000 depth units a metre."""
 
     name = "tum"
+    layout = Layout.LISTS
     needs = "rgb.txt and depth.txt"
 
     def recognises(self, folder: Path) -> bool:
@@ -55,31 +56,26 @@ def open_lists(
 
     `truth_of` reads groundtruth.txt, if it is not of the camera as it stands.
     """
-    frames, association, warnings = read_frames(folder, options)
-    return complete(
-        ImageRecording(
-            name=folder.resolve().name,
-            path=folder,
-            format=name,
-            calibration=calibration_of(frames),
-            association=association,
-            frames=frames,
-            encoding=DepthEncoding(options.depth_factor or DEPTH_FACTOR),
-            ground_truth=beside((truth_of or read_truth)(folder / "groundtruth.txt", warnings), frames, options),
-            warnings=tuple(warnings),
-        )
+    images, warnings = read_frames(folder, options)
+    return recording_of(
+        folder,
+        name,
+        calibration_of(images.frames),
+        images,
+        DepthEncoding(options.depth_factor or DEPTH_FACTOR),
+        beside((truth_of or read_truth)(folder / "groundtruth.txt", warnings), images.frames, options),
+        warnings,
     )
 
 
-def read_frames(folder: Path, options: OpenOptions) -> tuple[tuple[FramePaths, ...], AssociationReport, list[str]]:
-    """The frames of rgb.txt and depth.txt, how they were paired, and warnings. Raises RecordingError."""
+def read_frames(folder: Path, options: OpenOptions) -> tuple[PairedImages, list[str]]:
+    """The frames of rgb.txt and depth.txt, and warnings. Raises RecordingError."""
     color, color_warnings = read_file_list(folder / "rgb.txt", options.rate_hz)
     depth, depth_warnings = read_file_list(folder / "depth.txt", options.rate_hz)
     warnings = color_warnings + depth_warnings
     ready = next((folder / name for name in _ASSOCIATIONS if is_there(folder / name)), None)
     if ready is None:
-        frames, association = pair_images(color, depth, options.max_gap_s, folder / "rgb.txt")
-        return frames, association, warnings
+        return pair_images(color, depth, options.max_gap_s, folder / "rgb.txt"), warnings
     pairs, pair_warnings = read_associations(ready, options.rate_hz)
     frames = tuple(pair.frame for pair in pairs)
     gap_s = max(pair.gap_s for pair in pairs)
@@ -87,7 +83,7 @@ def read_frames(folder: Path, options: OpenOptions) -> tuple[tuple[FramePaths, .
         max(len(color), len(frames)), max(len(depth), len(frames)), len(frames), gap_s, gap_s
     )
     note = f"Colour and depth are paired as {ready.name} says, with gaps up to {gap_s:.3f} s."
-    return frames, association, [*warnings, *pair_warnings, note]
+    return PairedImages(frames, association), [*warnings, *pair_warnings, note]
 
 
 def beside(truth: Trajectory | None, frames: tuple[FramePaths, ...], options: OpenOptions) -> Trajectory | None:

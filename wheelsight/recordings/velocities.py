@@ -11,7 +11,7 @@ from wheelsight.geometry import se3
 from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import choose_calibration
 from wheelsight.recordings._wheel_recording import WheelRecording, need_wheels, shipped_robot, speeds_of_wheels
-from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.protocol import Layout, OpenOptions
 from wheelsight.recordings.tables import read_columns, read_table
 from wheelsight.recordings.text import keep_growing
 from wheelsight.trajectory import Trajectory
@@ -25,6 +25,7 @@ class VelocityReader:
     """
 
     name = "velocities"
+    layout = Layout.WHEELS
     needs = "odometry.csv and ground_truth.csv"
 
     def recognises(self, folder: Path) -> bool:

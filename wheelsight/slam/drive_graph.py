@@ -31,6 +31,8 @@ class LivedKeyframe:
         motion: from the one before, (4, 4), and the covariance (6, 6) of its left perturbation, by all that is known
             now: where odometry has thought better of the way since, odom leaps, and the robot has not. None: as the
             poses in odom say.
+        T_map_keyframe: (4, 4) where odometry has laid it in the map; it counts of a drive's first one, where somebody
+            says where the drive begins: the robot may have moved before its camera saw anything. None: it has not.
     """
 
     number: KeyframeId
@@ -40,6 +42,7 @@ class LivedKeyframe:
     begins: bool = False
     T_before_now: FloatArray | None = None
     motion: tuple[FloatArray, FloatArray] | None = None
+    T_map_keyframe: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,8 +172,12 @@ class DriveGraph:
         if keyframe.number and self._start is None:
             self._begin_piece(keyframe)
             return
-        start = anchor(keyframe.number, keyframe.T_odom_keyframe)
-        self._hold(start if self._start is None else Prior(keyframe.number, *self._start), piece=0)
+        if self._start is None:
+            self._hold(anchor(keyframe.number, keyframe.T_odom_keyframe), piece=0)
+            return
+        T_said, covariance = self._start
+        T_map_keyframe = T_said if keyframe.T_map_keyframe is None else keyframe.T_map_keyframe
+        self._hold(Prior(keyframe.number, T_map_keyframe, covariance), piece=0)
 
     def _begin_piece(self, keyframe: LivedKeyframe) -> None:
         """It is held where odom has it, until loops say where it lies."""

@@ -10,7 +10,20 @@ FROM_NOWHERE, FROM_MATCHES, FROM_KEYFRAMES = "none", "matches", "keyframes"
 _FROM_0053 = "docs/decisions/0053: synthetic graphs, found on the simulator alone"
 
 
-class MatchSettings(Settings):
+class StepSettings(Settings):
+    """What is added to the error of the way from a keyframe to the next."""
+
+    plane_sigma_m: float = setting(
+        1e-3,
+        "added to the error of each step, metres a coordinate: odometry in a plane states none out of it",
+        "reckoned: floors are level to some millimetres a metre",
+        gt=0,
+        le=1,
+    )
+    plane_sigma_rad: float = setting(1e-3, "likewise, radians an axis", "reckoned, likewise", gt=0, le=1)
+
+
+class MatchSettings(StepSettings):
     """What a match from outside is worth where its file does not say; see `wheelsight.matches`."""
 
     least_score: float = setting(
@@ -34,14 +47,6 @@ class MatchSettings(Settings):
     keyframe_way_m: float = setting(
         1.0, "way after which there is a keyframe where no match asks for one, metres", CHOSEN, gt=0, le=1000
     )
-    plane_sigma_m: float = setting(
-        1e-3,
-        "added to the error of each step, metres a coordinate: odometry in a plane states none out of it",
-        "reckoned: floors are level to some millimetres a metre",
-        gt=0,
-        le=1,
-    )
-    plane_sigma_rad: float = setting(1e-3, "likewise, radians an axis", "reckoned, likewise", gt=0, le=1)
 
 
 class SeenSettings(Settings):

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
 from wheelsight.keyframes import KeyframeId
 from wheelsight.slam.graph import Prior, RelativePose
+from wheelsight.slam.settings import StepSettings
 
 # The first keyframe holds the map where it began; so little, in metres and radians, is as good as exact.
 ANCHOR_SIGMA = 1e-4
@@ -20,23 +19,11 @@ def anchor(keyframe: KeyframeId, T_map_keyframe: FloatArray) -> Prior:
     return Prior(keyframe, T_map_keyframe, ANCHOR_SIGMA**2 * np.eye(6))
 
 
-class LeastErrors(Protocol):
-    """What is added to the error of each step: odometry in a plane states none out of it."""
-
-    @property
-    def plane_sigma_m(self) -> float:
-        """Metres a coordinate."""
-
-    @property
-    def plane_sigma_rad(self) -> float:
-        """Radians an axis."""
-
-
 def step_edge(
     ends: tuple[KeyframeId, KeyframeId],
     before: tuple[FloatArray, FloatArray],
     now: tuple[FloatArray, FloatArray],
-    settings: LeastErrors,
+    settings: StepSettings,
 ) -> RelativePose:
     """From one keyframe to the next, by poses (4, 4) with covariances (6, 6) that grow along the way."""
     T_step, _ = motions.between(*before, *now)

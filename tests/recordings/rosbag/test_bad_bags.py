@@ -14,6 +14,7 @@ from written_bags import (
     OPTICAL,
     START_S,
     Drive,
+    Messages,
     camera_drive,
     color_image,
     odometry_drive,
@@ -25,6 +26,9 @@ from wheelsight.events import RgbdFrame, SkippedFrame, WheelSpeeds
 from wheelsight.recordings import open_recording
 from wheelsight.recordings.clocks import FRAMES as FRAME_STAMPS
 from wheelsight.recordings.clocks import WHEELS, listed_stamps, refuse_if_apart
+from wheelsight.recordings.rosbag.cut_mcap import McapFile
+from wheelsight.recordings.rosbag.images import depth_of
+from wheelsight.recordings.rosbag.storage import OpenBag
 from wheelsight.recordings.rosbag.writing import new_bag
 
 
@@ -260,3 +264,33 @@ def test_the_last_message_of_a_topic_that_ends_early_is_found(opened) -> None:
     stamps = listed_stamps(opened(drive))
     assert stamps[FRAME_STAMPS][-1] == pytest.approx(START_S + 0.1 + 5 / 30, abs=1e-5)
     assert stamps[WHEELS][-1] == pytest.approx(START_S + 59.8)
+
+
+def test_no_more_of_an_mcap_is_asked_for_than_there_is(tmp_path: Path) -> None:
+    """Damaged records say that they are as long as may be, and no computer has room for so much."""
+    path = file_of(tmp_path)
+    with McapFile(path).open() as stream:
+        stream.seek(8)
+        assert stream.read(1 << 62) == path.read_bytes()[8:]
+
+
+@pytest.mark.parametrize(("is_ros1", "fix"), [(True, "rosbag reindex drive.bag"), (False, "mcap recover")])
+def test_an_index_of_messages_that_are_not_there_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_ros1: bool, fix: str
+) -> None:
+    path = file_of(tmp_path, is_ros1)
+    monkeypatch.setattr(OpenBag, "messages", lambda *_, **__: iter(()))
+    with pytest.raises(RecordingError, match=r"its index tells of messages of .*, and none is there") as caught:
+        open_recording(path)
+    assert fix in str(caught.value)
+
+
+def test_depth_that_is_no_number_is_not_measured(tmp_path: Path) -> None:
+    """Among them a signalling NaN, which processors complain of, and what is infinite once it is scaled."""
+    pixels = np.full((4, 6), 2.0, np.float32)
+    pixels.view(np.uint32)[0, :4] = 0x7FA00000, 0x7FC00000, 0x7F800000, 0xFF800000
+    pixels[1, :2] = 3e38, -1.0
+    depth_m = depth_of(Messages(is_ros1=False).image(0.0, OPTICAL, "32FC1", pixels), 0.5, tmp_path)
+    assert (depth_m[0, :4] == 0).all()
+    assert (depth_m[1, :2] == 0).all()
+    assert (depth_m[2:] == 4.0).all()

@@ -180,6 +180,11 @@ def test_the_mount_of_tf_tells_which_way_is_up(opened) -> None:
     assert not any(warning.startswith("/imu") for warning in recording.warnings)
 
 
+def test_an_acceleration_of_no_sensor_is_no_gravity(opened) -> None:
+    recording = opened(with_imu((0, 0, 0.3), (1e200, 0, 9.81)))
+    assert not any("up is where gravity says" in warning for warning in recording.warnings)
+
+
 def test_gravity_is_believed_rather_than_tf(opened) -> None:
     drive = with_imu(*UP_IS_Y)
     drive.add(0.0, "/tf_static", drive.make.tf(("base_link", "imu_link", (0, 0, 0), (0, 0, 0, 1))))

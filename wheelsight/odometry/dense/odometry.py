@@ -83,7 +83,7 @@ class DenseOdometry:
         self._verifier = Verifier(self._settings, keypoints, self._views, self._locator.doubt, self.watch)
         parts = (self._gridder, self._locator, keypoints, self._views, self.store)
         self._policy = KeyframePolicy(self._settings, *parts)
-        self._T_map_first = np.eye(4) if T_map_first is None else need_motion("T_map_first", T_map_first)
+        self.begin_at(np.eye(4) if T_map_first is None else T_map_first)
         self._state, self._stamps = TrackingState(self._settings.lost_after), StampCheck()
         self._first: tuple[RgbdFrame, Features] | None = None
         self._last: Tracked | None = None
@@ -137,6 +137,10 @@ class DenseOdometry:
             # Wheels that spin expect what is not so, and lead astray.
             found = self._find(frame, features, last, replace(prior, T_last_frame=None))
         return self._accept(found) if isinstance(found, Tracked) else self._fail(frame.stamp_s, found)
+
+    def begin_at(self, T_map_camera: FloatArray) -> None:
+        """Say before the first frame with depth where the camera (4, 4) is then. Raises ArgumentError for no motion."""
+        self._T_map_first = need_motion("T_map_first", T_map_camera)
 
     def miss(self, stamp_s: float) -> DenseEstimate:
         """Count a frame that came to nothing before it reached odometry, as a failed one."""

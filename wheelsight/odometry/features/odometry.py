@@ -66,8 +66,7 @@ class FeatureOdometry:
         self._map_tracker = MapTracker(calibration, self._settings)
         self._T_color_camera = calibration.T_color_camera
         self._of_frame = frame_covariance(calibration)
-        T_map_camera = np.eye(4) if T_map_first is None else need_motion("T_map_first", T_map_first)
-        self._T_map_first: FloatArray = T_map_camera @ se3.invert(self._T_color_camera)
+        self.begin_at(np.eye(4) if T_map_first is None else T_map_first)
         self._last: View | None = None
         self._first_raw: Features | None = None
         self._velocity: FloatArray = np.zeros(6)
@@ -118,6 +117,11 @@ class FeatureOdometry:
         if isinstance(fix, Fix) and self._first_raw is not None:
             fix = self._begin_again(self._first_raw, raw, fix)
         return self._succeed(frame, fix) if isinstance(fix, Fix) else self._fail(raw.stamp_s, fix)
+
+    def begin_at(self, T_map_camera: FloatArray) -> None:
+        """Say before the first tracked frame where the camera is then, (4, 4). Raises ArgumentError for no motion."""
+        T_map_camera = need_motion("T_map_first", T_map_camera)
+        self._T_map_first: FloatArray = T_map_camera @ se3.invert(self._T_color_camera)
 
     def miss(self, stamp_s: float) -> FeatureEstimate:
         """Count a frame that came to nothing before it reached odometry, as a failed one."""

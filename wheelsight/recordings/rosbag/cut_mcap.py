@@ -1,4 +1,7 @@
-"""MCAP files without an end, as a kill or an empty battery leaves them: what is whole of them is read."""
+"""MCAP files as rosbags can read them, damaged or without an end, as a kill or an empty battery leaves them.
+
+What is whole of the latter is read.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from typing import Any, BinaryIO
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
+_ANY_SIZE = 1 << 20  # bytes for which there is room
 # Records that end the part of a file that holds messages, and those that hold them.
 _DATA_END, _FOOTER = 0x0F, 0x02
 # A footer that tells of no summary: a reader then goes through the file.
@@ -18,20 +22,16 @@ _END = _HEAD.pack(_DATA_END, 4) + bytes(4) + _HEAD.pack(_FOOTER, 20) + bytes(20)
 
 
 @dataclass(frozen=True, slots=True)
-class CutMcap:
-    """A file that begins as MCAP, and ends as if its last whole record were followed by an end.
+class McapFile:
+    """A file that stands in for its path where rosbags opens one: of its stream no more is read than there is.
 
-    It stands in for a path where rosbags opens one.
+    Damaged records say that they are as large as may be, and rosbags asks for so much.
 
     Attributes:
         path: the file.
-        whole_bytes: of its whole records.
-        lost_bytes: after them.
     """
 
     path: Path
-    whole_bytes: int
-    lost_bytes: int
 
     @property
     def name(self) -> str:
@@ -55,8 +55,27 @@ class CutMcap:
         return False
 
     def open(self, mode: str = "rb") -> Any:
-        """A stream of the whole records and an end."""
-        return io.BufferedReader(_Ended(self.path.open(mode), self.whole_bytes))  # type: ignore[arg-type]
+        """A stream."""
+        return _Bounded(self._raw(mode))
+
+    def _raw(self, mode: str) -> io.RawIOBase:
+        return io.FileIO(self.path, mode.replace("b", ""))
+
+
+@dataclass(frozen=True, slots=True)
+class CutMcap(McapFile):
+    """A file that begins as MCAP, and ends as if its last whole record were followed by an end.
+
+    Attributes:
+        whole_bytes: of its whole records.
+        lost_bytes: after them.
+    """
+
+    whole_bytes: int
+    lost_bytes: int
+
+    def _raw(self, mode: str) -> io.RawIOBase:
+        return _Ended(self.path.open(mode), self.whole_bytes)  # type: ignore[arg-type]
 
 
 def cut_mcap(path: Path) -> CutMcap | None:
@@ -82,6 +101,20 @@ def _whole_bytes(stream: BinaryIO, size: int) -> int | None:
             break
         at += _HEAD.size + length
     return at if at > len(MAGIC) else None
+
+
+class _Bounded(io.BufferedReader):
+    """Room is made for what is asked for: so it is asked for no more than is left."""
+
+    def __init__(self, raw: io.RawIOBase) -> None:
+        super().__init__(raw)
+        self._size = self.seek(0, os.SEEK_END)
+        self.seek(0)
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        if size is not None and size > _ANY_SIZE:
+            size = min(size, max(self._size - self.tell(), 0))
+        return super().read(size)
 
 
 class _Ended(io.RawIOBase):

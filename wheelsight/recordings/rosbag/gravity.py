@@ -43,8 +43,9 @@ def _felt(bag: OpenBag, topic: str, settings: BagSettings) -> FloatArray | None:
     """The mean acceleration's direction over the first seconds, where it is gravity's."""
     stop_ns = bag.first(topic)[0].receipt_ns + round(1e9 * settings.gravity_s)
     read = [bag.decode(message).linear_acceleration for message in bag.messages([topic], stop_ns=stop_ns)]
-    mean = np.mean([(a.x, a.y, a.z) for a in read], axis=0)
-    size = float(np.linalg.norm(mean))
+    with np.errstate(over="ignore", invalid="ignore"):  # damaged messages hold numbers that no sensor tells
+        mean = np.mean([(a.x, a.y, a.z) for a in read], axis=0)
+        size = float(np.linalg.norm(mean))
     if not abs(size - _G_M_S2) <= settings.gravity_share * _G_M_S2:
         return None
     return np.asarray(mean / size)

@@ -106,7 +106,9 @@ def depth_of(message: Any, factor: float | None, path: Path) -> Float32Array:
         raw = _pixels(message, dtype, 1, path)
     if raw.dtype != np.float32:
         return depth_of_units(raw, DepthEncoding(factor or _MILLIMETRES), path)
-    depth_m = np.where((raw > 0) & np.isfinite(raw), raw / np.float32(factor or 1.0), np.float32(0))
+    with np.errstate(invalid="ignore", over="ignore"):  # damaged messages hold numbers that are none
+        scaled_m = raw / np.float32(factor or 1.0)
+        depth_m = np.where((scaled_m > 0) & np.isfinite(scaled_m), scaled_m, np.float32(0))
     check_scale(depth_m, path)
     return depth_m
 

@@ -18,7 +18,7 @@ from wheelsight.matches import SpeedVariances
 from wheelsight.recordings._cameras import load_camera
 from wheelsight.recordings._wheel_recording import need_wheels, shipped_robot
 from wheelsight.recordings.clocks import FRAMES, WHEELS, stamp_warnings
-from wheelsight.recordings.protocol import OpenOptions, RecordedTopic
+from wheelsight.recordings.protocol import Layout, OpenOptions, RecordedTopic
 from wheelsight.recordings.rosbag.files import parts_of
 from wheelsight.recordings.rosbag.gravity import up_of_gyro
 from wheelsight.recordings.rosbag.recording import BagPlan, BagRecording
@@ -36,6 +36,7 @@ class BagReader:
     """ROS 1 `.bag`, ROS 2 `.mcap` and `.db3`, compressed or split, as files or folders; see docs/bags.md."""
 
     name = "rosbag"
+    layout = Layout.FILE
     needs = "a .bag, .mcap or .db3"
 
     def recognises(self, folder: Path) -> bool:

@@ -18,7 +18,7 @@ from wheelsight.errors import RecordingError
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.geometry import FloatArray
 from wheelsight.matches import Match, SpeedVariances
-from wheelsight.recordings._images import image_size
+from wheelsight.recordings._calibrated import corrected_depth
 from wheelsight.recordings._read_ahead import read_ahead
 from wheelsight.recordings.protocol import AssociationReport, ListedFrame, OpenOptions, RecordedTopic
 from wheelsight.recordings.rosbag.images import color_of, depth_of
@@ -30,6 +30,7 @@ from wheelsight.recordings.rosbag.wheels import SpeedReader
 from wheelsight.trajectory import Trajectory
 
 _FRAMES_READ_AHEAD = 4
+_WRONG_SIZE = "choose its CameraInfo by --topic, or give --camera"
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,13 +263,7 @@ class BagRecording:
         """A frame decoded. Raises RecordingError naming the bag and what makes it unusable."""
         color = color_of(bag.decode(frame.color), self.path)
         depth_m = depth_of(bag.decode(frame.depth), self._plan.options.depth_factor, self.path)
-        sizes = image_size(color), image_size(depth_m)
-        for name, size, camera in zip(("colour", "depth"), sizes, self.calibration.cameras, strict=True):
-            expected = f"{camera.width}×{camera.height}"
-            if size != expected:
-                problem = f"{name} image is {size}, the calibration's {expected}"
-                raise RecordingError(problem, path=self.path, fix="choose its CameraInfo by --topic, or give --camera")
-        depth_m = self.calibration.depth_error.corrected(depth_m, self.calibration.cameras[1])
+        depth_m = corrected_depth(color, depth_m, self.calibration, (self.path, self.path), _WRONG_SIZE)
         return RgbdFrame(frame.stamp_s, color, depth_m, frame.index, frame.depth_late_s)
 
 

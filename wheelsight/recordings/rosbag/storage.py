@@ -14,7 +14,7 @@ from typing import Any
 
 from wheelsight.errors import RecordingError
 from wheelsight.extras import needed
-from wheelsight.recordings.rosbag.cut_mcap import CutMcap, cut_mcap
+from wheelsight.recordings.rosbag.cut_mcap import CutMcap, McapFile, cut_mcap
 from wheelsight.recordings.rosbag.files import parts_of
 from wheelsight.recordings.rosbag.ros1 import Ros1Reader
 
@@ -105,18 +105,19 @@ class OpenBag:
             raise _refusal(self.path, error) from error
 
     def first(self, topic: str, count: int = 1) -> list[Message]:
-        """The first messages of a topic, fewer where there are fewer."""
+        """The first messages of a topic that has any, fewer where there are fewer. Raises RecordingError."""
         if count == 1 and topic in self._firsts:
             return [self._firsts[topic]]
         # A reader of MCAP looks at every chunk that it may need before it answers: most topics begin at once.
         begun = list(islice(self.messages([topic], stop_ns=self.start_ns + round(1e9 * _FIRST_S)), count))
         found = begun if len(begun) == count else list(islice(self.messages([topic]), count))
-        if found:
-            self._firsts[topic] = found[0]
+        if not found:
+            raise self._without(topic)
+        self._firsts[topic] = found[0]
         return found
 
     def last(self, topic: str) -> Message:
-        """The last message of a topic that has any, found by halving the time in which it lies."""
+        """The last message of a topic that has any, by halving the time in which it lies. Raises RecordingError."""
         low_ns, high_ns, width_ns = self.start_ns, self.end_ns, round(1e9 * _LAST_S)
         start_ns = max(low_ns, high_ns - width_ns)
         while high_ns - low_ns > width_ns:
@@ -125,7 +126,16 @@ class OpenBag:
             else:
                 low_ns = start_ns
             start_ns = (low_ns + high_ns) // 2
-        return deque(self.messages([topic], low_ns), maxlen=1)[0]
+        found = deque(self.messages([topic], low_ns), maxlen=1)
+        if not found:
+            raise self._without(topic)
+        return found[0]
+
+    def _without(self, topic: str) -> RecordingError:
+        fix = f"rosbag reindex {self.path.name}" if self.is_ros1 else f"mcap recover {self.path.name} -o whole.mcap"
+        return RecordingError(
+            f"is damaged: its index tells of messages of {topic}, and none is there", path=self.path, fix=fix
+        )
 
     def decode(self, message: Message) -> Any:
         """A message's fields as attributes. Raises RecordingError."""
@@ -179,11 +189,15 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
     with ExitStack() as stack:
         try:
             cut = {part: found for part in parts if part.suffix == ".mcap" and (found := cut_mcap(part)) is not None}
-            readers = [stack.enter_context(reader(cut.get(part, part))) for part in parts]
+            readers = [stack.enter_context(reader(cut.get(part) or _standing_for(part))) for part in parts]
             bag = OpenBag(path, readers, is_ros1, tuple(map(_without_end, cut.values())))
         except Exception as error:
             raise _refusal(path, error) from error
         yield bag
+
+
+def _standing_for(part: Path) -> Path | McapFile:
+    return McapFile(part) if part.suffix == ".mcap" else part
 
 
 def _without_end(cut: CutMcap) -> str:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -23,6 +24,9 @@ _SIDES = tuple(
     for side in ("left", "right")
 )
 _WRAP_SLACK = 0.01
+_Told = TypeVar("_Told")
+_PoseAndTwist = tuple[tuple[float, float, float], tuple[float, float]]
+_AnglesAndSpeeds = tuple[list[float], list[float]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,76 +73,84 @@ class JointTicks:
         """See `SpeedReader`."""
 
 
-class OdometrySpeeds:
-    """Speeds of nominal wheels that make the increments between an Odometry's poses.
-
-    The increments, not the twists: they lose nothing where messages are far apart or were dropped.
+class _HeldSpeeds(ABC, Generic[_Told]):
+    """Speeds from each message until the next, by what both tell.
 
     Attributes:
-        unusable: messages whose numbers are none.
+        unusable: messages that tell nothing.
     """
 
-    def __init__(self, wheels: Wheels, by_twist: bool) -> None:
+    def __init__(self) -> None:
         self.unusable = 0
-        self._wheels, self._by_twist = wheels, by_twist
-        self._last: tuple[float, tuple[float, float, float], tuple[float, float]] | None = None
+        self._last: tuple[float, _Told] | None = None
 
     def add(self, stamp_s: float, message: Any) -> WheelSpeeds | None:
-        """See `SpeedReader`."""
-        told = _planar(message)
-        if told is None or (self._last is not None and stamp_s <= self._last[0]):
-            self.unusable += told is None
-            return None
-        last, self._last = self._last, (stamp_s, *told)
-        if last is None:
-            return None
-        if self._by_twist:
-            return speeds_of_wheels(self._wheels, last[0], *last[2])
-        T_last_now = se2.compose(se2.invert(se2.from_parts(*last[1])), se2.from_parts(*told[0]))
-        ahead_m, _, turn_rad = se2.log(T_last_now).tolist()
-        lasted_s = stamp_s - last[0]
-        return speeds_of_wheels(self._wheels, last[0], ahead_m / lasted_s, turn_rad / lasted_s)
-
-    def end(self) -> WheelSpeeds | None:
-        """See `SpeedReader`."""
-        return None if self._last is None else speeds_of_wheels(self._wheels, self._last[0], *self._last[2])
-
-
-class JointSpeeds:
-    """Speeds of the robot's own wheels from the angles of their joints, or from their speeds where no angle is told.
-
-    Attributes:
-        unusable: messages that lack one of the joints, or whose numbers are none.
-    """
-
-    def __init__(self, joints: Joints) -> None:
-        self.unusable = 0
-        self._joints = joints
-        self._last: tuple[float, list[float], list[float]] | None = None
-        self._farthest_rad = 0.0
-
-    def add(self, stamp_s: float, message: Any) -> WheelSpeeds | None:
-        """See `SpeedReader`."""
+        """See `SpeedReader`; a message that is no newer than the one before is left out."""
         told = self._told(message)
         if told is None or (self._last is not None and stamp_s <= self._last[0]):
             self.unusable += told is None
             return None
-        last, self._last = self._last, (stamp_s, *told)
-        if last is None:
-            return None
-        if not told[0] or not last[1]:
-            return self._speeds(last[0], last[2])
-        lasted_s = stamp_s - last[0]
-        return self._speeds(last[0], [self._turned(a, b) / lasted_s for a, b in zip(last[1], told[0], strict=True)])
+        last, self._last = self._last, (stamp_s, told)
+        return None if last is None else self._between(*last, told, stamp_s - last[0])
 
     def end(self) -> WheelSpeeds | None:
         """See `SpeedReader`."""
-        if self._last is None:
-            return None
-        stamp_s, _, speeds = self._last
-        return self._speeds(stamp_s, speeds or [0.0] * len(self._joints.left + self._joints.right))
+        return None if self._last is None else self._after(*self._last)
 
-    def _told(self, message: Any) -> tuple[list[float], list[float]] | None:
+    @abstractmethod
+    def _told(self, message: Any) -> _Told | None:
+        """What a message tells; None where that is nothing."""
+
+    @abstractmethod
+    def _between(self, stamp_s: float, before: _Told, now: _Told, lasted_s: float) -> WheelSpeeds:
+        """The speeds that held from the message at a stamp for so long."""
+
+    @abstractmethod
+    def _after(self, stamp_s: float, last: _Told) -> WheelSpeeds:
+        """The speeds after the last message."""
+
+
+class OdometrySpeeds(_HeldSpeeds[_PoseAndTwist]):
+    """Speeds of nominal wheels that make the increments between an Odometry's poses.
+
+    The increments, not the twists: they lose nothing where messages are far apart or were dropped.
+    """
+
+    def __init__(self, wheels: Wheels, by_twist: bool) -> None:
+        super().__init__()
+        self._wheels, self._by_twist = wheels, by_twist
+
+    def _told(self, message: Any) -> _PoseAndTwist | None:
+        return _planar(message)
+
+    def _between(self, stamp_s: float, before: _PoseAndTwist, now: _PoseAndTwist, lasted_s: float) -> WheelSpeeds:
+        if self._by_twist:
+            return self._after(stamp_s, before)
+        T_before_now = se2.compose(se2.invert(se2.from_parts(*before[0])), se2.from_parts(*now[0]))
+        ahead_m, _, turn_rad = se2.log(T_before_now).tolist()
+        return speeds_of_wheels(self._wheels, stamp_s, ahead_m / lasted_s, turn_rad / lasted_s)
+
+    def _after(self, stamp_s: float, last: _PoseAndTwist) -> WheelSpeeds:
+        return speeds_of_wheels(self._wheels, stamp_s, *last[1])
+
+
+class JointSpeeds(_HeldSpeeds[_AnglesAndSpeeds]):
+    """Speeds of the robot's own wheels from the angles of their joints, or from their speeds where no angle is told."""
+
+    def __init__(self, joints: Joints) -> None:
+        super().__init__()
+        self._joints = joints
+        self._farthest_rad = 0.0
+
+    def _between(self, stamp_s: float, before: _AnglesAndSpeeds, now: _AnglesAndSpeeds, lasted_s: float) -> WheelSpeeds:
+        if not now[0] or not before[0]:
+            return self._speeds(stamp_s, before[1])
+        return self._speeds(stamp_s, [self._turned(a, b) / lasted_s for a, b in zip(before[0], now[0], strict=True)])
+
+    def _after(self, stamp_s: float, last: _AnglesAndSpeeds) -> WheelSpeeds:
+        return self._speeds(stamp_s, last[1] or [0.0] * len(self._joints.left + self._joints.right))
+
+    def _told(self, message: Any) -> _AnglesAndSpeeds | None:
         """Angles and speeds of the joints, left ones first, each empty where the message has none."""
         places = {name: place for place, name in enumerate(message.name)}
         wanted = [places.get(name) for name in (*self._joints.left, *self._joints.right)]
@@ -181,7 +193,7 @@ def told_by_twist(messages: Sequence[Any]) -> bool:
     return bool(told) and not any(any(pose) for pose, _ in told) and any(any(twist) for _, twist in told)
 
 
-def _planar(message: Any) -> tuple[tuple[float, float, float], tuple[float, float]] | None:
+def _planar(message: Any) -> _PoseAndTwist | None:
     """Pose x, y, yaw and twist v, ω of an Odometry; None where they are no numbers, or no rotation."""
     position, q, twist = message.pose.pose.position, message.pose.pose.orientation, message.twist.twist
     yaw_rad = math.atan2(2 * (q.w * q.z + q.x * q.y), q.w**2 + q.x**2 - q.y**2 - q.z**2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from wheelsight.mapping.occupancy_settings import OccupancySettings
 from wheelsight.settings import ASKED, CHOSEN, Settings, setting
+from wheelsight.slam.settings import StepSettings
 
 _FROM_0056 = "two real recordings of Kinects: docs/decisions/0056"
 
@@ -24,7 +25,7 @@ class PruneSettings(Settings):
     )
 
 
-class SessionSettings(Settings):
+class SessionSettings(StepSettings):
     """The map folder of a run; see docs/sessions.md."""
 
     keep_map: bool | None = setting(
@@ -78,17 +79,6 @@ class SessionSettings(Settings):
         le=100_000,
     )
     least_keypoints: int = setting(300, "that are kept even so", "as `recognition.words.descriptors`", ge=0, le=20_000)
-    plane_sigma_m: float = setting(
-        1e-3,
-        "added to the error of the way from a keyframe to the next, metres a coordinate: odometry in a plane states "
-        "none out of it",
-        "as `loops.matches.plane_sigma_m`",
-        gt=0,
-        le=1,
-    )
-    plane_sigma_rad: float = setting(
-        1e-3, "likewise, radians an axis", "as `loops.matches.plane_sigma_rad`", gt=0, le=1
-    )
     camera_share: float = setting(
         0.02,
         "share by which focal lengths, and of the image's size its middle, may differ between a map's camera and "
