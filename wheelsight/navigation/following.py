@@ -165,7 +165,7 @@ class PathFollower:
         heading = float(np.arctan2(point[3], point[2]))
         off = abs(wrap_angle(heading - state.pose[2]))
         if self._is_turning or (stands and off > s.turn_first_rad):
-            self._is_turning = off > s.turned_rad
+            self._is_turning = bool(off > s.turned_rad)
             turning = self._turn_to(situation, heading)
             if turning is not None:
                 return turning
