@@ -29,7 +29,7 @@ def test_a_terminal_sees_the_map_grow(wheelsight: Command, tmp_path: Path, monke
     surfels = json.loads((tmp_path / "out" / "metrics.json").read_text())["map"]["surfels"]
     assert f"tracking · {count(surfels)} surfels" in result.stderr
     assert "frames/s" in result.stderr
-    path = tmp_path / "out" / "map.surfels"
+    path = tmp_path / "out" / "map" / "map.surfels"
     assert path.is_file()
     assert f"map: {path} ({surfels:,} surfels, " in result.stdout.replace("\n", "")
 
