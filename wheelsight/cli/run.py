@@ -67,7 +67,7 @@ def run(
     --places, the wheels alone and the wheels that areas have rectified.
     With --loops also trajectory_corrected.txt, the way as known at its end, and loops_judged.csv.
     With --map-from the way is in that map, once the place is recognised; until then each pose is "initializing".
-    With --map surfels also map.surfels, of which wheelsight export makes points or a mesh, and map/ for the next drive.
+    With --map surfels also map/ for the next drive; wheelsight export makes points or a mesh of it.
 
     Ctrl-C stops early and keeps what was found until then. With --live, a camera and wheels are followed as they are
     just now: "ready" is said once nothing is left to be compiled or loaded, and Ctrl-C ends it.
