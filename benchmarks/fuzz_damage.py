@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import lzma
 import re
 import struct
 import zipfile
@@ -408,11 +409,18 @@ def _map_header(data: bytes, rng: Rng) -> bytes:
 
 
 def _map_body(data: bytes, rng: Rng) -> bytes:
-    """Other numbers, with the checksum of these."""
+    """Other numbers, packed or not, with length and checksum of these."""
     first, _, rest = data.partition(b"\n")
     header, _, body = rest.partition(b"\n")
-    body = _overwrite(body, rng)
-    header = re.sub(rb'("crc32": )\d+', rb"\g<1>%d" % zlib.crc32(body), header)
+    if rng.random() < 0.5:
+        body = _overwrite(body, rng)
+    else:
+        try:
+            body = lzma.compress(_overwrite(lzma.decompress(body), rng))
+        except lzma.LZMAError:  # an earlier change has damaged it
+            return data
+    for name, value in ((b"crc32", zlib.crc32(body)), (b"bytes", len(body))):
+        header = re.sub(rb'("%s": )\d+' % name, rb"\g<1>%d" % value, header)
     return first + b"\n" + header + b"\n" + body
 
 

@@ -29,9 +29,12 @@ def test_a_terminal_sees_the_map_grow(wheelsight: Command, tmp_path: Path, monke
     surfels = json.loads((tmp_path / "out" / "metrics.json").read_text())["map"]["surfels"]
     assert f"tracking · {count(surfels)} surfels" in result.stderr
     assert "frames/s" in result.stderr
-    path = tmp_path / "out" / "map.surfels"
+    path = tmp_path / "out" / "map" / "map.surfels"
     assert path.is_file()
     assert f"map: {path} ({surfels:,} surfels, " in result.stdout.replace("\n", "")
+    assert wheelsight("export", tmp_path / "out", "--ply", "--all").exit_code == 0
+    assert (tmp_path / "out" / "points.ply").is_file()  # in the run's folder, and not among the map's files
+    assert wheelsight("export", path, "--ply", "--all", "--force").exit_code == 0
 
 
 def test_a_map_needs_dense_odometry(refusal: Callable[..., str], room: Path, tmp_path: Path) -> None:

@@ -151,6 +151,8 @@ def test_a_map_from_a_file_follows_a_store_from_where_its_keyframes_were(
     surfel_map: SurfelMap, store: KeyframeStore, tmp_path: Path
 ) -> None:
     save_map(surfel_map, tmp_path / "a.surfels")
+    surfel_map = load_map(tmp_path / "a.surfels")
+    surfel_map.hang_on(store)
     T_new_old = se3.exp([3.0, -2.0, 1.0, 0.3, -0.2, 0.5])
     later = kept_keyframes(3)
     later.move([FIRST, SECOND], store.T_map_keyframe)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from mapping.scenes import FRAME_S, GRID, NOISE, SHAPE, Wall, fuse, look_at, mad
 from scipy.spatial import KDTree
 
 from wheelsight.errors import MapError
-from wheelsight.mapping import SurfelMap
+from wheelsight.mapping import SurfelMap, Surfels
 from wheelsight.views import Surface
 
 FRAMES = 20
@@ -218,6 +218,20 @@ def test_surfels_that_never_became_stable_go_after_their_time(looks_on, unstable
     assert len(surfel_map) > 0
     fuse(surfel_map, nothing, T, 2.0)
     assert len(surfel_map) == 0
+
+
+def test_a_map_that_settles_has_no_surfels_whose_time_has_come():
+    surfel_map = made_map()
+    look_at(surfel_map, [Wall(2.0)], [pose()] * 40)
+    look_at(surfel_map, [Wall(2.0), Wall(1.2, low=0.0)], [pose()] * 3, start_s=2.0)
+    before = surfel_map.status()
+    assert 0 < before.stable < before.surfels
+    assert surfel_map.settle() == 0  # they are young
+    none = surfel_map.surfels()
+    none = Surfels(*(getattr(none, field.name)[:0] for field in fields(Surfels)))
+    surfel_map.add(none, 9.0)  # time goes on, and no frame comes
+    assert surfel_map.settle() == before.surfels - before.stable
+    assert len(surfel_map) == surfel_map.status().stable == before.stable
 
 
 def test_old_surfels_are_kept_but_not_predicted_and_wake_when_seen_again():

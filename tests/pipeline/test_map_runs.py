@@ -46,10 +46,11 @@ def in_memory(room: Path, stop: BaseException, after: int) -> Recording:
 
 def test_a_run_leaves_its_map_and_a_frame_that_failed_is_not_in_it(room: Path, tmp_path: Path) -> None:
     record = run(open_recording(room), mapped(), tmp_path)
-    assert names_in(tmp_path) == FILES | {MAP_FILE, "map"}
+    assert names_in(tmp_path) == FILES | {"map"}
     assert len(record.estimate) == 7
-    found, kept = metrics_in(tmp_path)["map"], load_map(tmp_path / MAP_FILE)
-    assert found["file"] == MAP_FILE
+    found = metrics_in(tmp_path)["map"]
+    assert found["file"] == f"map/{MAP_FILE}"
+    kept = load_map(tmp_path / found["file"])
     assert found["frames_fused"] == 7
     assert found["surfels"] == len(kept) == record.frames[-1].surfels
     assert found["stable"] == kept.status().stable > 1000
@@ -86,7 +87,7 @@ def test_of_several_odometries_the_map_is_in_the_folder_of_its_own(tmp_path: Pat
     make_room_drive(tmp_path / "drive", frames=4)
     out = tmp_path / "out"
     records = run_each(open_recording(tmp_path / "drive"), mapped(odometry="wheels,dense", fusion="none"), out)
-    assert (out / "dense" / MAP_FILE).is_file()
+    assert (out / "dense" / "map" / MAP_FILE).is_file()
     assert not (out / MAP_FILE).exists()
     assert not (out / "wheels" / MAP_FILE).exists()
     of_each = metrics_in(out)["odometry"]
@@ -110,7 +111,7 @@ def test_what_breaks_a_run_off_leaves_the_map_until_then(room: Path, tmp_path: P
     metrics = metrics_in(tmp_path)
     assert metrics["interrupted"]
     assert metrics["map"]["frames_fused"] == 3
-    assert len(load_map(tmp_path / MAP_FILE)) == metrics["map"]["surfels"]
+    assert len(load_map(tmp_path / metrics["map"]["file"])) == metrics["map"]["surfels"]
 
 
 def press_ctrl_c(monkeypatch: pytest.MonkeyPatch, times: int, at: int = 3) -> None:
@@ -144,7 +145,7 @@ def test_ctrl_c_waits_for_the_frame_that_is_being_fused(
     metrics = metrics_in(tmp_path)
     assert metrics["interrupted"]
     assert metrics["frames"]["with_pose"] == metrics["map"]["frames_fused"] == 3
-    assert len(load_map(tmp_path / MAP_FILE)) == metrics["map"]["surfels"]
+    assert len(load_map(tmp_path / metrics["map"]["file"])) == metrics["map"]["surfels"]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
@@ -172,7 +173,7 @@ def test_a_run_killed_while_it_writes_leaves_no_half_written_map(
     monkeypatch.setattr(os, "fsync", killed)
     with pytest.raises(SystemExit):
         run(open_recording(room), mapped(), tmp_path)
-    assert not (tmp_path / MAP_FILE).exists()
+    assert not list(tmp_path.rglob(MAP_FILE))
 
 
 def test_a_map_without_room_says_so(room: Path, tmp_path: Path) -> None:
@@ -205,5 +206,5 @@ def test_where_nothing_could_be_followed_the_map_is_empty_and_said_so(tmp_path: 
 def test_two_runs_leave_the_same_map_to_the_byte(room: Path, tmp_path: Path) -> None:
     for name in ("first", "second"):
         run(open_recording(room), mapped(), tmp_path / name)
-    first, second = ((tmp_path / name / MAP_FILE).read_bytes() for name in ("first", "second"))
+    first, second = ((tmp_path / name / "map" / MAP_FILE).read_bytes() for name in ("first", "second"))
     assert first == second

@@ -92,7 +92,7 @@ def test_a_joined_map_shows_from_the_written_trajectory_what_frames_showed(tmp_p
     settings = {"odometry": "wheels,dense", "fusion": fusion, "map": "surfels", "surfels.fused_way_m": 0.0}
     run_each(recording, load_config(overrides=settings), tmp_path / "out")
     joined = tmp_path / "out" / "joined"
-    surfel_map, way = load_map(joined / MAP_FILE), read_tum(joined / "trajectory.txt")
+    surfel_map, way = load_map(joined / "map" / MAP_FILE), read_tum(joined / "trajectory.txt")
     frames = [event for event in recording.events() if isinstance(event, RgbdFrame)]
     camera, off_m = recording.calibration.cameras[1], []
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])

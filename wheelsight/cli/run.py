@@ -21,8 +21,8 @@ def run(options: RunOptions) -> None:
     DIR gets trajectory.txt (TUM), status.csv, metrics.json, the resolved config.yaml and report.html.
     Several odometries have a folder each.
 
-    --map surfels adds map.surfels, of which wheelsight export makes points or a mesh, and map/, in which --map-from
-    finds the next drive: until the place is recognised, its poses are "initializing".
+    --map surfels adds map/, in which --map-from finds the next drive: until the place is recognised, its poses are
+    "initializing". wheelsight export makes points or a mesh of it.
     --loops adds trajectory_corrected.txt, the way as known at its end, and loops_judged.csv.
 
     Ctrl-C stops early and keeps what was found until then. With --live, a camera and wheels are followed as they are

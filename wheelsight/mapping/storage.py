@@ -172,6 +172,9 @@ def _decompressed(body: memoryview, lengths: list[int]) -> Iterator[bytes]:
     given: bytes | memoryview = body
     try:
         for length in lengths:
+            if not length:  # of which the library says that there is no room
+                yield b""
+                continue
             piece = b"" if decompressor.eof else decompressor.decompress(given, length)
             given = b""
             if len(piece) != length:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from wheelsight.config import Config
-from wheelsight.files import StrPath
-from wheelsight.mapping import SurfelMap, save_map
 from wheelsight.pipeline.kept_map_record import KeptMapRecord
 from wheelsight.pipeline.track import Passage, Track, has_map
 from wheelsight.slam.live import ClosedLoops
@@ -126,19 +123,9 @@ def _bytes_in(folder: Path) -> int:
         return 0
 
 
-def save_surfels(surfel_map: SurfelMap, path: StrPath, map_folder: Path | None) -> None:
-    """Write the surfel map of a run; where its map folder has the same file already, as another name of that.
-
-    Files are replaced and never changed, so that one may have two names. Raises OutputError.
-    """
-    path = Path(path)
-    if map_folder is None or not (map_folder / SURFELS_FILE).is_file():
-        save_map(surfel_map, path)
-        return
-    other_name = path.with_name(f".{path.name}.link")
-    try:
-        other_name.unlink(missing_ok=True)
-        os.link(map_folder / SURFELS_FILE, other_name)
-        other_name.replace(path)
-    except OSError:  # a file system without links
-        save_map(surfel_map, path)
+def kept_surfels(track: Track) -> Path | None:
+    """Where in its map folder a track's surfels are; None where that has none of this run."""
+    if track.map_path is None or track.extends:
+        return None
+    path = track.map_path / SURFELS_FILE
+    return path if path.is_file() else None

@@ -13,8 +13,9 @@ import numpy as np
 
 from wheelsight.config import Config, TrackName, save_config
 from wheelsight.files import make_output_folder, output_error, write_text
+from wheelsight.mapping import save_map
 from wheelsight.pipeline.covariances import COVARIANCES_FILE, write_covariances
-from wheelsight.pipeline.kept_maps import save_surfels
+from wheelsight.pipeline.kept_maps import kept_surfels
 from wheelsight.pipeline.loops import CORRECTED_FILE, JUDGED_FILE, judged_csv
 from wheelsight.pipeline.maps import MAP_FILE
 from wheelsight.pipeline.metrics import joint_metrics, metrics_of
@@ -107,12 +108,12 @@ def _write_correction(record: RunRecord, folder: Path) -> None:
 
 
 def _write_map(record: RunRecord, passage: Passage, path: Path) -> None:
-    """The map of a run that has one; what an earlier run left in its place goes."""
+    """The map of a run that has one, unless its map folder holds it; what an earlier run left in its place goes."""
     (track,) = (track for track in passage.tracks if track.odometry == record.odometry)
     if record.kept_map is None:
         discard_map(path.with_name(MAP_FOLDER))
-    if record.map is not None and track.localizer.map is not None:
-        save_surfels(track.localizer.map, path, None if track.extends else track.map_path)
+    if record.map is not None and track.localizer.map is not None and kept_surfels(track) is None:
+        save_map(track.localizer.map, path)
     else:
         _forget(path)
 

@@ -10,7 +10,7 @@ import numpy as np
 from wheelsight.config import Config
 from wheelsight.errors import CalibrationError, EvaluationError
 from wheelsight.evaluation import Evaluation, evaluate
-from wheelsight.pipeline.kept_maps import finish_map
+from wheelsight.pipeline.kept_maps import finish_map, kept_surfels
 from wheelsight.pipeline.loops import MatchesOfRun, correction_of
 from wheelsight.pipeline.map_record import MapRecord
 from wheelsight.pipeline.maps import map_record_of
@@ -72,6 +72,9 @@ def _record_of(track: Track, passage: Passage, source: EventSource, config: Conf
         evaluation, problem = _compare(estimate, truth, config, track)
     surfels = _map(track, passage, source, config)
     kept = finish_map(track, passage)  # after the map was laid where the trajectory has it
+    at = kept_surfels(track)
+    if surfels is not None and at is not None:
+        surfels = replace(surfels, file=f"{at.parent.name}/{at.name}")
     return RunRecord(
         recording=source.name,
         format=format_of(source),

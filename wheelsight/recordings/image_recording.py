@@ -162,10 +162,12 @@ def recording_of(
         yaw_rates=tuple(yaw_rates),
     )
     _try_frames(recording)
-    if recording.ground_truth is None:
-        return recording
+    return recording if truth is None else _with_truth(recording, truth)
+
+
+def _with_truth(recording: ImageRecording, truth: Trajectory) -> ImageRecording:
     try:
-        truth = express_for(recording.body, recording.ground_truth, recording.calibration)
+        truth = express_for(recording.body, truth, recording.calibration)
     except CalibrationError as error:
         raise CalibrationError(f"ground truth: {error.problem}", path=recording.path, fix=error.fix) from error
     return replace(recording, ground_truth=truth, warnings=(*recording.warnings, *_coverage(recording, truth)))

@@ -20,7 +20,7 @@ _FILES = {
     "map.surfels": "the map; wheelsight export makes points or a mesh of it",
     "map.ply": "the map's points, for MeshLab, CloudCompare or Open3D",
     "mesh.ply": "the map as triangles",
-    "map": "the map's folder, for wheelsight run --map-from, drive and export",
+    "map": "the map's folder, for wheelsight run --map-from, drive and export, which makes points or a mesh of it",
     "run.rrd": "the run for Rerun's viewer",
     "run.log": "what was said on the way",
 }

@@ -72,10 +72,12 @@ def test_surfels_stay_and_hang_on_who_shows_them(twice: Path, tmp_path: Path) ->
     before = fused_anew(folder)
     folder.save_surfels(before)
     folder.close()
+    kept = MapFolder.open(twice).surfels()
+    assert kept is not None
     after = prune(MapFolder.open(twice), tmp_path / "new").folder.surfels()
     (twice / "map.surfels").unlink()
     assert after is not None
-    one, other = before.surfels(), after.surfels()
+    one, other = kept.surfels(), after.surfels()
     assert len(other.grey) == len(one.grey)
     here, there = (np.lexsort(of.position.T) for of in (one, other))
     assert_allclose(other.position[there], one.position[here], atol=1e-6)
