@@ -138,9 +138,8 @@ def recording_of(
 
     Args:
         folder: where it lies, whose name is the recording's.
-        reader: its name.
+        reader, images: the reader's name, and its frames.
         calibration, encoding, wheels, yaw_rates: as `ImageRecording` has them.
-        images: its frames.
         truth: T_frame_body of camera or base.
         warnings: of what was read so far.
 
