@@ -18,6 +18,7 @@ from wheelsight.localizer._camera_map import Anchor, CameraMap, blurred, is_far,
 from wheelsight.localizer._carried import Carried, UnsureStart
 from wheelsight.localizer._fused_camera import FusedCamera
 from wheelsight.localizer._loops import loops_beside
+from wheelsight.localizer._odom_frame import FusedOdom
 from wheelsight.localizer._place_sense import PlaceSense
 from wheelsight.localizer.by_places import Places
 from wheelsight.localizer.map_builder import MapBuilder
@@ -65,6 +66,7 @@ class ByFusion:
         self._check = BaseCheck(calibration, T_base_camera, ErrorStateFilter(*begin), *checks)
         self.loops = loops_beside(self.odometry.store, calibration, settings, known, waits=waits)
         self._carried, self._unsure = Carried(self._settings), UnsureStart(self._settings)
+        self._odom = FusedOdom(filter_settings.coast_after_s)
 
     @property
     def odometry(self) -> FeatureOdometry | DenseOdometry:
@@ -114,7 +116,10 @@ class ByFusion:
             return None, ""
         if isinstance(answer, FusedEstimate):
             answer = self._map.framed(answer)
-        return answer if self.loops is None or answer is None else self.loops.called(answer), note
+        if answer is None:
+            return None, note
+        answer = answer if self.loops is None else self.loops.called(answer)
+        return self._odom.framed(answer, self.filter, event), note
 
     def refuse(self, event: Event, why: Untimed) -> tuple[Estimate | None, str]:
         """What is known, at an event whose stamp means nothing; None at a yaw rate."""
@@ -124,7 +129,7 @@ class ByFusion:
         if isinstance(event, WheelTicks | WheelSpeeds) and why.reason is Reason.CLOCKS_APART:
             self._base.deaf = f"the wheels are not heard: {why.note}"
             self._base.refuse(event)
-        known, reason = self._map.framed(self.filter.estimate), why.reason
+        known, reason = self._odom.framed(self._map.framed(self.filter.estimate), self.filter), why.reason
         if reason is Reason.CLOCKS_APART and known.status is Status.TRACKING:
             # Until it is settled whose clock leapt, the base moves on unseen.
             return replace(known, reason=reason, status=Status.COASTING), why.note

@@ -207,6 +207,8 @@ class Localizer:
             timed = event if time_s == event.stamp_s else replace(event, stamp_s=time_s)
             timed = self._images.frame(timed) if isinstance(timed, RgbdFrame) else timed
             estimate, self.note = self._way.process(timed)
+        if estimate is not None and isinstance(self._way, ByWheels):
+            estimate = self._way.in_odom(estimate)
         shift_s = self._clock.shift_s
         return estimate if estimate is None or not shift_s else replace(estimate, stamp_s=estimate.stamp_s + shift_s)
 
