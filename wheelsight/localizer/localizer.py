@@ -11,7 +11,7 @@ from wheelsight.checks import check_event, check_images, need_calibration, need_
 from wheelsight.clocks import SessionClock, Untimed
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
-from wheelsight.estimates import Estimate
+from wheelsight.estimates import Estimate, WheelEstimate
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.geometry import FloatArray
 from wheelsight.keyframes import KeyframeStore
@@ -207,7 +207,7 @@ class Localizer:
             timed = event if time_s == event.stamp_s else replace(event, stamp_s=time_s)
             timed = self._images.frame(timed) if isinstance(timed, RgbdFrame) else timed
             estimate, self.note = self._way.process(timed)
-        if estimate is not None and isinstance(self._way, ByWheels):
+        if isinstance(self._way, ByWheels) and isinstance(estimate, WheelEstimate):
             estimate = self._way.in_odom(estimate)
         shift_s = self._clock.shift_s
         return estimate if estimate is None or not shift_s else replace(estimate, stamp_s=estimate.stamp_s + shift_s)

@@ -61,9 +61,9 @@ class Stops:
         self, frame: RgbdFrame, estimate: Estimate, T_odom_map: FloatArray, T_base_camera: FloatArray | None
     ) -> None:
         """Keep where a frame is, if its pose is known, and all of it if one is due."""
-        if estimate.T_odom_body is None:
+        if estimate.T_filter_body is None:
             return
-        T_map_body = se3.invert(T_odom_map) @ estimate.T_odom_body
+        T_map_body = se3.invert(T_odom_map) @ estimate.T_filter_body
         self.stamps_s.append(frame.stamp_s)
         self.T_map_body.append(T_map_body)
         self.T_odom_map.append(T_odom_map)

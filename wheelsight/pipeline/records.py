@@ -152,10 +152,10 @@ def _trajectory(track: Track) -> Trajectory:
         estimate.stamp_s: estimate for estimate in track.poses
     }  # a frame may have a reading's stamp: the later counts
     poses = [at[stamp_s] for stamp_s in sorted(at)]  # readings are told of late where wheels have a delay
-    covariances = [estimate.covariance for estimate in poses]
+    covariances = [estimate.filter_covariance for estimate in poses]
     return Trajectory(
         np.array([estimate.stamp_s for estimate in poses], float),
-        np.array([estimate.T_odom_body for estimate in poses], float).reshape(-1, 4, 4),
+        np.array([estimate.T_filter_body for estimate in poses], float).reshape(-1, 4, 4),
         None if not poses or any(c is None for c in covariances) else np.array(covariances, float),
         body=track.localizer.body,
         frame=track.localizer.frame,
