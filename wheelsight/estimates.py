@@ -138,7 +138,7 @@ class Estimate:
 
     @property
     def T_filter_body(self) -> FloatArray | None:
-        """(4, 4) by all that was known at the stamp, but for loops, or None: what a run's trajectory holds; it leaps."""
+        """(4, 4) by all that was known at the stamp but loops, or None: a run's trajectory holds it, and it leaps."""
         if self.T_odom_body is None or self.T_filter_odom is _IDENTITY:
             return self.T_odom_body
         return self.T_filter_odom @ self.T_odom_body

@@ -1,7 +1,8 @@
 """OdomFrame: where `odom` lies in the frame in which a filter has its poses.
 
-A filter's pose leaps where it thinks better of the past: wheels had slipped, the gyroscope's bias was another. The robot
-has not leapt. In `odom` it moves by what is known of the motion alone, and the rest is where `odom` lies (REP 105).
+A filter's pose leaps where it thinks better of the past: wheels had slipped, the gyroscope's bias was another. The
+robot has not leapt. In `odom` it moves by what is known of the motion alone, and the rest is where `odom` lies (REP
+105).
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -25,15 +26,19 @@ _READINGS = 256  # whose stamps are kept: a frame that comes later than so many 
 
 
 class OdomFrame:
-    """See the module. It lies in the plane of the filter's frame: height and tilt are known of each pose."""
+    """See the module. It lies in the plane of the filter's frame: height and tilt are known of each pose.
+
+    Attributes:
+        T_odom_filter: (4, 4) where the filter's frame lies in it.
+    """
 
     def __init__(self) -> None:
         self._T_filter_odom: FloatArray = _IDENTITY
-        self._T_odom_filter: FloatArray = _IDENTITY
+        self.T_odom_filter: FloatArray = _IDENTITY
 
     def T_odom_body(self, T_filter_body: FloatArray) -> FloatArray:
         """(4, 4) of a pose of the filter."""
-        return np.asarray(motions.times(self._T_odom_filter, T_filter_body))
+        return np.asarray(motions.times(self.T_odom_filter, T_filter_body))
 
     def rethink(self, T_before: FloatArray, T_now: FloatArray) -> None:
         """The filter has one and the same pose elsewhere (4, 4) than before; in odom it stays."""
@@ -43,27 +48,22 @@ class OdomFrame:
     def lay(self, T_filter_body: FloatArray, T_odom_body: FloatArray) -> None:
         """Lie so that a pose of the filter (4, 4) is there in odom (4, 4), as far as both are in the plane."""
         self._T_filter_odom = motions.times(_planar(T_filter_body), motions.inverse(_planar(T_odom_body)))
-        self._T_odom_filter = motions.inverse(self._T_filter_odom)
+        self.T_odom_filter = motions.inverse(self._T_filter_odom)
 
-    def framed(self, answer: AnyEstimate, T_odom_body: FloatArray | None = None) -> AnyEstimate:
-        """A filter's answer in odom: in the map and in the filter's frame its pose is as it was.
-
-        `T_odom_body` (4, 4): where the body is in odom, if the answer has it elsewhere than the filter.
-        """
-        frame = self
-        if T_odom_body is not None and answer.T_odom_body is not None:
-            frame = OdomFrame()
-            frame.lay(answer.T_odom_body, T_odom_body)
-        if frame._T_filter_odom is _IDENTITY:
+    def framed(self, answer: AnyEstimate) -> AnyEstimate:
+        """A filter's answer in odom: in the map and in the filter's frame its pose is as it was."""
+        if self._T_filter_odom is _IDENTITY:
             return answer
-        T, C, Ad = answer.T_odom_body, answer.covariance, motions.adjoint(frame._T_odom_filter)
-        told = {"T_map_odom": motions.times(np.ascontiguousarray(answer.T_map_odom), frame._T_filter_odom)}
-        told["T_filter_odom"] = frame._T_filter_odom
-        told |= {} if T is None else {"T_odom_body": frame.T_odom_body(T)}
-        told |= {} if C is None else {"covariance": Ad @ C @ Ad.T}
+        T, C, Ad = answer.T_odom_body, answer.covariance, motions.adjoint(self.T_odom_filter)
+        told: dict[str, Any] = {
+            "T_map_odom": motions.times(np.ascontiguousarray(answer.T_map_odom), self._T_filter_odom),
+            "T_filter_odom": self._T_filter_odom,
+            "T_odom_body": None if T is None else self.T_odom_body(T),
+            "covariance": None if C is None else Ad @ C @ Ad.T,
+        }
         if isinstance(answer, WheelEstimate) and answer.before is not None:
             stamp_s, T_before, C_before = answer.before
-            told["before"] = (stamp_s, frame.T_odom_body(T_before), Ad @ C_before @ Ad.T)
+            told["before"] = (stamp_s, self.T_odom_body(T_before), Ad @ C_before @ Ad.T)
         return replace(answer, **told)
 
 
@@ -75,10 +75,14 @@ class FusedOdom:
 
     Args:
         keep_s: after so long without a frame a pose is remembered all the same.
+
+    Attributes:
+        answered: by which the last pose was answered.
     """
 
     def __init__(self, keep_s: float) -> None:
         self._frame, self._keep_s = OdomFrame(), keep_s
+        self.answered = self._frame
         self._begin: tuple[float, FloatArray, ErrorStateFilter] | None = None  # of the step; as the filter had it last
         self._last: tuple[float, FloatArray] | None = None  # that was answered, in odom
         self._readings_s: deque[float] = deque(maxlen=_READINGS)
@@ -87,14 +91,17 @@ class FusedOdom:
         """The answer of this filter in odom, to an event with a stamp that means something."""
         own = fusion.estimate
         if own.T_odom_body is None or answer.T_odom_body is None:
-            return self._frame.framed(answer)
+            return self.answered.framed(answer)
         self._follow(own, own.T_odom_body, fusion)
         T_odom_body = self._frame.T_odom_body(own.T_odom_body)
         self._last = own.stamp_s, T_odom_body
         self._remember(own.stamp_s, fusion, event)
         # While sensors are being checked the answer is not always the filter's own.
-        is_own = np.array_equal(answer.T_odom_body, own.T_odom_body)
-        return self._frame.framed(answer, None if is_own else T_odom_body)
+        self.answered = self._frame
+        if not np.array_equal(answer.T_odom_body, own.T_odom_body):
+            self.answered = OdomFrame()
+            self.answered.lay(answer.T_odom_body, T_odom_body)
+        return self.answered.framed(answer)
 
     def _follow(self, own: FusedEstimate, T_filter_body: FloatArray, fusion: ErrorStateFilter) -> None:
         """Lie where the remembered pose stays in odom; of another filter, which knows none, where the twist goes on."""

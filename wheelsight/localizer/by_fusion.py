@@ -11,6 +11,7 @@ from wheelsight.estimates import CameraEstimate, Estimate, MotionEstimate, Reaso
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.fusion import ErrorStateFilter, FusedEstimate
 from wheelsight.geometry import FloatArray
+from wheelsight.geometry import motion_kernels as motions
 from wheelsight.localizer._base_check import BaseCheck
 from wheelsight.localizer._base_sensors import BaseSensors
 from wheelsight.localizer._camera import mount_of
@@ -81,7 +82,7 @@ class ByFusion:
     @property
     def T_odom_map(self) -> FloatArray:
         """(4, 4) where the map, of the camera and its surfels, lies by now."""
-        return self._map.T_odom_map
+        return motions.times(self._odom.answered.T_odom_filter, self._map.T_odom_map)
 
     @property
     def last_matches(self) -> MatchedPixels | None:

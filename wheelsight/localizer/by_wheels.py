@@ -41,7 +41,7 @@ class ByWheels:
         self._odom = OdomFrame()
         self._odom_base: FloatArray = _STILL  # where it is there
         self._moved: FloatArray = _STILL  # the base, at the last event
-        self._has_gyro = False
+        self._has_trusted = False
         self._check = GyroCheck(settings.gyro_check)
         self._rates = YawRateMeter(settings.gyro_gap_s)
         self._delay_s = calibration.wheels.delay_s
@@ -75,7 +75,7 @@ class ByWheels:
         if isinstance(event, YawRate) and self._uses_gyro and not self._check.problem:
             self._check.add_rate(event.stamp_s, event.yaw_rate_rad_s)
             self._rates.add(event.stamp_s, event.yaw_rate_rad_s)
-            self._joined, self._has_gyro = self._joined or self._alone.copy(), True
+            self._joined = self._joined or self._alone.copy()
         if not isinstance(event, WheelTicks | WheelSpeeds):
             return None, ""
         return self._reading(event)
@@ -92,7 +92,8 @@ class ByWheels:
         """The last answer in the frame that does not leap with what gyroscope and wheels tell of the way so far."""
         T = answer.T_odom_body
         if T is not None:
-            if self._has_gyro:
+            self._has_trusted |= self.trusts_gyro
+            if self._has_trusted:
                 self._odom.lay(T, motions.times(self._odom_base, self._moved))
             self._odom_base = self._odom.T_odom_body(T)
         return self._odom.framed(answer)

@@ -9,6 +9,7 @@ import numpy as np
 
 from wheelsight.config import Config
 from wheelsight.errors import CalibrationError, EvaluationError
+from wheelsight.estimates import Estimate
 from wheelsight.evaluation import Evaluation, evaluate
 from wheelsight.pipeline.kept_maps import finish_map
 from wheelsight.pipeline.loops import MatchesOfRun, correction_of
@@ -77,6 +78,7 @@ def _record_of(track: Track, passage: Passage, source: EventSource, config: Conf
         format=format_of(source),
         frames=tuple(track.frames),
         estimate=estimate,
+        odom=_odom(track),
         ground_truth=truth,
         evaluation=evaluation,
         association=source.association if isinstance(source, Recording) else None,
@@ -147,11 +149,26 @@ def _repeats(track: Track) -> tuple[str, ...]:
     return (f"{told}: fewer images a second were taken than were recorded.",)
 
 
-def _trajectory(track: Track) -> Trajectory:
+def _answered(track: Track) -> list[Estimate]:
+    """One answer a stamp, in order."""
     at = {
         estimate.stamp_s: estimate for estimate in track.poses
     }  # a frame may have a reading's stamp: the later counts
-    poses = [at[stamp_s] for stamp_s in sorted(at)]  # readings are told of late where wheels have a delay
+    return [at[stamp_s] for stamp_s in sorted(at)]  # readings are told of late where wheels have a delay
+
+
+def _odom(track: Track) -> Trajectory | None:
+    """The way in odom, at the stamps of the trajectory, where that has leapt; else None."""
+    poses = _answered(track)
+    if not any((estimate.T_filter_odom != np.eye(4)).any() for estimate in poses):
+        return None
+    stamps_s = np.array([estimate.stamp_s for estimate in poses], float)
+    T = np.array([estimate.T_odom_body for estimate in poses], float)
+    return Trajectory(stamps_s, T, body=track.localizer.body, frame="odom")
+
+
+def _trajectory(track: Track) -> Trajectory:
+    poses = _answered(track)
     covariances = [estimate.filter_covariance for estimate in poses]
     return Trajectory(
         np.array([estimate.stamp_s for estimate in poses], float),

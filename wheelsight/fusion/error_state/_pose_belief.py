@@ -39,6 +39,7 @@ MOUNT_SHIFT = [10, 11]  # of the camera's errors
 _NO_TWIST = np.full(3, np.nan)
 _NO_SLIP = np.zeros((6, 6))
 
+
 class Teaches(Enum):
     """What a measurement tells beside motion: nothing, what is wrong with the sensors, and where the camera sits, too.
 
