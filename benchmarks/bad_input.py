@@ -153,9 +153,9 @@ def measure_case(case: Case, tracker: str, track: Track, events: Sequence[Event]
     is_known = np.isfinite(truth.at([answer.estimate.stamp_s for answer in posed])).all(axis=(1, 2))
     posed = [posed[index] for index in np.flatnonzero(is_known)]
     stamps_s = np.array([answer.estimate.stamp_s for answer in posed])
-    T = np.array([answer.estimate.T_odom_body for answer in posed]).reshape(-1, 4, 4)
+    T = np.array([answer.estimate.T_filter_body for answer in posed]).reshape(-1, 4, 4)
     T_true = truth.at(stamps_s)
-    covariances = np.array([answer.estimate.covariance for answer in posed]).reshape(-1, 6, 6)
+    covariances = np.array([answer.estimate.filter_covariance for answer in posed]).reshape(-1, 6, 6)
     is_sure = np.array([_is_sure(answer.estimate) for answer in posed], bool)
     wrong = _wrong(T, T_true, stamps_s, case.begin_s) & is_sure
     off_m = np.linalg.norm(_laid_upon(T, T_true, 0)[:, :3, 3] - T_true[:, :3, 3], axis=1)

@@ -110,13 +110,13 @@ class _Judge:
     def judge(self, event: Event, answer: Estimate | None) -> None:
         """Count an answer to an event, or that there is none."""
         self.asked += 1
-        if answer is None or answer.T_odom_body is None:
+        if answer is None or answer.T_filter_body is None:
             return
         when_s = self._when(event, answer)
         if when_s is None:
             return
         within_s = np.clip(when_s, self.truth.stamps_s[0], self.truth.stamps_s[-1])  # it may be a little off the drive
-        off = answer.T_odom_body[:3, 3] - self.truth.at([within_s])[0, :3, 3]
+        off = answer.T_filter_body[:3, 3] - self.truth.at([within_s])[0, :3, 3]
         self.off_m.append(float(np.linalg.norm(off)))
         self.wrong += answer.status is Status.TRACKING and not _covers(answer, off)
 
@@ -138,9 +138,9 @@ class _Judge:
 
 def _covers(answer: Estimate, off: FloatArray) -> bool:
     """Whether 3σ in the plane reach as far."""
-    if answer.covariance is None or answer.T_odom_body is None:
+    if answer.filter_covariance is None or answer.T_filter_body is None:
         return False
-    P = se3.position_covariance(answer.T_odom_body, answer.covariance)[:2, :2] + _STANDS_M**2 * np.eye(2)
+    P = se3.position_covariance(answer.T_filter_body, answer.filter_covariance)[:2, :2] + _STANDS_M**2 * np.eye(2)
     return bool(off[:2] @ np.linalg.solve(P, off[:2]) <= _THREE_SIGMA)
 
 

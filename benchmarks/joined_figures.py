@@ -147,8 +147,8 @@ def _poses(answers: Answers, truth: Trajectory) -> tuple[FloatArray, FloatArray,
     """Stamps, poses and covariances of answers that have one and that the truth covers."""
     posed = [e for e in answers.posed if truth.stamps_s[0] <= e.stamp_s <= truth.stamps_s[-1]]
     stamps_s = np.array([estimate.stamp_s for estimate in posed])
-    T = np.array([estimate.T_odom_body for estimate in posed]).reshape(-1, 4, 4)
-    return stamps_s, T, np.array([estimate.covariance for estimate in posed]).reshape(-1, 6, 6)
+    T = np.array([estimate.T_filter_body for estimate in posed]).reshape(-1, 4, 4)
+    return stamps_s, T, np.array([estimate.filter_covariance for estimate in posed]).reshape(-1, 6, 6)
 
 
 def _off(T: FloatArray, T_true: FloatArray) -> FloatArray:

@@ -116,7 +116,7 @@ def _line(name: str, accuracy: Accuracy) -> Line2D:
 def _in_world(answers: Answers, T_odom_start: FloatArray) -> FloatArray:
     """Positions (N, 2) in the simulation's world, the first pose laid upon the truth; gaps are NaN."""
     nothing = np.full((4, 4), np.nan)
-    T = np.array([nothing if e.T_odom_body is None else e.T_odom_body for e in answers.estimates])
+    T = np.array([nothing if e.T_filter_body is None else e.T_filter_body for e in answers.estimates])
     first = T[np.flatnonzero(~np.isnan(T[:, 0, 0]))[0]]
     return np.asarray((T_odom_start @ se3.invert(first) @ T)[:, :2, 3])
 

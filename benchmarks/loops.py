@@ -151,7 +151,7 @@ def corridor(folder: Path, solver: str) -> str:
     localizer = Localizer(recording.calibration, load_config(overrides={"odometry": "wheels"}))
     answers = [localizer.process(event) for event in recording.events()]
     posed = [a for a in answers if a is not None and a.T_odom_body is not None and a.reason is None]
-    stamps_s, T, C = ([getattr(a, name) for a in posed] for name in ("stamp_s", "T_odom_body", "covariance"))
+    stamps_s, T, C = ([getattr(a, name) for a in posed] for name in ("stamp_s", "T_filter_body", "filter_covariance"))
     lived = Trajectory(np.array(stamps_s), np.array(T), np.array(C), "base", "odom")
     stated = recording.speed_variances if isinstance(recording, GivesMatches) else None
     started = time.perf_counter()

@@ -101,13 +101,17 @@ class Estimate:
         status: what the pose can be used for.
         T_odom_body: (4, 4) in the frame that never jumps, or None while it is not known. `body` is "camera" or "base".
             Where a wheel reading was refused it is the pose before, and the covariance has grown by what may have
-            happened since.
+            happened since. A localizer's moves only as the body does; a filter's own leaps where it thinks better of
+            the past.
         covariance: (6, 6) of the left perturbation (v, ω) of `T_odom_body`, or None.
         reason: why the event gave no pose of its own, or None.
         matches: of this frame's alignment.
         inliers: likewise.
-        T_map_odom: (4, 4) where the frame odom lies in the map (ROS REP 105); it moves where the map knows better.
+        T_map_odom: (4, 4) where the frame odom lies in the map (ROS REP 105); it moves where the map or the filter
+            knows better.
         covariance_map: (6, 6) of the left perturbation (v, ω) of `T_map_body`, where loops tell how surely it is known.
+        T_filter_odom: (4, 4) where odom lies in the frame in which the filter has its poses: in the plane, for height
+            and tilt are the same in both. The identity where nothing leaps.
         keyframe: by which this pose is remembered, or None; see `wheelsight.keyframes`.
         T_keyframe_body: (4, 4) where the body is relative to that keyframe, or None. When keyframes move,
             `T_map_keyframe @ T_keyframe_body` is where the body has been.
@@ -123,6 +127,7 @@ class Estimate:
     inliers: int = 0
     T_map_odom: FloatArray = field(default_factory=lambda: _IDENTITY, kw_only=True)
     covariance_map: FloatArray | None = field(default=None, kw_only=True)
+    T_filter_odom: FloatArray = field(default_factory=lambda: _IDENTITY, kw_only=True)
     keyframe: KeyframeId | None = field(default=None, kw_only=True)
     T_keyframe_body: FloatArray | None = field(default=None, kw_only=True)
 
@@ -132,6 +137,21 @@ class Estimate:
         if self.T_odom_body is None or self.status is Status.INITIALIZING:
             return None
         return self.T_map_odom @ self.T_odom_body
+
+    @property
+    def T_filter_body(self) -> FloatArray | None:
+        """(4, 4) by all that was known at the stamp but loops, or None: a run's trajectory holds it, and it leaps."""
+        if self.T_odom_body is None or self.T_filter_odom is _IDENTITY:
+            return self.T_odom_body
+        return self.T_filter_odom @ self.T_odom_body
+
+    @property
+    def filter_covariance(self) -> FloatArray | None:
+        """(6, 6) of the left perturbation (v, ω) of `T_filter_body`, or None."""
+        if self.covariance is None or self.T_filter_odom is _IDENTITY:
+            return self.covariance
+        Ad = se3.adjoint(self.T_filter_odom)
+        return np.asarray(Ad @ self.covariance @ Ad.T)
 
     def remembered_in(self, store: KeyframeStore) -> FloatArray | None:
         """T_map_body (4, 4) by where its keyframe is by now; None where no keyframe remembers it.

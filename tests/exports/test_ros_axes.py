@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from wheelsight.calibration import Calibration
-from wheelsight.exports.ros_axes import map_to_odom, pose_covariances, twists, upright, upright_points
+from wheelsight.exports.ros_axes import in_odom, map_to_odom, pose_covariances, twists, upright, upright_points
 from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
 from wheelsight.recordings.rosbag.robot_topics import COLOR_FRAME, DEPTH_FRAME, LINK, mounts_of
 from wheelsight.trajectory import Trajectory
@@ -96,3 +96,19 @@ def test_without_a_mount_the_camera_hangs_on_nothing() -> None:
     frames: list[tuple[str, str, FloatArray]] = mounts_of(Calibration.registered_camera(CAMERA))
     assert {parent for parent, _, _ in frames} == {LINK}
     assert mounts_of(Calibration()) == []
+
+
+def test_a_way_in_odom_is_as_certain_as_the_trajectory_and_lies_in_the_map_where_that_does() -> None:
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(3, 6, 6))
+    C = A @ np.swapaxes(A, 1, 2)
+    lived = Trajectory(np.arange(3.0), se3.exp(rng.normal(size=(3, 6))), C, body="base")
+    leapt = se3.from_plane(*rng.normal(size=(3, 3)).T)
+    odom = Trajectory(np.arange(3.0), leapt @ lived.T_frame_body, body="base", frame="odom")
+    found = in_odom(lived, odom)
+    assert found.frame == "odom"
+    assert in_odom(lived, None) is lived
+    assert_allclose(map_to_odom(found, lived)[1], se3.invert(leapt), atol=1e-12)
+    P, P_odom = (se3.position_covariance(way.T_frame_body, way.covariances) for way in (lived, found))
+    R = leapt[:, :3, :3]
+    assert_allclose(P_odom, R @ P @ np.swapaxes(R, 1, 2), atol=1e-9)

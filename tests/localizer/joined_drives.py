@@ -278,9 +278,9 @@ def of_frames(answers: Iterable[tuple[Event, FusedEstimate]]) -> list[FusedEstim
 
 def off_m(answer: Estimate, truth: Trajectory, stamp_s: float | None = None) -> float:
     """Metres between the answer's pose and the truth, which ends where the robot stands."""
-    assert answer.T_odom_body is not None, f"no pose: {answer.reason}"
+    assert answer.T_filter_body is not None, f"no pose: {answer.reason}"
     T = truth.at([min(answer.stamp_s if stamp_s is None else stamp_s, truth.stamps_s[-1])])[0]
-    return float(np.linalg.norm(answer.T_odom_body[:3, 3] - T[:3, 3]))
+    return float(np.linalg.norm(answer.T_filter_body[:3, 3] - T[:3, 3]))
 
 
 def spread_m(answer: Estimate) -> float:

@@ -284,8 +284,8 @@ def test_directions_that_the_camera_does_not_show_are_the_wheels(ran: Callable[.
     assert all(a.degenerate and a.status is Status.TRACKING and a.reason is None for a in told)
     assert not any(a.degenerate for a in [*between(hidden, 3.5, 99), *between(seen, 0.0, 99)])
     T_truth = hidden[0].truth.at([told[-1].stamp_s])[0]
-    assert told[-1].T_odom_body is not None
-    off = se3.invert(T_truth) @ told[-1].T_odom_body
+    assert told[-1].T_filter_body is not None
+    off = se3.invert(T_truth) @ told[-1].T_filter_body
     assert 0.05 < np.linalg.norm(off[:2, 3]) < 0.08
     assert so3.angle(off[:3, :3]) < 0.01
     assert off_m(between(seen, 2.02, 3.5)[-1], seen[0].truth) < 0.015

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 from grids import mostly_slow
+from narrowing import not_none
 
 from wheelsight.calibration import Calibration, Wheels
 from wheelsight.config import load_config
 from wheelsight.estimates import Estimate
 from wheelsight.events import Event, WheelTicks, YawRate
-from wheelsight.geometry import se3
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer import Localizer
 from wheelsight.simulation import Drive, Robot, SimulationSettings, simulate
 
@@ -60,7 +61,7 @@ def rmse_m(answers: Sequence[Estimate], drive: Drive) -> float:
     """Of the positions, from the true start."""
     told = [answer for answer in answers if answer.stamp_s >= 0]
     T_true = drive.truth.at([answer.stamp_s for answer in told])
-    T = np.array([answer.T_odom_body for answer in told])
+    T = np.array([answer.T_filter_body for answer in told])
     start = se3.invert(T_true[0]) @ T_true
     return float(np.sqrt(np.mean(np.sum((T[:, :2, 3] - start[:, :2, 3]) ** 2, axis=1))))
 
@@ -105,6 +106,21 @@ FAULTS: dict[str, tuple[Change, str]] = {
 }
 
 
+def test_what_the_gyroscope_tells_of_the_way_so_far_is_no_motion_in_odom() -> None:
+    drive = driven(1, right_radius_m=0.1717, track_width_m=0.53)
+    both, alone = (answers_to(events_of(drive), **{"wheels.gyro": gyro})[1] for gyro in (True, False))
+
+    def steps_m(T: Sequence[FloatArray | None]) -> FloatArray:
+        return np.asarray(np.linalg.norm(np.diff(np.array(T)[:, :2, 3], axis=0), axis=1))
+
+    rolled_m = steps_m([answer.T_odom_body for answer in alone])
+    leaps_m = np.abs(steps_m([answer.T_filter_body for answer in both]) - rolled_m)
+    assert leaps_m.max() > 0.01
+    assert np.abs(steps_m([answer.T_odom_body for answer in both]) - rolled_m).max() < 1e-4
+    for answer in both:
+        np.testing.assert_allclose(not_none(answer.T_map_body), not_none(answer.T_filter_body), atol=1e-12)
+
+
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize("rest_s", [0.0, 5.0])
 def test_a_gyroscope_that_contradicts_the_wheels_is_named_and_moves_nothing(fault: str, rest_s: float) -> None:
@@ -129,7 +145,7 @@ def test_where_it_fails_on_the_way_the_wheels_go_on_from_where_both_agreed(rate_
     subject, both, (note,) = answers_to(broken)
     assert "left out" in note
     assert subject.warnings
-    T, expected = both[-1].T_odom_body, answers_to(ended)[1][-1].T_odom_body
+    T, expected = both[-1].T_filter_body, answers_to(ended)[1][-1].T_filter_body
     assert T is not None
     assert expected is not None
     off = se3.invert(expected) @ T

@@ -118,7 +118,7 @@ def test_of_two_clocks_that_of_the_sensor_heard_first_counts(monkeypatch: pytest
     assert {answer.status for answer in seen[1:]} == {Status.TRACKING}
     first_s = seen[0].stamp_s - ahead_s
     T = se3.invert(made.truth.at([first_s])[0]) @ made.truth.at([min(seen[-1].stamp_s - ahead_s, first_s + 10)])[0]
-    np.testing.assert_allclose(not_none(seen[-1].T_odom_body), T, atol=0.05)
+    np.testing.assert_allclose(not_none(seen[-1].T_filter_body), T, atol=0.05)
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ def answers_to(localizer: Localizer, events: Iterable[Event]) -> list[Estimate]:
 
 def rmse_m(answers: list[Estimate], recording: Recording) -> float:
     assert recording.ground_truth is not None
-    newest = {answer.stamp_s: answer.T_odom_body for answer in answers}  # one that came late is answered as of that
+    newest = {answer.stamp_s: answer.T_filter_body for answer in answers}  # one that came late is answered as of that
     stamps, poses = zip(*sorted(newest.items()), strict=True)
     return ate(Trajectory(np.array(stamps), np.array(poses), body="base"), recording.ground_truth).translation.rmse
 

@@ -91,6 +91,23 @@ class _FullDisk:
 
 @pytest.mark.parametrize("chunks", [0, 0.5, 2.5])
 def test_where_the_disk_is_full_they_stay_in_memory(chunks: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    given, full = estimates(), _FullDisk(int(chunks * 8 * 49 * 8))
+    given, full = estimates(), _FullDisk(int(chunks * 8 * 52 * 8))
     monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: full)
     assert_all_are_there(kept(given), given)
+
+
+def test_poses_in_odom_are_there_where_the_filter_has_leapt() -> None:
+    given = estimates()
+    assert kept(given).odom("base") is None
+    T_filter_odom = se3.from_plane(np.linspace(0.0, 1.0, COUNT), 0.5, -3.0)
+    leapt = [
+        Estimate(one.stamp_s, one.status, one.T_odom_body, one.covariance, body="base", T_filter_odom=T)
+        for one, T in zip(given, T_filter_odom, strict=True)
+    ]
+    poses = kept(leapt)
+    odom, filtered = poses.odom("base"), poses.trajectory("base", "map")
+    assert odom is not None
+    assert (odom.body, odom.frame) == ("base", "odom")
+    np.testing.assert_allclose(odom.T_frame_body, [one.T_odom_body for one in given], atol=1e-12)
+    np.testing.assert_array_equal(filtered.T_frame_body, [one.T_filter_body for one in leapt])
+    np.testing.assert_array_equal(filtered.covariances, [one.filter_covariance for one in leapt])

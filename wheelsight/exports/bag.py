@@ -14,6 +14,7 @@ from wheelsight.errors import InputError, OutputError
 from wheelsight.exports.map_points import points_of
 from wheelsight.exports.ros_axes import (
     body_frame,
+    in_odom,
     map_to_odom,
     pose_covariances,
     twists,
@@ -139,7 +140,7 @@ class _Writing:
         """The way as known at the end; of a map, from keyframe to keyframe; and the true one of a recording."""
         lived = self.source.trajectory
         if lived is not None:
-            way = self.source.corrected or lived
+            way = self.source.corrected or (lived if self.fixed == MAP else in_odom(lived, self.source.odom))
             yield "/trajectory", upright(way)
         elif self.source.map is not None:
             yield "/trajectory", upright(self._keyframes())
@@ -178,7 +179,10 @@ class _Writing:
         lived, corrected = self.source.trajectory, self.source.corrected
         if lived is None:
             return
-        lived, corrected = upright(lived), None if corrected is None else upright(corrected)
+        if corrected is None and self.source.odom is not None:
+            corrected = lived  # it leaps where more is known of the way: in the map
+        lived = upright(in_odom(lived, self.source.odom))
+        corrected = None if corrected is None else upright(corrected)
         known_s, T_map_odom = map_to_odom(lived, corrected)
         at = dict(zip(known_s.tolist(), T_map_odom, strict=True))
         C, moving, child = pose_covariances(lived), twists(lived), body_frame(lived.body)

@@ -61,6 +61,18 @@ def twists(trajectory: Trajectory) -> FloatArray:
     return np.asarray(se3.log(T_before_after) / lasted_s[:, None])
 
 
+def in_odom(lived: Trajectory, odom: Trajectory | None) -> Trajectory:
+    """A trajectory without its leaps, as `odom` has it at the same stamps, with its covariances."""
+    if odom is None:
+        return lived
+    _, rows, found = np.intersect1d(lived.stamps_s, odom.stamps_s, return_indices=True)
+    T, C = odom.T_frame_body[found], lived.covariances
+    if C is not None:
+        Ad = se3.adjoint(se3.compose(T, se3.invert(lived.T_frame_body[rows])))
+        C = Ad @ C[rows] @ np.swapaxes(Ad, 1, 2)
+    return Trajectory(odom.stamps_s[found], T, C, body=odom.body, frame=odom.frame)
+
+
 def map_to_odom(lived: Trajectory, corrected: Trajectory | None) -> tuple[FloatArray, FloatArray]:
     """Stamps (N,), and T_map_odom (N, 4, 4) at them: the identity where nothing corrected the way.
 

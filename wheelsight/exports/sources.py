@@ -15,7 +15,7 @@ from wheelsight.files import StrPath
 from wheelsight.inputs import Kind, is_there, lines_of, parse_json, read_text
 from wheelsight.pipeline import CORRECTED_FILE, MAP_FILE
 from wheelsight.pipeline.covariances import COVARIANCES_FILE, with_covariances
-from wheelsight.pipeline.outputs import METRICS_FILE, STATUS_FILE, TRAJECTORY_FILE
+from wheelsight.pipeline.outputs import METRICS_FILE, ODOM_FILE, STATUS_FILE, TRAJECTORY_FILE
 from wheelsight.recordings import Recording, open_recording
 from wheelsight.slam.sessions import MAP_FOLDER, MapFolder, find_map, is_map
 from wheelsight.trajectory import Trajectory, read_tum
@@ -57,6 +57,13 @@ class Exported:
         found = read_tum(self.track / TRAJECTORY_FILE)
         table = self.track / COVARIANCES_FILE
         return with_covariances(found, table) if is_there(table) else found
+
+    @cached_property
+    def odom(self) -> Trajectory | None:
+        """The way without the leaps of `trajectory`, in odom, or None where that has none. Raises TrajectoryError."""
+        if self.track is None or not is_there(self.track / ODOM_FILE):
+            return None
+        return read_tum(self.track / ODOM_FILE)
 
     @cached_property
     def corrected(self) -> Trajectory | None:

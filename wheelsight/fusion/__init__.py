@@ -21,6 +21,7 @@ from wheelsight.fusion.areas import (
     rectify_drive,
 )
 from wheelsight.fusion.error_state import (
+    STEP_BEGIN,
     ErrorStateFilter,
     ErrorStateSettings,
     FrameUpdate,
@@ -31,6 +32,7 @@ from wheelsight.fusion.ligocki import JoinedEstimate, LigockiFilter, LigockiSett
 from wheelsight.fusion.settings import FusionName, FusionSettings, JoiningSettings
 
 __all__ = [
+    "STEP_BEGIN",
     "AreaFilter",
     "AreaFilterSettings",
     "AreaRectifier",

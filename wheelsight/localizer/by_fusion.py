@@ -11,6 +11,7 @@ from wheelsight.estimates import CameraEstimate, Estimate, MotionEstimate, Reaso
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.fusion import ErrorStateFilter, FusedEstimate
 from wheelsight.geometry import FloatArray
+from wheelsight.geometry import motion_kernels as motions
 from wheelsight.localizer._base_check import BaseCheck
 from wheelsight.localizer._base_sensors import BaseSensors
 from wheelsight.localizer._camera import mount_of
@@ -18,6 +19,7 @@ from wheelsight.localizer._camera_map import Anchor, CameraMap, blurred, is_far,
 from wheelsight.localizer._carried import Carried, UnsureStart
 from wheelsight.localizer._fused_camera import FusedCamera
 from wheelsight.localizer._loops import begin_in, loops_beside
+from wheelsight.localizer._odom_frame import FusedOdom
 from wheelsight.localizer._place_sense import PlaceSense
 from wheelsight.localizer.by_places import Places
 from wheelsight.localizer.map_builder import MapBuilder
@@ -67,6 +69,7 @@ class ByFusion:
         self._check = BaseCheck(calibration, T_base_camera, ErrorStateFilter(*begin), *checks)
         self.loops = loops_beside(self.odometry.store, calibration, settings, known, waits=waits)
         self._carried, self._unsure = Carried(self._settings), UnsureStart(self._settings)
+        self._odom = FusedOdom(filter_settings.coast_after_s)
 
     @property
     def odometry(self) -> FeatureOdometry | DenseOdometry:
@@ -81,7 +84,7 @@ class ByFusion:
     @property
     def T_odom_map(self) -> FloatArray:
         """(4, 4) where the map, of the camera and its surfels, lies by now."""
-        return self._map.T_odom_map
+        return motions.times(self._odom.answered.T_odom_filter, self._map.T_odom_map)
 
     @property
     def last_matches(self) -> MatchedPixels | None:
@@ -116,7 +119,10 @@ class ByFusion:
             return None, ""
         if isinstance(answer, FusedEstimate):
             answer = self._map.framed(answer)
-        return answer if self.loops is None or answer is None else self.loops.called(answer), note
+        if answer is None:
+            return None, note
+        answer = answer if self.loops is None else self.loops.called(answer)
+        return self._odom.framed(answer, self.filter, event), note
 
     def refuse(self, event: Event, why: Untimed) -> tuple[Estimate | None, str]:
         """What is known, at an event whose stamp means nothing; None at a yaw rate."""
@@ -126,7 +132,7 @@ class ByFusion:
         if isinstance(event, WheelTicks | WheelSpeeds) and why.reason is Reason.CLOCKS_APART:
             self._base.deaf = f"the wheels are not heard: {why.note}"
             self._base.refuse(event)
-        known, reason = self._map.framed(self.filter.estimate), why.reason
+        known, reason = self._odom.framed(self._map.framed(self.filter.estimate), self.filter), why.reason
         if reason is Reason.CLOCKS_APART and known.status is Status.TRACKING:
             # Until it is settled whose clock leapt, the base moves on unseen.
             return replace(known, reason=reason, status=Status.COASTING), why.note

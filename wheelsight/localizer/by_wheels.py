@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from wheelsight.calibration import Calibration
 from wheelsight.clocks import Untimed
 from wheelsight.errors import CalibrationError
 from wheelsight.estimates import Reason, Status, WheelEstimate
 from wheelsight.events import Event, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.geometry import FloatArray
+from wheelsight.geometry import motion_kernels as motions
+from wheelsight.localizer._odom_frame import OdomFrame
 from wheelsight.odometry.wheels import GyroCheck, WheelOdometry, WheelSettings, YawRateMeter
+
+_STILL = np.eye(4)
 
 
 class ByWheels:
@@ -32,6 +38,10 @@ class ByWheels:
         self._joined: WheelOdometry | None = None
         self._next: tuple[float, WheelOdometry] | None = None  # what will be kept if the gyroscope agrees until then
         self._last: tuple[float, FloatArray, FloatArray] | None = None  # what was answered
+        self._odom = OdomFrame()
+        self._odom_base: FloatArray = _STILL  # where it is there
+        self._moved: FloatArray = _STILL  # the base, at the last event
+        self._has_trusted = False
         self._check = GyroCheck(settings.gyro_check)
         self._rates = YawRateMeter(settings.gyro_gap_s)
         self._delay_s = calibration.wheels.delay_s
@@ -74,11 +84,23 @@ class ByWheels:
         """The answer to an event whose stamp means nothing: none to a yaw rate, the pose before to a reading."""
         if isinstance(event, YawRate):
             return None, ""
+        self._moved = _STILL
         T, C, stamp_s = self.odometry.T_odom_base, self.odometry.covariance, event.stamp_s - self._delay_s
         return WheelEstimate(stamp_s, Status.FAILING, T, C, why.reason, "base"), why.note
 
+    def in_odom(self, answer: WheelEstimate) -> WheelEstimate:
+        """The last answer in the frame that does not leap with what gyroscope and wheels tell of the way so far."""
+        T = answer.T_odom_body
+        if T is not None:
+            self._has_trusted |= self.trusts_gyro
+            if self._has_trusted:
+                self._odom.lay(T, motions.times(self._odom_base, self._moved))
+            self._odom_base = self._odom.T_odom_body(T)
+        return self._odom.framed(answer)
+
     def _reading(self, reading: WheelTicks | WheelSpeeds) -> tuple[WheelEstimate, str]:
         answer, note = self._answer(reading)
+        self._moved = self.odometry.moved
         last, T, C = self._last, answer.T_odom_body, answer.covariance
         if last is not None and answer.before is not None and answer.before[1] is not last[1]:
             # Another odometry answers than before: what it knows better of the way so far is part of the step.

@@ -11,7 +11,7 @@ from wheelsight.checks import check_event, check_images, need_calibration, need_
 from wheelsight.clocks import SessionClock, Untimed
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
-from wheelsight.estimates import Estimate
+from wheelsight.estimates import Estimate, WheelEstimate
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.geometry import FloatArray
 from wheelsight.keyframes import KeyframeStore
@@ -208,6 +208,8 @@ class Localizer:
             timed = event if time_s == event.stamp_s else replace(event, stamp_s=time_s)
             timed = self._images.frame(timed) if isinstance(timed, RgbdFrame) else timed
             estimate, self.note = self._way.process(timed)
+        if isinstance(self._way, ByWheels) and isinstance(estimate, WheelEstimate):
+            estimate = self._way.in_odom(estimate)
         if self._resting is not None:
             self._resting.look()
         shift_s = self._clock.shift_s

@@ -9,11 +9,11 @@ from typing import BinaryIO
 import numpy as np
 
 from wheelsight.estimates import Estimate
-from wheelsight.geometry import FloatArray
+from wheelsight.geometry import FloatArray, se2, se3
 from wheelsight.trajectory import Trajectory
 
-# Stamp, three rows of the pose, covariance: 392 bytes, where an estimate has some 2 kB.
-_STAMP, _POSE, _COVARIANCE, _ROW = 0, slice(1, 13), slice(13, 49), 49
+# Stamp, three rows of the pose, covariance, where odom lies: 416 bytes, where an estimate has some 2 kB.
+_STAMP, _POSE, _COVARIANCE, _ODOM, _ROW = 0, slice(1, 13), slice(13, 49), slice(49, 52), 52
 # 1.6 MB: wheels at 50 Hz fill it in 82 s.
 _CHUNK = 4096
 
@@ -41,25 +41,37 @@ class LivedPoses:
         if self._filled == _CHUNK:
             self._put_away(self._rows)
             self._filled = 0
-        row = self._rows[self._filled]
-        row[_STAMP], row[_POSE] = estimate.stamp_s, np.ravel(estimate.T_odom_body[:3])
-        self._has_covariances &= estimate.covariance is not None
-        row[_COVARIANCE] = 0.0 if estimate.covariance is None else np.ravel(estimate.covariance)
+        row, T, C = self._rows[self._filled], estimate.T_filter_body, estimate.filter_covariance
+        assert T is not None
+        row[_STAMP], row[_POSE] = estimate.stamp_s, np.ravel(T[:3])
+        self._has_covariances &= C is not None
+        row[_COVARIANCE] = 0.0 if C is None else np.ravel(C)
+        row[_ODOM] = se2.to_parts(estimate.T_filter_odom[np.ix_([0, 1, 3], [0, 1, 3])])
         self._filled += 1
 
     def trajectory(self, body: str, frame: str) -> Trajectory:
-        """In order of time; of several at one stamp the one that was answered last."""
+        """As the filter has it, in order of time; of several at one stamp the one that was answered last."""
+        rows = self._in_order()
+        T = _poses(rows)
+        has_covariances = self._has_covariances and bool(len(rows))
+        covariances = rows[:, _COVARIANCE].reshape(-1, 6, 6) if has_covariances else None
+        return Trajectory(rows[:, _STAMP], T, covariances, body=body, frame=frame)
+
+    def odom(self, body: str) -> Trajectory | None:
+        """The same in odom, which does not leap; None where the filter's poses have not leapt either."""
+        rows = self._in_order()
+        if not rows[:, _ODOM].any():
+            return None
+        T_filter_odom = se3.from_plane(*rows[:, _ODOM].T)
+        return Trajectory(rows[:, _STAMP], se3.invert(T_filter_odom) @ _poses(rows), body=body, frame="odom")
+
+    def _in_order(self) -> FloatArray:
         rows = self._all()
         # Readings are told of late where wheels have a delay, and a frame may have a reading's stamp.
         rows = rows[np.argsort(rows[:, _STAMP], kind="stable")]
         is_last = np.ones(len(rows), bool)
         is_last[:-1] = np.diff(rows[:, _STAMP]) > 0
-        rows = rows[is_last]
-        T = np.tile(np.eye(4), (len(rows), 1, 1))
-        T[:, :3] = rows[:, _POSE].reshape(-1, 3, 4)
-        has_covariances = self._has_covariances and bool(len(rows))
-        covariances = rows[:, _COVARIANCE].reshape(-1, 6, 6) if has_covariances else None
-        return Trajectory(rows[:, _STAMP], T, covariances, body=body, frame=frame)
+        return rows[is_last]
 
     def _put_away(self, rows: FloatArray) -> None:
         try:
@@ -81,7 +93,7 @@ class LivedPoses:
         self._stored += len(rows)
 
     def _all(self) -> FloatArray:
-        """(N, 49) in the order in which they were answered."""
+        """(N, 52) in the order in which they were answered."""
         stored = np.empty((self._stored, _ROW))
         if self._file is not None and self._stored:
             self._file.seek(0)
@@ -92,3 +104,9 @@ class LivedPoses:
                     raise OSError("a temporary file has lost poses of the run")
                 into = into[count:]
         return np.concatenate([stored, *self._held, self._rows[: self._filled]])
+
+
+def _poses(rows: FloatArray) -> FloatArray:
+    T: FloatArray = np.tile(np.eye(4), (len(rows), 1, 1))
+    T[:, :3] = rows[:, _POSE].reshape(-1, 3, 4)
+    return T

@@ -48,7 +48,8 @@ class Stops:
         found: the frames.
         stamps_s: of all frames that have a pose.
         T_map_body: their poses (4, 4) in the map.
-        T_odom_map: (4, 4) where the map lay at each of these frames, by what was known then.
+        T_odom_map: (4, 4) where the map lay at each of these frames in the frame of the trajectory, by what was known
+            then.
     """
 
     due: list[int]
@@ -66,7 +67,7 @@ class Stops:
         T_map_body = se3.invert(T_odom_map) @ estimate.T_odom_body
         self.stamps_s.append(frame.stamp_s)
         self.T_map_body.append(T_map_body)
-        self.T_odom_map.append(T_odom_map)
+        self.T_odom_map.append(estimate.T_filter_odom @ T_odom_map)
         if not self.due or frame.index < self.due[0]:
             return
         self.found.append(Stop(frame.stamp_s, frame.color, camera_of(T_map_body, T_base_camera)))

@@ -28,8 +28,10 @@ from wheelsight.trajectory import write_tum
 
 PAGE_FILE = "report.html"
 STATUS_FILE, METRICS_FILE, TRAJECTORY_FILE = "status.csv", "metrics.json", "trajectory.txt"
+ODOM_FILE = "odom.txt"
 _OF_ONE = (
     TRAJECTORY_FILE,
+    ODOM_FILE,
     COVARIANCES_FILE,
     STATUS_FILE,
     METRICS_FILE,
@@ -87,6 +89,10 @@ def _forget_others(records: Sequence[RunRecord], folder: Path) -> None:
 def _write_one(record: RunRecord, passage: Passage, source: EventSource, folder: Path) -> None:
     _forget(folder / COVARIANCES_FILE)  # first: no table tells of another run's poses
     write_tum(record.estimate, folder / TRAJECTORY_FILE)
+    if record.odom is None:
+        _forget(folder / ODOM_FILE)
+    else:
+        write_tum(record.odom, folder / ODOM_FILE)
     if record.estimate.covariances is not None:
         write_covariances(record.estimate, folder / COVARIANCES_FILE)
     write_text(folder / STATUS_FILE, _status_csv(record))

@@ -80,6 +80,7 @@ def _record_of(track: Track, passage: Passage, source: EventSource, config: Conf
         format=format_of(source),
         frames=tuple(track.frames),
         estimate=estimate,
+        odom=track.poses.odom(track.localizer.body),
         ground_truth=truth,
         evaluation=evaluation,
         association=source.association if isinstance(source, Recording) else None,

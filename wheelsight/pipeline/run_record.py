@@ -101,6 +101,8 @@ class RunRecord:
         format: its reader's name, or "live".
         frames: one record for each frame listed, skipped ones included; of wheel odometry, for each wheel reading.
         estimate: the trajectory; frames without a pose are not in it.
+        odom: the same way in the frame that a controller follows, without the trajectory's leaps; None where that has
+            none.
         ground_truth: or None.
         evaluation: against the ground truth, or None without one; `evaluation_problem` then says why.
         association: how colour and depth were paired, or None where a live source gives them as frames.
@@ -141,6 +143,7 @@ class RunRecord:
     realtime: RealTimeRecord | None = None
     correction: CorrectionRecord | None = None
     kept_map: KeptMapRecord | None = None
+    odom: Trajectory | None = None
 
     @property
     def posed(self) -> int:

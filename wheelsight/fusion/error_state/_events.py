@@ -22,6 +22,7 @@ from wheelsight.fusion.error_state._fault_detection import FaultDetection
 from wheelsight.fusion.error_state._measurements import RelativePose, WheelStep
 from wheelsight.fusion.error_state._pose_belief import PoseBelief
 from wheelsight.fusion.error_state._wheel_noise import Preintegration, WheelNoise
+from wheelsight.fusion.error_state.estimate import STEP_BEGIN
 from wheelsight.fusion.error_state.settings import FilterParameters
 from wheelsight.geometry import FloatArray
 
@@ -183,7 +184,8 @@ def _remembered(
     last = detection.last
     measurement = None if last is None or last.measurement.name != name else last.measurement
     is_known = name in detection.primary.names
-    if measurement is not None or detection.preintegration is None or detection.preintegration.name == name:
+    begins = measurement is not None or detection.preintegration is None or detection.preintegration.name == name
+    if begins and name != STEP_BEGIN:
         is_of_now = last is not None and last.stamp_s == stamp_s and detection.agreed > 0
         noise = detection.noise
         if measurement is not None and is_of_now and is_known and detection.fault is faults.Fault.NONE:

@@ -320,7 +320,7 @@ def _led_by_camera(
 ) -> PoseBelief | None:
     """The belief if wheels slipped since the measurement's reference; None where not even that explains it."""
     since_s = belief.remembered[belief.reference(measurement.name) - 1].stamp_s
-    slipping = belief.slipped(max(stamp_s - since_s, 0.0), settings)
+    slipping = belief.slipped(max(stamp_s - since_s, 0.0), settings, since_s)
     by = slipping.innovation(measurement, settings)
     return slipping.corrected(by).vision_accepted() if by.nis <= gate(settings, len(measurement.covariance)) else None
 

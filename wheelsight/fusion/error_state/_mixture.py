@@ -6,7 +6,8 @@ import numpy as np
 
 from wheelsight.fusion.error_state._changed import changed
 from wheelsight.fusion.error_state._pose_belief import LAG, PoseBelief
-from wheelsight.geometry import FloatArray
+from wheelsight.fusion.error_state.estimate import STEP_BEGIN
+from wheelsight.geometry import FloatArray, IntArray
 from wheelsight.geometry import motion_kernels as motions
 
 
@@ -39,14 +40,21 @@ def _less_known(one: PoseBelief, other: PoseBelief) -> FloatArray:
     """Covariance (6 + 6K, 6 + 6K) that the one's poses lack to be as uncertain as those of `other`.
 
     What both were uncertain of before they went apart counts once; where one is in the map is of no account, so they
-    are compared from where the base is.
+    are compared from where the base is. The begin of a step lacks what the base does: the step is as certain as it was.
     """
-    same = np.eye(len(one.T))
+    kept = [0, *(place for place, name in enumerate(one.names, 1) if name != STEP_BEGIN)]
+    at, same = _rows(kept), np.eye(len(kept))
     to_base, to_world = np.kron(same, motions.inverse_adjoint(one.T[0])), np.kron(same, motions.adjoint(one.T[0]))
-    lacks = to_base @ (_of_poses_alone(other) - _of_poses_alone(one)) @ to_base.T
+    lacks = to_base @ (_of_poses_alone(other) - _of_poses_alone(one))[np.ix_(at, at)] @ to_base.T
     strength, axes = np.linalg.eigh((lacks + lacks.T) / 2)
     axes = to_world @ axes
-    return np.asarray((axes * np.maximum(strength, 0.0)) @ axes.T)
+    of = _rows([kept.index(place) if place in kept else 0 for place in range(len(one.T))])
+    return np.asarray((axes * np.maximum(strength, 0.0)) @ axes.T)[np.ix_(of, of)]
+
+
+def _rows(places: list[int]) -> IntArray:
+    """Where poses stand in a covariance."""
+    return np.asarray((6 * np.array(places)[:, None] + np.arange(6)).ravel())
 
 
 def _of_poses_alone(belief: PoseBelief) -> FloatArray:

@@ -24,6 +24,7 @@ from wheelsight.fusion.error_state import _pose_kernels as kernels
 from wheelsight.fusion.error_state import _relative_pose_kernels as relative
 from wheelsight.fusion.error_state._changed import changed
 from wheelsight.fusion.error_state._measurements import Innovation, RelativePose, WheelStep
+from wheelsight.fusion.error_state.estimate import STEP_BEGIN
 from wheelsight.fusion.error_state.settings import FilterParameters
 from wheelsight.geometry import FloatArray, IntArray, se3
 from wheelsight.geometry import motion_kernels as motions
@@ -298,8 +299,11 @@ class PoseBelief:
         T = np.ascontiguousarray(se3.exp(x[:poses].reshape(-1, 6)) @ self.T)
         return changed(self, T=T, rest=self.rest + x[poses:], covariance=covariance)
 
-    def slipped(self, seconds: float, settings: FilterParameters) -> PoseBelief:
-        """As if wheels had slipped for so long; a wheel that is lifted tilts the base, too."""
+    def slipped(self, seconds: float, settings: FilterParameters, since_s: float | None = None) -> PoseBelief:
+        """As if wheels had slipped for so long; a wheel that is lifted tilts the base, too.
+
+        With `since_s`, when that began: the pose at the begin of a step had slipped by then for its share of the time.
+        """
         s = settings
         aside = [s.slip_rise_m_per_sqrt_s, s.slip_tilt_rad_per_sqrt_s, s.slip_tilt_rad_per_sqrt_s]
         q = np.square([s.slip_m_per_sqrt_s, s.slip_m_per_sqrt_s, *aside, s.slip_rad_per_sqrt_s]) * seconds
@@ -307,6 +311,13 @@ class PoseBelief:
         grown = (Ad * q) @ Ad.T
         P = self.covariance.copy()
         P[:6, :6] += grown
+        if since_s is not None and STEP_BEGIN in self.names:
+            at = self.reference(STEP_BEGIN)
+            before_s = self.remembered[at - 1].stamp_s - since_s
+            then, shared = slice(6 * at, 6 * at + 6), grown * min(max(before_s / seconds, 0.0), 1.0) if seconds else 0.0
+            P[then, then] += shared
+            P[:6, then] += shared
+            P[then, :6] += shared
         return changed(self, covariance=P, slip_covariance=self.slip_covariance + grown)
 
     def scattered(self, settings: FilterParameters) -> PoseBelief:

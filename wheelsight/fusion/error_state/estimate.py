@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from wheelsight.estimates import Estimate
 from wheelsight.geometry import FloatArray
 
+# Name of the remembered pose since which motions in `odom` are told. Nothing may be measured against it.
+STEP_BEGIN = "step begin"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FusedEstimate(Estimate):

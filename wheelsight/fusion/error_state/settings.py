@@ -220,7 +220,7 @@ class ErrorStateSettings(Settings):
         gt=0,
         le=100,
     )
-    max_clones: int = setting(4, "past poses remembered at most; the oldest goes", CHOSEN, gt=0, le=1000)
+    max_clones: int = setting(5, "past poses remembered at most; the oldest goes", CHOSEN, gt=0, le=1000)
 
     # The gyroscope; what it is worth, its calibration says.
     gyro_mean_s: float = setting(

@@ -223,6 +223,7 @@ def _join(state: FloatArray, gyro_variance: float, count_variance: float) -> Non
         state[at.ASTRAY_S] = 0.0
     S = known + ratio * slip
     state[at.EVIDENCE] -= 0.5 * (off**2 / S + math.log(S))
+    state[at.TOLD] = _told_of_stretch(state, H, ratio) / S * off
     _settle(state, ratio)
     C = state[at.WITH_ERRORS : at.WITH_ERRORS + 9].reshape(3, 3)
     told, gain = np.zeros(3), np.zeros(3)
@@ -237,6 +238,16 @@ def _join(state: FloatArray, gyro_variance: float, count_variance: float) -> Non
     add_product(state, -1.0, gain, told)
     _learn(state, H, S, told, off)
     _perturb(state, gain[0] * off, gain[1] * off, gain[2] * off)
+
+
+@kernel
+def _told_of_stretch(state: FloatArray, H: FloatArray, ratio: float) -> float:
+    """Covariance of the stretch's own turn, without the way before, with how far wheels and gyroscope are apart."""
+    P = state[at.ERRORS_COVARIANCE : at.ERRORS_COVARIANCE + 9].reshape(3, 3)
+    told: float = ratio * state[at.SLIP_WITH_TURN + 2]
+    for i in range(1, 3):
+        told += H[i] * (P[i, 0] * H[0] + P[i, 1] * H[1] + P[i, 2] * H[2])
+    return told
 
 
 @kernel

@@ -34,7 +34,8 @@ EVIDENCE, BEGUN = 78, 79
 TURNED = 80  # in the last step, by the calibration
 ASTRAY_S = 81  # for so long in a row both were too far apart; its sign is which way
 NATS, RATIOS = 82, 21
-STATE_SIZE = NATS + RATIOS
+TOLD = NATS + RATIOS  # by how much more than `YAW_RATE` says the base has turned of late, as the last join found
+STATE_SIZE = TOLD + 1
 # One state for wheels that are as their calibration says, one for wheels whose drift and scale are off.
 EXACT, OFF = 0, 1
 

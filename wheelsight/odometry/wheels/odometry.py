@@ -62,7 +62,7 @@ class WheelOdometry:
         self._last: WheelTicks | WheelSpeeds | None = None
         self._stamps = StampCheck()
         self._answered: tuple[float, FloatArray, FloatArray] | None = None
-        self._paused_s = 0.0
+        self._paused_s = self._step_s = 0.0
 
     @property
     def _state(self) -> FloatArray:
@@ -93,6 +93,15 @@ class WheelOdometry:
         """T_now_then (4, 4) after so many seconds more at this twist."""
         speed, yaw_rate = self.twist
         return se3.exp([speed * seconds, 0, 0, 0, 0, yaw_rate * seconds])
+
+    @property
+    def moved(self) -> FloatArray:
+        """T_before_now (4, 4) of the last step alone: with nothing of what it has told of the way before.
+
+        `T_odom_base` leaps where the gyroscope's bias, or how wheels are off, turns out to be another than was thought.
+        """
+        step, turn = self.motion_in(self._step_s), self._state[at.TOLD] if self._step_s else 0.0
+        return step @ se3.from_plane(0.0, 0.0, turn)
 
     @property
     def turned_rad(self) -> float:
@@ -153,7 +162,7 @@ class WheelOdometry:
         return WheelEstimate(stamp_s, status, T, C, _REASONS[why], "base", before=before)
 
     def _advance(self, reading: WheelTicks | WheelSpeeds, rate_rad_s: float) -> int:
-        last = self._last
+        last, self._step_s = self._last, 0.0
         if last is None:
             self._last = reading
             return kernels.OK
@@ -164,13 +173,14 @@ class WheelOdometry:
         self._parameters[kernels.COUNT_VARIANCE] = _count_variance(self._wheels) if counts else 0.0
         why = self._update(ticks, dt_s, rate_rad_s, self._paused_s if counts else 0.0)
         if why != kernels.BACKWARDS:
-            self._last, self._paused_s = reading, 0.0
+            self._last, self._paused_s, self._step_s = reading, 0.0, dt_s
         return why
 
     def _update(self, ticks: tuple[float, float], dt_s: float, rate_rad_s: float, paused_s: float) -> int:
         """Why a step is refused, or OK; of a reading after a pause, by the longer of both times where it needs that."""
         before = self.copy() if paused_s > dt_s > 0 else None
         filled = (self._T_odom_base, self._covariance)
+        self._states[:, at.TOLD] = 0.0
         why: int = kernels.update(self._states, self._parameters, *ticks, dt_s, rate_rad_s, *filled)
         if before is None or why != kernels.IMPLAUSIBLE:
             return why

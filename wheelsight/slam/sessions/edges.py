@@ -30,12 +30,12 @@ class SeenKeyframe:
     @classmethod
     def of(cls, number: KeyframeId, estimate: Estimate | None) -> Self:
         """By the estimate at the frame of which the keyframe was made."""
-        if estimate is None or estimate.keyframe != number or estimate.T_odom_body is None:
+        if estimate is None or estimate.keyframe != number or estimate.T_filter_body is None:
             return cls(number)
         if estimate.T_keyframe_body is None:
             return cls(number)
-        T_odom_keyframe = se3.nearest(estimate.T_odom_body @ se3.invert(estimate.T_keyframe_body))
-        return cls(number, T_odom_keyframe, estimate.covariance)
+        T_odom_keyframe = se3.nearest(estimate.T_filter_body @ se3.invert(estimate.T_keyframe_body))
+        return cls(number, T_odom_keyframe, estimate.filter_covariance)
 
 
 def odometry_edge(before: SeenKeyframe, now: SeenKeyframe, settings: SessionSettings) -> RelativePose | None:
