@@ -56,7 +56,9 @@ def refuse_unsure(found: CameraCalibration, model: Model, keeps_color: bool, set
     limits += [(f"T.turn_{axis}_deg", settings.apart_sigma_deg, "°") for axis in "xyz"]
     unsure = [f"{name} (σ {sigmas[name]:.2g} {unit})" for name, most, unit in limits if sigmas.get(name, 0) > most]
     if len(found.depth_sigma_m):
-        worst = found.depth_sigma_m[int(np.argmax(found.depth_sigma_m[:, 1]))]
+        farthest_m = float(np.percentile(found.depth_residuals.depth_m, 99))
+        known = found.depth_sigma_m[found.depth_sigma_m[:, 0] <= farthest_m]
+        worst = known[int(np.argmax(known[:, 1]))]
         if worst[1] > settings.depth_sigma_m:
             unsure.append(f"depth at {worst[0]:.1f} m (σ {1e3 * worst[1]:.0f} mm)")
     if unsure:
