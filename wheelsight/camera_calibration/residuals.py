@@ -161,6 +161,6 @@ def _weights_of(model: Model) -> FloatArray:
     """
     if model.has_pattern:
         return cubic_grid_weights(model.cells.px, model.depth_start, model.grid)
-    if model.sensor != "tof":
+    if model.sensor != "tof" or not len(model.knots_m):
         return np.zeros((len(model.cells.px), 0))
     return cubic_weights(model.cells.reading, model.knots_m)
