@@ -100,7 +100,7 @@ def _depth_residuals(residuals: Residuals, x: FloatArray) -> DepthResiduals:
     model = residuals.model
     if not len(model.cells.px):
         return DepthResiduals(np.empty(0, np.int64), np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0))
-    off_m = residuals.depth_m(x)
+    off_m, _ = residuals.depth_m(x)
     error, camera = model.error_of(x), model.depth_camera(x)
     corrected = error.of_readings(reading_m(error, model.cells.reading), model.cells.px, camera)
     depth_m = corrected - off_m

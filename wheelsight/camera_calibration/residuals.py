@@ -12,36 +12,27 @@ from wheelsight.camera_calibration.splines import cubic_grid_weights, cubic_weig
 from wheelsight.camera_calibration.views import RAW_DISPARITY
 from wheelsight.geometry import FloatArray, PinholeCamera, se3
 
+_LEAST_SLOPE = 0.1  # of corrected depth by the reading, of parameters that are no sensor's
+
 
 @dataclass(eq=False)
 class Residuals:
-    """Residuals of a model, block by block, over given σs.
-
-    Attributes:
-        model: what is sought.
-        sigmas: of corners and depth.
-        weighed_at: the parameters (n,) at which the σ of depth is taken. It depends on them, by how corrected depth
-            follows the reading, and stays as it is there while others are sought (generalised least squares: Carroll &
-            Ruppert, "Transformation and Weighting in Regression", 1988, ch. 2). Were it to follow them, what makes it
-            larger would cost less: thousands of cells would pull depth's scale up, and focal lengths with it.
-    """
+    """Residuals of a model, block by block, over given σs."""
 
     model: Model
     sigmas: Sigmas
-    weighed_at: FloatArray
 
     def __post_init__(self) -> None:
         m = self.model
         self.at = m.slices()
         self.size = self.at["poses"].stop
-        self.knot_weights = _weights_of(m)
+        self.knot_weights, self.knot_slopes = _weights_of(m)
         constant, quadratic = m.noise
         # Of raw disparities in nominal inverse depth, 1/m, as a step has it; else in metres.
         is_raw = m.sensor == RAW_DISPARITY
         self._reading_sigma = quadratic if is_raw else constant + quadratic * m.cells.reading**2
         self._rays: tuple[PinholeCamera | None, FloatArray] = (None, np.empty((0, 2)))
         self._priors = prior_rows(m)
-        self._depth_sigma_m = self._sigma_m()
 
     def color(self, x: FloatArray) -> FloatArray:
         """Of colour corners (N, 2), in σ."""
@@ -66,25 +57,16 @@ class Residuals:
         """Of depth cells (N,), in σ; `more` is added to what the knots make of each."""
         if not len(self.model.cells.px):
             return np.empty(0)
-        return self.depth_m(x, more) / self._depth_sigma_m
+        off_m, sigma_m = self.depth_m(x, more)
+        return off_m / sigma_m
 
-    def _sigma_m(self) -> FloatArray:
-        """σ of corrected depth (N,), metres: the reading's, carried over by the correction's derivative."""
-        if not len(self.model.cells.px):
-            return np.empty(0)
-        _, slope = self._true_m(self.weighed_at, self._rays_at(self.weighed_at), 0.0)
-        return np.asarray(self.sigmas.depth * self._reading_sigma * slope)
-
-    def _rays_at(self, x: FloatArray) -> FloatArray:
-        camera = self.model.depth_camera(x)
-        if self._rays[0] != camera:
-            self._rays = camera, camera.normalise(self.model.cells.px)
-        return self._rays[1]
-
-    def depth_m(self, x: FloatArray, more: float = 0.0) -> FloatArray:
-        """How far cells are off the boards' planes along the axis, metres (N,)."""
+    def depth_m(self, x: FloatArray, more: float = 0.0) -> tuple[FloatArray, FloatArray]:
+        """How far cells are off the boards' planes along the axis, and their σ, metres (N,)."""
         m = self.model
-        rays = self._rays_at(x)
+        camera = m.depth_camera(x)
+        if self._rays[0] != camera:
+            self._rays = camera, camera.normalise(m.cells.px)
+        rays = self._rays[1]
         R, t = m.poses_of(x)
         T = m.T_color_depth_of(x)
         n = R[:, :, 2]
@@ -93,18 +75,23 @@ class Residuals:
         n_depth = n @ T[:3, :3]
         view = m.cells.view
         z = h[view] / ((n_depth[view, :2] * rays).sum(axis=1) + n_depth[view, 2])
-        return self._true_m(x, rays, more)[0] - z
+        true_m, slope = self._true_m(x, rays, more)
+        return true_m - z, self.sigmas.depth * self._reading_sigma * slope
 
     def _true_m(self, x: FloatArray, rays: FloatArray, more: float) -> tuple[FloatArray, FloatArray]:
-        """`DepthError.of_readings` of all cells, with what does not change kept, and its derivative by the reading."""
+        """`DepthError.of_readings` of all cells, with what does not change kept, and its derivative by the reading.
+
+        Noise is of readings: off over derivative is how far the reading is from what is expected of it. The derivative
+        must be whole. One that leaves the curve's slope out grows as a line is moved from the curve to the scale,
+        which changes no depth: thousands of cells then pull the scale up (by 2 %), and it ends beside the curve's end.
+        """
         m, p = self.model, x[self.at["error"]]
-        reading = m.cells.reading
+        reading, knots = m.cells.reading, p[BEFORE_KNOTS:]
         radius2 = (rays**2).sum(axis=1)
-        knots = p[BEFORE_KNOTS:]
         if m.sensor == "tof":
             scale = float(np.exp(p[0]))
             true_m = scale * reading + p[1] + p[2] * radius2 + self.knot_weights @ knots + more
-            return true_m, np.full(len(reading), scale)
+            return true_m, np.maximum(scale + self.knot_slopes @ knots, _LEAST_SLOPE)
         if m.sensor == "stereo":
             scale, inverse = float(np.exp(p[0])), 1 / reading + p[1]
             return scale / inverse + p[2] * radius2, scale / (inverse * reading) ** 2
@@ -114,23 +101,33 @@ class Residuals:
         else:
             q, scale, of_reading = 1 / reading, float(np.exp(p[0])), 1 / reading**2
             inverse = q + p[1]
-        fading, lasting = knots.reshape(2, -1)
-        fade = np.exp(np.clip(p[2], 0, 10) * (q - 1))
-        inverse = inverse + (self.knot_weights @ fading) * fade + self.knot_weights @ lasting + more
-        inverse = np.maximum(inverse, 1e-3)
-        return scale / inverse, scale * of_reading / inverse**2
+        fade, steeper = self._fading(p, q)
+        inverse = inverse + (self.knot_weights @ knots.reshape(2, -1)[0]) * fade
+        inverse = np.maximum(inverse + self.knot_weights @ knots.reshape(2, -1)[1] + more, 1e-3)
+        return scale / inverse, scale * of_reading * steeper / inverse**2
 
-    def by_knots(self, x: FloatArray, of_sum: FloatArray) -> FloatArray:
-        """Derivatives (N, K) of depth by all knots, from those (N,) by what is added to all of them."""
-        weights = self.knot_weights
+    def _fading(self, p: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What is left (N,) of the fading pattern at inverse depths, and the derivative (N,) of 1/z by q with it."""
+        fade_m = float(np.clip(p[2], 0, 10))
+        fade = np.exp(fade_m * (q - 1))
+        pattern = self.knot_weights @ p[BEFORE_KNOTS:].reshape(2, -1)[0]
+        return fade, np.maximum(1 + fade_m * fade * pattern, _LEAST_SLOPE)
+
+    def by_knots(self, x: FloatArray, of_sum: FloatArray, r: FloatArray) -> FloatArray:
+        """Derivatives (N, K) of depth's residuals r (N,) by all knots.
+
+        From `of_sum` (N,), the derivatives by what is added to all of them, and from what knots do to σ.
+        """
+        weights, p = self.knot_weights, x[self.at["error"]]
         if not self.model.has_pattern:
-            return of_sum[:, None] * weights
-        p = x[self.at["error"]]
+            slope = np.maximum(float(np.exp(p[0])) + self.knot_slopes @ p[BEFORE_KNOTS:], _LEAST_SLOPE)
+            return of_sum[:, None] * weights - (r / slope)[:, None] * self.knot_slopes
         q = 1 / self.model.cells.reading
         if self.model.sensor == RAW_DISPARITY:
             q = self._inverse_of_raw(p)
-        fade = np.exp(np.clip(p[2], 0, 10) * (q - 1))
-        return np.concatenate([(of_sum * fade)[:, None] * weights, of_sum[:, None] * weights], axis=1)
+        fade, steeper = self._fading(p, q)
+        of_fading = of_sum * fade - r * float(np.clip(p[2], 0, 10)) * fade / steeper
+        return np.concatenate([of_fading[:, None] * weights, of_sum[:, None] * weights], axis=1)
 
     def _inverse_of_raw(self, p: FloatArray) -> FloatArray:
         m = self.model
@@ -153,14 +150,16 @@ class Residuals:
         return np.asarray(rows @ x - expected)
 
 
-def _weights_of(model: Model) -> FloatArray:
-    """What each knot of pattern or curve counts at each cell (N, K).
+def _weights_of(model: Model) -> tuple[FloatArray, FloatArray]:
+    """What each knot of pattern or curve counts at each cell (N, K), and of the curve the same of its slope.
 
     Splines, not lines: between knots 0.25 m apart lines have slopes that are up to 1 % off a swing of 7 mm in 1.9 m,
     which tilts every board that is seen there, and all of them alike.
     """
+    none = np.zeros((len(model.cells.px), 0))
     if model.has_pattern:
-        return cubic_grid_weights(model.cells.px, model.depth_start, model.grid)
+        return cubic_grid_weights(model.cells.px, model.depth_start, model.grid), none
     if model.sensor != "tof" or not len(model.knots_m):
-        return np.zeros((len(model.cells.px), 0))
-    return cubic_weights(model.cells.reading, model.knots_m)
+        return none, none
+    reading, knots_m = model.cells.reading, model.knots_m
+    return cubic_weights(reading, knots_m), cubic_weights(reading, knots_m, derivative=1)

@@ -138,7 +138,7 @@ def _by_error(residuals: Residuals, x: FloatArray, depth: _Linear) -> None:
         depth.by_cameras[:, k] = (residuals.depth(moved) - depth.r) / _STEP
     if at.stop > knots:
         of_sum = (residuals.depth(x, more=_STEP) - depth.r) / _STEP
-        depth.by_cameras[:, knots : at.stop] = residuals.by_knots(x, of_sum)
+        depth.by_cameras[:, knots : at.stop] = residuals.by_knots(x, of_sum, depth.r)
 
 
 def _normal(residuals: Residuals, linear: _Linear) -> _Normal:

@@ -10,10 +10,15 @@ from wheelsight.geometry import FloatArray, PinholeCamera
 _PIECES = 3
 
 
-def cubic_weights(at: FloatArray, knots: FloatArray) -> FloatArray:
-    """What the value at each of the knots (K,), two or more, counts at (N,): (N, K); constant beyond the last ones."""
+def cubic_weights(at: FloatArray, knots: FloatArray, derivative: int = 0) -> FloatArray:
+    """What the value at each of the knots (K,), two or more, counts at (N,): (N, K); constant beyond the last ones.
+
+    Or for the spline's derivative there.
+    """
     spline = CubicSpline(knots, np.eye(len(knots)), bc_type="natural")
-    return np.asarray(spline(np.clip(at, knots[0], knots[-1])), float)
+    inside = (at >= knots[0]) & (at <= knots[-1])
+    found = np.asarray(spline(np.clip(at, knots[0], knots[-1]), derivative), float)
+    return np.where(inside[:, None], found, 0.0) if derivative else found
 
 
 def cubic_grid_weights(px: FloatArray, camera: PinholeCamera, grid: tuple[int, int]) -> FloatArray:
