@@ -15,7 +15,7 @@ from wheelsight.odometry.wheels.drive import Drive, poses_at
 from wheelsight.settings import CHOSEN, Settings, setting
 
 _STEP = 1e-5
-_ROUNDS = 6  # of Gauss-Newton on one number: turns of a radian off are no longer linear in it
+_ROUNDS, _NOTHING = 6, 1e-6
 
 
 class LoopCheckSettings(Settings):
@@ -176,16 +176,26 @@ def _causes(
     """What alone explains an end that is not `closed` (3,), and by how much it is wrong; the likeliest first."""
     found = []
     for cause, unit in ((LoopCause.DRIFT, np.eye(3)[1]), (LoopCause.TURN, np.eye(3)[2])):
-        amount = 0.0
-        for _ in range(_ROUNDS):
-            left = _end(drive, wheels, *(-amount * unit)) - closed
-            column = (_end(drive, wheels, *(-(amount + _STEP) * unit)) - closed - left) / _STEP
-            weighted = np.linalg.solve(of_drive, column)
-            # The track's width tells nothing at the end of a figure of eight.
-            amount -= float(weighted @ left) / max(float(weighted @ column), 1e-12)
+        amount = _amount(drive, wheels, unit, closed, of_drive)
         left = _end(drive, wheels, *(-amount * unit)) - closed
         found.append((float(left @ np.linalg.solve(of_drive, left)), cause, amount))
     return tuple((cause, amount) for rest, cause, amount in sorted(found, key=lambda one: one[0]) if rest <= most)
+
+
+def _amount(drive: Drive, wheels: Wheels, unit: FloatArray, closed: FloatArray, of_drive: FloatArray) -> float:
+    """How much too large one error (of `_end`, by its unit) makes the end `closed`, nearest in σ.
+
+    By the heading first, which is linear in it however far it is off; then Gauss-Newton.
+    """
+    amount, weights = 0.0, np.diag([0.0, 0.0, 1.0])
+    for _ in range(_ROUNDS):
+        left = _end(drive, wheels, *(-amount * unit)) - closed
+        column = (_end(drive, wheels, *(-(amount + _STEP) * unit)) - closed - left) / _STEP
+        information = float(column @ weights @ column)
+        # The track's width tells nothing at the end of a figure of eight.
+        amount -= float(column @ weights @ left) / information if information > _NOTHING else 0.0
+        weights = np.linalg.inv(of_drive)
+    return amount
 
 
 def with_sigmas(wheels: Wheels, scale: float, drift_rad_per_m: float, turn: float) -> Wheels:
