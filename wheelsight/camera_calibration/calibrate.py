@@ -10,7 +10,7 @@ import numpy as np
 from wheelsight.camera_calibration.agreement import agreeing, sigmas_of
 from wheelsight.camera_calibration.assemble import filled, model_of, with_cells
 from wheelsight.camera_calibration.board import Board
-from wheelsight.camera_calibration.checks import check_lens_views, refuse_unsure
+from wheelsight.camera_calibration.checks import check_lens_views, doubts_beyond, refuse_unsure
 from wheelsight.camera_calibration.model import Model, Sigmas
 from wheelsight.camera_calibration.outcome import outcome
 from wheelsight.camera_calibration.residuals import Residuals
@@ -72,7 +72,7 @@ def calibrate_camera(
     solution = solve(residuals, x)
     result = outcome(residuals, solution, board, counted)
     refuse_unsure(result, model, keeps, refusal)
-    return result
+    return replace(result, warnings=(*result.warnings, *doubts_beyond(result, refusal)))
 
 
 def _begin(task: Task, counted: Counted) -> tuple[Counted, Model, FloatArray]:

@@ -64,3 +64,16 @@ def refuse_unsure(found: CameraCalibration, model: Model, keeps_color: bool, set
     if unsure:
         fix = "add views: near and far, tilted to each side, in every corner of the image"
         raise CalibrationError(f"the views do not determine: {', '.join(unsure)}", fix=fix)
+
+
+def doubts_beyond(found: CameraCalibration, settings: RefusalSettings) -> tuple[str, ...]:
+    """A warning where depth's σ is told beyond the farthest board, and is much larger there."""
+    if not len(found.depth_sigma_m):
+        return ()
+    farthest_m = float(np.percentile(found.depth_residuals.depth_m, 99))
+    at_board_m = float(np.interp(farthest_m, *found.depth_sigma_m.T))
+    end_m, at_end_m = found.depth_sigma_m[-1].tolist()
+    if at_end_m <= settings.beyond_factor * at_board_m:
+        return ()
+    told = f"Depth is known to {1e3 * at_board_m:.0f} mm where boards end, at {farthest_m:.1f} m,"
+    return (f"{told} and to {1e3 * at_end_m:.0f} mm at {end_m:.1f} m: add boards that far if depth is used there.",)

@@ -230,6 +230,14 @@ class RefusalSettings(Settings):
     depth_sigma_m: float = setting(
         0.02, "of depth anywhere between the nearest and the farthest board", CHOSEN, gt=0, le=1
     )
+    beyond_factor: float = setting(
+        2.0,
+        "σ of depth at the end of what is told, over that at the farthest board, from which on it is said that boards "
+        "are missing",
+        CHOSEN,
+        ge=1,
+        le=1000,
+    )
     largest_rms_px: float = setting(
         1.5, "of corners that are left: more is a board of another shape than told", CHOSEN, gt=0, le=100
     )
