@@ -13,11 +13,19 @@ from wheelsight.calibration_fields import Range, check_range, mapping, need_numb
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera
 
-__all__ = ["NO_DISPARITY", "DepthError", "depth_error_fields", "depth_error_from", "knot_weights", "pattern_weights"]
+__all__ = [
+    "LARGEST_GRID",
+    "NO_DISPARITY",
+    "DepthError",
+    "depth_error_fields",
+    "depth_error_from",
+    "knot_weights",
+    "pattern_weights",
+]
 
 # A raw value of Kinect v1 that means: no disparity found.
 NO_DISPARITY = 2047
-_LARGEST_GRID = 64
+LARGEST_GRID = 64
 # Errors beyond these are no lens's and no timer's, but another unit: millimetres read as metres, and the like.
 _RANGES = {
     "scale": Range(0.5, 2.0, ""),
@@ -91,14 +99,14 @@ class DepthError:
         sizes = {len(row) for row in rows}
         if rows and (len(sizes) != 1 or min(len(rows), *sizes) < 2):
             raise CalibrationError(f"{name} is no grid", fix="give two or more rows of two or more numbers each")
-        if max((len(rows), *sizes), default=0) > _LARGEST_GRID:
-            raise CalibrationError(f"{name} has more than {_LARGEST_GRID} rows or columns")
+        if max((len(rows), *sizes), default=0) > LARGEST_GRID:
+            raise CalibrationError(f"{name} has more than {LARGEST_GRID} rows or columns")
         for row in rows:
             for value in row:
                 check_range(name, value, _OF_PATTERN)
 
     def _check_curve(self) -> None:
-        if any(len(pair) != 2 for pair in self.curve_m) or len(self.curve_m) > _LARGEST_GRID:
+        if any(len(pair) != 2 for pair in self.curve_m) or len(self.curve_m) > LARGEST_GRID:
             raise CalibrationError("curve_m is no list of pairs", fix="give pairs of depth and what to add to it")
         for pair in self.curve_m:
             for value, allowed in zip(pair, _OF_CURVE, strict=True):

@@ -201,6 +201,20 @@ def test_depth_from_one_distance_is_refused() -> None:
         calibrate_camera(board_views(rig, rng, 12), BOARD, CameraSetup("tof", on_plate=True))
 
 
+def test_depth_beyond_the_last_board_is_said_to_be_less_sure_and_is() -> None:
+    rng = np.random.default_rng(3)
+    rig = replace(small(RIGS["kinect-v2"](rng), 320), far_m=2.0)
+    found = calibrate_camera(board_views(rig, rng, VIEWS), BOARD, CameraSetup("tof", on_plate=True))
+    (warning,) = found.warnings
+    assert "add boards that far" in warning
+    for z in (1.0, 1.5, 3.0, 4.0):
+        sigma_m = float(np.interp(z, *found.depth_sigma_m.T))
+        assert abs(depth_off_m(found, rig, z)) < 3 * sigma_m
+    assert sigma_m > 5e-3
+    assert float(np.interp(1.5, *found.depth_sigma_m.T)) < 2e-3
+    assert found.depth_error.scale == pytest.approx(1, abs=3 * 0.002)
+
+
 def test_setups_that_fit_no_images_are_refused() -> None:
     rig, seen = rig_of("kinect-v2", 2)
     for setup, told in (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -255,17 +256,22 @@ def test_a_robot_is_led_through_all_steps(wheelsight: Command, views: Path, tmp_
 def test_a_loop_shows_wheels_that_are_right_and_wheels_that_are_not(wheelsight: Command, tmp_path: Path) -> None:
     from drives import square_legs
 
-    truth = simulate(WHEELS, square_legs(WHEELS, WHEELS, 1), rng=np.random.default_rng(1))
-    write_recording(tmp_path / "loop", WHEELS, truth)
+    write_recording(tmp_path / "loop", WHEELS, simulate(WHEELS, square_legs(WHEELS, WHEELS, 1)))
     for name, wheels, word in (
-        ("good", WHEELS, "of the way"),
-        ("bad", Wheels(0.17, 0.17, 0.66, 3200), "does not close"),
+        ("good", WHEELS, "The calibration states no σ; a data sheet's make"),
+        ("bad", Wheels(0.17, 0.17, 0.66, 3200, turn_sigma=0.01), "the track width were"),
     ):
         save_calibration(Calibration(wheels=wheels), tmp_path / f"{name}.yaml")
         result = wheelsight("calibrate", "robot", tmp_path / f"{name}.yaml", "--check", tmp_path / "loop")
         assert result.exit_code == 0, result.output
-        assert word in result.output
+        told = " ".join(result.output.split())
+        assert word in told
+        assert "1 turn counter-clockwise: by the wheels alone it ends" in told
+        assert ("no more than that is off" in told) == (name == "good")
         assert ("does not close" in result.output) == (name == "bad")
+        # 0.66 m where 0.58 m are true.
+        shares = re.findall(r"track width were ([\d.]+) % too wide", told)
+        assert [float(share) for share in shares] == ([pytest.approx(13.8, abs=0.3)] if name == "bad" else [])
 
 
 def test_a_history_that_is_none_is_refusal(refusal: Refusal, tmp_path: Path) -> None:

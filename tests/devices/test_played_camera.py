@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 from hand_fed_camera import CALIBRATION, live_frame
 
 from wheelsight.devices import host_clock
-from wheelsight.devices.live_camera import CameraStatus, LiveCamera, LiveFrame
+from wheelsight.devices.live_camera import CameraStatus, HasGyro, LiveCamera, LiveFrame
 from wheelsight.devices.played_camera import PlayedCamera
-from wheelsight.events import RgbdFrame
+from wheelsight.events import AngularVelocity, RgbdFrame
+from wheelsight.recordings import RecordingWriter
 from wheelsight.settings import LiveCameraSettings
 
 
@@ -86,3 +88,36 @@ def test_a_closed_camera_gives_nothing_and_keeps_nobody_waiting() -> None:
     assert camera.read(20) is None
     assert time.monotonic() - began_s < 10
     assert camera.report().status is CameraStatus.CLOSED
+
+
+def turned(stamp_s: float) -> AngularVelocity:
+    return AngularVelocity(stamp_s, stamp_s, 0.5, -0.25)
+
+
+def test_its_gyroscope_tells_with_the_frames_and_by_their_clock() -> None:
+    turns = [turned(k / 200) for k in range(-10, 60)]  # frames are taken from 0 to 0.18 s
+    with PlayedCamera("film", CALIBRATION, film(10), LiveCameraSettings(kept_frames=100), turns=turns) as camera:
+        assert isinstance(camera, HasGyro)
+        frames, told = all_of(camera), camera.take_angular_velocities()
+        assert camera.take_angular_velocities() == []
+    assert [one.x_rad_s for one in told] == pytest.approx([k / 200 for k in range(37)])
+    stamps_s = [one.stamp_s for one in told]
+    assert stamps_s == sorted(stamps_s)
+    by_frame = {round(live.device_s or 0.0, 6): live.frame.stamp_s for live in frames}
+    for one in told:
+        if (at_s := round(one.x_rad_s, 6)) in by_frame:
+            assert one.stamp_s == pytest.approx(by_frame[at_s], abs=1e-6)
+
+
+def test_a_recordings_gyroscope_is_played_unless_it_is_not_wanted(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "film", CALIBRATION) as writer:
+        for frame in film(3):
+            writer.add(frame)
+    lines = [f"{k / 200},0.1,0.2,{k / 200}" for k in range(8)]
+    (tmp_path / "film" / "imu.csv").write_text("\n".join(["stamp_s,x_rad_s,y_rad_s,z_rad_s", *lines, ""]))
+    told = {}
+    for gyro in (True, False):
+        with PlayedCamera.opened(str(tmp_path / "film"), LiveCameraSettings(gyro=gyro), None) as camera:
+            assert len(all_of(camera)) == 3
+            told[gyro] = [one.z_rad_s for one in camera.take_angular_velocities()]
+    assert told == {True: pytest.approx([k / 200 for k in range(8)]), False: []}

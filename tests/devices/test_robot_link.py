@@ -17,7 +17,7 @@ from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.devices import Format, LinkRobot, LinkStatus, WheelLink
 from wheelsight.devices.protocol import Command, drive_body
 from wheelsight.errors import ArgumentError, DeviceError
-from wheelsight.events import Event, RgbdFrame, WheelTicks
+from wheelsight.events import AngularVelocity, Event, RgbdFrame, WheelTicks, YawRate
 from wheelsight.robots import Robot
 from wheelsight.wheel_control import WheelControlSettings
 
@@ -267,6 +267,24 @@ def test_frames_are_sorted_in(controller: SimulatedController) -> None:
     assert sum(isinstance(event, RgbdFrame) for event in events) == 1
     assert any(isinstance(event, WheelTicks) for event in events)
     assert [event.stamp_s for event in events] == sorted(event.stamp_s for event in events)
+
+
+class TurningCamera(Camera):
+    """Has a gyroscope, which tells of one turn about the camera's y, down."""
+
+    def take_angular_velocities(self) -> list[AngularVelocity]:
+        return [AngularVelocity(time.time() - 0.02, 0.0, -0.5, 0.0)]
+
+
+def test_the_cameras_gyroscope_tells_turns_of_the_base(controller: SimulatedController) -> None:
+    ahead = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0.5], [0, 0, 0, 1]])
+    for mount, told in ((ahead, [0.5]), (None, [])):
+        link = WheelLink(str(controller.port))
+        known = Calibration(wheels=WHEELS, T_base_camera=mount)
+        with LinkRobot(link, known, frames=TurningCamera()) as robot:
+            events = robot.step(STOP)
+        assert [event.yaw_rate_rad_s for event in events if isinstance(event, YawRate)] == told
+        assert [event.stamp_s for event in events] == sorted(event.stamp_s for event in events)
 
 
 def test_a_firmware_that_stops_too_late_is_not_driven(robot: LinkRobot, controller: SimulatedController) -> None:

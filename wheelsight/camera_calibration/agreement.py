@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from wheelsight.camera_calibration.model import Residuals, Sigmas
+from wheelsight.camera_calibration.model import Sigmas
+from wheelsight.camera_calibration.residuals import Residuals
 from wheelsight.camera_calibration.settings import CameraCalibrationSettings
 from wheelsight.camera_calibration.task import Counted
 from wheelsight.camera_calibration.views import Corners

@@ -11,6 +11,7 @@ from wheelsight.camera_calibration.depth_cells import board_cells
 from wheelsight.camera_calibration.model import Cells, Model, Points, lens_parameters
 from wheelsight.camera_calibration.task import Counted, Task
 from wheelsight.camera_calibration.views import RAW_DISPARITY, Corners, DepthCells
+from wheelsight.depth_error import LARGEST_GRID
 from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
 
 # Noise of one pixel by how depth is measured: Khoshelham & Elberink 2012, Fankhauser et al. 2015, and of stereo 0.1 px
@@ -107,12 +108,14 @@ def _noise(task: Task, sensor: str) -> tuple[float, float]:
 
 
 def _knots(task: Task, sensor: str, cells: Cells) -> FloatArray:
-    """Distances (K,) of the curve's knots: none where there is no curve, or boards are at one distance."""
+    """Distances (K,) of the curve's knots, from the sensor's nearest to its farthest or as far as boards were."""
     if sensor != "tof" or not len(cells.reading):
         return np.empty(0)
-    low, high = np.percentile(cells.reading, (1, 99))
-    count = int((high - low) / task.settings.model.curve_step_m) + 1
-    return np.linspace(low, high, count) if count > 1 else np.empty(0)
+    settings = task.settings.model
+    low = min(settings.curve_from_m, float(np.percentile(cells.reading, 1)))
+    high = max(settings.curve_to_m, float(np.percentile(cells.reading, 99)))
+    count = int((high - low) / settings.curve_step_m) + 1
+    return np.linspace(low, high, min(max(count, 2), LARGEST_GRID))
 
 
 def _joined(corners: Sequence[Corners | None], squares: FloatArray) -> Points:

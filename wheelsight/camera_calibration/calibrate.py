@@ -10,9 +10,10 @@ import numpy as np
 from wheelsight.camera_calibration.agreement import agreeing, sigmas_of
 from wheelsight.camera_calibration.assemble import filled, model_of, with_cells
 from wheelsight.camera_calibration.board import Board
-from wheelsight.camera_calibration.checks import check_lens_views, refuse_unsure
-from wheelsight.camera_calibration.model import Model, Residuals, Sigmas
+from wheelsight.camera_calibration.checks import check_lens_views, doubts_beyond, refuse_unsure
+from wheelsight.camera_calibration.model import Model, Sigmas
 from wheelsight.camera_calibration.outcome import outcome
+from wheelsight.camera_calibration.residuals import Residuals
 from wheelsight.camera_calibration.result import CameraCalibration
 from wheelsight.camera_calibration.settings import CameraCalibrationSettings
 from wheelsight.camera_calibration.solve import Solution, solve
@@ -59,17 +60,19 @@ def calibrate_camera(
     sigmas = Sigmas(first, first, task.settings.depth.sigma_share)
     for turn in range(task.settings.robust.rounds):
         on_step(f"fitting, round {turn + 1} of {task.settings.robust.rounds + 1}")
-        solution = solve(Residuals(model, sigmas), x, _ROUGHLY)
-        sigmas = sigmas_of(Residuals(model, sigmas), solution.x)
+        residuals = Residuals(model, sigmas)
+        solution = solve(residuals, x, _ROUGHLY)
+        sigmas = sigmas_of(residuals, solution.x)
         before, counted = counted, agreeing(counted, Residuals(model, sigmas), solution.x)
         counted, model, x = _again(task, before, counted, model, solution, is_first=turn == 0)
     on_step("fitting what is left")
-    x = solve(Residuals(model, sigmas), x, _ROUGHLY).x
-    sigmas = sigmas_of(Residuals(model, sigmas), x)
-    solution = solve(Residuals(model, sigmas), x)
-    result = outcome(Residuals(model, sigmas), solution, board, counted)
+    residuals = Residuals(model, sigmas)
+    x = solve(residuals, x, _ROUGHLY).x
+    residuals = Residuals(model, sigmas_of(residuals, x))
+    solution = solve(residuals, x)
+    result = outcome(residuals, solution, board, counted)
     refuse_unsure(result, model, keeps, refusal)
-    return result
+    return replace(result, warnings=(*result.warnings, *doubts_beyond(result, refusal)))
 
 
 def _begin(task: Task, counted: Counted) -> tuple[Counted, Model, FloatArray]:

@@ -7,15 +7,17 @@ from dataclasses import replace
 import numpy as np
 
 from wheelsight.camera_calibration.board import Board
-from wheelsight.camera_calibration.model import Points, Residuals
+from wheelsight.camera_calibration.model import Points
+from wheelsight.camera_calibration.residuals import Residuals
 from wheelsight.camera_calibration.result import CameraCalibration, CornerResiduals, DepthResiduals, UsedView
 from wheelsight.camera_calibration.solve import Solution
 from wheelsight.camera_calibration.task import Counted
 from wheelsight.camera_calibration.views import RAW_DISPARITY
 from wheelsight.depth_error import DepthError
-from wheelsight.geometry import FloatArray, PinholeCamera, se3
+from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
 
 _STEP = 1e-6
+_BARE = ("fx", "fy", "cx", "cy")
 _BROWN = ("k1", "k2", "p1", "p2", "k3")
 _AXES = ("x", "y", "z")
 _DISTANCES, _ACROSS, _DOWN = 12, 9, 7
@@ -54,30 +56,31 @@ def outcome(residuals: Residuals, solution: Solution, board: Board, counted: Cou
 
 def sigmas_by_name(residuals: Residuals, solution: Solution) -> dict[str, float]:
     """Standard deviations of what a user knows by name."""
-    model, x = residuals.model, solution.x
-    at, sigma = model.slices(), np.sqrt(np.diag(solution.covariance))
+    model, x, at = residuals.model, solution.x, residuals.at
     named: dict[str, float] = {}
     for name, camera, start in (
         ("color", model.color_camera(x), model.color_start),
         ("depth", model.depth_camera(x), model.depth_start),
     ):
-        first, size = at[name].start, at[name].stop - at[name].start
+        size = at[name].stop - at[name].start
         if not size:
             continue
-        block = solution.covariance[at[name], at[name]]
-        named[f"{name}.fx"] = camera.fx * float(sigma[first])
-        named[f"{name}.fy"] = camera.fy * float(np.sqrt(block[0, 0] + block[1, 1] + 2 * block[0, 1]))
-        named[f"{name}.cx"], named[f"{name}.cy"] = (start.fx * float(s) for s in sigma[first + 2 : first + 4])
-        named |= {f"{name}.{k}": float(s) for k, s in zip(_BROWN, sigma[first + 4 : at[name].stop], strict=False)}
+        J = np.eye(size)
+        J[0] *= camera.fx
+        J[1, :2] = camera.fy
+        J[2:4] *= start.fx
+        sigmas = solution.sigmas_of(J, at[name]).tolist()
+        named |= {f"{name}.{k}": s for k, s in zip((*_BARE, *_BROWN), sigmas, strict=False)}
     if at["apart"].stop > at["apart"].start:
         # A perturbation from the left moves the way by v + ω × t.
-        block = solution.covariance[at["apart"], at["apart"]]
-        ways = np.sqrt(np.diag(se3.position_covariance(model.T_color_depth_of(x), block)))
-        turns = np.degrees(np.sqrt(np.diag(block)[3:]))
-        named |= {f"T.{axis}": float(s) for axis, s in zip(_AXES, ways, strict=True)}
-        named |= {f"T.turn_{axis}_deg": float(s) for axis, s in zip(_AXES, turns, strict=True)}
+        way = np.hstack([np.eye(3), -so3.hat(model.T_color_depth_of(x)[:3, 3])])
+        turn = np.degrees(np.hstack([np.zeros((3, 3)), np.eye(3)]))
+        sigmas = solution.sigmas_of(np.vstack([way, turn]), at["apart"]).tolist()
+        named |= dict(
+            zip([*(f"T.{axis}" for axis in _AXES), *(f"T.turn_{axis}_deg" for axis in _AXES)], sigmas, strict=True)
+        )
     if model.square_m is None:
-        named["square"] = model.square_of(x) * float(sigma[at["square"]][0])
+        named["square"] = float(solution.sigmas_of(np.full((1, 1), model.square_of(x)), at["square"])[0])
     return named
 
 
@@ -108,13 +111,16 @@ def _depth_residuals(residuals: Residuals, x: FloatArray) -> DepthResiduals:
 
 
 def _depth_sigma(residuals: Residuals, solution: Solution, depth: DepthResiduals) -> FloatArray:
-    """(K, 2) distances between the nearest and the farthest cell, and σ of corrected depth there, mean over pixels."""
+    """(K, 2) distances from the nearest cell to the farthest, or on to where σ is stated anyway, and σ there.
+
+    σ is of corrected depth, root mean square over pixels.
+    """
     model, x = residuals.model, solution.x
     at = model.slices()["error"]
     if not len(depth.depth_m) or at.stop == at.start:
         return np.empty((0, 2))
     nearest_m, farthest_m = np.percentile(depth.depth_m, (1, 99)).tolist()
-    distances_m = np.linspace(nearest_m, farthest_m, _DISTANCES)
+    distances_m = np.linspace(nearest_m, max(farthest_m, model.settings.model.stated_to_m), _DISTANCES)
     camera, error = model.depth_camera(x), model.error_of(x)
     px = _grid(camera, 3, 3)
     readings = _readings_for(error, np.repeat(distances_m, len(px)), np.tile(px, (_DISTANCES, 1)), camera)
@@ -129,8 +135,8 @@ def _depth_sigma(residuals: Residuals, solution: Solution, depth: DepthResiduals
         y = x.copy()
         y[k] += _STEP
         J[:, k - at.start] = (true_m(y) - here) / _STEP
-    variance = np.einsum("ni,ij,nj->n", J, solution.covariance[at, at], J).reshape(_DISTANCES, -1)
-    return np.stack([distances_m, np.sqrt(np.maximum(variance.mean(axis=1), 0))], axis=-1)
+    sigmas = solution.sigmas_of(J, at).reshape(_DISTANCES, -1)
+    return np.stack([distances_m, np.sqrt((sigmas**2).mean(axis=1))], axis=-1)
 
 
 def _readings_for(error: DepthError, depth_m: FloatArray, px: FloatArray, camera: PinholeCamera) -> FloatArray:
@@ -167,8 +173,7 @@ def _pixel_sigma(residuals: Residuals, solution: Solution) -> float:
         y = x.copy()
         y[k] += _STEP
         J[:, index] = (color_px(y) - here) / _STEP
-    variance = np.einsum("ni,ij,nj->n", J, solution.covariance[np.ix_(columns, columns)], J)
-    return float(np.sqrt(2 * np.maximum(variance, 0).mean()))
+    return float(np.sqrt(2 * (solution.sigmas_of(J, columns) ** 2).mean()))
 
 
 def _grid(camera: PinholeCamera, across: int, down: int) -> FloatArray:

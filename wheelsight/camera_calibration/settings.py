@@ -103,6 +103,14 @@ class PriorSettings(Settings):
         0.01, "a knot of the pattern of inverse depth: 3.5 steps of Kinect v1's disparity", _BOARD, gt=0, le=1
     )
     pattern_bend_per_m: float = setting(0.004, "and its second difference to its neighbours", _BOARD, gt=0, le=1)
+    tof_scale: float = setting(
+        0.002,
+        "of time of flight's scale about 1: its clock is a quartz, good to 1e-4, and boards' sizes are good to 0.2 % "
+        "by a ruler; without it scale, offset and curve are one another's: any line can be moved between them",
+        "reckoned",
+        gt=0,
+        le=1,
+    )
     curve_m: float = setting(
         0.01, "a knot of the curve over distance", "Lachat et al. 2015: Kinect v2 swings by 7 mm", gt=0, le=1
     )
@@ -129,6 +137,22 @@ class DepthModelSettings(Settings):
         "Lachat et al. 2015",
         gt=0.01,
         le=10,
+    )
+    curve_from_m: float = setting(
+        0.5,
+        "where the curve begins, and where boards were nearer there: beyond the last board its knots are as sure as "
+        "their prior is, and said to be",
+        "Kinect v2's range by its maker: 0.5 to 4.5 m",
+        ge=0,
+        le=100,
+    )
+    curve_to_m: float = setting(4.5, "and where it ends", "the same", gt=0, le=100)
+    stated_to_m: float = setting(
+        4.0,
+        "depth's σ is told up to there, boards or not: robots use what a depth camera shows so far",
+        CHOSEN,
+        gt=0,
+        le=100,
     )
     baseline_m: float = setting(
         0.075,
@@ -205,6 +229,14 @@ class RefusalSettings(Settings):
     apart_sigma_deg: float = setting(1.5, "likewise of turns", CHOSEN, gt=0, le=90)
     depth_sigma_m: float = setting(
         0.02, "of depth anywhere between the nearest and the farthest board", CHOSEN, gt=0, le=1
+    )
+    beyond_factor: float = setting(
+        2.0,
+        "σ of depth at the end of what is told, over that at the farthest board, from which on it is said that boards "
+        "are missing",
+        CHOSEN,
+        ge=1,
+        le=1000,
     )
     largest_rms_px: float = setting(
         1.5, "of corners that are left: more is a board of another shape than told", CHOSEN, gt=0, le=100

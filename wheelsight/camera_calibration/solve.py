@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wheelsight.camera_calibration.model import Residuals
+from wheelsight.camera_calibration.residuals import Residuals
 from wheelsight.geometry import FloatArray, IntArray
 
 _STEP = 1e-6  # of parameters that are all about a hundredth to one
@@ -23,11 +23,26 @@ _TINY = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The best parameters (n,), the covariance (g, g) of those before the poses, and half the sum of squares."""
+    """The best parameters, what is known of those before the poses, and how well they fit.
+
+    Attributes:
+        x: parameters (n,).
+        covariance: (g, g), as noise has it that is independent of cell to cell and corner to corner.
+        by_views: (g, g), as views disagree.
+        cost: half the sum of squares.
+    """
 
     x: FloatArray
     covariance: FloatArray
+    by_views: FloatArray
     cost: float
+
+    def sigmas_of(self, J: FloatArray, columns: slice | list[int]) -> FloatArray:
+        """Standard deviations (m,) of what has these derivatives (m, c) by some parameters: the larger of both."""
+        at = np.arange(len(self.covariance))[columns]
+        some = (C[np.ix_(at, at)] for C in (self.covariance, self.by_views))
+        variances = np.array([np.einsum("mi,ij,mj->m", J, C, J) for C in some])
+        return np.asarray(np.sqrt(np.maximum(variances.max(axis=0), 0)))
 
 
 class _Linear(NamedTuple):
@@ -53,11 +68,15 @@ class _Normal(NamedTuple):
 
 
 def solve(residuals: Residuals, start: FloatArray, small_gain: float = _SMALL_GAIN) -> Solution:
-    """The parameters of least cost, from a start near it, until a step lowers it by less than a share `small_gain`."""
+    """The parameters of least cost, from a start near it, until an undamped step lowers it by less than `small_gain`.
+
+    That is a share of it. A damped step that gains little is no end: where parameters can stand in for each other, as
+    scale, offset and curve of time of flight, only what is known beforehand parts them, and damping hides that little.
+    """
     x, damping = start.copy(), _DAMPING
     linear = _linearised(residuals, x)
     for _ in range(_MOST_STEPS):
-        normal, cost, gain = _normal(residuals, linear), float(linear.r @ linear.r), None
+        normal, cost, gain, first = _normal(residuals, linear), float(linear.r @ linear.r), None, damping
         while gain is None and damping < _MOST_DAMPING:
             moved = x + _step(normal, damping)
             r = _all(residuals, moved)
@@ -66,9 +85,10 @@ def solve(residuals: Residuals, start: FloatArray, small_gain: float = _SMALL_GA
             else:
                 damping *= 10
         linear = _linearised(residuals, x)
-        if gain is None or gain < small_gain:
+        if gain is None or (gain < small_gain and first == _LEAST_DAMPING):
             break
-    return Solution(x, _covariance(residuals, linear), float(linear.r @ linear.r) / 2)
+        damping = _LEAST_DAMPING if gain < small_gain else damping
+    return Solution(x, *_covariances(residuals, linear), float(linear.r @ linear.r) / 2)
 
 
 def _all(residuals: Residuals, x: FloatArray) -> FloatArray:
@@ -118,7 +138,7 @@ def _by_error(residuals: Residuals, x: FloatArray, depth: _Linear) -> None:
         depth.by_cameras[:, k] = (residuals.depth(moved) - depth.r) / _STEP
     if at.stop > knots:
         of_sum = (residuals.depth(x, more=_STEP) - depth.r) / _STEP
-        depth.by_cameras[:, knots : at.stop] = residuals.by_knots(x, of_sum)
+        depth.by_cameras[:, knots : at.stop] = residuals.by_knots(x, of_sum, depth.r)
 
 
 def _normal(residuals: Residuals, linear: _Linear) -> _Normal:
@@ -144,19 +164,32 @@ def _step(normal: _Normal, damping: float) -> FloatArray:
     return np.concatenate([of_cameras, of_poses.ravel()])
 
 
-def _covariance(residuals: Residuals, linear: _Linear) -> FloatArray:
-    """(g, g): the inverse Hessian, and where views disagree more than their noise does, the spread of their gradients.
+def _covariances(residuals: Residuals, linear: _Linear) -> tuple[FloatArray, FloatArray]:
+    """(g, g) twice: the inverse Hessian, and what leaving out one view after the other tells.
 
-    Cells of one depth image share an error that their scatter does not show, such as rounding; so do corners of a bent
-    board. What views pull at the answer tells of both (Huber's sandwich, by view). Of each parameter the larger counts.
+    Cells of one depth image share errors that their scatter does not show: what the curve or the pattern cannot follow,
+    rounding. So do corners of a bent board. The view is what errs independently. Each view's share of the reduced
+    normal equations gives the answer without it by one Gauss-Newton step, and the sum over views of what it moved
+    by is the jackknife (Efron 1982; MacKinnon & White 1985, HC3, here by cluster: Bell & McCaffrey 2002). It takes in
+    how much a view pulls the answer to itself, which Huber's sandwich does not: that one is too small where few views
+    decide. What is known beforehand adds what it is worth.
     """
     normal, count = _normal(residuals, linear), residuals.model.count
     D = normal.D + _TINY * np.eye(_POSE)
     B_over_D = np.linalg.solve(D, normal.B.transpose(0, 2, 1)).transpose(0, 2, 1)
     S = normal.A - (B_over_D @ normal.B.transpose(0, 2, 1)).sum(axis=0)
     plain = np.linalg.pinv(S, hermitian=True)
-    pulls = np.stack([linear.by_cameras[linear.view == k].T @ linear.r[linear.view == k] for k in range(count)])
-    pulls = pulls - np.einsum("vgp,vp->vg", B_over_D, normal.of_poses)
-    spread = plain @ (pulls.T @ pulls) @ plain * (count / max(count - 1, 1))
-    grown = np.sqrt(np.maximum(np.diag(spread) / np.maximum(np.diag(plain), 1e-300), 1.0))
-    return np.asarray(plain * np.outer(grown, grown))
+    by_views = plain @ _information(linear, -1) @ plain
+    for k in range(count):
+        of_view = _information(linear, k) - B_over_D[k] @ normal.B[k].T
+        rows = linear.view == k
+        pull = linear.by_cameras[rows].T @ linear.r[rows] - B_over_D[k] @ normal.of_poses[k]
+        moved = np.linalg.pinv(S - of_view, hermitian=True) @ pull
+        by_views += np.outer(moved, moved) * (count - 1) / count
+    return plain, by_views
+
+
+def _information(linear: _Linear, view: int) -> FloatArray:
+    """(g, g) of one view about the cameras, its pose held; of the priors for -1."""
+    J = linear.by_cameras[linear.view == view]
+    return np.asarray(J.T @ J)

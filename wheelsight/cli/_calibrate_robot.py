@@ -52,10 +52,11 @@ def robot(file: Robot, check: Check = None, topic: Topics = None) -> None:
         for command in missing.commands:
             stdout.print(f"  {command}", markup=False)
     if check is not None:
-        told, is_good = loop_check(check, file, topic)
-        stdout.print(told, markup=False)
+        lines, is_good = loop_check(check, file, topic)
+        for line in lines:
+            stdout.print(line, markup=False)
         if not is_good:
-            print_warning("the loop does not close as a calibrated robot's does; see what is measured above")
+            print_warning("the loop does not close as a calibrated robot's does; what to do is said above")
     elif missing is None:
         stdout.print(
             f"next: a loop. Drive 20 m or more and end where you began: wheelsight calibrate robot {file} --check LOOP",

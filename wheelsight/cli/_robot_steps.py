@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,12 +13,11 @@ from wheelsight.calibration import read_layer
 from wheelsight.calibration_history import Measured, history_of
 from wheelsight.calibration_layers import NOMINAL
 from wheelsight.cli._calibration_files import open_for
-from wheelsight.errors import RecordingError
-from wheelsight.geometry import se3, so3
+from wheelsight.errors import CalibrationError, RecordingError
 from wheelsight.inputs import is_there
 
-# A calibrated differential drive is off by about 1 % of its way at the end of a loop, and its heading by 1° in 10 m.
-_GOOD_SHARE, _GOOD_DEG_PER_M, _SHORTEST_M = 0.02, 0.2, 5.0
+if TYPE_CHECKING:
+    from wheelsight.odometry.wheels import LoopCheck
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,25 +79,67 @@ def _mount(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
     return Step("mount", is_done, told, how, (f"wheelsight calibrate base DRIVE --out {file}{force}",))
 
 
-def loop_check(folder: Path, file: Path, topics: Sequence[str] | None) -> tuple[str, bool]:
-    """What the wheels make of a drive that ends where it began, in a line, and whether a calibrated robot's does so.
+def loop_check(folder: Path, file: Path, topics: Sequence[str] | None) -> tuple[tuple[str, ...], bool]:
+    """What the wheels make of a drive that ends where it began, in lines, and whether a calibrated robot's does so.
 
     Raises:
         InputError: a recording without wheels, or a drive too short to tell.
     """
-    from wheelsight.odometry.wheels import drive_of, drive_path
+    from wheelsight.fusion.error_state import ErrorStateSettings
+    from wheelsight.odometry.wheels import check_loop, drive_of, with_sigmas
 
     source = open_for(folder, [str(file)], topics)
-    wheels = source.calibration.wheels
-    if wheels is None:
+    if source.calibration.wheels is None:
         raise RecordingError("has no wheels, and FILE tells none", path=folder, fix="calibrate the wheels first")
-    drive = drive_of(source, wheels)
-    path = drive_path(drive, wheels, drive.stamps_s - wheels.delay_s)
-    way_m = path.length_m
-    if way_m < _SHORTEST_M:
-        raise RecordingError(f"is a drive of {way_m:.1f} m", path=folder, fix=f"drive {_SHORTEST_M:g} m or more")
-    T_start_end = se3.invert(path.T_frame_body[0]) @ path.T_frame_body[-1]
-    off_m, turn_deg = float(np.linalg.norm(T_start_end[:3, 3])), float(np.degrees(so3.angle(T_start_end[:3, :3])))
-    is_good = off_m <= _GOOD_SHARE * way_m and turn_deg <= _GOOD_DEG_PER_M * way_m
-    told = f"loop of {way_m:.1f} m: off by {off_m:.3f} m ({100 * off_m / way_m:.1f} % of the way) and {turn_deg:.1f}°"
-    return f"{told} at its end, by wheels alone", is_good
+    likely = ErrorStateSettings()
+    wheels = with_sigmas(source.calibration.wheels, likely.scale_sigma, likely.drift_sigma_rad_per_m, likely.turn_sigma)
+    try:
+        found = check_loop(drive_of(source, wheels), wheels)
+    except CalibrationError as error:
+        raise RecordingError(error.problem, path=folder, fix=error.fix) from error
+    is_stated = wheels is source.calibration.wheels
+    return (_loop_off(found), f"{_loop_against(found, is_stated)} {_loop_advice(found)}"), (
+        found.is_as_stated and found.is_good
+    )
+
+
+def _loop_off(found: LoopCheck) -> str:
+    degrees, count = np.degrees(found.off_rad), abs(found.turns)
+    way = "counter-clockwise" if found.turns > 0 else "clockwise"
+    turns = f"{count} turn{'s' if count > 1 else ''} {way}" if count else "no whole turn left over"
+    a_turn = f", {degrees / count:+.2f}° a turn" if count else ""
+    return (
+        f"loop of {found.way_m:.1f} m, {turns}: by the wheels alone it ends {found.off_m:.3f} m "
+        f"({1e3 * found.off_m / found.way_m:.1f} mm a metre) and {degrees:+.1f}° ({degrees / found.way_m:+.2f}° a metre"
+        f"{a_turn}) off its start."
+    )
+
+
+def _loop_against(found: LoopCheck, is_stated: bool) -> str:
+    whose = "The calibration's σ make" if is_stated else "The calibration states no σ; a data sheet's make"
+    likely = f"{whose} {found.sizes_sigma_m:.3f} m and {np.degrees(found.sizes_sigma_rad):.1f}° likely"
+    with_slip = f"with slip and the mark {found.off_sigma_m:.3f} m and {np.degrees(found.off_sigma_rad):.1f}°"
+    return f"{likely}, {with_slip}: {'no more than that is off.' if found.is_as_stated else 'it is off by more.'}"
+
+
+def _loop_advice(found: LoopCheck) -> str:
+    """What to do."""
+    if found.is_as_stated:
+        return "" if found.is_good else "Those σ are large: calibrate the wheels, on a longer drive."
+    if not found.causes:
+        return "No size of the wheels explains it: a wheel slipped, or it did not end at its mark; drive it again."
+    told = " or ".join(_CAUSES[cause](amount) for cause, amount in found.causes)
+    return (
+        f"It is as if {told}. Drive it the other way round: off to the same side again, the radii are unlike; to the "
+        "other side, it is the track width. Then calibrate the wheels anew."
+    )
+
+
+_CAUSES: dict[str, Callable[[float], str]] = {
+    "one radius against the other": lambda amount: f"the wheels turned it by {np.degrees(amount):+.2f}° a metre",
+    "track width against radii": lambda amount: f"the track width were {_share(amount)}",
+}
+
+
+def _share(amount: float) -> str:
+    return f"{100 * abs(amount):.1f} % too {'narrow' if amount > 0 else 'wide'}"

@@ -9,7 +9,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Self
@@ -18,7 +18,7 @@ from wheelsight.calibration import Calibration
 from wheelsight.devices import host_clock
 from wheelsight.devices.live_camera import CameraReport, CameraStatus, LiveFrame
 from wheelsight.errors import DeviceError, RecordingError
-from wheelsight.events import RgbdFrame, SkippedFrame
+from wheelsight.events import AngularVelocity, RgbdFrame, SkippedFrame
 from wheelsight.settings import LiveCameraSettings
 
 THREAD = "wheelsight-played-camera"
@@ -26,6 +26,8 @@ _RATE_OVER = 30
 _WAIT_S = 0.05
 _UNASKED_S = 2.0
 _LATEST_S = 0.1
+# Readings of a gyroscope for whoever asks late: ten seconds of the fastest.
+_MOST_READINGS = 4000
 
 
 class PlayedCamera:
@@ -40,6 +42,9 @@ class PlayedCamera:
         calibration: of the frames.
         frames: at growing stamps; those that were skipped are left out.
         settings: how many frames are kept, and how old they may grow.
+        turns: readings of the camera's gyroscope by the frames' clock, at growing stamps. They come with the frames,
+            as a camera's do, from the first one on.
+        notes: what else to know before trusting what it shows.
     """
 
     def __init__(
@@ -48,10 +53,15 @@ class PlayedCamera:
         calibration: Calibration,
         frames: Iterable[RgbdFrame | SkippedFrame],
         settings: LiveCameraSettings | None = None,
+        *,
+        turns: Sequence[AngularVelocity] = (),
+        notes: Sequence[str] = (),
     ) -> None:
-        self._name, self._calibration = name, calibration
+        self._name, self._calibration, self._notes = name, calibration, tuple(notes)
         self._settings = settings or LiveCameraSettings()
         self._kept: deque[LiveFrame] = deque()
+        self._coming = deque(turns)
+        self._turns: deque[AngularVelocity] = deque(maxlen=_MOST_READINGS)
         self._arrivals: deque[float] = deque(maxlen=_RATE_OVER)
         self._report = CameraReport(CameraStatus.STARTING, host_clock.now_s())
         self._changed = threading.Condition()
@@ -65,6 +75,7 @@ class PlayedCamera:
         """Of a recording's folder. Raises DeviceError where it has no frames of this calibration."""
         from wheelsight.recordings import (  # loads OpenCV, which other cameras need not wait for
             OpenOptions,
+            camera_turns,
             open_recording,
         )
 
@@ -77,8 +88,10 @@ class PlayedCamera:
         if calibration is not None and _sizes(calibration) != _sizes(own):
             problem = f"its images are of {_sizes(own)}, the calibration's of {_sizes(calibration)}"
             raise DeviceError(problem, path=where, fix="leave out --calibration, or give that of this camera")
+        turns, notes = camera_turns(Path(where)) if settings.gyro else ([], [])
         frames = (event for event in recording.events() if isinstance(event, RgbdFrame | SkippedFrame))
-        return cls(f"the recording {recording.name}", calibration or own, frames, settings)
+        name = f"the recording {recording.name}"
+        return cls(name, calibration or own, frames, settings, turns=turns, notes=notes)
 
     @property
     def name(self) -> str:
@@ -92,8 +105,8 @@ class PlayedCamera:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """That these are no new frames."""
-        return (f"{self._name[0].upper()}{self._name[1:]} is played as if it were a camera.",)
+        """That these are no new frames, and the notes."""
+        return f"{self._name[0].upper()}{self._name[1:]} is played as if it were a camera.", *self._notes
 
     def read(self, timeout_s: float) -> LiveFrame | None:
         """As `LiveCamera` has it."""
@@ -112,6 +125,13 @@ class PlayedCamera:
         found: list[RgbdFrame | SkippedFrame] = []
         while (live := self.read(0)) is not None:
             found.append(live.frame)
+        return found
+
+    def take_angular_velocities(self) -> list[AngularVelocity]:
+        """As `HasGyro` has it."""
+        with self._changed:
+            found = list(self._turns)
+            self._turns.clear()
         return found
 
     def report(self) -> CameraReport:
@@ -145,6 +165,7 @@ class PlayedCamera:
     def _play(self, frames: Iterable[RgbdFrame | SkippedFrame]) -> None:
         """The thread."""
         behind_s: float | None = None
+        first_s = math.inf
         try:
             for index, frame in enumerate(frames):
                 if isinstance(frame, SkippedFrame):
@@ -155,6 +176,8 @@ class PlayedCamera:
                 due_s = frame.stamp_s + behind_s
                 if self._is_over.wait(max(due_s - host_clock.now_s(), 0.0)):
                     return
+                first_s = min(first_s, frame.stamp_s)
+                self._turn(first_s, frame.stamp_s, behind_s)
                 self._give(replace(frame, stamp_s=due_s, index=index), frame.stamp_s)
         except RecordingError as error:
             self._report = replace(self._report, detail=error.problem)
@@ -181,6 +204,14 @@ class PlayedCamera:
             told = replace(told, frames=told.frames + 1, host_drops=told.host_drops + lost)
             self._report = replace(told, last_stamp_s=frame.stamp_s)
             self._changed.notify_all()
+
+    def _turn(self, first_s: float, until_s: float, behind_s: float) -> None:
+        """Let the gyroscope tell what it told until then, but for what came before the first frame."""
+        while self._coming and self._coming[0].stamp_s <= until_s:
+            turn = self._coming.popleft()
+            if turn.stamp_s >= first_s:
+                with self._changed:
+                    self._turns.append(replace(turn, stamp_s=turn.stamp_s + behind_s))
 
     def _tell(self, status: CameraStatus) -> None:
         with self._changed:

@@ -12,9 +12,10 @@ from typing import Protocol
 from wheelsight.calibration import Calibration
 from wheelsight.commands import VelocityCommand
 from wheelsight.devices.link import WheelLink
+from wheelsight.devices.live_camera import take_angular_velocities
 from wheelsight.devices.recognition import Format
 from wheelsight.errors import ArgumentError, DeviceError
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks, YawRate
 from wheelsight.robot_limits import RobotLimits
 from wheelsight.robots import STOPPED
 from wheelsight.wheel_control import VelocityControl, WheelControlSettings
@@ -48,7 +49,8 @@ class LinkRobot:
         link: to the wheel controller; closed with the robot.
         calibration: with wheels.
         limits: which commands are held to.
-        frames: the camera, closed with the robot; None for none.
+        frames: the camera, closed with the robot; None for none. Where it has a gyroscope (`HasGyro`), and the
+            calibration a T_base_camera, what that tells comes as `YawRate`.
         control: of the wheels' loop.
         period_s: of a step.
 
@@ -140,7 +142,13 @@ class LinkRobot:
             if ticks is None and (left_s := ends_s - time.monotonic()) > 0:
                 time.sleep(left_s)  # the link is closed, and waits no more
         events += [] if self._frames is None else self._frames.take()
+        events += self._yaw_rates()
         return sorted(events, key=lambda event: event.stamp_s)
+
+    def _yaw_rates(self) -> list[YawRate]:
+        """What the camera's gyroscope told; nothing where it is not known how the camera sits."""
+        turns, mount = take_angular_velocities(self._frames), self._calibration.T_base_camera
+        return [] if mount is None else [turn.yaw_rate(mount) for turn in turns]
 
     def stop(self) -> None:
         """Stop both motors at once.

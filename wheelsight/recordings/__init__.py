@@ -3,6 +3,7 @@
 from wheelsight.recordings._cameras import camera_names, load_camera
 from wheelsight.recordings.bodies import express_for
 from wheelsight.recordings.matches_file import MATCHES_FILE, matches_of, read_matches
+from wheelsight.recordings.native import camera_turns
 from wheelsight.recordings.protocol import (
     AssociationReport,
     GivesMatches,
@@ -31,6 +32,7 @@ __all__ = [
     "RecordingWriter",
     "TellsEnds",
     "camera_names",
+    "camera_turns",
     "express_for",
     "find_recordings",
     "load_camera",

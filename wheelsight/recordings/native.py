@@ -101,6 +101,12 @@ def read_angular_velocities(path: Path) -> tuple[list[AngularVelocity], list[str
     return growing, warnings + more
 
 
+def camera_turns(folder: Path) -> tuple[list[AngularVelocity], list[str]]:
+    """What the gyroscope in a recording's camera told, and warnings; nothing where the recording keeps none."""
+    path = folder / IMU_FILE
+    return read_angular_velocities(path) if is_there(path) else ([], [])
+
+
 def _read_gyro(path: Path) -> tuple[list[YawRate], list[str]]:
     """The readings of gyro.csv in order of time, and warnings; none where there is no such file."""
     if not is_there(path):

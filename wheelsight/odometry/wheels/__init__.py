@@ -8,6 +8,7 @@ from wheelsight.odometry.wheels.encoder import Encoder
 from wheelsight.odometry.wheels.fit import WheelFit, fit_wheels
 from wheelsight.odometry.wheels.gyro import YawRateMeter, mean_yaw_rates
 from wheelsight.odometry.wheels.gyro_check import GyroCheck, gyro_warnings
+from wheelsight.odometry.wheels.loop_check import LoopCause, LoopCheck, LoopCheckSettings, check_loop, with_sigmas
 from wheelsight.odometry.wheels.odometry import (
     Integration,
     WheelOdometry,
@@ -27,6 +28,9 @@ __all__ = [
     "GyroCheck",
     "GyroCheckSettings",
     "Integration",
+    "LoopCause",
+    "LoopCheck",
+    "LoopCheckSettings",
     "ReadingTimes",
     "ReadingTimesSettings",
     "Umbmark",
@@ -36,6 +40,7 @@ __all__ = [
     "WheelTrack",
     "WheelTrial",
     "YawRateMeter",
+    "check_loop",
     "drive_from_ticks",
     "drive_of",
     "drive_path",
@@ -47,4 +52,5 @@ __all__ = [
     "ticks_from_speeds",
     "try_calibration",
     "umbmark",
+    "with_sigmas",
 ]
