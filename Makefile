@@ -21,7 +21,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 QUICK := $(if $(filter-out false 0,$(CI) $(SLOW)),,-m "not slow")
 
-.PHONY: demo test check bench docs firmware wheel clean
+.PHONY: demo test check style types bench docs firmware wheel clean
 
 ifeq ($(RECORDING),)
 # A lap of a square of 4 m at 320×240 by a wheelchair whose wheels are not quite what its owner measured, as wheels never
@@ -54,11 +54,15 @@ test: $(VENV)/.installed-dev
 	$(if $(QUICK),,$(BIN)/python tests/warm_up.py)
 	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal $(QUICK) $(ARGS)
 
-check: $(VENV)/.installed-dev docs
+check: style types docs
+
+style: $(VENV)/.installed-dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
+	$(BIN)/python -m pytest --quiet --numprocesses 0 tests/test_layers.py
+
+types: $(VENV)/.installed-dev
 	$(BIN)/mypy
-	$(BIN)/python -m pytest --quiet tests/test_layers.py
 
 bench: $(VENV)/.installed-bench
 	$(BIN)/python -m benchmarks $(or $(ARGS),--out BENCHMARKS.md)

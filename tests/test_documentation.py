@@ -24,6 +24,7 @@ from drives import simulate as drive_legs
 from drives import square_legs, write_recording
 from floor_plans import rooms_in_colours, two_rooms, write_plan
 from places.made_recording import write_drive
+from shared_folders import shared_folder
 from simulated_controller import SimulatedController
 from typer.testing import CliRunner
 from written_bags import robot_drive, write_bag
@@ -140,9 +141,12 @@ def to_run(page: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return shared_folder(tmp_path_factory, "documentation", write_recordings)
+
+
+def write_recordings(folder: Path) -> None:
     """RECORDING, which shows all that is calibrated; `short`, its first seconds; `rooms` and `areas`, whose places
     can be told apart; and squares."""
-    folder = tmp_path_factory.mktemp("documentation")
     begins = np.cumsum([0.0, *(leg[0] for leg in LEGS)])
     rows = [f"{begin},{v},{w}" for begin, (_, v, w) in zip(begins, (*LEGS, (0.0, 0.0, 0.0)), strict=True)]
     (folder / "legs.csv").write_text("\n".join(["stamp_s,v_m_s,yaw_rate_rad_s", *rows]) + "\n")
@@ -156,7 +160,6 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for number, sense in enumerate((-1, 1, -1, 1)):
         drawn = drive_legs(WHEELS, square_legs(WHEELS, WHEELS, sense))
         write_recording(folder / "squares" / str(number), WHEELS, drawn, drawn.truth.select([0, -1]))
-    return folder
 
 
 def _link(recording: Path, to: Path) -> None:
