@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from narrowing import not_none
 
 from wheelsight.estimates import Estimate, Status
 from wheelsight.geometry import se3
@@ -108,6 +109,6 @@ def test_poses_in_odom_are_there_where_the_filter_has_leapt() -> None:
     odom, filtered = poses.odom("base"), poses.trajectory("base", "map")
     assert odom is not None
     assert (odom.body, odom.frame) == ("base", "odom")
-    np.testing.assert_allclose(odom.T_frame_body, [one.T_odom_body for one in given], atol=1e-12)
+    np.testing.assert_allclose(odom.T_frame_body, [not_none(one.T_odom_body) for one in given], atol=1e-12)
     np.testing.assert_array_equal(filtered.T_frame_body, [one.T_filter_body for one in leapt])
     np.testing.assert_array_equal(filtered.covariances, [one.filter_covariance for one in leapt])

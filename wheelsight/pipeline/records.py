@@ -10,6 +10,7 @@ import numpy as np
 from wheelsight.config import Config
 from wheelsight.errors import CalibrationError, EvaluationError
 from wheelsight.evaluation import Evaluation, evaluate
+from wheelsight.pipeline.kept_map_record import KeptMapRecord
 from wheelsight.pipeline.kept_maps import finish_map, kept_surfels
 from wheelsight.pipeline.loops import MatchesOfRun, correction_of
 from wheelsight.pipeline.map_record import MapRecord
@@ -70,11 +71,7 @@ def _record_of(track: Track, passage: Passage, source: EventSource, config: Conf
     evaluation = None
     if truth is not None:
         evaluation, problem = _compare(estimate, truth, config, track)
-    surfels = _map(track, passage, source, config)
-    kept = finish_map(track, passage)  # after the map was laid where the trajectory has it
-    at = kept_surfels(track)
-    if surfels is not None and at is not None:
-        surfels = replace(surfels, file=f"{at.parent.name}/{at.name}")
+    surfels, kept = _maps(track, passage, source, config)
     return RunRecord(
         recording=source.name,
         format=format_of(source),
@@ -105,6 +102,18 @@ def _record_of(track: Track, passage: Passage, source: EventSource, config: Conf
         kept_map=kept,
         realtime=source.report() if isinstance(source, InRealTime) else None,
     )
+
+
+def _maps(
+    track: Track, passage: Passage, source: EventSource, config: Config
+) -> tuple[MapRecord | None, KeptMapRecord | None]:
+    """Of its surfels, and of what the next drive finds."""
+    surfels = _map(track, passage, source, config)
+    kept = finish_map(track, passage)  # after the map was laid where the trajectory has it
+    at = kept_surfels(track)
+    if surfels is not None and at is not None:
+        surfels = replace(surfels, file=f"{at.parent.name}/{at.name}")
+    return surfels, kept
 
 
 def _map(track: Track, passage: Passage, source: EventSource, config: Config) -> MapRecord | None:
