@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from narrowing import not_none
 from numpy.testing import assert_allclose
 
 from wheelsight.calibration import Calibration
@@ -109,6 +110,6 @@ def test_a_way_in_odom_is_as_certain_as_the_trajectory_and_lies_in_the_map_where
     assert found.frame == "odom"
     assert in_odom(lived, None) is lived
     assert_allclose(map_to_odom(found, lived)[1], se3.invert(leapt), atol=1e-12)
-    P, P_odom = (se3.position_covariance(way.T_frame_body, way.covariances) for way in (lived, found))
+    P, P_odom = (se3.position_covariance(way.T_frame_body, not_none(way.covariances)) for way in (lived, found))
     R = leapt[:, :3, :3]
     assert_allclose(P_odom, R @ P @ np.swapaxes(R, 1, 2), atol=1e-9)
