@@ -56,6 +56,15 @@ Set = Annotated[
         show_default=False,
     ),
 ]
+Rerun = Annotated[
+    str | None,
+    typer.Option(
+        "--rerun",
+        metavar="FILE.rrd|spawn",
+        help="Show the drive in Rerun as it goes: written to a file, or in a viewer that is started here.",
+        show_default="not shown",
+    ),
+]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite results in the folder of --out.")]
 Sim = Annotated[
     str | None,

@@ -130,16 +130,13 @@ def recording_of(
     encoding: DepthEncoding,
     truth: Trajectory | None,
     warnings: Sequence[str],
-    *,
-    wheels: Sequence[WheelTicks] = (),
-    yaw_rates: Sequence[YawRate] = (),
 ) -> ImageRecording:
     """The recording in a folder, tried: some frame can be read, truth is told for its body, warnings are added.
 
     Args:
         folder: where it lies, whose name is the recording's.
         reader: its name.
-        calibration, encoding, wheels, yaw_rates: as `ImageRecording` has them.
+        calibration, encoding: as `ImageRecording` has them.
         images: its frames.
         truth: T_frame_body of camera or base.
         warnings: of what was read so far.
@@ -148,7 +145,7 @@ def recording_of(
         RecordingError: none of some frames spread over the recording can be used; says why the first cannot.
         CalibrationError: the ground truth describes another body, and nothing says where that is.
     """
-    recording = ImageRecording(
+    made = ImageRecording(
         name=folder.resolve().name,
         path=folder,
         format=reader,
@@ -158,10 +155,13 @@ def recording_of(
         encoding=encoding,
         ground_truth=truth,
         warnings=tuple(warnings),
-        wheels=tuple(wheels),
-        yaw_rates=tuple(yaw_rates),
     )
-    _try_frames(recording)
+    _try_frames(made)
+    return _with_truth(made)
+
+
+def _with_truth(recording: ImageRecording) -> ImageRecording:
+    """With the true poses of its own body, and a warning where they do not reach over all frames."""
     if recording.ground_truth is None:
         return recording
     try:
