@@ -81,7 +81,8 @@ def test_floor_and_costmaps_lie_in_the_map_as_pictures(driven: tuple[Shown, list
     assert len(shown.times_s("/map/floor")) == 1
     corners = np.array(shown.rows["/map/floor"]["Mesh3D:vertex_positions"][0])
     size = np.array(layer.state.shape[::-1]) * layer.resolution_m
-    np.testing.assert_allclose(corners[[0, 2], :2], [layer.origin, np.array(layer.origin) + size], atol=1e-4)
+    origin = np.array(layer.origin)
+    np.testing.assert_allclose(corners[[0, 2], :2], np.stack([origin, origin + size]), atol=1e-4)
     costmaps = shown.rows["/map/costmap"]["Mesh3D:albedo_texture_buffer"]
     lasted_s = told[-1].stamp_s - told[0].stamp_s
     assert 2 <= len(costmaps) <= lasted_s + 1.5
