@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from wheelsight.calibration import Calibration, Wheels
 from wheelsight.config import Config, load_config
 from wheelsight.geometry import PinholeCamera
-from wheelsight.navigation import KnownFloor, Navigator
+from wheelsight.navigation import KnownFloor, Navigator, Transition
 from wheelsight.pipeline.drive_record import DriveRecord
 from wheelsight.pipeline.drive_recorder import DriveRecorder
-from wheelsight.pipeline.drives import Drive, WatchedRobot
+from wheelsight.pipeline.drives import Drive, OnEvents, WatchedRobot
 from wheelsight.pipeline.navigation_rehearsal import DrawnRobot, ToldPlace, drawn_room
 
 CAMERA = PinholeCamera(320, 240, 262.0, 260.0, 160.0, 120.0)
@@ -22,11 +24,14 @@ CALIBRATION = Calibration.registered_camera(
 QUICK = {"navigation.monitor.blind_m_s": 0.5}
 
 
-def rehearsed_drive() -> tuple[Drive, DrawnRobot, Config]:
+def rehearsed_drive(
+    on_events: OnEvents = lambda events: None, on_transition: Callable[[Transition], None] = lambda transition: None
+) -> tuple[Drive, DrawnRobot, Config]:
     robot, config = DrawnRobot(CALIBRATION), load_config(overrides=QUICK)
-    watched = WatchedRobot(robot, DriveRecorder(config.navigation.footprint.outline))
+    watched = WatchedRobot(robot, DriveRecorder(config.navigation.footprint.outline), on_events)
     floor = KnownFloor(drawn_room())
-    navigator = Navigator(watched, ToldPlace(robot), floor, config.navigation, trusts_floor=True)
+    told = ToldPlace(robot)
+    navigator = Navigator(watched, told, floor, config.navigation, trusts_floor=True, on_transition=on_transition)
     return Drive(watched, navigator, drawn_room, "a room"), robot, config
 
 

@@ -26,6 +26,7 @@ from wheelsight.devices.robot_camera import ANY, open_robot_camera
 from wheelsight.errors import DeviceError
 from wheelsight.settings import LiveCameraSettings
 from wheelsight.trajectory import read_tum
+from wheelsight.viewer import why_no_rerun
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]
@@ -94,6 +95,14 @@ def test_an_unknown_name_is_told_with_the_nearest_and_all(refusal: Refusal, kept
 def test_a_folder_that_holds_something_is_refused(refusal: Refusal, kept: Path, tmp_path: Path) -> None:
     told = refusal("drive", "--sim", "flat", "--map", kept, "--to", "desk", "--out", kept)
     assert "is not empty" in told
+
+
+def test_a_file_for_rerun_that_is_there_is_refused(refusal: Refusal, kept: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    (tmp_path / "drive.rrd").write_text("mine")
+    told = refusal("drive", "--sim", "flat", "--map", kept, "--to", "desk", "--rerun", tmp_path / "drive.rrd")
+    assert told.startswith(f"{tmp_path / 'drive.rrd'}: is there already")
+    assert (tmp_path / "drive.rrd").read_text() == "mine"
 
 
 def unplugged(*_: Any) -> Any:
@@ -242,8 +251,10 @@ def test_a_robot_drives_to_a_place_of_a_flat_that_was_mapped_before(
 ) -> None:
     folder, known, _ = flat
     assert wheelsight("map", "name", folder, "table", "--at", words_of(ahead_of(known))).exit_code == 0
-    result = wheelsight(*begun(flat), "--to", "table", "--out", tmp_path / "drive")
+    shown = () if why_no_rerun() else ("--rerun", tmp_path / "drive.rrd")
+    result = wheelsight(*begun(flat), "--to", "table", "--out", tmp_path / "drive", *shown)
     assert result.exit_code == 0, result.output
+    assert not shown or (tmp_path / "drive.rrd").stat().st_size > 100_000
     assert result.stdout.startswith("arrived at table: ")
     assert "idle → planning: to table" in result.stderr
     assert "status: knows where it is" in result.stderr

@@ -7,9 +7,7 @@ import os
 import signal
 import sys
 import time
-from collections import defaultdict
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -31,6 +29,7 @@ from wheelsight.viewer import SPAWN, open_rerun, start_viewer, why_no_rerun
 
 pytest.importorskip("rerun", reason="rerun-sdk is not installed")
 from rerun.chunk import RrdReader
+from viewer.shown import Shown
 
 BY_FEATURES = load_config(overrides={"odometry": "features"})
 BOTH = load_config(overrides={"odometry": "wheels,features", "fusion": "none"})
@@ -53,27 +52,6 @@ def shown(
 ) -> tuple[RunRecord, ...]:
     with open_rerun(str(folder / "run.rrd"), source.calibration, config.tracks, settings) as log:
         return run_each(source, config, folder / "out", watcher=log)
-
-
-class Shown:
-    """All that a file holds: rows of each entity, by component and timeline."""
-
-    def __init__(self, path: Path) -> None:
-        self.rows: dict[str, dict[str, list[Any]]] = defaultdict(lambda: defaultdict(list))
-        self.timelines: set[str] = set()
-        for chunk in RrdReader(path).stream():
-            self.timelines |= set(chunk.timeline_names)
-            for name, values in chunk.to_record_batch().to_pydict().items():
-                self.rows[chunk.entity_path][name] += values
-
-    def times_s(self, place: str) -> np.ndarray:
-        return np.array([value.total_seconds() for value in self.rows[place]["time"]])
-
-    def transforms(self, place: str) -> np.ndarray:
-        """(n, 4, 4); Rerun keeps matrices column by column."""
-        rows = self.rows[place]
-        R = np.array(rows["Transform3D:mat3x3"], float).reshape(-1, 3, 3).transpose(0, 2, 1)
-        return np.asarray(se3.from_parts(R, np.array(rows["Transform3D:translation"], float).reshape(-1, 3)))
 
 
 def test_poses_are_those_of_the_trajectory_on_one_timeline(truth: Trajectory, tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ class Asked:
     config: Path | None
     profile: str | None
     settings: tuple[str, ...]
+    rerun: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

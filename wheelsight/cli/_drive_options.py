@@ -71,6 +71,16 @@ Set = Annotated[
         rich_help_panel=SETTINGS,
     ),
 ]
+Rerun = Annotated[
+    str | None,
+    typer.Option(
+        "--rerun",
+        metavar="FILE.rrd|spawn",
+        help="Show the drive in Rerun as it goes: written to a file, or in a viewer that is started here.",
+        show_default="not shown",
+        rich_help_panel=OUTPUT,
+    ),
+]
 Force = Annotated[
     bool, typer.Option("--force", help="Overwrite results in the folder of --out.", rich_help_panel=OUTPUT)
 ]

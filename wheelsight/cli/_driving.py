@@ -14,7 +14,7 @@ from wheelsight.cli._drive_robots import robot_of, robot_words
 from wheelsight.cli._signals import until_stopped
 
 if TYPE_CHECKING:
-    from wheelsight.cli._drive_view import DriveView
+    from wheelsight.cli._drive_watch import DriveWatch
     from wheelsight.config import Config
     from wheelsight.navigation import Feedback
     from wheelsight.pipeline.drive_record import DriveRecord
@@ -35,6 +35,7 @@ def drive_there(asked: Asked, simulated: Simulated, real: Real) -> None:
     Raises what was handed in wrong, before anything moves.
     """
     from wheelsight.cli._compiling import compile_missing
+    from wheelsight.cli._outputs import check_rerun
     from wheelsight.files import make_output_folder, refuse_full
 
     check(asked, simulated, real)
@@ -42,6 +43,7 @@ def drive_there(asked: Asked, simulated: Simulated, real: Real) -> None:
     goals = goals_of(asked)
     if asked.out is not None and not asked.force:
         refuse_full(asked.out)  # before the long work; made once there is a robot
+    check_rerun(asked.rerun, asked.force)
     compile_missing((*_PARTS, *(("simulation",) if real.port is None else ())))
     with robot_of(simulated, real, config) as robot:
         if asked.out is not None:
@@ -56,15 +58,18 @@ def drive_there(asked: Asked, simulated: Simulated, real: Real) -> None:
 def _driven(
     robot: Robot, config: Config, goals: Sequence[Goal], asked: Asked, words: str, *, is_simulated: bool
 ) -> DriveRecord:
-    from wheelsight.cli._drive_view import DriveView
+    from wheelsight.cli._drive_watch import watching
     from wheelsight.pipeline.exploring import loops_of
     from wheelsight.slam.sessions import MAP_FOLDER
 
-    view = DriveView(config.navigation.footprint.outline)
     # What is said while the map is read would run into a screen that is drawn already.
-    with _begun(robot, config, view, asked, in_step=is_simulated) as drive, view:
+    with (
+        watching(asked, robot, config) as watch,
+        _begun(robot, config, watch, asked, in_step=is_simulated) as drive,
+        watch.view,
+    ):
         truth = Truth(robot) if is_simulated else None
-        is_interrupted = _through(drive, goals, asked, _on_step(drive, view, truth))
+        is_interrupted = _through(drive, goals, asked, _on_step(drive, watch, truth))
         told, tasks = truth.told if truth else {}, len(goals) + asked.back + asked.explore
         record = drive.record(tasks, words, config, told, is_interrupted=is_interrupted)
     # The last of them are closed once the drive is over.
@@ -72,7 +77,7 @@ def _driven(
 
 
 @contextmanager
-def _begun(robot: Robot, config: Config, view: DriveView, asked: Asked, *, in_step: bool) -> Iterator[Drive]:
+def _begun(robot: Robot, config: Config, watch: DriveWatch, asked: Asked, *, in_step: bool) -> Iterator[Drive]:
     """Whoever is asked about a real robot's floor has looked at it; a simulated one begins on free floor."""
     from wheelsight.pipeline.drives import drive_in_map
     from wheelsight.pipeline.exploring import exploring
@@ -82,7 +87,8 @@ def _begun(robot: Robot, config: Config, view: DriveView, asked: Asked, *, in_st
         if done == 1:
             print_note(f"reading {total:,} keyframes of the map")
 
-    how: dict[str, Any] = {"in_step": in_step, "trusts_floor": True, "on_transition": view.note}
+    how: dict[str, Any] = {"in_step": in_step, "trusts_floor": True}
+    how |= {"on_transition": watch.note, "on_events": watch.hear}
     if asked.explore:
         assert asked.out is not None
         discard_map(asked.out / MAP_FOLDER)
@@ -117,10 +123,10 @@ def _through(drive: Drive, goals: Sequence[Goal], asked: Asked, on_step: Callabl
     return False
 
 
-def _on_step(drive: Drive, view: DriveView, truth: Truth | None) -> Callable[[Feedback], None]:
+def _on_step(drive: Drive, watch: DriveWatch, truth: Truth | None) -> Callable[[Feedback], None]:
     def step(feedback: Feedback) -> None:
         if truth is not None:
             truth.look()
-        view.show(feedback, drive.navigator)
+        watch.step(feedback, drive.navigator)
 
     return step

@@ -27,3 +27,16 @@ def check_out(out: Path, force: bool) -> None:
     if out.exists() and not force:
         raise OutputError("is there already", path=out, fix="choose another --out, or add --force to overwrite")
     make_output_folder(out.parent, force=True)
+
+
+def check_rerun(target: str | None, force: bool) -> None:
+    """Raises ConfigError, before any work, where Rerun is asked for and missing; of a file as `check_out`."""
+    from wheelsight.extras import needed
+
+    if target is None:
+        return
+    needed("rerun")
+    from wheelsight.viewer import is_file
+
+    if is_file(target):
+        check_out(Path(target), force)

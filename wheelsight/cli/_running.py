@@ -79,9 +79,8 @@ def _told_where(out: Path, answered: Sequence[bool]) -> Iterator[None]:
 
 def _watcher(target: str, source: EventSource, settings: Config, force: bool) -> AbstractContextManager[RerunLog]:
     """Raises ConfigError where Rerun is not installed, OutputError where the file must not be written."""
-    from wheelsight.cli._outputs import check_out
-    from wheelsight.viewer import is_file, open_rerun
+    from wheelsight.cli._outputs import check_rerun
+    from wheelsight.viewer import open_rerun
 
-    if is_file(target):
-        check_out(Path(target), force)
+    check_rerun(target, force)
     return open_rerun(target, source.calibration, settings.tracks, settings.viewer)

@@ -17,6 +17,7 @@ def drive(
     config: options.SettingsFile = None,
     profile: Profile = None,
     set_: options.Set = None,
+    rerun: options.Rerun = None,
     force: options.Force = False,
     sim: robots.Sim = None,
     resolution: robots.Resolution = None,
@@ -50,6 +51,8 @@ def drive(
 
     wheelsight drive --sim flat --map home --to kitchen --out drive
 
+    wheelsight drive --sim flat --map home --to kitchen --rerun drive.rrd
+
     wheelsight drive --sim flat --day 1 --map home --to 3.2,1.5,90 --to desk --back
 
     wheelsight drive --robot /dev/ttyUSB0 --camera any --calibration robot.yaml --map home --to kitchen
@@ -60,6 +63,7 @@ def drive(
     from wheelsight.cli._driving import drive_there
     from wheelsight.devices.robot_camera import ANY
 
-    asked = Asked(map_, tuple(to or ()), back, explore, known_start, out, force, config, profile, tuple(set_ or ()))
+    given = tuple(set_ or ())
+    asked = Asked(map_, tuple(to or ()), back, explore, known_start, out, force, config, profile, given, rerun)
     simulated = Simulated(sim, resolution, start, seed, day, people, realism, camera or "kinect-v1", size, rate)
     drive_there(asked, simulated, Real(robot, calibration, baud, yes, camera or ANY))

@@ -163,7 +163,7 @@ class PathFollower:
         if situation.rest_m <= s.at_end_m or (stands and situation.rest_m <= 2 * s.at_end_m):
             return None if stands and abs(state.turn_rad_s) <= s.standing_rad_s else self._stand(None)
         heading = float(np.arctan2(point[3], point[2]))
-        off = abs(wrap_angle(heading - state.pose[2]))
+        off = abs(float(wrap_angle(heading - state.pose[2])))
         if self._is_turning or (stands and off > s.turn_first_rad):
             self._is_turning = bool(off > s.turned_rad)
             turning = self._turn_to(situation, heading)

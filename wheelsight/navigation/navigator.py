@@ -1,7 +1,7 @@
 """Navigator: drives a robot to its goals, period by period. The whole of it on one screen: `step`.
 
-A small explicit state machine over planner, controller and behaviours. What it asks for passes a ramp and the collision
-monitor, which alone decides what the robot is told.
+A small explicit state machine over planner, controller and behaviours. What it asks for passes a `ControlChain`, whose
+collision monitor alone decides what the robot is told.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike
 
 from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.errors import WheelsightError
-from wheelsight.estimates import Status
 from wheelsight.geometry import FloatArray
 from wheelsight.navigation.behaviours import when_blocked, when_lost
-from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason, MonitorResult, MonitorState
+from wheelsight.navigation.collision_monitor import MonitorReason, MonitorState
+from wheelsight.navigation.control_chain import ControlChain
 from wheelsight.navigation.control_values import Controller, ControlReason, ControlResult
 from wheelsight.navigation.exploration import Exploration
 from wheelsight.navigation.floors import Floor
@@ -40,7 +40,6 @@ from wheelsight.navigation.pure_pursuit import PurePursuitController
 from wheelsight.navigation.route_planner import to_go_m
 from wheelsight.navigation.senses import Senses
 from wheelsight.navigation.task import Task
-from wheelsight.navigation.velocity_ramp import VelocityRamp
 from wheelsight.navigation.workers import Worker
 from wheelsight.robots import Robot
 
@@ -87,16 +86,15 @@ class Navigator:
         self.settings = s = settings or NavigationSettings()
         self._footprint = s.footprint.outline
         self._robot = robot
-        self.monitor = CollisionMonitor(self._footprint, s.limits, s.monitor, s.wheel_check)
+        self._chain = ControlChain(s)
+        self.monitor = self._chain.monitor
         self._senses = Senses(robot.calibration, localization, floor, self.monitor, self._footprint, s)
         self.monitor.trust_floor(self._senses.near_m if trusts_floor else 0.0)
         self._planning = Planning(self._senses, self._footprint, s, planning)
-        self._ramp = VelocityRamp(s.limits)
         self._controller = _controller(self._footprint, s)
         self._on_transition = on_transition
         self.state = NavigationState.IDLE
         self._task: Task | None = None
-        self._command, self._checked = STOP, MonitorResult(STOP, MonitorState.FREE)
         self._predicted: FloatArray = np.empty((0, 3))
         self._result: NavigationResult | None = None
 
@@ -169,21 +167,14 @@ class Navigator:
 
     def step(self) -> Feedback:
         """One period: obey, sense, decide, and let the monitor check. Raises what the robot raises."""
-        events = self._robot.step(self._command)
+        events = self._robot.step(self._chain.command)
         now_s = self._robot.now_s
         try:
             self._senses.hear(events, now_s)
         except WheelsightError as error:
             self._fail(NavigationReason.LOCALIZATION, str(error))
         asked = self._decide(now_s)
-        if self._robot.stop_reason:
-            # Told less and less while it stands by itself, it would seem not to obey, and would not be told to stand.
-            self._ramp.follow(STOP)
-        ramped = self._ramp.step(asked.forward_m_s, asked.turn_rad_s, self.settings.follow.period_s)
-        self._checked = self.monitor.check(ramped, now_s, self._status_to_drive())
-        if self._checked.state is not MonitorState.FREE:
-            self._ramp.follow(self._checked.command)
-        self._command = self._checked.command
+        self._chain.ask(asked, now_s, self._senses.where, stands_by_itself=bool(self._robot.stop_reason))
         return self.feedback
 
     @property
@@ -203,7 +194,7 @@ class Navigator:
             to_go_m=None if plan is None or state is None else to_go_m(plan, state.pose),
             plan=plan,
             predicted=self._predicted,
-            monitor=self._checked,
+            monitor=self._chain.checked,
             doing="" if task is None else task.doing,
             goals_left=0 if task is None else task.goals.left,
         )
@@ -231,7 +222,7 @@ class Navigator:
     def _why_over(self, task: Task, now_s: float) -> tuple[NavigationReason, str] | None:
         """Why the task cannot go on, whatever it does now."""
         s = self.settings.navigator
-        if self._checked.reason is MonitorReason.WHEELS_OFF:
+        if self._chain.checked.reason is MonitorReason.WHEELS_OFF:
             return NavigationReason.DISOBEYS, "look at the wheels, then clear the fault"
         if task.stopped_for_s(now_s, bool(self._robot.stop_reason)) > s.held_s:
             return NavigationReason.ROBOT_STOPPED, self._robot.stop_reason
@@ -322,9 +313,9 @@ class Navigator:
                 return self._fail(NavigationReason.BLOCKED, str(result.reason))
             self._become(NavigationState.PLANNING, str(result.reason))
             return STOP
-        is_held = result.reason is not None or self._checked.state is MonitorState.STOPPED
+        is_held = result.reason is not None or self._chain.checked.state is MonitorState.STOPPED
         if task.held_for_s(now_s, is_held) > self.settings.navigator.held_s:
-            why = result.reason or self._checked.reason
+            why = result.reason or self._chain.checked.reason
             return self._get_out(task, str(why))
         return result.command
 
@@ -381,12 +372,6 @@ class Navigator:
         if self._task is not None:
             self._task.transitions.append(transition)
         self._on_transition(transition)
-
-    def _status_to_drive(self) -> Status:
-        """For the monitor: whoever does not know where in the map it is, but how it moves, may turn and look about."""
-        where = self._senses.where
-        is_searching = where.status is Status.INITIALIZING and where.is_rolling
-        return Status.COASTING if is_searching else where.status
 
     def _stands(self) -> bool:
         speed, follow = self._senses.where.speed, self.settings.follow

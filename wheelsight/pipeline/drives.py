@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from types import TracebackType
@@ -45,6 +45,7 @@ _STOPPING_S = 5.0
 _TRACKS = ("joined", "dense", "features")
 
 OnStep = Callable[[Feedback], None]
+OnEvents = Callable[[Sequence[Event]], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,6 +176,7 @@ def drive_in_map(
     trusts_floor: bool = False,
     on_keyframe: Callable[[int, int], None] = lambda done, total: None,
     on_transition: Callable[[Transition], None] = lambda transition: None,
+    on_events: OnEvents = lambda events: None,
 ) -> Iterator[Drive]:
     """A drive that can begin.
 
@@ -184,6 +186,7 @@ def drive_in_map(
         in_step: whether localization and plans answer before the robot goes on, as for simulators; else beside it.
         trusts_floor, on_transition: see `Navigator`.
         on_keyframe: called with how many keyframes are read, and of how many.
+        on_events: called with what the robot's sensors said in each period.
 
     Raises:
         ConfigError: no known map is named.
@@ -193,7 +196,7 @@ def drive_in_map(
     if opened is None:
         raise ConfigError("there is no map to drive in", fix="--map DIR, of a run with --map surfels")
     known, folder = opened
-    watched = WatchedRobot(robot, DriveRecorder(config.navigation.footprint.outline))
+    watched = WatchedRobot(robot, DriveRecorder(config.navigation.footprint.outline), on_events)
     with closing(folder):
         grid = occupancy_of(folder, on_keyframe=on_keyframe)
         floor = _floor_of(folder, grid, config.navigation.footprint.outline)
@@ -227,14 +230,14 @@ def _name_of(folder: MapFolder) -> str:
 
 
 class WatchedRobot:
-    """A `Robot` whose events a recorder hears, too.
+    """A `Robot` whose events a recorder hears, too, and whoever else asks for them.
 
     Attributes:
         recorder: as it was given.
     """
 
-    def __init__(self, robot: Robot, recorder: DriveRecorder) -> None:
-        self._robot, self.recorder = robot, recorder
+    def __init__(self, robot: Robot, recorder: DriveRecorder, on_events: OnEvents = lambda events: None) -> None:
+        self._robot, self.recorder, self._on_events = robot, recorder, on_events
 
     @property
     def calibration(self) -> Calibration:
@@ -255,6 +258,7 @@ class WatchedRobot:
         """As `Robot` has it."""
         events = self._robot.step(command)
         self.recorder.hear(events)
+        self._on_events(events)
         return events
 
     def stop(self) -> None:

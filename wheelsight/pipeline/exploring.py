@@ -26,7 +26,7 @@ from wheelsight.navigation import (
     WorkerInStep,
 )
 from wheelsight.pipeline.drive_recorder import DriveRecorder
-from wheelsight.pipeline.drives import Drive, WatchedRobot, planning_worker
+from wheelsight.pipeline.drives import Drive, OnEvents, WatchedRobot, planning_worker
 from wheelsight.robots import Robot
 from wheelsight.slam.sessions import MapFolder, MapWriter
 from wheelsight.slam.settings import FROM_KEYFRAMES
@@ -80,6 +80,7 @@ def exploring(
     in_step: bool,
     trusts_floor: bool = False,
     on_transition: Callable[[Transition], None] = lambda transition: None,
+    on_events: OnEvents = lambda events: None,
 ) -> Iterator[Drive]:
     """A drive that can begin to explore; however it ends, what was seen is a map.
 
@@ -88,8 +89,7 @@ def exploring(
         config: with loops by keyframes, and no known map.
         path: folder of the map, empty or not there.
         in_step: whether localization, map and plans answer before the robot goes on, as for simulators; else beside it.
-        trusts_floor: see `Navigator`.
-        on_transition: called with each change of state.
+        trusts_floor, on_transition, on_events: see `drive_in_map`.
 
     Raises:
         ConfigError: loops are not closed, or a known map is named.
@@ -109,7 +109,7 @@ def exploring(
     # The localization last: others look at its keyframes.
     with closing(localization), closing(growing), closing(planning):
         floor = GrowingFloor(localization, calibration, footprint, near_m, config.sessions.occupancy, worker=growing)
-        watched = WatchedRobot(robot, DriveRecorder(footprint))
+        watched = WatchedRobot(robot, DriveRecorder(footprint), on_events)
         navigator = Navigator(watched, localization, floor, config.navigation, **how)
         yield Drive(watched, navigator, lambda: floor.grid, Path(path).parent.name or Path(path).name)
 

@@ -130,16 +130,14 @@ def recording_of(
     encoding: DepthEncoding,
     truth: Trajectory | None,
     warnings: Sequence[str],
-    *,
-    wheels: Sequence[WheelTicks] = (),
-    yaw_rates: Sequence[YawRate] = (),
 ) -> ImageRecording:
     """The recording in a folder, tried: some frame can be read, truth is told for its body, warnings are added.
 
     Args:
         folder: where it lies, whose name is the recording's.
-        reader, images: the reader's name, and its frames.
-        calibration, encoding, wheels, yaw_rates: as `ImageRecording` has them.
+        reader: its name.
+        calibration, encoding: as `ImageRecording` has them.
+        images: its frames.
         truth: T_frame_body of camera or base.
         warnings: of what was read so far.
 
@@ -147,7 +145,7 @@ def recording_of(
         RecordingError: none of some frames spread over the recording can be used; says why the first cannot.
         CalibrationError: the ground truth describes another body, and nothing says where that is.
     """
-    recording = ImageRecording(
+    made = ImageRecording(
         name=folder.resolve().name,
         path=folder,
         format=reader,
@@ -157,16 +155,17 @@ def recording_of(
         encoding=encoding,
         ground_truth=truth,
         warnings=tuple(warnings),
-        wheels=tuple(wheels),
-        yaw_rates=tuple(yaw_rates),
     )
-    _try_frames(recording)
-    return recording if truth is None else _with_truth(recording, truth)
+    _try_frames(made)
+    return _with_truth(made)
 
 
-def _with_truth(recording: ImageRecording, truth: Trajectory) -> ImageRecording:
+def _with_truth(recording: ImageRecording) -> ImageRecording:
+    """With the true poses of its own body, and a warning where they do not reach over all frames."""
+    if recording.ground_truth is None:
+        return recording
     try:
-        truth = express_for(recording.body, truth, recording.calibration)
+        truth = express_for(recording.body, recording.ground_truth, recording.calibration)
     except CalibrationError as error:
         raise CalibrationError(f"ground truth: {error.problem}", path=recording.path, fix=error.fix) from error
     return replace(recording, ground_truth=truth, warnings=(*recording.warnings, *_coverage(recording, truth)))

@@ -5,6 +5,7 @@ A recording of wheels alone has no lists of images.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from wheelsight.calibration import Calibration
@@ -52,7 +53,7 @@ class NativeReader:
             return WheelRecording(folder.resolve().name, folder, self.name, calibration, *given)
         images, more = read_frames(folder, options)
         warnings += more
-        return recording_of(
+        made = recording_of(
             folder,
             self.name,
             calibration,
@@ -60,9 +61,8 @@ class NativeReader:
             DepthEncoding(options.depth_factor or DEPTH_FACTOR),
             truth or beside(read_truth(folder / "groundtruth.txt", warnings), images.frames, options),
             warnings,
-            wheels=wheels,
-            yaw_rates=yaw_rates,
         )
+        return replace(made, wheels=tuple(wheels), yaw_rates=tuple(yaw_rates))
 
 
 def _missing(folder: Path, has_images: bool) -> Calibration:

@@ -19,3 +19,10 @@ class ViewerSettings(Settings):
     map_points: int = setting(
         50_000, "points of the finished surfel map at most; 0: none", CHOSEN, ge=0, le=100_000_000
     )
+    costmap_rate_hz: float = setting(
+        1.0,
+        "of a drive: costmaps of the floor about the robot, and floors that grow, a second; 0: none",
+        CHOSEN,
+        ge=0,
+        le=100,
+    )

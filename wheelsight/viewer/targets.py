@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,8 @@ from wheelsight.errors import ConfigError
 from wheelsight.extras import needed, why_missing
 from wheelsight.files import check_name, output_error
 from wheelsight.settings import ViewerSettings
-from wheelsight.viewer.blueprint import blueprint_of
+from wheelsight.viewer.blueprint import blueprint_of, drive_blueprint
+from wheelsight.viewer.drive_log import DriveLog
 from wheelsight.viewer.rerun_log import RerunLog
 
 SPAWN = "spawn"
@@ -63,16 +64,31 @@ def open_rerun(
         ConfigError: Rerun is not installed, or its viewer does not start.
         OutputError: the file cannot be written.
     """
+    with _opened(target, lambda: blueprint_of(tracks), viewer) as stream:
+        yield RerunLog(stream, calibration, tracks, settings or ViewerSettings())
+
+
+@contextmanager
+def open_drive_log(
+    target: str, calibration: Calibration, settings: ViewerSettings | None = None, viewer: Sequence[str] = VIEWER
+) -> Iterator[DriveLog]:
+    """What a drive to goals is shown by; arguments and what it raises: as `open_rerun`."""
+    with _opened(target, drive_blueprint, viewer) as stream:
+        yield DriveLog(stream, calibration, settings or ViewerSettings())
+
+
+@contextmanager
+def _opened(target: str, blueprint: Callable[[], Any], viewer: Sequence[str]) -> Iterator[Any]:
+    """Rerun's stream to a target."""
     stream = _stream()
     if target == SPAWN:
         target, _ = start_viewer(viewer)
     if is_file(target):
-        _save(stream, Path(target), tracks)
+        _save(stream, Path(target), blueprint())
     else:
-        stream.connect_grpc(target, default_blueprint=blueprint_of(tracks))
-    log = RerunLog(stream, calibration, tracks, settings or ViewerSettings())
+        stream.connect_grpc(target, default_blueprint=blueprint())
     try:
-        yield log
+        yield stream
     finally:
         stream.flush()
         stream.disconnect()
@@ -87,14 +103,14 @@ def _stream() -> Any:
     return stream
 
 
-def _save(stream: Any, path: Path, tracks: Sequence[str]) -> None:
+def _save(stream: Any, path: Path, blueprint: Any) -> None:
     check_name(path)
     try:
         with path.open("wb"):
             pass  # Rerun itself says nothing of a file that cannot be written
     except OSError as error:
         raise output_error(error, path) from error
-    stream.save(path, default_blueprint=blueprint_of(tracks))
+    stream.save(path, default_blueprint=blueprint)
 
 
 def start_viewer(viewer: Sequence[str] = VIEWER) -> tuple[str, subprocess.Popen[bytes]]:
