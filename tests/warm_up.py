@@ -1,4 +1,4 @@
-"""Compiles all kernels before the tests of a fresh clone, in two processes: else both workers compile most of them.
+"""Compiles all kernels before the tests of a fresh clone, in two processes: else all workers compile most of them.
 
 python tests/warm_up.py
 """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,10 +19,18 @@ Refusal = Callable[..., str]
 QUICK = ("--description", "histograms", "--trees", 8)
 
 
-@pytest.fixture
-def drives(tmp_path: Path) -> tuple[Path, Path]:
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Two drives through the same rooms."""
-    return write_drive(tmp_path / "monday", seed=1), write_drive(tmp_path / "tuesday", seed=2)
+    folder = tmp_path_factory.mktemp("drives")
+    return write_drive(folder / "monday", seed=1), write_drive(folder / "tuesday", seed=2)
+
+
+@pytest.fixture
+def drives(written: tuple[Path, Path], tmp_path: Path) -> tuple[Path, Path]:
+    """Copies, which may be changed."""
+    monday, tuesday = (Path(shutil.copytree(drive, tmp_path / drive.name)) for drive in written)
+    return monday, tuesday
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from wheelsight.calibration import Wheels
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry import se3
-from wheelsight.odometry.wheels.drive import Drive, drive_from_ticks, drive_path
+from wheelsight.odometry.wheels.drive import Drive, drive_from_ticks, drive_path, yaw_at_readings
 from wheelsight.odometry.wheels.fit import PARAMETERS, WheelFit, fit_wheels
 from wheelsight.trajectory import Trajectory
 
@@ -137,6 +137,9 @@ def test_the_path_is_that_of_the_robot() -> None:
     path = drive_path(drive, TRUE, between)
     assert (path.body, path.frame) == ("base", "odom")
     np.testing.assert_allclose(path.positions_m, simulated.truth.at(between)[:, :3, 3], atol=2e-3)
+    yaw_rad = np.interp(between + TRUE.delay_s, drive.stamps_s, yaw_at_readings(drive, TRUE))
+    R = path.T_frame_body[:, :3, :3]
+    np.testing.assert_allclose(np.exp(1j * yaw_rad), R[:, 0, 0] + 1j * R[:, 1, 0], atol=1e-9)
 
 
 @pytest.mark.parametrize(
