@@ -136,7 +136,7 @@ def _end(drive: Drive, wheels: Wheels, scale: float = 0.0, drift: float = 0.0, t
     """x, y, yaw (3,) of the end, with wheels that make ways longer, turn so much more a metre, and turn more."""
     half = drift * wheels.track_width_m / 2
     sizes = _sizes(wheels) * (1 + scale) * np.array([1 - half, 1 + half, 1 / (1 + turn)])
-    return poses_at(drive, sizes, drive.stamps_s[-1:])[0]
+    return np.asarray(poses_at(drive, sizes, drive.stamps_s[-1:])[0], float)
 
 
 def _by_sizes(drive: Drive, wheels: Wheels) -> FloatArray:
