@@ -216,7 +216,7 @@ class LocalizerSettings(Settings):
     color_check: ColorCheckSettings = ColorCheckSettings()
     frame_gate: FrameGateSettings = FrameGateSettings()
     memory_keyframes: int | None = setting(
-        256,
+        128,
         "where no map is written: keyframes that so many newer ones follow go to a temporary file, as they are, and "
         "leave memory after twice as many, 180 kB each; of those so many are held that were asked for last; null: all "
         "stay",

@@ -118,12 +118,13 @@ class LoopCloser:
         self._loops: list[RelativePose] = []
         self._kept: list[bool] = []
         self._chi2: list[float] = []
+        self._limit: list[float] = []
         self._clusters: IntArray = np.empty(0, np.int64)
         self._refused_since = self._reviews = self._overturned = 0
 
     def offer(self, loops: Sequence[RelativePose]) -> tuple[JudgedLoop, ...]:
         """Judge loops of keyframes that the graph holds; poses are those with the kept ones then."""
-        before, limits = len(self._loops), self._limits(loops)
+        before, limits = len(self._loops), limits_of(loops, self.settings.gate_probability)
         chi2 = [chi_squared(self.graph, loop) for loop in loops]
         kept = [found <= limit for found, limit in zip(chi2, limits, strict=True)]
         self.graph.add_edges([loop for loop, is_kept in zip(loops, kept, strict=True) if is_kept])
@@ -132,7 +133,7 @@ class LoopCloser:
         self._refused_since += kept.count(False)
         if self._refused_since >= self.settings.review_after:
             self.review()
-        return self.report().judged[before:]
+        return self._judged(before)
 
     def join(self, loops: Sequence[RelativePose], T_start: FloatArray) -> None:
         """Go by loops that alone tell how two pieces lie to each other, and solve from poses (N, 4, 4) that fit them.
@@ -175,19 +176,19 @@ class LoopCloser:
 
     def report(self) -> LoopReport:
         """What became of all loops so far."""
-        clusters = np.full(len(self._loops), -1)
-        clusters[: len(self._clusters)] = self._clusters
-        rows = zip(self._loops, self._kept, self._chi2, self._limits(self._loops), clusters.tolist(), strict=True)
-        return LoopReport(tuple(JudgedLoop(*row) for row in rows), self._reviews, self._overturned)
+        return LoopReport(self._judged(0), self._reviews, self._overturned)
+
+    def _judged(self, since: int) -> tuple[JudgedLoop, ...]:
+        """From one on; while driving all would be thousands at each keyframe."""
+        clusters = [*self._clusters.tolist(), *[-1] * (len(self._loops) - len(self._clusters))]
+        columns = (self._loops, self._kept, self._chi2, self._limit, clusters)
+        return tuple(JudgedLoop(*row) for row in zip(*(column[since:] for column in columns), strict=True))
 
     def _take(self, loops: Sequence[RelativePose], kept: list[bool], chi2: list[float]) -> None:
         self._loops.extend(loops)
         self._kept.extend(kept)
         self._chi2.extend(chi2)
-
-    def _limits(self, loops: Sequence[RelativePose]) -> list[float]:
-        freedom = np.array([loop.freedom for loop in loops])
-        return [float(limit) for limit in 2 * gammaincinv(freedom / 2, self.settings.gate_probability)]
+        self._limit.extend(limits_of(loops, self.settings.gate_probability))
 
     def _hypotheses(self, kept: BoolArray, T: FloatArray) -> Iterator[_Hypothesis]:
         """All loops, and each of the largest refused clusters (L,)."""
@@ -224,7 +225,7 @@ class LoopCloser:
 
     def _settle(self) -> None:
         """Judge each loop by the graph's poses, and solve anew, until none changes sides."""
-        limits = np.array(self._limits(self._loops))
+        limits = np.array(self._limit)
         for _ in range(self.settings.most_rounds):
             self._chi2 = [chi_squared(self.graph, loop) for loop in self._loops]
             kept = self._held_together(np.array(self._chi2) / limits)
@@ -266,6 +267,12 @@ class LoopCloser:
         if own >= 0:
             votes[own] = 0
         return float(chi2.sum() / 2 + votes @ means)
+
+
+def limits_of(loops: Sequence[RelativePose], gate_probability: float) -> list[float]:
+    """The largest chi-square of each that passes."""
+    freedom = np.array([loop.freedom for loop in loops])
+    return [float(limit) for limit in 2 * gammaincinv(freedom / 2, gate_probability)]
 
 
 def laid_by(loop: RelativePose, moving: BoolArray, T: FloatArray) -> FloatArray:

@@ -49,10 +49,10 @@ class SessionSettings(StepSettings):
         64, "keyframes of a journal, after which another begins: 6 MB", "reckoned", ge=1, le=10_000
     )
     memory_keyframes: int = setting(
-        256,
-        "keyframes of a map that are held in memory, those asked for last: 45 MB; of a drive that writes one twice "
+        128,
+        "keyframes of a map that are held in memory, those asked for last: 23 MB; of a drive that writes one twice "
         "as many, the newest; with so many newer ones behind it a keyframe is recalled as it is on disk",
-        "reckoned",
+        "what an hour of driving may take, 1 GB: docs/decisions/0096",
         ge=1,
         le=1_000_000,
     )
