@@ -53,8 +53,7 @@ def robot(file: Robot, check: Check = None, topic: Topics = None) -> None:
             stdout.print(f"  {command}", markup=False)
     if check is not None:
         lines, is_good = loop_check(check, file, topic)
-        for line in lines:
-            stdout.print(line, markup=False)
+        stdout.print("\n".join(lines), markup=False)
         if not is_good:
             print_warning("the loop does not close as a calibrated robot's does; what to do is said above")
     elif missing is None:

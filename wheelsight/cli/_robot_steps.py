@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,7 @@ from wheelsight.errors import CalibrationError, RecordingError
 from wheelsight.inputs import is_there
 
 if TYPE_CHECKING:
-    from wheelsight.odometry.wheels import LoopCheck
+    from wheelsight.odometry.wheels import LoopCause, LoopCheck
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,18 +128,16 @@ def _loop_advice(found: LoopCheck) -> str:
         return "" if found.is_good else "Those σ are large: calibrate the wheels, on a longer drive."
     if not found.causes:
         return "No size of the wheels explains it: a wheel slipped, or it did not end at its mark; drive it again."
-    told = " or ".join(_CAUSES[cause](amount) for cause, amount in found.causes)
+    told = " or ".join(_cause(cause, amount) for cause, amount in found.causes)
     return (
         f"It is as if {told}. Drive it the other way round: off to the same side again, the radii are unlike; to the "
         "other side, it is the track width. Then calibrate the wheels anew."
     )
 
 
-_CAUSES: dict[str, Callable[[float], str]] = {
-    "one radius against the other": lambda amount: f"the wheels turned it by {np.degrees(amount):+.2f}° a metre",
-    "track width against radii": lambda amount: f"the track width were {_share(amount)}",
-}
+def _cause(cause: LoopCause, amount: float) -> str:
+    from wheelsight.odometry.wheels import LoopCause
 
-
-def _share(amount: float) -> str:
-    return f"{100 * abs(amount):.1f} % too {'narrow' if amount > 0 else 'wide'}"
+    if cause is LoopCause.DRIFT:
+        return f"the wheels turned it by {np.degrees(amount):+.2f}° a metre"
+    return f"the track width were {100 * abs(amount):.1f} % too {'narrow' if amount > 0 else 'wide'}"

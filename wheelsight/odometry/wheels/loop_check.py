@@ -110,22 +110,11 @@ def check_loop(drive: Drive, wheels: Wheels, settings: LoopCheckSettings | None 
     most = float(chi2.ppf(settings.confidence, 3))
     is_as_stated = float(off @ np.linalg.solve(of_sizes + of_drive, off)) <= most
     most = max(most, (1 - settings.explained_share) * float(off @ np.linalg.solve(of_drive, off)))
-    off_m = float(np.hypot(*off[:2]))
-    is_small = off_m <= settings.good_share * way_m
-    is_straight = np.degrees(abs(off[2])) <= settings.good_deg_per_m * way_m
+    off_m, off_rad = float(np.hypot(*off[:2])), float(off[2])
+    is_good = off_m <= settings.good_share * way_m and np.degrees(abs(off_rad)) <= settings.good_deg_per_m * way_m
     closed = np.array([0.0, 0.0, 2 * np.pi * turns])
     causes = () if is_as_stated else _causes(drive, wheels, closed, of_drive, most)
-    return LoopCheck(
-        way_m,
-        turns,
-        off_m,
-        float(off[2]),
-        *sigmas,
-        *of_sizes_alone,
-        is_as_stated,
-        bool(is_small and is_straight),
-        causes,
-    )
+    return LoopCheck(way_m, turns, off_m, off_rad, *sigmas, *of_sizes_alone, is_as_stated, bool(is_good), causes)
 
 
 def _sizes(wheels: Wheels) -> FloatArray:
