@@ -78,6 +78,13 @@ def test_an_empty_map_is_saved_and_loaded(tmp_path):
     assert look_at(loaded, [Wall(2.0)], [pose()])[0].added > 0
 
 
+def test_keyframes_without_surfels_are_saved_and_loaded(tmp_path):
+    save_map(SurfelMap(store=kept_keyframes(2)), tmp_path / "a.map")
+    loaded = load_map(tmp_path / "a.map")
+    assert len(loaded) == 0
+    np.testing.assert_array_equal(loaded.T_map_keyframe, kept_keyframes(2).T_map_keyframe)
+
+
 def test_the_format_can_be_read_without_wheelsight(surfel_map, tmp_path):
     save_map(surfel_map, tmp_path / "a.map")
     name, header, body = (tmp_path / "a.map").read_bytes().split(b"\n", 2)

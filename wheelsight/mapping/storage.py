@@ -172,11 +172,9 @@ def _decompressed(body: memoryview, lengths: list[int]) -> Iterator[bytes]:
     given: bytes | memoryview = body
     try:
         for length in lengths:
-            if not length:  # of which the library says that there is no room
-                yield b""
-                continue
-            piece = b"" if decompressor.eof else decompressor.decompress(given, length)
-            given = b""
+            piece = b""
+            if length and not decompressor.eof:  # asked for nothing again and again, it takes itself for stuck
+                piece, given = decompressor.decompress(given, length), b""
             if len(piece) != length:
                 raise MapError("its surfels and keyframes are fewer than it says", fix=_DAMAGED)
             yield piece
