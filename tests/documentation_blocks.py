@@ -15,6 +15,7 @@ GIVEN = {
     "T_map_camera": ("FloatArray", "wheelsight.geometry"),
     "T_map_keyframe": ("FloatArray", "wheelsight.geometry"),
     "T_map_base": ("FloatArray", "wheelsight.geometry"),
+    "T_filter_odom": ("FloatArray", "wheelsight.geometry"),
     "T_map_odom": ("FloatArray", "wheelsight.geometry"),
     "T_odom_body": ("FloatArray", "wheelsight.geometry"),
     "T_prev_now": ("FloatArray", "wheelsight.geometry"),

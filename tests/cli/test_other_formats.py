@@ -49,4 +49,5 @@ def test_info_on_an_unknown_folder_lists_the_formats(refusal: Callable[..., str]
     (tmp_path / "notes.txt").write_text("nothing\n")
     told = refusal("info", tmp_path)
     for name in MAKERS:
-        assert f"{name} needs " in told
+        assert f" {name}" in told
+    assert "docs/recordings.md" in told

@@ -39,7 +39,10 @@ def test_a_terminal_sees_the_map_grow(wheelsight: Command, tmp_path: Path, monke
 
 def test_a_map_needs_dense_odometry(refusal: Callable[..., str], room: Path, tmp_path: Path) -> None:
     out = ("--out", tmp_path / "out")
-    assert refusal("run", room, "--map", "surfels", *out) == "--map is built by dense odometry (add --odometry dense)"
+    assert (
+        refusal("run", room, "--odometry", "features", "--map", "surfels", *out)
+        == "--map is built by dense odometry (add --odometry dense)"
+    )
     assert refusal("run", room, "--odometry", "dense", "--map", "voxels", *out) == (
         "--map is 'voxels' (known: 'surfels')"
     )

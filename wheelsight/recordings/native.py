@@ -11,6 +11,7 @@ from pathlib import Path
 from wheelsight.calibration import Calibration
 from wheelsight.errors import CalibrationError
 from wheelsight.events import AngularVelocity, WheelTicks, YawRate
+from wheelsight.files import StrPath
 from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import camera_choices, choose_calibration
 from wheelsight.recordings._images import DepthEncoding
@@ -101,9 +102,9 @@ def read_angular_velocities(path: Path) -> tuple[list[AngularVelocity], list[str
     return growing, warnings + more
 
 
-def camera_turns(folder: Path) -> tuple[list[AngularVelocity], list[str]]:
+def camera_turns(folder: StrPath) -> tuple[list[AngularVelocity], list[str]]:
     """What the gyroscope in a recording's camera told, and warnings; nothing where the recording keeps none."""
-    path = folder / IMU_FILE
+    path = Path(folder) / IMU_FILE
     return read_angular_velocities(path) if is_there(path) else ([], [])
 
 
