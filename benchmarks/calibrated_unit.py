@@ -111,14 +111,14 @@ def by_drive(drive: SimulatedRecording, cameras: Calibration) -> tuple[Calibrati
 
 def by_squares(settings: SimulationSettings, each_way: int = SQUARES) -> Wheels:
     """As `wheelsight calibrate umbmark` has it, by so many squares each way."""
-    rng, runs = stream(settings.seed, "tape"), []
+    rng, drives = stream(settings.seed, "tape"), list[SimulatedRecording]()
     for number in range(2 * each_way):
         turned = {"stops_to_turn": True, "is_reverse": number % 2 == 1}
-        square = simulate(_driven(settings, "square", _DAY + 1 + number, **turned))
-        wheels = square.calibration.wheels
-        assert wheels is not None
-        run = square_run(square, wheels)
-        runs.append(replace(run, true_end_m=run.true_end_m + _TAPE_SIGMA_M * rng.standard_normal(2)))
+        drives.append(simulate(_driven(settings, "square", _DAY + 1 + number, **turned)))
+    wheels = drives[0].calibration.wheels
+    assert wheels is not None
+    runs = [square_run(drive, wheels) for drive in drives]
+    runs = [replace(run, true_end_m=run.true_end_m + _TAPE_SIGMA_M * rng.standard_normal(2)) for run in runs]
     return umbmark_from_runs(wheels, runs).wheels
 
 

@@ -64,7 +64,7 @@ class BoardBench:
     def wall_m(self, depth_m: float) -> Float32Array:
         """(H, W) what depth pixels say, without noise, of a wall all over the image at so many metres of depth."""
         wall = np.full(self._rays.shape[:2], depth_m, np.float32)
-        normal = np.tile(np.float32([0, 0, -1]), (*wall.shape, 1))
+        normal = np.tile(np.array([0, 0, -1], np.float32), (*wall.shape, 1))
         seen = Seen(wall, np.zeros(wall.shape, np.int32), normal, np.tile(np.eye(4), (len(wall), 1, 1)), self._rays)
         return self.unit.seen_by_depth(seen, None, self._distortion, np.zeros(6), 0.0).depth_m
 
