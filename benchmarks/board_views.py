@@ -111,9 +111,9 @@ def board_views(rig: Rig, rng: np.random.Generator, count: int = 40, board: Boar
     views: list[View] = []
     while len(views) < count:
         T = _pose(rig, rng, board)
-        color = _corners(rig.color, T, rig.corner_sigma_px, board, rng)
+        color = board_corners(rig.color, T, rig.corner_sigma_px, board, rng)
         T_depth = se3.invert(rig.T_color_depth) @ T
-        infrared = _corners(rig.depth, T_depth, rig.corner_sigma_px, board, rng)
+        infrared = board_corners(rig.depth, T_depth, rig.corner_sigma_px, board, rng)
         if color is None:
             continue
         reading = depth_image(rig, T_depth, rng, board)
@@ -129,11 +129,11 @@ def depth_image(rig: Rig, T_depth_board: FloatArray, rng: np.random.Generator, b
     n, t = T_depth_board[:3, 2], T_depth_board[:3, 3]
     z = float(n @ t) / (rays @ n)
     px = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1).astype(float)
-    on_plate = _on_plate((rays * z[..., None] - t) @ T_depth_board[:3, :2], board) & (z > 0)
-    safe = np.where(on_plate, z, 1.0)
+    is_plate = on_plate((rays * z[..., None] - t) @ T_depth_board[:3, :2], board) & (z > 0)
+    safe = np.where(is_plate, z, 1.0)
     seen = rig.systematic(safe, px) + rig.sigma_m(safe) * rng.standard_normal(z.shape)
     reading = np.round(1090.0 - 8 * 586.0 * 0.075 / seen) if rig.is_disparity else np.round(1000 * seen) / 1000
-    return np.where(on_plate, reading, 0).astype(np.float32)
+    return np.where(is_plate, reading, 0).astype(np.float32)
 
 
 @cache
@@ -141,7 +141,8 @@ def _rays(camera: PinholeCamera) -> FloatArray:
     return camera.rays()
 
 
-def _on_plate(xy_m: FloatArray, board: Board) -> BoolArray:
+def on_plate(xy_m: FloatArray, board: Board) -> BoolArray:
+    """Whether places (..., 2) in a board's own frame lie on its plate."""
     low = -board.square_m - _PLATE_M
     high = board.square_m * np.array([board.columns, board.rows]) + _PLATE_M
     return np.asarray(((xy_m > low) & (xy_m < high)).all(axis=-1))
@@ -156,7 +157,7 @@ def _pose(rig: Rig, rng: np.random.Generator, board: Board) -> FloatArray:
     return se3.from_parts(R, middle - R @ board.points_m.mean(axis=0))
 
 
-def _corners(
+def board_corners(
     camera: PinholeCamera, T: FloatArray, sigma_px: float, board: Board, rng: np.random.Generator
 ) -> Corners | None:
     """All corners with noise, or None where the board is not whole in the image or its squares are too small."""

@@ -5,7 +5,8 @@ the trajectory while driving, in `odom`; "at the end" is the corrected one. A lo
 10° off, and farther than its covariance allows (in a corridor it tells nothing of the way along). A revisit is a
 keyframe that lies within 1 m and 30° of one that is at least 20 s older; it is closed where a kept loop ends at it.
 "Right" are loops that were refused all the same. "In 2 cm" are stable surfels of the map at the end that lie within
-2 cm of a true surface, the map laid where it fits best; errors of depth, of which nobody has told the robot, are in it.
+2 cm of a true surface, the map laid where it fits best. Nobody has told the robot of its unit's errors of depth, lens,
+registration and mount, except with `--calibrated`: then its owner has found them by a board and a drive before.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy as np
 from rich.console import Console
 from scipy.stats import chi2
 
-from benchmarks import machine
+from benchmarks import calibrated_unit, machine
 from benchmarks.kept_records import KeptRecords
 from benchmarks.laps_surface import share_within, surface_of
 from benchmarks.sequences import default_data_folder
@@ -126,9 +127,9 @@ def _name_of(building: str, mode: str, seed: int) -> str:
     return f"{building}-{mode.replace(' ', '-')}-{seed}"
 
 
-def driven(building: Building, mode: str, seed: int, laps: int, rate_hz: float) -> Laps:
-    """Drive, map, and hold the loops against the truth."""
-    source = drive_in(building, rate_hz, seed, laps=laps)
+def driven(building: Building, mode: str, seed: int, laps: int, rate_hz: float, units: Path | None = None) -> Laps:
+    """Drive, map, and hold the loops against the truth; `units` as in `drive_in`."""
+    source = drive_in(building, rate_hz, seed, laps=laps, units=units)
     name, odometry = MODES[mode]
     config = load_config(overrides={"odometry": odometry, "map": "surfels", "loops.source": "keyframes"})
     with TemporaryDirectory() as folder:
@@ -224,19 +225,23 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=10.0, help="images a second")
     parser.add_argument("--way", type=float, default=40.0, help="metres of a lap through a plan")
     parser.add_argument("--modes", nargs="+", choices=list(MODES), default=list(MODES))
+    calibrated_unit.add_option(parser)
     parser.add_argument("--out", type=Path, help="Markdown to write")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keeps drives; those kept are not measured again")
     arguments = parser.parse_args()
     what = f"--buildings {' '.join(arguments.buildings)} --seeds {arguments.seeds} --laps {arguments.laps} "
     what += f"--rate {arguments.rate:g} --way {arguments.way:g} --modes {' '.join(map(repr, arguments.modes))}"
+    what += " --calibrated" if arguments.calibrated else ""
     about = machine.description() | {"Command": f"`python -m benchmarks.laps {what}`", "Images": "320×240"}
-    kept = Kept(arguments.keep, {"laps": arguments.laps, "rate_hz": arguments.rate, "way_m": arguments.way})
+    how = {"laps": arguments.laps, "rate_hz": arguments.rate, "way_m": arguments.way}
+    kept = Kept(arguments.keep, how | ({"calibrated": 1.0} if arguments.calibrated else {}))
     console, drives = Console(width=150), list[Laps]()
     for building in buildings_of(arguments.buildings, arguments.data, arguments.way):
         for seed in range(1, arguments.seeds + 1):
             for mode in arguments.modes:
                 found = kept.of(building.name, mode, seed)
-                drives.append(found or driven(building, mode, seed, arguments.laps, arguments.rate))
+                how_driven = arguments.laps, arguments.rate, arguments.calibrated
+                drives.append(found or driven(building, mode, seed, *how_driven))
                 kept.keep(drives[-1])
                 console.print(" · ".join(drives[-1].row))
                 if arguments.out is not None:  # now, since hours of drives may be broken off

@@ -13,6 +13,8 @@ things in it. "Clearance" is the least true distance from the outline to things.
 
 With `--things N`, so many boxes stand on the ways of each start, a little aside, each so that another way is left to
 every goal; with `--people N`, so many people walk about, a tenth of whom do not look.
+With `--calibrated`, the chair's owner has found the errors of its unit (depth, lens, registration, mount, wheels) by a
+board and a drive before, as docs/tutorial-your-robot.md says; else it is believed to be as the data sheet says.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from typing import Any
 
 from rich.console import Console
 
-from benchmarks import machine
+from benchmarks import calibrated_unit, machine
 from benchmarks.kept_records import KeptRecords
 from benchmarks.navigation_courses import KnownBuilding
 from benchmarks.navigation_drives import Drive, Hardness, drives_from
@@ -120,7 +122,7 @@ def drives_in(
                     told(_of(one))
                 continue
             known = known or KnownBuilding(
-                building, first_day(building, Path(folder), arguments.rate), NavigationSettings()
+                building, first_day(building, Path(folder), arguments.rate, hard.units), NavigationSettings()
             )
             done = drives_from(known, number, arguments.goals, arguments.seed, hard, told)
             kept.keep(name, [asdict(drive) for drive in done])
@@ -141,6 +143,7 @@ def _asked() -> argparse.Namespace:
     parser.add_argument("--rate", type=float, default=10.0, help="images a second")
     parser.add_argument("--way", type=float, default=40.0, help="metres of the tour of the first day through a plan")
     parser.add_argument("--seed", type=int, default=1, help="of starts and goals")
+    calibrated_unit.add_option(parser)
     parser.add_argument("--out", type=Path, help="page whose section is written, BENCHMARKS-NAVIGATION.md")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keeps drives; those kept are not measured again")
     return parser.parse_args()
@@ -151,13 +154,15 @@ def main() -> None:
     asked = _asked()
     what = f"--buildings {' '.join(asked.buildings)} --starts {asked.starts} --goals {asked.goals} "
     what += f"--people {asked.people} --things {asked.things} --rate {asked.rate:g} --way {asked.way:g} "
+    what += "--calibrated " if asked.calibrated else ""
     about = machine.description() | {
         "Command": f"`python -m benchmarks.navigation {what}--seed {asked.seed}`",
         "Images": "320×240",
     }
     console, drives = Console(width=150), list[Drive]()
-    hard = Hardness(people=asked.people, things=asked.things, rate_hz=asked.rate)
+    hard = Hardness(people=asked.people, things=asked.things, rate_hz=asked.rate, units=asked.calibrated)
     same = {name: getattr(asked, name) for name in ("goals", "people", "things", "rate", "way")}
+    same |= {"calibrated": True} if asked.calibrated else {}
     kept = KeptRecords(asked.keep, same)
 
     def told(drive: Drive) -> None:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from benchmarks.box_worlds import with_boxes
+from benchmarks.calibrated_sources import CalibratedRobot
+from benchmarks.calibrated_unit import calibration_for
 from benchmarks.navigation_courses import ROUND_M, Course, KnownBuilding
 from wheelsight.config import load_config
 from wheelsight.errors import ConfigError
@@ -17,6 +20,7 @@ from wheelsight.geometry.se2 import wrap_angle
 from wheelsight.localizer import Localizer, LocalizerInStep
 from wheelsight.navigation import Navigator
 from wheelsight.pipeline.known_maps import open_known
+from wheelsight.robots import Robot
 from wheelsight.simulation import SimulationSettings
 from wheelsight.simulation.simulate import world_of
 from wheelsight.simulation.simulator import Simulator
@@ -28,12 +32,19 @@ _MOST_COURSES = 50
 
 @dataclass(frozen=True)
 class Hardness:
-    """What the second day has that the first had not: people, things in the way."""
+    """What the second day has that the first had not: people, things in the way.
+
+    Attributes:
+        people, things: how many.
+        rate_hz, size: of the images.
+        units: a folder of calibrations, for a robot that was calibrated; None for one that is as the data sheet says.
+    """
 
     people: int = 0
     things: int = 0
     rate_hz: float = 10.0
     size: tuple[int, int] = (320, 240)
+    units: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -101,11 +112,12 @@ def drives_from(
     simulator, course = _begun(known, rng, goals, seed + number, hard)
     config = load_config(overrides={"odometry": "wheels,dense", "known_map.path": str(known.day.folder)})
     done = []
+    robot = _owned(simulator, hard.units)
     with simulator:
-        opened = open_known(simulator.calibration, config)
+        opened = open_known(robot.calibration, config)
         assert opened is not None
-        localization = LocalizerInStep(Localizer(simulator.calibration, config, known=opened[0], waits=True))
-        navigator = Navigator(simulator, localization, known.floor, known.settings, trusts_floor=True)
+        localization = LocalizerInStep(Localizer(robot.calibration, config, known=opened[0], waits=True))
+        navigator = Navigator(robot, localization, known.floor, known.settings, trusts_floor=True)
         costmap = known.costmap_with(course.things)
         for goal, way_m in zip(course.goals, course.ways_m, strict=True):
             plan = known.way(costmap, known.map_pose(simulator.T_world_base), goal)
@@ -114,6 +126,12 @@ def drives_from(
         localization.close()
         opened[1].close()
     return done
+
+
+def _owned(simulator: Simulator, units: Path | None) -> Robot:
+    if units is None:
+        return simulator
+    return CalibratedRobot(simulator, calibration_for(simulator.settings, units))
 
 
 def _begun(

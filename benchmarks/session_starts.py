@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.calibrated_sources import with_calibration
+from benchmarks.calibrated_unit import calibration_for
 from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
 from wheelsight.estimates import Estimate, Status
@@ -117,10 +119,11 @@ class Start:
         return f"{where}: found after {self.found_s:.1f} s, {self.error_m:.3f} m and {self.error_deg:.2f}° off"
 
 
-def first_day(building: Building, folder: Path, rate_hz: float) -> FirstDay:
-    """Drive a lap and map it, by wheels and camera joined."""
+def first_day(building: Building, folder: Path, rate_hz: float, units: Path | None = None) -> FirstDay:
+    """Drive a lap and map it, by wheels and camera joined; `units` as in `drive_in`."""
     config = load_config(overrides={"odometry": "wheels,dense", "map": "surfels", "loops.source": "keyframes"})
-    record = next(one for one in run_each(_driven(building, rate_hz, day=0), config, folder) if one.odometry == JOINED)
+    source = _driven(building, rate_hz, units, day=0)
+    record = next(one for one in run_each(source, config, folder) if one.odometry == JOINED)
     assert record.correction is not None
     assert record.correction.evaluation is not None
     found = record.correction.evaluation.ate
@@ -139,24 +142,36 @@ def first_day(building: Building, folder: Path, rate_hz: float) -> FirstDay:
     return FirstDay(building.name, path, *poses, found.translation.rmse, way_m, *counts)
 
 
-def second_day(building: Building, rate_hz: float) -> tuple[Calibration, SecondDay]:
-    """Drive a lap of another day."""
-    source = _driven(building, rate_hz, day=1)
+def second_day(building: Building, rate_hz: float, units: Path | None = None) -> tuple[Calibration, SecondDay]:
+    """Drive a lap of another day; `units` as in `drive_in`."""
+    source = _driven(building, rate_hz, units, day=1)
     return source.calibration, SecondDay(list(source.events()), source.ground_truth, source)
 
 
-def _driven(building: Building, rate_hz: float, *, day: int) -> SimulatedRecording:
-    return drive_in(building, rate_hz, _SEED, day=day, passersby=_PEOPLE if day else 0)
+def _driven(building: Building, rate_hz: float, units: Path | None, *, day: int) -> SimulatedRecording:
+    return drive_in(building, rate_hz, _SEED, day=day, passersby=_PEOPLE if day else 0, units=units)
 
 
 def drive_in(
-    building: Building, rate_hz: float, seed: int, *, day: int = 0, passersby: int = 0, laps: int = 1
+    building: Building,
+    rate_hz: float,
+    seed: int,
+    *,
+    day: int = 0,
+    passersby: int = 0,
+    laps: int = 1,
+    units: Path | None = None,
 ) -> SimulatedRecording:
-    """A simulated drive by real sensors; what it is given is as in `SimulationSettings`."""
+    """A simulated drive by real sensors; what it is given is as in `SimulationSettings`.
+
+    With a folder `units` of calibrations, its robot is calibrated, once for all its drives; else it is believed to be
+    as the data sheet says.
+    """
     where = {"world": building.world} if building.plan is None else {"plan": building.plan}
     how = {"size": (320, 240), "rate_hz": rate_hz, "seed": seed, "realism": "real"}
     settings = SimulationSettings(day=day, passersby=passersby, laps=laps, **where, **how)  # type: ignore[arg-type]
-    return simulate(settings)
+    recording = simulate(settings)
+    return recording if units is None else with_calibration(recording, calibration_for(settings, units))
 
 
 def moments_of(day: SecondDay, count: int) -> list[float]:

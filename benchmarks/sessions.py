@@ -13,6 +13,9 @@ with its truth: they hold what is wrong with the map itself, too.
 
 A robot that has found itself is also carried to another place of the building during four seconds in the dark, in which
 its wheels stand. "Unnoticed" is a `tracking` at a wrong place three seconds after the light came back, or later.
+
+Nobody has told the robot of its unit's errors of depth, lens, registration and mount, except with `--calibrated`: then
+its owner has found them by a board and a drive before, as docs/tutorial-your-robot.md says, for both days.
 """
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ from tempfile import TemporaryDirectory
 
 from rich.console import Console
 
-from benchmarks import machine
+from benchmarks import calibrated_unit, machine
 from benchmarks.sequences import default_data_folder
 from benchmarks.session_kidnaps import Kidnapping, kidnappings
 from benchmarks.session_starts import MODES, Building, FirstDay, Start, first_day, moments_of, second_day, start_at
@@ -160,21 +163,20 @@ class Measured:
     taken: list[Kidnapping] = field(default_factory=list)
 
 
-def measure(
-    buildings: Sequence[Building], starts: int, kidnaps: int, rate_hz: float, folder: Path, console: Console
-) -> Measured:
+def measure(buildings: Sequence[Building], asked: argparse.Namespace, folder: Path, console: Console) -> Measured:
     """All starts and kidnappings."""
+    rate_hz, units = asked.rate, asked.calibrated
     of = Measured()
     own, elsewhere, known = of.own, of.elsewhere, of.known
     for building in buildings:
-        known.append(first_day(building, folder / building.name, rate_hz))
+        known.append(first_day(building, folder / building.name, rate_hz, units))
         told = f"{known[-1].together} of {known[-1].keyframes} keyframes together, {known[-1].ate_m:.3f} m off"
         console.print(f"{building.name}: first day mapped, {known[-1].way_m:.0f} m, {told}")
     for number, building in enumerate(buildings):
-        calibration, events = second_day(building, rate_hz)
+        calibration, events = second_day(building, rate_hz, units)
         console.print(f"{building.name}: second day rendered")
         other = known[(number + 1) % len(known)]
-        for count, moment_s in enumerate(moments_of(events, starts)):
+        for count, moment_s in enumerate(moments_of(events, asked.starts)):
             for mode in MODES:
                 own.append(start_at(moment_s, mode, calibration, events, known[number], building.name))
                 console.print(own[-1].sentence)
@@ -182,7 +184,7 @@ def measure(
                 mode = MODES[count % len(MODES)]
                 elsewhere.append(start_at(moment_s, mode, calibration, events, other, building.name, has_truth=False))
                 console.print(f"in the map of {other.name}: {elsewhere[-1].sentence}")
-        for one in kidnappings(kidnaps, calibration, events, known[number]):
+        for one in kidnappings(asked.kidnaps, calibration, events, known[number]):
             of.taken.append(one)
             console.print(one.sentence)
     return of
@@ -197,12 +199,13 @@ def main() -> None:
     parser.add_argument("--kidnaps", type=int, default=12, help="in each building")
     parser.add_argument("--rate", type=float, default=15.0, help="images a second")
     parser.add_argument("--way", type=float, default=60.0, help="metres of the tour through a plan")
+    calibrated_unit.add_option(parser)
     parser.add_argument("--out", type=Path, help="Markdown to write")
     arguments = parser.parse_args()
     console, about = Console(width=150), machine.description()
     buildings = buildings_of(arguments.buildings, arguments.data, arguments.way)
     with TemporaryDirectory() as name:
-        of = measure(buildings, arguments.starts, arguments.kidnaps, arguments.rate, Path(name), console)
+        of = measure(buildings, arguments, Path(name), console)
     targets = targets_sheet(judge(of.own, of.elsewhere, of.taken))
     sheets = [
         map_sheet(of.known),
@@ -215,8 +218,8 @@ def main() -> None:
         console.print(sheet.to_rich())
     if arguments.out is not None:
         what = f"--buildings {' '.join(arguments.buildings)} --starts {arguments.starts} --kidnaps {arguments.kidnaps} "
-        what += f"--rate {arguments.rate:g}"
-        about |= {"Command": f"`python -m benchmarks.sessions {what} --way {arguments.way:g}`", "Images": "320×240"}
+        what += f"--rate {arguments.rate:g} --way {arguments.way:g}{' --calibrated' if arguments.calibrated else ''}"
+        about |= {"Command": f"`python -m benchmarks.sessions {what}`", "Images": "320×240"}
         write_page(arguments.out, "Sessions", __doc__ or "", about, sheets)
 
 
