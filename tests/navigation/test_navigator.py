@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +20,10 @@ from wheelsight.navigation import (
     NavigationState,
     NavigatorSettings,
 )
+from wheelsight.navigation.control_values import ControlReason, ControlResult, MotionState
+from wheelsight.navigation.goals import Poses
+from wheelsight.navigation.plan_values import Plan
+from wheelsight.navigation.pure_pursuit import PurePursuitController
 
 SIZE_M = (8.0, 6.0)
 ROOM = (
@@ -92,6 +97,36 @@ def test_a_door_that_the_map_has_open_and_somebody_shut_is_found_shut() -> None:
     assert result.recoveries > 0
     assert subject.clearance_m > 0.02
     assert subject.robot.base.pose[0] < 4.0
+
+
+class OneAfterAnother(Poses):
+    """Goes on without a goal that is not reached."""
+
+    def missed(self) -> bool:
+        self.reached()
+        return bool(self.left)
+
+
+@pytest.mark.parametrize("goes_on", [True, False])
+def test_a_goal_that_the_controller_finds_no_way_to_is_left_where_the_task_may_go_on(
+    monkeypatch: pytest.MonkeyPatch, goes_on: bool
+) -> None:
+    command = PurePursuitController.command
+
+    def blocked(subject: PurePursuitController, state: MotionState, plan: Plan, *seen: Any) -> ControlResult:
+        is_far = plan.goal[0] > NEAR[0] + 1
+        return ControlResult.standing(ControlReason.BLOCKED) if is_far else command(subject, state, plan, *seen)
+
+    monkeypatch.setattr(PurePursuitController, "command", blocked)
+    subject = ride(settings=HASTY)
+    subject.navigator.begin((OneAfterAnother if goes_on else Poses)([GOAL, NEAR]))
+    subject.go(60)
+    result = not_none(subject.navigator.result)
+    assert result.has_arrived == goes_on
+    assert is_near(subject.robot.base.pose, NEAR if goes_on else BESIDE, off_m=0.3)
+    assert result.recoveries > 0
+    assert any("on without what is there" in change.why for change in result.transitions) == goes_on
+    assert goes_on or result.reason is NavigationReason.BLOCKED
 
 
 @pytest.mark.parametrize("goal", [(np.nan, 1.0, 0.0), (1.0,), (1.0, 2.0, np.inf)])

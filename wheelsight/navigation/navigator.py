@@ -260,10 +260,7 @@ class Navigator:
             return STOP
         if failure.reason not in _FOR_GOOD and task.tries < self.settings.navigator.tries:
             return self._get_out(task, why)
-        if task.goals.missed():
-            task.tries = 0
-            return STOP
-        return self._fail(NavigationReason.NO_PLAN, why)
+        return self._give_up(task, NavigationReason.NO_PLAN, why)
 
     def _drive(self, task: Task, now_s: float) -> VelocityCommand:
         """Follow the plan while it holds."""
@@ -310,7 +307,7 @@ class Navigator:
         if result.reason in (ControlReason.MISSED, ControlReason.OFF_PATH, ControlReason.NO_PATH):
             task.tries += 1
             if task.tries > self.settings.navigator.tries:
-                return self._fail(NavigationReason.BLOCKED, str(result.reason))
+                return self._give_up(task, NavigationReason.BLOCKED, str(result.reason))
             self._become(NavigationState.PLANNING, str(result.reason))
             return STOP
         is_held = result.reason is not None or self._chain.checked.state is MonitorState.STOPPED
@@ -346,10 +343,22 @@ class Navigator:
 
     def _get_out(self, task: Task, why: str) -> VelocityCommand:
         if task.tries >= self.settings.navigator.tries:
-            return self._fail(NavigationReason.BLOCKED, why)
+            return self._give_up(task, NavigationReason.BLOCKED, why)
         self._planning.drop()
         task.recover(when_blocked(task.tries, self.settings.behaviours), is_lost=False)
         self._become(NavigationState.RECOVERING, f"{why}; {task.doing}")
+        return STOP
+
+    def _give_up(self, task: Task, reason: NavigationReason, why: str) -> VelocityCommand:
+        """Go on without a goal that nothing leads to; of a task that wants it, this is the end."""
+        self._planning.drop()
+        if self._planning.is_busy:
+            return STOP
+        if not task.goals.missed():
+            return self._fail(reason, why)
+        task.tries = 0
+        if self.state is not NavigationState.PLANNING:
+            self._become(NavigationState.PLANNING, f"{why}; on without what is there")
         return STOP
 
     def _look_about(self, task: Task, why: str) -> VelocityCommand:
