@@ -20,6 +20,7 @@ from wheelsight.trajectory import Trajectory
 
 FILES = {"trajectory.txt", "covariances.csv", "status.csv", "metrics.json", "config.yaml", "report.html"}
 OF_ONE = {"trajectory.txt", "covariances.csv", "status.csv", "metrics.json"}
+OF_JOINED = {*OF_ONE, "odom.txt"}
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
 BY_WHEELS = load_config(overrides={"odometry": "wheels"})
 BOTH = load_config(overrides={"odometry": "wheels,features", "fusion": "none"})

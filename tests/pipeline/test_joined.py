@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from localizer.joined_drives import CALIBRATION, Drive, Sight, drive, spinning
-from pipeline.made import OF_ONE, metrics_in, names_in, status_in
+from pipeline.made import OF_JOINED, OF_ONE, metrics_in, names_in, status_in
 from stand_ins import MemoryRecording
 
 from wheelsight.config import load_config
@@ -54,7 +54,7 @@ def test_every_track_has_its_files(ran: Runner, tmp_path: Path) -> None:
     assert list(records) == ["wheels", "features", "joined"]
     assert names_in(tmp_path) == {"wheels", "features", "joined", "metrics.json", "config.yaml", "report.html"}
     for name in records:
-        assert names_in(tmp_path / name) == OF_ONE
+        assert names_in(tmp_path / name) == (OF_JOINED if name == "joined" else OF_ONE)
     joined = records["joined"]
     assert (joined.estimate.body, joined.unit) == ("base", "frame")
     assert joined.evaluation is not None

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from narrowing import of_type
-from pipeline.made import OF_ONE, metrics_in, names_in, status_in
+from pipeline.made import OF_JOINED, metrics_in, names_in, status_in
 from room_drive import make_room_drive
 
 from wheelsight.config import load_config
@@ -29,7 +29,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[RunRecord
 def test_a_joined_run_leaves_its_own_folder_and_figures(ran: tuple[Path, tuple[RunRecord, ...]]) -> None:
     out, records = ran
     assert [record.odometry for record in records] == ["wheels", "features", "joined"]
-    assert names_in(out / "joined") == OF_ONE
+    assert names_in(out / "joined") == OF_JOINED
     joint, alone = metrics_in(out), metrics_in(out / "joined")
     found, facts = alone["joined"], facts_of(records[2])
     assert joint["odometry"]["joined"]["joined"] == found

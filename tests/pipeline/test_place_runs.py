@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from area_drive import AREAS, T_WORLD_START, area_drive, area_recording, by_areas, calibration
-from pipeline.made import OF_ONE, metrics_in, names_in, status_in
+from pipeline.made import OF_JOINED, OF_ONE, metrics_in, names_in, status_in
 from places.made import trained
 from stand_ins import MemoryRecording
 
@@ -56,7 +56,7 @@ def test_beside_a_camera_they_are_rectified_and_joined(tmp_path: Path) -> None:
     out, config = tmp_path / "out", load_config(overrides=given)
     records = run_each(area_recording(tmp_path), config, out)
     assert [record.odometry for record in records] == ["wheels", "features", "rectified", "joined"]
-    assert names_in(out / "joined") == OF_ONE
+    assert names_in(out / "joined") == OF_JOINED
     wheels, joined = records[0].estimate, records[3].estimate
     assert (joined.frame, joined.body) == ("map", "base")
     np.testing.assert_allclose(joined.T_frame_body[0], T_WORLD_START, atol=1e-9)
