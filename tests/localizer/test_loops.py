@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import synthetic
@@ -155,8 +157,11 @@ def test_a_piece_counts_as_joined_once_it_is_sure_where_it_lies(
 
     monkeypatch.setattr(LiveLoops, "due", due)
     beside.move_keyframes(1.0, None)
-    assert beside.is_joined == is_sure
+    # As where somebody before the camera has led odometry astray since, and it says so.
+    doubtful = replace(seen, covariance=C_odom + 0.1 * np.eye(6))
+    assert beside.called(doubtful).status is Status.COASTING
     called = beside.called(seen)
+    assert beside.is_joined == is_sure
     assert called.status is (Status.TRACKING if is_sure else Status.COASTING)
     assert (called.covariance_map is not None) == is_sure
     if called.covariance_map is not None and sigma_m is not None:

@@ -71,10 +71,7 @@ class LoopsBeside:
         Those that are newer than what the thread knows go with the last one that it does.
         """
         update = self._live.due(stamp_s)
-        T_new_old = None if update is None else self._move(update, keyframe)
-        if self._is_laid and not self.is_joined and self._is_sure():
-            self.is_joined, self._is_new = True, False
-        return T_new_old
+        return None if update is None else self._move(update, keyframe)
 
     def _move(self, update: PoseUpdate, keyframe: KeyframeId | None) -> FloatArray:
         self._loops = update.loops
@@ -90,13 +87,15 @@ class LoopsBeside:
         at = count - 1 if keyframe is None else keyframe
         return np.asarray(se3.nearest(T_new[at] @ se3.invert(T_old[at])))
 
-    def _is_sure(self) -> bool:
-        """Whether the newest keyframe that was judged is of this piece, and surely enough placed in the map."""
-        place, limits = self._live.place, self._settings
-        if place is None or place.number < self._pieces[-1]:
+    def _is_sure(self, answer: Estimate, covariance_map: FloatArray | None) -> bool:
+        """Whether an answer is of a piece that lies in the map, and sure enough there."""
+        place, limits, T_odom_body = self._live.place, self._settings, answer.T_odom_body
+        if not self._is_laid or place is None or place.number < self._pieces[-1]:
             return False
-        C = se3.position_covariance(place.T_map_keyframe, place.covariance)
-        sigma_m, sigma_rad = (np.sqrt(np.linalg.eigvalsh(one)[-1]) for one in (C, place.covariance[3:, 3:]))
+        if covariance_map is None or T_odom_body is None:
+            return False
+        C = se3.position_covariance(answer.T_map_odom @ T_odom_body, covariance_map)
+        sigma_m, sigma_rad = (np.sqrt(np.linalg.eigvalsh(one)[-1]) for one in (C, covariance_map[3:, 3:]))
         return bool(sigma_m <= limits.sure_m and sigma_rad <= limits.sure_rad)
 
     def tie(self, number: int) -> bool:
@@ -153,8 +152,11 @@ class LoopsBeside:
 
     def called(self, answer: AnyEstimate) -> AnyEstimate:
         """The answer, by a status that says whether it is known where in the map it is; if so, how surely."""
+        covariance_map = self._covariance_map(answer)
+        if not self.is_joined and answer.status is Status.TRACKING and self._is_sure(answer, covariance_map):
+            self.is_joined, self._is_new = True, False
         if self.is_joined:
-            return replace(answer, covariance_map=self._covariance_map(answer))
+            return replace(answer, covariance_map=covariance_map)
         if answer.status not in (Status.TRACKING, Status.COASTING):
             return answer
         return replace(answer, status=Status.INITIALIZING if self._is_new else Status.COASTING)

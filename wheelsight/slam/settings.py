@@ -169,8 +169,8 @@ class LoopSettings(Settings):
     )
     sure_m: float = setting(
         0.15,
-        "where a piece lies counts as known once the newest keyframe's standard deviation is at most this, metres along"
-        " the worst axis",
+        "where a piece lies counts as known once the standard deviation of a pose in the map is at most this, metres"
+        " along the worst axis",
         "reckoned: a place 0.5 m off is a wrong one, and this is less than a third of that",
         gt=0,
         le=100,
