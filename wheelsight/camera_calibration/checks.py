@@ -56,8 +56,7 @@ def refuse_unsure(found: CameraCalibration, model: Model, keeps_color: bool, set
     limits += [(f"T.turn_{axis}_deg", settings.apart_sigma_deg, "°") for axis in "xyz"]
     unsure = [f"{name} (σ {sigmas[name]:.2g} {unit})" for name, most, unit in limits if sigmas.get(name, 0) > most]
     if len(found.depth_sigma_m):
-        farthest_m = float(np.percentile(found.depth_residuals.depth_m, 99))
-        known = found.depth_sigma_m[found.depth_sigma_m[:, 0] <= farthest_m]
+        known = found.depth_sigma_m[found.depth_sigma_m[:, 0] <= _farthest_m(found)]
         worst = known[int(np.argmax(known[:, 1]))]
         if worst[1] > settings.depth_sigma_m:
             unsure.append(f"depth at {worst[0]:.1f} m (σ {1e3 * worst[1]:.0f} mm)")
@@ -70,10 +69,15 @@ def doubts_beyond(found: CameraCalibration, settings: RefusalSettings) -> tuple[
     """A warning where depth's σ is told beyond the farthest board, and is much larger there."""
     if not len(found.depth_sigma_m):
         return ()
-    farthest_m = float(np.percentile(found.depth_residuals.depth_m, 99))
+    farthest_m = _farthest_m(found)
     at_board_m = float(np.interp(farthest_m, *found.depth_sigma_m.T))
     end_m, at_end_m = found.depth_sigma_m[-1].tolist()
     if at_end_m <= settings.beyond_factor * at_board_m:
         return ()
     told = f"Depth is known to {1e3 * at_board_m:.0f} mm where boards end, at {farthest_m:.1f} m,"
     return (f"{told} and to {1e3 * at_end_m:.0f} mm at {end_m:.1f} m: add boards that far if depth is used there.",)
+
+
+def _farthest_m(found: CameraCalibration) -> float:
+    """To where boards were, but for single cells."""
+    return float(np.percentile(found.depth_residuals.depth_m, 99))

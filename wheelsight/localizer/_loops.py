@@ -90,9 +90,7 @@ class LoopsBeside:
     def _is_sure(self, answer: Estimate, covariance_map: FloatArray | None) -> bool:
         """Whether an answer is of a piece that lies in the map, and sure enough there."""
         place, limits, T_odom_body = self._live.place, self._settings, answer.T_odom_body
-        if not self._is_laid or place is None or place.number < self._pieces[-1]:
-            return False
-        if covariance_map is None or T_odom_body is None:
+        if covariance_map is None or T_odom_body is None or place is None or place.number < self._pieces[-1]:
             return False
         C = se3.position_covariance(answer.T_map_odom @ T_odom_body, covariance_map)
         sigma_m, sigma_rad = (np.sqrt(np.linalg.eigvalsh(one)[-1]) for one in (C, covariance_map[3:, 3:]))
@@ -152,7 +150,7 @@ class LoopsBeside:
 
     def called(self, answer: AnyEstimate) -> AnyEstimate:
         """The answer, by a status that says whether it is known where in the map it is; if so, how surely."""
-        covariance_map = self._covariance_map(answer)
+        covariance_map = self._covariance_map(answer) if self._is_laid else None
         if not self.is_joined and answer.status is Status.TRACKING and self._is_sure(answer, covariance_map):
             self.is_joined, self._is_new = True, False
         if self.is_joined:

@@ -75,7 +75,6 @@ class PieceGraph:
 
     def covariance(self, keyframe: KeyframeId) -> FloatArray | None:
         """(6, 6) of the left perturbation (v, ω) of a keyframe's pose in its piece; None where no digits tell it."""
-        self._graph.update()
         return self._graph.marginal(keyframe)
 
     def close(self, loops: Sequence[RelativePose]) -> bool:
