@@ -33,6 +33,11 @@ RUN = """
 from area._high_kernels import twice
 print(twice(1.5), sum(twice.stats.cache_hits.values()), twice.stats.cache_path)
 """
+DIE_BEFORE_IT_IS_KEPT = """
+import os
+from numba.core.caching import Cache
+Cache.save_overload = lambda *_: os._exit(3)
+"""
 WAYS = {
     "a name": ("from area._low_kernels import scaled", "scaled"),
     "names on lines of their own": (
@@ -132,10 +137,17 @@ def test_what_may_not_stand_beside_its_file_stands_in_the_users_cache(area: Area
 
 
 @pytest.mark.slow
-def test_processes_that_compile_at_once_leave_one_that_all_use(area: Area) -> None:
-    for process in [area.start(), area.start()]:
-        assert outcome(process)[0] == 6.0
-    assert area.run()[:2] == (6.0, 1)
+def test_of_processes_that_start_at_once_one_compiles_and_the_others_wait(area: Area) -> None:
+    told = [outcome(process)[:2] for process in [area.start(), area.start(), area.start()]]
+    assert sorted(told) == [(6.0, 0), (6.0, 1), (6.0, 1)]
+
+
+@pytest.mark.slow
+def test_a_process_that_dies_while_it_compiles_holds_nobody_up(area: Area) -> None:
+    dying = area.start(DIE_BEFORE_IT_IS_KEPT + RUN)
+    dying.communicate(timeout=120)
+    assert dying.returncode == 3
+    assert area.run()[:2] == (6.0, 0)
 
 
 def test_nothing_is_compiled_where_numba_is_told_so(area: Area) -> None:

@@ -2,15 +2,19 @@
 
 Numba by itself keeps a compiled function until the text of its own file changes, although functions and constants of
 other files are compiled into it. Here it is kept until the text of any file changes which its file imports from the
-same package, or which those import.
+same package, or which those import. Of processes that need the same kernel at once, one compiles it and the others
+wait: compiling all of them takes a minute of a processor.
 """
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
+import os
 import re
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.machinery import ModuleSpec
 from pathlib import Path
@@ -19,6 +23,7 @@ from typing import Any, Literal, TypeVar, overload
 
 from numba import njit
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -56,7 +61,9 @@ def kernel(function: Any = None, **options: Any) -> Any:
     compiled = njit(nogil=True, **options)(function)
     if isinstance(compiled, Dispatcher):
         # As `Dispatcher.enable_caching` does, which asks for no class.
-        compiled._cache = _Cache(function)  # type: ignore[attr-defined]  # noqa: SLF001
+        cache = _Cache(function)
+        compiled._cache = cache  # type: ignore[attr-defined]  # noqa: SLF001
+        compiled.compile = _one_process_at_a_time(compiled.compile, cache.lock_path)  # type: ignore[method-assign]
     return compiled
 
 
@@ -70,6 +77,36 @@ class _Cache(FunctionCache):
             filename_base=self._impl.filename_base,
             source_stamp=(self._impl.locator.get_source_stamp(), _stamp(function.__module__)),
         )
+        self.lock_path = Path(self.cache_path) / f"{self._impl.filename_base}.lock"
+
+
+def _one_process_at_a_time(compile_: Callable[..., Any], path: Path) -> Callable[..., Any]:
+    """To compile or load a kernel so that no other process does: it finds what this one has kept."""
+
+    def alone(signature: Any) -> Any:
+        # Numba's lock first, as threads that compile take both, and a kernel is compiled while one is that calls it.
+        with global_compiler_lock, _held(path):
+            return compile_(signature)
+
+    return alone
+
+
+@contextmanager
+def _held(path: Path) -> Iterator[None]:
+    """With a file that one process holds at a time; the system lets go of it where that process dies.
+
+    Where no file can be written there nothing is kept either, and nobody waits.
+    """
+    descriptor = -1
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        if descriptor >= 0:
+            os.close(descriptor)
 
 
 def made_of(module: str) -> set[str]:
