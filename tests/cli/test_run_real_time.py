@@ -96,6 +96,8 @@ def test_wheels_of_a_file_take_the_place_of_the_recordings(wheelsight: Command, 
 
 
 def test_wheels_from_a_port(wheelsight: Command, drive: Path, tmp_path: Path) -> None:
+    # The controller's thread is of this process, and silent while that compiles kernels.
+    assert wheelsight("run", drive, *JOINED[1:], "--out", tmp_path / "before").exit_code == 0
     with SimulatedController(tmp_path) as controller:
         controller.speeds = (30, 30)
         result = wheelsight("run", drive, *JOINED, "--wheels-from", controller.port, "--out", tmp_path / "out")
