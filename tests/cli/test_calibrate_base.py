@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -162,7 +163,8 @@ def test_a_simulated_drive_from_end_to_end(wheelsight: Command, tmp_path: Path) 
     table += [f"{begin},{v},{w}" for begin, (_, v, w) in zip(begins, (*LEGS, (0.0, 0.0, 0.0)), strict=True)]
     (tmp_path / "legs.csv").write_text("\n".join(table) + "\n")
     robot = Robot(camera_yaw_rad=-0.2, camera_left_m=-0.15)
-    settings = SimulationSettings(world="square", rate_hz=5, seed=5, velocities=tmp_path / "legs.csv", robot=robot)
+    how: dict[str, Any] = {"world": "square", "size": (320, 240), "rate_hz": 5, "seed": 5}
+    settings = SimulationSettings(velocities=tmp_path / "legs.csv", robot=robot, **how)
     write_simulation(simulate(settings), tmp_path / "drive")
     out = tmp_path / "base.yaml"
     result = wheelsight("calibrate", "base", tmp_path / "drive", "--out", out)
