@@ -212,7 +212,7 @@ def flat(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray, np
     """The map of a short drive; where that ended, in the map and in the world."""
     folder = tmp_path_factory.mktemp("flat")
     (folder / "legs.csv").write_text(LEGS)
-    how = ("--drive", folder / "legs.csv", "--size", "320x240", "--rate", "5", "--seed", "5")
+    how = ("--drive", folder / "legs.csv", "--rate", "5", "--seed", "5")
     for words in (
         ("simulate", "flat", *how, "--out", folder / "day"),
         ("run", folder / "day", "--map", "surfels", "--out", folder / "map"),
