@@ -140,10 +140,15 @@ class SimulatedController:
                 continue
             with suppress(OSError, ValueError):
                 if select.select([master], [], [], min(left_s, 0.005))[0]:
-                    self._received += os.read(master, 4096)
+                    self._received += self._read(master)
                     *pieces, self._received = self._received.split(b"\0")
                     for piece in filter(None, pieces):
                         self._obey(piece)
+
+    def _read(self, master: int) -> bytes:
+        # Under the lock: once it has vanished, its number may be that of a file that is waited for.
+        with self._lock:
+            return os.read(master, 4096) if master == self._master else b""
 
     def _obey(self, piece: bytes) -> None:
         from cobs import cobs
