@@ -22,7 +22,7 @@ from wheelsight.mapping import OccupancyMapper, SurfelMap
 from wheelsight.places.recognition import Recognizer
 from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.graph import RelativePose
-from wheelsight.slam.sessions import records
+from wheelsight.slam.sessions import keyframe_records
 from wheelsight.slam.sessions.edges import SeenKeyframe, odometry_edge
 from wheelsight.slam.sessions.images import DepthSteps
 from wheelsight.slam.sessions.journal import Record
@@ -184,7 +184,7 @@ def _rehearse(folder: MapFolder, recognition: RecognitionSettings | None) -> Non
     images = np.ones((width_px // 2, width_px), np.float32), np.ones((width_px // 2, width_px), np.float32)
     features = KeyframeFeatures(np.ones((1, 2)), np.ones((1, 3)), np.zeros((1, 4), np.uint64))
     keyframe = Keyframe.of_images(0.0, np.array([width_px, width_px, width_px / 2, width_px / 4]), *images, features)
-    records.pack_keyframe(keyframe, DepthSteps.of_noise(folder.calibration.depth_noise, 1.0), folder.settings)
+    keyframe_records.pack_keyframe(keyframe, DepthSteps.of_noise(folder.calibration.depth_noise, 1.0), folder.settings)
     if recognition is not None:
         Recognizer(recognition).add(KeyframeId(0), keyframe)
     OccupancyMapper(_MOUNTED).add(KeyframeId(0), keyframe, np.eye(4))
