@@ -45,6 +45,14 @@ class SessionSettings(StepSettings):
         ge=0,
         le=100,
     )
+    moved_poses: int = setting(
+        8,
+        "poses of keyframes that have moved that are written while driving, for each new keyframe, 104 bytes each; "
+        "those that moved most come first, and all at the end",
+        "a hundredth of a keyframe's 100 kB: docs/decisions/0102",
+        ge=1,
+        le=10_000,
+    )
     piece_keyframes: int = setting(
         64, "keyframes of a journal, after which another begins: 6 MB", "reckoned", ge=1, le=10_000
     )
