@@ -29,8 +29,8 @@ class OccupancyMapper:
     """Log-odds that layers of height over the floor are occupied, by all keyframes that were added.
 
     The floor is z = 0 of the base at each keyframe, so that a map may drift in height. Of each keyframe
-    some depth is kept, about 10 kB, most of it in a temporary file: where keyframes moved, all is made anew of that, and
-    no image is decoded.
+    some depth is kept, about 10 kB, mostly in a temporary file: where keyframes moved, all is made anew of that, and no
+    image is decoded.
 
     Args:
         calibration: of the robot: where its camera sits over the floor, and how its depth errs.
