@@ -107,8 +107,9 @@ def test_a_file_of_the_first_format_is_read(known, tmp_path):
     arrays["format"] = np.frombuffer(b"wheelsight-recognition-1", np.uint8)
     words = Vocabulary(known.settings.words)
     for number, T in enumerate(ring()):
-        words.add(kept(seen(T)).features.descriptors, number)
-    np.savez(path, **arrays, **{f"words_{name}": array for name, array in words.arrays().items()})
+        words.add(seen(T).features.descriptors, number)
+    arrays |= {f"words_{name}": array for name, array in words.arrays().items()}
+    np.savez(path, **arrays)
     assert Recognizer.load(path).candidates(view, 24) == known.candidates(view, 24)
 
 

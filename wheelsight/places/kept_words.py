@@ -117,5 +117,5 @@ def _in_blocks(counts: NDArray[np.int32], row: NDArray[np.int32], descriptor: UI
 
 
 def _check(row: NDArray[np.int32], descriptor: UInt64Array) -> NDArray[np.uint32]:
-    crc = zlib.crc32(np.ascontiguousarray(row, "<i4"))
-    return np.array(zlib.crc32(np.ascontiguousarray(descriptor, "<u8"), crc), np.uint32)
+    crc = zlib.crc32(row.astype("<i4").tobytes())
+    return np.array(zlib.crc32(descriptor.astype("<u8").tobytes(), crc), np.uint32)
