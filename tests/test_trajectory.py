@@ -344,3 +344,18 @@ def test_many_poses_are_read_at_once_as_line_by_line(tmp_path: Path, rng: np.ran
     np.testing.assert_array_equal(a.stamps_s, b.stamps_s)
     np.testing.assert_array_equal(a.T_frame_body, b.T_frame_body)
     assert (a.frame, a.body) == (b.frame, b.body) == ("odom", "base")
+
+
+def test_what_may_be_written_to_is_copied_and_what_may_not_is_not() -> None:
+    stamps_s, T = np.arange(3.0), np.tile(np.eye(4), (3, 1, 1)).copy()
+    copied = Trajectory(stamps_s, T)
+    T[1, 0, 3] = 5.0
+    assert copied.T_frame_body[1, 0, 3] == 0
+    T.setflags(write=False)
+    assert Trajectory(stamps_s, T).T_frame_body is T
+    above = np.tile(np.eye(4), (3, 1, 1))[:]
+    view = above[:]
+    view.setflags(write=False)
+    seen_through = Trajectory(stamps_s, view)
+    above[2, 1, 3] = 7.0
+    assert seen_through.T_frame_body[2, 1, 3] == 0

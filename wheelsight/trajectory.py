@@ -38,6 +38,15 @@ _LARGEST_STAMP, _LARGEST = 1e20, 1e12  # of which squares are summed up; stamps 
 _FRAMES_LINE = re.compile(r"^#\s*frames:\s*T_(?P<frame>[a-z0-9]+)_(?P<body>[a-z0-9]+)\b")
 
 
+def _unchanging(given: ArrayLike) -> FloatArray:
+    """A copy that nobody can write to, or an array that is such already: an hour's covariances are 57 MB."""
+    values = np.asarray(given, float)
+    if values.flags.writeable or not values.flags.owndata:
+        values = values.copy()
+        values.setflags(write=False)
+    return values
+
+
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """Poses of one body in one fixed frame, at strictly growing stamps. Nothing in it can be changed.
@@ -62,9 +71,7 @@ class Trajectory:
     def __post_init__(self) -> None:
         for name in ("stamps_s", "T_frame_body", "covariances"):
             if getattr(self, name) is not None:
-                values = np.array(getattr(self, name), float)
-                values.setflags(write=False)
-                object.__setattr__(self, name, values)
+                object.__setattr__(self, name, _unchanging(getattr(self, name)))
         n = self.stamps_s.size
         if self.stamps_s.shape != (n,) or self.T_frame_body.shape != (n, 4, 4):
             shapes = f"{self.stamps_s.shape} and {self.T_frame_body.shape}"

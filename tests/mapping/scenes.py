@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +12,7 @@ import numpy as np
 from wheelsight.calibration import DepthNoise
 from wheelsight.geometry import Float32Array, FloatArray, se3, so3
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
-from wheelsight.mapping import FusedFrame, SurfelMap, SurfelSettings
+from wheelsight.mapping import FusedFrame, SurfelMap, Surfels, SurfelSettings
 from wheelsight.views import Surface
 
 GRID = np.array([131.0, 131.0, 80.2, 59.4])
@@ -99,3 +101,26 @@ def look_at(
 
 def made_map(**settings: Any) -> SurfelMap:
     return SurfelMap(SurfelSettings(**settings))
+
+
+def crowd(count: int, keyframes: int = 1) -> SurfelMap:
+    """A map of stable surfels anywhere in a room, on keyframes at the origin; in no order."""
+    rng, made = np.random.default_rng(3), SurfelMap(SurfelSettings(max_surfels=2 * count))
+    made.restore(0, np.tile(np.eye(4), (keyframes, 1, 1)))
+    position = rng.uniform((0, 0, 0), (6, 5, 2.5), (count, 3)).astype(np.float32)
+    normal = np.tile(np.array([0, 0, 1], np.float32), (count, 1))
+    flat, seen_s = np.ones(count, np.float32), np.zeros(count)
+    color = rng.integers(0, 256, (count, 3)).astype(np.float32)
+    numbers = rng.integers(0, keyframes, count).astype(np.int32)
+    made.add(Surfels(position, normal, 0.01 * flat, color, flat, 50 * flat, 1e-5 * flat, seen_s, seen_s, numbers), 0.0)
+    return made
+
+
+def peak_bytes(do: Callable[[], object]) -> int:
+    """What it takes at most above what is held before, as Python and NumPy ask for it."""
+    tracemalloc.start()
+    try:
+        do()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()

@@ -24,8 +24,14 @@ def both(*parts: Surfels) -> Surfels:
     return Surfels(*(np.concatenate([getattr(part, name) for part in parts]) for name in Surfels.__slots__))
 
 
+def pieces_of(surfels: Surfels) -> list[Surfels]:
+    """Of uneven lengths, one of them empty."""
+    cuts = (slice(0, 30), slice(30, 30), slice(30, 7000), slice(7000, None))
+    return [Surfels(*(getattr(surfels, name)[cut] for name in Surfels.__slots__)) for cut in cuts]
+
+
 def made(surfels: Surfels, most: int) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    cloud = cloud_of(surfels, most)
+    cloud = cloud_of(lambda: pieces_of(surfels), most)
     assert cloud is not None
     assert cloud.of == len(surfels.grey)
     return cloud.position.astype(float), cloud.normal.astype(float), cloud.color.astype(float), cloud.edge_m
@@ -66,5 +72,5 @@ def test_all_in_one_place_is_one_point(rng: np.random.Generator) -> None:
 
 
 def test_nothing_is_no_cloud(rng: np.random.Generator) -> None:
-    assert cloud_of(sheet(0, 1.0, 1.0, 200, rng), 10) is None
-    assert cloud_of(sheet(10, 1.0, 1.0, 200, rng), 0) is None
+    assert cloud_of(lambda: [sheet(0, 1.0, 1.0, 200, rng)], 10) is None
+    assert cloud_of(lambda: [sheet(10, 1.0, 1.0, 200, rng)], 0) is None

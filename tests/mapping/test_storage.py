@@ -7,16 +7,30 @@ import lzma
 import struct
 import zlib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from mapping.old_maps import first_version, second_version
-from mapping.scenes import FRAME_S, GRID, SHAPE, Wall, fuse, kept_keyframes, look_at, made_map, pose, see
+from mapping.scenes import (
+    FRAME_S,
+    GRID,
+    SHAPE,
+    Wall,
+    crowd,
+    fuse,
+    kept_keyframes,
+    look_at,
+    made_map,
+    peak_bytes,
+    pose,
+    see,
+)
 
 from wheelsight.errors import MapError, OutputError
-from wheelsight.mapping import SurfelMap, Surfels, SurfelSettings, load_map, save_map
+from wheelsight.mapping import SurfelMap, Surfels, SurfelSettings, load_map, save_map, storage, surfels
 from wheelsight.mapping.columns import COLUMNS, columns_of, packed, unpacked
 
 
@@ -62,6 +76,30 @@ def test_saving_what_was_loaded_gives_the_same_bytes(surfel_map, tmp_path):
     save_map(surfel_map, tmp_path / "a.map")
     save_map(load_map(tmp_path / "a.map"), tmp_path / "b.map")
     assert (tmp_path / "a.map").read_bytes() == (tmp_path / "b.map").read_bytes()
+
+
+def test_how_much_is_turned_into_columns_at_once_changes_no_byte(surfel_map, saved, tmp_path, monkeypatch):
+    monkeypatch.setattr(storage, "_COLUMNS_AT_ONCE", 1)
+    monkeypatch.setattr(surfels, "_COPIED_AT_ONCE", 100)
+    save_map(surfel_map, tmp_path / "a.map")
+    assert (tmp_path / "a.map").read_bytes() == saved
+
+
+def test_an_empty_map_has_no_parts_that_are_missed(tmp_path):
+    """The least there is to concatenate: nothing."""
+    made = made_map()
+    assert sum(len(part.grey) for part in made.parts()) == 0
+    assert list(made.parts("stable")) == list(made.parts(keyframes=(0, 9))) == []
+
+
+def test_saving_takes_a_part_of_what_the_map_takes(tmp_path, monkeypatch):
+    """In memory: 72 bytes a surfel are copies of them all. What does not grow with the map is taken off."""
+    monkeypatch.setattr(storage, "_COLUMNS_AT_ONCE", 1000)
+    monkeypatch.setattr(surfels, "_COPIED_AT_ONCE", 1000)
+    small, large = crowd(5_000, keyframes=50), crowd(40_000, keyframes=400)
+    peaks = [peak_bytes(partial(save_map, made, tmp_path / "a.map")) for made in (small, large)]
+    assert peaks[1] - peaks[0] < 0.5 * 72 * (len(large) - len(small))
+    assert len(load_map(tmp_path / "a.map")) == len(large)
 
 
 def test_a_loaded_map_goes_on(surfel_map, tmp_path):

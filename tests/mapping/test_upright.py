@@ -37,16 +37,16 @@ def angle_deg(a: FloatArray, b: FloatArray) -> float:
 def test_a_floor_tells_it_however_the_camera_was_tilted(pitch: float, roll: float) -> None:
     surfels = facing((UP, 800), (np.array([-1.0, 0, 0]), 3000), (-UP, 2000), spread_rad=0.05)
     R_map_camera = so3.exp([0.0, pitch, 0.0]) @ so3.exp([roll, 0.0, 0.0]) @ LEVEL
-    assert angle_deg(upward(surfels, R_map_camera), UP) < 0.5
+    assert angle_deg(upward(lambda: [surfels], R_map_camera), UP) < 0.5
 
 
 def test_a_floor_counts_for_more_than_a_ramp_that_is_smaller():
     ramp = np.array([-np.sin(0.5), 0.0, np.cos(0.5)])
     surfels = facing((UP, 900), (ramp, 300), spread_rad=0.03)
-    assert angle_deg(upward(surfels, so3.exp([0.0, 0.3, 0.0]) @ LEVEL), UP) < 0.5
+    assert angle_deg(upward(lambda: [surfels], so3.exp([0.0, 0.3, 0.0]) @ LEVEL), UP) < 0.5
 
 
 @pytest.mark.parametrize("surfels", [facing((np.array([-1.0, 0, 0]), 500)), facing((UP, 40))], ids=["wall", "crumb"])
 def test_where_nothing_tells_it_is_the_cameras_own(surfels: Surfels) -> None:
     R_map_camera = so3.exp([0.1, 0.2, 0.0]) @ LEVEL
-    np.testing.assert_allclose(upward(surfels, R_map_camera), -R_map_camera[:, 1])
+    np.testing.assert_allclose(upward(lambda: [surfels], R_map_camera), -R_map_camera[:, 1])

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from mapping.scenes import peak_bytes
 from narrowing import not_none
 
 from wheelsight.estimates import Estimate, Status
@@ -112,3 +114,12 @@ def test_poses_in_odom_are_there_where_the_filter_has_leapt() -> None:
     np.testing.assert_allclose(odom.T_frame_body, [not_none(one.T_odom_body) for one in given], atol=1e-12)
     np.testing.assert_array_equal(filtered.T_frame_body, [one.T_filter_body for one in leapt])
     np.testing.assert_array_equal(filtered.covariances, [one.filter_covariance for one in leapt])
+
+
+def test_a_trajectory_takes_little_beside_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows are 416 bytes, and what comes out of them 424: all rows beside it would be twice that."""
+    monkeypatch.setattr(lived_poses, "_CHUNK", 100)
+    poses, given = LivedPoses(), estimates()
+    for k in range(5000):
+        poses.add(replace(given[k % COUNT], stamp_s=0.1 * k))
+    assert peak_bytes(lambda: poses.trajectory("base", "map")) < 1.7 * 424 * 5000

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from mapping.scenes import FRAME_S, GRID, SHAPE, Wall, fuse, made_map, pose, see
+from mapping.scenes import FRAME_S, GRID, SHAPE, Wall, crowd, fuse, made_map, peak_bytes, pose, see
 from numpy.testing import assert_allclose, assert_array_equal
 from room_drive import make_room_drive
 from stand_ins import frame
 
+from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
 from wheelsight.estimates import Estimate, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.mapping import SurfelMap, load_map
+from wheelsight.mapping import SurfelMap, load_map, surfels
 from wheelsight.pipeline import MAP_FILE, run_each
-from wheelsight.pipeline.maps import Stops
+from wheelsight.pipeline.maps import Stops, map_record_of
 from wheelsight.pipeline.origin import spread
 from wheelsight.recordings import open_recording
 from wheelsight.recordings.image_recording import ImageRecording
@@ -102,3 +104,14 @@ def test_a_joined_map_shows_from_the_written_trajectory_what_frames_showed(tmp_p
         assert both.mean() > 0.5
         off_m.append(np.median(np.abs(shown - event.depth_m)[both]))
     assert max(off_m) < 3.5e-3
+
+
+def test_a_plan_and_a_cloud_take_a_part_of_what_the_map_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In memory: 72 bytes a surfel are copies of them all. What does not grow with the map is taken off."""
+    monkeypatch.setattr(surfels, "_COPIED_AT_ONCE", 1000)
+    calibration = Calibration(T_base_camera=np.eye(4))
+    peaks = {}
+    for count in (2000, 30_000):
+        surfel_map = crowd(count)
+        peaks[count] = peak_bytes(partial(map_record_of, surfel_map, [], np.eye(4)[None], calibration, 500))
+    assert peaks[30_000] - peaks[2000] < 0.4 * 72 * 28_000

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from wheelsight.errors import ArgumentError, MapError
 from wheelsight.geometry import se3
 from wheelsight.keyframes import KeyframeId
-from wheelsight.places import _likeness_kernels, _word_kernels
+from wheelsight.places import _likeness_kernels, _word_kernels, kept_words
 from wheelsight.places.ferns import Ferns
 from wheelsight.places.recognition import Recognizer
 from wheelsight.places.vocabulary import Vocabulary
@@ -98,6 +98,45 @@ def test_what_is_saved_is_found_again(known, tmp_path):
     assert again.candidates(view, 2)[0].keyframe == 100
 
 
+def test_a_file_of_the_first_format_is_read(known, tmp_path):
+    """It has blocks as they are in memory, and all descriptors."""
+    path, view = tmp_path / "codes.npz", seen(standing(-0.2, 0.3, 1.0))
+    known.save(path)
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files if not name.startswith("words_")}
+    arrays["format"] = np.frombuffer(b"wheelsight-recognition-1", np.uint8)
+    words = Vocabulary(known.settings.words)
+    for number, T in enumerate(ring()):
+        words.add(seen(T).features.descriptors, number)
+    arrays |= {f"words_{name}": array for name, array in words.arrays().items()}
+    np.savez(path, **arrays)
+    assert Recognizer.load(path).candidates(view, 24) == known.candidates(view, 24)
+
+
+def test_words_come_back_in_the_order_in_which_they_were_added(rng):
+    """From their keyframes as far as these have their descriptors; and they go on growing as they would have."""
+    words = Vocabulary(SETTINGS)
+    rows = [descriptors(rng, 40) for _ in range(9)]
+    rows[5][:30] = rows[2][:30]
+    for row, shown in enumerate(rows):
+        words.add(shown, row)
+    numbers = [KeyframeId(3 * row) for row in range(len(rows))]
+    kept = kept_words.packed(words.arrays(), numbers, lambda number: rows[number // 3][::2])
+    assert len(kept["own"]) < 0.6 * 40 * len(rows)
+    assert set(kept) == {"centre", "first", "children", "level", "postings", "limit", "row", "place", "own", "check"}
+    with pytest.raises(MapError, match="of other keypoints"):
+        kept_words.unpacked(kept, numbers, lambda number: rows[number // 3][1::2])
+    with pytest.raises(MapError, match="keyframe 0 lacks keypoints"):
+        kept_words.unpacked(kept, numbers, lambda _: rows[0][:2])
+    arrays = kept_words.unpacked(kept, numbers, lambda number: rows[number // 3][::2])
+    back = Vocabulary.from_arrays(arrays, SETTINGS, len(rows))
+    more = descriptors(rng, 40)
+    for grown in (words, back):
+        grown.add(more, len(rows))
+    again = [kept_words.packed(grown.arrays(), [*numbers, KeyframeId(99)], lambda _: more) for grown in (words, back)]
+    assert all((again[0][name] == again[1][name]).all() for name in again[0])
+
+
 def test_a_file_that_is_none_is_refused_by_name(known, tmp_path):
     path = tmp_path / "codes.npz"
     path.write_bytes(b"no codes at all")
@@ -117,9 +156,14 @@ def test_a_file_that_is_none_is_refused_by_name(known, tmp_path):
         ("pixel", lambda a: a + 10**6),
         ("codes", lambda a: a[:, :-1]),
         ("words_row", lambda a: a + 1000),
+        ("words_row", lambda a: a[::-1].copy()),
         ("words_first", lambda a: np.zeros_like(a)),
-        ("words_head", lambda a: a + 10**6),
         ("words_postings", lambda a: a.astype(np.int64)),
+        ("words_postings", lambda a: a + 1),
+        ("words_postings", lambda a: -a),
+        ("words_place", lambda a: np.zeros_like(a)),
+        ("words_own", lambda a: a[1:]),
+        ("words_own", lambda a: a[::-1].copy()),
         ("words_children", lambda a: -a - 1),
     ],
 )

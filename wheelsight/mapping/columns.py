@@ -102,15 +102,20 @@ def surfels_of(columns: Columns, stamp_s: float, stable_confidence: float) -> Su
 def packed(column: NDArray[np.signedinteger]) -> bytes:
     """A column of single bytes as it is: how they follow each other, a compressor finds by itself.
 
-    Others as differences between neighbours, small ones as small numbers: 0, -1, 1, -2, … are 0, 1, 2, 3, …; all first
-    bytes of them, then all second ones, and so on.
+    Others as `steps_of`: all first bytes of them, then all second ones, and so on.
     """
-    width = column.itemsize
-    if width == 1:
-        return column.tobytes()
-    step = np.diff(column, prepend=column.dtype.type(0))
-    unsigned = np.asarray((step << 1) ^ (step >> (8 * width - 1)))
-    return unsigned.view(np.uint8).reshape(-1, width).T.tobytes()
+    return steps_of(column, 0).view(np.uint8).reshape(-1, column.itemsize).T.tobytes()
+
+
+def steps_of(column: NDArray[np.signedinteger], before: int) -> NDArray[np.integer]:
+    """Differences between neighbours, the first to `before`, small ones as small numbers; single bytes stay.
+
+    0, -1, 1, -2, … are 0, 1, 2, 3, ….
+    """
+    if column.itemsize == 1:
+        return column
+    step = np.diff(column, prepend=column.dtype.type(before))
+    return np.asarray((step << 1) ^ (step >> (8 * column.itemsize - 1)))
 
 
 def unpacked(data: bytes, dtype: str) -> NDArray[np.signedinteger]:

@@ -8,6 +8,14 @@ from wheelsight.mapping._block_kernels import CONFIDENCE, RADIUS, SurfelArrays
 from wheelsight.mapping.values import Surfels
 
 
+def views_of(part: SurfelArrays) -> Surfels:
+    """The same as flat arrays, which are not copied."""
+    position, radius_m, normal, confidence = np.split(part.geometry, (3, RADIUS + 1, CONFIDENCE), axis=1)
+    color, grey, first_s, last_s = part.look[:, :3], part.look[:, 3], part.seen_s[:, 0], part.seen_s[:, 1]
+    told = radius_m[:, 0], color, grey, confidence[:, 0], part.variance, first_s, last_s, part.keyframe
+    return Surfels(position, normal, *told)
+
+
 class SurfelCopies:
     """See the module.
 
@@ -28,12 +36,9 @@ class SurfelCopies:
     def add(self, part: SurfelArrays) -> None:
         """Put a copy of these behind the others."""
         begin, self._filled = self._filled, self._filled + len(part.geometry)
-        into, out = slice(begin, self._filled), self._all
-        out.position[into], out.normal[into] = part.geometry[:, :3], part.geometry[:, 4:7]
-        out.radius_m[into], out.confidence[into] = part.geometry[:, RADIUS], part.geometry[:, CONFIDENCE]
-        out.color[into], out.grey[into] = part.look[:, :3], part.look[:, 3]
-        out.variance_m2[into], out.keyframe[into] = part.variance, part.keyframe
-        out.first_s[into], out.last_s[into] = part.seen_s[:, 0], part.seen_s[:, 1]
+        views = views_of(part)
+        for name in Surfels.__slots__:
+            getattr(self._all, name)[begin : self._filled] = getattr(views, name)
 
     def all(self) -> Surfels:
         """Those that were added, in order."""

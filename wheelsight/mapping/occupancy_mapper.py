@@ -3,58 +3,34 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wheelsight.calibration import Calibration, DepthNoise
+from wheelsight.calibration import Calibration
 from wheelsight.errors import ArgumentError, MapError
-from wheelsight.geometry import BoolArray, Float32Array, FloatArray, IntArray, se3
+from wheelsight.geometry import BoolArray, FloatArray, IntArray, se3
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.mapping import _occupancy_kernels as kernels
 from wheelsight.mapping.mount import camera_over_floor
 from wheelsight.mapping.occupancy import CellKind, OccupancyGrid
 from wheelsight.mapping.occupancy_settings import OccupancySettings
+from wheelsight.mapping.seen_depths import SeenDepth, SeenDepths
 
 # Log-odds are kept in even steps: 3.5, the log-odds of 0.97, is 112, and int8 holds 127.
 _PAIRS_PER_UNIT = 16.0
 _MOST_PAIRS = 63
-_UNITS_PER_M = 5000.0
 _GROWTH_CELLS = 128
 # Cells of unknown floor all round what is known.
 _BORDER_CELLS = 2
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
-    """What is kept of a keyframe: some of its depth (h, w), in fifths of a millimetre, and the slopes of its rays."""
-
-    depth: NDArray[np.uint16]
-    slope_x: Float32Array
-    slope_y: Float32Array
-
-    @classmethod
-    def of(cls, keyframe: Keyframe, columns: int, noise: DepthNoise) -> _Seen:
-        depth_m = keyframe.depth_m
-        step = max(1, round(depth_m.shape[1] / columns))
-        v, u = (np.arange(step // 2, size, step) for size in depth_m.shape)
-        fx, fy, cx, cy = keyframe.intrinsics
-        some = depth_m[np.ix_(v, u)]
-        trusted = np.where((some >= noise.near_m) & (some <= noise.far_m), some, 0)
-        depth = np.clip(np.rint(trusted * _UNITS_PER_M), 0, np.iinfo(np.uint16).max).astype(np.uint16)
-        return cls(depth, ((u - cx) / fx).astype(np.float32), ((v - cy) / fy).astype(np.float32))
-
-    def rays(self) -> kernels.DepthRays:
-        """As kernels take them."""
-        return kernels.DepthRays(self.depth.astype(np.float32) / np.float32(_UNITS_PER_M), self.slope_x, self.slope_y)
 
 
 class OccupancyMapper:
     """Log-odds that layers of height over the floor are occupied, by all keyframes that were added.
 
     The floor is z = 0 of the base at each keyframe, so that a map may drift in height. Of each keyframe
-    some depth is kept, about 10 kB: where keyframes moved, all is made anew of that, and no image is decoded.
+    some depth is kept, about 10 kB, mostly in a temporary file: where keyframes moved, all is made anew of that, and no
+    image is decoded.
 
     Args:
         calibration: of the robot: where its camera sits over the floor, and how its depth errs.
@@ -69,7 +45,7 @@ class OccupancyMapper:
         self.settings = settings or OccupancySettings()
         self._T_base_camera, self._noise = T_base_camera, calibration.depth_noise
         self._T_camera_base = se3.invert(T_base_camera)
-        self._seen: dict[KeyframeId, _Seen] = {}
+        self._seen = SeenDepths()
         self._T_map_keyframe: dict[KeyframeId, FloatArray] = {}
         self._steps = _steps_of(self.settings)
         self._bands = kernels.Bands(**{name: float(getattr(self.settings, name)) for name in kernels.Bands._fields})
@@ -102,7 +78,7 @@ class OccupancyMapper:
 
     def keep(self, number: KeyframeId, keyframe: Keyframe) -> None:
         """Keep what a keyframe sees, of which nobody knows yet where it is; `move` adds it."""
-        self._seen[number] = _Seen.of(keyframe, self.settings.columns, self._noise)
+        self._seen[number] = SeenDepth.of(keyframe, self.settings.columns, self._noise)
 
     def move(self, T_map_keyframe: ArrayLike, shown: ArrayLike | None = None) -> bool:
         """Make the map anew where its keyframes are by now; whether anything had changed.
@@ -170,14 +146,14 @@ class OccupancyMapper:
         self._clear()
         try:
             self._make_room(np.array([*T_map_keyframe.values()]).reshape(-1, 4, 4))
+            for number, T in T_map_keyframe.items():
+                self._put(self._seen[number], T)
         except MapError:
             self._low, self._log_odds = before
             raise
         self._T_map_keyframe = T_map_keyframe
-        for number, T in T_map_keyframe.items():
-            self._put(self._seen[number], T)
 
-    def _put(self, seen: _Seen, T_map_keyframe: FloatArray) -> None:
+    def _put(self, seen: SeenDepth, T_map_keyframe: FloatArray) -> None:
         """Add what a keyframe sees; there is room."""
         size_m = self.settings.resolution_m
         first = self._cell_at(T_map_keyframe) - self._reach

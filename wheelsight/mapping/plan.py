@@ -8,7 +8,7 @@ import numpy as np
 
 from wheelsight.geometry import BoolArray, ByteArray, FloatArray, IntArray
 from wheelsight.mapping.export import colors_of
-from wheelsight.mapping.values import Surfels
+from wheelsight.mapping.values import Parts, Surfels
 
 _LONGER_SIDE_PX = 1100
 _FINEST_M = 0.004
@@ -45,34 +45,47 @@ class Plan:
         return np.stack([p_plan[:, 0] - self.corner_m[0], self.corner_m[1] - p_plan[:, 1]], axis=-1) / self.m_per_px
 
 
-def plan_of(surfels: Surfels, up: FloatArray, below_m: float, shown: FloatArray, right: FloatArray) -> Plan | None:
+def plan_of(parts: Parts, up: FloatArray, below_m: float, shown: FloatArray, right: FloatArray) -> Plan | None:
     """The plan of a map; None without surfels.
 
     Args:
-        surfels: of the map.
+        parts: of the map.
         up: (3,) of length 1, in the map.
         below_m: height along `up` above which nothing is drawn. Ceilings, which face down, never are.
         shown: (n, 3) points in the map that the plan must hold too: a path.
         right: (3,) what points to the right on the page, as far as it is level.
     """
-    position, normal = surfels.position.astype(float), surfels.normal.astype(float)
-    kept = (normal @ up > _CEILING) & (position @ up < below_m)
-    if not kept.any():
-        return None
     R_plan_map = _levelled(up, right)
-    p_plan = position[kept] @ R_plan_map.T
-    low, high = _extent(p_plan[:, :2], shown @ R_plan_map.T)
+    extents = [_extent(parts, (up, below_m), axis, shown @ axis) for axis in R_plan_map[:2]]
+    if None in extents:
+        return None
+    low, high = np.array(extents).T
     m_per_px = max(float((high - low).max()) / _LONGER_SIDE_PX, _FINEST_M)
     width, height = (int(n) for n in np.ceil((high - low) / m_per_px).astype(int) + 1)
     plan = Plan(*_blank(height, width), m_per_px, R_plan_map, np.array([low[0], high[1]]))
-    facing = np.clip(normal[kept] @ up, 0, 1)[:, None]
-    shade = colors_of(surfels)[kept] * (1 - _SHADE + _SHADE * facing)
-    px = np.rint(plan.project(position[kept])).astype(np.int64)
-    reach_px = np.clip(np.rint(surfels.radius_m[kept] / m_per_px), 1, _LARGEST_PX).astype(np.int64)
-    highest = _highest(px, reach_px, p_plan[:, 2], (height, width))
-    plan.is_known[:] = highest >= 0
-    plan.image[plan.is_known] = np.rint(shade[highest[plan.is_known]])
+    top_m = np.full(height * width, -np.inf)
+    for surfels in parts():
+        _draw(surfels, _is_drawn(surfels, up, below_m), plan, top_m)
     return plan
+
+
+def _is_drawn(surfels: Surfels, up: FloatArray, below_m: float) -> BoolArray:
+    return (surfels.normal.astype(float) @ up > _CEILING) & (surfels.position.astype(float) @ up < below_m)
+
+
+def _draw(surfels: Surfels, kept: BoolArray, plan: Plan, top_m: FloatArray) -> None:
+    """Lay those that are kept over what has been drawn, whose heights (h · w,) are `top_m`."""
+    position, up = surfels.position[kept].astype(float), plan.R_plan_map[2]
+    px = np.rint(plan.project(position)).astype(np.int64)
+    reach_px = np.clip(np.rint(surfels.radius_m[kept] / plan.m_per_px), 1, _LARGEST_PX).astype(np.int64)
+    height_m = (position @ plan.R_plan_map.T)[:, 2]
+    at, highest = _highest(px, reach_px, height_m, plan.is_known.shape)
+    is_over = height_m[highest] >= top_m[at]
+    at, highest = at[is_over], highest[is_over]
+    facing = np.clip(surfels.normal[kept][highest].astype(float) @ up, 0, 1)[:, None]
+    shade = colors_of(surfels)[kept][highest] * (1 - _SHADE + _SHADE * facing)
+    top_m[at], plan.is_known.reshape(-1)[at] = height_m[highest], True
+    plan.image.reshape(-1, 3)[at] = np.rint(shade)
 
 
 def _blank(height: int, width: int) -> tuple[ByteArray, BoolArray]:
@@ -88,22 +101,30 @@ def _levelled(up: FloatArray, right: FloatArray) -> FloatArray:
     return np.stack([level, np.cross(up, level), up])
 
 
-def _extent(xy_m: FloatArray, shown_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    low, high = np.quantile(xy_m, [_STRAY_SHARE, 1 - _STRAY_SHARE], axis=0)
-    if len(shown_m):
-        low, high = np.minimum(low, shown_m[:, :2].min(axis=0)), np.maximum(high, shown_m[:, :2].max(axis=0))
-    return low - _AIR_M, high + _AIR_M
+def _extent(
+    parts: Parts, drawn: tuple[FloatArray, float], axis: FloatArray, shown_m: FloatArray
+) -> tuple[float, float] | None:
+    """From where to where the plan reaches along an axis (3,); None where nothing is drawn."""
+    along = [(s.position[_is_drawn(s, *drawn)].astype(float) @ axis).astype(np.float32) for s in parts()]
+    all_m = np.concatenate([np.zeros(0, np.float32), *along])
+    if not len(all_m):
+        return None
+    low, high = np.quantile(all_m, [_STRAY_SHARE, 1 - _STRAY_SHARE], overwrite_input=True).astype(float)
+    return min([low, *shown_m]) - _AIR_M, max([high, *shown_m]) + _AIR_M
 
 
-def _highest(px: IntArray, reach_px: IntArray, height_m: FloatArray, shape: tuple[int, int]) -> IntArray:
-    """(h, w) which surfel is the highest at a pixel, -1 where there is none; each is a disk of `reach_px` (n,)."""
+def _highest(
+    px: IntArray, reach_px: IntArray, height_m: FloatArray, shape: tuple[int, ...]
+) -> tuple[IntArray, IntArray]:
+    """Pixels (k,) of all h · w that surfels cover, and which one is the highest there; each is a disk of `reach_px`."""
     order = np.argsort(height_m, kind="stable")
-    rank = np.empty(len(order), np.int64)
+    rank = np.empty(len(order), np.int32)
     rank[order] = np.arange(len(order))
-    top = np.full(shape[0] * shape[1], -1, np.int64)
+    top = np.full(shape[0] * shape[1], -1, np.int32)
     for dv, du in np.ndindex(2 * _LARGEST_PX - 1, 2 * _LARGEST_PX - 1):
         v, u = px[:, 1] + dv - _LARGEST_PX + 1, px[:, 0] + du - _LARGEST_PX + 1
         near = (dv - _LARGEST_PX + 1) ** 2 + (du - _LARGEST_PX + 1) ** 2 < reach_px**2
         near &= (v >= 0) & (v < shape[0]) & (u >= 0) & (u < shape[1])
         np.maximum.at(top, v[near] * shape[1] + u[near], rank[near])
-    return np.where(top < 0, -1, order[top]).reshape(shape)
+    at = np.flatnonzero(top >= 0)
+    return at, order[top[at]]

@@ -85,9 +85,13 @@ class RestingSurfels:
         self._forget(keyframe)
         return found
 
-    def all(self, T_map_keyframe: FloatArray) -> Iterator[SurfelArrays]:
-        """Copies of all that rests, a keyframe at a time, where keyframes are at (K, 4, 4); they rest on."""
-        for keyframe in self.keyframes.tolist():
+    def all(self, T_map_keyframe: FloatArray, within: tuple[int, int] | None = None) -> Iterator[SurfelArrays]:
+        """Copies of all that rests, a keyframe at a time, where keyframes are at (K, 4, 4); they rest on.
+
+        Of keyframes `within` an interval alone, its end excluded.
+        """
+        first, end = within or (0, len(T_map_keyframe))
+        for keyframe in (number for number in self.keyframes.tolist() if first <= number < end):
             yield self._at(keyframe, T_map_keyframe[keyframe])
 
     def _at(self, keyframe: int, T_map_keyframe: FloatArray) -> SurfelArrays:

@@ -14,7 +14,7 @@ import json
 import lzma
 import math
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,8 @@ from wheelsight.geometry import FloatArray, se3
 from wheelsight.inputs import Kind, parse_json, read_bytes
 from wheelsight.inputs.settings import checked_settings
 from wheelsight.mapping import old_storage
-from wheelsight.mapping.columns import COLUMNS, columns_of, packed, surfels_of, unpacked
+from wheelsight.mapping.column_files import ColumnFiles
+from wheelsight.mapping.columns import COLUMNS, columns_of, surfels_of, unpacked
 from wheelsight.mapping.settings import SurfelSettings
 from wheelsight.mapping.surfels import SurfelMap
 from wheelsight.mapping.values import FRAME, Surfels
@@ -59,35 +60,64 @@ _COMPRESSION = {
     "depth": 1,
 }
 _MOST_MEMORY = 16 << 20
+_COLUMNS_AT_ONCE = 1 << 16
 
 
 def save_map(surfel_map: SurfelMap, path: StrPath) -> None:
-    """Write a whole map, atomically, in steps that `mapping.columns` tells. Raises OutputError."""
+    """Write a whole map, atomically, in steps that `mapping.columns` tells. Raises OutputError.
+
+    Keyframe by keyframe, since at once its columns would take half as much memory as the map.
+    """
     path = Path(path)
     T_map_keyframe = np.ascontiguousarray(surfel_map.T_map_keyframe, "<f8")
-    columns = columns_of(surfel_map.surfels(), surfel_map.stamp_s, surfel_map.settings.stable_confidence)
-    # Whole, but compressed: the header before it tells its length.
-    body = _compressed([*columns.values()], T_map_keyframe)
-    header = {
-        "frame": FRAME,
-        "surfels": len(columns["keyframe"]),
-        "columns": [list(column) for column in COLUMNS],
-        "keyframes": len(T_map_keyframe),
-        "stamp_s": surfel_map.stamp_s if math.isfinite(surfel_map.stamp_s) else None,
-        "dropped": surfel_map.dropped,
-        "bytes": len(body),
-        "crc32": zlib.crc32(body),
-        "settings": surfel_map.settings.model_dump(),
-    }
     with atomic_write(path, "wb") as stream:
+        # Whole, but compressed: the header before it tells its length.
+        count, body = _body(surfel_map, T_map_keyframe, path.parent)
+        header = {
+            "frame": FRAME,
+            "surfels": count,
+            "columns": [list(column) for column in COLUMNS],
+            "keyframes": len(T_map_keyframe),
+            "stamp_s": surfel_map.stamp_s if math.isfinite(surfel_map.stamp_s) else None,
+            "dropped": surfel_map.dropped,
+            "bytes": len(body),
+            "crc32": zlib.crc32(body),
+            "settings": surfel_map.settings.model_dump(),
+        }
         stream.write(f"{FORMAT}\n{json.dumps(header)}\n".encode())
         stream.write(body)
 
 
-def _compressed(columns: list[np.ndarray], T_map_keyframe: FloatArray) -> bytes:
+def _body(surfel_map: SurfelMap, T_map_keyframe: FloatArray, folder: Path) -> tuple[int, bytes]:
+    """How many surfels, and all columns and poses, compressed, by way of files in a folder. Raises OSError."""
+    count, rules = 0, (surfel_map.stamp_s, surfel_map.settings.stable_confidence)
     compressor = lzma.LZMACompressor(lzma.FORMAT_XZ, lzma.CHECK_NONE, filters=[_COMPRESSION])
-    pieces = [compressor.compress(packed(column)) for column in columns]
-    return b"".join([*pieces, compressor.compress(T_map_keyframe.tobytes()), compressor.flush()])
+    with ColumnFiles(folder) as files:
+        for keyframes in _intervals(surfel_map, len(T_map_keyframe)):
+            columns = columns_of(_whole(surfel_map.parts(keyframes=keyframes)), *rules)
+            files.add(columns)
+            count += len(columns["keyframe"])
+        body = files.compressed(compressor)
+    return count, b"".join([body, compressor.compress(T_map_keyframe.tobytes()), compressor.flush()])
+
+
+def _whole(parts: Iterable[Surfels]) -> Surfels:
+    pieces = list(parts)
+    return Surfels(*(np.concatenate([getattr(piece, name) for piece in pieces]) for name in Surfels.__slots__))
+
+
+def _intervals(surfel_map: SurfelMap, keyframes: int) -> Iterator[tuple[int, int]]:
+    """Of keyframes, from -1 for none on, each with about so many surfels as are turned into columns at once."""
+    counts = np.zeros(keyframes + 1, np.int64)
+    for part in surfel_map.parts():
+        counts += np.bincount(part.keyframe + 1, minlength=keyframes + 1)
+    begin = 0
+    while begin <= keyframes:
+        end = int(np.searchsorted(np.cumsum(counts[begin:]), _COLUMNS_AT_ONCE, "right"))
+        end = min(begin + max(end, 1), keyframes + 1)
+        if counts[begin:end].any():
+            yield begin - 1, end - 1
+        begin = end
 
 
 def load_map(path: StrPath) -> SurfelMap:

@@ -20,7 +20,7 @@ from wheelsight.mapping import _view_kernels as view
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, InView, SurfelArrays
 from wheelsight.mapping._inputs import Frame, Pose, checked_frame, checked_motion, checked_pose, rays_of
 from wheelsight.mapping.blocks import Blocks
-from wheelsight.mapping.copies import SurfelCopies
+from wheelsight.mapping.copies import SurfelCopies, views_of
 from wheelsight.mapping.resting import Nearness
 from wheelsight.mapping.settings import SurfelSettings
 from wheelsight.mapping.values import ColoredView, FusedFrame, MapStatus, Surfels
@@ -96,12 +96,24 @@ class SurfelMap:
             copies.add(part if which == "all" else _chosen(part, self._are_stable(part)))
         return copies.all()
 
-    def _parts(self) -> Iterator[SurfelArrays]:
+    def parts(
+        self, which: Literal["all", "stable"] = "all", keyframes: tuple[int, int] | None = None
+    ) -> Iterator[Surfels]:
+        """Copies of the same, some megabytes at a time; only those that hang on keyframes of an interval."""
+        self._follow()
+        for part in self._parts(keyframes):
+            yield views_of(part if which == "all" else _chosen(part, self._are_stable(part)))
+
+    def _parts(self, keyframes: tuple[int, int] | None = None) -> Iterator[SurfelArrays]:
         """Copies of all that is in memory, block by block, and then of what rests on the disk; a part at a time."""
         slots = self.blocks.slots()
         for begin in range(0, len(slots), _COPIED_AT_ONCE):
-            yield SurfelArrays(*(array[slots[begin : begin + _COPIED_AT_ONCE]] for array in self.blocks.surfels))
-        yield from self._nearness.resting.all(self.T_map_keyframe)
+            some = slots[begin : begin + _COPIED_AT_ONCE]
+            if keyframes is not None:
+                of_some = self.blocks.surfels.keyframe[some]
+                some = some[(of_some >= keyframes[0]) & (of_some < keyframes[1])]
+            yield SurfelArrays(*(array[some] for array in self.blocks.surfels))
+        yield from self._nearness.resting.all(self.T_map_keyframe, keyframes)
 
     def _are_stable(self, part: SurfelArrays) -> BoolArray:
         return np.asarray(part.geometry[:, CONFIDENCE] >= self.settings.stable_confidence)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from wheelsight.geometry import Float32Array, FloatArray, Int32Array
@@ -75,6 +76,10 @@ class Surfels:
     first_s: FloatArray
     last_s: FloatArray
     keyframe: Int32Array
+
+
+Parts = Callable[[], Iterable[Surfels]]
+"""Gives the surfels of a map, a part after the other, as often as it is called: all at once they are a second map."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import tempfile
 import weakref
+from collections.abc import Iterator
 from typing import BinaryIO
 
 import numpy as np
 
 from wheelsight.estimates import Estimate
-from wheelsight.geometry import FloatArray, se2, se3
+from wheelsight.geometry import FloatArray, IntArray, se2, se3
 from wheelsight.trajectory import Trajectory
 
 # Stamp, three rows of the pose, covariance, where odom lies: 416 bytes, where an estimate has some 2 kB.
@@ -51,27 +52,49 @@ class LivedPoses:
 
     def trajectory(self, body: str, frame: str) -> Trajectory:
         """As the filter has it, in order of time; of several at one stamp the one that was answered last."""
-        rows = self._in_order()
-        T = _poses(rows)
-        has_covariances = self._has_covariances and bool(len(rows))
-        covariances = rows[:, _COVARIANCE].reshape(-1, 6, 6) if has_covariances else None
-        return Trajectory(rows[:, _STAMP], T, covariances, body=body, frame=frame)
+        stamps_s, at = self._in_order()
+        T, C = _unmoved(len(stamps_s)), None
+        if self._has_covariances and len(stamps_s):
+            C = np.empty((len(stamps_s), 6, 6))
+        for rows, kept in self._chunks_at(at):
+            T[kept, :3] = rows[:, _POSE].reshape(-1, 3, 4)
+            if C is not None:
+                C[kept] = rows[:, _COVARIANCE].reshape(-1, 6, 6)
+        for array in (T, C):
+            if array is not None:
+                array.setflags(write=False)  # a trajectory copies what might be written to
+        return Trajectory(stamps_s, T, C, body=body, frame=frame)
 
     def odom(self, body: str) -> Trajectory | None:
         """The same in odom, which does not leap; None where the filter's poses have not leapt either."""
-        rows = self._in_order()
-        if not rows[:, _ODOM].any():
-            return None
-        T_filter_odom = se3.from_plane(*rows[:, _ODOM].T)
-        return Trajectory(rows[:, _STAMP], se3.invert(T_filter_odom) @ _poses(rows), body=body, frame="odom")
+        stamps_s, at = self._in_order()
+        T, has_leapt = _unmoved(len(stamps_s)), False
+        for rows, kept in self._chunks_at(at):
+            has_leapt |= bool(rows[:, _ODOM].any())
+            T[kept, :3] = rows[:, _POSE].reshape(-1, 3, 4)
+            T[kept] = se3.invert(se3.from_plane(*rows[:, _ODOM].T)) @ T[kept]
+        T.setflags(write=False)
+        return Trajectory(stamps_s, T, body=body, frame="odom") if has_leapt else None
 
-    def _in_order(self) -> FloatArray:
-        rows = self._all()
+    def _in_order(self) -> tuple[FloatArray, IntArray]:
+        """Stamps (N,) in order of time, and of each row as it was answered the place there; -1 where it has none."""
+        answered_s = np.concatenate([rows[:, _STAMP].copy() for rows in self._chunks()])
         # Readings are told of late where wheels have a delay, and a frame may have a reading's stamp.
-        rows = rows[np.argsort(rows[:, _STAMP], kind="stable")]
-        is_last = np.ones(len(rows), bool)
-        is_last[:-1] = np.diff(rows[:, _STAMP]) > 0
-        return rows[is_last]
+        order = np.argsort(answered_s, kind="stable")
+        stamps_s = answered_s[order]
+        is_last = np.ones(len(order), bool)
+        is_last[:-1] = np.diff(stamps_s) > 0
+        at = np.full(len(order), -1)
+        at[order[is_last]] = np.arange(np.count_nonzero(is_last))
+        return stamps_s[is_last], at
+
+    def _chunks_at(self, at: IntArray) -> Iterator[tuple[FloatArray, IntArray]]:
+        """The rows of each chunk that have a place (N,), and these places."""
+        end = 0
+        for rows in self._chunks():
+            begin, end = end, end + len(rows)
+            kept = at[begin:end]
+            yield rows[kept >= 0], kept[kept >= 0]
 
     def _put_away(self, rows: FloatArray) -> None:
         try:
@@ -92,21 +115,28 @@ class LivedPoses:
             data = data[file.write(data) :]
         self._stored += len(rows)
 
-    def _all(self) -> FloatArray:
-        """(N, 52) in the order in which they were answered."""
-        stored = np.empty((self._stored, _ROW))
-        if self._file is not None and self._stored:
-            self._file.seek(0)
-            into = stored.data.cast("B")
-            while into:
-                count = self._file.readinto(into)  # type: ignore[attr-defined]
-                if not count:
-                    raise OSError("a temporary file has lost poses of the run")
-                into = into[count:]
-        return np.concatenate([stored, *self._held, self._rows[: self._filled]])
+    def _chunks(self) -> Iterator[FloatArray]:
+        """All rows in the order in which they were answered, some at a time: an hour's are 82 MB."""
+        for begin in range(0, self._stored, _CHUNK):
+            rows = np.empty((min(_CHUNK, self._stored - begin), _ROW))
+            self._read(begin, rows)
+            yield rows
+        yield from self._held
+        yield self._rows[: self._filled]
+
+    def _read(self, begin: int, rows: FloatArray) -> None:
+        """From the file, from a row on."""
+        assert self._file is not None
+        self._file.seek(begin * rows[0].nbytes)
+        into = rows.data.cast("B")
+        while into:
+            count = self._file.readinto(into)  # type: ignore[attr-defined]
+            if not count:
+                raise OSError("a temporary file has lost poses of the run")
+            into = into[count:]
 
 
-def _poses(rows: FloatArray) -> FloatArray:
-    T: FloatArray = np.tile(np.eye(4), (len(rows), 1, 1))
-    T[:, :3] = rows[:, _POSE].reshape(-1, 3, 4)
+def _unmoved(count: int) -> FloatArray:
+    T = np.zeros((count, 4, 4))
+    T[:] = np.eye(4)
     return T

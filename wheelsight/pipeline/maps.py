@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -13,10 +14,11 @@ from wheelsight.calibration import Calibration
 from wheelsight.estimates import Estimate
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera, se3
-from wheelsight.mapping import SurfelMap, Surfels
+from wheelsight.mapping import SurfelMap
 from wheelsight.mapping.cloud import cloud_of
 from wheelsight.mapping.plan import Plan, plan_of
 from wheelsight.mapping.upright import upward
+from wheelsight.mapping.values import Parts
 from wheelsight.pipeline.map_record import MapPicture, MapRecord
 from wheelsight.slam.correction import corrected_by
 from wheelsight.slam.live import ClosedLoops
@@ -132,9 +134,10 @@ def map_record_of(
     """
     is_levelled = calibration.T_base_camera is not None
     pictures = tuple(MapPicture(stop.stamp_s, stop.color, _seen(surfel_map, stop, calibration)) for stop in stops)
-    surfels = _surest(surfel_map)
-    plan, cloud = _plan(surfels, T_map_body, calibration), cloud_of(surfels, cloud_points)
-    return MapRecord(surfel_map.status(), surfel_map.frames, MAP_FILE, plan, pictures, is_levelled, cloud)
+    status = surfel_map.status()
+    surest = partial(surfel_map.parts, "stable" if status.stable else "all")
+    plan = _plan(surest, T_map_body, calibration) if status.surfels else None
+    return MapRecord(status, surfel_map.frames, MAP_FILE, plan, pictures, is_levelled, cloud_of(surest, cloud_points))
 
 
 def camera_of(T_map_body: FloatArray, T_base_camera: FloatArray | None) -> FloatArray:
@@ -142,22 +145,16 @@ def camera_of(T_map_body: FloatArray, T_base_camera: FloatArray | None) -> Float
     return T_map_body if T_base_camera is None else T_map_body @ T_base_camera
 
 
-def _surest(surfel_map: SurfelMap) -> Surfels:
-    """Its stable surfels; all where none is stable."""
-    surfels = surfel_map.surfels("stable")
-    return surfels if len(surfels.grey) else surfel_map.surfels()
-
-
-def _plan(surfels: Surfels, T_map_body: FloatArray, calibration: Calibration) -> Plan | None:
-    if not len(surfels.grey) or not len(T_map_body):
+def _plan(parts: Parts, T_map_body: FloatArray, calibration: Calibration) -> Plan | None:
+    if not len(T_map_body):
         return None
     T_map_camera = camera_of(T_map_body, calibration.T_base_camera)
     up = np.array([0.0, 0.0, 1.0])
     if calibration.T_base_camera is None:
-        up = upward(surfels, T_map_camera[0, :3, :3])
+        up = upward(parts, T_map_camera[0, :3, :3])
     below_m = float((T_map_camera[:, :3, 3] @ up).max()) + _ABOVE_CAMERA_M
     # x points forward from where a base was, and to the right from where a camera was.
-    return plan_of(surfels, up, below_m, T_map_body[:, :3, 3], right=np.array([1.0, 0.0, 0.0]))
+    return plan_of(parts, up, below_m, T_map_body[:, :3, 3], right=np.array([1.0, 0.0, 0.0]))
 
 
 def _seen(surfel_map: SurfelMap, stop: Stop, calibration: Calibration) -> ByteArray:

@@ -19,15 +19,22 @@ from wheelsight.geometry import Float32Array
 from wheelsight.geometry.arrays import UInt64Array
 from wheelsight.inputs import Kind, read_bytes
 from wheelsight.keyframes import Keyframe, KeyframeId
-from wheelsight.places import _likeness_kernels
+from wheelsight.places import _likeness_kernels, kept_words
 from wheelsight.places.ferns import Ferns
+from wheelsight.places.kept_words import Descriptors
 from wheelsight.places.views import NO_FEATURES, SeenView
 from wheelsight.places.vocabulary import Vocabulary
 from wheelsight.settings import RecognitionSettings
 
-FORMAT = "wheelsight-recognition-1"
+FORMAT = "wheelsight-recognition-2"
+# It has all descriptors itself, and the room between them.
+_FIRST_FORMAT = "wheelsight-recognition-1"
 _FILE = Kind("codes of keyframes", most_mb=4096, fix="give a file that `Recognizer.save` wrote")
 _REBUILD = "build the map anew"
+
+
+def _nothing(keyframe: KeyframeId) -> UInt64Array:
+    return NO_FEATURES.descriptors
 
 
 class Candidate(NamedTuple):
@@ -99,34 +106,38 @@ class Recognizer:
         likeness[out], votes[out] = -1, -1
         return [Candidate(self._keyframes[row], score) for row, score in self._fused(likeness, votes)[:wanted]]
 
-    def save(self, path: StrPath) -> None:
-        """Write all that it knows, atomically: plain arrays, no pickles. Raises OutputError."""
+    def save(self, path: StrPath, on_disk: Descriptors = _nothing) -> None:
+        """Write all that it knows, atomically: plain arrays, no pickles. Raises OutputError.
+
+        Descriptors that `on_disk` has of a keyframe are left to it, and `load` then needs it, too.
+        """
         told = {name: np.frombuffer(text.encode(), np.uint8) for name, text in self._texts().items()}
         ferns = {"pixel": self._ferns.pixel, "grey": self._ferns.grey, "depth_m": self._ferns.depth_m}
         kept = {"keyframes": np.array(self._keyframes, np.int64), "codes": self._codes[: len(self)]}
         buffer = io.BytesIO()
-        words = {f"words_{name}": array for name, array in self._words.arrays().items()}
+        told_words = kept_words.packed(self._words.arrays(), self._keyframes, on_disk)
+        words = {f"words_{name}": array for name, array in told_words.items()}
         arrays: dict[str, Any] = {**told, **ferns, **kept, **words}
         np.savez_compressed(buffer, **arrays)
         write_bytes(path, buffer.getvalue())
 
     @classmethod
-    def load(cls, path: StrPath) -> Self:
-        """Read what `save` wrote. Raises MapError, naming the file."""
+    def load(cls, path: StrPath, on_disk: Descriptors = _nothing) -> Self:
+        """Read what `save` wrote. Raises MapError, naming the file, where that or what is `on_disk` is another."""
         path = Path(path)
         data = read_bytes(path, _FILE, MapError)
         try:
             with np.load(io.BytesIO(data), allow_pickle=False) as file:
-                return cls._of({name: file[name] for name in file.files})
+                return cls._of({name: file[name] for name in file.files}, on_disk)
         except MapError as error:
             raise MapError(error.problem, path=path, fix=error.fix) from error
         except (KeyError, ValueError, OSError, EOFError, TypeError, zipfile.BadZipFile, ValidationError) as error:
             raise MapError(f"is damaged: {type(error).__name__}", path=path, fix=_REBUILD) from error
 
     @classmethod
-    def _of(cls, arrays: dict[str, NDArray[Any]]) -> Self:
+    def _of(cls, arrays: dict[str, NDArray[Any]], on_disk: Descriptors) -> Self:
         found = arrays["format"].tobytes().decode(errors="replace")
-        if found != FORMAT:
+        if found not in (FORMAT, _FIRST_FORMAT):
             raise MapError(f"is of format {found!r}, not {FORMAT!r}", fix=_REBUILD)
         made = cls(RecognitionSettings.model_validate(json.loads(arrays["settings"].tobytes())))
         keyframes, codes, settings = arrays["keyframes"], arrays["codes"], made._settings.ferns
@@ -139,9 +150,11 @@ class Recognizer:
         size = (settings.width_px, settings.height_px)
         made._ferns = Ferns(size, settings.blur_px, *(arrays[name] for name in shapes))
         words = {name.removeprefix("words_"): array for name, array in arrays.items() if name.startswith("words_")}
+        made._keyframes = [KeyframeId(int(number)) for number in keyframes]
+        if found != _FIRST_FORMAT:
+            words = kept_words.unpacked(words, made._keyframes, on_disk)
         made._words = Vocabulary.from_arrays(words, made._settings.words, len(keyframes))
         made._codes = np.concatenate([codes, np.zeros((16, codes.shape[1]), np.uint64)])
-        made._keyframes = [KeyframeId(int(number)) for number in keyframes]
         made._rows = {number: row for row, number in enumerate(made._keyframes)}
         return made
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -134,7 +135,7 @@ class RerunLog:
 
     def _show_surfels(self, track: Track) -> None:
         surfel_map = track.localizer.map
-        cloud = None if surfel_map is None else cloud_of(surfel_map.surfels("stable"), self._settings.map_points)
+        cloud = None if surfel_map is None else cloud_of(partial(surfel_map.parts, "stable"), self._settings.map_points)
         if cloud is not None:
             radius_m = max(cloud.edge_m, 0.005) / 2
             self._log(at.SURFELS, self._rr.Points3D(cloud.position, colors=cloud.color, radii=radius_m))

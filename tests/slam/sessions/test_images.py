@@ -1,11 +1,15 @@
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 
 from wheelsight.calibration import DepthNoise
+from wheelsight.errors import MapError
+from wheelsight.slam.sessions import images
 from wheelsight.slam.sessions.images import DepthSteps, grey_numbers, grey_of
 
 
@@ -37,3 +41,27 @@ def test_grey_that_is_known_stays_known(step: int) -> None:
     assert (np.abs(back - grey)[grey >= step / 2] <= step / 2).all()
     assert (grey_numbers(back, step) == numbers).all()
     assert (grey_numbers(np.full(1, -1, np.float32), step) == 0).all()
+
+
+@pytest.mark.parametrize("known", [0.0, 0.5, 1.0])
+def test_images_come_back_to_the_last_bit(rng: np.random.Generator, known: float) -> None:
+    """Depth that leaps from one end of 16 bits to the other, too."""
+    depth = np.where(rng.random((24, 32)) < known, rng.choice([1, 2, 300, 65_535], (24, 32)), 0).astype(np.uint16)
+    assert_array_equal(images.unpacked_depth(images.packed_depth(depth)), depth)
+    grey = rng.integers(0, 256, (24, 32)).astype(np.uint8)
+    assert_array_equal(images.unpacked_grey(images.packed_grey(grey)), grey)
+
+
+def test_depth_that_is_none_is_refused() -> None:
+    """Steps that lead below 1."""
+    told = np.zeros((4, 4, 3), np.uint8)
+    told[..., 1] = 2
+    code = cv2.imencode(".webp", told, [cv2.IMWRITE_WEBP_QUALITY, 101])[1].tobytes()
+    with pytest.raises(MapError, match="its depth is none"):
+        images.unpacked_depth(code)
+
+
+def test_an_image_with_loss_is_none_of_a_map() -> None:
+    lossy = cv2.imencode(".webp", np.zeros((8, 8, 3), np.uint8), [cv2.IMWRITE_WEBP_QUALITY, 80])[1].tobytes()
+    with pytest.raises(MapError, match="an image of it cannot be read"):
+        images.unpacked_grey(lossy)

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wheelsight.errors import MapError, OutputError
-from wheelsight.slam.sessions.journal import FIRST_RECORD, HEAD_BYTES, JournalWriter, read_journal, read_record
+from wheelsight.slam.sessions.journal import FIRST_RECORD, HEAD_BYTES, VERSION, JournalWriter, read_journal, read_record
 
 CONTENTS = (b"first", b"", b"\xf5WSR" * 9, bytes(range(256)))
 SIZES = [HEAD_BYTES + len(content) for content in CONTENTS]
@@ -99,9 +99,9 @@ def test_what_is_damaged_after_it_was_opened_is_refused(tmp_path: Path) -> None:
 def test_a_newer_version_and_what_is_no_journal_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.journal"
     journal = written(path)
-    head = struct.pack("<8sI", b"WSJOURNL", 2)
+    head = struct.pack("<8sI", b"WSJOURNL", VERSION + 1)
     path.write_bytes(head + struct.pack("<I", zlib.crc32(head)) + journal[FIRST_RECORD:])
-    with pytest.raises(MapError, match="is of version 2, newer than 1"):
+    with pytest.raises(MapError, match=f"is of version {VERSION + 1}, newer than {VERSION}"):
         read_journal(path)
     path.write_bytes(b"some text that is longer than a head\n")
     with pytest.raises(MapError, match="is no journal of a map"):

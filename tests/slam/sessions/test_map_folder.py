@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from sessions.kept_views import CALIBRATION, COUNT, SETTINGS, edge, keyframe, pose
+from sessions.old_keyframes import write_old
 
 from wheelsight.errors import ArgumentError, MapError, OutputError
 from wheelsight.keyframes import KeyframeId
@@ -147,6 +148,45 @@ def test_what_recognises_is_kept_completed_or_made_anew(copied: Path) -> None:
     (copied / "recognition.npz").write_bytes(b"damaged")
     assert len(folder.recognizer(settings)) == COUNT
     folder.close()
+
+
+def test_a_map_of_before_is_read_recognised_and_extended(copied: Path) -> None:
+    before = MapFolder.open(copied)
+    write_old(copied, before)
+    folder = MapFolder.open(copied, read_only=False)
+    assert not folder.contents.health.notes
+    for number in folder.store:
+        then, now = before.store[number], folder.store[number]
+        assert_array_equal(now.depth_m, then.depth_m)
+        assert_array_equal(now.grey, then.grey)
+        assert then.features is not None
+        assert now.features is not None
+        assert_allclose(now.features.points, then.features.points, rtol=0, atol=1e-6)
+        assert_array_equal(now.features.descriptors, then.features.descriptors)
+    known = folder.recognizer()
+    folder.save_recognition(known)
+    made: list[int] = []
+    again = folder.recognizer(on_keyframe=lambda done, _: made.append(done))
+    assert made == []
+    assert again.candidates(keyframe(3)) == known.candidates(keyframe(3))
+    folder.append_keyframe(COUNT, keyframe(COUNT), pose(COUNT))
+    folder.close()
+    assert len(MapFolder.open(copied).store) == COUNT + 1
+
+
+def test_recognition_leaves_descriptors_to_the_keyframes(copied: Path) -> None:
+    """And is made anew where a keyframe is another by now."""
+    folder = MapFolder.open(copied, read_only=False)
+    known = folder.recognizer()
+    folder.save_recognition(known)
+    with np.load(copied / "recognition.npz") as file:
+        assert file["words_own"].shape == (0, 4)
+        assert len(file["words_place"]) > COUNT
+    folder.append_keyframe(3, keyframe(50), pose(3))
+    folder.close()
+    made: list[int] = []
+    MapFolder.open(copied).recognizer(on_keyframe=lambda done, _: made.append(done))
+    assert len(made) == COUNT
 
 
 def surfels(keyframes: np.ndarray) -> Surfels:

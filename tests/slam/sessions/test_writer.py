@@ -17,10 +17,13 @@ from sessions.kept_views import CALIBRATION, SETTINGS, edge, keyframe, pose
 from sessions.killed_drive import KEYFRAMES_A_SECOND
 
 from wheelsight.estimates import Estimate, Status
+from wheelsight.geometry import se3
 from wheelsight.keyframes import KeyframeId, KeyframeStore
 from wheelsight.mapping import SurfelMap
 from wheelsight.settings import FernSettings, RecognitionSettings
 from wheelsight.slam.sessions import MapFolder, MapWriter, SessionSettings
+from wheelsight.slam.sessions.journal import read_journal
+from wheelsight.slam.sessions.records import Kind, unpack_poses
 from wheelsight.slam.sessions.writer import THREAD
 
 RECOGNITION = RecognitionSettings(ferns=FernSettings(ferns=64))
@@ -96,6 +99,28 @@ def test_moved_keyframes_are_written_while_driving(tmp_path: Path) -> None:
     else:
         pytest.fail("the moved pose was never written")
     writer.close()
+
+
+def test_poses_that_move_all_the_time_do_not_fill_the_disk(tmp_path: Path) -> None:
+    """Those that moved most are written while driving, and all at the end."""
+    settings = SETTINGS.model_copy(update={"moved_poses": 2, "flush_s": 1e-6})
+    store = KeyframeStore()
+    writer = MapWriter(MapFolder.create(tmp_path / "map", CALIBRATION, settings), store)
+    drive(writer, store, 20)
+    others = [KeyframeId(number) for number in range(20) if number != 7]
+    for k in range(1, 30):
+        slightly = se3.exp([1e-4 * k, 0, 0, 0, 0, 0])
+        store.move(others, slightly @ store.T_map_keyframe[others])
+        store.move([KeyframeId(7)], pose(100 + k)[None])
+        writer.look(answer(19))
+    writer.close()
+    (graph,) = (tmp_path / "map").glob("graph-*")
+    told = [unpack_poses(bytes(held)) for record, held in read_journal(graph).records if record.kind == Kind.POSES]
+    while_driving, (last, _) = told[:-1], told[-1]
+    assert 0 < sum(len(numbers) for numbers, _ in while_driving) <= 2 * 20
+    assert all(7 in numbers for numbers, _ in while_driving)
+    assert len(last) <= 20
+    assert_array_equal(MapFolder.open(tmp_path / "map").store.T_map_keyframe, store.T_map_keyframe)
 
 
 def test_what_is_written_rests_on_disk_and_is_read_again(tmp_path: Path) -> None:

@@ -21,7 +21,8 @@ from wheelsight.errors import MapError
 from wheelsight.files import StrPath, output_error
 from wheelsight.inputs import Kind, read_bytes
 
-VERSION = 1
+# 2: keyframes of another kind than 1 has, which older readers would pass over as lost.
+VERSION = 2
 _NAME = b"WSJOURNL"
 _MARK = b"\xf5WSR"
 _FILE_HEAD = struct.Struct("<8sI")

@@ -10,9 +10,12 @@ import numpy as np
 
 from wheelsight.errors import MapError
 from wheelsight.geometry import FloatArray
+from wheelsight.geometry.arrays import UInt64Array
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.slam.sessions import old_records
 from wheelsight.slam.sessions.journal import Record, read_record
-from wheelsight.slam.sessions.records import unpack_keyframe
+from wheelsight.slam.sessions.keyframe_records import unpack_descriptors, unpack_keyframe
+from wheelsight.slam.sessions.records import Kind
 
 _LOST = "use another copy of the map, or go on without this keyframe"
 
@@ -60,7 +63,15 @@ class KeptKeyframes(KeyframeStore):
 def read_keyframe(path: Path, record: Record) -> Keyframe:
     """The keyframe of a record. Raises MapError, naming file and place."""
     try:
-        return unpack_keyframe(read_record(path, record))
+        content = read_record(path, record)
+        return old_records.unpack_keyframe(content) if record.kind == Kind.FIRST_KEYFRAME else unpack_keyframe(content)
     except MapError as error:
         problem = error.problem if error.path is not None else f"its record at byte {record.offset:,} {error.problem}"
         raise MapError(problem, path=path, fix=error.fix) from error
+
+
+def read_descriptors(path: Path, record: Record) -> UInt64Array:
+    """The descriptors (N, 4) alone of the keyframe of a record. Raises MapError."""
+    content = read_record(path, record)
+    is_first = record.kind == Kind.FIRST_KEYFRAME
+    return old_records.unpack_descriptors(content) if is_first else unpack_descriptors(content)

@@ -10,17 +10,19 @@ from wheelsight.calibration import Calibration, load_calibration, save_calibrati
 from wheelsight.errors import ArgumentError, MapError, OutputError
 from wheelsight.files import StrPath, make_output_folder, output_error, refuse_full
 from wheelsight.geometry import FloatArray, IntArray, se3
+from wheelsight.geometry.arrays import UInt64Array
 from wheelsight.inputs import is_there
-from wheelsight.keyframes import Keyframe
+from wheelsight.keyframes import Keyframe, KeyframeId
 from wheelsight.mapping import MapEdits, NamedPoses, SurfelMap, load_map, save_map
 from wheelsight.places.recognition import Recognizer
+from wheelsight.places.views import NO_FEATURES
 from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.graph import RelativePose
-from wheelsight.slam.sessions import records
+from wheelsight.slam.sessions import keyframe_records, records
 from wheelsight.slam.sessions.header import HEADER_FILE, MapCamera, MapHeader, read_header
 from wheelsight.slam.sessions.images import DepthSteps
 from wheelsight.slam.sessions.journal import JournalWriter, Record
-from wheelsight.slam.sessions.kept import KeptKeyframes
+from wheelsight.slam.sessions.kept import KeptKeyframes, read_descriptors
 from wheelsight.slam.sessions.lock import LOCK_FILE, MapLock
 from wheelsight.slam.sessions.reading import (
     GRAPH,
@@ -73,6 +75,7 @@ class MapFolder:
         self._steps = DepthSteps.of_noise(calibration.depth_noise, settings.depth_sigmas)
         self._pieces = _Pieces(path, settings.piece_keyframes)
         self._edge_count = contents.edge_count
+        self._where = dict(contents.where)
 
     @classmethod
     def create(
@@ -162,9 +165,10 @@ class MapFolder:
             if T is not None and not se3.is_valid(T):
                 raise ArgumentError(f"the pose of keyframe {number} is no rigid motion", fix="give SE(3), (4, 4)")
         self._need_lock()
-        content = records.pack_keyframe(keyframe, self._steps, self.settings)
+        content = keyframe_records.pack_keyframe(keyframe, self._steps, self.settings)
         journal = self._pieces.of_keyframes()
         record = journal.append(Kind.KEYFRAME, number, content)
+        self._where[number] = journal.path, record
         place = records.pack_place(Place(keyframe.stamp_s, T_map_keyframe, T_odom_keyframe))
         self._pieces.graph().append(Kind.PLACE, number, place)
         return journal.path, record
@@ -197,7 +201,7 @@ class MapFolder:
     def save_recognition(self, recognizer: Recognizer) -> None:
         """Keep what recognises the keyframes, so that the next drive need not make it anew. Raises OutputError."""
         self._need_lock()
-        recognizer.save(self.path / RECOGNITION_FILE)
+        recognizer.save(self.path / RECOGNITION_FILE, self._descriptors)
 
     def save_surfels(self, surfel_map: SurfelMap) -> None:
         """Keep a surfel map whose surfels hang on the map's keyframes. Raises OutputError."""
@@ -273,12 +277,19 @@ class MapFolder:
         path = self.path / RECOGNITION_FILE
         if is_there(path):
             try:
-                found = Recognizer.load(path)
+                found = Recognizer.load(path, self._descriptors)
             except MapError:  # all that it holds can be made again
                 return Recognizer(settings)
             if found.settings == settings:
                 return found
         return Recognizer(settings)
+
+    def _descriptors(self, number: KeyframeId) -> UInt64Array:
+        """Those of a keyframe's record; none where that is lost."""
+        try:
+            return read_descriptors(*self._where[number])
+        except (KeyError, MapError):
+            return NO_FEATURES.descriptors
 
     def _need_lock(self) -> None:
         if self._lock is None:

@@ -128,7 +128,7 @@ def read_contents(folder: Path) -> FolderContents:
     for journal in _read(folder, KEYFRAMES):
         torn_bytes += journal.torn_bytes
         damages += journal.damages
-        found = (record for record, _ in journal.records if record.kind == Kind.KEYFRAME)
+        found = (record for record, _ in journal.records if record.kind in (Kind.KEYFRAME, Kind.FIRST_KEYFRAME))
         # Of a number beyond all there is no place either: it is dropped with those at the end.
         where |= {record.key: (journal.path, record) for record in found}
     graph = _Graph()

@@ -1,13 +1,11 @@
-"""What the records of a map hold, as bytes and back: keyframes, where they are, edges between them, moved poses.
+"""What the records of a map hold beside keyframes, as bytes and back: where these are, edges, moved poses.
 
-Plain numbers in little-endian order and compressed images, and nothing that could do something. What is kept of a
-keyframe is what another drive needs of it: images in steps that noise hides, and the keypoints that have depth.
+Plain numbers in little-endian order, and nothing that could do something.
 """
 
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -17,33 +15,26 @@ import numpy as np
 from wheelsight.errors import MapError
 from wheelsight.geometry import FloatArray, IntArray, se3
 from wheelsight.geometry.motion_kernels import is_definite
-from wheelsight.keyframes import Keyframe, KeyframeFeatures, KeyframeId
+from wheelsight.keyframes import KeyframeId
 from wheelsight.slam.graph import RelativePose
-from wheelsight.slam.sessions import images
-from wheelsight.slam.sessions.images import DepthSteps
-from wheelsight.slam.sessions.settings import SessionSettings
 
 _DAMAGED = "use another copy of the map"
-# Stamp, intrinsics, both numbers of the steps of depth, the step of grey; bytes of both images, of the code, keypoints
-# (-1: none are known) and bytes of where they are.
-_KEYFRAME = struct.Struct("<d4ddd5i4x")
 _PLACE = struct.Struct("<d?7x12d12d")
 _MOTION, _COVARIANCE = 12, 36
 _EDGE = np.dtype([("ends", "<i8", 2), ("is_loop", "<i8"), ("T", "<f8", _MOTION), ("C", "<f8", _COVARIANCE)])
 _POSE = np.dtype([("number", "<i8"), ("T", "<f8", _MOTION)])
-_ORB_BYTES, _KEYPOINT_BYTES = 32, 5 * 4
-_MOST_KEYPOINTS = 100_000
 _UNKNOWN = np.full((4, 4), np.nan)
 
 
 class Kind(IntEnum):
-    """Of records."""
+    """Of records; those of `FIRST_KEYFRAME` are in maps of before 2026-11-27."""
 
-    KEYFRAME = 1
+    FIRST_KEYFRAME = 1
     PLACE = 2
     EDGES = 3
     WITHDRAWN = 4
     POSES = 5
+    KEYFRAME = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,79 +50,6 @@ class Place:
     stamp_s: float
     T_map_keyframe: FloatArray
     T_odom_keyframe: FloatArray | None = None
-
-
-def pack_keyframe(keyframe: Keyframe, steps: DepthSteps, settings: SessionSettings) -> bytes:
-    """A keyframe; `unpack_keyframe` gives back all but what steps, width and too many keypoints make less."""
-    level = images.halved(keyframe, settings.width_px)
-    depth = images.packed(steps.numbers(level.depth_m))
-    grey = images.packed(images.grey_numbers(level.grey, settings.grey_step))
-    code = b"" if keyframe.code is None else np.ascontiguousarray(keyframe.code, "<f8").tobytes()
-    room = 1000 * settings.most_kb - _KEYFRAME.size - 1 - len(depth) - len(grey) - len(code)
-    count, places, descriptors = _packed_features(keyframe.features, _MOST_KEYPOINTS)
-    if len(places) + len(descriptors) > room:
-        most = max(room // (_KEYPOINT_BYTES + _ORB_BYTES), settings.least_keypoints)
-        count, places, descriptors = _packed_features(keyframe.features, most)
-    sizes = (len(depth), len(grey), len(code), count, len(places))
-    head = _KEYFRAME.pack(keyframe.stamp_s, *level.intrinsics, steps.step_m, steps.growth, *sizes)
-    return b"".join([head, bytes([settings.grey_step]), depth, grey, code, places, descriptors])
-
-
-def _packed_features(features: KeyframeFeatures | None, most: int) -> tuple[int, bytes, bytes]:
-    """How many keypoints are kept, -1 for None; where they are; and their descriptors."""
-    if features is None:
-        return -1, b"", b""
-    kept = np.flatnonzero(features.points[:, 2] > 0)  # without depth they tell no relative pose
-    if len(kept) > most:
-        kept = kept[np.linspace(0, len(kept) - 1, most).astype(np.int64)]
-    rows = np.hstack([features.px[kept], features.points[kept]]).astype("<f4")
-    descriptors = np.ascontiguousarray(features.descriptors[kept], "<u8")
-    return len(kept), zlib.compress(rows.T.tobytes()), descriptors.tobytes()
-
-
-def unpack_keyframe(content: bytes) -> Keyframe:
-    """What `pack_keyframe` made. Raises MapError for what is none."""
-    try:
-        stamp_s, fx, fy, cx, cy, step_m, growth, *sizes = _KEYFRAME.unpack_from(content)
-    except struct.error as error:
-        raise MapError("is no keyframe", fix=_DAMAGED) from error
-    depth_bytes, grey_bytes, code_bytes, count, place_bytes = sizes
-    descriptor_bytes = max(count, 0) * _ORB_BYTES
-    lengths = (depth_bytes, grey_bytes, code_bytes, place_bytes, descriptor_bytes)
-    numbers = np.array([stamp_s, fx, fy, cx, cy, step_m, growth])
-    is_sound = np.isfinite(numbers).all() and min(fx, fy, step_m, growth) > 0 and -1 <= count <= _MOST_KEYPOINTS
-    if not is_sound or min(lengths) < 0 or _KEYFRAME.size + 1 + sum(lengths) != len(content) or code_bytes % 8:
-        raise MapError("is no keyframe", fix=_DAMAGED)
-    parts, at = [], _KEYFRAME.size + 1
-    for length in lengths:
-        parts.append(content[at : at + length])
-        at += length
-    depth = images.unpacked(parts[0], np.uint16)
-    grey = images.unpacked(parts[1], np.uint8)
-    if depth.shape != grey.shape:
-        raise MapError("its images are of two sizes", fix=_DAMAGED)
-    features = None if count < 0 else _features(count, parts[3], parts[4])
-    straight = DepthSteps(step_m, growth).depth_m(depth), images.grey_of(grey, content[_KEYFRAME.size])
-    made = Keyframe.of_images(stamp_s, np.array([fx, fy, cx, cy]), *straight, features)
-    if not code_bytes:
-        return made
-    code = np.frombuffer(parts[2], "<f8").astype(float)
-    return Keyframe(stamp_s, made.intrinsics, made.depth_png, made.grey_png, features, code)
-
-
-def _features(count: int, places: bytes, descriptors: bytes) -> KeyframeFeatures:
-    expected = count * _KEYPOINT_BYTES
-    try:
-        flat = zlib.decompressobj().decompress(places, expected + 1)
-    except zlib.error as error:
-        raise MapError("its keypoints cannot be read", fix=_DAMAGED) from error
-    if len(flat) != expected:
-        raise MapError("its keypoints are of another number than it says", fix=_DAMAGED)
-    rows = np.frombuffer(flat, "<f4").reshape(5, count).T.astype(float)
-    if not np.isfinite(rows).all():
-        raise MapError("its keypoints are nowhere", fix=_DAMAGED)
-    orb = np.frombuffer(descriptors, "<u8").reshape(count, 4).astype(np.uint64)
-    return KeyframeFeatures(rows[:, :2].copy(), rows[:, 2:].copy(), orb)
 
 
 def pack_place(place: Place) -> bytes:

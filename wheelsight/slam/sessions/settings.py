@@ -45,8 +45,16 @@ class SessionSettings(StepSettings):
         ge=0,
         le=100,
     )
+    moved_poses: int = setting(
+        8,
+        "poses of keyframes that have moved that are written while driving, for each new keyframe, 104 bytes each; "
+        "those that moved most come first, and all at the end",
+        "a hundredth of a keyframe's 100 kB: docs/decisions/0102",
+        ge=1,
+        le=10_000,
+    )
     piece_keyframes: int = setting(
-        64, "keyframes of a journal, after which another begins: 6 MB", "reckoned", ge=1, le=10_000
+        64, "keyframes of a journal, after which another begins: 4 MB", "reckoned", ge=1, le=10_000
     )
     memory_keyframes: int = setting(
         128,
@@ -74,7 +82,7 @@ class SessionSettings(StepSettings):
     most_kb: int = setting(
         86,
         "kilobytes of a keyframe, at most; where images leave no room for all keypoints, some are left out, evenly",
-        "what issue 31 allows, 100 kB, without the 13 kB that recognise it, its pose and its edges",
+        "what issue 31 allows, 100 kB, without what recognises it, its pose and its edges",
         ge=1,
         le=100_000,
     )

@@ -22,7 +22,7 @@ from wheelsight.mapping import OccupancyMapper, SurfelMap
 from wheelsight.places.recognition import Recognizer
 from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.graph import RelativePose
-from wheelsight.slam.sessions import records
+from wheelsight.slam.sessions import keyframe_records
 from wheelsight.slam.sessions.edges import SeenKeyframe, odometry_edge
 from wheelsight.slam.sessions.images import DepthSteps
 from wheelsight.slam.sessions.journal import Record
@@ -45,6 +45,7 @@ class _NewKeyframe:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Moved:
     T_map_keyframe: FloatArray
+    is_last: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +145,7 @@ class MapWriter:
             return
         self._is_closed = True
         self._hand_over(self._frames)
-        self._tell_poses()
+        self._tell_poses(is_last=True)
         self._work.put(None)
         self._thread.join()
         self._written.finish(surfel_map, recognizer)
@@ -155,10 +156,10 @@ class MapWriter:
             _, seen = self._unsettled.popleft()
             self._work.put(_NewKeyframe(seen, self._store.pose(seen.number)))
 
-    def _tell_poses(self) -> None:
+    def _tell_poses(self, *, is_last: bool = False) -> None:
         # Of those handed over alone; the others come with the pose that they have by then.
         count = self._taken - len(self._unsettled)
-        self._work.put(_Moved(self._store.T_map_keyframe[:count].copy()))
+        self._work.put(_Moved(self._store.T_map_keyframe[:count].copy(), is_last))
         self._revision, self._told_s = self._store.revision, self._now_s()
 
     def _write(self) -> None:
@@ -184,7 +185,7 @@ def _rehearse(folder: MapFolder, recognition: RecognitionSettings | None) -> Non
     images = np.ones((width_px // 2, width_px), np.float32), np.ones((width_px // 2, width_px), np.float32)
     features = KeyframeFeatures(np.ones((1, 2)), np.ones((1, 3)), np.zeros((1, 4), np.uint64))
     keyframe = Keyframe.of_images(0.0, np.array([width_px, width_px, width_px / 2, width_px / 4]), *images, features)
-    records.pack_keyframe(keyframe, DepthSteps.of_noise(folder.calibration.depth_noise, 1.0), folder.settings)
+    keyframe_records.pack_keyframe(keyframe, DepthSteps.of_noise(folder.calibration.depth_noise, 1.0), folder.settings)
     if recognition is not None:
         Recognizer(recognition).add(KeyframeId(0), keyframe)
     OccupancyMapper(_MOUNTED).add(KeyframeId(0), keyframe, np.eye(4))
@@ -197,7 +198,7 @@ class _Written:
         self.keyframes, self.warnings = 0, list[str]()
         self._folder, self._store, self._recognizer = folder, store, recognizer
         self._before: SeenKeyframe | None = None
-        self._T_map_keyframe = np.zeros((0, 4, 4))
+        self._T_map_keyframe, self._moved = folder.contents.T_map_keyframe.copy(), 0
         # With the edge, lest its identity go to another.
         self._edges: dict[int, tuple[RelativePose, int]] = {}
         # Not on the disk for sure before the next flush.
@@ -213,7 +214,7 @@ class _Written:
             case _NewKeyframe():
                 self._do(lambda: self._add(work))
             case _Moved():
-                self._do(lambda: self._move(work.T_map_keyframe))
+                self._do(lambda: self._move(work.T_map_keyframe, is_last=work.is_last))
             case _Edges():
                 self._do(lambda: self._add_edges(work.edges) if work.holds else self._withdraw(work.edges))
 
@@ -283,13 +284,21 @@ class _Written:
         known = [self._edges.pop(id(edge), None) for edge in edges]
         self._folder.withdraw_edges([number for _, number in filter(None, known)])
 
-    def _move(self, T_map_keyframe: FloatArray) -> None:
-        """Append the poses that have changed since."""
+    def _move(self, T_map_keyframe: FloatArray, *, is_last: bool) -> None:
+        """Append the poses that have changed since: at the end all, before as many as there is room for.
+
+        Each loop moves all keyframes by a little: to tell all of them each time would take more the longer one drives.
+        """
         self._grow(len(T_map_keyframe))
         known = self._T_map_keyframe[: len(T_map_keyframe)]
-        (moved,) = np.nonzero((known != T_map_keyframe).any(axis=(1, 2)))
+        off = np.abs(known - T_map_keyframe).max(axis=(1, 2))  # metres, and of turns about radians
+        moved = np.flatnonzero(off > 0)
+        if not is_last:
+            room = self._folder.settings.moved_poses * self.keyframes - self._moved
+            moved = moved[np.argsort(-off[moved], kind="stable")[: max(room, 0)]]
         self._folder.append_poses(moved, T_map_keyframe[moved])
         known[moved] = T_map_keyframe[moved]
+        self._moved += len(moved)
 
     def _grow(self, count: int) -> None:
         if count > len(self._T_map_keyframe):
