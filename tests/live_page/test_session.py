@@ -178,6 +178,6 @@ def test_a_watch_sees_all_periods_of_all_maps() -> None:
     stamps_s = np.array([feedback.stamp_s for feedback, _ in seen.steps])
     period_s = seen.steps[0][1].settings.follow.period_s
     np.testing.assert_allclose(np.diff(stamps_s), period_s, atol=1e-6)
-    assert [str(one.after) for one in seen.transitions] == ["planning", "driving", "arrived"]
+    assert [str(one.after) for one in seen.transitions] == ["planning", "driving", "planning", "arrived"]
     assert {event.stamp_s for event in seen.events} >= set(stamps_s[1:].tolist())
     assert len({id(navigator) for _, navigator in seen.steps}) == 2
