@@ -15,12 +15,12 @@ from tempfile import TemporaryDirectory
 import cv2
 import numpy as np
 
+from benchmarks.fuzz_recordings import azure_kinect, bag, sqlite3_bag
 from wheelsight.areas import Area, AreaMap, load_areas, save_areas
 from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
 from wheelsight.config import Config, load_config, save_config
 from wheelsight.devices.source import TicksFile
 from wheelsight.errors import RecordingError
-from wheelsight.events import RgbdFrame, WheelTicks, YawRate
 from wheelsight.geometry import PinholeCamera, se3
 from wheelsight.keyframes import Keyframe, KeyframeFeatures, KeyframeId
 from wheelsight.mapping import SurfelMap, Surfels, SurfelSettings, load_map, save_map
@@ -35,8 +35,6 @@ from wheelsight.places import (
 )
 from wheelsight.recordings import OpenOptions, open_recording
 from wheelsight.recordings.inspection import inspect_recording
-from wheelsight.recordings.rosbag.robot_topics import RobotTopics
-from wheelsight.recordings.rosbag.writing import new_bag
 from wheelsight.ros_map import read_ros_map
 from wheelsight.simulation import read_manual_velocities
 from wheelsight.slam import RelativePose
@@ -166,31 +164,11 @@ def _other_formats(images: Files, lists: Files) -> list[Target]:
         Target("three_d_match", match, lambda folder: _play(folder / "seq-01")),
         Target("redwood", {**images, **calibration} | {"a.log": log.encode()}, _play),
         Target("scannet", {"a.sens": _sens(images)}, lambda folder: _play(folder / "a.sens")),
-        Target("rosbag 1", {"a.bag": _bag("a.bag")}, lambda folder: _play(folder / "a.bag")),
-        Target("rosbag 2", {"a.mcap": _bag("a.mcap")}, lambda folder: _play(folder / "a.mcap")),
+        Target("azure kinect", {"a.mkv": azure_kinect()}, lambda folder: _play(folder / "a.mkv")),
+        Target("rosbag 1", {"a.bag": bag("a.bag", _robot())}, lambda folder: _play(folder / "a.bag")),
+        Target("rosbag 2", {"a.mcap": bag("a.mcap", _robot())}, lambda folder: _play(folder / "a.mcap")),
+        Target("rosbag 2 sqlite3", sqlite3_bag(_robot()), _play),
     ]
-
-
-def _bag(name: str) -> bytes:
-    """A robot's drive as `export --bag` writes it: images, ticks, yaw rates and mounts."""
-
-    def save(path: Path) -> None:
-        with new_bag(path.parent / name) as bag:
-            robot = RobotTopics(bag.make, _robot(), "raw")
-            sent = list(robot.mounts(1.0))
-            for i in range(_FRAMES):
-                color, depth_m = np.full((12, 16, 3), 90, np.uint8), np.full((12, 16), 2.0, np.float32)
-                for event in (
-                    RgbdFrame(1.0 + i, color, depth_m, i),
-                    WheelTicks(1.2 + i, 9 * i, i),
-                    YawRate(1.3 + i, 0),
-                ):
-                    sent += robot.of_event(event)
-            for one in sent:
-                bag.add(one.topic, one.message, one.stamp_s, is_latched=one.is_latched)
-        (path.parent / name).rename(path)
-
-    return _saved(save)
 
 
 def _play_bonn(folder: Path) -> None:

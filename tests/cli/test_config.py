@@ -8,7 +8,8 @@ from pathlib import Path
 import yaml
 from typer.testing import Result
 
-from wheelsight.cli._drive_inputs import Asked, settings_of
+from wheelsight.cli._drive_inputs import drive_settings
+from wheelsight.cli._drive_options import DriveOptions
 from wheelsight.config import Config, load_config
 from wheelsight.settings.profiles import over_profile
 
@@ -50,6 +51,6 @@ def test_a_run_writes_down_its_profile(wheelsight: Command, wheels: Path, tmp_pa
 
 
 def test_a_drive_goes_by_a_profile_and_by_what_is_set_over_it() -> None:
-    asked = Asked(None, (), False, True, None, Path("out"), False, None, "pi", ("navigation.mppi.rollouts=300",))
-    config = settings_of(asked)
+    options = DriveOptions(explore=True, out=Path("out"), profile="pi", set_=["navigation.mppi.rollouts=300"])
+    config = drive_settings(options)
     assert (config.profile, config.navigation.mppi.rollouts, config.localizer.most_width_px) == ("pi", 300, 320)

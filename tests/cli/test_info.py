@@ -58,3 +58,13 @@ def test_the_kitchen_is_said_to_be_unregistered(wheelsight: Command, data_folder
         "not registered; the calibration joins them; in the middle of the image colour lies 8 px left" in result.stdout
     )
     assert "500 in 16.63 s, 30.0 Hz" in result.stdout
+
+
+def test_one_frame_has_no_rate(wheelsight: Command, room: Path) -> None:
+    for name in ("rgb.txt", "depth.txt"):
+        lines = (room / name).read_text().splitlines()
+        (room / name).write_text("\n".join([line for line in lines if not line.startswith("#")][:1]) + "\n")
+    result = wheelsight("info", room)
+    assert result.exit_code == 0
+    assert "1 in 0.00 s" in result.stdout
+    assert "nan" not in result.output

@@ -16,8 +16,10 @@ from urllib.request import urlopen
 import pytest
 from sessions.kept_views import write_map
 
-from wheelsight.cli._serving import Refusals, Served, access_of, addresses
+from wheelsight.cli._serve_options import PageOptions
+from wheelsight.cli._serving import Refusals, access_of, addresses
 from wheelsight.errors import ConfigError
+from wheelsight.viewer import why_no_rerun
 
 Refusal = Callable[..., str]
 
@@ -47,8 +49,16 @@ def test_where_a_robot_stands_needs_a_heading(refusal: Refusal, tmp_path: Path) 
     assert told.startswith("--known-start is '1,2' (X,Y,YAW_DEG")
 
 
-def served(host: str, token: str | None = None) -> Served:
-    return Served(None, None, host, 0, token)
+def test_a_file_for_rerun_that_is_there_is_refused_before_a_robot_is_made(refusal: Refusal, tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    (tmp_path / "drive.rrd").write_text("mine")
+    told = refusal("serve", "--sim", "flat", "--out", tmp_path / "maps", "--rerun", tmp_path / "drive.rrd")
+    assert told == f"{tmp_path / 'drive.rrd'}: is there already (choose another --rerun)"
+    assert (tmp_path / "drive.rrd").read_text() == "mine"
+
+
+def served(host: str, token: str | None = None) -> PageOptions:
+    return PageOptions(host=host, token=token)
 
 
 def test_a_token_is_made_for_all_but_this_computer() -> None:
@@ -82,6 +92,8 @@ def test_a_flood_of_refusals_is_counted_and_not_printed(capsys: pytest.CaptureFi
 def test_it_serves_until_it_is_interrupted_and_leaves_a_map(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "wheelsight", "serve", "--sim", "studio", "--size", "160x120", "--port", "0"]
     command += ["--out", str(tmp_path / "maps"), "--host", "0.0.0.0"]
+    shown = [] if why_no_rerun() else ["--rerun", str(tmp_path / "drive.rrd")]
+    command += shown
     running = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"})
     try:
         assert running.stdout is not None
@@ -104,3 +116,4 @@ def test_it_serves_until_it_is_interrupted_and_leaves_a_map(tmp_path: Path) -> N
             running.stdout.close()
     (made,) = (tmp_path / "maps").iterdir()
     assert (made / "map" / "map.json").is_file()
+    assert not shown or (tmp_path / "drive.rrd").stat().st_size > 10_000

@@ -17,7 +17,7 @@ from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.errors import MapError
 from wheelsight.events import Event
 from wheelsight.geometry import FloatArray
-from wheelsight.live_page import Driven, Session
+from wheelsight.live_page import Driven, Session, Watch
 from wheelsight.navigation import KnownFloor, NavigationSettings, Navigator, Transition
 from wheelsight.robots import Robot
 from wheelsight.settings import LivePageSettings
@@ -129,11 +129,13 @@ SETTINGS = LivePageSettings()
 
 
 @contextmanager
-def room_session(first: str = "today", *, paces: bool = True, **settings: Any) -> Iterator[Served]:
+def room_session(
+    first: str = "today", *, paces: bool = True, watch: Watch | None = None, **settings: Any
+) -> Iterator[Served]:
     """One that drives; in real time, or as fast as it can."""
     robot = ObedientRobot()
     maps = RoomMaps(robot, first)
-    with Session(robot, maps, replaced(settings), paces=paces) as session:
+    with Session(robot, maps, replaced(settings), paces=paces, watch=watch) as session:
         served = Served(session, robot, maps)
         served.until(lambda told: told["phase"] in ("driving", "choose"))
         try:

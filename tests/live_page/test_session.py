@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from narrowing import not_none
 
 from wheelsight.commands import STOP
 from wheelsight.errors import DeviceError
+from wheelsight.events import Event
 from wheelsight.live_page.messages import Explore, GoToName, GoToPose, NamePlace, SaveMap, StartMap
+from wheelsight.navigation import Feedback, Navigator, Transition
 
 THERE = GoToPose(type="goal", x_m=5.0, y_m=3.0, yaw_rad=0.0)
 NEAR = GoToPose(type="goal", x_m=2.5, y_m=3.0, yaw_rad=0.0)
@@ -145,3 +148,36 @@ def test_the_end_stops_the_robot_first() -> None:
         assert served.robot.stops_s
         assert served.session.is_over
         assert "begin wheelsight serve again" in served.session.ask(THERE)
+
+
+class Seen:
+    """What a watch was told."""
+
+    def __init__(self) -> None:
+        self.events: list[Event] = []
+        self.transitions: list[Transition] = []
+        self.steps: list[tuple[Feedback, Navigator]] = []
+
+    def hear(self, events: Sequence[Event]) -> None:
+        self.events += events
+
+    def note(self, transition: Transition) -> None:
+        self.transitions.append(transition)
+
+    def step(self, feedback: Feedback, navigator: Navigator) -> None:
+        self.steps.append((feedback, navigator))
+
+
+def test_a_watch_sees_all_periods_of_all_maps() -> None:
+    seen = Seen()
+    with room_session(paces=False, watch=seen) as served:
+        served.session.ask(NEAR)
+        served.until(lambda told: told["state"] == "arrived")
+        served.session.ask(StartMap(type="start", map="yesterday"))
+        served.until(lambda told: told["map"] == "yesterday" and told["phase"] == "driving")
+    stamps_s = np.array([feedback.stamp_s for feedback, _ in seen.steps])
+    period_s = seen.steps[0][1].settings.follow.period_s
+    np.testing.assert_allclose(np.diff(stamps_s), period_s, atol=1e-6)
+    assert [str(one.after) for one in seen.transitions] == ["planning", "driving", "planning", "arrived"]
+    assert {event.stamp_s for event in seen.events} >= set(stamps_s[1:].tolist())
+    assert len({id(navigator) for _, navigator in seen.steps}) == 2

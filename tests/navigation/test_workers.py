@@ -261,3 +261,18 @@ def test_a_floor_beside_is_the_same_in_the_end() -> None:
                     break
                 waiting.wait(0.01)
         np.testing.assert_array_equal(beside.layer.state, at_once.layer.state)
+
+
+def test_a_plan_is_asked_for_with_the_goal_and_driven_in_the_period_in_which_it_comes() -> None:
+    subject = ride(held := Held())
+    subject.navigator.cancel_task()
+    while not subject.navigator.senses.where.is_known(1.0):
+        subject.navigator.step()
+    asked = held.asked
+    subject.navigator.go_to_pose(GOAL)
+    assert held.asked == asked + 1  # the period that goes by before the next decision is not waited for
+    subject.navigator.step()
+    # What is commanded next moves the robot.
+    assert subject.navigator.state is NavigationState.DRIVING
+    assert not_none(subject.navigator.feedback.monitor).command.forward_m_s > 0
+    assert held.asked == asked + 1

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.fuzz_recordings import azure_kinect
 from wheelsight.errors import CalibrationError, InputError, RecordingError
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import PinholeCamera
@@ -187,3 +188,37 @@ class TestReal:
     def test_a_calibration_of_other_images_is_refused(self, recorded: Path) -> None:
         with pytest.raises(CalibrationError, match="straightened colour"):
             open_recording(recorded, OpenOptions(camera="freiburg1"))
+
+
+@pytest.fixture(scope="module")
+def sound() -> bytes:
+    return azure_kinect()
+
+
+@pytest.mark.parametrize(("share", "frames"), [(0.9, 2), (0.5, 1)])
+def test_a_file_that_is_cut_off_is_read_so_far_and_said_to_be(
+    sound: bytes, tmp_path: Path, share: float, frames: int
+) -> None:
+    path = tmp_path / "a.mkv"
+    path.write_bytes(sound[: int(share * len(sound))])
+    recording = open_recording(path)
+    assert recording.warnings == ("The file is cut off; what comes before is read.",)
+    assert recording.frame_count == frames
+    path.write_bytes(sound)
+    assert open_recording(path).warnings == ()
+
+
+def test_a_file_that_is_cut_off_before_its_depth_says_that(sound: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "a.mkv"
+    path.write_bytes(sound[: len(sound) // 20])
+    with pytest.raises(RecordingError, match="is cut off before the first pair of images"):
+        open_recording(path)
+
+
+def test_images_of_one_time_are_one_frame(sound: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "a.mkv"
+    path.write_bytes(sound + sound)
+    frames = list(open_recording(path).events())
+    stamps_s = [frame.stamp_s for frame in frames]
+    assert len(frames) == 3
+    assert stamps_s == sorted(set(stamps_s))

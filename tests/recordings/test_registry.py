@@ -139,3 +139,10 @@ def test_of_very_many_folders_only_some_are_searched(tmp_path, monkeypatch):
 def test_names_that_no_folder_can_have(name):
     with pytest.raises(RecordingError, match=r"\(check the path\)$"):
         open_recording(name)
+
+
+def test_a_link_that_leads_to_itself_is_no_recording(tmp_path):
+    (tmp_path / "bag.db3").symlink_to("bag.db3")
+    assert find_recordings(tmp_path) == []
+    with pytest.raises(RecordingError, match="no reader recognises this folder"):
+        open_recording(tmp_path)

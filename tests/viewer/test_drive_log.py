@@ -115,3 +115,19 @@ def test_nothing_of_a_robot_that_does_not_know_where_it_is(tmp_path: Path) -> No
     )
     assert "/map/costmap" not in shown.rows
     assert [state for (state,) in shown.rows["/status/localization"]["StateChange:state"]] == ["initializing"]
+
+
+def test_in_another_map_floor_and_way_begin_anew(tmp_path: Path) -> None:
+    path = tmp_path / "drive.rrd"
+    with open_drive_log(str(path), CALIBRATION, ViewerSettings(costmap_rate_hz=1.0, image_rate_hz=0)) as log:
+        for _ in range(2):
+            drive, _, _ = rehearsed_drive(on_events=log.hear)
+            for _ in range(5):
+                log.step(drive.navigator.step(), drive.navigator)
+    rows = Shown(path).rows
+    assert len(rows["/map/floor"]["Mesh3D:vertex_positions"]) == 2
+    assert rows["/map/floor"]["Clear:is_recursive"] == [[False]]
+    known = len(rows["/map/odom/robot"]["Transform3D:translation"])
+    # No line from where the robot was in the first map to where it is in the second.
+    assert known >= 4
+    assert len(rows["/map/odom/trail"]["LineStrips3D:strips"]) == known - 2

@@ -28,7 +28,12 @@ def compile_ahead(parts: Sequence[str]) -> int:
     except KeyboardInterrupt as interruption:
         print_note("interrupted while compiling; what is compiled stays, and nothing was run")
         raise typer.Exit(INTERRUPTED) from interruption
-    print_note(f"compiled {kernels} kernels in {seconds:.0f} s")
+    # Each run compiles on the way what it calls, and notes no part as whole.
+    print_note(
+        f"compiled {kernels} kernel{'s' * (kernels > 1)} in {seconds:.0f} s"
+        if kernels
+        else "all of them were compiled already"
+    )
     return kernels
 
 

@@ -1,13 +1,15 @@
-"""The options of `wheelsight drive`."""
+"""The options of `wheelsight drive`, in the order of its help."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from wheelsight.cli._options import OUTPUT, SETTINGS
+from wheelsight.cli._drive_robot_options import RobotOptions
+from wheelsight.cli._options import OUTPUT, SETTINGS, Profile
 
 _TASK = "Where to"
 
@@ -84,3 +86,31 @@ Rerun = Annotated[
 Force = Annotated[
     bool, typer.Option("--force", help="Overwrite results in the folder of --out.", rich_help_panel=OUTPUT)
 ]
+
+
+@dataclass(frozen=True)
+class SettingsOptions:
+    """What a user typed of settings."""
+
+    config: SettingsFile = None
+    profile: Profile = None
+    set_: Set = None
+
+
+@dataclass(frozen=True)
+class TaskOptions:
+    """What a user typed of the task, and of what is left of it."""
+
+    map_: MapPath = None
+    to: To = None
+    back: Back = False
+    explore: Explore = False
+    known_start: KnownStart = None
+    out: Out = None
+    rerun: Rerun = None
+    force: Force = False
+
+
+@dataclass(frozen=True)
+class DriveOptions(RobotOptions, SettingsOptions, TaskOptions):
+    """What a user typed; fields of the last base come first."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -88,3 +89,28 @@ Yes = Annotated[
         rich_help_panel=_REAL,
     ),
 ]
+
+
+@dataclass(frozen=True)
+class RobotOptions:
+    """What a user typed of the robot; a base of commands' options, after which others come in the help."""
+
+    sim: Sim = None
+    resolution: Resolution = None
+    start: Start = None
+    seed: Seed = 0
+    day: Day = 0
+    people: People = 0
+    realism: Realism = "real"
+    camera: CameraName = None
+    size: Size = "half"
+    rate: Rate = 10.0
+    robot: RobotPort = None
+    calibration: CalibrationFile = None
+    baud: Baud = 115200
+    yes: Yes = False
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether no real robot is named."""
+        return self.robot is None

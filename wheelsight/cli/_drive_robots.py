@@ -15,7 +15,7 @@ from wheelsight.errors import CalibrationError, ConfigError
 
 if TYPE_CHECKING:
     from wheelsight.calibration import Calibration
-    from wheelsight.cli._drive_inputs import Real, Simulated
+    from wheelsight.cli._drive_robot_options import RobotOptions
     from wheelsight.config import Config
     from wheelsight.devices import LinkRobot, WheelLink
     from wheelsight.robots import Robot
@@ -24,42 +24,44 @@ if TYPE_CHECKING:
 _QUESTION = "Is the floor around the robot free, and is somebody at the stop button?"
 # Pairs of the paper's format are recognised within 3 s; who speaks frames is known at the first one.
 _HEARD_WITHIN_S, _LOOK_S = 3.5, 0.02
+_SIMULATED_CAMERA = "kinect-v1"
 
 
 @contextmanager
-def robot_of(simulated: Simulated, real: Real, config: Config) -> Iterator[Robot]:
+def robot_of(options: RobotOptions, config: Config) -> Iterator[Robot]:
     """The robot, closed at the end; a real one once somebody has said that it may move.
 
     Raises ConfigError, CalibrationError, DeviceError; Exit where it may not.
     """
-    with _simulator(simulated, config) if real.port is None else _linked(real, config) as robot:
+    with _simulator(options, config) if options.is_simulated else _linked(options, config) as robot:
         yield robot
 
 
-def robot_words(simulated: Simulated, real: Real) -> str:
+def robot_words(options: RobotOptions) -> str:
     """Which robot, for records."""
-    if real.port is not None:
-        return f"a robot at {real.port}"
-    people = f", {simulated.people} people" if simulated.people else ""
-    return f"simulated in {simulated.sim}, seed {simulated.seed}, day {simulated.day}, {simulated.realism}{people}"
+    if options.robot is not None:
+        return f"a robot at {options.robot}"
+    people = f", {options.people} people" if options.people else ""
+    return f"simulated in {options.sim}, seed {options.seed}, day {options.day}, {options.realism}{people}"
 
 
-def _simulator(simulated: Simulated, config: Config) -> Robot:
+def _simulator(options: RobotOptions, config: Config) -> Robot:
     from wheelsight.cli._simulation_inputs import size_of
     from wheelsight.extras import needed
     from wheelsight.simulation import SimulationSettings
     from wheelsight.simulation.simulator import Simulator
 
     needed("mujoco")
-    assert simulated.sim is not None
-    if not 0 <= simulated.people <= 100:
-        raise ConfigError(f"--people is {simulated.people}", fix="0 to 100")
-    plan = _plan_of(simulated.sim, simulated.resolution)
-    where: dict[str, Any] = {"world": simulated.sim} if plan is None else {"plan": plan}
-    how: dict[str, Any] = {"seed": simulated.seed, "day": simulated.day, "passersby": simulated.people}
-    how |= {"realism": simulated.realism, "rate_hz": simulated.rate, "camera": simulated.camera}
-    settings = SimulationSettings(**where, **how, size=size_of(simulated.size, simulated.camera))
-    start = _start_of(simulated.start)
+    assert options.sim is not None
+    camera = options.camera or _SIMULATED_CAMERA
+    if not 0 <= options.people <= 100:
+        raise ConfigError(f"--people is {options.people}", fix="0 to 100")
+    plan = _plan_of(options.sim, options.resolution)
+    where: dict[str, Any] = {"world": options.sim} if plan is None else {"plan": plan}
+    how: dict[str, Any] = {"seed": options.seed, "day": options.day, "passersby": options.people}
+    how |= {"realism": options.realism, "rate_hz": options.rate, "camera": camera}
+    settings = SimulationSettings(**where, **how, size=size_of(options.size, camera))
+    start = _start_of(options.start)
     return Simulator(settings, start=start, limits=config.navigation.limits)
 
 
@@ -89,24 +91,24 @@ def _start_of(text: str | None) -> tuple[float, float, float] | None:
 
 
 @contextmanager
-def _linked(real: Real, config: Config) -> Iterator[Robot]:
+def _linked(options: RobotOptions, config: Config) -> Iterator[Robot]:
     from wheelsight.devices import LinkRobot, WheelLink
-    from wheelsight.devices.robot_camera import open_robot_camera
+    from wheelsight.devices.robot_camera import ANY, open_robot_camera
 
-    assert real.port is not None
-    assert real.calibration is not None
+    assert options.robot is not None
+    assert options.calibration is not None
     with ExitStack() as opened:
-        frames, calibration = open_robot_camera(real.camera, config.camera, [real.calibration])
+        frames, calibration = open_robot_camera(options.camera or ANY, config.camera, [options.calibration])
         opened.callback(frames.close)
-        _check_mount(calibration, real.calibration)
+        _check_mount(calibration, options.calibration)
         for warning in frames.warnings:
             print_warning(warning)
-        link = WheelLink(real.port, real.baud)
+        link = WheelLink(options.robot, options.baud)
         opened.callback(link.close)
         robot = opened.enter_context(LinkRobot(link, calibration, config.navigation.limits, frames=frames))
         _check_firmware(robot, link)
         # Asked as late as can be: what can go wrong before anything moves has not.
-        if not (real.yes or typer.confirm(_QUESTION)):
+        if not (options.yes or typer.confirm(_QUESTION)):
             typer.echo("nothing moved", err=True)
             raise typer.Exit(1)
         yield robot

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from wheelsight.cli._drive_view import DriveView
 
 if TYPE_CHECKING:
-    from wheelsight.cli._drive_inputs import Asked
     from wheelsight.config import Config
     from wheelsight.events import Event
     from wheelsight.navigation import Feedback, Navigator, Transition
@@ -46,13 +45,13 @@ class DriveWatch:
 
 
 @contextmanager
-def watching(asked: Asked, robot: Robot, config: Config) -> Iterator[DriveWatch]:
+def watching(rerun: str | None, robot: Robot, config: Config) -> Iterator[DriveWatch]:
     """Raises as `open_drive_log`."""
     view = DriveView(config.navigation.footprint.outline)
-    if asked.rerun is None:
+    if rerun is None:
         yield DriveWatch(view)
         return
     from wheelsight.viewer import open_drive_log
 
-    with open_drive_log(asked.rerun, robot.calibration, config.viewer) as log:
+    with open_drive_log(rerun, robot.calibration, config.viewer) as log:
         yield DriveWatch(view, log)

@@ -8,12 +8,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from wheelsight.cli._console import print_note
-from wheelsight.cli._drive_inputs import Asked, Real, Simulated, check, goals_of, settings_of
+from wheelsight.cli._drive_inputs import check, drive_settings, goals_of
 from wheelsight.cli._drive_results import Truth, tell, write
 from wheelsight.cli._drive_robots import robot_of, robot_words
 from wheelsight.cli._signals import until_stopped
 
 if TYPE_CHECKING:
+    from wheelsight.cli._drive_options import DriveOptions
     from wheelsight.cli._drive_watch import DriveWatch
     from wheelsight.config import Config
     from wheelsight.navigation import Feedback
@@ -29,7 +30,7 @@ class _ToldToStop(Exception):  # noqa: N818 - it is no error
     """Ctrl-C, or SIGTERM."""
 
 
-def drive_there(asked: Asked, simulated: Simulated, real: Real) -> None:
+def drive_there(options: DriveOptions) -> None:
     """Drive to all goals; Exit with 1 where one was not reached, with 130 where somebody stopped it.
 
     Raises what was handed in wrong, before anything moves.
@@ -38,46 +39,43 @@ def drive_there(asked: Asked, simulated: Simulated, real: Real) -> None:
     from wheelsight.cli._outputs import check_rerun
     from wheelsight.files import make_output_folder, refuse_full
 
-    check(asked, simulated, real)
-    config = settings_of(asked)
-    goals = goals_of(asked)
-    if asked.out is not None and not asked.force:
-        refuse_full(asked.out)  # before the long work; made once there is a robot
-    check_rerun(asked.rerun, asked.force)
-    compile_missing((*_PARTS, *(("simulation",) if real.port is None else ())))
-    with robot_of(simulated, real, config) as robot:
-        if asked.out is not None:
-            make_output_folder(asked.out, asked.force)
-        words = robot_words(simulated, real)
-        record = _driven(robot, config, goals, asked, words, is_simulated=real.port is None)
-    if asked.out is not None:
-        write(record, asked.out)
+    check(options)
+    config = drive_settings(options)
+    goals = goals_of(options)
+    if options.out is not None and not options.force:
+        refuse_full(options.out)  # before the long work; made once there is a robot
+    check_rerun(options.rerun, options.force)
+    compile_missing((*_PARTS, *(("simulation",) if options.is_simulated else ())))
+    with robot_of(options, config) as robot:
+        if options.out is not None:
+            make_output_folder(options.out, options.force)
+        record = _driven(robot, config, goals, options)
+    if options.out is not None:
+        write(record, options.out)
     tell(record)
 
 
-def _driven(
-    robot: Robot, config: Config, goals: Sequence[Goal], asked: Asked, words: str, *, is_simulated: bool
-) -> DriveRecord:
+def _driven(robot: Robot, config: Config, goals: Sequence[Goal], options: DriveOptions) -> DriveRecord:
     from wheelsight.cli._drive_watch import watching
     from wheelsight.pipeline.exploring import loops_of
     from wheelsight.slam.sessions import MAP_FOLDER
 
     # What is said while the map is read would run into a screen that is drawn already.
     with (
-        watching(asked, robot, config) as watch,
-        _begun(robot, config, watch, asked, in_step=is_simulated) as drive,
+        watching(options.rerun, robot, config) as watch,
+        _begun(robot, config, watch, options) as drive,
         watch.view,
     ):
-        truth = Truth(robot) if is_simulated else None
-        is_interrupted = _through(drive, goals, asked, _on_step(drive, watch, truth))
-        told, tasks = truth.told if truth else {}, len(goals) + asked.back + asked.explore
-        record = drive.record(tasks, words, config, told, is_interrupted=is_interrupted)
+        truth = Truth(robot) if options.is_simulated else None
+        is_interrupted = _through(drive, goals, options, _on_step(drive, watch, truth))
+        told, tasks = truth.told if truth else {}, len(goals) + options.back + options.explore
+        record = drive.record(tasks, robot_words(options), config, told, is_interrupted=is_interrupted)
     # The last of them are closed once the drive is over.
-    return replace(record, loops=loops_of(asked.out / MAP_FOLDER)) if asked.explore and asked.out else record
+    return replace(record, loops=loops_of(options.out / MAP_FOLDER)) if options.explore and options.out else record
 
 
 @contextmanager
-def _begun(robot: Robot, config: Config, watch: DriveWatch, asked: Asked, *, in_step: bool) -> Iterator[Drive]:
+def _begun(robot: Robot, config: Config, watch: DriveWatch, options: DriveOptions) -> Iterator[Drive]:
     """Whoever is asked about a real robot's floor has looked at it; a simulated one begins on free floor."""
     from wheelsight.pipeline.drives import drive_in_map
     from wheelsight.pipeline.exploring import exploring
@@ -87,19 +85,19 @@ def _begun(robot: Robot, config: Config, watch: DriveWatch, asked: Asked, *, in_
         if done == 1:
             print_note(f"reading {total:,} keyframes of the map")
 
-    how: dict[str, Any] = {"in_step": in_step, "trusts_floor": True}
+    how: dict[str, Any] = {"in_step": options.is_simulated, "trusts_floor": True}
     how |= {"on_transition": watch.note, "on_events": watch.hear}
-    if asked.explore:
-        assert asked.out is not None
-        discard_map(asked.out / MAP_FOLDER)
-        with exploring(robot, config, asked.out / MAP_FOLDER, **how) as drive:
+    if options.explore:
+        assert options.out is not None
+        discard_map(options.out / MAP_FOLDER)
+        with exploring(robot, config, options.out / MAP_FOLDER, **how) as drive:
             yield drive
     else:
         with drive_in_map(robot, config, on_keyframe=code, **how) as drive:
             yield drive
 
 
-def _through(drive: Drive, goals: Sequence[Goal], asked: Asked, on_step: Callable[[Feedback], None]) -> bool:
+def _through(drive: Drive, goals: Sequence[Goal], options: DriveOptions, on_step: Callable[[Feedback], None]) -> bool:
     """Through all goals, up to the first that is not reached; whether somebody stopped it."""
     from wheelsight.pipeline.drives import Goal
 
@@ -111,12 +109,12 @@ def _through(drive: Drive, goals: Sequence[Goal], asked: Asked, on_step: Callabl
                 raise _ToldToStop
 
         try:
-            if asked.explore and not drive.explore(step):
+            if options.explore and not drive.explore(step):
                 return False
             for goal in goals:
                 if not drive.go_to(goal, step):
                     return False
-            if asked.back and drive.start is not None:
+            if options.back and drive.start is not None:
                 drive.go_to(Goal(drive.start, "the start"), step)
         except _ToldToStop:
             return True

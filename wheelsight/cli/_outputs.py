@@ -16,20 +16,24 @@ def can_draw() -> bool:
     return why is None
 
 
-def check_out(out: Path, force: bool) -> None:
-    """Raises OutputError, before any work, where `out` cannot or must not be written."""
+def check_out(out: Path, force: bool | None, option: str = "--out") -> None:
+    """Raises OutputError, before any work, where `out` cannot or must not be written.
+
+    `force` is None where the command has none; `option` is what names the file.
+    """
     from wheelsight.errors import OutputError
     from wheelsight.files import check_name, make_output_folder
 
     check_name(out)
     if out.is_dir():
-        raise OutputError("is a folder, not a file", path=out, fix="choose another --out")
+        raise OutputError("is a folder, not a file", path=out, fix=f"choose another {option}")
     if out.exists() and not force:
-        raise OutputError("is there already", path=out, fix="choose another --out, or add --force to overwrite")
+        fix = f"choose another {option}" + ("" if force is None else ", or add --force to overwrite")
+        raise OutputError("is there already", path=out, fix=fix)
     make_output_folder(out.parent, force=True)
 
 
-def check_rerun(target: str | None, force: bool) -> None:
+def check_rerun(target: str | None, force: bool | None = None) -> None:
     """Raises ConfigError, before any work, where Rerun is asked for and missing; of a file as `check_out`."""
     from wheelsight.extras import needed
 
@@ -39,4 +43,4 @@ def check_rerun(target: str | None, force: bool) -> None:
     from wheelsight.viewer import is_file
 
     if is_file(target):
-        check_out(Path(target), force)
+        check_out(Path(target), force, "--rerun")

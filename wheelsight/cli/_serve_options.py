@@ -1,12 +1,15 @@
-"""The options of `wheelsight serve` that `wheelsight drive` does not have."""
+"""The options of `wheelsight serve`, in the order of its help."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from wheelsight.cli._drive_options import KnownStart, MapPath, Rerun, SettingsOptions
+from wheelsight.cli._drive_robot_options import Rate, RobotOptions
 from wheelsight.cli._options import OUTPUT
 
 _PAGE = "The page"
@@ -39,4 +42,23 @@ Token = Annotated[
         rich_help_panel=_PAGE,
     ),
 ]
-Rate = Annotated[float, typer.Option(metavar="HZ", help="Images a second.", rich_help_panel="A simulated robot")]
+
+
+@dataclass(frozen=True)
+class PageOptions:
+    """What a user typed of maps and of the page."""
+
+    map_: MapPath = None
+    known_start: KnownStart = None
+    out: MapsFolder = None
+    rerun: Rerun = None
+    host: Host = "127.0.0.1"
+    port: Port = 8765
+    token: Token = None
+
+
+@dataclass(frozen=True)
+class ServeOptions(RobotOptions, SettingsOptions, PageOptions):
+    """What a user typed; fields of the last base come first."""
+
+    rate: Rate = 5.0

@@ -5,37 +5,28 @@ from __future__ import annotations
 import secrets
 import threading
 import time
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from wheelsight.cli._console import print_note, print_warning
-from wheelsight.cli._drive_inputs import Asked, Real, Simulated, check_robot, settings_of
+from wheelsight.cli._drive_inputs import check_robot, settings_of
 from wheelsight.cli._drive_robots import robot_of
 from wheelsight.cli._signals import until_stopped
 from wheelsight.errors import ConfigError
 
 if TYPE_CHECKING:
+    from wheelsight.calibration import Calibration
+    from wheelsight.cli._serve_options import PageOptions, ServeOptions
     from wheelsight.config import Config, StartSettings
     from wheelsight.live_page import Access, DriveMaps, Session
+    from wheelsight.viewer import DriveLog
 
 _PARTS = ("wheels", "dense", "joined", "loops", "navigation")
 _LIBRARIES = ("starlette", "uvicorn", "websockets")
 _TOKEN_BYTES, _SHORTEST_TOKEN = 24, 16
 _LOOK_S, _LINES_A_S = 0.1, 5
-
-
-@dataclass(frozen=True, slots=True)
-class Served:
-    """The options of the page."""
-
-    map_path: Path | None
-    known_start: str | None
-    host: str
-    port: int
-    token: str | None
 
 
 class Refusals:
@@ -58,48 +49,59 @@ class Refusals:
             self._unsaid += 1
 
 
-def serve_there(asked: Asked, simulated: Simulated, real: Real, served: Served) -> None:
+def serve_there(options: ServeOptions) -> None:
     """Until Ctrl-C or SIGTERM. Raises what was handed in wrong, before anything moves."""
     from wheelsight.cli._compiling import compile_missing
+    from wheelsight.cli._outputs import check_rerun
     from wheelsight.extras import needed
 
     for library in _LIBRARIES:
         needed(library)
-    check_robot(simulated, real)
-    config, access = settings_of(asked), access_of(served)
-    is_simulated = real.port is None
-    maps = _maps_of(config, served, asked.out, in_step=is_simulated)
-    compile_missing((*_PARTS, *(("simulation",) if is_simulated else ())))
-    with robot_of(simulated, real, config) as robot:
+    check_robot(options)
+    # Where no map of before is driven in first, and on the page, a new one is made.
+    config, access = settings_of(options, {"loops.source": "keyframes"}), access_of(options)
+    maps = _maps_of(config, options)
+    check_rerun(options.rerun)
+    compile_missing((*_PARTS, *(("simulation",) if options.is_simulated else ())))
+    with robot_of(options, config) as robot, _log_of(options.rerun, robot.calibration, config) as log:
         from wheelsight.live_page import Session
 
-        with Session(robot, maps, config.page, paces=is_simulated, on_problem=print_warning) as session:
-            _serve(session, config, access, served)
+        how: dict[str, Any] = {"paces": options.is_simulated, "on_problem": print_warning, "watch": log}
+        with Session(robot, maps, config.page, **how) as session:
+            _serve(session, config, access, options)
             # Before what takes its time, such as to write a map.
             session.stop("the program ends")
             print_note("stopped; ending")
 
 
-def access_of(served: Served) -> Access:
+def _log_of(rerun: str | None, calibration: Calibration, config: Config) -> AbstractContextManager[DriveLog | None]:
+    if rerun is None:
+        return nullcontext()
+    from wheelsight.viewer import open_drive_log
+
+    return open_drive_log(rerun, calibration, config.viewer)
+
+
+def access_of(options: PageOptions) -> Access:
     """Who may speak to the page. Raises ConfigError."""
     from wheelsight.live_page import Access, is_loopback
 
-    token = served.token
+    token = options.token
     if token is not None and (len(token) < _SHORTEST_TOKEN or not token.isascii() or not token.isalnum()):
         raise ConfigError("--token can be guessed, or is no word", fix=f"{_SHORTEST_TOKEN} letters and digits, or more")
-    at_home = is_loopback(served.host)
+    at_home = is_loopback(options.host)
     if token is None:
         token = "" if at_home else secrets.token_hex(_TOKEN_BYTES)
     return Access(at_home, token)
 
 
-def _maps_of(config: Config, served: Served, out: Path | None, *, in_step: bool) -> DriveMaps:
+def _maps_of(config: Config, options: ServeOptions) -> DriveMaps:
     from wheelsight.live_page import DriveMaps
 
-    if served.known_start is not None and served.map_path is None:
+    if options.known_start is not None and options.map_ is None:
         raise ConfigError("--known-start is of a map", fix="--map DIR")
-    start = None if served.known_start is None else _start_of(served.known_start)
-    return DriveMaps(config, served.map_path, start, out, in_step=in_step)
+    start = None if options.known_start is None else _start_of(options.known_start)
+    return DriveMaps(config, options.map_, start, options.out, in_step=options.is_simulated)
 
 
 def _start_of(text: str) -> StartSettings:
@@ -114,13 +116,13 @@ def _start_of(text: str) -> StartSettings:
     return StartSettings(x_m=x_m, y_m=y_m, yaw_deg=math.degrees(yaw))
 
 
-def _serve(session: Session, config: Config, access: Access, served: Served) -> None:
+def _serve(session: Session, config: Config, access: Access, options: ServeOptions) -> None:
     from wheelsight.live_page.app import page_app
     from wheelsight.live_page.server import PageServer
 
     app = page_app(session, config.page, access, Refusals().tell)
-    with until_stopped() as is_over, PageServer(app, served.host, served.port, config.page) as server:
-        for line in addresses(served.host, server.port, access.token):
+    with until_stopped() as is_over, PageServer(app, options.host, options.port, config.page) as server:
+        for line in addresses(options.host, server.port, access.token):
             typer.echo(line)
         if access.token and not access.is_loopback:
             print_warning("what pages say is not encrypted: on a network that you trust alone")

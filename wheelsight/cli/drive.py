@@ -2,38 +2,13 @@
 
 from __future__ import annotations
 
-from wheelsight.cli import _drive_options as options
-from wheelsight.cli import _drive_robot_options as robots
-from wheelsight.cli._options import Profile
+from wheelsight.cli._drive_options import DriveOptions
+from wheelsight.cli._driving import drive_there
+from wheelsight.cli._takes import takes
 
 
-def drive(
-    map_: options.MapPath = None,
-    to: options.To = None,
-    back: options.Back = False,
-    explore: options.Explore = False,
-    known_start: options.KnownStart = None,
-    out: options.Out = None,
-    config: options.SettingsFile = None,
-    profile: Profile = None,
-    set_: options.Set = None,
-    rerun: options.Rerun = None,
-    force: options.Force = False,
-    sim: robots.Sim = None,
-    resolution: robots.Resolution = None,
-    start: robots.Start = None,
-    seed: robots.Seed = 0,
-    day: robots.Day = 0,
-    people: robots.People = 0,
-    realism: robots.Realism = "real",
-    camera: robots.CameraName = None,
-    size: robots.Size = "half",
-    rate: robots.Rate = 10.0,
-    robot: robots.RobotPort = None,
-    calibration: robots.CalibrationFile = None,
-    baud: robots.Baud = 115200,
-    yes: robots.Yes = False,
-) -> None:
+@takes(DriveOptions)
+def drive(options: DriveOptions) -> None:
     """Drive to places of a known map, or explore: simulated, or with a robot on a serial port.
 
     The robot finds itself in the map, plans, drives around what is in its way, and stops where it must; docs/safety.md
@@ -59,11 +34,4 @@ def drive(
 
     wheelsight drive --sim flat --map home --known-start 0,0,0 --to kitchen --set navigation.limits.forward_m_s=0.5
     """
-    from wheelsight.cli._drive_inputs import Asked, Real, Simulated
-    from wheelsight.cli._driving import drive_there
-    from wheelsight.devices.robot_camera import ANY
-
-    given = tuple(set_ or ())
-    asked = Asked(map_, tuple(to or ()), back, explore, known_start, out, force, config, profile, given, rerun)
-    simulated = Simulated(sim, resolution, start, seed, day, people, realism, camera or "kinect-v1", size, rate)
-    drive_there(asked, simulated, Real(robot, calibration, baud, yes, camera or ANY))
+    drive_there(options)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from math import isfinite
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -78,7 +79,9 @@ def info(
 
 
 def _facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
-    span = f" in {inspection.duration_s:.2f} s, {inspection.rate_hz:.1f} Hz"
+    # One reading alone has no rate.
+    rate = f", {inspection.rate_hz:.1f} Hz" if isfinite(inspection.rate_hz) else ""
+    span = f" in {inspection.duration_s:.2f} s{rate}"
     yield "format", inspection.format
     yield "trajectory of", f"the {inspection.body} (T_map_{inspection.body})"
     if inspection.camera is not None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol
 
+from wheelsight.events import Event
 from wheelsight.geometry import FloatArray
-from wheelsight.navigation import Navigator, Transition
+from wheelsight.navigation import Feedback, Navigator, Transition
 from wheelsight.robots import Robot
 
 
@@ -54,3 +55,16 @@ class Maps(Protocol):
         self, name: str, robot: Robot, pose: FloatArray | None, on_transition: Callable[[Transition], None]
     ) -> AbstractContextManager[Driven]:
         """Drive in one, of a robot that stands at (3,) in it, or that is to be found. Raises WheelsightError."""
+
+
+class Watch(Protocol):
+    """What sees all that a session drives, beside its pages, such as `wheelsight.viewer.DriveLog`."""
+
+    def hear(self, events: Sequence[Event]) -> None:
+        """What the robot's sensors said."""
+
+    def note(self, transition: Transition) -> None:
+        """A change of the navigator's state."""
+
+    def step(self, feedback: Feedback, navigator: Navigator) -> None:
+        """A period is over; another navigator than before drives in another map."""

@@ -8,14 +8,15 @@ from __future__ import annotations
 import queue
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import count
 from typing import Any
 
 from wheelsight.errors import ConfigError, WheelsightError
+from wheelsight.events import Event
 from wheelsight.geometry import FloatArray
-from wheelsight.live_page.driven import Driven, Maps
+from wheelsight.live_page.driven import Driven, Maps, Watch
 from wheelsight.live_page.messages import Explore, GoToName, GoToPose, NamePlace, SaveMap, StartMap, Task
 from wheelsight.live_page.pace import Pace
 from wheelsight.live_page.snapshot import Snapshot, Telling
@@ -52,6 +53,7 @@ class Session:
         settings: of the page.
         paces: whether the robot's time stands still between steps, and is to go as the wall's.
         on_problem: told in a line what went wrong, as pages are.
+        watch: sees all of the drives, in the session's thread; nobody, where it is None.
 
     Attributes:
         switch: stops the robot.
@@ -66,9 +68,11 @@ class Session:
         *,
         paces: bool,
         on_problem: Callable[[str], None] = lambda line: None,
+        watch: Watch | None = None,
     ) -> None:
         self.switch = StopSwitch(robot)
-        self._robot, self._maps, self._settings, self._paces = StoppableRobot(robot, self.switch), maps, settings, paces
+        self._robot, self._watch = StoppableRobot(robot, self.switch, self._hear), watch
+        self._maps, self._settings, self._paces = maps, settings, paces
         self._asked: queue.Queue[_Asked] = queue.Queue(_WAITING)
         self._over, self._on_problem = threading.Event(), on_problem
         self._said: deque[dict[str, Any]] = deque(maxlen=_SAID)
@@ -181,6 +185,8 @@ class Session:
             if following is not None:
                 return following
             feedback = driven.navigator.step()
+            if self._watch is not None:
+                self._watch.step(feedback, driven.navigator)
             self._tell_result(driven)
             if period % every == 0:
                 self._latest = self._telling.of(driven, feedback, self._facts("driving", driven))
@@ -239,7 +245,13 @@ class Session:
         driven.places.name(name, feedback.pose)
         self.say(f"this place is called {name}")
 
+    def _hear(self, events: Sequence[Event]) -> None:
+        if self._watch is not None:
+            self._watch.hear(events)
+
     def _note(self, transition: Transition) -> None:
+        if self._watch is not None:
+            self._watch.note(transition)
         if transition.after is NavigationState.RECOVERING:
             self.say(transition.why)
 

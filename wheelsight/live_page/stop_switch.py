@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from types import TracebackType
 
@@ -79,12 +80,19 @@ class StopSwitch:
 class StoppableRobot:
     """A `Robot` that stands while a switch is pressed, whatever it is told; it keeps the last frame of its camera.
 
+    Args:
+        robot: that moves.
+        switch: that stops it.
+        on_events: told what its sensors said in each period.
+
     Attributes:
         frame: the last one; None before any.
     """
 
-    def __init__(self, robot: Robot, switch: StopSwitch) -> None:
-        self._robot, self._switch = robot, switch
+    def __init__(
+        self, robot: Robot, switch: StopSwitch, on_events: Callable[[Sequence[Event]], None] = lambda events: None
+    ) -> None:
+        self._robot, self._switch, self._on_events = robot, switch, on_events
         self.frame: RgbdFrame | None = None
 
     @property
@@ -107,6 +115,7 @@ class StoppableRobot:
         events = self._robot.step(STOP if self._switch.reason else command)
         frames = [event for event in events if isinstance(event, RgbdFrame)]
         self.frame = frames[-1] if frames else self.frame
+        self._on_events(events)
         return events
 
     def stop(self) -> None:

@@ -132,6 +132,9 @@ class Navigator:
         self._planning.drop()
         self._task = Task(goals, self._robot.now_s)
         self._become(NavigationState.PLANNING, f"to {goals.name}")
+        if self._senses.where.is_known(self.settings.navigator.unsure_m):
+            # While the next period goes by, and not after it.
+            self._planning.ask(goals, self._robot.now_s)
 
     def cancel_task(self) -> None:
         """Stand; the robot brakes in the steps to come."""
@@ -237,7 +240,9 @@ class Navigator:
         if not self._planning.is_asked:
             self._planning.ask(task.goals, now_s)
         planned = self._planning.answer(now_s)
-        return STOP if planned is None else self._take(task, planned, now_s)
+        command = STOP if planned is None else self._take(task, planned, now_s)
+        # Not a period later: whoever asked for it waits.
+        return self._drive(task, now_s) if self.state is NavigationState.DRIVING else command
 
     def _take(self, task: Task, planned: Planned, now_s: float) -> VelocityCommand:
         """Go by what came of a plan."""

@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import gammaincinv
 
-from wheelsight.geometry import BoolArray, FloatArray, se2
+from wheelsight.geometry import BoolArray, FloatArray, chi_square, se2
 from wheelsight.navigation.constant_velocity import Track
 from wheelsight.navigation.people_settings import PeopleSettings
 from wheelsight.navigation.surroundings import DepthView
@@ -55,7 +54,7 @@ class PeopleTracker:
     def __init__(self, settings: PeopleSettings | None = None, far_m: float = 4.5) -> None:
         self.settings = settings or PeopleSettings()
         self._far_m = far_m
-        self._gate, self._sure = (_quantile(share) for share in (self.settings.gate, self.settings.sure))
+        self._gate, self._sure = (chi_square.quantile(share, 2) for share in (self.settings.gate, self.settings.sure))
         self._followed: list[_Followed] = []
 
     def forget(self) -> None:
@@ -120,12 +119,6 @@ class _Followed:
     def person(self, now_s: float) -> Person:
         state, covariance = self.track.at(now_s)
         return Person(state[:2], state[2:], covariance, self._radius_m)
-
-
-def _quantile(share: float) -> float:
-    """What so large a share of the squares of two normal numbers together stays below."""
-    # As scipy.stats.chi2, which takes a third of a second to load.
-    return float(2 * gammaincinv(1, share))
 
 
 def discs_of(people: Sequence[Person]) -> FloatArray:

@@ -25,6 +25,7 @@ from wheelsight.recordings.protocol import AssociationReport, Layout, OpenOption
 from wheelsight.trajectory import Trajectory
 
 _COLOR, _DEPTH = "COLOR", "DEPTH"
+_SEGMENT, _HEAD = b"\x18\x53\x80\x67", 4096
 _MOST_ATTACHED = 1 << 20  # bytes; a calibration has 4 000
 
 
@@ -190,10 +191,10 @@ def _list(path: Path) -> _Listed:
         if color.time_base != depth.time_base:
             raise RecordingError("colour and depth have clocks of their own", path=path)
         stamps: dict[int, list[int]] = {color.index: [], depth.index: []}
-        is_cut_off = not _list_packets(container, (color, depth), stamps)
+        is_whole = _list_packets(container, (color, depth), stamps)
         return _Listed(
-            color_pts=sorted(stamps[color.index]),
-            depth_pts=sorted(stamps[depth.index]),
+            color_pts=sorted(set(stamps[color.index])),
+            depth_pts=sorted(set(stamps[depth.index])),
             tick_s=float(color.time_base),
             depth_delay_s=1e-9 * int(container.metadata.get("K4A_DEPTH_DELAY_NS", "0")),
             color_size=(color.width, color.height),
@@ -202,7 +203,8 @@ def _list(path: Path) -> _Listed:
             serial=str(container.metadata.get("K4A_DEVICE_SERIAL_NUMBER", "")),
             calibration=_calibration_in(container, path),
             has_imu=any(stream.metadata.get("title") == "IMU" for stream in container.streams),
-            is_cut_off=is_cut_off,
+            # FFmpeg takes the end of a file that was cut off for its end.
+            is_cut_off=not is_whole or _ends_early(path),
         )
 
 
@@ -216,6 +218,26 @@ def _list_packets(container: Any, streams: tuple[Any, Any], stamps: dict[int, li
     except av.error.FFmpegError:
         return False
     return True
+
+
+def _ends_early(path: Path) -> bool:
+    """Whether a file ends before its segment does, by the sizes that it states (RFC 8794, sections 4 and 6)."""
+    with path.open("rb") as stream:
+        head = stream.read(_HEAD)
+    length, at = _size_at(head, 4)
+    at += length or 0
+    length, begin = _size_at(head, at + 4)
+    return head[at : at + 4] == _SEGMENT and length is not None and begin + length > path.stat().st_size
+
+
+def _size_at(data: bytes, at: int) -> tuple[int | None, int]:
+    """An element's size, None where it is not stated, and where its content begins."""
+    if at >= len(data):
+        return None, at
+    bytes_of_it = 9 - data[at].bit_length()
+    end, unknown = at + bytes_of_it, (1 << 7 * bytes_of_it) - 1
+    size = int.from_bytes(data[at:end]) & unknown
+    return None if size == unknown else size, end
 
 
 def _packets(path: Path) -> Iterator[tuple[str, Any]]:
@@ -250,6 +272,8 @@ def _pair(listed: _Listed, max_gap_s: float, path: Path) -> tuple[list[_Pair], A
     color_s, depth_s = (np.array(pts, float) * listed.tick_s for pts in (listed.color_pts, listed.depth_pts))
     found = associate(color_s, depth_s - listed.depth_delay_s, max_gap_s)
     if not len(found):
+        if listed.is_cut_off:
+            raise RecordingError("is cut off before the first pair of images", path=path, fix="copy it again")
         problem = f"of {len(color_s)} colour and {len(depth_s)} depth images, none lie within {max_gap_s:g} s"
         raise RecordingError(problem, path=path, fix="raise --max-gap, or record both")
     late_s = depth_s[found[:, 1]] - color_s[found[:, 0]]

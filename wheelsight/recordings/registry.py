@@ -116,7 +116,8 @@ def _below(folder: Path) -> list[Path]:
 
 
 def _may_be(path: Path) -> bool:
-    return path.is_dir() or _reader_of(path) is not None
+    # A link that leads to itself is neither.
+    return path.is_dir() or (path.is_file() and _reader_of(path) is not None)
 
 
 def _with_doubts(recording: Recording) -> Recording:

@@ -11,6 +11,7 @@ from wheelsight.report import _html as html
 
 _FILES = {
     "trajectory.txt": "where it went, in TUM's format: stamp, position, quaternion",
+    "covariances.csv": "how surely each pose of it is known",
     "odom.txt": "the same way without leaps, as a controller follows it",
     "trajectory_corrected.txt": "likewise, as known at the end, with loops closed",
     "loops_judged.csv": "loops, and whether they were kept",

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.special import gammaincinv
 
-from wheelsight.geometry import BoolArray, FloatArray, IntArray, se3
+from wheelsight.geometry import BoolArray, FloatArray, IntArray, chi_square, se3
 from wheelsight.slam.graph import RelativePose
 
 
@@ -51,4 +50,4 @@ def _agree(loops: Sequence[RelativePose], T: FloatArray, i: IntArray, j: IntArra
     S = C[i] + Ad @ C[j] @ np.swapaxes(Ad, 1, 2)
     squares = np.einsum("pi,pi->p", r, np.linalg.solve(S, r[..., None])[..., 0])
     freedom = np.minimum(*(np.array([loop.freedom for loop in loops])[of] for of in (i, j)))
-    return np.asarray(squares <= 2 * gammaincinv(freedom / 2, probability))
+    return np.asarray(squares <= [chi_square.quantile(probability, degrees) for degrees in freedom.tolist()])

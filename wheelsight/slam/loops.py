@@ -16,9 +16,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from scipy.special import gammaincinv
 
-from wheelsight.geometry import BoolArray, FloatArray, IntArray, se3
+from wheelsight.geometry import BoolArray, FloatArray, IntArray, chi_square, se3
 from wheelsight.geometry.motion_kernels import is_definite
 from wheelsight.slam.clusters import clusters_of
 from wheelsight.slam.errors_of_edges import arrays_of, cauchy_loss, edge_errors, inverse_left_jacobian
@@ -271,8 +270,7 @@ class LoopCloser:
 
 def limits_of(loops: Sequence[RelativePose], gate_probability: float) -> list[float]:
     """The largest chi-square of each that passes."""
-    freedom = np.array([loop.freedom for loop in loops])
-    return [float(limit) for limit in 2 * gammaincinv(freedom / 2, gate_probability)]
+    return [chi_square.quantile(gate_probability, loop.freedom) for loop in loops]
 
 
 def laid_by(loop: RelativePose, moving: BoolArray, T: FloatArray) -> FloatArray:

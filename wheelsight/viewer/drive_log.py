@@ -61,6 +61,7 @@ class DriveLog:
         self._goal: FloatArray | None = None
         self._costmap: Costmap | None = None
         self._revision, self._maps_s = -1, -np.inf
+        self._navigator: Navigator | None = None
         for name, colours in ((_LOCALIZATION, STATUS_COLOURS), (_NAVIGATOR, _STATES), (_MONITORED, _MONITOR)):
             self._scene.name_states(name, {str(state): colour for state, colour in colours.items()})
 
@@ -81,10 +82,20 @@ class DriveLog:
         """A period is over."""
         self._scene.begin(feedback.stamp_s)
         self._scene.at(feedback.stamp_s)
+        self._begin_map(navigator)
         self._show_robot(feedback, navigator.senses.where)
         self._show_statuses(feedback)
         self._show_plan(feedback)
         self._show_maps(feedback.stamp_s, navigator)
+
+    def _begin_map(self, navigator: Navigator) -> None:
+        """Of another map than before nothing is known yet; the way does not go on from where the robot was in that."""
+        if self._navigator is not None and navigator is not self._navigator:
+            self._revision, self._costmap, self._maps_s = -1, None, -np.inf
+            self._scene.end_way()
+            for place in (at.FLOOR, at.COSTMAP):
+                self._scene.log(place, self._rr.Clear(recursive=False))
+        self._navigator = navigator
 
     def _show_robot(self, feedback: Feedback, where: WhereNow) -> None:
         odom_pose = where.odom_pose

@@ -68,6 +68,10 @@ class Scene:
         self.show_way(at.TRAIL, self._position, T_odom_body[:3, 3], ROBOT_COLOUR)
         self._position = T_odom_body[:3, 3]
 
+    def end_way(self) -> None:
+        """What comes next of the robot's way does not go on from here: it is carried elsewhere, or in another map."""
+        self._position = None
+
     def show_way(self, place: str, begin: FloatArray | None, end: FloatArray, colour: tuple[int, int, int]) -> None:
         """A piece of a way, if it has a begin."""
         if begin is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -30,6 +31,15 @@ from wheelsight.recordings.rosbag.cut_mcap import McapFile
 from wheelsight.recordings.rosbag.images import depth_of
 from wheelsight.recordings.rosbag.storage import OpenBag
 from wheelsight.recordings.rosbag.writing import new_bag
+
+
+def test_metadata_of_gigabytes_is_not_read(tmp_path: Path) -> None:
+    folder = write_bag(tmp_path / "drive", odometry_drive(), storage="sqlite3")
+    os.truncate(folder / "metadata.yaml", 10 << 30)
+    with pytest.raises(
+        RecordingError, match=r"metadata\.yaml: holds 10240 MB, more than metadata\.yaml of a bag may: 8 MB"
+    ):
+        open_recording(folder)
 
 
 def file_of(folder: Path, is_ros1: bool = False, frames: int = FRAMES, **how: str) -> Path:

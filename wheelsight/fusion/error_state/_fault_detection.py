@@ -25,7 +25,7 @@ from enum import Enum
 from functools import cache
 
 import numpy as np
-from scipy.special import chdtri, gammaincinv
+from scipy.special import chdtri
 
 from wheelsight.estimates import Reason
 from wheelsight.fusion.error_state import _pose_kernels as kernels
@@ -37,6 +37,7 @@ from wheelsight.fusion.error_state._wheel_noise import Odometer, Preintegration,
 from wheelsight.fusion.error_state.settings import FilterParameters
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
+from wheelsight.geometry.chi_square import quantile as _quantile
 
 _YAW = 2
 
@@ -158,12 +159,6 @@ def gate(settings: FilterParameters, degrees: int) -> float:
 def gate_of(wrongly: float) -> float:
     """The largest NIS of one degree of freedom that a good measurement has, but for such a share of them."""
     return float(chdtri(1, wrongly))
-
-
-@cache
-def _quantile(share: float, degrees: int) -> float:
-    # As scipy.stats.chi2, which takes a third of a second to load.
-    return float(2 * gammaincinv(degrees / 2, share))
 
 
 def updated(

@@ -143,8 +143,8 @@ function showLists(robot, isFree) {
   }));
   const known = places.map((one) => button(one.name, isFree, () => send({ type: "go", name: one.name })));
   keepFocus(at("places"), known.length ? known : [faint("No place has a name yet.")]);
-  keepFocus(at("maps"), maps.map((name, index) => {
-    const text = name === "a new map" ? "Start a new map" : `Start with ${index === 0 ? "the map" : "map"} ${name}`;
+  keepFocus(at("maps"), maps.map((name) => {
+    const text = name === "a new map" ? "Start a new map" : `Start with the map ${name}`;
     return button(text, isFree, () => ask(`${text}? The robot stands, and the floor around it is free.`, { type: "start", map: name }));
   }));
 }

@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
-from scipy.special import gammaincinv
 
 from wheelsight.calibration import Wheels
 from wheelsight.errors import CalibrationError
-from wheelsight.geometry import FloatArray
+from wheelsight.geometry import FloatArray, chi_square
 from wheelsight.odometry.wheels.drive import Drive, poses_at
 from wheelsight.settings import CHOSEN, Settings, setting
 
@@ -107,7 +106,7 @@ def check_loop(drive: Drive, wheels: Wheels, settings: LoopCheckSettings | None 
     of_sizes = (J * stated**2) @ J.T
     of_drive = _by_slip(poses, np.abs(steps_m), wheels) + _of_mark(settings)
     sigmas, of_sizes_alone = _sigmas(of_sizes + of_drive), _sigmas(of_sizes)
-    most = float(2 * gammaincinv(1.5, settings.confidence))  # chi-square of 3
+    most = chi_square.quantile(settings.confidence, 3)
     is_as_stated = float(off @ np.linalg.solve(of_sizes + of_drive, off)) <= most
     most = max(most, (1 - settings.explained_share) * float(off @ np.linalg.solve(of_drive, off)))
     off_m, off_rad = float(np.hypot(*off[:2])), float(off[2])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+METADATA = "metadata.yaml"
 SUFFIXES = (".bag", ".mcap", ".db3")
 _ROS2 = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _PART = re.compile(r"(?P<stem>.+)_(?P<number>\d+)")
@@ -19,7 +20,7 @@ def parts_of(path: Path) -> tuple[Path, ...]:
     if path.is_file():
         return (path,) if path.suffix in SUFFIXES else ()
     names = [file for file in _files_in(path) if file.name.endswith((*SUFFIXES, *_ROS2))]
-    if (path / "metadata.yaml").is_file() and any(file.name.endswith(_ROS2) for file in names):
+    if (path / METADATA).is_file() and any(file.name.endswith(_ROS2) for file in names):
         return (path,)
     plain = [file for file in names if file.suffix in SUFFIXES]
     if len(plain) == 1:

@@ -14,12 +14,15 @@ from typing import Any
 
 from wheelsight.errors import RecordingError
 from wheelsight.extras import needed
+from wheelsight.inputs import Kind, read_bytes
 from wheelsight.recordings.rosbag.cut_mcap import CutMcap, McapFile, cut_mcap
-from wheelsight.recordings.rosbag.files import parts_of
+from wheelsight.recordings.rosbag.files import METADATA, parts_of
 from wheelsight.recordings.rosbag.ros1 import Ros1Reader
 
 _ZSTD = b"\x28\xb5\x2f\xfd"  # begins what is compressed message by message; plain CDR begins with a zero
 _FIRST_S, _LAST_S = 2.0, 2.0
+# A split bag has a paragraph of it for each of its files.
+_METADATA = Kind("metadata.yaml of a bag", 8)
 _IDL_RULE = "=" * 80 + "\n"
 # What rosbags says, and what to do about it; in order: the first that is found in its words.
 _FIXES = (
@@ -188,6 +191,8 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
     reader: Any = Ros1Reader if is_ros1 else needed("rosbags.rosbag2").Reader
     with ExitStack() as stack:
         try:
+            if path.is_dir() and parts == (path,):
+                read_bytes(path / METADATA, _METADATA, RecordingError)  # rosbags reads it however large it is
             cut = {part: found for part in parts if part.suffix == ".mcap" and (found := cut_mcap(part)) is not None}
             readers = [stack.enter_context(reader(cut.get(part) or _standing_for(part))) for part in parts]
             bag = OpenBag(path, readers, is_ros1, tuple(map(_without_end, cut.values())))
