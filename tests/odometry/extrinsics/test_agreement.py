@@ -177,3 +177,19 @@ def test_the_floor_is_seen_whatever_unit_depth_has(factor: float) -> None:
     assert height_below(rays, depth_m, up, 0.9) == pytest.approx(0.9 * factor, rel=0.05)
     assert height_below(rays, depth_m, -up, 0.9) != pytest.approx(0.9 * factor, rel=0.2)
     assert height_below(rays, np.zeros(len(rays)), up, 0.9) is None
+
+
+@pytest.mark.parametrize("turned_deg", [0.0, 30.0, -60.0])
+@pytest.mark.parametrize("wall_m", [0.6, 1.0, 1.5])
+def test_a_wall_that_fills_the_view_is_no_floor(wall_m: float, turned_deg: float, rng: np.random.Generator) -> None:
+    y, x = np.mgrid[-0.4:0.4:30j, -0.5:0.5:40j]
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
+    up, turned_rad = T_BASE_CAMERA[2, :3], np.radians(turned_deg)
+    off = rays @ np.array([np.sin(turned_rad), 0.0, np.cos(turned_rad)])
+    depth_m = np.where(off > 0.1, wall_m / np.maximum(off, 0.1), 0.0)
+    depth_m *= 1 + 0.003 * rng.standard_normal(len(depth_m))
+    assert height_below(rays, depth_m, up, 0.9) is None
+    below = -(rays @ up)
+    floor_m = np.where(below > 0.05, 0.9 / np.maximum(below, 0.05), np.inf)
+    before_it = height_below(rays, np.where(depth_m > 0, np.minimum(depth_m, floor_m), floor_m), up, 0.9)
+    assert before_it is None or before_it == pytest.approx(0.9, rel=0.1)
