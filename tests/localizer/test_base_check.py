@@ -117,7 +117,7 @@ def test_depth_of_a_wrong_factor_leaves_the_wheels_alone(run: Run, depth: float)
 )
 def test_a_mount_that_looks_elsewhere_leaves_the_wheels_alone(run: Run, axis: int, degrees: float) -> None:
     made = drive(LEGS)
-    subject, frames = run(eye_of(made), made.events(), calibration=mounted(axis, degrees))
+    subject, frames = run(eye_of(made), with_floor(made.events()), calibration=mounted(axis, degrees))
     assert "T_base_camera" in subject.warnings[0]
     assert frames[-1].status is Status.COASTING
     assert off_m(frames[-1], made.truth) < 0.05
@@ -205,6 +205,39 @@ def test_a_floor_that_is_elsewhere_is_forgiven_once_ways_agree(run: Run) -> None
     subject, frames = run(eye_of(made), with_floor(made.events(), 0.5))
     assert subject.warnings == ()
     assert frames[3].status is Status.COASTING
+    assert frames[-1].status is Status.TRACKING
+
+
+# On the spot once around, then ahead: as a robot looks for a place that it knows.
+ROUND: tuple[Leg, ...] = ((1.0, 0.0, 0.0), (8.0, 0.0, 0.8), (1.5, 0.6, 0.0))
+
+
+def before_a_wall(events: Sequence[Event], until_s: float, wall_m: float = 0.7) -> list[Event]:
+    """Frames up to a stamp see nothing but a wall, which hides the floor; then they see the floor."""
+    depth_m = np.full_like(next(e.depth_m for e in events if isinstance(e, RgbdFrame)), wall_m)
+    return [
+        replace(seen, depth_m=depth_m) if isinstance(seen, RgbdFrame) and seen.stamp_s < until_s else seen
+        for seen in with_floor(events)
+    ]
+
+
+def test_a_robot_that_begins_before_a_wall_and_turns_has_its_camera(run: Run) -> None:
+    made = drive(ROUND)
+    subject, frames = run(eye_of(made), before_a_wall(made.events(), made.begin_s + 3.0))
+    assert subject.warnings == ()
+    assert {answer.status for answer in frames[2:]} == {Status.TRACKING}
+
+
+@pytest.mark.parametrize("off_m", [(0.03, 0.0), (0.0, -0.06)])
+def test_a_camera_some_centimetres_elsewhere_is_not_left_out_for_turns_on_the_spot(
+    run: Run, off_m: tuple[float, float]
+) -> None:
+    made = drive(ROUND)
+    T_base_camera = T_BASE_CAMERA.copy()
+    T_base_camera[:2, 3] += off_m
+    subject, frames = run(Eye(made.truth, T_base_camera=T_base_camera), before_a_wall(made.events(), np.inf))
+    assert subject.warnings == ()
+    assert not any(answer.doubtful for answer in frames)
     assert frames[-1].status is Status.TRACKING
 
 

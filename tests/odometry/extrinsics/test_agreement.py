@@ -91,6 +91,21 @@ def test_nor_does_a_wheel_that_turns_in_the_air() -> None:
     assert found(compared([(0.05, 0.19)] * 20, lambda way, turn: (0.1, 0.0)), 1.0) == {}
 
 
+@pytest.mark.parametrize("off_m", [(0.03, 0.0), (-0.04, 0.0), (0.0, 0.05), (0.0, -0.06)])
+def test_nor_do_turns_on_the_spot_whose_ways_are_millimetres(off_m: tuple[float, float]) -> None:
+    """A camera some centimetres from where it is said to sit goes millimetres in a piece: less than clocks make."""
+    T_true = T_BASE_CAMERA.copy()
+    T_true[:2, 3] += off_m
+    turns = [(0.0, 0.08)] * 12
+    assert compared(turns, by_camera=lambda T: seen(T, T_true)).agrees()
+    assert found(compared(turns, by_camera=lambda T: seen(T, T_true))) == {}
+
+
+def test_turns_on_the_spot_the_other_way_are_told_all_the_same() -> None:
+    mirrored = compared([(0.0, 0.08)] * 12, by_camera=lambda T: seen(T, flip=0))
+    assert "mirrored left to right" in found(mirrored)[Culprit.CAMERA]
+
+
 @pytest.mark.parametrize("depth", [0.2, 0.5, 1.3, 5.0])
 @pytest.mark.parametrize("pieces", [STRAIGHT, BENDS], ids=["straight", "bends"])
 def test_depth_is_wrong_where_ways_and_floor_are_by_one_factor(depth: float, pieces: list[Piece]) -> None:

@@ -112,8 +112,11 @@ class Agreement:
         G = self.products
         cross = expected @ G[_WHEELS, 2:]
         left = np.diag(G[2:, 2:] - cross - cross.T + expected @ G[_WHEELS, _WHEELS] @ expected.T)
-        way = max(np.trace(G[_WAYS, _WAYS]), G[0, 0]) + self.pieces * self.settings.usual_m**2
-        turn = max(np.trace(G[_TURNS, _TURNS]), G[1, 1]) + self.pieces * self.settings.usual_rad**2
+        # What differs as usual contradicts nobody; of turns on the spot, ways are nothing else.
+        usual = np.square([self.settings.usual_m, self.settings.usual_rad]) / self.settings.disagrees
+        least_m2, least_rad2 = self.pieces * usual
+        way = max(np.trace(G[_WAYS, _WAYS]), G[0, 0], least_m2)
+        turn = max(np.trace(G[_TURNS, _TURNS]), G[1, 1], least_rad2)
         return float(left[:3].sum() / way), max(float(left[3:].sum() - self.drift), 0.0) / turn
 
     def agrees(self, most: float | None = None) -> bool:
