@@ -28,11 +28,13 @@ from localizer.joined_drives import (
 )
 
 from wheelsight.calibration import Calibration
-from wheelsight.estimates import Reason, Status
+from wheelsight.estimates import CameraEstimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, WheelTicks
-from wheelsight.fusion import FusedEstimate
+from wheelsight.fusion import ErrorStateFilter, FusedEstimate
 from wheelsight.geometry import FloatArray, so3
 from wheelsight.localizer import Localizer
+from wheelsight.localizer._base_check import BaseCheck
+from wheelsight.odometry.wheels import WheelOdometry
 
 LEGS: tuple[Leg, ...] = ((3.0, 0.6, 0.0), (1.5, 0.5, 0.6), (1.5, 0.5, -0.6), (2.0, 0.6, 0.0))
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
@@ -239,6 +241,25 @@ def test_a_camera_some_centimetres_elsewhere_is_not_left_out_for_turns_on_the_sp
     assert subject.warnings == ()
     assert not any(answer.doubtful for answer in frames)
     assert frames[-1].status is Status.TRACKING
+
+
+@pytest.mark.parametrize("hides", [False, True])
+def test_a_leap_while_the_view_hid_directions_is_held_against_nobody(*, hides: bool) -> None:
+    """A camera goes a metre astray, as along a bare wall, and right on from there."""
+    made, odometry = drive(((4.0, 0.6, 0.3),)), WheelOdometry(WHEELS)
+    check = BaseCheck(CALIBRATION, T_BASE_CAMERA, ErrorStateFilter(T_BASE_CAMERA))
+    for event in made.events():
+        if isinstance(event, WheelTicks):
+            check.hear(odometry.process(event))
+        elif isinstance(event, RgbdFrame):
+            astray_m = float(np.clip(2 * (event.stamp_s - made.begin_s - 2.0), 0, 1))
+            T = made.truth.at([event.stamp_s])[0] @ T_BASE_CAMERA
+            T[1, 3] += astray_m
+            seen = CameraEstimate(event.stamp_s, Status.TRACKING, T, 1e-6 * np.eye(6))
+            if event.index == 0:
+                check.begin(event, seen, np.eye(4))
+            check.see(event, seen, shows_all=not (hides and 0 < astray_m < 1))
+    assert check.agreement.agrees() == hides
 
 
 def carried(made: Drive, begin_s: float, end_s: float) -> list[Event]:
