@@ -230,6 +230,18 @@ def test_a_robot_that_begins_before_a_wall_and_turns_has_its_camera(run: Run) ->
     assert {answer.status for answer in frames[2:]} == {Status.TRACKING}
 
 
+def test_one_that_begins_before_a_table_has_its_camera_once_it_has_seen_the_floor(run: Run) -> None:
+    made = drive(ROUND)
+    seen_s = made.begin_s + 3.0
+    events = [
+        table if table.stamp_s < seen_s else floor
+        for table, floor in zip(with_floor(made.events(), 0.5), with_floor(made.events()), strict=True)
+    ]
+    subject, frames = run(eye_of(made), events)
+    assert subject.warnings == ()
+    assert {answer.status for answer in frames if answer.stamp_s > seen_s + 0.3} == {Status.TRACKING}
+
+
 @pytest.mark.parametrize("off_m", [(0.03, 0.0), (0.0, -0.06)])
 def test_a_camera_some_centimetres_elsewhere_is_not_left_out_for_turns_on_the_spot(
     run: Run, off_m: tuple[float, float]

@@ -127,7 +127,7 @@ class BaseCheck:
             self._camera.add(frame.stamp_s, seen, shows_all=shows_all)
 
     def look(self, frame: RgbdFrame) -> None:
-        """See how colour and depth go together, and in the first frames how far below the camera the floor lies."""
+        """See how colour and depth go together, and how far below the camera the floor lies."""
         if self.by_wheels is None:
             return
         self._camera.frames += 1
@@ -172,7 +172,7 @@ class BaseCheck:
 
     @property
     def _is_floor_off(self) -> bool:
-        """Whether the first views' floor is so far off that the camera waits until its ways are known to be right."""
+        """Whether the floor that was seen is so far off that the camera waits until its ways are known to be right."""
         ratio, of = self._floor.ratio, self.settings
         is_off = ratio is not None and abs(np.log(ratio)) > np.log(of.floor_factor)
         return bool(is_off and self.agreement.way_m < of.agreed_m)

@@ -66,7 +66,9 @@ class BaseCheckSettings(Settings):
         ge=0,
         le=1000,
     )
-    floor_views: int = setting(5, "first frames in which the floor is looked for", ON_SIMULATOR, ge=1, le=10_000)
+    floor_views: int = setting(
+        5, "views that show the lowest floor so far, of which the median counts", ON_SIMULATOR, ge=1, le=10_000
+    )
     floor_rows: int = setting(30, "rows of the depth image that are looked at for it", CHOSEN, ge=4, le=2000)
     floor_factor: float = setting(
         1.2,
