@@ -71,6 +71,11 @@ class BaseCheck:
         return self._verdict.left_out
 
     @property
+    def has_agreed(self) -> bool:
+        """Whether both are known to tell of one drive, and colour goes with its depth as far as is known."""
+        return self._verdict.has_agreed and self.left_out is None and not self._colors.late
+
+    @property
     def suspects_wheels(self) -> bool:
         """Whether the wheels may be wrong so that the camera had better not expect what they tell."""
         return any(one.culprit is Culprit.WHEELS for one in self._verdict.found)
@@ -169,6 +174,10 @@ class BaseCheck:
         seen = self._camera.seen
         assert seen is not None
         return wheels.begun_at(seen.T, seen.covariance)
+
+    def readmit(self) -> None:
+        """Who has been left out, and handed over, agrees again: nobody is left out any more."""
+        self._verdict = Verdict(self.settings)
 
     @property
     def _is_floor_off(self) -> bool:
