@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from drives import Leg
@@ -13,7 +15,7 @@ from wheelsight.geometry import FloatArray
 
 BEND: tuple[Leg, ...] = ((4.5, 0.6, 0.4),)
 # So much less than by default that the drive is short.
-ENOUGH = {"localizer.base_check.enough_m": 0.5, "localizer.base_check.enough_rad": 0.25}
+ENOUGH: dict[str, Any] = {"localizer.base_check.enough_m": 0.5, "localizer.base_check.enough_rad": 0.25}
 
 
 class MendedEye(Eye):
