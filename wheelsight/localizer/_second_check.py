@@ -17,10 +17,6 @@ from wheelsight.localizer._base_check import BaseCheck
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import FeatureOdometry
 
-# After so many times the way that is enough to agree, what was compared long ago counts no more.
-_WAYS = 3
-_KEYFRAMES = 20  # that are kept, at most, of a camera that nobody follows
-
 
 class SecondCheck:
     """See the module.
@@ -50,7 +46,8 @@ class SecondCheck:
     def agrees(self, frame: RgbdFrame) -> bool:
         """Take a frame, newer than the one before; whether wheels and camera tell of one drive by now."""
         check = self._going_on()
-        if self._camera is None or self._failed >= self._restart_after or len(self._camera.store) > _KEYFRAMES:
+        most = check.settings.again_keyframes
+        if self._camera is None or self._failed >= self._restart_after or len(self._camera.store) > most:
             self._camera, self._begins, self._failed = self._new_camera(), True, 0
         seen = self._camera.process(frame)
         check.look(frame)
@@ -67,7 +64,11 @@ class SecondCheck:
     def _going_on(self) -> BaseCheck:
         """The comparison that goes on; another one after a verdict, or a long way without."""
         check = self._check
-        if check is None or check.left_out is not None or check.agreement.way_m > _WAYS * check.settings.enough_m:
-            self._check, self._begins = self._new_check(), True
-        assert self._check is not None
-        return self._check
+        if check is None or check.left_out is not None or self._is_old(check):
+            check, self._begins = self._new_check(), True
+            self._check = check
+        return check
+
+    def _is_old(self, check: BaseCheck) -> bool:
+        of = check.settings
+        return check.agreement.way_m > of.again_ways * of.enough_m

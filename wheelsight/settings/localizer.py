@@ -78,6 +78,17 @@ class BaseCheckSettings(Settings):
         gt=1,
         le=100,
     )
+    again_ways: float = setting(
+        3.0,
+        "a camera that was left out is compared anew after so many times `enough_m` without a verdict: what was wrong "
+        "long ago counts no more",
+        CHOSEN,
+        gt=1,
+        le=1000,
+    )
+    again_keyframes: int = setting(
+        20, "keyframes, at most, by which a camera that was left out is followed", CHOSEN, ge=1, le=10_000
+    )
     kept_s: float = setting(
         3.0, "how long poses by the wheels are kept for frames that come late, seconds", CHOSEN, gt=0, le=600
     )
