@@ -101,6 +101,15 @@ def test_nor_do_turns_on_the_spot_whose_ways_are_millimetres(off_m: tuple[float,
     assert found(compared(turns, by_camera=lambda T: seen(T, T_true))) == {}
 
 
+def test_nor_does_a_leap_of_the_camera_in_turns_on_the_spot_turn_its_mount(rng: np.random.Generator) -> None:
+    """It looks like the swing of a camera that sits elsewhere, but which way that looks nobody has seen."""
+    for leap_m in 0.15 * rng.standard_normal((20, 2)):
+        leap = se3.exp([*leap_m, 0, 0, 0, 0])
+        agreement = compared([(0.0001, 0.08)], by_camera=lambda T, leap=leap: leap @ T)
+        assert not agreement.agrees()
+        assert found(agreement, 1.0) == {}
+
+
 def test_turns_on_the_spot_the_other_way_are_told_all_the_same() -> None:
     mirrored = compared([(0.0, 0.08)] * 12, by_camera=lambda T: seen(T, flip=0))
     assert "mirrored left to right" in found(mirrored)[Culprit.CAMERA]
