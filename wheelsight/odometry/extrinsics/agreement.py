@@ -204,10 +204,10 @@ class Agreement:
     def _turned(self) -> FloatArray:
         """The rotation (3, 3) that lays the wheels' motions on the camera's best (Kabsch).
 
-        By a usual difference a piece it is held where the mount is said to be: turns on the spot tell no direction of
-        travel, and whatever the camera errs by would pass for one.
+        A usual difference holds it where the mount is said to be: turns on the spot tell no direction of travel, and
+        whatever the camera errs by would pass for one.
         """
-        G, M = self.products, self.pieces * np.eye(3)
+        G, M = self.products, np.eye(3)
         M[:, 0] += self._swings()[:, 0] * G[0, 0] / self.settings.usual_m**2
         M[:, 2] += G[_TURNS, 1] / self.settings.usual_rad**2
         return np.asarray(so3.nearest(M))
