@@ -98,7 +98,7 @@ class Model:
         """(3,) of length 1, in the world: known of a robot, else judged by floors and tables."""
         if self.recording.calibration.T_base_camera is not None:
             return np.array([0.0, 0.0, 1.0])
-        return upward(self.map.surfels("stable"), self.T_map_camera[0, :3, :3])
+        return upward(lambda: self.map.parts("stable"), self.T_map_camera[0, :3, :3])
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,11 +28,13 @@ from localizer.joined_drives import (
 )
 
 from wheelsight.calibration import Calibration
-from wheelsight.estimates import Reason, Status
+from wheelsight.estimates import CameraEstimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, WheelTicks
-from wheelsight.fusion import FusedEstimate
+from wheelsight.fusion import ErrorStateFilter, FusedEstimate
 from wheelsight.geometry import FloatArray, so3
 from wheelsight.localizer import Localizer
+from wheelsight.localizer._base_check import BaseCheck
+from wheelsight.odometry.wheels import WheelOdometry
 
 LEGS: tuple[Leg, ...] = ((3.0, 0.6, 0.0), (1.5, 0.5, 0.6), (1.5, 0.5, -0.6), (2.0, 0.6, 0.0))
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
@@ -117,7 +119,7 @@ def test_depth_of_a_wrong_factor_leaves_the_wheels_alone(run: Run, depth: float)
 )
 def test_a_mount_that_looks_elsewhere_leaves_the_wheels_alone(run: Run, axis: int, degrees: float) -> None:
     made = drive(LEGS)
-    subject, frames = run(eye_of(made), made.events(), calibration=mounted(axis, degrees))
+    subject, frames = run(eye_of(made), with_floor(made.events()), calibration=mounted(axis, degrees))
     assert "T_base_camera" in subject.warnings[0]
     assert frames[-1].status is Status.COASTING
     assert off_m(frames[-1], made.truth) < 0.05
@@ -206,6 +208,70 @@ def test_a_floor_that_is_elsewhere_is_forgiven_once_ways_agree(run: Run) -> None
     assert subject.warnings == ()
     assert frames[3].status is Status.COASTING
     assert frames[-1].status is Status.TRACKING
+
+
+# On the spot, then ahead: as a robot looks for a place that it knows.
+ROUND: tuple[Leg, ...] = ((0.2, 0.0, 0.0), (2.4, 0.0, 1.0), (0.4, 0.6, 0.0))
+
+
+def before_a_wall(events: Sequence[Event], until_s: float, wall_m: float = 0.7) -> list[Event]:
+    """Frames up to a stamp see nothing but a wall, which hides the floor; then they see the floor."""
+    depth_m = np.full_like(next(e.depth_m for e in events if isinstance(e, RgbdFrame)), wall_m)
+    return [
+        replace(seen, depth_m=depth_m) if isinstance(seen, RgbdFrame) and seen.stamp_s < until_s else seen
+        for seen in with_floor(events)
+    ]
+
+
+def test_a_robot_that_begins_before_a_wall_and_turns_has_its_camera(run: Run) -> None:
+    made = drive(ROUND)
+    subject, frames = run(eye_of(made), before_a_wall(made.events(), made.begin_s + 1.0))
+    assert subject.warnings == ()
+    assert {answer.status for answer in frames[2:]} == {Status.TRACKING}
+
+
+def test_one_that_begins_before_a_table_has_its_camera_once_it_has_seen_the_floor(run: Run) -> None:
+    made = drive(ROUND)
+    seen_s = made.begin_s + 1.0
+    events = [
+        table if table.stamp_s < seen_s else floor
+        for table, floor in zip(with_floor(made.events(), 0.5), with_floor(made.events()), strict=True)
+    ]
+    subject, frames = run(eye_of(made), events)
+    assert subject.warnings == ()
+    assert {answer.status for answer in frames if answer.stamp_s > seen_s + 0.3} == {Status.TRACKING}
+
+
+@pytest.mark.parametrize("off_m", [(0.03, 0.0), (0.0, -0.06)])
+def test_a_camera_some_centimetres_elsewhere_is_not_left_out_for_turns_on_the_spot(
+    run: Run, off_m: tuple[float, float]
+) -> None:
+    made = drive(ROUND)
+    T_base_camera = T_BASE_CAMERA.copy()
+    T_base_camera[:2, 3] += off_m
+    subject, frames = run(Eye(made.truth, T_base_camera=T_base_camera), before_a_wall(made.events(), np.inf))
+    assert subject.warnings == ()
+    assert not any(answer.doubtful for answer in frames)
+    assert frames[-1].status is Status.TRACKING
+
+
+@pytest.mark.parametrize("hides", [False, True])
+def test_a_leap_while_the_view_hid_directions_is_held_against_nobody(*, hides: bool) -> None:
+    """A camera goes a metre astray, as along a bare wall, and right on from there."""
+    made, odometry = drive(((4.0, 0.6, 0.3),)), WheelOdometry(WHEELS)
+    check = BaseCheck(CALIBRATION, T_BASE_CAMERA, ErrorStateFilter(T_BASE_CAMERA))
+    for event in made.events():
+        if isinstance(event, WheelTicks):
+            check.hear(odometry.process(event))
+        elif isinstance(event, RgbdFrame):
+            astray_m = float(np.clip(2 * (event.stamp_s - made.begin_s - 2.0), 0, 1))
+            T = made.truth.at([event.stamp_s])[0] @ T_BASE_CAMERA
+            T[1, 3] += astray_m
+            seen = CameraEstimate(event.stamp_s, Status.TRACKING, T, 1e-6 * np.eye(6))
+            if event.index == 0:
+                check.begin(event, seen, np.eye(4))
+            check.see(event, seen, shows_all=not (hides and 0 < astray_m < 1))
+    assert check.agreement.agrees() == hides
 
 
 def carried(made: Drive, begin_s: float, end_s: float) -> list[Event]:

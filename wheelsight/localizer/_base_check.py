@@ -25,7 +25,7 @@ from wheelsight.localizer._floor_views import FloorViews
 from wheelsight.localizer._pieces import Pieces
 from wheelsight.localizer._verdict import Verdict, late_color
 from wheelsight.localizer._wheel_poses import WheelPoses
-from wheelsight.odometry.extrinsics import Culprit, ExtrinsicsSettings
+from wheelsight.odometry.extrinsics import Agreement, Culprit, ExtrinsicsSettings
 from wheelsight.settings import BaseCheckSettings, ColorCheckSettings
 
 
@@ -71,9 +71,19 @@ class BaseCheck:
         return self._verdict.left_out
 
     @property
+    def has_agreed(self) -> bool:
+        """Whether both are known to tell of one drive, and colour goes with its depth as far as is known."""
+        return self._verdict.has_agreed and self.left_out is None and not self._colors.late
+
+    @property
     def suspects_wheels(self) -> bool:
         """Whether the wheels may be wrong so that the camera had better not expect what they tell."""
         return any(one.culprit is Culprit.WHEELS for one in self._verdict.found)
+
+    @property
+    def agreement(self) -> Agreement:
+        """What all that was compared comes to."""
+        return self._pieces.agreement
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -122,7 +132,7 @@ class BaseCheck:
             self._camera.add(frame.stamp_s, seen, shows_all=shows_all)
 
     def look(self, frame: RgbdFrame) -> None:
-        """See how colour and depth go together, and in the first frames how far below the camera the floor lies."""
+        """See how colour and depth go together, and how far below the camera the floor lies."""
         if self.by_wheels is None:
             return
         self._camera.frames += 1
@@ -165,20 +175,27 @@ class BaseCheck:
         assert seen is not None
         return wheels.begun_at(seen.T, seen.covariance)
 
+    def readmit(self) -> None:
+        """Who has been left out, and handed over, agrees again: nobody is left out any more."""
+        self._verdict = Verdict(self.settings)
+
     @property
     def _is_floor_off(self) -> bool:
-        """Whether the first views' floor is so far off that the camera waits until its ways are known to be right."""
+        """Whether the floor that was seen is so far off that the camera waits until its ways are known to be right."""
         ratio, of = self._floor.ratio, self.settings
         is_off = ratio is not None and abs(np.log(ratio)) > np.log(of.floor_factor)
-        return bool(is_off and self._pieces.agreement.way_m < of.agreed_m)
+        return bool(is_off and self.agreement.way_m < of.agreed_m)
 
-    def _compare(self, stamp_s: float, T_map_base: FloatArray) -> None:
-        """What wheels and camera made of the time since the piece began, up to a frame."""
+    def _compare(self, stamp_s: float, T_map_base: FloatArray | None) -> None:
+        """What wheels and camera made of the time since the piece began, up to a frame; None if that hid directions."""
+        if T_map_base is None:
+            self._pieces.skip()
+            return
         T_odom_base, verdict = self._wheels.at(stamp_s), self._verdict
         if T_odom_base is None or verdict.has_agreed or verdict.left_out is not None:
             return
         if self._pieces.add(stamp_s, T_odom_base, T_map_base, self._wheels.turned_between):
-            if not verdict.judge(self._pieces.agreement, self._floor.ratio):
+            if not verdict.judge(self.agreement, self._floor.ratio):
                 self._pieces.agree()
             self._stop_if_sound()
 

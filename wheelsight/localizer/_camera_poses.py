@@ -41,7 +41,7 @@ class CameraPoses:
         self._T_camera_base = motions.inverse(T_base_camera)
         self._T_odom_map: FloatArray | None = None
         # Those whose time no reading has come to yet; of wheels that are not heard, the last ones.
-        self._waiting: deque[tuple[float, FloatArray]] = deque(maxlen=most_waiting)
+        self._waiting: deque[tuple[float, FloatArray | None]] = deque(maxlen=most_waiting)
 
     def begin(self, T_odom_map: FloatArray) -> None:
         """The camera begins, or begins again: frames before tell nothing of those after. Its first map counts."""
@@ -58,7 +58,7 @@ class CameraPoses:
         self.seen = BasePose(motions.mended(motions.times(self._T_odom_map, T_map_base)), C)
         if shows_all:
             self.newest = stamp_s, T_map_base
-            self._waiting.append(self.newest)
+        self._waiting.append((stamp_s, T_map_base if shows_all else None))
 
     def moved(self, T_new_old: FloatArray) -> None:
         """The map has moved by (4, 4), from the left, where the camera is; frames that wait are of the one before."""
@@ -67,7 +67,10 @@ class CameraPoses:
         if self._T_odom_map is not None:
             self._T_odom_map = motions.times(self._T_odom_map, motions.inverse(T_new_old))
 
-    def until(self, stamp_s: float) -> Iterator[tuple[float, FloatArray]]:
-        """Stamp and T_map_base (4, 4) of the frames up to a stamp that waited; they wait no longer."""
+    def until(self, stamp_s: float) -> Iterator[tuple[float, FloatArray | None]]:
+        """Stamp and T_map_base (4, 4) of the frames up to a stamp that waited, and wait no longer.
+
+        None in place of the pose of one that did not show all directions.
+        """
         while self._waiting and self._waiting[0][0] <= stamp_s:
             yield self._waiting.popleft()

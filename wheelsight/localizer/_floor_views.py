@@ -1,6 +1,8 @@
-"""FloorViews: how far below the camera its first frames show the floor."""
+"""FloorViews: how far below the camera its frames show the floor."""
 
 from __future__ import annotations
+
+from heapq import nlargest
 
 import numpy as np
 
@@ -12,12 +14,15 @@ from wheelsight.settings import BaseCheckSettings
 
 
 class FloorViews:
-    """Looks for the floor in some rows of each frame, until it was found often enough.
+    """Looks for the floor in some rows of each frame.
+
+    The floor is the lowest that lies level. A robot that begins before a table or a bed sees that first, and the floor
+    when it has turned: so the lowest views count.
 
     Args:
         calibration: with the camera.
         T_base_camera: (4, 4), rigid.
-        settings: how many views, and of each how many rows.
+        settings: how many of the lowest views, and of each how many rows.
         of_floor: how the floor is told in one view.
     """
 
@@ -43,9 +48,9 @@ class FloorViews:
 
     def look(self, frame: RgbdFrame) -> None:
         """Take a frame."""
-        if len(self._ratios) >= self._most_views or not self._height_m > 0:
+        if not self._height_m > 0:
             return
         depth_m = frame.depth_m[self._grid].ravel().astype(float)
         found_m = height_below(self._rays, depth_m, self._up, self._height_m, self._of_floor)
         if found_m is not None:
-            self._ratios.append(found_m / self._height_m)
+            self._ratios = nlargest(self._most_views, [*self._ratios, found_m / self._height_m])

@@ -14,7 +14,7 @@ from wheelsight.geometry import motion_kernels as motions
 from wheelsight.localizer._camera import camera_odometry
 from wheelsight.localizer._frame_gate import FrameGate
 from wheelsight.odometry.dense import DenseOdometry
-from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
+from wheelsight.odometry.features import FeatureEstimate, FeatureOdometry, MatchedPixels
 from wheelsight.slam.known import KnownMap
 
 BLIND = (Reason.TOO_LITTLE_DEPTH, Reason.FRAME_UNUSABLE, Reason.TOO_FEW_KEYPOINTS)
@@ -35,6 +35,7 @@ class FusedCamera:
         self, calibration: Calibration, settings: Config, T_base_camera: FloatArray, known: KnownMap | None = None
     ) -> None:
         self.odometry, self.mapper = camera_odometry(calibration, settings, known)
+        self._of = calibration, settings
         self._settings = settings.fusion.joining
         self.gate = FrameGate(settings.localizer.frame_gate)
         self.unknown = 0
@@ -47,6 +48,10 @@ class FusedCamera:
     def is_lost(self) -> bool:
         """Whether so many frames showed nothing known that the camera had better start again."""
         return self.unknown >= self._settings.restart_after
+
+    def another(self) -> FeatureOdometry | DenseOdometry:
+        """Odometry of the same camera that knows nothing yet."""
+        return camera_odometry(*self._of)[0]
 
     def forget_frame(self) -> None:
         """The last frame is over."""

@@ -32,6 +32,10 @@ class Pieces:
         """What comes does not go on from what came."""
         self._begin = self._together = None
 
+    def skip(self) -> None:
+        """A view hid directions: there the camera tells what others expected, and no piece goes on across that."""
+        self._begin = None
+
     def add(
         self,
         stamp_s: float,
@@ -41,8 +45,9 @@ class Pieces:
     ) -> bool:
         """Take where both have the base; True where a piece ends. The gyroscope is asked how it turned meanwhile."""
         now = (stamp_s, T_odom_base, T_map_base)
-        if self._begin is None or self._together is None:
-            self._begin = self._together = now
+        self._together = self._together or now
+        if self._begin is None:
+            self._begin = now
             return False
         begin_s, T_odom_begin, T_map_begin = self._begin
         by_wheels = motions.times(motions.inverse(T_odom_begin), T_odom_base)

@@ -21,6 +21,7 @@ from wheelsight.localizer._fused_camera import FusedCamera
 from wheelsight.localizer._loops import begin_in, loops_beside
 from wheelsight.localizer._odom_frame import FusedOdom
 from wheelsight.localizer._place_sense import PlaceSense
+from wheelsight.localizer._second_check import SecondCheck
 from wheelsight.localizer.by_places import Places
 from wheelsight.localizer.map_builder import MapBuilder
 from wheelsight.odometry.dense import DenseEstimate, DenseOdometry
@@ -67,6 +68,11 @@ class ByFusion:
         self.filter = ErrorStateFilter(*begin)
         checks = (of.base_check, of.color_check, settings.extrinsics)
         self._check = BaseCheck(calibration, T_base_camera, ErrorStateFilter(*begin), *checks)
+        self._second = SecondCheck(
+            lambda: BaseCheck(calibration, T_base_camera, ErrorStateFilter(*begin), *checks),
+            self._camera.another,
+            self._settings.restart_after,
+        )
         self.loops = loops_beside(self.odometry.store, calibration, settings, known, waits=waits)
         self._carried, self._unsure = Carried(self._settings), UnsureStart(self._settings)
         self._odom = FusedOdom(filter_settings.coast_after_s)
@@ -158,6 +164,7 @@ class ByFusion:
         self._check.hear(wheels)
         if wheels.T_odom_body is not None:
             self._carried.roll(wheels.stamp_s, wheels.T_odom_body)
+        self._second.hear(wheels)
         if self._goes_on_without(Culprit.CAMERA):
             return self.filter.estimate, note
         if self._check.is_without_wheels:
@@ -305,6 +312,8 @@ class ByFusion:
     def _overlook(self, frame: RgbdFrame) -> Estimate:
         """The wheels' answer at a frame of a camera whose motions are known to be wrong; it may show an area."""
         self._map.forget_frame()
+        if self._check.by_wheels is None and self._camera.gate.why_not(frame) is None and self._second.agrees(frame):
+            self._check.readmit()  # at the next frames the camera starts again, where the wheels have it
         nothing = MotionEstimate.failed(Reason.CONTRADICTION)
         return self._placed(frame, self.filter.miss_frame(frame.stamp_s, nothing))
 

@@ -66,7 +66,9 @@ class BaseCheckSettings(Settings):
         ge=0,
         le=1000,
     )
-    floor_views: int = setting(5, "first frames in which the floor is looked for", ON_SIMULATOR, ge=1, le=10_000)
+    floor_views: int = setting(
+        5, "views that show the lowest floor so far, of which the median counts", ON_SIMULATOR, ge=1, le=10_000
+    )
     floor_rows: int = setting(30, "rows of the depth image that are looked at for it", CHOSEN, ge=4, le=2000)
     floor_factor: float = setting(
         1.2,
@@ -75,6 +77,17 @@ class BaseCheckSettings(Settings):
         ON_SIMULATOR,
         gt=1,
         le=100,
+    )
+    again_ways: float = setting(
+        3.0,
+        "a camera that was left out is compared anew after so many times `enough_m` without a verdict: what was wrong "
+        "long ago counts no more",
+        CHOSEN,
+        gt=1,
+        le=1000,
+    )
+    again_keyframes: int = setting(
+        20, "keyframes, at most, by which a camera that was left out is followed", CHOSEN, ge=1, le=10_000
     )
     kept_s: float = setting(
         3.0, "how long poses by the wheels are kept for frames that come late, seconds", CHOSEN, gt=0, le=600

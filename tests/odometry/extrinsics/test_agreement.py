@@ -91,6 +91,33 @@ def test_nor_does_a_wheel_that_turns_in_the_air() -> None:
     assert found(compared([(0.05, 0.19)] * 20, lambda way, turn: (0.1, 0.0)), 1.0) == {}
 
 
+@pytest.mark.parametrize("off_m", [(0.03, 0.0), (-0.04, 0.0), (0.0, 0.05), (0.0, -0.06)])
+def test_nor_do_turns_on_the_spot_whose_ways_are_millimetres(off_m: tuple[float, float]) -> None:
+    """A camera some centimetres from where it is said to sit goes millimetres in a piece: less than clocks make."""
+    T_true = T_BASE_CAMERA.copy()
+    T_true[:2, 3] += off_m
+    turns = [(0.0, 0.08)] * 12
+    assert compared(turns, by_camera=lambda T: seen(T, T_true)).agrees()
+    assert found(compared(turns, by_camera=lambda T: seen(T, T_true))) == {}
+
+
+def test_nor_does_a_leap_of_the_camera_in_turns_on_the_spot_turn_its_mount(rng: np.random.Generator) -> None:
+    """It looks like the swing of a camera that sits elsewhere, but which way that looks nobody has seen."""
+    for leap_m in 0.15 * rng.standard_normal((20, 2)):
+        astray = np.eye(4)
+        astray[:2, 3] = leap_m
+        agreement = Agreement(WHEELS, T_BASE_CAMERA)
+        T_turn = se3.exp([0.0001, 0, 0, 0, 0, 0.08])
+        assert agreement.add(T_turn, astray @ T_turn, None)
+        assert not agreement.agrees()
+        assert found(agreement, 1.0) == {}
+
+
+def test_turns_on_the_spot_the_other_way_are_told_all_the_same() -> None:
+    mirrored = compared([(0.0, 0.08)] * 12, by_camera=lambda T: seen(T, flip=0))
+    assert "mirrored left to right" in found(mirrored)[Culprit.CAMERA]
+
+
 @pytest.mark.parametrize("depth", [0.2, 0.5, 1.3, 5.0])
 @pytest.mark.parametrize("pieces", [STRAIGHT, BENDS], ids=["straight", "bends"])
 def test_depth_is_wrong_where_ways_and_floor_are_by_one_factor(depth: float, pieces: list[Piece]) -> None:
@@ -177,3 +204,19 @@ def test_the_floor_is_seen_whatever_unit_depth_has(factor: float) -> None:
     assert height_below(rays, depth_m, up, 0.9) == pytest.approx(0.9 * factor, rel=0.05)
     assert height_below(rays, depth_m, -up, 0.9) != pytest.approx(0.9 * factor, rel=0.2)
     assert height_below(rays, np.zeros(len(rays)), up, 0.9) is None
+
+
+@pytest.mark.parametrize("turned_deg", [0.0, 30.0, -60.0])
+@pytest.mark.parametrize("wall_m", [0.6, 1.0, 1.5])
+def test_a_wall_that_fills_the_view_is_no_floor(wall_m: float, turned_deg: float, rng: np.random.Generator) -> None:
+    y, x = np.mgrid[-0.4:0.4:30j, -0.5:0.5:40j]
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
+    up, turned_rad = T_BASE_CAMERA[2, :3], np.radians(turned_deg)
+    off = rays @ np.array([np.sin(turned_rad), 0.0, np.cos(turned_rad)])
+    depth_m = np.where(off > 0.1, wall_m / np.maximum(off, 0.1), 0.0)
+    depth_m *= 1 + 0.003 * rng.standard_normal(len(depth_m))
+    assert height_below(rays, depth_m, up, 0.9) is None
+    below = -(rays @ up)
+    floor_m = np.where(below > 0.05, 0.9 / np.maximum(below, 0.05), np.inf)
+    before_it = height_below(rays, np.where(depth_m > 0, np.minimum(depth_m, floor_m), floor_m), up, 0.9)
+    assert before_it is None or before_it == pytest.approx(0.9, rel=0.1)

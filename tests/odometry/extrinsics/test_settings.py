@@ -95,8 +95,8 @@ def told_apart(scale: float, **settings: float) -> Agreement:
 
 
 def test_agreement_goes_by_its_settings() -> None:
-    assert told_apart(1.1).agrees()
-    assert not told_apart(1.1, disagrees=0.001).agrees()
+    assert told_apart(1.15).agrees()
+    assert not told_apart(1.15, disagrees=0.001).agrees()
     assert not told_apart(1.5).agrees()
     assert told_apart(1.5, disagrees=0.9).agrees()
     assert told_apart(1.0).pieces == 30
@@ -113,6 +113,8 @@ def test_the_height_by_one_view_goes_by_its_settings() -> None:
     rays = np.column_stack([np.zeros(200), np.linspace(0.05, 0.6, 200), np.ones(200)])
     depth_m, up = 0.9 / rays[:, 1], np.array([0.0, -1.0, 0.0])
     assert height_below(rays, depth_m, up, 0.9) == pytest.approx(0.9, rel=0.01)
+    sloping = {"steepest_deg": 0.01}
+    assert height_below(rays, depth_m * (1 + 0.05 * rays[:, 1]), up, 0.9, FloorSettings(**sloping)) is None
     for change in ({"steep": 0.9}, {"fewest_points": 10**4}, {"range_log": 0.01}, {"bin_log": 1.0, "range_log": 0.5}):
         assert height_below(rays, depth_m, up, 0.9, FloorSettings(**change)) is None
     board = np.concatenate([depth_m, np.tile(0.5 / rays[:, 1], 5)])  # nearer, and five times as many points

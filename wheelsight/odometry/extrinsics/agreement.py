@@ -112,8 +112,11 @@ class Agreement:
         G = self.products
         cross = expected @ G[_WHEELS, 2:]
         left = np.diag(G[2:, 2:] - cross - cross.T + expected @ G[_WHEELS, _WHEELS] @ expected.T)
-        way = max(np.trace(G[_WAYS, _WAYS]), G[0, 0]) + self.pieces * self.settings.usual_m**2
-        turn = max(np.trace(G[_TURNS, _TURNS]), G[1, 1]) + self.pieces * self.settings.usual_rad**2
+        # What differs as usual contradicts nobody; of turns on the spot, ways are nothing else.
+        usual = np.square([self.settings.usual_m, self.settings.usual_rad]) / self.settings.disagrees
+        least_m2, least_rad2 = self.pieces * usual
+        way = max(np.trace(G[_WAYS, _WAYS]), G[0, 0], least_m2)
+        turn = max(np.trace(G[_TURNS, _TURNS]), G[1, 1], least_rad2)
         return float(left[:3].sum() / way), max(float(left[3:].sum() - self.drift), 0.0) / turn
 
     def agrees(self, most: float | None = None) -> bool:
@@ -199,10 +202,14 @@ class Agreement:
         return np.asarray(G[_WAYS, _WHEELS] @ np.linalg.inv(G[_WHEELS, _WHEELS] + usual))
 
     def _turned(self) -> FloatArray:
-        """The rotation (3, 3) that lays the wheels' motions on the camera's best (Kabsch)."""
-        G, M = self.products, np.zeros((3, 3))
-        M[:, 0] = self._swings()[:, 0] * G[0, 0] / self.settings.usual_m**2
-        M[:, 2] = G[_TURNS, 1] / self.settings.usual_rad**2
+        """The rotation (3, 3) that lays the wheels' motions on the camera's best (Kabsch).
+
+        A usual difference holds it where the mount is said to be: turns on the spot tell no direction of travel, and
+        whatever the camera errs by would pass for one.
+        """
+        G, M = self.products, np.eye(3)
+        M[:, 0] += self._swings()[:, 0] * G[0, 0] / self.settings.usual_m**2
+        M[:, 2] += G[_TURNS, 1] / self.settings.usual_rad**2
         return np.asarray(so3.nearest(M))
 
     def _of_mount(self, turned: FloatArray, swing: FloatArray | None = None) -> Explanation:

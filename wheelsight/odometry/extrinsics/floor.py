@@ -8,6 +8,7 @@ of planes across the robot's axis of turning, the floor is the lowest.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,7 +98,8 @@ def height_below(
 ) -> float | None:
     """How high over the floor a camera is, roughly, by one view and where up is said to be; None where it sees none.
 
-    Rays that are steep tell it even where up is some degrees off.
+    Rays that are steep tell it even where up is some degrees off. A wall that fills the view has a lowest row, too, but
+    does not lie level there.
 
     Args:
         rays: (N, 3) with z = 1.
@@ -115,7 +117,15 @@ def height_below(
     if not len(many):
         return None
     lowest = (logs >= edges[many[-1]]) & (logs < edges[many[-1] + 2])
+    if not _is_level(rays[is_steep][lowest], depth_m[is_steep][lowest], up_camera, settings):
+        return None
     return float(expected_m * np.exp(np.median(logs[lowest])))
+
+
+def _is_level(rays: FloatArray, depth_m: FloatArray, up_camera: FloatArray, settings: FloorSettings) -> bool:
+    """Whether the plane through points lies more as a floor does than as a wall; in any unit of depth."""
+    q = np.linalg.lstsq(rays, 1 / depth_m)[0]
+    return bool(-(q @ up_camera) > math.cos(math.radians(settings.steepest_deg)) * np.linalg.norm(q))
 
 
 @dataclass(frozen=True, eq=False)

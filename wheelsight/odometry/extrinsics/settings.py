@@ -89,6 +89,13 @@ class FloorSettings(Settings):
     )
     bin_log: float = setting(0.08, "of one view: steps of the height's logarithm, 8 %", _DOES, gt=0, le=1)
     range_log: float = setting(2.3, "of one view: ten times as high or as low at most", _DOES, gt=0, le=10)
+    steepest_deg: float = setting(
+        45.0,
+        "of one view: slope, degrees, from which on the lowest that is seen is a wall and no floor",
+        "reckoned: halfway from one to the other",
+        gt=0,
+        lt=90,
+    )
 
 
 class MountSettings(Settings):
