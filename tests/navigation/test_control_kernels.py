@@ -120,7 +120,7 @@ def test_rollouts_cost_what_plain_numpy_says(direction: int) -> None:
     segment = next(piece for piece in cut(path, 0.05, 0.8) if piece.direction)
     assert segment.direction == direction
     state = MotionState(path[0] + [0.02, 0.03, 0.1], 0.1 * direction, 0.2)
-    given = rollouts.given(Situation(state, segment, 0, field_of(room()), NOBODY))
+    given = rollouts.given(Situation(state, segment, 0, field_of(room()), NOBODY, MARGIN_M))
     costs, drawn = rollouts.costs(given)
     plain, least = plain_costs(*given, drawn)
     assert least.min() > settings.near_m
@@ -134,7 +134,7 @@ def test_rollouts_that_touch_are_those_that_come_within_the_margin() -> None:
     rollouts = Rollouts(OUTLINE, RobotLimits(), settings, FollowSettings())
     (segment,) = cut(np.array([[3.0, 5, 0], [8.0, 5, 0]]), 0.05, 0.8)
     given = rollouts.given(
-        Situation(MotionState(np.array([3.7, 4.7, 0.3]), 0.9, 0.2), segment, 0, field_of(cells), NOBODY)
+        Situation(MotionState(np.array([3.7, 4.7, 0.3]), 0.9, 0.2), segment, 0, field_of(cells), NOBODY, MARGIN_M)
     )
     costs, drawn = rollouts.costs(given)
     _, least = plain_costs(*given, drawn)

@@ -42,13 +42,11 @@ class Outline(NamedTuple):
 
     Attributes:
         sides: (N, 5) x, y of a corner, unit vector to the next one, and how far that is.
-        discs: (K, 3) x, y, radius of discs that lie within.
         cover: (K, 3) discs that together hold all of it, and little else.
         around: x, y, radius of a disc that holds all.
     """
 
     sides: FloatArray
-    discs: FloatArray
     cover: FloatArray
     around: tuple[float, float, float]
 
@@ -91,9 +89,8 @@ def cost_and_speed_at(field: CostField, x: float, y: float) -> Any:
 def clearance_at(field: CostField, outline: Outline, pose: Any, margin_m: float) -> Any:
     """Metres from a footprint at (x, y, cosine, sine) to the nearest obstacle.
 
-    Where it is more than the margin, it may be more than what is answered, by what the cover reaches out. Else points
-    along the outline are asked, each as far from the last as the distance there allows: what is nearer than the margin
-    is found, and the answer is at most that, and below 0 where an obstacle lies within.
+    Where it is more than the margin, it may be more than what is answered, by what the cover reaches out. Else it is
+    that of the nearest cell's middle to the nearest side: below 0 within, and beside a corner it may be less than it is.
     """
     x, y, c, s = pose
     ax, ay, around_m = outline.around
@@ -111,34 +108,39 @@ def clearance_at(field: CostField, outline: Outline, pose: Any, margin_m: float)
         least = min(least, away)
     if least > margin_m:
         return least
-    along_m = _traced(field, outline, pose, margin_m)
-    # What the cover holds and lies farther from the outline than the cover reaches out lies within.
-    if least < 0.0 and along_m > max(margin_m, OVERHANG_M + field.resolution / 2):
-        return least
-    return along_m
+    return _of_cells(field, outline, pose, max(margin_m, 0.0) + OVERHANG_M + field.resolution)
 
 
 @kernel(error_model="numpy", fastmath=_FAST)
-def _traced(field: CostField, outline: Outline, pose: Any, margin_m: float) -> Any:
-    """As `clearance_at`: exact, and in steps that wait for each other."""
+def clearances_at(field: CostField, outline: Outline, poses: FloatArray, margin_m: float, found: FloatArray) -> None:
+    """`clearance_at` of each of poses (N, 3) of x, y, yaw."""
+    for k in range(len(poses)):
+        pose = (poses[k, 0], poses[k, 1], np.cos(poses[k, 2]), np.sin(poses[k, 2]))
+        found[k] = clearance_at(field, outline, pose, margin_m)
+
+
+@kernel(error_model="numpy", fastmath=_FAST)
+def _of_cells(field: CostField, outline: Outline, pose: Any, most_m: float) -> Any:
+    """As `clearance_at`, up to so much: of each cell with an obstacle about a footprint."""
     x, y, c, s = pose
-    for k in range(len(outline.discs)):
-        dx, dy = outline.discs[k, 0], outline.discs[k, 1]
-        inside = distance_at(field, x + c * dx - s * dy, y + s * dx + c * dy) - outline.discs[k, 2]
-        if inside < 0.0:
-            return inside
-    least = np.inf
-    for k in range(len(outline.sides)):
-        bx, by, ux, uy, length = outline.sides[k]
-        px, py = x + c * bx - s * by, y + s * bx + c * by
-        wx, wy = c * ux - s * uy, s * ux + c * uy
-        along = 0.0
-        while along < length:
-            d = distance_at(field, px + wx * along, py + wy * along)
-            least = min(least, d)
-            if d <= margin_m:
-                return d
-            along += max(d - margin_m, field.resolution / 2)
+    ax, ay, around_m = outline.around
+    rows, columns = field.distance_m.shape
+    half = (around_m + most_m) / field.resolution
+    u = (x + c * ax - s * ay - field.origin[0]) / field.resolution - 0.5
+    v = (y + s * ax + c * ay - field.origin[1]) / field.resolution - 0.5
+    least, last = most_m, int(np.ceil(u + half))
+    for i in range(int(np.floor(v - half)), int(np.ceil(v + half)) + 1):
+        j = int(np.floor(u - half))
+        while j <= last:
+            away = 0.0
+            if i >= 0 and j >= 0 and i < rows and j < columns:
+                away = field.distance_m[i, j]
+            if away == 0.0:
+                px = field.origin[0] + (j + 0.5) * field.resolution
+                py = field.origin[1] + (i + 0.5) * field.resolution
+                least = min(least, apart_from(outline, pose, px, py))
+            # No cell that is nearer than the nearest obstacle holds one.
+            j += max(int(min(away / field.resolution, 1e6) - 1e-3), 1)
     return least
 
 
