@@ -62,14 +62,14 @@ def test_who_stood_before_the_camera_and_has_gone_is_forgotten_at_once() -> None
 
 def test_a_low_thing_that_came_too_near_to_be_seen_stays() -> None:
     """The camera looks over it from where it stands by now."""
-    low, monitor, T = block(2.6, 0.0), CollisionMonitor(CHAIR), 0.0
+    low, monitor, now_s = block(2.6, 0.0), CollisionMonitor(CHAIR), 0.0
     monitor.trust_floor(2.3)
     for step in range(400):
-        T, x = 0.05 * step, min(0.3 * 0.05 * step, 1.2)
-        monitor.hear(T, 0.3 if x < 1.2 else 0.0, 0.0)
+        now_s, x = 0.05 * step, min(0.3 * 0.05 * step, 1.2)
+        monitor.hear(now_s, 0.3 if x < 1.2 else 0.0, 0.0)
         shown = low if 2.5 - x - KINECT.x_m > 1.4 else NOTHING
-        monitor.see(KINECT.view(shown, np.array([x, 0.0, 0.0]), T))
-    assert monitor.check(AHEAD, T, Status.TRACKING).command.forward_m_s < AHEAD.forward_m_s
+        monitor.see(KINECT.view(shown, np.array([x, 0.0, 0.0]), now_s))
+    assert monitor.check(AHEAD, now_s, Status.TRACKING).command.forward_m_s < AHEAD.forward_m_s
 
 
 @pytest.mark.parametrize(("turns", "is_known"), [(1, True), (2, False)])

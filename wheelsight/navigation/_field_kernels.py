@@ -92,7 +92,7 @@ def clearance_at(field: CostField, outline: Outline, pose: Any, margin_m: float)
     """Metres from a footprint at (x, y, cosine, sine) to the nearest obstacle.
 
     Where it is more than the margin, it may be more than what is answered, by what the cover reaches out. Else it is
-    that of the nearest cell's middle to the nearest side: below 0 within, and beside a corner it may be less than it is.
+    from the nearest cell's middle to the nearest side: below 0 within, and beside a corner it may be less than it is.
     """
     x, y, c, s = pose
     ax, ay, around_m = outline.around
@@ -121,7 +121,7 @@ def clearance_at(field: CostField, outline: Outline, pose: Any, margin_m: float)
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def _along_sides(field: CostField, outline: Outline, pose: Any, enough_m: float) -> Any:
-    """Metres from an outline's sides to the nearest obstacle, by points along them; or a distance that is not enough."""
+    """Metres from an outline's sides to the nearest obstacle, by points along them; or some that are not enough."""
     x, y, c, s = pose
     least = np.inf
     for k in range(len(outline.sides)):

@@ -55,9 +55,7 @@ def components(metre_cost: Float32Array) -> Int32Array:
     return labels.astype(np.int32)
 
 
-def way_out(
-    drivable: Drivable, outline: Outline, start: FloatArray, settings: PlannerSettings
-) -> FloatArray | None:
+def way_out(drivable: Drivable, outline: Outline, start: FloatArray, settings: PlannerSettings) -> FloatArray | None:
     """(N, 4) the shortest way on which the robot comes free of what it stands in or too near to; None where none does.
 
     On the way nothing is nearer to it than before by more than `escape_nearer_m`: as controllers, which drive it, have

@@ -121,7 +121,7 @@ class PathFollower:
         return True
 
     def _allow(self, state: MotionState, field: CostField) -> None:
-        """Say how near things may come while this plan is driven: where it begins nearer than the margin, a little more.
+        """Say how near things may come while this plan is driven: nearer than the margin only where it begins so.
 
         A planner's way out of what is too near leads past it, and a corner comes nearer before it comes free. It is
         by the plan, not by the period: else it would come nearer each time.

@@ -209,9 +209,9 @@ class Surroundings:
     def hidden_about(self, reach_m: float, deep_m: float) -> FloatArray:
         """(N, 2) in the base as it is now: middles of cells that are so deep in floor never looked at.
 
-        Those within reach, and those that were when they were asked for before: whoever plans another way there, leaves,
-        and hears of them no more would come back. Where the robot was led over it there is floor, but nothing was looked
-        at from there: what is beside that is as deep as it was.
+        Those within reach, and those that were when they were asked for before: whoever plans another way, leaves, and
+        hears of them no more would come back. Where the robot was led over it there is floor, but nothing was looked at
+        from there: what is beside that is as deep as it was.
         """
         if not self._readings:
             return np.empty((0, 2))
