@@ -115,8 +115,8 @@ class NavigatorSettings(Settings):
     )
     loiter_s: float = setting(
         30.0,
-        "time in which it drives and comes no farther than progress_m, before it gets itself out: a way with many turns "
-        "in a narrow place takes 20 s. Plans that follow each other may lead to and fro",
+        "time in which it drives and comes no farther than progress_m, before it gets itself out: a way with many "
+        "turns in a narrow place takes 20 s. Plans that follow each other may lead to and fro",
         CHOSEN,
         gt=0,
         le=600,
