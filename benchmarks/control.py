@@ -88,7 +88,11 @@ def rollouts_ms(field: CostField) -> tuple[float, float]:
     """Costs of the same rollouts by the kernel and by numpy, least of several."""
     rollouts = Rollouts(outline_of(CHAIR), RobotLimits(), MppiSettings(), FollowSettings())
     (segment,) = cut(np.array([[2.0, 5, 0], [8.5, 5, 0]]), 0.05, 0.8)
-    given = rollouts.given(Situation(MotionState(np.array([2.0, 5.03, 0.05]), 0.6, 0.1), segment, 0, field, _NOBODY))
+    given = rollouts.given(
+        Situation(
+            MotionState(np.array([2.0, 5.03, 0.05]), 0.6, 0.1), segment, 0, field, _NOBODY, FollowSettings().margin_m
+        )
+    )
     _, drawn = rollouts.costs(given)
     kernel_ms, _ = times_ms(lambda: rollouts.costs(given), _TIMES)
     plain_ms, _ = times_ms(lambda: plain_costs(*given, drawn), _PLAIN_TIMES)

@@ -65,6 +65,21 @@ def test_clearance_is_the_plain_distance_of_cells_but_for_cover_and_grid(
     assert min(found, 0.5) <= max(plain + 0.03, MARGIN_M + 0.03)
 
 
+@given(seed=st.integers(0, 50), x=st.floats(1, 5), y=st.floats(1, 5), yaw=st.floats(-4, 4))
+def test_below_the_margin_clearance_is_that_of_the_nearest_cell_with_its_sign(
+    seed: int, x: float, y: float, yaw: float
+) -> None:
+    """Of several the nearest, and below 0 within: who leaves one must not come nearer to another, nor deeper."""
+    cells, (c, s) = cluttered(seed), (np.cos(yaw), np.sin(yaw))
+    u, v = ((centres_of(cells) - (x, y)) @ np.array([[c, -s], [s, c]])).T
+    along, across = np.maximum(u - 0.8, -0.3 - u), np.abs(v) - 0.3
+    plain = float(np.maximum(along, across).min())
+    found = clearance_at(field_of(cells), OUTLINE, pose_of(x, y, yaw), MARGIN_M)
+    # Beside a corner what is told may be less than it is.
+    is_near = np.hypot(np.maximum(along, 0), np.maximum(across, 0)).min() <= MARGIN_M
+    assert found == pytest.approx(plain, abs=1e-5) if is_near else found > 0.7 * MARGIN_M
+
+
 @given(shape=st.sampled_from([CHAIR, Footprint.circle(0.3), Footprint.of([(-0.3, -0.2), (0.7, 0.0), (-0.3, 0.4)])]))
 def test_the_cover_holds_the_outline_and_little_else(shape: Footprint) -> None:
     outline, rng = outline_of(shape), np.random.default_rng(3)
@@ -120,7 +135,7 @@ def test_rollouts_cost_what_plain_numpy_says(direction: int) -> None:
     segment = next(piece for piece in cut(path, 0.05, 0.8) if piece.direction)
     assert segment.direction == direction
     state = MotionState(path[0] + [0.02, 0.03, 0.1], 0.1 * direction, 0.2)
-    given = rollouts.given(Situation(state, segment, 0, field_of(room()), NOBODY))
+    given = rollouts.given(Situation(state, segment, 0, field_of(room()), NOBODY, MARGIN_M))
     costs, drawn = rollouts.costs(given)
     plain, least = plain_costs(*given, drawn)
     assert least.min() > settings.near_m
@@ -134,7 +149,7 @@ def test_rollouts_that_touch_are_those_that_come_within_the_margin() -> None:
     rollouts = Rollouts(OUTLINE, RobotLimits(), settings, FollowSettings())
     (segment,) = cut(np.array([[3.0, 5, 0], [8.0, 5, 0]]), 0.05, 0.8)
     given = rollouts.given(
-        Situation(MotionState(np.array([3.7, 4.7, 0.3]), 0.9, 0.2), segment, 0, field_of(cells), NOBODY)
+        Situation(MotionState(np.array([3.7, 4.7, 0.3]), 0.9, 0.2), segment, 0, field_of(cells), NOBODY, MARGIN_M)
     )
     costs, drawn = rollouts.costs(given)
     _, least = plain_costs(*given, drawn)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from grids import mostly_slow
+from navigation.floors import static_of
 from navigation.unicycle import (
     CHAIR,
     NOBODY,
@@ -23,17 +24,49 @@ from navigation.unicycle import (
 )
 
 from wheelsight.commands import STOP
-from wheelsight.geometry import BoolArray
-from wheelsight.navigation import RobotLimits
+from wheelsight.geometry import BoolArray, FloatArray
+from wheelsight.navigation import Costmap, NavigationSettings, Plan, RobotLimits
 from wheelsight.navigation.control_settings import FollowSettings, MppiSettings
 from wheelsight.navigation.control_values import Controller, ControlReason, MotionState
 from wheelsight.navigation.fields import CostField
 from wheelsight.navigation.mppi import MppiController
 from wheelsight.navigation.pure_pursuit import PurePursuitController
+from wheelsight.navigation.route_planner import RoutePlanner
 
 QUARTER = np.pi / 2
 MAKERS = [MppiController, PurePursuitController]
 both = pytest.mark.parametrize("make", MAKERS, ids=["mppi", "pure pursuit"])
+
+
+@pytest.mark.parametrize(
+    ("make", "start", "goal"),
+    [
+        (MppiController, (4.66, 5.2, 1.4), (4.0, 4.4)),
+        (PurePursuitController, (4.66, 5.2, 1.4), (4.0, 4.4)),
+        (PurePursuitController, (1.0, 0.345, 0.0), (2.6, 0.8)),
+    ],
+)
+def test_a_way_out_of_what_is_too_near_is_driven_as_it_was_planned(
+    make: type[MppiController], start: tuple[float, float, float], goal: tuple[float, float]
+) -> None:
+    """Along a wall, and askew in a door 1.2 m wide: the planner let a corner come nearer, controllers did not."""
+    cells, settings = with_door(5.05, 1.2), NavigationSettings()
+    costmap = Costmap.of(static_of(cells), CHAIR)
+    plan = RoutePlanner(CHAIR, settings).plan(costmap, np.array(start), [np.array([*goal, np.nan])])
+    assert isinstance(plan, Plan)
+    field, base = field_of(cells), Unicycle(start)
+    before = signed_m(cells, np.array(start))
+    assert before < settings.follow.margin_m
+    drive = closed_loop(make(CHAIR), plan, field, base)
+    assert drive.reason is ControlReason.ARRIVED
+    assert min(signed_m(cells, pose) for pose in drive.poses) >= before - settings.follow.nearer_m
+
+
+def signed_m(cells: BoolArray, pose: FloatArray) -> float:
+    """From the chair's outline to the nearest cell's middle, below 0 within; beside a corner by the nearer side."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    u, v = ((centres_of(cells) - pose[:2]) @ np.array([[c, -s], [s, c]])).T
+    return float(np.max([u - 0.8, -0.3 - u, np.abs(v) - 0.3], axis=0).min())
 
 
 def corridor() -> BoolArray:

@@ -10,7 +10,7 @@ from scipy import ndimage
 from wheelsight.commands import VelocityCommand
 from wheelsight.geometry import BoolArray, FloatArray
 from wheelsight.navigation import Footprint, RobotLimits
-from wheelsight.navigation.control_values import Controller, ControlReason, MotionState
+from wheelsight.navigation.control_values import Controller, ControlReason, DrivenPath, MotionState
 from wheelsight.navigation.fields import CostField
 from wheelsight.navigation.surroundings import DepthView
 
@@ -81,7 +81,7 @@ class Drive:
 
 def closed_loop(
     controller: Controller,
-    path: Path,
+    path: DrivenPath,
     field: CostField,
     base: Unicycle,
     people: FloatArray = NOBODY,

@@ -20,7 +20,6 @@ MOST_CLEARANCE_M = 0.5
 _ROOM = 8192
 # Margins that are told apart, from the wanted one to the least.
 _OUTLINES = 5
-DEPTH_STEP_M = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,18 +73,6 @@ class Drivable:
     def is_free(self, poses: FloatArray) -> BoolArray:
         """(N,) whether the footprint fits with the least margin at poses (N, 3)."""
         return np.isfinite(self.tightness(poses))
-
-    def depths(self, poses: FloatArray) -> FloatArray:
-        """(N,) how deep anything is in the footprint itself at poses (N, 3), in centimetres, rounded up; metres."""
-        found, counts = np.full(len(poses), np.inf), np.empty(len(poses), np.int64)
-        asked = np.ascontiguousarray(poses)
-        for depth_m in np.arange(0.0, self.footprint.inscribed_m, DEPTH_STEP_M):
-            corners = np.ascontiguousarray(self.footprint.padded(-float(depth_m)).corners)
-            under.counts_under(self.cells, corners, asked, counts)
-            found[np.isinf(found) & (counts == 0)] = depth_m
-            if np.isfinite(found).all():
-                break
-        return found
 
     def cost(self, poses: FloatArray) -> float:
         """Of driving along poses (N, 4) with their directions; infinite where one of them collides but the first."""

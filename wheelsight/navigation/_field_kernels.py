@@ -13,6 +13,8 @@ ANY_SPEED: Float32Array = np.full((1, 1), np.inf, np.float32)
 ANY_SPEED.setflags(write=False)
 # How far a cover of discs reaches out of an outline, at most.
 OVERHANG_M = 0.04
+# By so much of a cell a distance between cells' middles is off, with what lies between points along a side.
+_OFF = 0.25
 # Beyond so many metres of clearance nobody asks how much it is.
 _ENOUGH_M = 0.5
 # What leaves infinity and NaN as they are.
@@ -42,13 +44,11 @@ class Outline(NamedTuple):
 
     Attributes:
         sides: (N, 5) x, y of a corner, unit vector to the next one, and how far that is.
-        discs: (K, 3) x, y, radius of discs that lie within.
         cover: (K, 3) discs that together hold all of it, and little else.
         around: x, y, radius of a disc that holds all.
     """
 
     sides: FloatArray
-    discs: FloatArray
     cover: FloatArray
     around: tuple[float, float, float]
 
@@ -91,9 +91,8 @@ def cost_and_speed_at(field: CostField, x: float, y: float) -> Any:
 def clearance_at(field: CostField, outline: Outline, pose: Any, margin_m: float) -> Any:
     """Metres from a footprint at (x, y, cosine, sine) to the nearest obstacle.
 
-    Where it is more than the margin, it may be more than what is answered, by what the cover reaches out. Else points
-    along the outline are asked, each as far from the last as the distance there allows: what is nearer than the margin
-    is found, and the answer is at most that, and below 0 where an obstacle lies within.
+    Where it is more than the margin, it may be more than what is answered, by what the cover reaches out. Else it is
+    from the nearest cell's middle to the nearest side: below 0 within, and beside a corner it may be less than it is.
     """
     x, y, c, s = pose
     ax, ay, around_m = outline.around
@@ -111,22 +110,19 @@ def clearance_at(field: CostField, outline: Outline, pose: Any, margin_m: float)
         least = min(least, away)
     if least > margin_m:
         return least
-    along_m = _traced(field, outline, pose, margin_m)
-    # What the cover holds and lies farther from the outline than the cover reaches out lies within.
-    if least < 0.0 and along_m > max(margin_m, OVERHANG_M + field.resolution / 2):
-        return least
-    return along_m
+    # What lies within is held by the cover: where that is clear, sides alone are asked, which is quicker.
+    off_m = _OFF * field.resolution
+    if least > off_m:
+        along_m = _along_sides(field, outline, pose, margin_m + off_m)
+        if along_m > margin_m + off_m:
+            return along_m
+    return _of_cells(field, outline, pose, max(margin_m, 0.0) + 2 * off_m)
 
 
 @kernel(error_model="numpy", fastmath=_FAST)
-def _traced(field: CostField, outline: Outline, pose: Any, margin_m: float) -> Any:
-    """As `clearance_at`: exact, and in steps that wait for each other."""
+def _along_sides(field: CostField, outline: Outline, pose: Any, enough_m: float) -> Any:
+    """Metres from an outline's sides to the nearest obstacle, by points along them; or some that are not enough."""
     x, y, c, s = pose
-    for k in range(len(outline.discs)):
-        dx, dy = outline.discs[k, 0], outline.discs[k, 1]
-        inside = distance_at(field, x + c * dx - s * dy, y + s * dx + c * dy) - outline.discs[k, 2]
-        if inside < 0.0:
-            return inside
     least = np.inf
     for k in range(len(outline.sides)):
         bx, by, ux, uy, length = outline.sides[k]
@@ -136,10 +132,50 @@ def _traced(field: CostField, outline: Outline, pose: Any, margin_m: float) -> A
         while along < length:
             d = distance_at(field, px + wx * along, py + wy * along)
             least = min(least, d)
-            if d <= margin_m:
+            if d <= enough_m:
                 return d
-            along += max(d - margin_m, field.resolution / 2)
+            along += max(d - enough_m, field.resolution / 2)
     return least
+
+
+@kernel(error_model="numpy", fastmath=_FAST)
+def clearances_at(field: CostField, outline: Outline, poses: FloatArray, margin_m: float, found: FloatArray) -> None:
+    """`clearance_at` of each of poses (N, 3) of x, y, yaw."""
+    for k in range(len(poses)):
+        pose = (poses[k, 0], poses[k, 1], np.cos(poses[k, 2]), np.sin(poses[k, 2]))
+        found[k] = clearance_at(field, outline, pose, margin_m)
+
+
+@kernel(error_model="numpy", fastmath=_FAST)
+def _of_cells(field: CostField, outline: Outline, pose: Any, most_m: float) -> Any:
+    """As `clearance_at`, up to so much: of each cell with an obstacle about a footprint."""
+    rows, columns = field.distance_m.shape
+    low_x, low_y, high_x, high_y = _box(outline, pose)
+    least, size_m, (x0, y0) = most_m, field.resolution, field.origin
+    first, last = int(np.floor((low_x - most_m - x0) / size_m)), int(np.floor((high_x + most_m - x0) / size_m))
+    for i in range(int(np.floor((low_y - most_m - y0) / size_m)), int(np.floor((high_y + most_m - y0) / size_m)) + 1):
+        j = first
+        while j <= last:
+            away = 0.0
+            if i >= 0 and j >= 0 and i < rows and j < columns:
+                away = field.distance_m[i, j]
+            if away == 0.0:
+                least = min(least, apart_from(outline, pose, x0 + (j + 0.5) * size_m, y0 + (i + 0.5) * size_m))
+            # No cell that is nearer than the nearest obstacle holds one.
+            j += max(int(min(away / size_m, 1e6) - 1e-3), 1)
+    return least
+
+
+@kernel(error_model="numpy", fastmath=_FAST)
+def _box(outline: Outline, pose: Any) -> Any:
+    """The least and the most x and y of a footprint at a pose."""
+    x, y, c, s = pose
+    low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
+    for k in range(len(outline.sides)):
+        bx, by = outline.sides[k, 0], outline.sides[k, 1]
+        px, py = x + c * bx - s * by, y + s * bx + c * by
+        low_x, low_y, high_x, high_y = min(low_x, px), min(low_y, py), max(high_x, px), max(high_y, py)
+    return low_x, low_y, high_x, high_y
 
 
 @kernel(error_model="numpy", fastmath=_FAST)

@@ -9,8 +9,10 @@ import cv2
 import numpy as np
 
 from wheelsight.geometry import Float32Array, FloatArray, Int32Array
-from wheelsight.navigation._drivable import DEPTH_STEP_M, Drivable
+from wheelsight.navigation._drivable import Drivable
+from wheelsight.navigation._field_kernels import clearances_at
 from wheelsight.navigation.costmap import CellState
+from wheelsight.navigation.fields import Outline
 from wheelsight.navigation.plan_values import PlanFailure, PlanReason
 from wheelsight.navigation.planner_settings import PlannerSettings
 
@@ -53,15 +55,19 @@ def components(metre_cost: Float32Array) -> Int32Array:
     return labels.astype(np.int32)
 
 
-def way_out(drivable: Drivable, start: FloatArray, settings: PlannerSettings) -> FloatArray | None:
+def way_out(drivable: Drivable, outline: Outline, start: FloatArray, settings: PlannerSettings) -> FloatArray | None:
     """(N, 4) the shortest way on which the robot comes free of what it stands in or too near to; None where none does.
 
-    On the way nothing is deeper in it than before, as far as depths are told apart. Where it stands free, the way is
-    that pose alone.
+    On the way nothing is nearer to it than before by more than `escape_nearer_m`: as controllers, which drive it, have
+    it. Where it stands free, the way is that pose alone.
     """
     pose = np.array([*start, 1.0])
     if drivable.is_free(pose[None, :3])[0]:
         return pose[None]
+    here_m = float(_clearances(drivable, outline, pose[None], settings)[0])
+    if here_m < -settings.escape_depth_m:
+        return None
+    least_m = min(settings.margin_m, here_m - settings.escape_nearer_m)
     dense = replace(drivable, rules=drivable.rules._replace(step_m=_ESCAPE_STEP_M))
     best, best_m = None, math.inf
     arcs = [(sense * settings.escape_m, sense * settings.escape_m * b) for sense in (1, -1) for b in _BENDS]
@@ -71,16 +77,20 @@ def way_out(drivable: Drivable, start: FloatArray, settings: PlannerSettings) ->
             continue
         poses = dense.arc(pose, way_m, turn)
         free = np.flatnonzero(drivable.is_free(poses[:, :3]))
-        depths = dense.depths(poses[: free[0] + 1, :3]) if len(free) else np.array([np.inf])
-        # Beside a wall no way leads out on which a corner behind comes not some millimetres nearer.
-        allowed_m = depths[0] + (DEPTH_STEP_M if depths[0] > 0 else 0.0)
-        if (depths <= allowed_m).all() and depths[0] <= settings.escape_depth_m:
+        if len(free) and (_clearances(drivable, outline, poses[: free[0] + 1], settings) >= least_m).all():
             long_m = free[0] / (len(poses) - 1) * (abs(way_m) + drivable.rules.reach_m * abs(turn))
             # Where it can go ahead, it does.
             long_m *= _BACKWARD if way_m < 0 else 1.0
             if long_m < best_m:
                 best, best_m = poses[: free[0] + 1], long_m
     return best
+
+
+def _clearances(drivable: Drivable, outline: Outline, poses: FloatArray, settings: PlannerSettings) -> FloatArray:
+    """(N,) of the footprint at poses (N, 4), as controllers have it; below 0 within."""
+    found = np.empty(len(poses))
+    clearances_at(drivable.costmap.field, outline, np.ascontiguousarray(poses[:, :3]), settings.margin_m, found)
+    return found
 
 
 def goal_near(

@@ -18,7 +18,8 @@ class Memory(NamedTuple):
         seen_s: (n, n) when its floor was last seen to be free, or the robot was led over it; minus infinity: never.
         looked_s: (n, n) when a camera last saw its floor, or through the air over it; likewise.
         hit_s: (n, n) when a thing was last seen in it; minus infinity: none is there.
-        hits: (n, n, 2) where the thing is, metres.
+        hits: (n, n, 4) where the thing is, how far from the camera it was, and the way driven until then, metres.
+        is_told: (n, n) 1 where somebody was told that no camera has looked there.
         cell_m: side of a cell.
     """
 
@@ -27,6 +28,7 @@ class Memory(NamedTuple):
     looked_s: FloatArray
     hit_s: FloatArray
     hits: FloatArray
+    is_told: ByteArray
     cell_m: float
 
 
@@ -65,6 +67,7 @@ def slot(memory: Memory, i: int, j: int) -> Any:
         memory.seen_s[a, b] = -np.inf
         memory.looked_s[a, b] = -np.inf
         memory.hit_s[a, b] = -np.inf
+        memory.is_told[a, b] = 0
     return a, b
 
 
@@ -82,9 +85,11 @@ def look(memory: Memory, sight: Sight, x: float, y: float) -> None:
                 memory.looked_s[a, b] = max(memory.looked_s[a, b], sight.stamp_s)
             if _is_seen(sight, x_m, y_m, cell / 2, sight.near_m):
                 memory.seen_s[a, b] = max(memory.seen_s[a, b], sight.stamp_s)
-            was_hit = -np.inf < memory.hit_s[a, b] < sight.stamp_s
-            if was_hit and _is_seen(sight, memory.hits[a, b, 0], memory.hits[a, b, 1], cell, sight.near_m):
-                memory.hit_s[a, b] = -np.inf
+            if -np.inf < memory.hit_s[a, b] < sight.stamp_s:
+                # What showed from so near, or nearer than the floor does, would show again; a low thing might not.
+                near_m = min(sight.near_m, memory.hits[a, b, 2] - cell)
+                if _is_seen(sight, memory.hits[a, b, 0], memory.hits[a, b, 1], cell, near_m):
+                    memory.hit_s[a, b] = -np.inf
 
 
 @kernel
@@ -113,8 +118,10 @@ def _is_seen(sight: Sight, x: float, y: float, short_m: float, near_m: float) ->
 
 
 @kernel
-def keep(memory: Memory, points: FloatArray, stamp_s: float, middle: Any) -> None:
-    """Remember things at points (N, 2) in the plane, those within the window about a middle."""
+def keep(memory: Memory, points: FloatArray, stamp_s: float, middle: Any, camera: Any, way_m: float) -> None:
+    """Remember things at points (N, 2) in the plane, those within the window about a middle, as a camera there sees
+    them after so much way.
+    """
     reach = (len(memory.seen_s) // 2 - 1) * memory.cell_m
     for k in range(len(points)):
         x, y = points[k, 0], points[k, 1]
@@ -122,6 +129,7 @@ def keep(memory: Memory, points: FloatArray, stamp_s: float, middle: Any) -> Non
             a, b = slot(memory, int(np.floor(x / memory.cell_m)), int(np.floor(y / memory.cell_m)))
             memory.hit_s[a, b] = stamp_s
             memory.hits[a, b, 0], memory.hits[a, b, 1] = x, y
+            memory.hits[a, b, 2], memory.hits[a, b, 3] = np.hypot(x - camera[0], y - camera[1]), way_m
 
 
 @kernel
@@ -150,18 +158,19 @@ def mark_under(memory: Memory, sides: FloatArray, pose: Any, stamp_s: float, fro
 
 
 @kernel
-def remembered(memory: Memory, pose: Any, since_s: float, reach_m: float, out: FloatArray) -> Any:
-    """Things seen since a time, in the frame of a pose, within its reach, into (M, 2); how many there are."""
+def remembered(memory: Memory, pose: Any, since: Any, reach_m: float, out: FloatArray) -> Any:
+    """Things seen since a time and a way, in the frame of a pose, within its reach, and when, into (M, 3); how many."""
     x, y, c, s = pose
     found = 0
     n = len(memory.seen_s)
     for a in range(n):
         for b in range(n):
-            if memory.hit_s[a, b] < since_s:
+            if memory.hit_s[a, b] < since[0] or memory.hits[a, b, 3] < since[1]:
                 continue
             dx, dy = memory.hits[a, b, 0] - x, memory.hits[a, b, 1] - y
             if dx * dx + dy * dy < reach_m * reach_m and found < len(out):
                 out[found, 0], out[found, 1] = c * dx + s * dy, -s * dx + c * dy
+                out[found, 2] = memory.hit_s[a, b]
                 found += 1
     return found
 
@@ -177,3 +186,17 @@ def unseen(memory: Memory, first: Any, since_s: float, out: ByteArray) -> None:
             out[i, j, 0] = 1 if memory.seen_s[a, b] == -np.inf else 0
             out[i, j, 1] = 1 if memory.seen_s[a, b] < since_s else 0
             out[i, j, 2] = 1 if memory.looked_s[a, b] == -np.inf else 0
+
+
+@kernel
+def tell(memory: Memory, first: Any, middle: Any, reach_m: float, is_hidden: ByteArray) -> None:
+    """Of hidden cells (m, m) from the first (i, j) on, leave those within reach of a middle, or told of before."""
+    for i in range(len(is_hidden)):
+        for j in range(len(is_hidden)):
+            if is_hidden[i, j] == 0:
+                continue
+            a, b = slot(memory, first[0] + i, first[1] + j)
+            x, y = (first[0] + i + 0.5) * memory.cell_m - middle[0], (first[1] + j + 0.5) * memory.cell_m - middle[1]
+            if x * x + y * y < reach_m * reach_m:
+                memory.is_told[a, b] = 1
+            is_hidden[i, j] = memory.is_told[a, b]

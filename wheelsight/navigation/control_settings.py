@@ -22,6 +22,14 @@ class FollowSettings(Settings):
         ge=0,
         le=1,
     )
+    nearer_m: float = setting(
+        0.02,
+        "by how much nearer than it stands a plan may lead that begins nearer to an obstacle than margin_m: what a "
+        "corner comes nearer in a turn away from a wall, and by which it is followed inexactly",
+        CHOSEN,
+        ge=0,
+        le=0.1,
+    )
     people_margin_m: float = setting(0.15, "the same of people, who may step aside to either side", CHOSEN, ge=0, le=2)
     turn_first_rad: float = setting(
         0.8,

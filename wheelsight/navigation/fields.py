@@ -39,12 +39,11 @@ def sides_of(footprint: Footprint) -> FloatArray:
 
 
 def outline_of(footprint: Footprint) -> Outline:
-    """A footprint as kernels take it; the discs within are the largest about the middle of its corners and the axle."""
+    """A footprint as kernels take it."""
     corners, sides = footprint.corners, sides_of(footprint)
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
-    discs = np.array([[*at, _inside_m(sides, at)] for at in (middle, np.zeros(2))])
     radius = float(np.linalg.norm(corners - middle, axis=1).max())
-    return Outline(sides, discs, _cover(footprint, sides), (float(middle[0]), float(middle[1]), radius))
+    return Outline(sides, _cover(footprint, sides), (float(middle[0]), float(middle[1]), radius))
 
 
 def _inside_m(sides: FloatArray, at: FloatArray) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -24,6 +24,8 @@ _TURN_STEP_RAD = 0.05
 _FIRST_LOOK_M = 1.5
 # The axle's middle moves by so much a radian while the base turns in place, since one wheel is quicker than the other.
 _SWAY_M = 0.15
+# Things deeper than so in the outline are no error of places: from them a way may only lead away.
+_DEEP_M = 0.15
 # Metres, or radians, that are a way made.
 _LEAST_WAY = 0.02
 _NO_SEGMENT = Segment(0, np.empty((0, 5)), np.zeros(3))
@@ -39,6 +41,7 @@ class Situation:
         point: of the segment, that it is at.
         field: the surroundings.
         people: (P, 5).
+        margin_m: nearer than this to an obstacle no command leads.
     """
 
     state: MotionState
@@ -46,6 +49,7 @@ class Situation:
     point: int
     field: CostField
     people: FloatArray
+    margin_m: float
 
     @property
     def pose(self) -> tuple[float, float, float, float]:
@@ -85,6 +89,7 @@ class PathFollower:
         self._segments: tuple[Segment, ...] = ()
         self._index, self._point = 0, 0
         self._is_turning = False
+        self._margin_m = float("nan")
         self._piece, self._least_left, self._stuck_s = (-1, False), float("inf"), 0.0
 
     def command(self, state: MotionState, plan: DrivenPath, field: CostField, people: FloatArray) -> ControlResult:
@@ -98,6 +103,7 @@ class PathFollower:
             return self._stand(ControlReason.INVALID)
         if not self._take(plan, state):
             return self._stand(ControlReason.NO_PATH)
+        self._allow(state, field)
         return self._follow(state, field, np.ascontiguousarray(people))
 
     def _take(self, plan: DrivenPath, state: MotionState) -> bool:
@@ -110,8 +116,23 @@ class PathFollower:
             self._poses = poses.copy()
             self._segments = cut(poses, self._settings.spacing_m, self._settings.turn_first_rad)
             self._index, self._is_turning, self._piece = 0, False, (-1, False)
+            self._margin_m = float("nan")
             self._point = self._nearest(state)
         return True
+
+    def _allow(self, state: MotionState, field: CostField) -> None:
+        """Say how near things may come while this plan is driven: nearer than the margin only where it begins so.
+
+        A planner's way out of what is too near leads past it, and a corner comes nearer before it comes free. It is
+        by the plan, not by the period: else it would come nearer each time.
+        """
+        s, (x, y, yaw) = self._settings, map(float, state.pose)
+        pose = (x, y, float(np.cos(yaw)), float(np.sin(yaw)))
+        here = float(clearance_at(field, self._outline, pose, s.margin_m + s.nearer_m))
+        if here > s.margin_m + s.nearer_m or here < -_DEEP_M:
+            self._margin_m = s.margin_m
+        elif np.isnan(self._margin_m):
+            self._margin_m = min(s.margin_m, here - s.nearer_m)
 
     def _nearest(self, state: MotionState) -> int:
         points = self._segments[0].points if self._segments else np.empty((0, 5))
@@ -121,13 +142,13 @@ class PathFollower:
     def _follow(self, state: MotionState, field: CostField, people: FloatArray) -> ControlResult:
         while self._index < len(self._segments):
             segment = self._segments[self._index]
-            situation = Situation(state, segment, self._point, field, people)
+            situation = Situation(state, segment, self._point, field, people, self._margin_m)
             result = self._drive(situation) if segment.direction else self._turn_to(situation, float(segment.end[2]))
             if result is not None:
                 return result
             self._index, self._point, self._is_turning = self._index + 1, 0, False
             self._steering.forget()
-        return self._at_goal(Situation(state, _NO_SEGMENT, 0, field, people))
+        return self._at_goal(Situation(state, _NO_SEGMENT, 0, field, people, self._margin_m))
 
     def _at_goal(self, situation: Situation) -> ControlResult:
         """The last turn to the goal's heading, then what has become of it."""
@@ -180,7 +201,7 @@ class PathFollower:
             if direction * ((xy[0] - x) * c + (xy[1] - y) * s) <= (points[self._point + 1, 4] - along) / 2:
                 break
             self._point += 1
-        return Situation(situation.state, situation.segment, self._point, situation.field, situation.people)
+        return replace(situation, point=self._point)
 
     def _turn_to(self, situation: Situation, yaw: float) -> ControlResult | None:
         """A turn in place; None where it is turned."""
@@ -210,8 +231,7 @@ class PathFollower:
         steps = int(np.ceil(abs(way) / _TURN_STEP_RAD))
         seconds = _TURN_STEP_RAD / max(self._limits.turn_rad_s, 1e-3)
         arc = (0.0, way / steps, seconds, steps)
-        margin = self._settings.margin_m
-        near = self._settings.people_margin_m
+        margin, near = situation.margin_m, self._settings.people_margin_m
         people = situation.people + np.array([0, 0, 0, 0, near - margin])
         return bool(free_arc(situation.field, self._outline, people, situation.pose, arc, margin) == steps)
 
@@ -220,7 +240,7 @@ class PathFollower:
         return ControlResult.standing(reason)
 
 
-def clearances(situation: Situation, outline: Outline, margin_m: float) -> tuple[float, float]:
+def clearances(situation: Situation, outline: Outline) -> tuple[float, float]:
     """How far obstacles and people are from the footprint now."""
-    clearance = clearance_at(situation.field, outline, situation.pose, margin_m)
+    clearance = clearance_at(situation.field, outline, situation.pose, situation.margin_m)
     return float(clearance), float(people_apart(situation.people, outline, situation.pose, 0.0))

@@ -77,7 +77,18 @@ class MonitorSettings(Settings):
         le=600,
     )
     remember_s: float = setting(
-        30.0, "time for which a thing out of sight counts; what has gone is seen through sooner", CHOSEN, gt=0, le=3600
+        600.0,
+        "time for which a thing out of sight counts, however little was driven; what has gone is seen through sooner",
+        CHOSEN,
+        gt=0,
+        le=3600,
+    )
+    remember_m: float = setting(
+        10.0,
+        "way that the farthest corner may go until then: wheels err by 1 % of it, which is 0.1 m, as inside_m",
+        "reckoned",
+        gt=0,
+        le=1000,
     )
     cell_m: float = setting(0.03, "side of the cells by which floor is remembered", CHOSEN, gt=0.005, le=0.2)
     window_m: float = setting(

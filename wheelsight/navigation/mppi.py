@@ -89,7 +89,8 @@ class Rollouts:
     def given(self, situation: Situation) -> tuple[Begin, Way, CostField, FloatArray, Dynamics, Weights]:
         """What rollouts are judged by."""
         begin, way = self._begin(situation), self._way(situation)
-        return begin, way, situation.field, situation.people, self._dynamics, self._weights
+        weights = self._weights._replace(margin_m=situation.margin_m)
+        return begin, way, situation.field, situation.people, self._dynamics, weights
 
     def costs(
         self, given: tuple[Begin, Way, CostField, FloatArray, Dynamics, Weights]
@@ -103,7 +104,7 @@ class Rollouts:
     def _begin(self, situation: Situation) -> Begin:
         state = situation.state
         x, y, yaw = map(float, state.pose)
-        near = clearances(situation, self._dynamics.outline, self._weights.margin_m)
+        near = clearances(situation, self._dynamics.outline)
         return Begin(x, y, yaw, float(state.forward_m_s), float(state.turn_rad_s), 0, *near)
 
     def _way(self, situation: Situation) -> Way:

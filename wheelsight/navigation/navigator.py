@@ -319,6 +319,8 @@ class Navigator:
         if task.held_for_s(now_s, is_held) > self.settings.navigator.held_s:
             why = result.reason or self._chain.checked.reason
             return self._get_out(task, str(why))
+        if task.loiters_s > self.settings.navigator.loiter_s:
+            return self._get_out(task, "it comes no farther")
         return result.command
 
     def _reached(self, task: Task) -> VelocityCommand:
@@ -326,6 +328,7 @@ class Navigator:
         if self._planning.is_busy:
             return STOP
         task.goals.reached()
+        task.come_on()
         task.goal_change = task.plan.goal_change if task.plan is not None else ""
         self._become(NavigationState.PLANNING, "a goal is reached")
         return STOP

@@ -110,7 +110,17 @@ class NavigatorSettings(Settings):
         le=60,
     )
     tries: int = setting(6, "times to get itself out, without a way made, before it gives up", CHOSEN, ge=0, le=100)
-    progress_m: float = setting(1.0, "way made after which its tries begin anew", CHOSEN, gt=0, le=20)
+    progress_m: float = setting(
+        1.0, "from where it last got itself out, so far off its tries begin anew", CHOSEN, gt=0, le=20
+    )
+    loiter_s: float = setting(
+        30.0,
+        "time in which it drives and comes no farther than progress_m, before it gets itself out: a way with many "
+        "turns in a narrow place takes 20 s. Plans that follow each other may lead to and fro",
+        CHOSEN,
+        gt=0,
+        le=600,
+    )
     lost_s: float = setting(
         60.0, "time without knowing where in the map it is, before it gives up", CHOSEN, gt=0, le=3600
     )

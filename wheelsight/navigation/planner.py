@@ -20,6 +20,7 @@ from wheelsight.navigation import _smoothing as smoothing
 from wheelsight.navigation._drivable import Drivable
 from wheelsight.navigation._goals import Goal, components, goal_near, passable, way_out
 from wheelsight.navigation.costmap import Costmap
+from wheelsight.navigation.fields import outline_of
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.grid_search import cost_to_go
 from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
@@ -44,6 +45,7 @@ class Planner:
     ) -> None:
         self.footprint, self.settings = footprint, settings or PlannerSettings()
         self.limits = limits or RobotLimits()
+        self._outline = outline_of(footprint)
 
     def has_room(self, costmap: Costmap, poses: ArrayLike) -> BoolArray:
         """(N,) whether the footprint fits at poses (N, 3) with the wanted margin."""
@@ -70,7 +72,7 @@ class Planner:
             return PlanFailure(PlanReason.START_OUTSIDE, f"({begin[0]:.2f}, {begin[1]:.2f}) m is beyond the map's edge")
         stood = costmap.standing_at(self.footprint.padded(self.settings.margin_m), begin)
         drivable = Drivable.of(stood, self.footprint, self.settings, self.limits)
-        out = way_out(drivable, begin, self.settings)
+        out = way_out(drivable, self._outline, begin, self.settings)
         if out is None:
             return PlanFailure(PlanReason.START_OCCUPIED, f"nor within {self.settings.escape_m:g} m")
         metre_cost = passable(drivable)

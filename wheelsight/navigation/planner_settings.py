@@ -85,10 +85,17 @@ class PlannerSettings(Settings):
         0.5, "how far from a goal that is occupied the plan may end, metres", CHOSEN, ge=0, le=5
     )
     goal_tolerance_rad: float = setting(0.35, "likewise, how far from its heading", CHOSEN, ge=0, le=3.2)
+    escape_nearer_m: float = setting(
+        0.01,
+        "by how much nearer to an obstacle than it stands such a way out may lead, metres; controllers follow it with "
+        "follow.nearer_m",
+        CHOSEN,
+        ge=0,
+        le=0.1,
+    )
     escape_m: float = setting(
         1.2, "longest way out, where the robot stands too near to something, metres", CHOSEN, ge=0, le=3
     )
-
     escape_depth_m: float = setting(
         0.15,
         "how deep a thing may be in the robot's outline for that to be an error of places, metres",

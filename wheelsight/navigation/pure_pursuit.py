@@ -53,7 +53,7 @@ class _Arcs:
         curvature = self._curvature(situation)
         direction = situation.segment.direction
         most = self._limits.forward_m_s if direction > 0 else self._limits.backward_m_s
-        clearance = min(clearances(situation, self._outline, self._follow.margin_m))
+        clearance = min(clearances(situation, self._outline))
         speed = min(most, self._regulated(most, curvature, clearance), self._to_end(situation.rest_m))
         if curvature:
             speed = min(speed, self._limits.turn_rad_s / abs(curvature))
@@ -98,7 +98,7 @@ class _Arcs:
 
     def _free_m(self, situation: Situation, curvature: float, speed: float) -> float:
         """How far the arc goes before it touches something, as far as matters at a speed."""
-        s, margin = self._settings, self._follow.margin_m
+        s, margin = self._settings, situation.margin_m
         b = s.braking_share * self._limits.braking_m_s2
         steps = 2 + int(np.ceil((speed**2 / (2 * b) + speed * s.ahead_s) / s.step_m))
         way = situation.segment.direction * s.step_m

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from wheelsight.geometry import ByteArray, Float32Array, FloatArray
 from wheelsight.navigation._field_kernels import moved
-from wheelsight.navigation._surroundings_kernels import Memory, Sight, keep, look, mark_under, remembered, unseen
+from wheelsight.navigation._surroundings_kernels import Memory, Sight, keep, look, mark_under, remembered, tell, unseen
+from wheelsight.navigation._sweep_kernels import all_outside_m
 from wheelsight.navigation.fields import Outline, sides_of
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.monitor_settings import MonitorSettings
@@ -121,7 +122,8 @@ class Surroundings:
         self._outline, self._settings = outline, settings
         self._readings: deque[_Reading] = deque()
         self._newest = np.empty((0, 2))
-        self._newest_s, self._trusted_m = -np.inf, 0.0
+        self._newest_s, self._trusted_m, self._way_m = -np.inf, 0.0, 0.0
+        self._reach_m = float(np.linalg.norm(outline.sides[:, :2], axis=1).max())
         self.forget()
 
     def forget(self) -> None:
@@ -130,7 +132,8 @@ class Surroundings:
         n = int(np.ceil(s.window_m / s.cell_m))
         never = np.full((n, n), -np.inf)
         nowhere = np.full((n, n, 2), np.iinfo(np.int64).min)
-        self._memory = Memory(nowhere, never, never.copy(), never.copy(), np.zeros((n, n, 2)), s.cell_m)
+        hits, is_told = np.zeros((n, n, 4)), np.zeros((n, n), np.uint8)
+        self._memory = Memory(nowhere, never, never.copy(), never.copy(), hits, is_told, s.cell_m)
         self._readings.clear()
         self._newest, self._newest_s = np.empty((0, 2)), -np.inf
 
@@ -146,6 +149,7 @@ class Surroundings:
             step_s = stamp_s - last.stamp_s
             v, w = (last.forward_m_s + forward_m_s) / 2, (last.turn_rad_s + turn_rad_s) / 2
             pose = moved(last.pose, v * step_s, w * step_s)
+            self._way_m += (abs(v) + self._reach_m * abs(w)) * step_s
         self._readings.append(_Reading(stamp_s, pose, forward_m_s, turn_rad_s))
         while len(self._readings) > 1 and self._readings[1].stamp_s < stamp_s - self._settings.history_s:
             self._readings.popleft()
@@ -182,33 +186,41 @@ class Surroundings:
         near_far = (min(self._settings.air_m, view.near_m), view.near_m, float(seen_m.max()))
         sight = Sight(float(camera[0]), float(camera[1]), first_rad, view.step_rad, *near_far, seen_m, view.stamp_s)
         look(self._memory, sight, pose[0], pose[1])
-        keep(self._memory, points, view.stamp_s, (pose[0], pose[1]))
+        keep(self._memory, points, view.stamp_s, (pose[0], pose[1]), (camera[0], camera[1]), self._way_m)
         self._newest, self._newest_s = points, view.stamp_s
         return True
 
     def points_at(self, pose: Pose, now_s: float, reach_m: float) -> FloatArray:
-        """(N, 2) things within reach in the frame of a pose: all of the newest frame, and what is remembered."""
-        out = np.empty((_MOST_POINTS, 2))
-        count = remembered(self._memory, pose, now_s - self._settings.remember_s, reach_m, out)
+        """(N, 2) things within reach in the frame of a pose: all of the newest frame, and what is remembered.
+
+        That is by the way driven since, which wheels err by, and hardly by time: beside a robot that stays where it is
+        a thing stays, too. Where the robot has come to stand since there is none.
+        """
+        s, out = self._settings, np.empty((_MOST_POINTS, 3))
+        since = (now_s - s.remember_s, self._way_m - s.remember_m)
+        old = out[: remembered(self._memory, pose, since, reach_m, out)]
+        within = all_outside_m(self._outline.sides, np.ascontiguousarray(old[:, :2])) < -s.inside_m
+        old = old[~(within & (old[:, 2] < now_s - s.fresh_s))]
         apart = self._newest - np.array(pose[:2])
         apart = apart[np.hypot(*apart.T) < reach_m]
         R = np.array([[pose[2], -pose[3]], [pose[3], pose[2]]])
-        return np.ascontiguousarray(np.concatenate([apart @ R, out[:count]]))
+        return np.ascontiguousarray(np.concatenate([apart @ R, old[:, :2]]))
 
     def hidden_about(self, reach_m: float, deep_m: float) -> FloatArray:
-        """(N, 2) in the base as it is now: middles of cells within reach that are so deep in floor never looked at.
+        """(N, 2) in the base as it is now: middles of cells that are so deep in floor never looked at.
 
-        Where the robot was led over it there is floor, but nothing was looked at from there: what is beside that is as
-        deep as it was.
+        Those within reach, and those that were when they were asked for before: whoever plans another way, leaves, and
+        hears of them no more would come back. Where the robot was led over it there is floor, but nothing was looked at
+        from there: what is beside that is as deep as it was.
         """
         if not self._readings:
             return np.empty((0, 2))
         last = self._readings[-1]
-        about = self.unseen_about(last.pose, last.stamp_s, reach_m)
+        about = self.unseen_about(last.pose, last.stamp_s, self._settings.window_m / 2)
         x, y, c, s = last.pose
-        is_hidden = (about.hidden_m > deep_m) & (about.never_m > 0)
+        is_hidden = ((about.hidden_m > deep_m) & (about.never_m > 0)).astype(np.uint8)
+        tell(self._memory, about.first, (x, y), reach_m, is_hidden)
         away = (np.argwhere(is_hidden) + about.first + 0.5) * self._settings.cell_m - (x, y)
-        away = away[np.hypot(*away.T) < reach_m]
         return np.asarray(away @ np.array([[c, -s], [s, c]]))
 
     def unseen_about(self, pose: Pose, now_s: float, reach_m: float) -> Unseen:

@@ -49,7 +49,9 @@ class Task:
         self.known_s = now_s
         self.transitions: list[Transition] = []
         self._begun_s = self._rolled_s = now_s
-        self._way_m = self._tried_m = 0.0
+        self._way_m = 0.0
+        self._here = self._from = np.full(2, math.nan)
+        self._now_s = self._since_s = now_s
         self._planned_m, self._plans, self._recoveries = 0.0, 0, 0
         self._held, self._stopped = _Stopwatch(), _Stopwatch()
 
@@ -59,16 +61,29 @@ class Task:
         return self.goals.name if self.behaviour is None else self.behaviour.name
 
     def roll(self, now_s: float, where: WhereNow, settings: NavigatorSettings) -> None:
-        """Count the way made; after so much of it, tries begin anew."""
+        """Count the way made; once it has come so far, tries begin anew: to and fro it may go for ever."""
+        self._now_s = now_s
         # By readings: wheels that are not heard any more made no way.
         speed = where.speed
         if speed.stamp_s > self._rolled_s:
             self._way_m += abs(speed.forward_m_s) * (speed.stamp_s - self._rolled_s)
             self._rolled_s = speed.stamp_s
-        if self._way_m - self._tried_m > settings.progress_m:
-            self._tried_m, self.tries = self._way_m, 0
+        if where.odom_pose is not None:
+            self._here = where.odom_pose[:2]
+            if not np.hypot(*(self._here - self._from)) <= settings.progress_m:
+                self.tries = 0
+                self.come_on()
         if where.is_known(settings.unsure_m):
             self.known_s, self.searches = now_s, 0
+
+    def come_on(self) -> None:
+        """From here and now on it is to make way."""
+        self._from, self._since_s = self._here, self._now_s
+
+    @property
+    def loiters_s(self) -> float:
+        """For how long it has come no farther, though it may have driven."""
+        return self._now_s - self._since_s
 
     def take(self, plan: Plan, now_s: float, T_map_odom: FloatArray) -> None:
         """Drive a plan from now on."""
@@ -84,7 +99,8 @@ class Task:
         if is_lost:
             self.searches += 1
         else:
-            self.tries, self._tried_m = self.tries + 1, self._way_m
+            self.tries += 1
+        self.come_on()
 
     def held_for_s(self, now_s: float, is_held: bool) -> float:
         """For how long it has been held; 0 where it is not."""

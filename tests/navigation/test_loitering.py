@@ -1,0 +1,44 @@
+"""A robot that drives to and fro, and comes no farther, gets itself out, and gives up in the end."""
+
+from __future__ import annotations
+
+import numpy as np
+from narrowing import not_none
+from navigation.rooms import Ride, Walls
+
+from wheelsight.commands import VelocityCommand
+from wheelsight.geometry import FloatArray
+from wheelsight.navigation import BehaviourSettings, NavigationReason, NavigationSettings, NavigatorSettings
+from wheelsight.navigation.control_values import ControlResult, DrivenPath, MotionState
+from wheelsight.navigation.fields import CostField
+
+ROOM = Walls.of(((0.0, 0.0), (8.0, 0.0)), ((7.99, 0.0), (7.99, 6.0)), ((8.0, 5.99), (0.0, 5.99)))
+SETTINGS = NavigationSettings(
+    navigator=NavigatorSettings(tries=1, loiter_s=1.5, progress_m=0.25), behaviours=BehaviourSettings(wait_s=0.2)
+)
+
+
+class ToAndFro:
+    """Within 0.3 m of where it begins, as where plans that follow each other lead to two sides."""
+
+    def __init__(self) -> None:
+        self.periods, self.way_m = 0, 0.0
+
+    def command(self, state: MotionState, plan: DrivenPath, field: CostField, people: FloatArray) -> ControlResult:
+        """See `Controller.command`."""
+        self.periods, self.way_m = self.periods + 1, self.way_m + abs(state.forward_m_s) * 0.05
+        return ControlResult(VelocityCommand(0.2 if self.periods // 25 % 2 == 0 else -0.2, 0.0))
+
+
+def test_way_that_leads_nowhere_is_no_progress() -> None:
+    """By way alone, its tries began anew every 0.25 m, and nothing ever held it."""
+    ride = Ride.of(ROOM, (3.0, 3.0, 0.0), (8.0, 6.0), settings=SETTINGS)
+    controller = ride.navigator._controller = ToAndFro()  # noqa: SLF001
+    ride.navigator.go_to_pose((6.0, 3.0, 0.0))
+    ride.go(6.0)
+    result = not_none(ride.navigator.result)
+    assert result.reason is NavigationReason.BLOCKED
+    assert result.detail == "it comes no farther"
+    assert result.recoveries == 1
+    assert controller.way_m > SETTINGS.navigator.progress_m
+    assert np.abs(ride.robot.base.pose[:2] - (3.0, 3.0)).max() < SETTINGS.navigator.progress_m

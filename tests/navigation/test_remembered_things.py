@@ -1,0 +1,86 @@
+"""What a collision monitor remembers of things that its camera does not show any more, and what it forgets."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from navigation.test_collision_monitor import NOTHING, Ride
+from navigation.unicycle import CHAIR, Camera
+
+from wheelsight.commands import STOP, VelocityCommand
+from wheelsight.estimates import Status
+from wheelsight.geometry import FloatArray
+from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorState
+from wheelsight.navigation.fields import outline_of
+from wheelsight.navigation.monitor_settings import MonitorSettings
+from wheelsight.navigation.surroundings import Surroundings
+
+KINECT = Camera(half_angle_rad=0.47, near_m=1.9)
+AHEAD = VelocityCommand(0.3)
+# Longer than people wait for somebody to step aside.
+LONG_S = 40.0
+CORNER_M = float(np.hypot(0.8, 0.3))
+
+
+def standing(ride: Ride, seconds: float) -> None:
+    """It stands, and sees what it sees, two times a second."""
+    while seconds > 0:
+        ride.monitor.hear(ride.time_s, 0.0, 0.0)
+        ride.monitor.see(ride.camera.view(ride.points, ride.base.pose, ride.time_s))
+        ride.time_s, seconds = ride.time_s + 0.45, seconds - 0.45
+    ride.monitor.hear(ride.time_s, 0.0, 0.0)
+    ride.monitor.see(ride.camera.view(ride.points, ride.base.pose, ride.time_s))
+
+
+def block(x_m: float, y_m: float) -> FloatArray:
+    """(N, 2) points of a box of 0.2 m."""
+    along = np.arange(-0.1, 0.11, 0.02)
+    sides = [np.stack([along, np.full(len(along), end)], axis=-1) for end in (-0.1, 0.1)]
+    return np.concatenate([*sides, *(side[:, ::-1] for side in sides)]) + (x_m, y_m)
+
+
+def test_what_stands_beside_a_robot_that_stays_is_not_forgotten() -> None:
+    """It drives past a box, stands for 40 s, and is asked to turn to it: by then it had been forgotten."""
+    ride = Ride(block(1.9, 0.55), KINECT)
+    ride.monitor.trust_floor(2.3)
+    ride.drive(AHEAD, 5.0)
+    ride.drive(STOP, 1.0)
+    standing(ride, LONG_S)
+    ride.drive(VelocityCommand(0.0, 0.5), 3.0)
+    assert ride.clearance_m > 0
+    assert ride.results[-1].state is MonitorState.STOPPED
+
+
+def test_who_stood_before_the_camera_and_has_gone_is_forgotten_at_once() -> None:
+    """He is nearer than the floor that it sees, and what showed from there would show still."""
+    ride = Ride(block(1.6, 0.0), KINECT)
+    ride.monitor.trust_floor(2.3)
+    assert ride.drive(AHEAD, 4.0).state is MonitorState.STOPPED
+    ride.points = NOTHING
+    assert ride.drive(AHEAD, 0.5).state is not MonitorState.STOPPED
+
+
+def test_a_low_thing_that_came_too_near_to_be_seen_stays() -> None:
+    """The camera looks over it from where it stands by now."""
+    low, monitor, now_s = block(2.6, 0.0), CollisionMonitor(CHAIR), 0.0
+    monitor.trust_floor(2.3)
+    for step in range(400):
+        now_s, x = 0.05 * step, min(0.3 * 0.05 * step, 1.2)
+        monitor.hear(now_s, 0.3 if x < 1.2 else 0.0, 0.0)
+        shown = low if 2.5 - x - KINECT.x_m > 1.4 else NOTHING
+        monitor.see(KINECT.view(shown, np.array([x, 0.0, 0.0]), now_s))
+    assert monitor.check(AHEAD, now_s, Status.TRACKING).command.forward_m_s < AHEAD.forward_m_s
+
+
+@pytest.mark.parametrize(("turns", "is_known"), [(1, True), (2, False)])
+def test_it_is_forgotten_by_the_way_for_wheels_err_by_that(turns: int, is_known: bool) -> None:
+    """Once around, a corner of the front goes 5.4 m."""
+    settings = MonitorSettings()
+    known, box, seconds = Surroundings(outline_of(CHAIR), settings), block(0.4, 0.75), turns * 2 * np.pi / 0.5
+    known.hear(0.0, 0.0, 0.5)
+    known.see(Camera(0.0, np.pi, 0.0, 5.0).view(box, np.zeros(3), 0.0))
+    for stamp_s in np.linspace(0.0, seconds, 100)[1:]:
+        known.hear(float(stamp_s), 0.0, 0.5)
+    known.see(KINECT.view(NOTHING, np.zeros(3), seconds))
+    found = known.points_at((0.0, 0.0, 1.0, 0.0), seconds, 3.0)
+    assert (len(found) > 0) == is_known == (settings.remember_m > turns * 2 * np.pi * CORNER_M)
