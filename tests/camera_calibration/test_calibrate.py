@@ -146,10 +146,12 @@ def test_a_depth_lens_is_bent_where_no_infrared_image_shows_it(seed: int) -> Non
     assert found.depth is not None
     u, v = np.meshgrid(np.linspace(0.1, 0.9, 9) * rig.depth.width, np.linspace(0.1, 0.9, 7) * rig.depth.height)
     px = np.stack([u.ravel(), v.ravel()], axis=-1)
-    off = found.depth.normalise(px) - rig.depth.normalise(px)
-    # Turns of all rays are where the camera sits; how they lie to each other tells ways and turns.
-    print(np.sqrt(((off-off.mean(0))**2).sum(1).mean()), np.sqrt((off**2).sum(1).mean()), found.sigmas, found.depth_sigma_m)
-    assert 0
+    rays, true = (lens.normalise(px) - lens.normalise(px).mean(axis=0) for lens in (found.depth, rig.depth))
+    # Where all rays look is where the camera sits; how they lie to each other tells ways and turns.
+    size = float((rays * true).sum() / (true**2).sum())
+    assert size == pytest.approx(1, abs=3 * found.sigmas["depth.fx"] / found.depth.fx)
+    assert size == pytest.approx(1, abs=3e-3)
+    assert np.sqrt(((rays - size * true) ** 2).sum(axis=1).mean()) < 0.8e-3
 
 
 def camera_calibration_of(rig: Rig):

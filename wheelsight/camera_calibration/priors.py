@@ -49,9 +49,7 @@ def _held(priors: _Priors, place: slice, start: PinholeCamera) -> None:
         priors.add([place.start + k], [1], float(value), _HELD)
 
 
-def _of_lens(
-    priors: _Priors, model: Model, place: slice, start: PinholeCamera, *, is_nominal: bool = False
-) -> None:
+def _of_lens(priors: _Priors, model: Model, place: slice, start: PinholeCamera, *, is_nominal: bool = False) -> None:
     """What is known of a lens: of lenses as such, and of one without corners of its own, `is_nominal`, by `start`."""
     first, length, prior = place.start, place.stop - place.start, model.settings.prior
     if not length:
