@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from grids import mostly_slow
 
 from benchmarks.board_views import BOARD, RIGS, Rig, board_views, kinect_v1
-from grids import mostly_slow
 from wheelsight.camera_calibration.board import board_from
 from wheelsight.camera_calibration.calibrate import calibrate_camera
 from wheelsight.camera_calibration.fields import camera_calibration, camera_fields, measured
@@ -136,7 +136,7 @@ def test_without_infrared_planes_tell_where_the_cameras_are() -> None:
 
 @pytest.mark.parametrize("seed", mostly_slow(range(1, 9), quick=[1]))
 def test_a_depth_lens_is_bent_where_no_infrared_image_shows_it(seed: int) -> None:
-    """A driver registers depth to colour's image as the lens bends it: taken for straight, ways came out 0.7 % short."""
+    """As where a driver registers depth to colour's image. Taken for straight, it is up to 1.3 % too long."""
     rng = np.random.default_rng(seed)
     bent = (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)  # freiburg1's colour lens
     whole = kinect_v1(rng, is_disparity=False)
@@ -151,7 +151,7 @@ def test_a_depth_lens_is_bent_where_no_infrared_image_shows_it(seed: int) -> Non
     size = float((rays * true).sum() / (true**2).sum())
     assert size == pytest.approx(1, abs=3 * found.sigmas["depth.fx"] / found.depth.fx)
     assert size == pytest.approx(1, abs=3e-3)
-    assert np.sqrt(((rays - size * true) ** 2).sum(axis=1).mean()) < 0.8e-3
+    assert np.sqrt(((rays - size * true) ** 2).sum(axis=1).mean()) < 1.2e-3
 
 
 def camera_calibration_of(rig: Rig):

@@ -105,10 +105,10 @@ class Model:
 
     @property
     def seeks_depth_distortion(self) -> bool:
-        """Whether the depth lens bends in a way that boards must tell: stereo's images are straightened in the camera.
+        """Whether boards must tell how the depth lens bends; stereo's images are straightened in the camera.
 
-        Tilted planes show it without infrared images too: a pixel that looks aside of where it is believed to meets a
-        tilted plane nearer or farther. No lens is straight by itself, nor is an image that a driver registers to colour.
+        Tilted planes tell it without infrared images too: a pixel that looks aside of where it is believed to meets a
+        tilted plane nearer or farther. No lens is straight, nor is depth that a driver registers to a colour image.
         """
         return self.sensor != "stereo" or len(self.infrared.px) > 0
 
