@@ -5,8 +5,8 @@ A board before that camera gives lenses, registration and depth's error (`calibr
 ends are measured by tape give the wheels (`calibrate umbmark`, which leaves their mean size as it was), and a drive
 through the simulator's flat, with stops and turns on the spot, where the camera sits (`calibrate base`).
 
-By the camera's way over that drive (`calibrate wheels --reference`) the radii of two units came out 0.7 to 1.0 % too
-small, of which it stated a σ of 0.25 to 0.31 %; by squares right over left is within 0.01 %.
+By squares right over left is within 0.01 %. By the camera's way (`calibrate wheels --reference`) radii came out 0.7 to
+1.0 % too small while the depth lens was taken for straight (docs/decisions/0101).
 """
 
 from __future__ import annotations

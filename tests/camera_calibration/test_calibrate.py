@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from grids import mostly_slow
 
 from benchmarks.board_views import BOARD, RIGS, Rig, board_views, kinect_v1
+from benchmarks.camera_calibration import measure_real
 from wheelsight.camera_calibration.board import board_from
 from wheelsight.camera_calibration.calibrate import calibrate_camera
 from wheelsight.camera_calibration.fields import camera_calibration, camera_fields, measured
@@ -272,3 +274,17 @@ def test_errors_over_several_units_are_as_large_as_their_sigmas() -> None:
         over_sigma += [off_m[k] / found.sigmas[f"T.{axis}"] for k, axis in enumerate("xyz")]
     assert 0.5 < np.sqrt(np.mean(np.square(over_sigma))) < 1.6
     assert np.abs(over_sigma).max() < 4
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_a_real_kinect_is_explained_without_infrared_images(data_folder: Path) -> None:
+    """27 colour images and 33 of raw disparities, by Herrera et al. (TPAMI 2012): far boards, in the image's middle."""
+    found = measure_real(data_folder)
+    assert found is not None
+    assert found.depth is not None
+    depth = found.depth_residuals
+    steps = depth.off_m / (abs(found.depth_error.disparity_step_per_m) * depth.depth_m**2)
+    assert len(found.views) >= 15
+    assert steps.std() < 0.5
+    assert found.depth.fx == pytest.approx(586, abs=3 * found.sigmas["depth.fx"])
