@@ -167,5 +167,5 @@ def test_by_a_unit_that_a_board_has_calibrated_mount_and_wheels_come_out(seed: i
     # Taken for straight, the depth lens put seed 5's x 26 mm off by 11, and radii 0.7 % by 0.3.
     for name, limit in {"yaw": np.radians(0.5), "x": 0.02, "y": 0.01}.items():
         assert abs(off[name][0]) < min(limit, 3 * off[name][1]), off
-    assert np.abs(sizes[:2]).max() < min(6e-3, 2 * way.scale_sigma)
+    assert np.abs(sizes[:2]).max() < min(6e-3, 3 * way.scale_sigma)
     assert abs(sizes[2]) < 3 * way.turn_sigma
