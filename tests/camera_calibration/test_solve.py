@@ -128,3 +128,48 @@ def test_the_larger_of_both_sigmas_counts() -> None:
     solution = solve(Residuals(model, Sigmas(0.1, 0.1, 1.0)), start)
     both = np.sqrt([np.diag(solution.covariance), np.diag(solution.by_views)]).max(axis=0)
     assert solution.sigmas_of(np.eye(len(both)), slice(None)) == pytest.approx(both)
+
+
+BENT = (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)  # freiburg1's colour lens, as a driver registers depth to it
+
+
+def tilted_boards(sensor: str) -> tuple[Model, FloatArray]:
+    """Depth without noise of boards that fill the image, tilted each way, and where they are."""
+    rng = np.random.default_rng(2)
+    straight = PinholeCamera(320, 240, 292.0, 292.0, 159.5, 119.5)
+    bent = replace(straight, distortion=BENT)
+    count, each = 12, 60
+    turns = [se3.exp([0, 0, 0, 0.6 * np.cos(a), 0.6 * np.sin(a), 0]) for a in 2.4 * np.arange(count)]
+    T = np.array([se3.exp([0, 0, 1 + 0.15 * k, 0, 0, 0]) @ turn for k, turn in enumerate(turns)])
+    view = np.repeat(np.arange(count), each)
+    px = rng.uniform((8, 8), (312, 232), (len(view), 2))
+    rays = np.concatenate([bent.normalise(px), np.ones((len(px), 1))], axis=1)
+    n = T[view, :3, 2]
+    z = (n * T[view, :3, 3]).sum(axis=1) / (n * rays).sum(axis=1)
+    cells = Cells(view, px, z, np.full(len(view), 1e-3))
+    corners = np.tile(BOARD.points_m / BOARD.square_m, (count, 1)) - BOARD.points_m.mean(axis=0) / BOARD.square_m
+    of_board = np.repeat(np.arange(count), BOARD.count)
+    p = se3.apply(T[of_board], BOARD.square_m * corners[:, None])[:, 0]
+    seen = Points(of_board, corners, straight.denormalise(p[:, :2] / p[:, 2:]))
+    model = Model(
+        seen, NO_POINTS, cells, straight, straight, sensor, False, BOARD.square_m, (1e-3, 1e-3),
+        np.empty(0), np.eye(4), count, CameraCalibrationSettings(), keeps_color=True,
+    )  # fmt: skip
+    return model, filled(model, np.zeros(model.slices()["poses"].stop), (straight, straight), BOARD.square_m, T)
+
+
+def test_tilted_planes_tell_how_a_depth_lens_bends() -> None:
+    """Nothing else does, where no infrared image shows a corner."""
+    model, start = tilted_boards("structured-light")
+    found = model.depth_camera(solve(Residuals(model, Sigmas(0.1, 0.1, 0.1)), start).x)
+    u, v = np.meshgrid(np.linspace(20, 300, 8), np.linspace(20, 220, 6))
+    px = np.stack([u.ravel(), v.ravel()], axis=-1)
+    off = found.normalise(px) - replace(model.depth_start, distortion=BENT).normalise(px)
+    assert np.abs(off).max() < 2e-4  # of 14e-3 by a straight lens
+    assert found.fx == pytest.approx(model.depth_start.fx, rel=1e-3)
+
+
+def test_stereo_answers_images_that_the_camera_has_straightened() -> None:
+    model, x = tilted_boards("stereo")
+    assert not model.depth_camera(x).has_distortion
+    assert model.slices()["depth"].stop - model.slices()["depth"].start == 4

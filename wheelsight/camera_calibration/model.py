@@ -85,7 +85,7 @@ class Model:
         """Where in the vector of parameters each block stands; poses last."""
         sizes = {
             "color": _LENS,
-            "depth": 0 if self.is_registered else _LENS if len(self.infrared.px) else BARE_LENS,
+            "depth": 0 if self.is_registered else _LENS if self.seeks_depth_distortion else BARE_LENS,
             "apart": 0 if self.is_registered else _POSE,
             "square": int(self.square_m is None),
             "error": self._error_size() if len(self.cells.px) else 0,
@@ -102,6 +102,15 @@ class Model:
         if self.sensor == "stereo":
             return 3
         return BEFORE_KNOTS + 2 * self.grid[0] * self.grid[1]
+
+    @property
+    def seeks_depth_distortion(self) -> bool:
+        """Whether boards must tell how the depth lens bends; stereo's images are straightened in the camera.
+
+        Tilted planes tell it without infrared images too: a pixel that looks aside of where it is believed to meets a
+        tilted plane nearer or farther. No lens is straight, nor is depth that a driver registers to a colour image.
+        """
+        return self.sensor != "stereo" or len(self.infrared.px) > 0
 
     @property
     def grid(self) -> tuple[int, int]:

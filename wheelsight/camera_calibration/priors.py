@@ -15,8 +15,11 @@ def prior_rows(model: Model) -> tuple[FloatArray, FloatArray]:
     """What is known beforehand, as rows (P, n) and values (P,) in σ: rows @ x is about the values."""
     priors = _Priors(model.slices()["poses"].stop)
     at = model.slices()
-    _of_lens(priors, model, at["color"], model.color_start, is_held=model.keeps_color)
-    _of_lens(priors, model, at["depth"], model.depth_start, is_held=False)
+    if model.keeps_color:
+        _held(priors, at["color"], model.color_start)
+    else:
+        _of_lens(priors, model, at["color"], model.color_start)
+    _of_lens(priors, model, at["depth"], model.depth_start, is_nominal=not len(model.infrared.px))
     for k in range(at["apart"].start, min(at["apart"].start + 3, at["apart"].stop)):
         priors.add([k], [1], 0.0, model.settings.prior.apart_m)
     if at["error"].stop > at["error"].start:
@@ -40,16 +43,18 @@ class _Priors:
         self.values.append(value / sigma)
 
 
-def _of_lens(priors: _Priors, model: Model, place: slice, start: PinholeCamera, *, is_held: bool) -> None:
+def _held(priors: _Priors, place: slice, start: PinholeCamera) -> None:
+    """A lens that stays as it is."""
+    for k, value in enumerate(lens_parameters(start, start)):
+        priors.add([place.start + k], [1], float(value), _HELD)
+
+
+def _of_lens(priors: _Priors, model: Model, place: slice, start: PinholeCamera, *, is_nominal: bool = False) -> None:
+    """What is known of a lens: of lenses as such, and of one without corners of its own, `is_nominal`, by `start`."""
     first, length, prior = place.start, place.stop - place.start, model.settings.prior
     if not length:
         return
     known = lens_parameters(start, start)
-    if is_held:
-        for k in range(length):
-            priors.add([first + k], [1], float(known[k]), _HELD)
-        return
-    is_nominal = length == BARE_LENS
     if is_nominal:
         priors.add([first], [1], 0.0, prior.depth_focal)
     priors.add([first + 1], [1], float(np.log(start.fy / start.fx)), prior.aspect)
@@ -58,7 +63,7 @@ def _of_lens(priors: _Priors, model: Model, place: slice, start: PinholeCamera, 
         priors.add([first + k], [1], float(known[k]), centre)
     bent = [*prior.radial[:2], prior.tangential, prior.tangential, prior.radial[2]]
     for k in range(BARE_LENS, length):
-        priors.add([first + k], [1], 0.0, bent[k - BARE_LENS])
+        priors.add([first + k], [1], float(known[k]) if is_nominal else 0.0, bent[k - BARE_LENS])
 
 
 def _of_error(priors: _Priors, model: Model, first: int) -> None:
