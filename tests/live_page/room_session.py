@@ -120,6 +120,13 @@ class Served:
             time.sleep(0.01)
         raise AssertionError(f"it did not come to be: {told}")
 
+    def until_stopped(self) -> None:
+        """Waits for the thread that stops the robot."""
+        ends_s = time.monotonic() + LONGEST_S
+        while not self.robot.stops_s:
+            assert time.monotonic() < ends_s
+            time.sleep(0.002)
+
     @property
     def stands(self) -> bool:
         return self.robot.base.stands

@@ -129,7 +129,7 @@ def test_a_robot_that_is_gone_ends_in_words(monkeypatch: pytest.MonkeyPatch) -> 
         monkeypatch.setattr(served.robot, "step", unplugged)
         told = served.until(lambda told: told["phase"] == "choose")
         assert has_said("the port is gone")(told)
-        assert served.robot.stops_s
+        served.until_stopped()
 
 
 def test_too_much_at_once_is_refused() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -181,10 +180,7 @@ def test_a_flood_is_refused_and_stop_is_heard_in_it() -> None:
             for _ in range(30):
                 other.send_json({"type": "stop"})
             assert sent_away(other).reason == "too many messages"
-        ends_s = time.monotonic() + 60  # a thread of its own stops it
-        while not served.robot.stops_s:
-            assert time.monotonic() < ends_s
-            time.sleep(0.002)
+        served.until_stopped()
 
 
 def test_too_many_pages_are_refused() -> None:
