@@ -39,8 +39,8 @@ def steps_of(file: Path) -> tuple[list[Step], tuple[Measured, ...]]:
     force = " --force" if known else ""
     return [
         _camera(file, known, by, force),
-        _wheels(file, known, by, force),
         _mount(file, known, by, force),
+        _wheels(file, known, by, force),
     ], history
 
 
@@ -58,25 +58,29 @@ def _camera(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step
     return Step("camera", is_done, told, how, commands)
 
 
-def _wheels(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
-    is_done = bool({"calibrate wheels", "calibrate umbmark"} & by) and "wheels" in known
-    told = "radii, track width, delay" if is_done else "by a data sheet or a ruler, or none"
-    how = (
-        "Drive a few minutes: straight, turns both ways, some on the spot, stops between; with the camera recorded too."
-    )
-    nominal = "" if "wheels" in known or "wheels" in known.get(NOMINAL, {}) else " --calibration nominal.yaml"
-    commands = (
-        f"wheelsight run DRIVE --odometry dense --calibration {file} --out visual",
-        f"wheelsight calibrate wheels DRIVE --reference visual/trajectory.txt{nominal} --out {file}{force}",
-    )
-    return Step("wheels", is_done, told, how, commands)
-
-
 def _mount(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
     is_done = "calibrate base" in by and "T_base_camera" in known
     told = "T_base_camera, found on a drive" if is_done else "by a ruler" if "T_base_camera" in known else "none"
-    how = "Drive a minute or two over a flat floor that the camera sees: straight, and turns both ways."
-    return Step("mount", is_done, told, how, (f"wheelsight calibrate base DRIVE --out {file}{force}",))
+    how = (
+        "Drive two minutes over a flat floor that the camera sees: straight, turns both ways, some on the spot, stops "
+        "between. Wheels by a ruler will do."
+    )
+    given = f" --calibration {file}" if known else ""
+    if not ("wheels" in known or "wheels" in known.get(NOMINAL, {})):
+        given += " --calibration nominal.yaml"
+    return Step("mount", is_done, told, how, (f"wheelsight calibrate base DRIVE{given} --out {file}{force}",))
+
+
+def _wheels(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
+    is_done = bool({"calibrate wheels", "calibrate umbmark"} & by) and "wheels" in known
+    told = "radii, track width, delay" if is_done else "by a data sheet or a ruler, or none"
+    # The camera's way tells of the wheels once it is known where on the robot the camera sits.
+    how = "The same drive, or another of some minutes: straight, turns both ways, some on the spot, stops between."
+    commands = (
+        f"wheelsight run DRIVE --odometry dense --calibration {file} --out visual",
+        f"wheelsight calibrate wheels DRIVE --reference visual/trajectory.txt --calibration {file} --out {file}{force}",
+    )
+    return Step("wheels", is_done, told, how, commands)
 
 
 def loop_check(folder: Path, file: Path, topics: Sequence[str] | None) -> tuple[tuple[str, ...], bool]:
