@@ -95,6 +95,14 @@ def test_the_way_as_known_at_the_end_is_what_is_exported(export: Command, way: T
     assert_allclose(np.array(found.poses_se3), STEP @ way.T_frame_body, atol=1e-8)
 
 
+def test_one_of_several_odometries_goes_by_the_settings_beside_its_folder(way: Trajectory, tmp_path: Path) -> None:
+    make_tum_recording(tmp_path / "room", frames=2)
+    (tmp_path / "results").mkdir()
+    run = leave_run(tmp_path / "results" / "joined", way, tmp_path / "room")
+    (run / "config.yaml").rename(tmp_path / "results" / "config.yaml")
+    assert exported_at(run).recording is not None
+
+
 def test_what_cannot_be_exported_is_said_in_one_line(export: Command, way: Trajectory, tmp_path: Path) -> None:
     run = leave_run(tmp_path / "run", way)
     for words, told in (

@@ -182,7 +182,7 @@ def test_a_bold_or_worse_answer_does_not_sound_good(boldness: float, ratio: floa
     best_alone = replace(not_none(best_alone_of(joined_runs())), ratio=ratio)
     verdict = judge(run, summarise(run), facts_of(run), best_alone)
     assert verdict.tone == tone
-    assert ("which is better" in verdict.phrase) == (ratio > 1)
+    assert ("which did better" in verdict.phrase) == (ratio > 1)
 
 
 def test_the_page_has_tiles_a_bold_row_and_the_map_of_joined_sensors() -> None:

@@ -89,7 +89,13 @@ class Exported:
             return None
         if not is_there(told):
             raise RecordingError("the run's recording is not there any more", path=told, fix="put it where it was")
-        return open_recording(told, load_config(self.path / _SETTINGS_FILE).recording.open_options())
+        return open_recording(told, load_config(self._settings_file).recording.open_options())
+
+    @property
+    def _settings_file(self) -> Path:
+        # Of several odometries each has figures of its own, and the run's settings lie beside their folders.
+        own = self.path / _SETTINGS_FILE
+        return own if is_there(own) else self.path.parent / _SETTINGS_FILE
 
     @cached_property
     def map(self) -> MapFolder | None:

@@ -94,7 +94,7 @@ def section(record: RunRecord, facts: JoinedFacts) -> str:
 def _beside(best_alone: BestAlone | None) -> str:
     if best_alone is None:
         return ""
-    better = ", which is better" if best_alone.ratio > 1 else ""
+    better = ", which did better" if best_alone.ratio > 1 else ""
     return f", {words.number(best_alone.ratio, 2)} times the error of {best_alone.odometry} alone{better}"
 
 
