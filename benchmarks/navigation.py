@@ -96,7 +96,8 @@ def targets_of(drives: Sequence[Drive], hard: Hardness) -> list[Target]:
 def title_of(hard: Hardness) -> str:
     """Of the page's section."""
     among = [f"{count} {what}" for count, what in ((hard.people, "people"), (hard.things, "things")) if count]
-    return f"Goals in a known map, among {' and '.join(among)}" if among else "Goals in a known map"
+    by = ", by a calibrated robot" if hard.units is not None else ""
+    return "Goals in a known map" + (f", among {' and '.join(among)}" if among else "") + by
 
 
 def sheets_of(drives: Sequence[Drive], hard: Hardness) -> list[Sheet]:
