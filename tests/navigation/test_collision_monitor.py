@@ -369,6 +369,16 @@ def test_a_base_that_obeys_is_never_accused(seed: int, lag_s: float, every: int)
         base.step(command)
 
 
+def test_a_base_that_gains_speed_quickly_and_brakes_slowly_has_obeyed() -> None:
+    """Told 0.2 m/s at 0.95, it gives way 0.12 s later and by three quarters of what it might brake."""
+    check = WheelCheck(RobotLimits(), WheelCheckSettings())
+    for n in range(150):
+        now_s = 0.02 * n
+        check.tell(VelocityCommand(0.5 * now_s if now_s < 1.9 else 0.2, 0.0), now_s)
+        braked_m_s = max(0.95 - 0.75 * max(now_s - 2.02, 0.0), 0.2)
+        assert not check.is_off(min(0.5 * now_s, braked_m_s), 0.0, now_s)
+
+
 @pytest.mark.slow
 def test_nobody_who_asks_for_full_speed_hits_a_wall() -> None:
     """80 walls, at all distances and bearings, full speed along all curves; the camera is the chair's.

@@ -183,8 +183,7 @@ class Navigator:
     @property
     def feedback(self) -> Feedback:
         """How the task goes on."""
-        where, task = self._senses.where, self._task
-        state = where.state
+        where, state, task = self._senses.where, self._senses.where.state, self._task
         plan = task.plan if task is not None and not self.is_task_complete() else None
         return Feedback(
             stamp_s=self._robot.now_s,
@@ -317,8 +316,7 @@ class Navigator:
             return STOP
         is_held = result.reason is not None or self._chain.checked.state is MonitorState.STOPPED
         if task.held_for_s(now_s, is_held) > self.settings.navigator.held_s:
-            why = result.reason or self._chain.checked.reason
-            return self._get_out(task, str(why))
+            return self._get_out(task, str(result.reason or self._chain.checked.reason))
         if task.loiters_s > self.settings.navigator.loiter_s:
             return self._get_out(task, "it comes no farther")
         return result.command
