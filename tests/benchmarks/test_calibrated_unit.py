@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from narrowing import not_none
 
 from benchmarks.calibrated_sources import CalibratedRobot, freed, with_calibration
 from benchmarks.calibrated_unit import by_board, by_squares, by_way, calibrating_drive, of_size
@@ -161,7 +162,8 @@ def test_by_a_unit_that_a_board_has_calibrated_mount_and_wheels_come_out(seed: i
         for one in (found, drive.true_calibration)
     )
     off = {name: (values[name] - true[name], base.sigmas[name]) for name in true}
-    way, by_truth = by_way(base.sightings, found), fit_wheels(owned.wheels, base.sightings.drive, drive.ground_truth)
+    wheels = not_none(owned.wheels)
+    way, by_truth = by_way(base.sightings, found), fit_wheels(wheels, base.sightings.drive, drive.ground_truth)
     names = ("left_radius_m", "right_radius_m", "track_width_m")
     sizes = [getattr(way, name) / getattr(by_truth.wheels, name) - 1 for name in names]
     # Taken for straight, the depth lens put seed 5's x 26 mm off by 11, and radii 0.7 % by 0.3.
