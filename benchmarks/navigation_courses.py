@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from benchmarks.box_worlds import Box
-from benchmarks.session_starts import Building, FirstDay
+from benchmarks.session_starts import Building, FirstDay, beside_nearest
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import Costmap, KnownFloor, NavigationSettings, Plan, Planner, planar_pose
@@ -73,14 +73,11 @@ class KnownBuilding:
 
     def world_pose(self, pose: FloatArray) -> FloatArray:
         """(3,) where a pose of the map truly is, beside its nearest keyframe."""
-        T_map = se3.from_plane(*pose)
-        nearest = int(se3.view_shift_m(se3.invert(self.day.T_map_base) @ T_map).argmin())
-        return planar_pose(self.day.T_world_base[nearest] @ se3.invert(self.day.T_map_base[nearest]) @ T_map)
+        return planar_pose(beside_nearest(se3.from_plane(*pose), self.day.T_map_base, self.day.T_world_base))
 
     def map_pose(self, T_world_base: FloatArray) -> FloatArray:
         """(3,) in the map of a true pose (4, 4), beside its nearest keyframe."""
-        nearest = int(se3.view_shift_m(se3.invert(self.day.T_world_base) @ T_world_base).argmin())
-        return planar_pose(self.day.T_map_base[nearest] @ se3.invert(self.day.T_world_base[nearest]) @ T_world_base)
+        return planar_pose(beside_nearest(T_world_base, self.day.T_world_base, self.day.T_map_base))
 
     def world_box(self, box: Box) -> Box:
         """Where a thing of the map truly is."""

@@ -192,7 +192,7 @@ def start_at(
 ) -> Start:
     """Begin the second day at a moment, in the map of a first one."""
     subject, close = localizer_in(known, mode, calibration, day)
-    seen = _seen(subject, [event for event in day.events if moment_s <= event.stamp_s < moment_s + WINDOW_S])
+    seen = found_by(subject, [event for event in day.events if moment_s <= event.stamp_s < moment_s + WINDOW_S])
     loops = subject.loops
     assert loops is not None
     keyframe_ms = tuple(1e3 * float(seconds) for seconds in loops.finish().judged_s)
@@ -218,8 +218,8 @@ def localizer_in(
     return Localizer(calibration, config, known=opened[0], waits=True), opened[1].close
 
 
-def _seen(subject: Localizer, events: Sequence[Event]) -> list[Estimate]:
-    """What frames were answered from the first that was found in the map, for `SEEN_S`."""
+def found_by(subject: Localizer, events: Sequence[Event], seen_s: float = SEEN_S) -> list[Estimate]:
+    """What frames were answered from the first that was found in the map, for so many seconds."""
     seen: list[Estimate] = []
     for event in events:
         answer = subject.process(event)
@@ -227,7 +227,7 @@ def _seen(subject: Localizer, events: Sequence[Event]) -> list[Estimate]:
             continue
         if answer.status is Status.TRACKING and answer.T_map_body is not None:
             seen.append(answer)
-        if seen and answer.stamp_s > seen[0].stamp_s + SEEN_S:
+        if seen and answer.stamp_s > seen[0].stamp_s + seen_s:
             break
     return seen
 
@@ -235,10 +235,15 @@ def _seen(subject: Localizer, events: Sequence[Event]) -> list[Estimate]:
 def off_by(estimate: Estimate, truth: Trajectory, known: FirstDay) -> tuple[float, float, float, float]:
     """Metres and degrees of heading: beside the map's nearest keyframe, and by the alignment of the whole map."""
     T_world_base, T_map_found = truth.at([estimate.stamp_s])[0], np.asarray(estimate.T_map_body)
-    nearest = int(se3.view_shift_m(se3.invert(known.T_world_base) @ T_world_base).argmin())
-    T_map_true = known.T_map_base[nearest] @ se3.invert(known.T_world_base[nearest]) @ T_world_base
+    T_map_true = beside_nearest(T_world_base, known.T_world_base, known.T_map_base)
     here, aligned = (se3.invert(T) @ T_map_found for T in (T_map_true, se3.invert(known.T_world_map) @ T_world_base))
     return (*_size(here), *_size(aligned))
+
+
+def beside_nearest(T: FloatArray, T_of: FloatArray, T_to: FloatArray) -> FloatArray:
+    """A pose (4, 4) in another frame, by the nearest of keyframes, which lie in its own and in the other (K, 4, 4)."""
+    nearest = int(se3.view_shift_m(se3.invert(T_of) @ T).argmin())
+    return np.asarray(T_to[nearest] @ se3.invert(T_of[nearest]) @ T)
 
 
 def _size(D: FloatArray) -> tuple[float, float]:

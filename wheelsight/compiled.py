@@ -3,7 +3,7 @@
 Numba by itself keeps a compiled function until the text of its own file changes, although functions and constants of
 other files are compiled into it. Here it is kept until the text of any file changes which its file imports from the
 same package, or which those import. Of processes that need the same kernel at once, one compiles it and the others
-wait: compiling all of them takes a minute of a processor.
+wait: compiling all of them takes minutes of a processor.
 """
 
 from __future__ import annotations

@@ -29,13 +29,19 @@ def packed(px: FloatArray, points: FloatArray) -> tuple[IntArray, bytes]:
 def unpacked(data: bytes, count: int) -> tuple[FloatArray, FloatArray]:
     """Pixels (count, 2) and points (count, 3) that `packed` made bytes of. Raises MapError for what is none."""
     expected = count * _BYTES
+    flat = inflated(data, expected)
+    width = 4 * count
+    numbers = [columns.unpacked(flat[at : at + width], _COLUMN) for at in range(0, expected, max(width, 1))]
+    rows = np.reshape(numbers, (5, count)).T * _STEPS
+    return rows[:, :2].copy(), rows[:, 2:].copy()
+
+
+def inflated(data: bytes, expected: int) -> bytes:
+    """So many bytes of keypoints that zlib has compressed, and no more are made. Raises MapError for any other."""
     try:
         flat = zlib.decompressobj().decompress(data, expected + 1)
     except zlib.error as error:
         raise MapError("its keypoints cannot be read", fix=_DAMAGED) from error
     if len(flat) != expected:
         raise MapError("its keypoints are of another number than it says", fix=_DAMAGED)
-    width = 4 * count
-    numbers = [columns.unpacked(flat[at : at + width], _COLUMN) for at in range(0, expected, max(width, 1))]
-    rows = np.reshape(numbers, (5, count)).T * _STEPS
-    return rows[:, :2].copy(), rows[:, 2:].copy()
+    return flat

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import zlib
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from wheelsight.geometry.arrays import UInt64Array
 from wheelsight.keyframes import Keyframe, KeyframeFeatures
 from wheelsight.slam.sessions import images
 from wheelsight.slam.sessions.images import DepthSteps
+from wheelsight.slam.sessions.keypoints import inflated
 
 _DAMAGED = "use another copy of the map"
 # Stamp, intrinsics, both numbers of the steps of depth; bytes of both images, of the code, keypoints (-1: none are
@@ -52,14 +52,7 @@ def unpack_keyframe(content: bytes) -> Keyframe:
 
 
 def _features(count: int, places: bytes, descriptors: bytes) -> KeyframeFeatures:
-    expected = count * _KEYPOINT_BYTES
-    try:
-        flat = zlib.decompressobj().decompress(places, expected + 1)
-    except zlib.error as error:
-        raise MapError("its keypoints cannot be read", fix=_DAMAGED) from error
-    if len(flat) != expected:
-        raise MapError("its keypoints are of another number than it says", fix=_DAMAGED)
-    rows = np.frombuffer(flat, "<f4").reshape(5, count).T.astype(float)
+    rows = np.frombuffer(inflated(places, count * _KEYPOINT_BYTES), "<f4").reshape(5, count).T.astype(float)
     if not np.isfinite(rows).all():
         raise MapError("its keypoints are nowhere", fix=_DAMAGED)
     orb = np.frombuffer(descriptors, "<u8").reshape(count, 4).astype(np.uint64)
