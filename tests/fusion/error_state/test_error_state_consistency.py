@@ -95,7 +95,7 @@ def test_what_is_held_does_not_grow(rng):
         gc.collect()
         held.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()
-    assert held[-1] - held[1] < 50_000
+    assert held[-1] - held[3] < 50_000  # until then its windows of the last metres fill
 
 
 def follow(fusion, steps):
