@@ -225,6 +225,18 @@ def test_a_recording_that_has_gone_is_said_and_the_rest_is_written(
     assert not (tmp_path / "more.mcap").exists()
 
 
+def test_a_recording_is_found_from_any_folder(
+    wheelsight: Command, wheels: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert wheelsight("run", wheels.name, "--odometry", "wheels", "--out", "out").exit_code == 0
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    answer = wheelsight("export", tmp_path / "out", "--bag", "out.mcap")
+    assert answer.exit_code == 0, answer.output
+    assert "There are no topics of sensors" not in answer.stderr
+
+
 @BOTH
 def test_a_full_disk_leaves_nothing(
     refusal: Refusal, driven: Path, tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch

@@ -87,9 +87,13 @@ class Exported:
             raise OutputError("does not tell of a run's recording", path=path, fix="run again") from error
         if told is None:
             return None
-        if not is_there(told):
+        # A run in another folder told it from there, which is mostly a folder that the run lies in, too.
+        found = next(
+            (path for path in (told, *(up / told for up in self.path.absolute().parents)) if is_there(path)), None
+        )
+        if found is None:
             raise RecordingError("the run's recording is not there any more", path=told, fix="put it where it was")
-        return open_recording(told, load_config(self._settings_file).recording.open_options())
+        return open_recording(found, load_config(self._settings_file).recording.open_options())
 
     @property
     def _settings_file(self) -> Path:
