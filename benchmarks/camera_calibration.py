@@ -22,7 +22,7 @@ from benchmarks.table import Sheet
 from wheelsight.camera_calibration.board import board_from
 from wheelsight.camera_calibration.calibrate import calibrate_camera
 from wheelsight.camera_calibration.folders import read_views
-from wheelsight.camera_calibration.outcome import reading_m
+from wheelsight.camera_calibration.readings import reading_m
 from wheelsight.camera_calibration.result import CameraCalibration
 from wheelsight.camera_calibration.settings import CameraCalibrationSettings, RefusalSettings
 from wheelsight.camera_calibration.task import CameraSetup

@@ -14,7 +14,7 @@ from benchmarks.camera_calibration import measure_real
 from wheelsight.camera_calibration.board import board_from
 from wheelsight.camera_calibration.calibrate import calibrate_camera
 from wheelsight.camera_calibration.fields import camera_calibration, camera_fields, measured
-from wheelsight.camera_calibration.outcome import reading_m
+from wheelsight.camera_calibration.readings import reading_m
 from wheelsight.camera_calibration.result import CameraCalibration
 from wheelsight.camera_calibration.settings import CameraCalibrationSettings, RefusalSettings
 from wheelsight.camera_calibration.task import CameraSetup
