@@ -107,11 +107,12 @@ def _nominal() -> PointErrors:
     Focal length 1.5 %: the maker's 525 px is off freiburg1's 517 by as much. Centre 8 px of 586: published Kinects have
     313 to 340 px across and 229 to 247 down, and registration is off by 3 px beside. A bend k1 of 0.1: what Brown's
     numbers of TUM's Kinects make of rays up to 0.5. The cameras' places 2 mm. Depth 2 %: freiburg1's and freiburg2's
-    had to be scaled by 1.035 and 1.031 (Sturm et al. 2012). One step of a Kinect v1's disparity, 0.0028 1/m, is what
-    its readings are off by alike all over the image, aslant, and as a bowl (Herrera et al. 2012: 1 to 1.5 steps RMS).
-    1 cm of all depth (Lachat et al. 2015: time of flight).
+    had to be scaled by 1.035 and 1.031 (Sturm et al. 2012). Half a step of a Kinect v1's disparity, 0.0014 1/m, is what
+    readings are off by alike all over the image, aslant, and as a bowl: planes before the one of Herrera et al. have 1
+    to 1.5 steps RMS, of which most is rough or fades with distance. 1 cm of all depth (Lachat et al. 2015: time of
+    flight).
     """
-    step = 0.0028
+    half_step = 0.0014
     parts: tuple[dict[tuple[str, int, int, int], float], ...] = (
         {("x", 1, 0, 0): 0.015, ("y", 0, 1, 0): 0.015},
         {("x", 0, 0, 0): 8 / 586},
@@ -120,10 +121,10 @@ def _nominal() -> PointErrors:
         {("x", 0, 0, 1): 0.002},
         {("y", 0, 0, 1): 0.002},
         {("q", 0, 0, 1): 0.02},
-        {("q", 0, 0, 0): step},
-        {("q", 1, 0, 0): step / 0.3},
-        {("q", 0, 1, 0): step / 0.25},
-        {("q", 2, 0, 0): step / 0.11, ("q", 0, 2, 0): step / 0.11},
+        {("q", 0, 0, 0): half_step},
+        {("q", 1, 0, 0): half_step / 0.3},
+        {("q", 0, 1, 0): half_step / 0.25},
+        {("q", 2, 0, 0): half_step / 0.11, ("q", 0, 2, 0): half_step / 0.11},
         {("q", 0, 0, 2): 0.01},
     )
     return PointErrors(tuple(tuple(part.get(name, 0.0) for name in _NAMES) for part in parts))

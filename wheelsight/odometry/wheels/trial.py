@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wheelsight.calibration import Wheels
+from wheelsight.calibration import Calibration, Wheels
 from wheelsight.errors import CalibrationError, EvaluationError
 from wheelsight.evaluation import Evaluation, evaluate
 from wheelsight.geometry import FloatArray, se3
@@ -90,7 +90,7 @@ def try_calibration(
     common = reference.between(*(drive.stamps_s[[0, -1]] - nominal.delay_s))
     split_s = float(common.stamps_s[0] + train_share * common.duration_s) if len(common) else reference.stamps_s[0]
     seen = reference.between(-np.inf, split_s) if len(common) else reference
-    errors = typical_motion_errors(recording.calibration) if by_camera else None
+    errors = _camera_errors(recording.calibration) if by_camera else None
     fit = fit_wheels(
         nominal, drive, seen, segment_m=segment_m, with_delay=with_delay, on_step=on_step, camera_errors=errors
     )
@@ -98,6 +98,11 @@ def try_calibration(
     on_step("trying on the rest")
     before, after = (_attempt(drive, wheels, held_out) for wheels in (nominal, fit.wheels))
     return WheelTrial(recording.name, fit, reference, split_s, held_out, before, after, recording.warnings)
+
+
+def _camera_errors(calibration: Calibration) -> FloatArray | None:
+    is_known = calibration.color is not None and calibration.T_base_camera is not None
+    return typical_motion_errors(calibration) if is_known else None
 
 
 def _nominal(recording: Recording) -> Wheels:
