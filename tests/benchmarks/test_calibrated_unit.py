@@ -165,7 +165,6 @@ def test_by_a_unit_that_a_board_has_calibrated_mount_and_wheels_come_out(seed: i
     wheels = not_none(owned.wheels)
     way, by_truth = by_way(base.sightings, found), fit_wheels(wheels, base.sightings.drive, drive.ground_truth)
     names = ("left_radius_m", "right_radius_m", "track_width_m")
-    print(off, way.scale_sigma, way.turn_sigma)
     sizes = [getattr(way, name) / getattr(by_truth.wheels, name) - 1 for name in names]
     # Taken for straight, the depth lens put seed 5's x 26 mm off by 11, and radii 0.7 % by 0.3.
     for name, limit in {"yaw": np.radians(0.5), "x": 0.02, "y": 0.01}.items():
