@@ -30,6 +30,7 @@ from wheelsight.camera_calibration.settings import CameraCalibrationSettings, Re
 from wheelsight.camera_calibration.task import CameraSetup
 from wheelsight.camera_calibration.views import ViewSet
 from wheelsight.geometry import FloatArray, PinholeCamera, se3
+from wheelsight.odometry.camera_errors import typical_motion_errors
 from wheelsight.odometry.extrinsics import Sightings, calibrate_base, mount_values
 from wheelsight.odometry.wheels import fit_wheels
 from wheelsight.odometry.wheels.squares import square_run, umbmark_from_runs
@@ -117,7 +118,8 @@ def by_board(views: ViewSet, camera: str) -> CameraCalibration:
 def by_way(sightings: Sightings, found: Calibration) -> Wheels:
     """As `wheelsight calibrate wheels --reference` has it, by the camera's way over all of the drive."""
     assert found.wheels is not None
-    return fit_wheels(found.wheels, sightings.drive, express_for("base", sightings.camera, found)).wheels
+    reference, errors = express_for("base", sightings.camera, found), typical_motion_errors(found)
+    return fit_wheels(found.wheels, sightings.drive, reference, camera_errors=errors).wheels
 
 
 def by_squares(settings: SimulationSettings, each_way: int = SQUARES) -> Wheels:

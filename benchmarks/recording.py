@@ -39,9 +39,11 @@ from wheelsight.recordings.tum import DEPTH_FACTOR
 RECORDING = "rgbd_dataset_freiburg1_desk"
 RATE_HZ, SECONDS, FRAMES, NOISE = 30.0, 20.0, 40, 3
 SLOW_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
+_ONE_FILTER = (*SLOW_PNG, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB)
 ENCODERS: tuple[tuple[str, str, tuple[int, ...]], ...] = (
     ("PNG 1, all filters tried", ".png", SLOW_PNG),
-    ("PNG 1, one filter", ".png", FAST_PNG),
+    ("PNG 1, one filter", ".png", _ONE_FILTER),
+    ("PNG 1, one filter, runs alone", ".png", FAST_PNG),
     ("PNG 0", ".png", (cv2.IMWRITE_PNG_COMPRESSION, 0)),
     (f"JPEG {JPEG_QUALITY}", ".jpg", (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)),
 )

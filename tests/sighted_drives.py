@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from drives import MIXED, Leg, simulate
 
-from wheelsight.calibration import Calibration, DepthNoise, Wheels
+from wheelsight.calibration import Calibration, DepthNoise, PointErrors, Wheels
 from wheelsight.geometry import FloatArray, PinholeCamera, se3
 from wheelsight.odometry.extrinsics import FloorViews, Sightings
 from wheelsight.odometry.wheels import drive_from_ticks
@@ -46,7 +46,9 @@ USUAL = Blur(pose_m=0.001, pose_rad=0.0005, step_m=0.0005, step_rad=0.0002)
 
 
 def nominal(T_base_camera: FloatArray | None = None) -> Calibration:
-    return Calibration.registered_camera(CAMERA, wheels=NOMINAL, T_base_camera=T_base_camera, source="data sheet")
+    """A robot whose camera is known exactly."""
+    known = {"wheels": NOMINAL, "T_base_camera": T_base_camera, "point_errors": PointErrors()}
+    return Calibration.registered_camera(CAMERA, source="data sheet", **known)
 
 
 def sighted(

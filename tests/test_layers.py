@@ -28,6 +28,7 @@ LAYERS = (
     "calibration_history",
     "calibration_parts",
     "depth_error",
+    "point_errors",
     "calibration",
     "wheel_control",
     "robots",

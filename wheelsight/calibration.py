@@ -17,6 +17,7 @@ from wheelsight.depth_error import DepthError, depth_error_fields, depth_error_f
 from wheelsight.errors import CalibrationError
 from wheelsight.files import StrPath, write_text
 from wheelsight.geometry import FloatArray, PinholeCamera, se3
+from wheelsight.point_errors import PointErrors, point_errors_fields, point_errors_from
 
 __all__ = [
     "FORMAT",
@@ -24,6 +25,7 @@ __all__ = [
     "DepthError",
     "DepthNoise",
     "Gyro",
+    "PointErrors",
     "Wheels",
     "calibration_fields",
     "load_calibration",
@@ -69,6 +71,8 @@ class Calibration:
         frame_sigma_m, frame_sigma_rad: how far off a frame's place and turn are by what all its pixels share and noise
             does not tell: bent depth, registration, the shutter's timing. See docs/decisions/0049.
         depth_error: what depth images are off by; recordings free them of it as they are read.
+        point_errors: how far off points may be with all of that, as a calibration by a board tells; None where nobody
+            says, as of nominal values.
     """
 
     color: PinholeCamera | None = None
@@ -85,6 +89,7 @@ class Calibration:
     frame_sigma_m: float = 0.0025
     frame_sigma_rad: float = 0.002
     depth_error: DepthError = field(default_factory=DepthError)
+    point_errors: PointErrors | None = None
 
     def __post_init__(self) -> None:
         for name, kind in _KINDS.items():
@@ -245,11 +250,12 @@ _KINDS: dict[str, type | UnionType] = {
     "depth": PinholeCamera | None,
     "depth_noise": DepthNoise,
     "depth_error": DepthError,
+    "point_errors": PointErrors | None,
     "wheels": Wheels | None,
     "gyro": Gyro,
     "source": str,
 }
-_CAMERA_PART = ("color", "depth", "T_color_depth", "depth_noise", "depth_error", *_NUMBERS)
+_CAMERA_PART = ("color", "depth", "T_color_depth", "depth_noise", "depth_error", "point_errors", *_NUMBERS)
 _OTHER_PARTS = ("T_base_camera", "wheels", "gyro")
 _TOP_FIELDS = ("format", "source", *_CAMERA_PART, *_OTHER_PARTS, NOMINAL, HISTORY)
 _WHEEL_FIELDS = tuple(f.name for f in fields(Wheels))
@@ -276,6 +282,8 @@ def calibration_fields(calibration: Calibration) -> dict[str, Any]:
         document["depth_noise"] = _plain(calibration.depth_noise)
         if not calibration.depth_error.changes_nothing:
             document["depth_error"] = depth_error_fields(calibration.depth_error)
+        if calibration.point_errors is not None:
+            document["point_errors"] = point_errors_fields(calibration.point_errors)
         document |= {name: float(getattr(calibration, name)) for name in _NUMBERS}
     if calibration.T_base_camera is not None:
         document["T_base_camera"] = rows(calibration.T_base_camera)
@@ -318,6 +326,7 @@ def _camera_part(known: dict[str, Any]) -> dict[str, Any]:
         "depth": _camera(known["depth"], "depth") if "depth" in known else color,
         "depth_noise": made(DepthNoise, "depth_noise", _numbers(noise, "depth_noise")),
         "depth_error": depth_error_from(known.get("depth_error", {})),
+        "point_errors": point_errors_from(known["point_errors"]) if "point_errors" in known else None,
         "T_color_depth": motion(known.get("T_color_depth"), "T_color_depth"),
         **{name: number(known[name], name) for name in _NUMBERS if name in known},
     }

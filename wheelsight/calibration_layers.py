@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 # One lens is not mixed with another's: who gives the colour camera gives all that its pixels mean.
-_LENSES = ("color", "depth", "T_color_depth", "color_sigma_px", "depth_error")
+_LENSES = ("color", "depth", "T_color_depth", "color_sigma_px", "depth_error", "point_errors")
 _FIELD_BY_FIELD = ("wheels", "gyro", "depth_noise", "nominal")
 # Of these parts a file may also hold what was known when the rest was found: it stands where nothing else tells it.
 NOMINAL, NOMINAL_PARTS = "nominal", ("wheels", "gyro")

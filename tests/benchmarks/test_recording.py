@@ -34,5 +34,5 @@ def test_a_dropped_frame_is_a_miss() -> None:
 
 def test_each_encoder_is_timed_and_jpeg_is_not_for_depth() -> None:
     rows = list(encoded([live_frame(1, 0.0).frame]))
-    assert len({row[0] for row in rows}) == 4
+    assert len({row[0] for row in rows}) == 5
     assert rows[-1][3:] == ("—", "—")

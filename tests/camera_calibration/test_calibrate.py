@@ -11,16 +11,18 @@ from grids import mostly_slow
 
 from benchmarks.board_views import BOARD, RIGS, Rig, board_views, kinect_v1
 from benchmarks.camera_calibration import measure_real
+from wheelsight.calibration import Calibration
 from wheelsight.camera_calibration.board import board_from
 from wheelsight.camera_calibration.calibrate import calibrate_camera
 from wheelsight.camera_calibration.fields import camera_calibration, camera_fields, measured
-from wheelsight.camera_calibration.outcome import reading_m
+from wheelsight.camera_calibration.readings import reading_m
 from wheelsight.camera_calibration.result import CameraCalibration
 from wheelsight.camera_calibration.settings import CameraCalibrationSettings, RefusalSettings
 from wheelsight.camera_calibration.task import CameraSetup
 from wheelsight.camera_calibration.views import Corners, View, ViewSet
 from wheelsight.errors import CalibrationError, ConfigError
-from wheelsight.geometry import PinholeCamera, se3, so3
+from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
+from wheelsight.point_errors import PointErrors, mode_of
 
 VIEWS = 24
 # Of Kinect v1 without infrared images, depth is stated to 1 % of the distance, which is refused else.
@@ -74,6 +76,33 @@ def test_lenses_apart_and_depth_come_out(calibrated: tuple[Rig, ViewSet, CameraC
     assert found.color_residuals.rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.1)
 
 
+def points_off(rig: Rig, found: CameraCalibration, z: float) -> tuple[FloatArray, FloatArray]:
+    """True points (N, 3) of the colour camera's frame, all over the image, and where readings of them are believed."""
+    assert found.depth is not None
+    assert found.T_color_depth is not None
+    u, v = np.meshgrid(np.linspace(0.1, 0.9, 9) * rig.depth.width, np.linspace(0.1, 0.9, 7) * rig.depth.height)
+    px = np.stack([u.ravel(), v.ravel()], axis=-1)
+    seen = rig.systematic(np.full(len(px), z), px)
+    if rig.is_disparity:
+        seen = reading_m(found.depth_error, 1090 - 8 * 586.0 * 0.075 / seen)
+    believed_m = found.depth.back_project(px, found.depth_error.of_readings(seen, px, found.depth))
+    true_m = rig.depth.back_project(px, np.full(len(px), z))
+    return se3.apply(rig.T_color_depth, true_m), se3.apply(found.T_color_depth, believed_m)
+
+
+def test_points_are_off_by_what_modes_say(calibrated: tuple[Rig, ViewSet, CameraCalibration]) -> None:
+    """Nearest of all polynomials to the true errors: within 3σ each way, and σ no ten times too large."""
+    rig, _, found = calibrated
+    assert found.point_errors is not None
+    pairs = [points_off(rig, found, z) for z in (0.8, 1.2, 2.0, 3.0)]
+    true_m, believed_m = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
+    nearest = PointErrors((tuple(mode_of(true_m, believed_m - true_m)),)).moved_m(true_m)[0]
+    off = nearest / np.sqrt((found.point_errors.moved_m(true_m) ** 2).sum(axis=0))
+    rms = np.sqrt((off**2).mean(axis=0))
+    assert (rms < 3).all(), rms
+    assert (rms > 0.1).all(), rms
+
+
 @pytest.mark.parametrize("name", sorted(RIGS))
 def test_what_is_found_goes_into_a_calibration(name: str) -> None:
     rig, seen = rig_of(name, 11)
@@ -83,7 +112,11 @@ def test_what_is_found_goes_into_a_calibration(name: str) -> None:
     assert calibration.depth_error.is_of_disparity == rig.is_disparity
     z = 2.0
     assert calibration.depth_noise.sigma_m(z) == pytest.approx(rig.sigma_m(np.array(z)), rel=0.35)
-    assert {"color", "depth", "T_color_depth", "depth_noise", "depth_error"} <= set(camera_fields(found))
+    parts = {"color", "depth", "T_color_depth", "depth_noise", "depth_error", "point_errors"}
+    assert parts <= set(camera_fields(found))
+    nominal = Calibration.registered_camera(rig.color, rolling_shutter_s=0.026, depth_late_s=-0.01)
+    kept = camera_calibration(found, nominal)
+    assert (kept.rolling_shutter_s, kept.depth_late_s) == (0.026, -0.01)
     entry = measured("camera", found)
     assert entry.command == "calibrate camera"
     assert entry.figures["views"] == len(found.views)

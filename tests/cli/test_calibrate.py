@@ -88,6 +88,26 @@ def test_a_reference_and_nominal_wheels_can_be_given(wheelsight: Command, drive:
     assert wheels_in(tmp_path / "wheels.yaml").track_width_m == pytest.approx(0.615, rel=3e-3)
 
 
+def test_sigma_of_a_runs_own_trajectory_holds_what_the_camera_leaves_open(
+    wheelsight: Command, drive: Path, tmp_path: Path
+) -> None:
+    """A trajectory with covariances.csv beside it is an estimate by the camera, whose calibration is nominal here."""
+    reference, nominal = tmp_path / "trajectory.txt", tmp_path / "nominal.yaml"
+    (drive / "groundtruth_base.txt").rename(reference)
+    lens = PinholeCamera(640, 480, 525.0, 525.0, 319.5, 239.5)
+    known = {"wheels": NOMINAL, "T_base_camera": MOUNT}
+    save_calibration(Calibration.registered_camera(lens, **known), nominal)
+    sigmas = []
+    for name in ("truth", "visual"):
+        given = ("--reference", reference, "--calibration", nominal, "--out", tmp_path / f"{name}.yaml")
+        result = wheelsight("calibrate", "wheels", drive, *given)
+        assert result.exit_code == 0, result.output
+        sigmas.append(wheels_in(tmp_path / f"{name}.yaml").scale_sigma)
+        (tmp_path / "covariances.csv").touch()
+    assert sigmas[0] < 0.005
+    assert 0.01 < sigmas[1] < 0.04
+
+
 def test_a_delay_can_be_kept(wheelsight: Command, drive: Path, tmp_path: Path) -> None:
     result = wheelsight("calibrate", "wheels", drive, "--no-delay", "--out", tmp_path / "wheels.yaml")
     assert "kept" in result.stdout

@@ -11,13 +11,13 @@ from wheelsight.calibration_history import Measured
 from wheelsight.calibration_parts import DepthNoise
 from wheelsight.camera_calibration.result import CameraCalibration
 
-_CAMERA_PARTS = ("color", "depth", "T_color_depth", "depth_noise", "depth_error", "color_sigma_px")
+_CAMERA_PARTS = ("color", "depth", "T_color_depth", "depth_noise", "depth_error", "point_errors", "color_sigma_px")
 # Depth cameras see on where no board was held; noise beyond is by the same law.
 _LEAST_CONSTANT_M = 1e-4
 
 
 def camera_calibration(found: CameraCalibration, nominal: Calibration | None = None) -> Calibration:
-    """The cameras as a `Calibration`: range of depth, shutter and the rest are those of `nominal`, or the defaults."""
+    """The cameras as a `Calibration`: depth's range, shutter, lateness and `frame_sigma`s stay `nominal`'s."""
     known = nominal if nominal is not None and nominal.color is not None else Calibration()
     constant_m, quadratic_per_m = found.noise or (known.depth_noise.constant_m, known.depth_noise.quadratic_per_m)
     noise = DepthNoise(
@@ -30,7 +30,12 @@ def camera_calibration(found: CameraCalibration, nominal: Calibration | None = N
         T_color_depth=apart,
         depth_noise=noise,
         depth_error=found.depth_error,
+        point_errors=found.point_errors,
         color_sigma_px=found.color_sigma_px,
+        rolling_shutter_s=known.rolling_shutter_s,
+        depth_late_s=known.depth_late_s,
+        frame_sigma_m=known.frame_sigma_m,
+        frame_sigma_rad=known.frame_sigma_rad,
         source=f"cameras calibrated by {len(found.views)} views of a board",
     )
 

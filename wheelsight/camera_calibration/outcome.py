@@ -8,13 +8,14 @@ import numpy as np
 
 from wheelsight.camera_calibration.board import Board
 from wheelsight.camera_calibration.model import Points
+from wheelsight.camera_calibration.point_modes import point_modes
+from wheelsight.camera_calibration.readings import grid_px, reading_m, readings_for
 from wheelsight.camera_calibration.residuals import Residuals
 from wheelsight.camera_calibration.result import CameraCalibration, CornerResiduals, DepthResiduals, UsedView
 from wheelsight.camera_calibration.solve import Solution
 from wheelsight.camera_calibration.task import Counted
 from wheelsight.camera_calibration.views import RAW_DISPARITY
-from wheelsight.depth_error import DepthError
-from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
+from wheelsight.geometry import FloatArray, se3, so3
 
 _STEP = 1e-6
 _BARE = ("fx", "fy", "cx", "cy")
@@ -40,6 +41,7 @@ def outcome(residuals: Residuals, solution: Solution, board: Board, counted: Cou
         sensor=model.sensor,
         sigmas=sigmas_by_name(residuals, solution),
         depth_sigma_m=_depth_sigma(residuals, solution, depth),
+        point_errors=point_modes(model, solution) if has_depth and len(model.cells.px) else None,
         color_sigma_px=_pixel_sigma(residuals, solution) if has_depth else 0.0,
         noise=_pixel_noise(residuals, depth) if len(model.cells.px) else None,
         views=tuple(
@@ -88,14 +90,6 @@ def _corner_residuals(points: Points, off_px: FloatArray) -> CornerResiduals:
     return CornerResiduals(points.view, points.px, off_px)
 
 
-def reading_m(error: DepthError, reading: FloatArray) -> FloatArray:
-    """Readings in metres, still to be corrected, of readings in metres or of raw disparities."""
-    if not error.is_of_disparity:
-        return reading
-    inverse = error.disparity_at_zero_per_m + error.disparity_step_per_m * reading
-    return np.asarray(1 / np.maximum(inverse, 1e-3))
-
-
 def _depth_residuals(residuals: Residuals, x: FloatArray) -> DepthResiduals:
     model = residuals.model
     if not len(model.cells.px):
@@ -122,8 +116,8 @@ def _depth_sigma(residuals: Residuals, solution: Solution, depth: DepthResiduals
     nearest_m, farthest_m = np.percentile(depth.depth_m, (1, 99)).tolist()
     distances_m = np.linspace(nearest_m, max(farthest_m, model.settings.model.stated_to_m), _DISTANCES)
     camera, error = model.depth_camera(x), model.error_of(x)
-    px = _grid(camera, 3, 3)
-    readings = _readings_for(error, np.repeat(distances_m, len(px)), np.tile(px, (_DISTANCES, 1)), camera)
+    px = grid_px(camera, 3, 3)
+    readings = readings_for(error, np.repeat(distances_m, len(px)), np.tile(px, (_DISTANCES, 1)), camera)
     J = np.empty((len(readings), at.stop - at.start))
 
     def true_m(y: FloatArray) -> FloatArray:
@@ -139,16 +133,6 @@ def _depth_sigma(residuals: Residuals, solution: Solution, depth: DepthResiduals
     return np.stack([distances_m, np.sqrt((sigmas**2).mean(axis=1))], axis=-1)
 
 
-def _readings_for(error: DepthError, depth_m: FloatArray, px: FloatArray, camera: PinholeCamera) -> FloatArray:
-    """Readings that are corrected to about these depths: raw disparities where the error is of them."""
-    reading = depth_m.copy()
-    for _ in range(5):
-        reading = np.maximum(reading + depth_m - error.of_readings(reading, px, camera), 0.05)
-    if not error.is_of_disparity:
-        return reading
-    return np.asarray((1 / reading - error.disparity_at_zero_per_m) / error.disparity_step_per_m)
-
-
 def _pixel_sigma(residuals: Residuals, solution: Solution) -> float:
     """Root mean square over the depth image of the σ of where colour shows a depth pixel's point, pixels."""
     model, x = residuals.model, solution.x
@@ -157,7 +141,7 @@ def _pixel_sigma(residuals: Residuals, solution: Solution) -> float:
         return 0.0
     camera = model.depth_camera(x)
     T = se3.from_parts(*model.poses_of(x))
-    px = _grid(camera, _ACROSS, _DOWN)
+    px = grid_px(camera, _ACROSS, _DOWN)
     middle_m = np.full(len(px), float(np.median(T[:, 2, 3])))
 
     def color_px(y: FloatArray) -> FloatArray:
@@ -174,13 +158,6 @@ def _pixel_sigma(residuals: Residuals, solution: Solution) -> float:
         y[k] += _STEP
         J[:, index] = (color_px(y) - here) / _STEP
     return float(np.sqrt(2 * (solution.sigmas_of(J, columns) ** 2).mean()))
-
-
-def _grid(camera: PinholeCamera, across: int, down: int) -> FloatArray:
-    u, v = np.meshgrid(
-        np.linspace(0.05, 0.95, across) * (camera.width - 1), np.linspace(0.05, 0.95, down) * (camera.height - 1)
-    )
-    return np.stack([u.ravel(), v.ravel()], axis=-1)
 
 
 def _pixel_noise(residuals: Residuals, depth: DepthResiduals) -> tuple[float, float]:

@@ -10,6 +10,7 @@ from wheelsight.camera_calibration.board import Board
 from wheelsight.camera_calibration.views import Corners
 from wheelsight.depth_error import DepthError
 from wheelsight.geometry import FloatArray, IntArray, PinholeCamera
+from wheelsight.point_errors import PointErrors
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -76,6 +77,7 @@ class CameraCalibration:
         sensor: how depth is measured: one of `views.SENSORS`, or `RAW_DISPARITY`.
         sigmas: standard deviations by name: color.fx, depth.cx, T.x, T.roll_deg, …
         depth_sigma_m: pairs of distance and standard deviation of corrected depth there, (K, 2).
+        point_errors: how far off points may be with all of that, in the colour camera's frame; None without depth.
         color_sigma_px: how far off the colour pixel of a depth pixel may be, root mean square over the image.
         noise: (constant_m, quadratic_per_m) of a pixel, as planes scatter; None without depth.
         views: those that count.
@@ -93,6 +95,7 @@ class CameraCalibration:
     sensor: str
     sigmas: dict[str, float]
     depth_sigma_m: FloatArray
+    point_errors: PointErrors | None
     color_sigma_px: float
     noise: tuple[float, float] | None
     views: tuple[UsedView, ...]

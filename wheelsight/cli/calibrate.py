@@ -63,6 +63,8 @@ def wheels(
     """Fit both radii, the track width and the clocks' delay to a reference trajectory.
 
     The first part is fitted, the rest shows what the result is worth.
+    A TRAJECTORY of wheelsight run, with covariances.csv beside it, is only as long as the camera's calibration has it:
+    then σ holds that too.
     FILE gets what was found of the wheels, for wheelsight run --calibration;
     what --calibration told, or FILE itself, of other parts is kept.
     A drive that leaves something open is refused, as a straight one does the track width;
@@ -77,16 +79,17 @@ def wheels(
     from wheelsight.cli._calibration import print_trial, show_steps
     from wheelsight.cli._calibration_history import measured_wheels
     from wheelsight.odometry.wheels.trial import try_calibration
+    from wheelsight.pipeline.covariances import COVARIANCES_FILE
     from wheelsight.report.wheel_page import write_wheel_page
     from wheelsight.trajectory import read_tum
 
     page, kept = page_beside(out, force), kept_in(out, calibration)
     source = open_for(recording, calibration, topic)
     truth = None if reference is None else read_tum(reference, body=source.body)
+    by_camera = reference is not None and reference.with_name(COVARIANCES_FILE).is_file()
+    options = {"train_share": train_share, "segment_m": segment, "with_delay": delay, "by_camera": by_camera}
     with show_steps() as on_step:
-        trial = try_calibration(
-            source, truth, train_share=train_share, segment_m=segment, with_delay=delay, on_step=on_step
-        )
+        trial = try_calibration(source, truth, on_step=on_step, **options)  # type: ignore[arg-type]
     against = "its ground truth" if reference is None else reference.name
     found = wheel_fields(trial.fit.wheels, delay="delay_s" in trial.fit.sigmas)
     told = f"wheels fitted on {source.name} to {against}"

@@ -93,6 +93,17 @@ def robust_fit(problem: Problem, start: FloatArray, settings: RobustFitSettings 
     return RobustFit(values, *_covariances(problem, values, scales, settings), residuals, weights, is_outlier)
 
 
+def response(
+    problem: Problem, found: RobustFit, moved: FloatArray, settings: RobustFitSettings = DEFAULTS
+) -> FloatArray:
+    """How far the values found go (K, P), to first order, where residuals are moved by `moved` (K, M, 3)."""
+    scales = np.maximum(spread(found.residuals), settings.least_scale)
+    J = _jacobian(problem, found.values) / scales[None, :, None]
+    weighted = found.weights[:, None, None] * J
+    H = np.einsum("mip,miq->pq", weighted, J) + np.diag(problem.prior_sigmas**-2)
+    return np.asarray(-np.linalg.solve(H, np.einsum("mip,kmi->pk", weighted, moved / scales)).T)
+
+
 def spread(residuals: FloatArray) -> FloatArray:
     """Standard deviations (K,) of (M, K) by the median, which outliers do not move."""
     return np.asarray(1.4826 * np.median(np.abs(residuals), axis=0))

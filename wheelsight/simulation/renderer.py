@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from wheelsight.calibration import Calibration
 from wheelsight.errors import ConfigError
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, PinholeCamera
+from wheelsight.point_errors import PointErrors
 from wheelsight.simulation.cameras import CameraModel
 from wheelsight.simulation.doors import Doors
 from wheelsight.simulation.drive import Drive
@@ -114,14 +115,14 @@ class Renderer:
 def camera_calibration(unit: CameraUnit, lens: PinholeCamera) -> Calibration:
     """Of a camera alone, with a lens of its own: the nominal or the true one."""
     camera = unit.model
-    # Without errors of a unit of its own, a camera's pixels share none.
-    shared = {"frame_sigma_m": 0.0, "frame_sigma_rad": 0.0} if unit.realism is None else {}
+    # Without errors of a unit of its own, a camera's pixels share none, and its points are known.
+    exact: dict[str, Any] = {"frame_sigma_m": 0.0, "frame_sigma_rad": 0.0, "point_errors": PointErrors()}
     return Calibration.registered_camera(
         lens,
         depth_noise=camera.depth_noise,
         rolling_shutter_s=camera.rolling_shutter_s,
         source=camera.name,
-        **shared,
+        **(exact if unit.realism is None else {}),
     )
 
 

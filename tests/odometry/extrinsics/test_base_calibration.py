@@ -67,6 +67,20 @@ def test_a_delay_known_before_is_where_the_search_begins(rng: np.random.Generato
     assert base_from(seen, known).values["delay"] == pytest.approx(1.2, abs=0.005)
 
 
+def test_what_the_camera_leaves_open_is_in_sigma_and_told(rng: np.random.Generator) -> None:
+    seen = sighted(rng=rng, blur=USUAL)
+    exact, open_ = base_from(seen, nominal(MOUNT)), base_from(seen, replace(nominal(MOUNT), point_errors=None))
+    assert not exact.warnings
+    assert set(exact.camera_sigmas.values()) == {0.0}
+    (warning,) = open_.warnings
+    assert "wheelsight calibrate camera" in warning
+    assert f"{1e3 * max(open_.camera_sigmas[name] for name in ('x', 'y', 'height')):.0f} mm" in warning
+    for name in QUANTITIES[:-1]:
+        assert open_.values[name] == exact.values[name]
+        assert open_.sigmas[name] == pytest.approx(np.hypot(exact.sigmas[name], open_.camera_sigmas[name]))
+        assert open_.camera_sigmas[name] > 3 * exact.sigmas[name]
+
+
 def test_a_mount_far_from_nominal_is_doubted(rng: np.random.Generator) -> None:
     """Wheels that both count backwards cannot be told from a camera that looks back."""
     looks_back = Robot(camera_yaw_rad=3.0).T_base_camera

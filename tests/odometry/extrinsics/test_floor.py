@@ -10,6 +10,7 @@ from sighted_drives import MOUNT, NOISE, room_views
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.odometry.extrinsics import FloorViews, fit_floor, tilt_of
+from wheelsight.point_errors import NOMINAL_ERRORS, PointErrors
 from wheelsight.simulation import Robot
 
 STAMPS_S = np.arange(0.0, 30.0, 0.5)
@@ -114,3 +115,19 @@ def test_few_views_of_the_floor_are_too_few() -> None:
     few = FloorViews(views.stamps_s[:5], views.rays, views.depth_m[:5])
     with pytest.raises(CalibrationError, match="only 5 of 5 views show enough floor"):
         fit_floor(few, MOUNT[2, :3], NOISE)
+
+
+def test_what_moves_points_moves_the_floor_as_stated() -> None:
+    """A fit to depth that is off by a mode of half a step of disparity, aslant, against the one to true depth."""
+    views, errors = views_of(MOUNT), NOMINAL_ERRORS.modes[8]
+    floor = fit_floor(views, MOUNT[2, :3], NOISE)
+    mode = PointErrors((tuple(0.2 * c for c in errors),))
+    seen = views.depth_m > 0
+    points_m = (views.rays * views.depth_m[..., None])[seen]
+    depth_m = views.depth_m.copy()
+    depth_m[seen] += mode.moved_m(points_m)[0, :, 2]
+    moved = fit_floor(replace(views, depth_m=depth_m), MOUNT[2, :3], NOISE)
+    off = np.array([*tilt_of(moved.up_camera), moved.height_m]) - [*tilt_of(floor.up_camera), floor.height_m]
+    stated = floor.by_camera(mode.moved_m(floor.points_m))
+    assert np.abs(off).max() > 5e-4
+    np.testing.assert_allclose(stated, np.outer(off, off), rtol=0.1, atol=0.02 * np.abs(off).max() ** 2)

@@ -229,3 +229,19 @@ def test_the_references_world_is_no_matter() -> None:
 def test_readings_that_run_backwards_are_refused() -> None:
     with pytest.raises(CalibrationError, match="strictly growing"):
         drive_from_ticks(NOMINAL, [0.0, 1.0, 0.5], [0, 1, 2], [0, 1, 2])
+
+
+def test_a_reference_that_may_be_too_long_makes_both_radii_as_unsure() -> None:
+    """By 1 % of all ways and half a per cent of turns: as σ of both radii and the track, not of one over the other."""
+    seen = simulate(TRUE)
+    way, turn = np.diag([0.01, 0.01, 0.0]), np.diag([0.0, 0.0, 0.005])
+    exact, open_ = fit(seen), fit(seen, camera_errors=np.stack([way, turn]))
+    assert open_.ratio_sigma == pytest.approx(exact.ratio_sigma, rel=1e-3)
+    for name in ("left_radius_m", "right_radius_m"):
+        assert open_.sigmas[name] / getattr(TRUE, name) == pytest.approx(0.01, rel=0.02)
+    assert open_.sigmas["track_width_m"] / TRUE.track_width_m == pytest.approx(np.hypot(0.01, 0.005), rel=0.02)
+    assert open_.wheels.scale_sigma == pytest.approx(np.hypot(0.01, 0.003), rel=0.02)
+    T = seen.truth.T_frame_body.copy()
+    T[:, :3, 3] *= 1.01
+    refitted = fit_wheels(NOMINAL, drive_of(seen), replace(seen.truth, T_frame_body=T)).wheels
+    assert refitted.left_radius_m / exact.wheels.left_radius_m == pytest.approx(1.01, rel=1e-4)

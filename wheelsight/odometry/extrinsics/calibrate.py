@@ -14,15 +14,18 @@ import numpy as np
 from wheelsight.calibration import Calibration, Wheels
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry import FloatArray, se3
+from wheelsight.odometry.camera_errors import motion_errors, moved_in_camera_m
 from wheelsight.odometry.extrinsics import _observability as observability
-from wheelsight.odometry.extrinsics.floor import Floor, fit_floor, tilt_of
+from wheelsight.odometry.extrinsics.floor import Floor, FloorViews, fit_floor, tilt_of
 from wheelsight.odometry.extrinsics.hand_eye import MountFit, cut_level, fit_mount, level_rotation, levelled
-from wheelsight.odometry.extrinsics.settings import DEFAULTS, ExtrinsicsSettings
+from wheelsight.odometry.extrinsics.settings import DEFAULTS, ExtrinsicsSettings, FloorSettings
 from wheelsight.odometry.extrinsics.sightings import Sightings, watch
 from wheelsight.odometry.extrinsics.turning import Turning, common_turning
 from wheelsight.odometry.wheels import drive_of
 from wheelsight.recordings import Recording
 from wheelsight.recordings.clocks import refuse_if_apart
+
+_MOST_POINTS = 4000  # that tell what a camera's errors make of its motions: more tell the same
 
 QUANTITIES = ("roll", "pitch", "yaw", "x", "y", "height", "delay")
 
@@ -38,6 +41,7 @@ class BaseCalibration:
         wheels: nominal ones with the delay found.
         values, sigmas: of each of QUANTITIES, radians, metres and seconds, see `mount_values`; and their standard
             deviations.
+        camera_sigmas: the part of these that the camera's calibration leaves open, however long the drive.
         sightings, turning, floor, fit: the steps.
         warnings: one sentence each.
     """
@@ -48,6 +52,7 @@ class BaseCalibration:
     wheels: Wheels
     values: dict[str, float]
     sigmas: dict[str, float]
+    camera_sigmas: dict[str, float]
     sightings: Sightings
     turning: Turning
     floor: Floor
@@ -112,17 +117,19 @@ def base_from(sightings: Sightings, nominal: Calibration, settings: ExtrinsicsSe
     observability.refuse_if_tilted(floor, turning, settings.drive)
     segments = cut_level(drive, wheels, levelled(sightings.camera, floor.up_camera), settings.mount)
     observability.refuse_if_few(len(segments), settings.drive)
-    fit = fit_mount(drive, wheels, segments, turning.delay_s, settings.mount, settings.fit)
+    errors = level_errors(sightings.views, floor, nominal, settings.floor)
+    fit = fit_mount(drive, wheels, segments, turning.delay_s, settings.mount, settings.fit, errors)
     observability.refuse_if_out_of_scale(wheels, fit.wheels, settings.drive)
     T_base_camera = _mount(fit, floor)
     values = mount_values(T_base_camera) | {"delay": fit.wheels.delay_s}
-    sigmas = _sigmas(fit, floor)
-    observability.refuse_if_unobservable(sigmas, fit, settings.drive)
+    by_drive = _sigmas(fit.covariance, floor.covariance)
+    observability.refuse_if_unobservable(by_drive, fit, settings.drive)
+    by_camera = _sigmas(fit.by_camera, floor.by_camera(moved_in_camera_m(nominal, floor.points_m)))
+    sigmas = {name: float(np.hypot(by_drive[name], by_camera[name])) for name in QUANTITIES}
     late = replace(wheels, delay_s=fit.wheels.delay_s)
-    steps = (sightings, turning, floor, fit)
-    return BaseCalibration(
-        "", nominal, T_base_camera, late, values, sigmas, *steps, _doubts(T_base_camera, mount, settings)
-    )
+    told = (T_base_camera, late, values, sigmas, by_camera, sightings, turning, floor, fit)
+    doubts = (*_doubts(T_base_camera, mount, settings), *_uncalibrated(nominal, by_camera))
+    return BaseCalibration("", nominal, *told, doubts)
 
 
 def mount_values(T_base_camera: FloatArray) -> dict[str, float]:
@@ -141,10 +148,35 @@ def _mount(fit: MountFit, floor: Floor) -> FloatArray:
     return T_base_level @ T_level_camera
 
 
-def _sigmas(fit: MountFit, floor: Floor) -> dict[str, float]:
-    roll, pitch, height = np.sqrt(np.diag(floor.covariance)).tolist()
-    x, y, yaw, delay = fit.sigmas.tolist()
+def level_errors(
+    views: FloorViews, floor: Floor, calibration: Calibration, settings: FloorSettings = DEFAULTS.floor
+) -> FloatArray:
+    """`motion_errors` (K, 3, 3) of the levelled camera, by some of the points that views show."""
+    noise = calibration.depth_noise
+    view, pixel = np.nonzero((views.depth_m > noise.near_m) & (views.depth_m < min(noise.far_m, settings.farthest_m)))
+    some = np.linspace(0, len(view) - 1, min(len(view), _MOST_POINTS)).astype(int)
+    depth_m = views.depth_m[view[some], pixel[some]]
+    points_m = views.rays[pixel[some]] * depth_m[:, None]
+    T_level_camera = se3.invert(se3.from_parts(level_rotation(floor.up_camera), np.zeros(3)))
+    return motion_errors(calibration, T_level_camera, points_m)
+
+
+def _sigmas(of_mount: FloatArray, of_floor: FloatArray) -> dict[str, float]:
+    roll, pitch, height = np.sqrt(np.diag(of_floor)).tolist()
+    x, y, yaw, delay = np.sqrt(np.diag(of_mount)[3:7]).tolist()
     return dict(zip(QUANTITIES, (roll, pitch, yaw, x, y, height, delay), strict=True))
+
+
+def _uncalibrated(nominal: Calibration, by_camera: dict[str, float]) -> tuple[str, ...]:
+    """What it costs that no board says how far off the camera's points are."""
+    if nominal.point_errors is not None:
+        return ()
+    turn_deg = np.degrees(max(by_camera[name] for name in ("roll", "pitch", "yaw")))
+    way_mm = 1e3 * max(by_camera[name] for name in ("x", "y", "height"))
+    return (
+        "The camera's calibration does not say how sure it is, as one by a board does: by what nominal values are off, "
+        f"the mount is unsure by {turn_deg:.1f}° and {way_mm:.0f} mm, as σ says (wheelsight calibrate camera).",
+    )
 
 
 def _doubts(T_base_camera: FloatArray, nominal: FloatArray | None, settings: ExtrinsicsSettings) -> tuple[str, ...]:

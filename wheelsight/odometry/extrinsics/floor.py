@@ -46,7 +46,9 @@ class Floor:
     Attributes:
         up_camera: (3,) its upward normal.
         height_m: of the camera over it.
-        covariance: (3, 3) of roll and pitch in radians (see `tilt_of`) and height in metres.
+        covariance: (3, 3) of roll and pitch in radians (see `tilt_of`) and height in metres, as depth scatters.
+        points_m: (N, 3) of it, in the camera frame, one for each pixel that shows it.
+        weights: (N,) of these, 1/m²: what all views tell of it there, in inverse depth.
         stamps_s: (K,) of the views that show enough of it to tell the plane alone.
         tilts: (K, 3) roll, pitch and height by each of them.
         view_count: of all views.
@@ -55,9 +57,23 @@ class Floor:
     up_camera: FloatArray
     height_m: float
     covariance: FloatArray
+    points_m: FloatArray
+    weights: FloatArray
     stamps_s: FloatArray
     tilts: FloatArray
     view_count: int
+
+    def by_camera(self, moved_m: FloatArray) -> FloatArray:
+        """Covariance (3, 3) as `covariance`, of errors of the camera that move its points by `moved_m` (K, N, 3).
+
+        Each moves the plane as far as it moves inverse depths off it: by -q · δ / z, with q = -n/h.
+        """
+        q, z = -self.up_camera / self.height_m, self.points_m[:, 2]
+        rays = self.points_m / z[:, None]
+        weighted = self.weights[:, None] * rays
+        moved_q = np.linalg.solve(weighted.T @ rays, weighted.T @ -(moved_m @ q / z).T).T
+        shifts = moved_q @ _derivatives(q).T
+        return np.asarray(shifts.T @ shifts)
 
 
 def tilt_of(up_camera: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -86,7 +102,10 @@ def fit_floor(
     _refuse_if_not_lowest(points, q)
     height_m = float(1 / np.linalg.norm(q))
     covariance = _covariance(points, q, agreement)
-    return Floor(-q * height_m, height_m, covariance, views.stamps_s[seen], tilts, len(views.stamps_s))
+    points_m, weights = points.by_pixel(q, agreement)
+    return Floor(
+        -q * height_m, height_m, covariance, points_m, weights, views.stamps_s[seen], tilts, len(views.stamps_s)
+    )
 
 
 def height_below(
@@ -130,12 +149,13 @@ def _is_level(rays: FloatArray, depth_m: FloatArray, up_camera: FloatArray, sett
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """Depth readings of all views: view (P,), rays (P, 3), inverse depth (P,) and its standard deviation (P,).
+    """Depth readings of all views: view, pixel and inverse depth (P,), its standard deviation (P,) and rays (P, 3).
 
     `settings` say which of them count.
     """
 
     view: IntArray
+    pixel: IntArray
     rays: FloatArray
     inverse: FloatArray
     sigma: FloatArray
@@ -146,7 +166,7 @@ class _Points:
         is_near = (views.depth_m > noise.near_m) & (views.depth_m < min(noise.far_m, settings.farthest_m))
         view, pixel = np.nonzero(is_near)
         depth_m = views.depth_m[is_near].astype(float)
-        return cls(view, views.rays[pixel], 1 / depth_m, noise.sigma_m(depth_m) / depth_m**2, settings)
+        return cls(view, pixel, views.rays[pixel], 1 / depth_m, noise.sigma_m(depth_m) / depth_m**2, settings)
 
     def off_m(self, q: FloatArray) -> FloatArray:
         """How far (P,) each point lies above the plane."""
@@ -166,6 +186,15 @@ class _Points:
         scale = 1.4826 * float(np.median(np.abs(r[near]))) if near.any() else 1.0
         chi2 = self.settings.outlier_chi2
         return np.where(near, (chi2 / (chi2 + (r / scale) ** 2)) ** 2, 0.0)
+
+    def by_pixel(self, q: FloatArray, agreement: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Points (N, 3) of the plane, metres, where views agree with it, and weights (N,) of all views."""
+        first, number = np.unique(self.pixel, return_index=True, return_inverse=True)[1:]
+        weights = np.bincount(number, agreement / self.sigma**2).astype(float)
+        rays = self.rays[first]
+        inverse = rays @ q
+        shown = (weights > 0) & (inverse > 0)
+        return rays[shown] / inverse[shown, None], weights[shown]
 
     def _equations(self, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         weighted = weights[:, None] * self.rays
@@ -208,6 +237,12 @@ def _tilts(q: FloatArray) -> FloatArray:
     return np.stack([*tilt_of(-q), 1 / size], axis=-1)
 
 
+def _derivatives(q: FloatArray) -> FloatArray:
+    """Of roll, pitch and height by the plane: (3, 3)."""
+    steps = 1e-6 * np.linalg.norm(q) * np.eye(3)
+    return np.stack([(_tilts(q + h) - _tilts(q - h)) / (2 * h.max()) for h in steps], axis=-1)
+
+
 def _covariance(points: _Points, q: FloatArray, agreement: FloatArray) -> FloatArray:
     """Covariance (3, 3) of roll, pitch and height: the inverse Hessian on both sides of the gradient's spread.
 
@@ -221,8 +256,7 @@ def _covariance(points: _Points, q: FloatArray, agreement: FloatArray) -> FloatA
     groups = len(np.unique(cluster))
     inverse = np.linalg.inv(H)
     spread = inverse @ (sums.T @ sums) @ inverse * groups / max(groups - 3, 1)
-    steps = 1e-6 * np.linalg.norm(q) * np.eye(3)
-    J = np.stack([(_tilts(q + h) - _tilts(q - h)) / (2 * h.max()) for h in steps], axis=-1)
+    J = _derivatives(q)
     return np.asarray(J @ spread @ J.T + np.diag(_LEAST_SIGMAS**2))
 
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from wheelsight.calibration import Wheels
 from wheelsight.geometry import BoolArray, FloatArray, se3
-from wheelsight.odometry._robust_fit import UNKNOWN_SIGMA, RobustFitSettings, robust_fit, spread
+from wheelsight.odometry._robust_fit import UNKNOWN_SIGMA, RobustFit, RobustFitSettings, response, robust_fit, spread
+from wheelsight.odometry.camera_errors import with_error
 from wheelsight.odometry.extrinsics.settings import DEFAULTS, MountSettings
 from wheelsight.odometry.wheels.drive import Drive
 from wheelsight.odometry.wheels.segments import Segments, cut
@@ -38,7 +39,9 @@ class MountFit:
         mount: (3,) x, y in metres and yaw in radians of T_base_level (see `levelled`).
         wheels: with the sizes and delay found; sizes only as this drive and the camera's own scale tell them.
         slide_s: speed outwards in a bend over its acceleration inwards: of tyres that creep, a few milliseconds.
-        covariance: (8, 8) of the logarithms of left and right radius and track width, of x, y, yaw, delay and slide.
+        covariance: (8, 8) of the logarithms of left and right radius and track width, of x, y, yaw, delay and slide,
+            as far as the drive tells them.
+        by_camera: (8, 8) the same by what the camera's calibration leaves open.
         segments: pieces of the camera's way.
         residuals: (M, 3) of wheels and mount, along and across each in metres, yaw in radians.
         is_slip: (M,) pieces whose residual is beyond what one in a thousand would show without a slip.
@@ -48,13 +51,14 @@ class MountFit:
     wheels: Wheels
     slide_s: float
     covariance: FloatArray
+    by_camera: FloatArray
     segments: Segments
     residuals: FloatArray
     is_slip: BoolArray
 
     @property
     def sigmas(self) -> FloatArray:
-        """Standard deviations (4,) of x, y, yaw and delay."""
+        """Standard deviations (4,) of x, y, yaw and delay, as far as the drive tells them."""
         return np.sqrt(np.diag(self.covariance)[3:7])
 
     @property
@@ -90,6 +94,7 @@ def fit_mount(
     delay_s: float,
     settings: MountSettings = DEFAULTS.mount,
     fit: RobustFitSettings = DEFAULTS.fit,
+    camera_errors: FloatArray | None = None,
 ) -> MountFit:
     """The mount for which the wheels explain most pieces of the camera's way.
 
@@ -100,6 +105,7 @@ def fit_mount(
         delay_s: of the wheels' stamps, right to a few hundredths of a second.
         settings: of the mount.
         fit: what counts as a disagreement.
+        camera_errors: (K, 3, 3) of the levelled camera, see `camera_errors.motion_errors`; None for none.
     """
     problem = _Problem(drive, wheels, segments, delay_s, settings)
     found = robust_fit(problem, np.zeros(len(_BOUNDS)), fit)
@@ -113,7 +119,20 @@ def fit_mount(
     )
     mount = problem.mount(found.values)
     covariance = _larger(found.covariance, found.if_independent) + np.diag(_LEAST_SIGMAS**2)
-    return MountFit(mount, fitted, float(found.values[7]), covariance, segments, found.residuals, found.is_outlier)
+    shifts = np.zeros((0, len(_BOUNDS))) if camera_errors is None else _shifts(problem, found, camera_errors, fit)
+    explained = (segments, found.residuals, found.is_outlier)
+    return MountFit(mount, fitted, float(found.values[7]), covariance, shifts.T @ shifts, *explained)
+
+
+def _shifts(problem: _Problem, found: RobustFit, camera_errors: FloatArray, fit: RobustFitSettings) -> FloatArray:
+    """How far each error (K, 3, 3) of the camera's motions moves what is found, (K, 8)."""
+    motions = problem.segments.motions
+    moved = []
+    for error in camera_errors:
+        problem.segments = replace(problem.segments, motions=with_error(motions, error))
+        moved.append(problem.residuals(found.values) - found.residuals)
+    problem.segments = replace(problem.segments, motions=motions)
+    return response(problem, found, np.reshape(moved, (-1, *found.residuals.shape)), fit)
 
 
 def closed_form(base: FloatArray, level: FloatArray) -> FloatArray:

@@ -17,7 +17,8 @@ import numpy as np
 from wheelsight.calibration import Wheels
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry import BoolArray, FloatArray
-from wheelsight.odometry._robust_fit import UNKNOWN_SIGMA, robust_fit, spread
+from wheelsight.odometry._robust_fit import UNKNOWN_SIGMA, RobustFit, response, robust_fit, spread
+from wheelsight.odometry.camera_errors import with_error
 from wheelsight.odometry.wheels._observability import (
     chords_m,
     refuse_if_impossible,
@@ -76,6 +77,7 @@ def fit_wheels(
     segment_m: float = 1.0,
     with_delay: bool = True,
     on_step: Callable[[str], None] = lambda _: None,
+    camera_errors: FloatArray | None = None,
 ) -> WheelFit:
     """Wheels that explain `reference`, with standard deviations, or a refusal that says what drive would do.
 
@@ -87,6 +89,8 @@ def fit_wheels(
         segment_m: way between two poses that are compared: long for a noisy reference, short for frequent slips.
         with_delay: also fit `delay_s`; else the nominal one is kept.
         on_step: told in a word what is being done, a few times.
+        camera_errors: (K, 3, 3) of the base, of a reference that a camera tells: `camera_errors.motion_errors`. They
+            make both radii wrong alike, and the track width by what turns are; σ holds them.
 
     Raises:
         CalibrationError: a drive that leaves a parameter undetermined, too short a one, a reference of another body,
@@ -103,15 +107,14 @@ def fit_wheels(
     sigmas = problem.sigmas(values, found.covariance)
     refuse_if_unobservable(sigmas, fitted, segments)
     refuse_if_impossible(wheels, fitted, LARGEST_DELAY_S)
-    ratio_sigma, mount = _ratio_sigma(fitted, found.covariance), problem.mount(values)
+    covariance = found.covariance + (0 if camera_errors is None else problem.by_camera(found, camera_errors))
+    sigmas = problem.sigmas(values, covariance)
+    ratio_sigma, mount = _ratio_sigma(fitted, covariance), problem.mount(values)
+    # Half the sum of both logarithms: as a share, what both have in common adds up.
+    scale_sigma = float(np.sqrt(covariance[:2, :2].sum()) / 2)
     explained = (found.residuals, found.weights, found.is_outlier)
-    return WheelFit(wheels, _stated(fitted, sigmas, ratio_sigma), sigmas, ratio_sigma, mount, segments, *explained)
-
-
-def _stated(fitted: Wheels, sigmas: dict[str, float], ratio_sigma: float) -> Wheels:
-    radius_m = (fitted.left_radius_m + fitted.right_radius_m) / 2
-    scale = float(np.hypot(sigmas["left_radius_m"], sigmas["right_radius_m"]) / 2 / radius_m)
-    return stated(fitted, ratio_sigma, sigmas["track_width_m"] / fitted.track_width_m, scale)
+    known = stated(fitted, ratio_sigma, sigmas["track_width_m"] / fitted.track_width_m, scale_sigma)
+    return WheelFit(wheels, known, sigmas, ratio_sigma, mount, segments, *explained)
 
 
 def _segments(wheels: Wheels, drive: Drive, reference: Trajectory, segment_m: float) -> Segments:
@@ -160,6 +163,16 @@ class _Problem:
         """(M, 3) in metres, metres, radians."""
         robot = (self.sizes(values), self.delay_s(values), self.mount(values))
         return self.segments.residuals(self.segments.predicted(self.drive, *robot))
+
+    def by_camera(self, found: RobustFit, camera_errors: FloatArray) -> FloatArray:
+        """Covariance (P, P) of what the reference's own errors (K, 3, 3) make of the values found."""
+        motions, moved = self.segments.motions, []
+        for error in camera_errors:
+            self.segments = replace(self.segments, motions=with_error(motions, error))
+            moved.append(self.residuals(found.values) - found.residuals)
+        self.segments = replace(self.segments, motions=motions)
+        shifts = response(self, found, np.reshape(moved, (-1, *found.residuals.shape)))
+        return np.asarray(shifts.T @ shifts)
 
     def coarse(self) -> FloatArray:
         """Nominal sizes with the delay for which wheel angles best go along with the reference, linearly."""

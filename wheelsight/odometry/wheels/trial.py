@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wheelsight.calibration import Wheels
+from wheelsight.calibration import Calibration, Wheels
 from wheelsight.errors import CalibrationError, EvaluationError
 from wheelsight.evaluation import Evaluation, evaluate
 from wheelsight.geometry import FloatArray, se3
+from wheelsight.odometry.camera_errors import typical_motion_errors
 from wheelsight.odometry.wheels.drive import Drive, drive_of, drive_path
 from wheelsight.odometry.wheels.fit import WheelFit, fit_wheels
 from wheelsight.recordings import Recording
@@ -63,6 +64,7 @@ def try_calibration(
     train_share: float = 0.5,
     segment_m: float = 1.0,
     with_delay: bool = True,
+    by_camera: bool = False,
     on_step: Callable[[str], None] = lambda _: None,
 ) -> WheelTrial:
     """Fit a recording's wheels to the first `train_share` of the time it shares with `reference`; try them on the rest.
@@ -71,6 +73,8 @@ def try_calibration(
         recording: with wheel readings, and nominal wheels in its calibration.
         reference: of the base or the camera; None for the recording's ground truth.
         train_share: 0 to 1, both left out.
+        by_camera: whether the reference is what odometry makes of the recording's own camera: σ of sizes then hold what
+            its calibration leaves open.
         segment_m, with_delay, on_step: see `fit_wheels`.
 
     Raises:
@@ -86,11 +90,19 @@ def try_calibration(
     common = reference.between(*(drive.stamps_s[[0, -1]] - nominal.delay_s))
     split_s = float(common.stamps_s[0] + train_share * common.duration_s) if len(common) else reference.stamps_s[0]
     seen = reference.between(-np.inf, split_s) if len(common) else reference
-    fit = fit_wheels(nominal, drive, seen, segment_m=segment_m, with_delay=with_delay, on_step=on_step)
+    errors = _camera_errors(recording.calibration) if by_camera else None
+    fit = fit_wheels(
+        nominal, drive, seen, segment_m=segment_m, with_delay=with_delay, on_step=on_step, camera_errors=errors
+    )
     held_out = _at_axle(common.between(split_s, np.inf), fit.mount)
     on_step("trying on the rest")
     before, after = (_attempt(drive, wheels, held_out) for wheels in (nominal, fit.wheels))
     return WheelTrial(recording.name, fit, reference, split_s, held_out, before, after, recording.warnings)
+
+
+def _camera_errors(calibration: Calibration) -> FloatArray | None:
+    is_known = calibration.color is not None and calibration.T_base_camera is not None
+    return typical_motion_errors(calibration) if is_known else None
 
 
 def _nominal(recording: Recording) -> Wheels:

@@ -1,0 +1,70 @@
+"""What errors of a camera's points, which no residual shows, make of the motions that its images tell."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wheelsight.calibration import Calibration
+from wheelsight.geometry import FloatArray, se2, se3, so3
+from wheelsight.point_errors import NOMINAL_ERRORS, PointErrors
+
+_STEP = 1e-4
+_PLANAR = (0, 1, 5)  # of (v, ω): along x, along y, about z
+# Points of what a robot drives past, where no image is at hand: all over the image, one to four metres away.
+_ACROSS, _DOWN, _DISTANCES_M = 9, 7, (1.0, 1.5, 2.0, 3.0, 4.0)
+
+
+def errors_of(calibration: Calibration) -> PointErrors:
+    """Of its camera: what a board left open, or where nobody says, what is likely of nominal values."""
+    return NOMINAL_ERRORS if calibration.point_errors is None else calibration.point_errors
+
+
+def moved_in_camera_m(calibration: Calibration, points_m: FloatArray) -> FloatArray:
+    """How far each of these errors moves points (N, 3) of the camera frame, metres in it: (K, N, 3)."""
+    T_color_camera = calibration.T_color_camera
+    moved_m = errors_of(calibration).moved_m(se3.apply(T_color_camera, points_m))
+    return np.asarray(moved_m @ T_color_camera[:3, :3])
+
+
+def motion_errors(calibration: Calibration, T_body_camera: FloatArray, points_m: FloatArray) -> FloatArray:
+    """(K, 3, 3): by what matrix of the true one each error changes a small motion (x, y, yaw) of a body on a floor.
+
+    A camera moves by the twist (v, ω), and points p of a world that stands still by -(v + ω × p). Seen are p + δ(p),
+    and the motion is that of a rigid world which fits them best: to first order it is off by a least squares of
+    D(v + ω × p) - ω × δ, with D the derivatives of δ. That is a scale for a δ that grows with p, and another place and
+    direction of the camera for one that shifts and turns all. Points count by 1/z, between what pixels tell (1/z²) and
+    all alike: so it comes nearest to what dense odometry did on simulated drives (docs/decisions/0108).
+
+    Args:
+        calibration: of the camera.
+        T_body_camera: (4, 4), body being whose motion is told: x and y in the plane of the floor.
+        points_m: (N, 3) what the camera sees, of its own frame.
+    """
+    twists = np.eye(6)[list(_PLANAR)] @ se3.adjoint(se3.invert(T_body_camera)).T
+    here = moved_in_camera_m(calibration, points_m)
+    of_points = np.concatenate([np.tile(np.eye(3), (len(points_m), 1, 1)), -so3.hat(points_m)], axis=-1)
+    weighted = of_points / points_m[:, 2, None, None]
+    H = np.einsum("nij,nik->jk", weighted, of_points)
+    found = np.empty((len(here), 6, len(twists)))
+    for k, (v, w) in enumerate(twists.reshape(-1, 2, 3)):
+        flow = v + np.cross(w, points_m)
+        off = (moved_in_camera_m(calibration, points_m + _STEP * flow) - here) / _STEP - np.cross(w, here)
+        found[..., k] = np.linalg.solve(H, np.einsum("nij,kni->jk", weighted, off)).T
+    return np.asarray((se3.adjoint(T_body_camera) @ found)[:, list(_PLANAR)])
+
+
+def typical_motion_errors(calibration: Calibration) -> FloatArray:
+    """`motion_errors` (K, 3, 3) of the base, of points one to four metres away. Raises CalibrationError: no camera."""
+    _, camera = calibration.cameras
+    assert calibration.T_base_camera is not None
+    u, v = np.meshgrid(np.linspace(0, camera.width - 1, _ACROSS), np.linspace(0, camera.height - 1, _DOWN))
+    px = np.tile(np.stack([u.ravel(), v.ravel()], axis=-1), (len(_DISTANCES_M), 1))
+    depth_m = np.repeat(_DISTANCES_M, _ACROSS * _DOWN)
+    points_m = camera.back_project(px, depth_m)
+    return motion_errors(calibration, calibration.T_base_camera, points_m)
+
+
+def with_error(motions: FloatArray, error: FloatArray) -> FloatArray:
+    """Motions (M, 3), x, y in metres and yaw in radians, as a camera with a `motion_errors` (3, 3) tells them."""
+    twists = se2.log(se2.from_parts(*motions.T))
+    return np.stack(se2.to_parts(se2.exp(twists + twists @ error.T)), axis=-1)
