@@ -75,9 +75,19 @@ class Planner:
         out = way_out(drivable, self._outline, begin, self.settings)
         if out is None:
             return PlanFailure(PlanReason.START_OCCUPIED, f"nor within {self.settings.escape_m:g} m")
+        found = self._from(drivable, out, end)
+        if isinstance(found, Plan) or found.reason is not PlanReason.UNREACHABLE:
+            return found
+        # With the least margin alone, it may stand where no step of the search lets it turn, though a slight arc does.
+        wide = way_out(drivable, self._outline, begin, self.settings, is_wide=True)
+        again = found if wide is None or len(wide) == 1 else self._from(drivable, wide, end)
+        return again if isinstance(again, Plan) else found
+
+    def _from(self, drivable: Drivable, out: FloatArray, end: FloatArray) -> Plan | PlanFailure:
+        """To a goal (3,) from where a way out (N, 4) ends."""
         metre_cost = passable(drivable)
         labels = components(metre_cost)
-        row, column = stood.cells_at(out[-1, :2]).tolist()
+        row, column = drivable.costmap.cells_at(out[-1, :2]).tolist()
         aim = goal_near(drivable, end, labels, int(labels[row, column]), self.settings)
         if isinstance(aim, PlanFailure):
             return aim
