@@ -136,12 +136,11 @@ def test_keyframes_are_handed_over_with_what_is_known_then_of_the_way_to_them(mo
     blank, C = np.ones((24, 32), np.float32), 1e-4 * np.eye(6)
     for x_m in (0.0, 1.0, 2.0):
         store.add(Keyframe.of_images(x_m, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), se3.from_plane(x_m, 0, 0))
-        assert beside.has_new
         beside.keep(x_m, np.eye(4), C, None if x_m == 0 else (se3.from_plane(1, 0, x_m), C))
         assert not beside.has_new
-    assert beside.is_waiting
-    assert not handed
+    before = beside.is_waiting, len(handed)
     beside.hand_over([None, (se3.from_plane(1, 0, 0.5), C)])
+    assert before == (True, 0)
     assert not beside.is_waiting
     assert [lived.number for lived in handed] == [0, 1, 2]
     assert handed[0].motion is None

@@ -261,6 +261,20 @@ def test_a_start_beside_a_wall_between_two_things_gets_out(
     assert steps.sum() <= 2 * PlannerSettings().escape_m
 
 
+def test_a_heading_that_nothing_leads_to_is_told_and_the_nearest_one_is_taken() -> None:
+    """In a corridor in which the chair cannot turn it comes to the place as it is turned."""
+    cells = np.ones((40, 140), bool)
+    cells[12:28, 10:130] = False
+    plan = Planner(CHAIR).plan(costmap_of(cells), (1.5, 1.0, 0.0), (4.5, 1.0, math.pi))
+    assert isinstance(plan, Plan)
+    assert "no way leads to the goal as it is asked" in plan.goal_change
+    np.testing.assert_allclose(plan.goal[:2], (4.5, 1.0), atol=0.11)
+    np.testing.assert_allclose(plan.poses[-1], plan.goal, atol=1e-9)
+    assert abs(math.remainder(plan.goal[2], 2 * math.pi)) < math.radians(20)
+    assert f"{math.degrees(abs(math.remainder(plan.goal[2] - math.pi, 2 * math.pi))):.0f}°" in plan.goal_change
+    check(plan, costmap_of(cells), (1.5, 1.0, 0.0))
+
+
 def test_it_does_not_know_the_floor_below_it_and_leaves_all_the_same() -> None:
     state = np.full((160, 160), CellState.FREE, np.uint8)
     state[:, :60] = CellState.UNKNOWN

@@ -136,7 +136,7 @@ class LoopsBeside:
 
         `motion`: of the camera since the frame before of which keyframes were kept; see `LivedKeyframe`.
         """
-        kept = []
+        kept: list[LivedKeyframe] = []
         for number in range(self._told, len(self._store)):
             T_odom_keyframe = se3.nearest(T_odom_map @ self._store.pose(KeyframeId(number)))
             begins = number > 0 and number in self._pieces

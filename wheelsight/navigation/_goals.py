@@ -83,8 +83,8 @@ def way_out(
         has_come = np.maximum.accumulate(clear_m >= settings.margin_m + settings.escape_nearer_m)
         is_nearer = clear_m < np.where(has_come, settings.margin_m, least_m)
         is_nearer[0] = False
-        ends = [np.flatnonzero(is_free)[:1] + 1, np.flatnonzero(is_nearer)[:1], [len(poses)]]
-        return poses[: int(min(np.concatenate(ends)))]
+        ends = [*(np.flatnonzero(is_free)[:1] + 1), *np.flatnonzero(is_nearer)[:1], len(poses)]
+        return np.asarray(poses[: int(min(ends))])
 
     arcs = [arc for arc in _arcs(settings) if drivable.may(*arc)]
     first = [passed(pose, arc) for arc in arcs]
@@ -143,12 +143,22 @@ def goal_near(
     # One that keeps clear is better than one that is nearer by a little, and hard to get to.
     score = off + 2 * settings.wanted_margin_m * tight
     if len(poses) and np.isfinite(score).any():
-        best = poses[int(np.argmin(score))]
-        away_m, turned = float(np.hypot(*(best - goal)[:2])), _turn(goal[2], best[2])
-        text = f"the robot does not fit at the goal: {away_m:.2f} m and {math.degrees(turned):.0f}° beside it"
-        return Goal(best, text)
+        return beside(goal, poses[int(np.argmin(score))], "the robot does not fit at the goal")
     reason = PlanReason.GOAL_UNKNOWN if is_unknown else PlanReason.GOAL_OCCUPIED
     return PlanFailure(reason, f"nor does it fit within {settings.goal_tolerance_m:g} m that can be reached")
+
+
+def beside(goal: FloatArray, pose: FloatArray, why: str) -> Goal:
+    """Another pose (3,) in the place of a goal (3,), and by how much it is another."""
+    away_m, turned = float(np.hypot(*(pose - goal)[:2])), _turn(goal[2], pose[2])
+    return Goal(pose.copy(), f"{why}: {away_m:.2f} m and {math.degrees(turned):.0f}° beside it")
+
+
+def nearest_heading(poses: FloatArray, goal: FloatArray, reach_m: float) -> int:
+    """Which of poses (N, 4) so near to a goal's place is turned least against it (3,); -1: none is near."""
+    near = np.flatnonzero(np.hypot(*(poses[:, :2] - goal[:2]).T) <= reach_m)
+    turned = [_turn(goal[2], yaw) for yaw in poses[near, 2]]
+    return int(near[np.argmin(turned)]) if len(near) else -1
 
 
 def _turn(one: float, other: float) -> float:
