@@ -51,7 +51,7 @@ class KnownBuilding:
         folder = MapFolder.open(day.folder)
         self._grid, self._driven = occupancy_of(folder), driven_way(folder)
         folder.close()
-        self.planner = Planner(self.footprint, settings.planner, settings.limits)
+        self.planner = Planner(self.footprint, settings.drivable, settings.limits)
 
     @cached_property
     def floor(self) -> KnownFloor:
@@ -86,7 +86,7 @@ class KnownBuilding:
 
     def pose(self, rng: np.random.Generator, around_m: float = 0.0) -> FloatArray:
         """A pose at which the outline fits with the wanted margin, and with so much room about the axle."""
-        least_m = max(self.footprint.inscribed_m + self.settings.planner.wanted_margin_m, around_m)
+        least_m = max(self.footprint.inscribed_m + self.settings.drivable.wanted_margin_m, around_m)
         cells = np.argwhere((self.costmap.distance_m > least_m) & ~self.costmap.is_lethal)
         while True:
             xy = self.costmap.middle_of(cells[rng.integers(len(cells))])

@@ -195,7 +195,7 @@ def test_all_that_filters_go_by_is_read_and_written(tmp_path: Path) -> None:
     save_config(config, tmp_path / "resolved.yaml")
     assert load_config(tmp_path / "resolved.yaml") == config
     written = yaml.safe_load((tmp_path / "resolved.yaml").read_text())["fusion"]
-    assert written["error_state"]["max_clones"] == 5
+    assert written["error_state"]["max_clones"] == 16
     assert config.alone("wheels").fusion.error_state == fusion.error_state
 
 

@@ -20,7 +20,7 @@ from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.localizer import Localizer
 from wheelsight.localizer._loops import LoopsBeside
 from wheelsight.recordings import Recording, open_recording
-from wheelsight.slam.drive_graph import KeyframePlace, PoseUpdate
+from wheelsight.slam.drive_graph import KeyframePlace, LivedKeyframe, PoseUpdate
 from wheelsight.slam.live import LiveLoops
 
 FAR = se3.exp([3.0, -2.0, 1.0, 0.4, -0.6, 0.8])
@@ -124,6 +124,28 @@ def test_loops_tie_keyframes_to_older_ones_where_they_are_seen_from_apart(
     assert not beside.tie(3)
     beside.move_keyframes(10.0, None)
     assert beside.tie(3) == ties
+    beside.close()
+
+
+def test_keyframes_are_handed_over_with_what_is_known_then_of_the_way_to_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of those kept before another filter took over, what was known when they were kept stands."""
+    store, settings = KeyframeStore(), load_config(overrides={"loops.source": "keyframes"})
+    beside = LoopsBeside(store, Calibration.registered_camera(synthetic.CAMERA), settings, waits=True)
+    handed: list[LivedKeyframe] = []
+    monkeypatch.setattr(LiveLoops, "add", lambda live, lived: handed.append(lived))
+    blank, C = np.ones((24, 32), np.float32), 1e-4 * np.eye(6)
+    for x_m in (0.0, 1.0, 2.0):
+        store.add(Keyframe.of_images(x_m, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), se3.from_plane(x_m, 0, 0))
+        beside.keep(x_m, np.eye(4), C, None if x_m == 0 else (se3.from_plane(1, 0, x_m), C))
+        assert not beside.has_new
+    before = beside.is_waiting, len(handed)
+    beside.hand_over([None, (se3.from_plane(1, 0, 0.5), C)])
+    assert before == (True, 0)
+    assert not beside.is_waiting
+    assert [lived.number for lived in handed] == [0, 1, 2]
+    assert handed[0].motion is None
+    for lived, yaw_rad in zip(handed[1:], (1.0, 0.5), strict=True):
+        np.testing.assert_array_equal(not_none(lived.motion)[0], se3.from_plane(1, 0, yaw_rad))
     beside.close()
 
 

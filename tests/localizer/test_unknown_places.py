@@ -10,7 +10,6 @@ from localizer.joined_drives import Drive, Eye, Sight, answers_to, drive, joined
 
 from wheelsight.estimates import Reason, Status
 from wheelsight.fusion import FusedEstimate
-from wheelsight.geometry import FloatArray
 from wheelsight.keyframes import KeyframeId
 from wheelsight.localizer import by_fusion
 from wheelsight.simulation.scene_faults import Silence
@@ -82,6 +81,7 @@ class Loops:
     is_joined: bool = True
     asked: list[int] = field(default_factory=list)
     has_new: bool = False
+    is_waiting: bool = False
 
     def move_keyframes(self, stamp_s: float, keyframe: KeyframeId | None) -> None:
         pass
@@ -89,9 +89,6 @@ class Loops:
     def tie(self, number: int) -> bool:
         self.asked.append(number)
         return len(self.asked) >= self.times
-
-    def hand_over(self, stamp_s: float, T_odom_map: FloatArray, covariance: FloatArray) -> None:
-        pass
 
     def called(self, answer: FusedEstimate) -> FusedEstimate:
         return answer

@@ -231,6 +231,50 @@ def test_a_start_too_near_to_a_wall_gets_out_first(start: tuple[float, float, fl
     assert steps.sum() <= PlannerSettings().escape_m + 1e-6
 
 
+@pytest.mark.parametrize(
+    ("deep", "gap_m", "start", "clear_m"),
+    [(5, 0.5, (3.0, 1.32, 0.0), 0.02), (3, 0.25, (3.0, 1.335, 0.05), 0.02), (8, 0.5, (3.0, 1.334, -0.03), 0.01)],
+)
+def test_a_start_beside_a_wall_between_two_things_gets_out(
+    deep: int, gap_m: float, start: tuple[float, ...], clear_m: float
+) -> None:
+    """As a car parked too near to the kerb: of the first no arc alone comes free, and none is where a step may turn."""
+    cells = np.zeros((80, 120), bool)
+    cells[:20] = True
+    for edge_m in (3.8 + gap_m, 2.0 - gap_m):
+        column = round(edge_m / 0.05)
+        cells[20 : 20 + deep, column : column + 14] = True
+    plan = Planner(CHAIR).plan(costmap_of(cells), start, (3.0, 2.5, 0.0))
+    assert isinstance(plan, Plan)
+    assert not plan.goal_change
+
+    def under(margin_m: float) -> np.ndarray:
+        corners = CHAIR.padded(margin_m).corners
+        return np.array([cells_under(cells, 0.05, (0.0, 0.0), corners, pose) for pose in plan.poses])
+
+    padded = under(MARGIN_M)
+    assert padded[0] > 0
+    # Controllers reckon from cells' middles less half a side: corners are up to 1 cm nearer.
+    assert not under(clear_m - PlannerSettings().escape_nearer_m - 0.011).any()
+    out = int(np.flatnonzero(padded)[-1]) + 1
+    steps = np.hypot(*np.diff(plan.poses[: out + 1, :2], axis=0).T)
+    assert steps.sum() <= 2 * PlannerSettings().escape_m
+
+
+def test_a_heading_that_nothing_leads_to_is_told_and_the_nearest_one_is_taken() -> None:
+    """In a corridor in which the chair cannot turn it comes to the place as it is turned."""
+    cells = np.ones((40, 140), bool)
+    cells[12:28, 10:130] = False
+    plan = Planner(CHAIR).plan(costmap_of(cells), (1.5, 1.0, 0.0), (4.5, 1.0, math.pi))
+    assert isinstance(plan, Plan)
+    assert "no way leads to the goal as it is asked" in plan.goal_change
+    np.testing.assert_allclose(plan.goal[:2], (4.5, 1.0), atol=0.11)
+    np.testing.assert_allclose(plan.poses[-1], plan.goal, atol=1e-9)
+    assert abs(math.remainder(plan.goal[2], 2 * math.pi)) < math.radians(20)
+    assert f"{math.degrees(abs(math.remainder(plan.goal[2] - math.pi, 2 * math.pi))):.0f}°" in plan.goal_change
+    check(plan, costmap_of(cells), (1.5, 1.0, 0.0))
+
+
 def test_it_does_not_know_the_floor_below_it_and_leaves_all_the_same() -> None:
     state = np.full((160, 160), CellState.FREE, np.uint8)
     state[:, :60] = CellState.UNKNOWN

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import TypeVar
 
 import numpy as np
@@ -14,7 +16,7 @@ from wheelsight.geometry import FloatArray, IntArray, se3
 from wheelsight.geometry import motion_kernels as motions
 from wheelsight.keyframes import KeyframeId, KeyframeStore
 from wheelsight.places.recognition import Recognizer
-from wheelsight.slam.drive_graph import LivedKeyframe, PoseUpdate
+from wheelsight.slam.drive_graph import CameraMotion, LivedKeyframe, PoseUpdate
 from wheelsight.slam.known import KnownMap
 from wheelsight.slam.live import ClosedLoops, LiveLoops
 from wheelsight.slam.settings import FROM_KEYFRAMES, PieceSettings
@@ -47,6 +49,7 @@ class LoopsBeside:
         self._store, self._settings = store, settings.loops
         self._live = LiveLoops(store, calibration, settings.loops, settings.recognition, known=known, waits=waits)
         self._told = len(store)
+        self._waiting: list[list[LivedKeyframe]] = []  # by the frames at which they were kept
         self._closed: ClosedLoops | None = None
         self._loops: IntArray = np.zeros((0, 2), np.int64)
         self._pieces: list[int] = [0]  # by the numbers of their first keyframes
@@ -118,28 +121,41 @@ class LoopsBeside:
 
     @property
     def has_new(self) -> bool:
-        """Whether odometry has kept keyframes that were not handed over."""
+        """Whether odometry has kept keyframes that this was not told of."""
         return len(self._store) > self._told
 
-    def hand_over(
-        self,
-        stamp_s: float,
-        T_odom_map: FloatArray,
-        covariance: FloatArray,
-        motion: tuple[FloatArray, FloatArray] | None = None,
+    @property
+    def is_waiting(self) -> bool:
+        """Whether keyframes wait to be handed over."""
+        return bool(self._waiting)
+
+    def keep(
+        self, stamp_s: float, T_odom_map: FloatArray, covariance: FloatArray, motion: CameraMotion | None = None
     ) -> None:
         """Keyframes that odometry has kept at a frame, where the camera's pose in odom is as uncertain as (6, 6).
 
-        `motion`: of the camera since the last one that was handed over; see `LivedKeyframe`.
+        `motion`: of the camera since the frame before of which keyframes were kept; see `LivedKeyframe`.
         """
+        kept: list[LivedKeyframe] = []
         for number in range(self._told, len(self._store)):
             T_odom_keyframe = se3.nearest(T_odom_map @ self._store.pose(KeyframeId(number)))
             begins = number > 0 and number in self._pieces
             T_before_now = self._laid_since(KeyframeId(number))
             lived = (KeyframeId(number), stamp_s, T_odom_keyframe, covariance, begins, T_before_now)
-            since = None if number > self._told else motion
-            self._live.add(LivedKeyframe(*lived, since, self._store.pose(KeyframeId(number))))
+            since = None if kept else motion
+            kept.append(LivedKeyframe(*lived, since, self._store.pose(KeyframeId(number))))
         self._told = len(self._store)
+        if kept:
+            self._waiting.append(kept)
+
+    def hand_over(self, motions: Sequence[CameraMotion | None] = ()) -> None:
+        """Hand all that were kept to the thread, with what is known by now of the motions to the last of them."""
+        waiting, self._waiting = self._waiting, []
+        # Another filter that has taken over knows of the last ones alone.
+        for kept, motion in zip(reversed(waiting), reversed(motions), strict=False):
+            kept[0] = kept[0] if motion is None else replace(kept[0], motion=motion)
+        for lived in chain.from_iterable(waiting):
+            self._live.add(lived)
 
     def _laid_since(self, number: KeyframeId) -> FloatArray | None:
         """(4, 4) from the keyframe before, as both lie in the store; None of the first."""
@@ -178,6 +194,7 @@ class LoopsBeside:
         """All loops, once the drive is over; keyframes are put to where they are known to be."""
         if self._closed is not None and len(self._closed.T_map_keyframe) == len(self._store):
             return self._closed
+        self.hand_over()
         self._closed = found = self._live.finish()
         if len(found.T_map_keyframe) == len(self._store):
             self._store.move(list(self._store), found.T_map_keyframe)

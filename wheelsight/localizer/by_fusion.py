@@ -18,7 +18,7 @@ from wheelsight.localizer._camera import mount_of
 from wheelsight.localizer._camera_map import Anchor, CameraMap, blurred, is_far, strayed
 from wheelsight.localizer._carried import Carried, UnsureStart
 from wheelsight.localizer._fused_camera import FusedCamera
-from wheelsight.localizer._loops import begin_in, loops_beside
+from wheelsight.localizer._loops import LoopsBeside, begin_in, loops_beside
 from wheelsight.localizer._odom_frame import FusedOdom
 from wheelsight.localizer._place_sense import PlaceSense
 from wheelsight.localizer._second_check import SecondCheck
@@ -193,10 +193,17 @@ class ByFusion:
         self._check.look(event)
         answer = self._frame(event, expected)
         self._camera.lead(answer)
-        if self.loops is not None and self.loops.has_new and answer.covariance is not None:
-            motion = self.filter.keep_frame(event.stamp_s)
-            self.loops.hand_over(event.stamp_s, self._map.T_odom_map, answer.covariance, motion)
+        if self.loops is not None:
+            self._keep(self.loops, event.stamp_s, answer.covariance)
         return self._checked(self._placed(event, answer)), self._base.deaf
+
+    def _keep(self, loops: LoopsBeside, stamp_s: float, covariance: FloatArray | None) -> None:
+        """Have new keyframes looked at, once it is known which sensor was right on the way to them."""
+        if loops.has_new and covariance is not None:
+            loops.keep(stamp_s, self._map.T_odom_map, covariance, self.filter.keep_frame(stamp_s))
+        motions_there = self.filter.settled_motions() if loops.is_waiting else None
+        if motions_there is not None:
+            loops.hand_over(motions_there)
 
     def _frame(self, frame: RgbdFrame, expected: FloatArray | None) -> FusedEstimate:
         """Track, judge, and remember what was believed."""

@@ -21,6 +21,8 @@ _BENDS = (0.0, 0.1, -0.1, 0.2, -0.2, 0.5, -0.5, 1.5, -1.5)
 # Along them no margin covers what lies between two poses: metres from one to the next.
 _ESCAPE_STEP_M, _BACKWARD = 0.01, 1.5
 _TURN_STEPS = 3
+# Of a first arc, the places at which a second one begins.
+_SHARES = 3
 _ANY_HEADINGS = 16
 
 
@@ -55,41 +57,61 @@ def components(metre_cost: Float32Array) -> Int32Array:
     return labels.astype(np.int32)
 
 
-def way_out(drivable: Drivable, outline: Outline, start: FloatArray, settings: PlannerSettings) -> FloatArray | None:
-    """(N, 4) the shortest way on which the robot comes free of what it stands in or too near to; None where none does.
+def way_out(
+    drivable: Drivable, outline: Outline, start: FloatArray, settings: PlannerSettings, *, is_wide: bool = False
+) -> FloatArray | None:
+    """(N, 4) a short way on which the robot comes free of what it stands in or too near to; None where none is found.
 
-    On the way nothing is nearer to it than before by more than `escape_nearer_m`: as controllers, which drive it, have
-    it. Where it stands free, the way is that pose alone.
+    One arc or turn, else two of them. Until it has come free nothing is nearer than at first by more than
+    `escape_nearer_m`: as controllers, which drive it, have it. Where it stands free, the way is that pose alone.
+    `is_wide`: free is where the wanted margin is.
     """
-    pose = np.array([*start, 1.0])
-    if drivable.is_free(pose[None, :3])[0]:
-        return pose[None]
-    here_m = float(_clearances(drivable, outline, pose[None], settings)[0])
+    pose, most = np.array([[*start, 1.0]]), 0.0 if is_wide else 1.0
+    if drivable.tightness(pose[:, :3])[0] <= most:
+        return pose
+    here_m = float(_clearances(drivable, outline, pose, settings)[0])
     if here_m < -settings.escape_depth_m:
         return None
     least_m = min(settings.margin_m, here_m - settings.escape_nearer_m)
     dense = replace(drivable, rules=drivable.rules._replace(step_m=_ESCAPE_STEP_M))
-    best, best_m = None, math.inf
+
+    def passed(begin: FloatArray, arc: tuple[float, float]) -> FloatArray:
+        """A way with as much of an arc behind it as may be, until it comes free."""
+        poses = np.r_[begin, dense.arc(begin[-1], *arc)[1:]]
+        is_free = drivable.tightness(poses[:, :3]) <= most
+        clear_m = _clearances(drivable, outline, poses, settings)
+        has_come = np.maximum.accumulate(clear_m >= settings.margin_m + settings.escape_nearer_m)
+        is_nearer = clear_m < np.where(has_come, settings.margin_m, least_m)
+        is_nearer[0] = False
+        ends = [*(np.flatnonzero(is_free)[:1] + 1), *np.flatnonzero(is_nearer)[:1], len(poses)]
+        return np.asarray(poses[: int(min(ends))])
+
+    arcs = [arc for arc in _arcs(settings) if drivable.may(*arc)]
+    first = [passed(pose, arc) for arc in arcs]
+    begins = [way[: 1 + share * (len(way) - 1) // _SHARES] for way in first for share in range(1, _SHARES + 1)]
+    second = (passed(begin, arc) for begin in begins if len(begin) > 1 for arc in arcs)
+    free = ([way for way in ways if drivable.tightness(way[-1:, :3])[0] <= most] for ways in (first, second))
+    found = next((ways for ways in free if ways), [])
+    return min(found, key=lambda way: _long_m(way, drivable.rules.reach_m), default=None)
+
+
+def _arcs(settings: PlannerSettings) -> list[tuple[float, float]]:
+    """Ways and turns that a robot may get out by."""
     arcs = [(sense * settings.escape_m, sense * settings.escape_m * b) for sense in (1, -1) for b in _BENDS]
-    arcs += [(0.0, sense * math.pi) for sense in (1, -1)]
-    for way_m, turn in arcs:
-        if not drivable.may(way_m, turn):
-            continue
-        poses = dense.arc(pose, way_m, turn)
-        free = np.flatnonzero(drivable.is_free(poses[:, :3]))
-        if len(free) and (_clearances(drivable, outline, poses[: free[0] + 1], settings) >= least_m).all():
-            long_m = free[0] / (len(poses) - 1) * (abs(way_m) + drivable.rules.reach_m * abs(turn))
-            # Where it can go ahead, it does.
-            long_m *= _BACKWARD if way_m < 0 else 1.0
-            if long_m < best_m:
-                best, best_m = poses[: free[0] + 1], long_m
-    return best
+    return [*arcs, *((0.0, sense * math.pi) for sense in (1, -1))]
+
+
+def _long_m(way: FloatArray, reach_m: float) -> float:
+    """Of a way (N, 4), turns by what a corner moves; where the robot can go ahead, it does."""
+    steps_m = np.hypot(*np.diff(way[:, :2], axis=0).T) + reach_m * np.abs(np.diff(way[:, 2]))
+    return float((steps_m * np.where(way[1:, 3] < 0, _BACKWARD, 1.0)).sum())
 
 
 def _clearances(drivable: Drivable, outline: Outline, poses: FloatArray, settings: PlannerSettings) -> FloatArray:
     """(N,) of the footprint at poses (N, 4), as controllers have it; below 0 within."""
     found = np.empty(len(poses))
-    clearances_at(drivable.costmap.field, outline, np.ascontiguousarray(poses[:, :3]), settings.margin_m, found)
+    least_m = settings.margin_m + settings.escape_nearer_m
+    clearances_at(drivable.costmap.field, outline, np.ascontiguousarray(poses[:, :3]), least_m, found)
     return found
 
 
@@ -121,12 +143,22 @@ def goal_near(
     # One that keeps clear is better than one that is nearer by a little, and hard to get to.
     score = off + 2 * settings.wanted_margin_m * tight
     if len(poses) and np.isfinite(score).any():
-        best = poses[int(np.argmin(score))]
-        away_m, turned = float(np.hypot(*(best - goal)[:2])), _turn(goal[2], best[2])
-        text = f"the robot does not fit at the goal: {away_m:.2f} m and {math.degrees(turned):.0f}° beside it"
-        return Goal(best, text)
+        return beside(goal, poses[int(np.argmin(score))], "the robot does not fit at the goal")
     reason = PlanReason.GOAL_UNKNOWN if is_unknown else PlanReason.GOAL_OCCUPIED
     return PlanFailure(reason, f"nor does it fit within {settings.goal_tolerance_m:g} m that can be reached")
+
+
+def beside(goal: FloatArray, pose: FloatArray, why: str) -> Goal:
+    """Another pose (3,) in the place of a goal (3,), and by how much it is another."""
+    away_m, turned = float(np.hypot(*(pose - goal)[:2])), _turn(goal[2], pose[2])
+    return Goal(pose.copy(), f"{why}: {away_m:.2f} m and {math.degrees(turned):.0f}° beside it")
+
+
+def nearest_heading(poses: FloatArray, goal: FloatArray, reach_m: float) -> int:
+    """Which of poses (N, 4) so near to a goal's place is turned least against it (3,); -1: none is near."""
+    near = np.flatnonzero(np.hypot(*(poses[:, :2] - goal[:2]).T) <= reach_m)
+    turned = [_turn(goal[2], yaw) for yaw in poses[near, 2]]
+    return int(near[np.argmin(turned)]) if len(near) else -1
 
 
 def _turn(one: float, other: float) -> float:

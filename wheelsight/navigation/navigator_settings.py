@@ -228,3 +228,10 @@ class NavigationSettings(Settings):
     monitor: MonitorSettings = MonitorSettings()
     view: ViewSettings = ViewSettings()
     wheel_check: WheelCheckSettings = WheelCheckSettings()
+
+    @property
+    def drivable(self) -> PlannerSettings:
+        """Of plans that can be driven: controllers keep a margin, and could not follow one that keeps less."""
+        least_m = max(self.planner.margin_m, self.follow.margin_m)
+        wanted_m = max(self.planner.wanted_margin_m, least_m)
+        return self.planner.model_copy(update={"margin_m": least_m, "wanted_margin_m": wanted_m})

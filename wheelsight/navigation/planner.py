@@ -18,7 +18,7 @@ from wheelsight.navigation import _cost_to_go_kernels as grid
 from wheelsight.navigation import _lattice_kernels as lattice
 from wheelsight.navigation import _smoothing as smoothing
 from wheelsight.navigation._drivable import Drivable
-from wheelsight.navigation._goals import Goal, components, goal_near, passable, way_out
+from wheelsight.navigation._goals import Goal, beside, components, goal_near, nearest_heading, passable, way_out
 from wheelsight.navigation.costmap import Costmap
 from wheelsight.navigation.fields import outline_of
 from wheelsight.navigation.footprint import Footprint
@@ -75,9 +75,19 @@ class Planner:
         out = way_out(drivable, self._outline, begin, self.settings)
         if out is None:
             return PlanFailure(PlanReason.START_OCCUPIED, f"nor within {self.settings.escape_m:g} m")
+        found = self._from(drivable, out, end)
+        if isinstance(found, Plan) or found.reason is not PlanReason.UNREACHABLE:
+            return found
+        # With the least margin alone, it may stand where no step of the search lets it turn, though a slight arc does.
+        wide = way_out(drivable, self._outline, begin, self.settings, is_wide=True)
+        again = found if wide is None or len(wide) == 1 else self._from(drivable, wide, end)
+        return again if isinstance(again, Plan) else found
+
+    def _from(self, drivable: Drivable, out: FloatArray, end: FloatArray) -> Plan | PlanFailure:
+        """To a goal (3,) from where a way out (N, 4) ends."""
         metre_cost = passable(drivable)
         labels = components(metre_cost)
-        row, column = stood.cells_at(out[-1, :2]).tolist()
+        row, column = drivable.costmap.cells_at(out[-1, :2]).tolist()
         aim = goal_near(drivable, end, labels, int(labels[row, column]), self.settings)
         if isinstance(aim, PlanFailure):
             return aim
@@ -98,23 +108,27 @@ class Planner:
         corners[0], corners[-1] = out[-1, :2], goal.pose[:2]
         poses, states = smoothing.driven(corners, out[-1], goal.pose, drivable), 0
         if poses is None or drivable.tightness(poses[:, :3]).any():
-            found = self._searched(drivable, known, out[-1], goal.pose)
+            found = self._searched(drivable, known, out[-1], goal)
             if isinstance(found, PlanFailure):
                 if poses is None:
                     return found
             else:
-                searched, states = found
-                # Both may pass, where it is tight: then the cheaper one.
-                if poses is None or drivable.cost(searched) < drivable.cost(poses):
-                    poses = searched
+                searched, looked_at, end = found
+                states = looked_at if poses is None or end is goal else 0
+                # Both may pass, where it is tight: then the cheaper one that ends as it was asked.
+                if poses is None or (end is goal and drivable.cost(searched) < drivable.cost(poses)):
+                    poses, goal = searched, end
         poses = smoothing.centred(smoothing.shortened(poses, drivable), drivable, _ROUNDS)
         poses = np.concatenate([out[:-1], poses])
         return _plan(drivable, poses, goal, states)
 
     def _searched(
-        self, drivable: Drivable, known: FloatArray, start: FloatArray, goal: FloatArray
-    ) -> tuple[FloatArray, int] | PlanFailure:
-        """Poses (N, 4) by the search over places and headings, and how many it looked at."""
+        self, drivable: Drivable, known: FloatArray, start: FloatArray, goal: Goal
+    ) -> tuple[FloatArray, int, Goal] | PlanFailure:
+        """Poses (N, 4) by the search over places and headings, how many it looked at, and the goal they lead to.
+
+        Where none leads to it by its heading, that is the place with the nearest heading that it comes to.
+        """
         most = self.settings.most_states
         slots = 1 << math.ceil(math.log2(2 * most))
         tree = lattice.Tree(
@@ -126,9 +140,14 @@ class Planner:
             keys=np.empty(most, np.int64),
         )
         how, last, count = lattice.search(
-            drivable.cells, drivable.shape, drivable.rules, known, np.ascontiguousarray(start[:3]), goal, tree
+            drivable.cells, drivable.shape, drivable.rules, known, np.ascontiguousarray(start[:3]), goal.pose, tree
         )
         if how == lattice.NOTHING_LEFT:
+            last = nearest_heading(tree.pose[:count], goal.pose, drivable.rules.place_m)
+            goal = (
+                goal if last < 0 else beside(goal.pose, tree.pose[last, :3], "no way leads to the goal as it is asked")
+            )
+        if how == lattice.NOTHING_LEFT and last < 0:
             detail = (
                 f"of {count} places and headings that can be reached none leads there: too narrow, or no room to turn"
             )
@@ -136,10 +155,10 @@ class Planner:
         if how == lattice.TOO_MANY:
             return PlanFailure(PlanReason.GAVE_UP, f"after {count} places and headings")
         room = np.empty((1 << 16, 4))
-        end = lattice.way_to(drivable.rules, tree, last, goal, room)
+        end = lattice.way_to(drivable.rules, tree, last, goal.pose, room)
         if end == 0:
             return PlanFailure(PlanReason.GAVE_UP, f"the way has more than {len(room)} poses")
-        return room[:end].copy(), count
+        return room[:end].copy(), count, goal
 
 
 def _is_inside(costmap: Costmap, pose: FloatArray) -> bool:

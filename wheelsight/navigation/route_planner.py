@@ -15,7 +15,6 @@ from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.navigator_settings import NavigationSettings
 from wheelsight.navigation.plan_values import Plan, PlanFailure
 from wheelsight.navigation.planner import Planner
-from wheelsight.navigation.planner_settings import PlannerSettings
 
 
 class RoutePlanner:
@@ -27,7 +26,7 @@ class RoutePlanner:
 
     def __init__(self, footprint: Footprint, settings: NavigationSettings) -> None:
         self._footprint, self._settings = footprint, settings
-        self._rules = _drivable_by_controllers(settings)
+        self._rules = settings.drivable
         self._planner = Planner(footprint, self._rules, settings.limits)
 
     def plan(self, costmap: Costmap, start: FloatArray, goals: Sequence[FloatArray]) -> Plan | PlanFailure:
@@ -52,13 +51,6 @@ class RoutePlanner:
         ahead = ahead_of(plan, pose, reach_m)
         inside = ((costmap.cells_at(ahead[:, :2]) >= 0) & (costmap.cells_at(ahead[:, :2]) < costmap.state.shape)).all(1)
         return bool(drivable.is_free(ahead[inside]).all())
-
-
-def _drivable_by_controllers(settings: NavigationSettings) -> PlannerSettings:
-    """Controllers keep a margin: a plan that keeps less could not be driven."""
-    least_m = max(settings.planner.margin_m, settings.follow.margin_m)
-    wanted_m = max(settings.planner.wanted_margin_m, least_m)
-    return settings.planner.model_copy(update={"margin_m": least_m, "wanted_margin_m": wanted_m})
 
 
 def to_go_m(plan: Plan, pose: FloatArray) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from wheelsight.slam.loops import LoopReport
 from wheelsight.slam.piece_graph import PieceGraph
 from wheelsight.slam.settings import LoopSettings
 from wheelsight.slam.steps import ANCHOR_SIGMA, along_floor, anchor, step_edge
+
+CameraMotion: TypeAlias = tuple[FloatArray, FloatArray]
+"""A motion (4, 4), and the covariance (6, 6) of its left perturbation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +45,7 @@ class LivedKeyframe:
     covariance: FloatArray
     begins: bool = False
     T_before_now: FloatArray | None = None
-    motion: tuple[FloatArray, FloatArray] | None = None
+    motion: CameraMotion | None = None
     T_map_keyframe: FloatArray | None = None
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from wheelsight.geometry import FloatArray, IntArray
+from wheelsight.geometry import motion_kernels as motions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,3 +53,21 @@ class Innovation:
     with_state: FloatArray
     nis: float
     unlearned: IntArray = field(default_factory=lambda: np.zeros(0, int))
+
+
+def is_pose(T: FloatArray | None, covariance: FloatArray | None) -> bool:
+    """Whether a pose is there, with its covariance, and both are what they should be."""
+    if T is None or covariance is None:
+        return False
+    return T.shape == (4, 4) and covariance.shape == (6, 6) and bool(motions.is_pose(T, covariance))
+
+
+def of_unknown_path(xi: FloatArray, swing_rad: float) -> FloatArray:
+    """Covariance (6, 6) of a step whose ends are told and whose path is not: anywhere between an early and a late turn.
+
+    An arc with the same ends lies aside of the farthest of them by half of way times turn; unseen, a base may swing.
+    """
+    way_m, turn_rad = float(np.hypot(xi[0], xi[1])), abs(float(xi[5]))
+    aside_m = way_m * (turn_rad / 4 + swing_rad)
+    short_m = way_m * (turn_rad / 4 + swing_rad) ** 2
+    return np.diag(np.square([short_m, aside_m, 0.0, 0.0, 0.0, 0.0]))

@@ -230,6 +230,18 @@ class PoseBelief:
         T, C = relative.seen_from(self.T, self.rest, self.covariance, self.reference(name), T_base_camera)
         return T, C
 
+    def between(self, first: str, second: str, T_base_camera: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+        """T_first_second (4, 4) of the camera, and its covariance (6, 6); None where one of both is not remembered."""
+        if first not in self.names or second not in self.names:
+            return None
+        one, other = self.reference(first), self.reference(second)
+        T_camera_odom = motions.inverse(motions.times(self.T[one], T_base_camera))
+        both = np.r_[6 * other + _SIX, 6 * one + _SIX]
+        P = self.covariance[np.ix_(both, both)]
+        apart = P[:6, :6] - P[:6, 6:] - P[6:, :6] + P[6:, 6:]
+        T = motions.times(motions.times(T_camera_odom, self.T[other]), T_base_camera)
+        return motions.mended(T), motions.carried(T_camera_odom, apart)
+
     def apart(self, measurement: RelativePose) -> FloatArray:
         """log(Z Ẑ⁻¹) (6,): how far the camera's motion, mended by what is known of its errors, is from the expected."""
         T_now, T_reference, told = self.since(self.reference(measurement.name))

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,7 +34,7 @@ from wheelsight.fusion.error_state._changed import changed
 from wheelsight.fusion.error_state._events import FilterEvent, FusionState, after, moved_to
 from wheelsight.fusion.error_state._fault_detection import Fault, FaultDetection
 from wheelsight.fusion.error_state._history import History
-from wheelsight.fusion.error_state._measurements import WheelStep
+from wheelsight.fusion.error_state._measurements import WheelStep, is_pose, of_unknown_path
 from wheelsight.fusion.error_state._mount import Mount, covariance_of, motion_of, numbers_of
 from wheelsight.fusion.error_state._pose_belief import PoseBelief
 from wheelsight.fusion.error_state.estimate import FrameUpdate, FusedEstimate
@@ -41,9 +42,11 @@ from wheelsight.fusion.error_state.settings import ErrorStateSettings, FilterPar
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.geometry import motion_kernels as motions
 
-# Poses that are remembered: of the camera's last frame, of the one that its motions are told against, of the last
-# keyframe, and of one that is asked for.
-FRAME, REFERENCE, _KEYFRAME, _IMAGED = "frame", "reference", "keyframe", "imaged"
+# Poses that are remembered: of the camera's last frame, of the one that its motions are told against, and of one that
+# is asked for; those of keyframes are named by their numbers.
+FRAME, REFERENCE, _IMAGED = "frame", "reference", "imaged"
+# Beside keyframes, so many are remembered: those, and the begin of a step.
+_OTHERS = 4
 
 
 class ErrorStateFilter:
@@ -85,6 +88,8 @@ class ErrorStateFilter:
         state = FusionState(FaultDetection(PoseBelief.begin(begin, spread, self._parameters)))
         self._history: History[FilterEvent, FusionState] = History(state, self._parameters.window_s, self._after)
         self._waiting: Step | None = None  # of the wheels, too short to tell a speed
+        self._kept: list[str] = []  # frames, from the last of which the way there is settled
+        self._kept_ever = 0
         self._reading_stamps_s: deque[float] = deque(maxlen=self._parameters.rate_readings)
         # The last state that was asked what to expect, and as it is by then: what is expected mostly comes.
         self._moved: tuple[FusionState, FusionState] | None = None
@@ -114,7 +119,7 @@ class ErrorStateFilter:
         """Take the next estimate of wheel odometry, in order; the first is the start, whatever step it tells."""
         step, begins = wheels.step, not self._reading_stamps_s
         told = (wheels.T_odom_body, wheels.covariance) if step is None else (step.T_before_now, step.covariance)
-        if wheels.reason is Reason.CLOCK_BACKWARDS or not _is_pose(*told):
+        if wheels.reason is Reason.CLOCK_BACKWARDS or not is_pose(*told):
             return self._refused(wheels.reason or Reason.INVALID)
         self._reading_stamps_s.append(wheels.stamp_s)
         if begins or step is None or wheels.reason is not None:
@@ -130,7 +135,7 @@ class ErrorStateFilter:
         self._waiting = None
         xi, spread = motions.log(step.T_before_now), step.covariance
         if step.end_s - step.begin_s > self.settings.even_s:
-            spread = spread + _of_unknown_path(xi, self.settings.swing_rad)
+            spread = spread + of_unknown_path(xi, self.settings.swing_rad)
         return self._take(FilterEvent(step.end_s, wheels=WheelStep(step.begin_s, step.end_s, xi, spread)))
 
     def _shortest_step_s(self) -> float:
@@ -208,13 +213,31 @@ class ErrorStateFilter:
         return self.update_relative(stamp_s, motion, REFERENCE)
 
     def keep_frame(self, stamp_s: float) -> tuple[FloatArray, FloatArray] | None:
-        """Remember the pose at a frame as that of the last keyframe; how the camera went there from the one before.
+        """Remember the pose at a frame as that of a keyframe; how the camera went there from the one before.
 
         (4, 4), and the covariance (6, 6) of its left perturbation, by all that is known now; None at the first.
         """
-        motion = self.expect(stamp_s, _KEYFRAME)
-        self.clone(stamp_s, _KEYFRAME)
+        motion = self.expect(stamp_s, self._kept[-1]) if self._kept else None
+        self._kept.append(f"keyframe {self._kept_ever}")
+        self._kept_ever += 1
+        self.clone(stamp_s, self._kept[-1])
         return motion
+
+    def settled_motions(self) -> list[tuple[FloatArray, FloatArray] | None] | None:
+        """As `keep_frame`, of all kept frames since this told any, by what is known now; they are told once.
+
+        None while two hypotheses go on, and there is room to remember where each has the frames: what is known of the
+        way meanwhile lies between both.
+        """
+        detection = self._history.newest.detection
+        if detection.alternative is not None and len(self._kept) + _OTHERS < self.settings.max_clones:
+            return None
+        belief, at = detection.answer(self._parameters), self._mount.T_base_camera
+        found = [belief.between(*ends, at) for ends in pairwise(self._kept)]
+        for name in self._kept[:-1]:
+            self.drop(self.estimate.stamp_s, name)
+        self._kept = self._kept[-1:]
+        return found
 
     def expect_frame(self, stamp_s: float) -> FloatArray | None:
         """T_last_current (4, 4) of the camera since the last frame, to be expected at a stamp; None where none was."""
@@ -352,23 +375,6 @@ class ErrorStateFilter:
             return FusedEstimate(state.stamp_s, Status.LOST, None, None, reason, "base", *counts, *flags, nis=nis)
         pose, twist = (T, C, reason, "base", *counts), (moving[0], moving[1])
         return FusedEstimate(state.stamp_s, status, *pose, *flags, *twist, nis=nis, wheel_errors=belief.wheel_errors)
-
-
-def _is_pose(T: FloatArray | None, covariance: FloatArray | None) -> bool:
-    if T is None or covariance is None:
-        return False
-    return T.shape == (4, 4) and covariance.shape == (6, 6) and bool(motions.is_pose(T, covariance))
-
-
-def _of_unknown_path(xi: FloatArray, swing_rad: float) -> FloatArray:
-    """Covariance (6, 6) of a step whose ends are told and whose path is not: anywhere between an early and a late turn.
-
-    An arc with the same ends lies aside of the farthest of them by half of way times turn; unseen, a base may swing.
-    """
-    way_m, turn_rad = float(np.hypot(xi[0], xi[1])), abs(float(xi[5]))
-    aside_m = way_m * (turn_rad / 4 + swing_rad)
-    short_m = way_m * (turn_rad / 4 + swing_rad) ** 2
-    return np.diag(np.square([short_m, aside_m, 0.0, 0.0, 0.0, 0.0]))
 
 
 def _is_finite(state: FusionState) -> bool:

@@ -220,7 +220,14 @@ class ErrorStateSettings(Settings):
         gt=0,
         le=100,
     )
-    max_clones: int = setting(5, "past poses remembered at most; the oldest goes", CHOSEN, gt=0, le=1000)
+    max_clones: int = setting(
+        16,
+        "past poses remembered at most; the oldest goes. Four and a keyframe mostly: more while camera and wheels "
+        "contradict each other, so that it is known afterwards how keyframes of then lie",
+        CHOSEN,
+        ge=5,
+        le=1000,
+    )
 
     # The gyroscope; what it is worth, its calibration says.
     gyro_mean_s: float = setting(
