@@ -112,7 +112,7 @@ class Senses:
             if isinstance(event, WheelTicks | WheelSpeeds):
                 speed = self.where.roll(event)
                 if speed is not None:
-                    self._monitor.hear(speed.stamp_s, speed.forward_m_s, speed.turn_rad_s)
+                    self._monitor.hear(speed.stamp_s, speed.forward_m_s, speed.turn_rad_s, speed.rolled)
             elif isinstance(event, RgbdFrame):
                 self._views.append(self._viewer.view(event.depth_m, event.stamp_s))
                 self._monitor.see(self._views[-1])

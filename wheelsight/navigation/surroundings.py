@@ -137,8 +137,10 @@ class Surroundings:
         self._readings.clear()
         self._newest, self._newest_s = np.empty((0, 2)), -np.inf
 
-    def hear(self, stamp_s: float, forward_m_s: float, turn_rad_s: float) -> None:
-        """Go on by what the wheels measured since the last reading; stamps in order."""
+    def hear(
+        self, stamp_s: float, forward_m_s: float, turn_rad_s: float, rolled: tuple[float, float] | None = None
+    ) -> None:
+        """Go on by what the wheels measured since the last reading; stamps in order. `rolled` as `CollisionMonitor`."""
         if not self._readings:
             pose = (0.0, 0.0, 1.0, 0.0)
             mark_under(self._memory, self._outline.sides, pose, stamp_s, -np.inf)
@@ -147,9 +149,13 @@ class Surroundings:
         else:
             last = self._readings[-1]
             step_s = stamp_s - last.stamp_s
-            v, w = (last.forward_m_s + forward_m_s) / 2, (last.turn_rad_s + turn_rad_s) / 2
-            pose = moved(last.pose, v * step_s, w * step_s)
-            self._way_m += (abs(v) + self._reach_m * abs(w)) * step_s
+            if rolled is None:
+                rolled = (
+                    step_s * (last.forward_m_s + forward_m_s) / 2,
+                    step_s * (last.turn_rad_s + turn_rad_s) / 2,
+                )
+            pose = moved(last.pose, *rolled)
+            self._way_m += abs(rolled[0]) + self._reach_m * abs(rolled[1])
         self._readings.append(_Reading(stamp_s, pose, forward_m_s, turn_rad_s))
         while len(self._readings) > 1 and self._readings[1].stamp_s < stamp_s - self._settings.history_s:
             self._readings.popleft()
