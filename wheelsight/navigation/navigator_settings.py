@@ -71,6 +71,14 @@ class NavigatorSettings(Settings):
         ge=0,
         le=2,
     )
+    hidden_known_m: float = setting(
+        0.25,
+        "the same of floor that the map has as free: a little less than monitor.blind_m, since the collision monitor, "
+        "which knows no map, lets no part of the robot deeper into it",
+        "reckoned",
+        ge=0,
+        le=2,
+    )
     check_s: float = setting(0.5, "time between two looks whether the way ahead is still free", CHOSEN, gt=0, le=10)
     check_m: float = setting(
         3.0, "of the way ahead that is looked at: what the camera sees surely", CHOSEN, gt=0, le=20

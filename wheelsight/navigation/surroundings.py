@@ -221,24 +221,30 @@ class Surroundings:
         """
         if not self._readings:
             return np.empty((0, 2))
-        last = self._readings[-1]
-        about = self.unseen_about(last.pose, last.stamp_s, self._settings.window_m / 2)
+        last, cell_m = self._readings[-1], self._settings.cell_m
+        out, first = self._unseen(last.pose, last.stamp_s, self._settings.window_m / 2)
         x, y, c, s = last.pose
-        is_hidden = ((about.hidden_m > deep_m) & (about.never_m > 0)).astype(np.uint8)
-        tell(self._memory, about.first, (x, y), reach_m, is_hidden)
-        away = (np.argwhere(is_hidden) + about.first + 0.5) * self._settings.cell_m - (x, y)
+        is_hidden = ((_deep_m(out[..., 2], cell_m) > deep_m) & (out[..., 0] > 0)).astype(np.uint8)
+        tell(self._memory, first, (x, y), reach_m, is_hidden)
+        away = (np.argwhere(is_hidden) + first + 0.5) * cell_m - (x, y)
         return np.asarray(away @ np.array([[c, -s], [s, c]]))
 
     def unseen_about(self, pose: Pose, now_s: float, reach_m: float) -> Unseen:
         """What was not seen of the floor within reach of a pose."""
+        out, first = self._unseen(pose, now_s, reach_m)
+        cell_m = self._settings.cell_m
+        return Unseen(
+            _deep_m(out[..., 0], cell_m), np.ascontiguousarray(out[..., 1]), _deep_m(out[..., 2], cell_m), first
+        )
+
+    def _unseen(self, pose: Pose, now_s: float, reach_m: float) -> tuple[ByteArray, tuple[int, int]]:
+        """(m, m, 3) 1 where floor was never seen, not lately, and never looked at; i and j of the first cell."""
         s = self._settings
         half = min(int(np.ceil(reach_m / s.cell_m)) + 1, len(self._memory.seen_s) // 2)
         first = (int(np.floor(pose[0] / s.cell_m)) - half, int(np.floor(pose[1] / s.cell_m)) - half)
         out = np.empty((2 * half, 2 * half, 3), np.uint8)
         unseen(self._memory, first, now_s - s.fresh_s, out)
-        return Unseen(
-            _deep_m(out[..., 0], s.cell_m), np.ascontiguousarray(out[..., 1]), _deep_m(out[..., 2], s.cell_m), first
-        )
+        return out, first
 
 
 def _deep_m(is_none: ByteArray, cell_m: float) -> Float32Array:
