@@ -244,6 +244,7 @@ class Navigator:
     def _take(self, task: Task, planned: Planned, now_s: float) -> VelocityCommand:
         """Go by what came of a plan."""
         task.goals.taken()
+        task.passes_hidden |= planned.passes_hidden
         if planned.found is None:
             self._become(NavigationState.ARRIVED, task.goals.name)
             self._result = task.result(True, None, task.goals.name, self._robot.now_s)
@@ -257,9 +258,6 @@ class Navigator:
     def _without_plan(self, task: Task, failure: PlanFailure) -> VelocityCommand:
         """There may be one when somebody has gone, or more is seen; of a goal that may be left out there is another."""
         why = f"{failure.reason}: {failure.detail}"
-        if failure.reason not in _FOR_GOOD and self._senses.avoids_hidden:
-            task.passes_hidden = True
-            return STOP
         if failure.reason in _OF_GOAL and task.goals.left > 1 and task.skips < _SKIPS and task.goals.missed():
             task.skips += 1
             return STOP

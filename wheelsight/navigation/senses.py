@@ -182,15 +182,16 @@ class Senses:
         """Forget what stands about the robot; what is there is seen again."""
         self._live.clear()
 
-    def costmap_of(self) -> Callable[[], Costmap]:
+    def costmap_of(self, *, avoids_hidden: bool) -> Callable[[], Costmap]:
         """What makes a costmap of all the building, as it is known now, in whichever thread."""
-        of = self._floor.layer, self._footprint, self._settings.costmap, self._obstacles(), self.where.T_map_odom
+        obstacles = self._obstacles() if avoids_hidden else self._live.obstacles()
+        of = self._floor.layer, self._footprint, self._settings.costmap, obstacles, self.where.T_map_odom
         return lambda: Costmap.of(*of)
 
     def _obstacles(self) -> LiveObstacles:
         """What the camera met, and floor that the robot would sweep unseen."""
         live, pose = self._live.obstacles(), self.where.odom_pose
-        if pose is None or not self.avoids_hidden:
+        if pose is None:
             return live
         s, free = self._settings.navigator, self._hidden(pose, self._settings.navigator.hidden_known_m, CellState.FREE)
         # Where unknown floor is forbidden, all of it is an obstacle already.
@@ -219,7 +220,8 @@ class Senses:
         made = _Made(stamp_s, self.avoids_hidden, self._floor.revision, (x, y), tuple(T_map_odom.tolist()))
         if self._local is None or self._local[0] != made:
             window = layer.window((x * side_m / 4, y * side_m / 4), 1.5 * side_m)
-            costmap = Costmap.of(window, self._footprint, self._settings.costmap, self._obstacles(), T_map_odom)
+            live = self._obstacles() if self.avoids_hidden else self._live.obstacles()
+            costmap = Costmap.of(window, self._footprint, self._settings.costmap, live, T_map_odom)
             self._local = (
                 made,
                 costmap.standing_at(
