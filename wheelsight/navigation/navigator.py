@@ -18,7 +18,7 @@ from wheelsight.geometry import FloatArray
 from wheelsight.navigation.behaviours import when_blocked, when_lost
 from wheelsight.navigation.collision_monitor import MonitorReason, MonitorState
 from wheelsight.navigation.control_chain import ControlChain, controller_of
-from wheelsight.navigation.control_values import Controller, ControlReason, ControlResult
+from wheelsight.navigation.control_values import ControlReason, ControlResult
 from wheelsight.navigation.exploration import Exploration
 from wheelsight.navigation.floors import Floor
 from wheelsight.navigation.footprint import Footprint
