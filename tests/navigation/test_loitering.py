@@ -61,4 +61,4 @@ def test_floor_that_was_never_seen_is_not_waited_for_and_named() -> None:
     ride.navigator.monitor.check = lambda asked, now_s, status: held  # type: ignore[method-assign]
     ride.navigator.go_to_pose((6.0, 3.0, 0.0))
     ride.go(2.0, until=lambda: ride.navigator.state is NavigationState.RECOVERING)
-    assert ride.transitions[-1].why == "floor that was never seen; look about"
+    assert ride.transitions[-1].why == "floor that was never seen; back up, to see where its front was"

@@ -25,6 +25,7 @@ class ControlChain:
     Attributes:
         monitor: has the last word.
         checked: what it made of the last command.
+        was_backward: whether the last command that it stopped led backward.
     """
 
     def __init__(self, settings: NavigationSettings) -> None:
@@ -33,6 +34,7 @@ class ControlChain:
         )
         self.checked = MonitorResult(STOP, MonitorState.FREE)
         self._stopped: tuple[float, MonitorReason | None] = (-math.inf, None)
+        self.was_backward = False
         self._ramp, self._period_s = VelocityRamp(settings.limits), settings.follow.period_s
 
     @property
@@ -51,6 +53,7 @@ class ControlChain:
             self._ramp.follow(self.checked.command)
         if self.checked.state is MonitorState.STOPPED:
             self._stopped = now_s, self.checked.reason
+            self.was_backward = asked.forward_m_s < 0
 
     def stopped_by(self, since_s: float) -> MonitorReason | None:
         """Why the monitor last stopped the robot since then: a controller knows no more than that it does not move."""

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.errors import WheelsightError
 from wheelsight.geometry import FloatArray
-from wheelsight.navigation.behaviours import when_blocked, when_lost
+from wheelsight.navigation.behaviours import when_blocked, when_lost, when_unseen
 from wheelsight.navigation.collision_monitor import MonitorReason, MonitorState
 from wheelsight.navigation.control_chain import ControlChain, controller_of
 from wheelsight.navigation.control_values import ControlReason, ControlResult
@@ -354,8 +354,9 @@ class Navigator:
             return self._give_up(task, NavigationReason.BLOCKED, why)
         self._planning.drop()
         task.passes_hidden = stopped_by is not MonitorReason.NEVER_SEEN
-        attempt = task.tries + (0 if task.passes_hidden else 1)
-        task.recover(when_blocked(attempt, self.settings.behaviours), is_lost=False)
+        b = self.settings.behaviours
+        behaviour = when_unseen(task.tries, b, was_backward=self._chain.was_backward)
+        task.recover(when_blocked(task.tries, b) if task.passes_hidden else behaviour, is_lost=False)
         self._become(NavigationState.RECOVERING, f"{why}; {task.doing}")
         return STOP
 
