@@ -129,7 +129,7 @@ def test_plans_and_controllers_keep_away_from_what_neither_map_nor_camera_knows(
     senses = Senses(CALIBRATION, Told(robot), floor, CollisionMonitor(CHAIR), CHAIR, settings)
     for _ in range(6):
         senses.hear(robot.step(STOP), robot.now_s)
-    beside, right, ahead, far = (3.0, 3.6), (3.0, 2.0), (4.5, 3.1), (3.0, 5.0)
+    beside, right, next_to, ahead, far = (3.0, 3.6), (3.0, 2.0), (3.0, 2.4), (4.5, 3.1), (3.0, 5.0)
 
     def state_at(*place: float) -> CellState:
         local = senses.local()
@@ -138,7 +138,9 @@ def test_plans_and_controllers_keep_away_from_what_neither_map_nor_camera_knows(
 
     is_costly = unknown == "costly"
     assert state_at(*beside) == (CellState.OCCUPIED if is_costly else CellState.UNKNOWN)
-    assert state_at(*right) == CellState.FREE
+    # The collision monitor, which knows no map, lets nothing sweep it; a little of it may be.
+    assert state_at(*right) == CellState.OCCUPIED
+    assert state_at(*next_to) == CellState.FREE
     assert state_at(*ahead) == state_at(*far) == CellState.UNKNOWN
     senses.avoids_hidden = False
     assert state_at(*beside) == CellState.UNKNOWN

@@ -6,9 +6,18 @@ import numpy as np
 from narrowing import not_none
 from navigation.rooms import Ride, Walls
 
-from wheelsight.commands import VelocityCommand
+from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.geometry import FloatArray
-from wheelsight.navigation import BehaviourSettings, NavigationReason, NavigationSettings, NavigatorSettings
+from wheelsight.navigation import (
+    BehaviourSettings,
+    MonitorReason,
+    MonitorResult,
+    MonitorState,
+    NavigationReason,
+    NavigationSettings,
+    NavigationState,
+    NavigatorSettings,
+)
 from wheelsight.navigation.control_values import ControlResult, DrivenPath, MotionState
 from wheelsight.navigation.fields import CostField
 
@@ -16,6 +25,7 @@ ROOM = Walls.of(((0.0, 0.0), (8.0, 0.0)), ((7.99, 0.0), (7.99, 6.0)), ((8.0, 5.9
 SETTINGS = NavigationSettings(
     navigator=NavigatorSettings(tries=1, loiter_s=1.5, progress_m=0.25), behaviours=BehaviourSettings(wait_s=0.2)
 )
+HELD = NavigatorSettings(held_s=0.4)
 
 
 class ToAndFro:
@@ -42,3 +52,13 @@ def test_way_that_leads_nowhere_is_no_progress() -> None:
     assert result.recoveries == 1
     assert controller.way_m > SETTINGS.navigator.progress_m
     assert np.abs(ride.robot.base.pose[:2] - (3.0, 3.0)).max() < SETTINGS.navigator.progress_m
+
+
+def test_floor_that_was_never_seen_is_not_waited_for_and_named() -> None:
+    """It waited for it to be seen, and said that the controller found no way on, which only did not get on."""
+    ride = Ride.of(ROOM, (3.0, 3.0, 0.0), (8.0, 6.0), settings=NavigationSettings(navigator=HELD))
+    held = MonitorResult(STOP, MonitorState.STOPPED, MonitorReason.NEVER_SEEN)
+    ride.navigator.monitor.check = lambda asked, now_s, status: held  # type: ignore[method-assign]
+    ride.navigator.go_to_pose((6.0, 3.0, 0.0))
+    ride.go(2.0, until=lambda: ride.navigator.state is NavigationState.RECOVERING)
+    assert ride.transitions[-1].why == "floor that was never seen; back up, to see where its front was"

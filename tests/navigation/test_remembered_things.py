@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from navigation.test_collision_monitor import NOTHING, Ride
+from navigation.test_collision_monitor import ALL_AROUND, FULL, NOTHING, Ride, monitor_before, wall
 from navigation.unicycle import CHAIR, Camera
 
 from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.estimates import Status
 from wheelsight.geometry import FloatArray
-from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorState
+from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason, MonitorState
 from wheelsight.navigation.fields import outline_of
 from wheelsight.navigation.monitor_settings import MonitorSettings
 from wheelsight.navigation.surroundings import Surroundings
@@ -84,3 +84,29 @@ def test_it_is_forgotten_by_the_way_for_wheels_err_by_that(turns: int, is_known:
     known.see(KINECT.view(NOTHING, np.zeros(3), seconds))
     found = known.points_at((0.0, 0.0, 1.0, 0.0), seconds, 3.0)
     assert (len(found) > 0) == is_known == (settings.remember_m > turns * 2 * np.pi * CORNER_M)
+
+
+@pytest.mark.parametrize(("way_m", "turn_rad"), [(0.3, 0.0), (0.0, 0.4)])
+def test_a_thing_stays_where_it_is_while_the_wheels_way_carries_the_robot_on(way_m: float, turn_rad: float) -> None:
+    """By their way, whatever speeds come with it: those are late, and a door's posts came into the door."""
+    points, told, shown = np.array([[1.4, 0.1], [1.4, -0.1], [1.5, 0.6]]), [], np.zeros(3)
+    for rolls in (True, False):
+        monitor = CollisionMonitor(CHAIR)
+        monitor.hear(0.0, 0.0, 0.0)
+        if rolls:
+            monitor.see(ALL_AROUND.view(points, np.zeros(3), 0.0))
+            for n in range(1, 11):
+                monitor.hear(0.01 * n, 0.0, 0.0, (way_m / 10, turn_rad / 10))
+        else:
+            shown = np.array([way_m, 0.0, turn_rad])
+            monitor.see(ALL_AROUND.view(points, shown, 0.0))
+            monitor.hear(0.1, 0.0, 0.0)
+        told.append(monitor.check(FULL, 0.1, Status.TRACKING).command.forward_m_s)
+    assert 0.0 < told[0] < 1.0
+    assert told[0] == pytest.approx(told[1], abs=0.01)
+
+
+def test_a_way_that_is_no_number_stops_it() -> None:
+    monitor = monitor_before(wall(5.0))
+    monitor.hear(0.05, 0.3, 0.0, (np.nan, 0.0))
+    assert monitor.check(FULL, 0.05, Status.TRACKING).reason is MonitorReason.INVALID

@@ -80,3 +80,17 @@ def test_while_it_coasts_it_says_how_much_less_sure_it_became() -> None:
     assert where.grown_sigma_m == 0.0
     where.answer(told(0.3, 1.0, Status.COASTING, sigma_m=0.5))
     assert where.grown_sigma_m == pytest.approx(0.4, abs=0.01)
+
+
+def test_the_ways_between_readings_add_up_to_the_whole_while_it_gains_speed() -> None:
+    """Means of speeds do not: they are late, by 4 cm at 2 m/s that were gained within a second."""
+    where, way_m, by_speeds_m, before_m_s = WhereNow(WHEELS), 0.0, 0.0, 0.0
+    for n in range(51):
+        count = round((0.02 * n) ** 2 * PER_M)
+        speed = not_none(where.roll(WheelTicks(0.02 * n, count, count)))
+        way_m += speed.rolled[0]
+        by_speeds_m += 0.02 * (before_m_s + speed.forward_m_s) / 2
+        before_m_s = speed.forward_m_s
+    assert way_m == pytest.approx(1.0, abs=1e-3)
+    assert not_none(speed).rolled[1] == 0.0
+    assert by_speeds_m < 0.97

@@ -121,13 +121,27 @@ class _Watch:
 def when_blocked(attempt: int, settings: BehaviourSettings) -> Behaviour:
     """What to do at the first, second, ... attempt to get on: the gentlest first."""
     s = settings
-    look = (s.look_rad, -2 * s.look_rad, s.look_rad)
-    ways: tuple[Behaviour, ...] = (
-        Wait(s.wait_s),
-        Turn(look, s.turn_rad_s, s.refused_s),
-        Straight(-s.back_m, s.back_m_s, s.refused_s, "back up"),
-    )
+    ways: tuple[Behaviour, ...] = (Wait(s.wait_s), _look(s), Straight(-s.back_m, s.back_m_s, s.refused_s, "back up"))
     return ways[attempt % len(ways)]
+
+
+def when_unseen(attempt: int, settings: BehaviourSettings, *, was_backward: bool) -> Behaviour:
+    """What to do where a part of the robot would go over floor that was never seen, and stays so however long it waits.
+
+    First back, so far that the camera looks over the floor where the front was: a front that is deep in such floor
+    leads nowhere on. Who went backward goes on: no camera leads its back.
+    """
+    s = settings
+    if attempt % 2:
+        return _look(s)
+    if was_backward:
+        return Straight(s.unseen_back_m, s.back_m_s, s.refused_s, "drive on, away from what is behind")
+    return Straight(-s.unseen_back_m, s.back_m_s, s.refused_s, "back up, to see where its front was")
+
+
+def _look(settings: BehaviourSettings) -> Turn:
+    s = settings
+    return Turn((s.look_rad, -2 * s.look_rad, s.look_rad), s.turn_rad_s, s.refused_s)
 
 
 def when_lost(attempt: int, settings: BehaviourSettings) -> Behaviour:

@@ -104,9 +104,17 @@ class CollisionMonitor:
         """
         self._surroundings.trust(radius_m)
 
-    def hear(self, stamp_s: float, forward_m_s: float, turn_rad_s: float) -> None:
-        """The base's speeds, as its encoders measure them; each reading once, in order."""
-        self._are_wheels_sound = bool(np.isfinite([stamp_s, forward_m_s, turn_rad_s]).all())
+    def hear(
+        self, stamp_s: float, forward_m_s: float, turn_rad_s: float, rolled: tuple[float, float] | None = None
+    ) -> None:
+        """The base's speeds, as its encoders measure them; each reading once, in order.
+
+        Args:
+            stamp_s: of the reading.
+            forward_m_s, turn_rad_s: at it.
+            rolled: metres along the arc and radians since the reading before; None: as far as the speeds tell.
+        """
+        self._are_wheels_sound = bool(np.isfinite([stamp_s, forward_m_s, turn_rad_s, *(rolled or ())]).all())
         if not self._are_wheels_sound or stamp_s <= self._wheels_s:
             return
         if stamp_s - self._wheels_s > self._settings.gap_s:
@@ -114,7 +122,7 @@ class CollisionMonitor:
             self._wheels.forget()
             self._frame_s = -np.inf
         self._blind_way_m += abs(forward_m_s) * min(stamp_s - self._wheels_s, self._settings.gap_s)
-        self._surroundings.hear(stamp_s, forward_m_s, turn_rad_s)
+        self._surroundings.hear(stamp_s, forward_m_s, turn_rad_s, rolled)
         self._wheels_s, self._measured = stamp_s, (forward_m_s, turn_rad_s)
         self._are_wheels_off |= self._wheels.is_off(forward_m_s, turn_rad_s, stamp_s)
 

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.estimates import Status
-from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorResult, MonitorState
+from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason, MonitorResult, MonitorState
+from wheelsight.navigation.control_values import Controller
+from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.localization import WhereNow
+from wheelsight.navigation.mppi import MppiController
 from wheelsight.navigation.navigator_settings import NavigationSettings
+from wheelsight.navigation.pure_pursuit import PurePursuitController
 from wheelsight.navigation.velocity_ramp import VelocityRamp
 
 
@@ -19,6 +25,7 @@ class ControlChain:
     Attributes:
         monitor: has the last word.
         checked: what it made of the last command.
+        was_backward: whether the last command that it stopped led backward.
     """
 
     def __init__(self, settings: NavigationSettings) -> None:
@@ -26,6 +33,8 @@ class ControlChain:
             settings.footprint.outline, settings.limits, settings.monitor, settings.wheel_check
         )
         self.checked = MonitorResult(STOP, MonitorState.FREE)
+        self._stopped: tuple[float, MonitorReason | None] = (-math.inf, None)
+        self.was_backward = False
         self._ramp, self._period_s = VelocityRamp(settings.limits), settings.follow.period_s
 
     @property
@@ -42,6 +51,20 @@ class ControlChain:
         self.checked = self.monitor.check(ramped, now_s, _status_to_drive(where))
         if self.checked.state is not MonitorState.FREE:
             self._ramp.follow(self.checked.command)
+        if self.checked.state is MonitorState.STOPPED:
+            self._stopped = now_s, self.checked.reason
+            self.was_backward = asked.forward_m_s < 0
+
+    def stopped_by(self, since_s: float) -> MonitorReason | None:
+        """Why the monitor last stopped the robot since then: a controller knows no more than that it does not move."""
+        return self._stopped[1] if self._stopped[0] >= since_s else None
+
+
+def controller_of(footprint: Footprint, settings: NavigationSettings) -> Controller:
+    """That settings name."""
+    if settings.controller == "mppi":
+        return MppiController(footprint, settings.limits, settings.mppi, settings.follow)
+    return PurePursuitController(footprint, settings.limits, settings.pure_pursuit, settings.follow)
 
 
 def _status_to_drive(where: WhereNow) -> Status:

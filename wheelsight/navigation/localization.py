@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -45,11 +45,19 @@ class Localization(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class WheelSpeed:
-    """How a base moves by its encoders, at a stamp."""
+    """How a base moves by its encoders, at a stamp.
+
+    Attributes:
+        stamp_s: of the reading.
+        forward_m_s, turn_rad_s: over a little time until then.
+        rolled: metres along the arc and radians since the reading before. Means of speeds come late: added up, they
+            lag behind where the base is by half of the time that they are taken over.
+    """
 
     stamp_s: float
     forward_m_s: float
     turn_rad_s: float
+    rolled: tuple[float, float] = (0.0, 0.0)
 
 
 class WhereNow:
@@ -79,10 +87,12 @@ class WhereNow:
             return None
         if answer.reason is not None:
             return None
-        self._track.append((answer.stamp_s, se2.from_parts(*self._wheels.pose)))
+        T_now = se2.from_parts(*self._wheels.pose)
+        way = se2.log(se2.invert(self._track[-1][1]) @ T_now) if self._track else np.zeros(3)
+        self._track.append((answer.stamp_s, T_now))
         while len(self._track) > 2 and self._track[1][0] < answer.stamp_s - _TRACK_S:
             self._track.popleft()
-        self._speed = self._speed_now()
+        self._speed = replace(self._speed_now(), rolled=(float(way[0]), float(way[2])))
         return self._speed
 
     def _speed_now(self) -> WheelSpeed:

@@ -15,16 +15,15 @@ from numpy.typing import ArrayLike
 from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.errors import WheelsightError
 from wheelsight.geometry import FloatArray
-from wheelsight.navigation.behaviours import when_blocked, when_lost
+from wheelsight.navigation.behaviours import when_blocked, when_lost, when_unseen
 from wheelsight.navigation.collision_monitor import MonitorReason, MonitorState
-from wheelsight.navigation.control_chain import ControlChain
-from wheelsight.navigation.control_values import Controller, ControlReason, ControlResult
+from wheelsight.navigation.control_chain import ControlChain, controller_of
+from wheelsight.navigation.control_values import ControlReason, ControlResult
 from wheelsight.navigation.exploration import Exploration
 from wheelsight.navigation.floors import Floor
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.goals import Goals, Poses, Way
 from wheelsight.navigation.localization import Localization
-from wheelsight.navigation.mppi import MppiController
 from wheelsight.navigation.navigator_settings import NavigationSettings
 from wheelsight.navigation.navigator_values import (
     Feedback,
@@ -36,7 +35,6 @@ from wheelsight.navigation.navigator_values import (
 from wheelsight.navigation.people import discs_of
 from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
 from wheelsight.navigation.planning import Planned, Planning
-from wheelsight.navigation.pure_pursuit import PurePursuitController
 from wheelsight.navigation.route_planner import to_go_m
 from wheelsight.navigation.senses import Senses
 from wheelsight.navigation.task import Task
@@ -91,7 +89,7 @@ class Navigator:
         self._senses = Senses(robot.calibration, localization, floor, self.monitor, self._footprint, s)
         self.monitor.trust_floor(self._senses.near_m if trusts_floor else 0.0)
         self._planning = Planning(self._senses, self._footprint, s, planning)
-        self._controller = _controller(self._footprint, s)
+        self._controller = controller_of(self._footprint, s)
         self._on_transition = on_transition
         self.state = NavigationState.IDLE
         self._task: Task | None = None
@@ -213,7 +211,7 @@ class Navigator:
             return self._fail(*why_over)
         if self._robot.stop_reason:
             return STOP
-        self._senses.avoids_hidden = task.tries == 0 and self.state is not NavigationState.RECOVERING
+        self._senses.avoids_hidden = not task.passes_hidden and self.state is not NavigationState.RECOVERING
         ways = {
             NavigationState.PLANNING: self._plan,
             NavigationState.DRIVING: self._drive,
@@ -246,6 +244,7 @@ class Navigator:
     def _take(self, task: Task, planned: Planned, now_s: float) -> VelocityCommand:
         """Go by what came of a plan."""
         task.goals.taken()
+        task.passes_hidden |= planned.passes_hidden
         if planned.found is None:
             self._become(NavigationState.ARRIVED, task.goals.name)
             self._result = task.result(True, None, task.goals.name, self._robot.now_s)
@@ -316,7 +315,9 @@ class Navigator:
             return STOP
         is_held = result.reason is not None or self._chain.checked.state is MonitorState.STOPPED
         if task.held_for_s(now_s, is_held) > self.settings.navigator.held_s:
-            return self._get_out(task, str(result.reason or self._chain.checked.reason))
+            since_s = now_s - self.settings.navigator.held_s - self.settings.follow.stuck_s
+            stopped_by = self._chain.stopped_by(since_s)
+            return self._get_out(task, str(stopped_by or result.reason), stopped_by)
         if task.loiters_s > self.settings.navigator.loiter_s:
             return self._get_out(task, "it comes no farther")
         return result.command
@@ -347,11 +348,15 @@ class Navigator:
         self._become(NavigationState.PLANNING, f"after it has done so: {task.behaviour.name}")
         return STOP
 
-    def _get_out(self, task: Task, why: str) -> VelocityCommand:
+    def _get_out(self, task: Task, why: str, stopped_by: MonitorReason | None = None) -> VelocityCommand:
+        """Floor that was never seen stays so, however long it waits: only another way leads past it."""
         if task.tries >= self.settings.navigator.tries:
             return self._give_up(task, NavigationReason.BLOCKED, why)
         self._planning.drop()
-        task.recover(when_blocked(task.tries, self.settings.behaviours), is_lost=False)
+        task.passes_hidden = stopped_by is not MonitorReason.NEVER_SEEN
+        b = self.settings.behaviours
+        behaviour = when_unseen(task.tries, b, was_backward=self._chain.was_backward)
+        task.recover(when_blocked(task.tries, b) if task.passes_hidden else behaviour, is_lost=False)
         self._become(NavigationState.RECOVERING, f"{why}; {task.doing}")
         return STOP
 
@@ -392,9 +397,3 @@ class Navigator:
         speed, follow = self._senses.where.speed, self.settings.follow
         stands = abs(speed.forward_m_s) <= follow.standing_m_s and abs(speed.turn_rad_s) <= follow.standing_rad_s
         return stands or not math.isfinite(speed.stamp_s)
-
-
-def _controller(footprint: Footprint, settings: NavigationSettings) -> Controller:
-    if settings.controller == "mppi":
-        return MppiController(footprint, settings.limits, settings.mppi, settings.follow)
-    return PurePursuitController(footprint, settings.limits, settings.pure_pursuit, settings.follow)

@@ -39,6 +39,14 @@ class BehaviourSettings(Settings):
     )
     turn_rad_s: float = setting(0.4, "speed of such turns; images blur beyond", CHOSEN, gt=0, le=2)
     back_m: float = setting(0.3, "way back, where no camera looks", CHOSEN, gt=0, le=1)
+    unseen_back_m: float = setting(
+        0.8,
+        "way back from floor that was never seen: a chair's camera, 0.35 m ahead of the axle, looks over floor from "
+        "0.5 m on, which is where the front was",
+        "reckoned",
+        gt=0,
+        le=3,
+    )
     back_m_s: float = setting(0.1, "speed of that", CHOSEN, gt=0, le=0.5)
     refused_s: float = setting(
         2.0, "time for which the collision monitor may hold a behaviour, before it is over", CHOSEN, gt=0, le=60
@@ -67,6 +75,14 @@ class NavigatorSettings(Settings):
         0.1,
         "where it lies deeper than so in such floor: cells and depth err by less. A view of 54°, which a corner of the "
         "front leads by 0.07 m, shows nothing of what that corner sweeps in a tight curve",
+        "reckoned",
+        ge=0,
+        le=2,
+    )
+    hidden_known_m: float = setting(
+        0.25,
+        "the same of floor that the map has as free: a little less than monitor.blind_m, since the collision monitor, "
+        "which knows no map, lets no part of the robot deeper into it",
         "reckoned",
         ge=0,
         le=2,

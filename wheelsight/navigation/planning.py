@@ -23,10 +23,13 @@ class Planned:
     Attributes:
         found: a plan, or why there is none; None where no goal is left.
         T_map_odom: (3,) of when it was asked for.
+        passes_hidden: whether it leads over floor beside the robot that no camera has looked at, since none leads to
+            that goal past it.
     """
 
     found: Plan | PlanFailure | None
     T_map_odom: FloatArray
+    passes_hidden: bool = False
 
 
 class Planning:
@@ -59,12 +62,20 @@ class Planning:
         """For a plan from where the robot is now, which is known; one that was asked for before is wanted no more."""
         where = self._senses.where
         assert where.state is not None
-        pose, T_map_odom, costmap_of = where.state.pose, where.T_map_odom, self._senses.costmap_of()
+        pose, T_map_odom, avoids = where.state.pose, where.T_map_odom, self._senses.avoids_hidden
+        first, plain = (self._senses.costmap_of(avoids_hidden=is_first and avoids) for is_first in (True, False))
 
         def plan() -> Planned:
-            costmap = costmap_of()
+            costmap = first()
             ahead = goals.upcoming(pose, costmap)
-            return Planned(self._planner.plan(costmap, pose, ahead) if ahead else None, T_map_odom)
+            if not ahead:
+                return Planned(None, T_map_odom)
+            found = self._planner.plan(costmap, pose, ahead)
+            if avoids and (isinstance(found, PlanFailure) or found.goal_change):
+                other = self._planner.plan(plain(), pose, ahead)
+                if isinstance(other, Plan) and (isinstance(found, PlanFailure) or not other.goal_change):
+                    return Planned(other, T_map_odom, passes_hidden=True)
+            return Planned(found, T_map_odom)
 
         self._worker.ask(plan, now_s)
 

@@ -112,7 +112,7 @@ class Senses:
             if isinstance(event, WheelTicks | WheelSpeeds):
                 speed = self.where.roll(event)
                 if speed is not None:
-                    self._monitor.hear(speed.stamp_s, speed.forward_m_s, speed.turn_rad_s)
+                    self._monitor.hear(speed.stamp_s, speed.forward_m_s, speed.turn_rad_s, speed.rolled)
             elif isinstance(event, RgbdFrame):
                 self._views.append(self._viewer.view(event.depth_m, event.stamp_s))
                 self._monitor.see(self._views[-1])
@@ -182,22 +182,30 @@ class Senses:
         """Forget what stands about the robot; what is there is seen again."""
         self._live.clear()
 
-    def costmap_of(self) -> Callable[[], Costmap]:
+    def costmap_of(self, *, avoids_hidden: bool) -> Callable[[], Costmap]:
         """What makes a costmap of all the building, as it is known now, in whichever thread."""
-        of = self._floor.layer, self._footprint, self._settings.costmap, self._obstacles(), self.where.T_map_odom
+        obstacles = self._obstacles() if avoids_hidden else self._live.obstacles()
+        of = self._floor.layer, self._footprint, self._settings.costmap, obstacles, self.where.T_map_odom
         return lambda: Costmap.of(*of)
 
     def _obstacles(self) -> LiveObstacles:
-        """What the camera met, and floor that neither map nor camera knows and a corner would sweep unseen."""
-        live, pose, s = self._live.obstacles(), self.where.odom_pose, self._settings.navigator
-        # Where unknown floor is forbidden, all of it is an obstacle already.
-        if pose is None or not self.avoids_hidden or self._settings.costmap.unknown == "forbidden":
+        """What the camera met, and floor that the robot would sweep unseen."""
+        live, pose = self._live.obstacles(), self.where.odom_pose
+        if pose is None:
             return live
-        hidden = self._monitor.hidden(self._footprint.circumscribed_m + s.hidden_m, s.hidden_deep_m)
-        T_odom_base, T_map_odom = se2.from_parts(*pose), se2.from_parts(*self.where.T_map_odom)
+        s, free = self._settings.navigator, self._hidden(pose, self._settings.navigator.hidden_known_m, CellState.FREE)
+        # Where unknown floor is forbidden, all of it is an obstacle already.
+        if self._settings.costmap.unknown == "forbidden":
+            return live.with_points(free)
+        return live.with_points(np.concatenate([free, self._hidden(pose, s.hidden_deep_m, CellState.UNKNOWN)]))
+
+    def _hidden(self, odom_pose: FloatArray, deep_m: float, state: CellState) -> FloatArray:
+        """(N, 2) in `odom`, floor so deep in what no camera has looked at, of which the map has that state."""
+        hidden = self._monitor.hidden(self._footprint.circumscribed_m + self._settings.navigator.hidden_m, deep_m)
+        T_odom_base, T_map_odom = se2.from_parts(*odom_pose), se2.from_parts(*self.where.T_map_odom)
         points = hidden @ T_odom_base[:2, :2].T + T_odom_base[:2, 2]
-        state = self._floor.layer.state_at(points @ T_map_odom[:2, :2].T + T_map_odom[:2, 2])
-        return live.with_points(points[state == CellState.UNKNOWN])
+        found = self._floor.layer.state_at(points @ T_map_odom[:2, :2].T + T_map_odom[:2, 2])
+        return np.asarray(points[found == state])
 
     def local(self) -> Costmap | None:
         """Of the floor about the robot; None while it is not known where that is. Made anew where it has changed."""
@@ -205,12 +213,14 @@ class Senses:
         if state is None:
             return None
         layer, side_m = self._floor.layer, self._settings.navigator.local_m
-        live, T_map_odom = self._obstacles(), self.where.T_map_odom
+        T_map_odom = self.where.T_map_odom
         # A quarter of the window is soon enough: the controller looks ahead by half of it.
         x, y = (round(float(at) / (side_m / 4)) for at in state.pose[:2])
-        made = _Made(live.stamp_s, self.avoids_hidden, self._floor.revision, (x, y), tuple(T_map_odom.tolist()))
+        stamp_s = self._live.obstacles().stamp_s
+        made = _Made(stamp_s, self.avoids_hidden, self._floor.revision, (x, y), tuple(T_map_odom.tolist()))
         if self._local is None or self._local[0] != made:
             window = layer.window((x * side_m / 4, y * side_m / 4), 1.5 * side_m)
+            live = self._obstacles() if self.avoids_hidden else self._live.obstacles()
             costmap = Costmap.of(window, self._footprint, self._settings.costmap, live, T_map_odom)
             self._local = (
                 made,

@@ -137,8 +137,10 @@ class Surroundings:
         self._readings.clear()
         self._newest, self._newest_s = np.empty((0, 2)), -np.inf
 
-    def hear(self, stamp_s: float, forward_m_s: float, turn_rad_s: float) -> None:
-        """Go on by what the wheels measured since the last reading; stamps in order."""
+    def hear(
+        self, stamp_s: float, forward_m_s: float, turn_rad_s: float, rolled: tuple[float, float] | None = None
+    ) -> None:
+        """Go on by what the wheels measured since the last reading; stamps in order. `rolled` as `CollisionMonitor`."""
         if not self._readings:
             pose = (0.0, 0.0, 1.0, 0.0)
             mark_under(self._memory, self._outline.sides, pose, stamp_s, -np.inf)
@@ -147,9 +149,13 @@ class Surroundings:
         else:
             last = self._readings[-1]
             step_s = stamp_s - last.stamp_s
-            v, w = (last.forward_m_s + forward_m_s) / 2, (last.turn_rad_s + turn_rad_s) / 2
-            pose = moved(last.pose, v * step_s, w * step_s)
-            self._way_m += (abs(v) + self._reach_m * abs(w)) * step_s
+            if rolled is None:
+                rolled = (
+                    step_s * (last.forward_m_s + forward_m_s) / 2,
+                    step_s * (last.turn_rad_s + turn_rad_s) / 2,
+                )
+            pose = moved(last.pose, *rolled)
+            self._way_m += abs(rolled[0]) + self._reach_m * abs(rolled[1])
         self._readings.append(_Reading(stamp_s, pose, forward_m_s, turn_rad_s))
         while len(self._readings) > 1 and self._readings[1].stamp_s < stamp_s - self._settings.history_s:
             self._readings.popleft()
@@ -215,24 +221,30 @@ class Surroundings:
         """
         if not self._readings:
             return np.empty((0, 2))
-        last = self._readings[-1]
-        about = self.unseen_about(last.pose, last.stamp_s, self._settings.window_m / 2)
+        last, cell_m = self._readings[-1], self._settings.cell_m
+        out, first = self._unseen(last.pose, last.stamp_s, self._settings.window_m / 2)
         x, y, c, s = last.pose
-        is_hidden = ((about.hidden_m > deep_m) & (about.never_m > 0)).astype(np.uint8)
-        tell(self._memory, about.first, (x, y), reach_m, is_hidden)
-        away = (np.argwhere(is_hidden) + about.first + 0.5) * self._settings.cell_m - (x, y)
+        is_hidden = ((_deep_m(out[..., 2], cell_m) > deep_m) & (out[..., 0] > 0)).astype(np.uint8)
+        tell(self._memory, first, (x, y), reach_m, is_hidden)
+        away = (np.argwhere(is_hidden) + first + 0.5) * cell_m - (x, y)
         return np.asarray(away @ np.array([[c, -s], [s, c]]))
 
     def unseen_about(self, pose: Pose, now_s: float, reach_m: float) -> Unseen:
         """What was not seen of the floor within reach of a pose."""
+        out, first = self._unseen(pose, now_s, reach_m)
+        cell_m = self._settings.cell_m
+        return Unseen(
+            _deep_m(out[..., 0], cell_m), np.ascontiguousarray(out[..., 1]), _deep_m(out[..., 2], cell_m), first
+        )
+
+    def _unseen(self, pose: Pose, now_s: float, reach_m: float) -> tuple[ByteArray, tuple[int, int]]:
+        """(m, m, 3) 1 where floor was never seen, not lately, and never looked at; i and j of the first cell."""
         s = self._settings
         half = min(int(np.ceil(reach_m / s.cell_m)) + 1, len(self._memory.seen_s) // 2)
         first = (int(np.floor(pose[0] / s.cell_m)) - half, int(np.floor(pose[1] / s.cell_m)) - half)
         out = np.empty((2 * half, 2 * half, 3), np.uint8)
         unseen(self._memory, first, now_s - s.fresh_s, out)
-        return Unseen(
-            _deep_m(out[..., 0], s.cell_m), np.ascontiguousarray(out[..., 1]), _deep_m(out[..., 2], s.cell_m), first
-        )
+        return out, first
 
 
 def _deep_m(is_none: ByteArray, cell_m: float) -> Float32Array:

@@ -31,6 +31,7 @@ class Task:
         behaviour: that is done while it recovers.
         is_lost: whether that is to find out where it is.
         tries: to get itself out, since it last made way.
+        passes_hidden: whether no way was found beside floor that no camera has looked at, since it last made way.
         skips: goals left out, since it last had a plan or got itself out.
         searches: to find out where it is, since it last knew.
         known_s: when it last knew where it is.
@@ -46,6 +47,7 @@ class Task:
         self.behaviour: Behaviour | None = None
         self.is_lost = False
         self.tries, self.skips, self.searches = 0, 0, 0
+        self.passes_hidden = False
         self.known_s = now_s
         self.transitions: list[Transition] = []
         self._begun_s = self._rolled_s = now_s
@@ -71,7 +73,7 @@ class Task:
         if where.odom_pose is not None:
             self._here = where.odom_pose[:2]
             if not np.hypot(*(self._here - self._from)) <= settings.progress_m:
-                self.tries = 0
+                self.tries, self.passes_hidden = 0, False
                 self.come_on()
         if where.is_known(settings.unsure_m):
             self.known_s, self.searches = now_s, 0

@@ -84,17 +84,14 @@ def fit_wheels(
     Args:
         wheels: nominal ones: radii and track width right to a factor of two, delay to half a second.
         drive: the readings of both wheels.
-        reference: T_odom_base, with a base that is right to a few decimetres and degrees (see
-            `recordings.bodies.express_for` for one of the camera).
+        reference: T_odom_base, right to decimetres and degrees (of the camera: `recordings.bodies.express_for`).
         segment_m: way between two poses that are compared: long for a noisy reference, short for frequent slips.
         with_delay: also fit `delay_s`; else the nominal one is kept.
-        on_step: told in a word what is being done, a few times.
-        camera_errors: (K, 3, 3) of the base, of a reference that a camera tells: `camera_errors.motion_errors`. They
-            make both radii wrong alike, and the track width by what turns are; σ holds them.
+        on_step: told in a word what is being done.
+        camera_errors: (K, 3, 3) of the base, of a reference by a camera (`camera_errors.motion_errors`); σ holds them.
 
     Raises:
-        CalibrationError: a drive that leaves a parameter undetermined, too short a one, a reference of another body,
-            of another time or of another drive.
+        CalibrationError: too short a drive, one that determines not all, a reference of another body, time or drive.
     """
     segments = _segments(wheels, drive, reference, segment_m)
     problem = _Problem(drive, segments, wheels, with_delay)
@@ -104,17 +101,18 @@ def fit_wheels(
     found = robust_fit(problem, start)
     values, fitted = found.values, problem.fitted(found.values)
     refuse_if_unlike(segments, found.residuals, drive, fitted.delay_s)
-    sigmas = problem.sigmas(values, found.covariance)
-    refuse_if_unobservable(sigmas, fitted, segments)
+    refuse_if_unobservable(problem.sigmas(values, found.covariance), fitted, segments)
     refuse_if_impossible(wheels, fitted, LARGEST_DELAY_S)
     covariance = found.covariance + (0 if camera_errors is None else problem.by_camera(found, camera_errors))
-    sigmas = problem.sigmas(values, covariance)
-    ratio_sigma, mount = _ratio_sigma(fitted, covariance), problem.mount(values)
-    # Half the sum of both logarithms: as a share, what both have in common adds up.
-    scale_sigma = float(np.sqrt(covariance[:2, :2].sum()) / 2)
+    sigmas, ratio_sigma = problem.sigmas(values, covariance), _ratio_sigma(fitted, covariance)
+    known = stated(fitted, ratio_sigma, sigmas["track_width_m"] / fitted.track_width_m, _scale_sigma(covariance))
     explained = (found.residuals, found.weights, found.is_outlier)
-    known = stated(fitted, ratio_sigma, sigmas["track_width_m"] / fitted.track_width_m, scale_sigma)
-    return WheelFit(wheels, known, sigmas, ratio_sigma, mount, segments, *explained)
+    return WheelFit(wheels, known, sigmas, ratio_sigma, problem.mount(values), segments, *explained)
+
+
+def _scale_sigma(covariance: FloatArray) -> float:
+    """Of half the sum of both radii's logarithms: as a share, what both have in common adds up."""
+    return float(np.sqrt(covariance[:2, :2].sum()) / 2)
 
 
 def _segments(wheels: Wheels, drive: Drive, reference: Trajectory, segment_m: float) -> Segments:

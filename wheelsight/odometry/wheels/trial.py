@@ -73,8 +73,7 @@ def try_calibration(
         recording: with wheel readings, and nominal wheels in its calibration.
         reference: of the base or the camera; None for the recording's ground truth.
         train_share: 0 to 1, both left out.
-        by_camera: whether the reference is what odometry makes of the recording's own camera: σ of sizes then hold what
-            its calibration leaves open.
+        by_camera: whether the reference is by its own camera: σ then holds what that one's calibration leaves open.
         segment_m, with_delay, on_step: see `fit_wheels`.
 
     Raises:
