@@ -11,16 +11,14 @@ from grids import mostly_slow
 from narrowing import not_none
 from room_drive import make_room_drive
 
-from wheelsight.calibration import Calibration, Wheels
+from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
 from wheelsight.estimates import Estimate, Status
 from wheelsight.events import Event, RgbdFrame
-from wheelsight.fusion import FusedEstimate
 from wheelsight.geometry import se3
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.localizer import Localizer
 from wheelsight.localizer._loops import LoopsBeside
-from wheelsight.localizer.by_fusion import ByFusion
 from wheelsight.recordings import Recording, open_recording
 from wheelsight.slam.drive_graph import KeyframePlace, PoseUpdate
 from wheelsight.slam.live import LiveLoops
@@ -171,36 +169,3 @@ def test_a_piece_counts_as_joined_once_it_is_sure_where_it_lies(
         C_now = se3.position_covariance(FAR @ se3.from_plane(1.5, 0, 0), called.covariance_map)
         assert np.sqrt(C_now.max()) == pytest.approx(sigma_m, rel=0.1)
     beside.close()
-
-
-def test_a_robot_that_was_carried_off_is_tracked_once_loops_are_sure_where_it_is(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Who doubts waits for loops that have laid the piece, not for an answer that nobody doubts: that never came."""
-    overrides = {"odometry": "wheels,dense", "loops.source": "keyframes"}
-    calibration = Calibration.registered_camera(
-        synthetic.CAMERA, T_base_camera=np.eye(4), wheels=Wheels(0.17, 0.17, 0.52, 3200.0)
-    )
-    subject = ByFusion(calibration, load_config(overrides=overrides), waits=True)
-    loops, T_map, C = not_none(subject.loops), FAR @ se3.from_plane(1.0, 0, 0), 1e-4 * np.eye(6)
-    for x_m in (0.0, 1.0):
-        blank = np.ones((24, 32), np.float32)
-        keyframe = Keyframe.of_images(x_m, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank)
-        subject.odometry.store.add(keyframe, se3.from_plane(x_m, 0, 0))
-    subject._carried.known(0.0)
-    subject._carried.unknown(4.0, np.eye(4), np.eye(4))
-    subject._carried.scatter(np.eye(4), np.eye(6))
-    loops.begin_piece(KeyframeId(1))
-    subject._carried.begin_piece()
-    seen = FusedEstimate(5.0, Status.TRACKING, se3.from_plane(1.0, 0, 0), np.eye(6), body="base")
-    laid = PoseUpdate(FAR @ subject.odometry.store.T_map_keyframe, np.zeros(2, np.int64), np.zeros((0, 2), np.int64))
-
-    def due(live: LiveLoops, stamp_s: float) -> PoseUpdate:
-        live.place = KeyframePlace(KeyframeId(1), se3.from_plane(1.0, 0, 0), np.eye(6), T_map, C)
-        return laid
-
-    assert loops.called(subject._checked(seen)).status is Status.COASTING
-    monkeypatch.setattr(LiveLoops, "due", due)
-    subject._close_loops(5.0)
-    assert loops.called(subject._checked(seen)).status is Status.TRACKING
-    loops.close()
