@@ -1,7 +1,8 @@
 """Free space: whether surfaces of one view stand where the other one saw through.
 
 Things that came or went between two views do so, and walls of another place. What stands free hides what is behind it,
-so it has an outline; a wall that closes a corridor meets its side walls.
+so it has an outline; a wall that closes a corridor meets its side walls. And it is in one view only: surfaces that are
+laid wrongly stand in each other's way in both.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _NEIGHBOURS = (
 class Intrusion(NamedTuple):
     """Of `compared` points that could be seen from there, how many stand where it was seen through: `intruding`.
 
-    `free` of these are of things that stand free.
+    `free` of these are of things that stand free, in one of both views.
     """
 
     intruding: int
@@ -54,7 +55,10 @@ def intrusion(
     """Of both views' points against what the other one saw, if the second lies at (4, 4) off the first."""
     there = _one_way(second, first, T_first_second, noise, settings)
     back = _one_way(first, second, se3.invert(T_first_second), noise, settings)
-    return Intrusion(*(sum(both) for both in zip(there, back, strict=True)))
+    intruding, compared = there.intruding + back.intruding, there.compared + back.compared
+    less, more = sorted((there, back), key=lambda way: way.free)
+    is_one_sided = less.intruding <= settings.max_intruding * less.compared
+    return Intrusion(intruding, compared, more.free if is_one_sided else 0)
 
 
 def shown_share(
@@ -75,7 +79,7 @@ def _one_way(
     compared[pixels[is_compared]], intruding[pixels[intrudes]] = True, True
     shape = seen.depth_m.shape
     free = _free_pixels(seen.depth_m, intruding.reshape(shape), compared.reshape(shape), noise, settings)
-    return Intrusion(*(int(np.count_nonzero(of)) for of in (intrudes, is_compared)), free)
+    return Intrusion(int(np.count_nonzero(intrudes)), int(np.count_nonzero(is_compared)), free)
 
 
 def _free_pixels(
