@@ -60,7 +60,8 @@ def test_it_is_tracked_again_once_loops_have_laid_the_piece_and_are_sure(
     """Its doubt ends where the piece is laid, not at the first sure answer: a doubtful one is never sure."""
     run = carried()
     eye = Keeper(run.truth, lambda stamp_s: run.faults(stamp_s - run.begin_s))
-    subject, _ = joined(monkeypatch, eye, **{"loops.source": "keyframes"})
+    settings: dict[str, Any] = {"loops.source": "keyframes"}
+    subject, _ = joined(monkeypatch, eye, **settings)
     loops = Loops(eye, run.begin_s + LAID_S, sigma)
     monkeypatch.setattr(LiveLoops, "add", lambda live, keyframe: loops.lived.append(keyframe))
     monkeypatch.setattr(LiveLoops, "due", lambda live, stamp_s: loops.due(live, stamp_s))

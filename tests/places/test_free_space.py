@@ -47,8 +47,10 @@ def corridor(end_m: float) -> np.ndarray:
 def test_somebody_before_the_camera_stands_free_and_is_left_out(person_first: bool):
     with_person = corridor(6.0)
     with_person[:, 30:55] = 0.9
-    views = [level(with_person), level(corridor(6.0))]
-    found = intrusion(*(views if person_first else views[::-1]), np.eye(4), NOISE, SETTINGS)
+    first, second = level(with_person), level(corridor(6.0))
+    if not person_first:
+        first, second = second, first
+    found = intrusion(first, second, np.eye(4), NOISE, SETTINGS)
     assert found.free == found.intruding > 0.3 * SHAPE[0] * SHAPE[1] * 0.9
     assert found.share < 0.01
     assert found.free_share < SETTINGS.max_free
