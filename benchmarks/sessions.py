@@ -32,7 +32,8 @@ from rich.console import Console
 from benchmarks import calibrated_unit, machine
 from benchmarks.sequences import default_data_folder
 from benchmarks.session_kidnaps import Kidnapping, kidnappings
-from benchmarks.session_starts import MODES, Building, FirstDay, Start, first_day, moments_of, second_day, start_at
+from benchmarks.session_maps import kept_day
+from benchmarks.session_starts import MODES, Building, FirstDay, Start, moments_of, second_day, start_at
 from benchmarks.table import Sheet, targets_sheet, write_page
 from benchmarks.targets import Target
 from wheelsight.simulation import FloorPlan
@@ -163,13 +164,18 @@ class Measured:
     taken: list[Kidnapping] = field(default_factory=list)
 
 
+def map_settings(asked: argparse.Namespace) -> dict[str, object]:
+    """On what a first day's map depends, beside its building."""
+    return {"rate": asked.rate, "way": asked.way, "calibrated": asked.calibrated is not None}
+
+
 def measure(buildings: Sequence[Building], asked: argparse.Namespace, folder: Path, console: Console) -> Measured:
-    """All starts and kidnappings."""
+    """All starts and kidnappings, in maps that the folder has, or gets."""
     rate_hz, units = asked.rate, asked.calibrated
     of = Measured()
     own, elsewhere, known = of.own, of.elsewhere, of.known
     for building in buildings:
-        known.append(first_day(building, folder / building.name, rate_hz, units))
+        known.append(kept_day(building, folder, map_settings(asked), rate_hz, units))
         told = f"{known[-1].together} of {known[-1].keyframes} keyframes together, {known[-1].ate_m:.3f} m off"
         console.print(f"{building.name}: first day mapped, {known[-1].way_m:.0f} m, {told}")
     for number, building in enumerate(buildings):
@@ -199,13 +205,14 @@ def main() -> None:
     parser.add_argument("--kidnaps", type=int, default=12, help="in each building")
     parser.add_argument("--rate", type=float, default=15.0, help="images a second")
     parser.add_argument("--way", type=float, default=60.0, help="metres of the tour through a plan")
+    parser.add_argument("--keep", type=Path, help="folder for maps of first days: those that it has are not made again")
     calibrated_unit.add_option(parser)
     parser.add_argument("--out", type=Path, help="Markdown to write")
     arguments = parser.parse_args()
     console, about = Console(width=150), machine.description()
     buildings = buildings_of(arguments.buildings, arguments.data, arguments.way)
     with TemporaryDirectory() as name:
-        of = measure(buildings, arguments, Path(name), console)
+        of = measure(buildings, arguments, arguments.keep or Path(name), console)
     targets = targets_sheet(judge(of.own, of.elsewhere, of.taken))
     sheets = [
         map_sheet(of.known),

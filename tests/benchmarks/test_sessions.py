@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import session_starts, sessions
+from benchmarks import session_maps, session_starts, sessions
 from benchmarks.session_starts import ALONE, JOINED, FirstDay, Start
+from wheelsight.errors import InputError
 from wheelsight.estimates import Estimate, Status
 from wheelsight.geometry import se3
 from wheelsight.trajectory import Trajectory
@@ -66,3 +67,25 @@ def test_buildings_are_worlds_or_plans() -> None:
     assert (office.name, office.plan.resolution_m) == ("a", None)
     assert scan.plan is not None
     assert (scan.name, scan.plan.resolution_m, scan.plan.way_m) == ("b", 0.05, 40.0)
+
+
+def test_a_map_that_is_kept_is_not_made_again_and_may_be_moved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[Path] = []
+
+    def drive(building: session_starts.Building, folder: Path, rate_hz: float, units: Path | None) -> FirstDay:
+        made.append(folder)
+        T = np.stack([np.eye(4), se3.from_plane(9.0, 0.1, 0.2)])
+        return FirstDay(building.name, folder / "joined" / "map", np.eye(4), T, T[::-1], 0.03, 12.5, 3, 2)
+
+    monkeypatch.setattr(session_maps, "first_day", drive)
+    building, how = session_starts.Building("flat", "flat", None), {"rate": 10.0}
+    first = session_maps.kept_day(building, tmp_path / "here", how, 10.0)
+    (tmp_path / "here").rename(tmp_path / "there")
+    again = session_maps.kept_day(building, tmp_path / "there", how, 10.0)
+    assert made == [tmp_path / "here" / "flat"]
+    assert again.folder == tmp_path / "there" / "flat" / "joined" / "map"
+    for name in ("T_world_map", "T_world_base", "T_map_base"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
+    assert (again.name, again.ate_m, again.way_m, again.keyframes, again.together) == ("flat", 0.03, 12.5, 3, 2)
+    with pytest.raises(InputError, match="otherwise"):
+        session_maps.kept_day(building, tmp_path / "there", {"rate": 15.0}, 15.0)

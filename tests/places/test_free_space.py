@@ -34,7 +34,48 @@ def test_a_cabinet_where_a_wall_was_seen_intrudes_by_its_share():
     with_cabinet[:, 20:50] = 1.5
     found = intrusion(level(wall(3)), level(with_cabinet), np.eye(4), NOISE, SETTINGS)
     # From the other side it hides what is behind it, which tells nothing.
-    assert found.share == pytest.approx(30 / (80 + 50), abs=0.02)
+    assert found.intruding / found.compared == pytest.approx(30 / (80 + 50), abs=0.02)
+
+
+def corridor(end_m: float) -> np.ndarray:
+    """2 m wide, open above and below, up to a wall that closes it."""
+    aside = np.abs((np.arange(SHAPE[1]) - INTRINSICS[2]) / INTRINSICS[0])
+    return np.tile(np.minimum(1.0 / np.maximum(aside, 1e-6), end_m), (SHAPE[0], 1))
+
+
+@pytest.mark.parametrize("person_first", [True, False])
+def test_somebody_before_the_camera_stands_free_and_is_left_out(person_first: bool):
+    with_person = corridor(6.0)
+    with_person[:, 30:55] = 0.9
+    first, second = level(with_person), level(corridor(6.0))
+    if not person_first:
+        first, second = second, first
+    found = intrusion(first, second, np.eye(4), NOISE, SETTINGS)
+    assert found.free == found.intruding > 0.3 * SHAPE[0] * SHAPE[1] * 0.9
+    assert found.share < 0.01
+    assert found.free_share < SETTINGS.max_free
+
+
+def test_somebody_who_hides_nearly_all_leaves_nothing_that_speaks_for_a_place():
+    with_person = corridor(6.0)
+    with_person[:, 4:-4] = 0.7
+    assert intrusion(level(corridor(6.0)), level(with_person), np.eye(4), NOISE, SETTINGS).free_share > 0.5
+
+
+@pytest.mark.parametrize("end_m", [2.5, 4.0])
+def test_a_wall_that_closes_a_corridor_does_not_stand_free(end_m: float):
+    found = intrusion(level(corridor(8.0)), level(corridor(end_m)), np.eye(4), NOISE, SETTINGS)
+    assert found.intruding > 500
+    assert found.free == 0
+
+
+def test_a_thing_is_no_wall_where_the_other_view_knows_no_depth_beside_it():
+    """Beside it nothing was compared, though the same thing goes on there."""
+    with_person, far = corridor(6.0), corridor(6.0)
+    with_person[:, 30:55] = 0.9
+    far[20:30, 25:60] = 0
+    found = intrusion(level(far), level(with_person), np.eye(4), NOISE, SETTINGS)
+    assert found.free == found.intruding > 500
 
 
 def test_what_hides_something_else_does_not_intrude_when_both_saw_it():
@@ -54,7 +95,7 @@ def test_a_pose_inside_the_wall_intrudes():
 
 def test_unknown_depth_tells_nothing():
     found = intrusion(level(wall(0)), level(wall(1)), np.eye(4), NOISE, SETTINGS)
-    assert found == (0, 0)
+    assert found == (0, 0, 0)
     assert found.share == 0
 
 

@@ -76,14 +76,30 @@ def test_a_bare_view_is_not_recognised(verifier):
     assert verifier.verify(seen(HOME), ID, nothing) == RefusedPlace(ID, Refusal.TOO_FEW_MATCHES)
 
 
-def test_where_the_keyframe_saw_through_no_cabinet_may_stand(verifier):
+def with_depth(frame: RgbdFrame, depth_m: np.ndarray) -> SeenView:
+    """A frame before which something grey stands, where its depth is less."""
+    color = np.where((depth_m < frame.depth_m)[..., None], 90, frame.color).astype(np.uint8)
+    return maker().of_frame(replace(frame, color=color, depth_m=np.minimum(depth_m, frame.depth_m)))
+
+
+def test_where_the_keyframe_saw_through_no_partition_may_stand(verifier):
+    """It joins the wall, and comes nearer to the right."""
     frame = frame_at(standing(-1.0, 0.1, 0.0))
-    color, depth_m = frame.color.copy(), frame.depth_m.copy()
-    color[:, 180:], depth_m[:, 180:] = 90, np.minimum(depth_m[:, 180:], 0.9)
-    answer = verifier.verify(maker().of_frame(replace(frame, color=color, depth_m=depth_m)), ID, kept(seen(HOME)))
+    slant = np.ones(CAMERA.width) - np.clip((np.arange(CAMERA.width) - 180) / 100, 0, 0.6)
+    answer = verifier.verify(with_depth(frame, frame.depth_m * slant.astype(np.float32)), ID, kept(seen(HOME)))
     assert isinstance(answer, RefusedPlace)
     assert answer.reason is Refusal.INTRUDES
     assert answer.inliers > 12
+
+
+def test_somebody_close_by_does_not_make_it_another_place(verifier):
+    """Who stands free hides more than walls may, and the rest shows where it is."""
+    frame = frame_at(standing(-1.0, 0.1, 0.0))
+    depth_m = frame.depth_m.copy()
+    depth_m[:, 180:260] = 0.9
+    answer = verifier.verify(with_depth(frame, depth_m), ID, kept(seen(HOME)))
+    assert isinstance(answer, VerifiedPlace)
+    np.testing.assert_allclose(answer.T_keyframe_camera, se3.invert(HOME) @ standing(-1.0, 0.1, 0.0), atol=0.02)
 
 
 def test_surfaces_that_stand_elsewhere_than_keypoints_are_refused(verifier):

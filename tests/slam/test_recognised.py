@@ -10,7 +10,7 @@ from places.seen_room import EXACT, kept, ring, seen
 
 from wheelsight.errors import MapError
 from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import Keyframe, KeyframeStore
+from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.recognised import PlaceWatcher
 from wheelsight.slam.settings import SeenSettings
@@ -85,3 +85,19 @@ def test_a_keyframe_that_cannot_be_read_is_told_and_passed_over(store: KeyframeS
     assert watcher.refusals["the keyframe cannot be read"] > 0
     assert loops
     assert 4 not in {loop.first for loop in loops}
+
+
+def test_who_is_adrift_asks_more_of_the_rest_and_then_those_that_are_adrift_with_it(store: KeyframeStore) -> None:
+    """The nearest view is adrift, too: it must not take the place of one that tells where in the map that is."""
+    settings = SeenSettings(apart_s=0.5, candidates=1, near_candidates=0, candidates_adrift=4)
+    asked = {}
+    for adrift in ((), (KeyframeId(1), KeyframeId(3))):
+        watcher = PlaceWatcher(store, EXACT, settings)
+        for number in list(store)[:9]:
+            watcher.pass_by(number)
+        asked[adrift] = [loop.first for loop in watcher.look(KeyframeId(9), adrift=adrift)]
+    assert asked[()] == [1]
+    *others, last = asked[KeyframeId(1), KeyframeId(3)]
+    assert last == 1
+    assert others
+    assert not {1, 3} & set(others)

@@ -34,7 +34,8 @@ class LoopsBeside:
         waits: see `LiveLoops`.
 
     Attributes:
-        is_joined: whether it is known where the piece of map lies that the robot is in.
+        is_laid: whether loops have laid the piece of map that the robot is in, however surely.
+        is_joined: whether it is known where that piece lies.
     """
 
     def __init__(
@@ -53,20 +54,20 @@ class LoopsBeside:
         self._closed: ClosedLoops | None = None
         self._loops: IntArray = np.zeros((0, 2), np.int64)
         self._pieces: list[int] = [0]  # by the numbers of their first keyframes
-        self._is_laid, self.is_joined, self._is_new = True, True, False
+        self.is_laid, self.is_joined, self._is_new = True, True, False
         if known is not None and len(store) and known.start is None:
             self.begin_piece(KeyframeId(len(store)))
             self._is_new = True  # in this map it has not been anywhere yet
 
     def apart(self, T_map_camera: FloatArray) -> FloatArray:
         """T_map_camera (4, 4) at which odometry is to begin another piece of map, of a camera at (4, 4) in this one."""
-        here = 0 if self._is_laid else len(self._pieces) - 1
+        here = 0 if self.is_laid else len(self._pieces) - 1
         return self._apart(len(self._pieces)) @ se3.invert(self._apart(here)) @ T_map_camera
 
     def begin_piece(self, keyframe: KeyframeId) -> None:
         """A keyframe begins a piece of map, apart from the others."""
         self._pieces.append(keyframe)
-        self._is_laid = self.is_joined = False
+        self.is_laid = self.is_joined = False
 
     def move_keyframes(self, stamp_s: float, keyframe: KeyframeId | None) -> FloatArray | None:
         """Put keyframes to where loops have them; T_new_old (4, 4) of one of them, or None where none has moved.
@@ -83,8 +84,8 @@ class LoopsBeside:
         T_newer = T_old[count:]
         if self._pieces[-1] < count:  # else the newer ones are of a piece that the thread has not heard of
             T_newer = T_known[-1] @ se3.invert(T_old[count - 1]) @ T_newer
-            self._is_laid = bool(update.piece[-1] == 0)
-            self.is_joined &= self._is_laid
+            self.is_laid = bool(update.piece[-1] == 0)
+            self.is_joined &= self.is_laid
         T_new = np.concatenate([T_known, T_newer])
         self._store.move(list(self._store), T_new)
         at = count - 1 if keyframe is None else keyframe
@@ -166,7 +167,7 @@ class LoopsBeside:
 
     def called(self, answer: AnyEstimate) -> AnyEstimate:
         """The answer, by a status that says whether it is known where in the map it is; if so, how surely."""
-        covariance_map = self._covariance_map(answer) if self._is_laid else None
+        covariance_map = self._covariance_map(answer) if self.is_laid else None
         if not self.is_joined and answer.status is Status.TRACKING and self._is_sure(answer, covariance_map):
             self.is_joined, self._is_new = True, False
         if self.is_joined:

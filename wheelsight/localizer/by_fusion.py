@@ -238,7 +238,7 @@ class ByFusion:
         since = self._unsure.since
         if self.loops is not None and since is not None and self.loops.tie(since):
             self._unsure.found()
-        if self.loops is not None and self.loops.is_joined:
+        if self.loops is not None and self.loops.is_laid:  # not `is_joined`: no doubtful answer makes it so
             self._carried.found()
 
     def _measured(self, frame: RgbdFrame, seen: CameraEstimate, motion: MotionEstimate) -> FusedEstimate:

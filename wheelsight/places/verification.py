@@ -148,7 +148,7 @@ class PlaceVerifier:
         level = self._dense.levels - 1
         seen = (other.grid.levels[level], view.grid.levels[level])
         space = intrusion(*seen, T_keyframe_camera, self._noise, self._settings)
-        if space.share > self._settings.max_intruding:
+        if space.share > self._settings.max_intruding or space.free_share > self._settings.max_free:
             return self._refused(candidate, Refusal.INTRUDES, *counts)
         shared = with_frame_error(np.zeros((6, 6)), T_keyframe_camera, self._of_frame)
         covariance = judged.covariance + self._of_frame + self._of_registration + shared

@@ -142,6 +142,14 @@ class PlaceVerificationSettings(Settings):
         ge=0,
         le=1,
     )
+    max_free: float = setting(
+        0.5,
+        "and so much of it may be of things that stand free of what is about them, such as somebody close by; then the"
+        " rest is judged by that",
+        "reckoned: as much must speak for the place",
+        ge=0,
+        le=1,
+    )
     registration_sigma_m: float = setting(
         0.012,
         "standard deviation of a place by surfaces seen from apart, metres, beyond what single frames are off by",

@@ -156,6 +156,13 @@ class DriveGraph:
         up = before.T_odom_keyframe[2, :3]
         return edge if keyframe.motion is None else along_floor(edge, keyframe.motion, up)
 
+    @property
+    def adrift(self) -> tuple[KeyframeId, ...]:
+        """The keyframes of the last one's piece while nobody knows where that lies; else none."""
+        pieces = self._graph.pieces
+        alike = np.flatnonzero((pieces == pieces[-1]) & (pieces > 0))
+        return tuple(KeyframeId(int(number)) for number in alike)
+
     def near(self, limit_m: float) -> tuple[KeyframeId, ...]:
         """Keyframes next to the last one, of its piece, the nearest first; turns by a radian count as 1.5 m."""
         poses, pieces = self._graph.poses, self._graph.pieces

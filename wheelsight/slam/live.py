@@ -179,7 +179,8 @@ class LiveLoops:
         started = time.perf_counter()
         self._graph.add(keyframe)
         if has_time:
-            loops = self._watcher.look(keyframe.number, self._graph.near(self._settings.seen.near_m))
+            near = self._graph.near(self._settings.seen.near_m)
+            loops = self._watcher.look(keyframe.number, near, self._graph.adrift)
         else:
             loops = self._watcher.pass_by(keyframe.number)
         judged = Judged(self._graph.close(loops), self._graph.place())

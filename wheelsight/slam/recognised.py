@@ -56,24 +56,35 @@ class PlaceWatcher:
         told = {str(reason): count for reason, count in self._verifier.refusals.items()}
         return told | ({_UNREAD: self._unread} if self._unread else {})
 
-    def look(self, number: KeyframeId, near: Sequence[KeyframeId] = ()) -> tuple[RelativePose, ...]:
+    def look(
+        self, number: KeyframeId, near: Sequence[KeyframeId] = (), adrift: Sequence[KeyframeId] = ()
+    ) -> tuple[RelativePose, ...]:
         """Where earlier keyframes show the place of one, which is known from now on.
 
-        Keyframes come in order of time. Those that lie `near`, the nearest first, are verified as if recognised.
+        Keyframes come in order of time. Those that lie `near`, the nearest first, are verified as if recognised. While
+        nobody knows where in the map one lies, those that are `adrift` with it cannot tell: more others are asked.
         """
         keyframe = self._store[number]
         recent = self._known[bisect.bisect_right(self._stamps_s, keyframe.stamp_s - self._settings.apart_s) :]
-        found = self.recognised(number, recent, near)
+        found = self.recognised(number, recent, near, adrift)
         self._learn(number, keyframe)
         return found
 
     def recognised(
-        self, number: KeyframeId, but: Collection[KeyframeId] = (), near: Sequence[KeyframeId] = ()
+        self,
+        number: KeyframeId,
+        but: Collection[KeyframeId] = (),
+        near: Sequence[KeyframeId] = (),
+        adrift: Sequence[KeyframeId] = (),
     ) -> tuple[RelativePose, ...]:
-        """Where keyframes that the recognizer knows, `but` some, show the place of one, which is not known by that."""
+        """Where keyframes that the recognizer knows, `but` some, show the place of one, which is not known by that.
+
+        `near` and `adrift` as in `look`.
+        """
         view = self._views.of_keyframe(self._store[number])
         found: list[RelativePose] = []
-        for candidate in self._candidates(view, but, near):
+        elsewhere = self._elsewhere(view, but, adrift)
+        for candidate in dict.fromkeys((*elsewhere, *self._candidates(view, but, near))):
             try:
                 known = self._store.recalled(candidate, number)
             except MapError:  # the disk is gone, or damaged there: the drive goes on without
@@ -86,6 +97,15 @@ class PlaceWatcher:
                 if len(found) == self._settings.most_places:
                     break
         return tuple(found)
+
+    def _elsewhere(
+        self, view: SeenView, but: Collection[KeyframeId], adrift: Sequence[KeyframeId]
+    ) -> tuple[KeyframeId, ...]:
+        """Those that look like a view, of the rest of the map; none where the view is known to lie in it."""
+        if not adrift:
+            return ()
+        found = self.recognizer.candidates(view, self._settings.candidates_adrift, {*but, *adrift})
+        return tuple(one.keyframe for one in found)
 
     def _candidates(
         self, view: SeenView, but: Collection[KeyframeId], near: Sequence[KeyframeId]

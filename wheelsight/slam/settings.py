@@ -60,6 +60,13 @@ class SeenSettings(Settings):
         le=3600,
     )
     candidates: int = setting(5, "keyframes that are verified at most for each", CHOSEN, ge=1, le=1000)
+    candidates_adrift: int = setting(
+        24,
+        "and of the rest of the map, while nobody knows where in that they lie",
+        "as `recognition.candidates`: of one view nobody knows more",
+        ge=1,
+        le=1000,
+    )
     near_candidates: int = setting(
         2,
         "of these, keyframes that lie near by what is known: under another light they may look as others",

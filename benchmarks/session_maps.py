@@ -1,0 +1,37 @@
+"""Maps of first days, kept in a folder: each takes minutes to drive, and many mornings can be begun in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.kept_records import KeptRecords
+from benchmarks.session_starts import Building, FirstDay, first_day
+
+_POSES = ("T_world_map", "T_world_base", "T_map_base")
+
+
+def kept_day(
+    building: Building, folder: Path, measured_with: dict[str, Any], rate_hz: float, units: Path | None = None
+) -> FirstDay:
+    """The first day that `folder` has of a building, or else one that is driven now, and is kept there.
+
+    `measured_with` is what its map depends on besides. Raises InputError where the folder has one of another kind.
+    """
+    records = KeptRecords(folder, measured_with)
+    told = records.of(building.name)
+    if told is None:
+        day = first_day(building, folder / building.name, rate_hz, units)
+        records.keep(building.name, _told(day, folder))
+        return day
+    poses = {name: np.array(told.pop(name)).reshape((-1, 4, 4) if name != "T_world_map" else (4, 4)) for name in _POSES}
+    return FirstDay(**{**told, "folder": folder / told["folder"], **poses})
+
+
+def _told(day: FirstDay, folder: Path) -> dict[str, Any]:
+    """What JSON knows of it; its map by where that lies in the folder, so that both may be moved."""
+    poses = {name: getattr(day, name).tolist() for name in _POSES}
+    numbers = {name: getattr(day, name) for name in ("ate_m", "way_m", "keyframes", "together")}
+    return {"name": day.name, "folder": str(day.folder.relative_to(folder)), **numbers, **poses}
