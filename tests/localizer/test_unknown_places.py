@@ -78,7 +78,7 @@ class Loops:
     """Stand in for LoopsBeside: asked so many times, they tie what is seen since to what was seen before."""
 
     times: int
-    is_joined: bool = True
+    is_laid: bool = True
     asked: list[int] = field(default_factory=list)
     has_new: bool = False
     is_waiting: bool = False
