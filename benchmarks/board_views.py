@@ -10,17 +10,27 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from wheelsight.camera_calibration.board import Board, board_from
+from wheelsight.camera_calibration.readings import reading_m
 from wheelsight.camera_calibration.views import Corners, View, ViewSet
+from wheelsight.depth_error import DepthError
 from wheelsight.geometry import BoolArray, Float32Array, FloatArray, PinholeCamera, se3, so3
 
 BOARD = board_from("8x5:60mm")  # on A2
 _PLATE_M = 0.09
 _SMALLEST_PX, _TRIES = 7.0, 2000
+
+
+class Readings(NamedTuple):
+    """Pixels (N, 2) of the depth image, and what it answers there, metres (N,)."""
+
+    px: FloatArray
+    metres: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +62,18 @@ class Rig:
     is_disparity: bool = False
     corner_sigma_px: float = 0.1
     has_infrared: bool = True
+
+    def readings_at(self, z: float, error: DepthError, margin: float, counts: tuple[int, int]) -> Readings:
+        """Of a wall at so many metres, without noise, as `error` takes them in, still to be corrected.
+
+        All over the depth image but a margin, a share of it; `counts` across and down.
+        """
+        u, v = (np.linspace(margin, 1 - margin, count) for count in counts)
+        px = np.stack([grid.ravel() for grid in np.meshgrid(u * self.depth.width, v * self.depth.height)], axis=-1)
+        seen = self.systematic(np.full(len(px), z), px)
+        if self.is_disparity:
+            seen = reading_m(error, 1090 - 8 * 586.0 * 0.075 / seen)
+        return Readings(px, seen)
 
 
 def kinect_v1(rng: np.random.Generator, *, is_disparity: bool = True) -> Rig:

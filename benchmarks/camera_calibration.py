@@ -22,7 +22,6 @@ from benchmarks.table import Sheet
 from wheelsight.camera_calibration.board import board_from
 from wheelsight.camera_calibration.calibrate import calibrate_camera
 from wheelsight.camera_calibration.folders import read_views
-from wheelsight.camera_calibration.readings import reading_m
 from wheelsight.camera_calibration.result import CameraCalibration
 from wheelsight.camera_calibration.settings import CameraCalibrationSettings, RefusalSettings
 from wheelsight.camera_calibration.task import CameraSetup
@@ -119,11 +118,7 @@ def _off(a: PinholeCamera, b: PinholeCamera, name: str) -> float:
 def depth_off_m(found: CameraCalibration, rig: Rig, z: float) -> FloatArray:
     """Corrected depth less the truth at so many metres, over the middle 80 % of the image (63,)."""
     assert found.depth is not None
-    u, v = np.meshgrid(np.linspace(0.1, 0.9, 9) * rig.depth.width, np.linspace(0.1, 0.9, 7) * rig.depth.height)
-    px = np.stack([u.ravel(), v.ravel()], axis=-1)
-    seen = rig.systematic(np.full(len(px), z), px)
-    if rig.is_disparity:
-        seen = reading_m(found.depth_error, 1090 - 8 * 586.0 * 0.075 / seen)
+    px, seen = rig.readings_at(z, found.depth_error, 0.1, (9, 7))
     return np.asarray(found.depth_error.of_readings(seen, px, found.depth) - z)
 
 

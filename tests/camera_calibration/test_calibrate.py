@@ -15,7 +15,6 @@ from wheelsight.calibration import Calibration
 from wheelsight.camera_calibration.board import board_from
 from wheelsight.camera_calibration.calibrate import calibrate_camera
 from wheelsight.camera_calibration.fields import camera_calibration, camera_fields, measured
-from wheelsight.camera_calibration.readings import reading_m
 from wheelsight.camera_calibration.result import CameraCalibration
 from wheelsight.camera_calibration.settings import CameraCalibrationSettings, RefusalSettings
 from wheelsight.camera_calibration.task import CameraSetup
@@ -48,11 +47,7 @@ def rig_of(name: str, seed: int, most_px: int = 320) -> tuple[Rig, ViewSet]:
 def depth_off_m(found: CameraCalibration, rig: Rig, z: float) -> float:
     """Mean corrected depth less the truth, over the image."""
     assert found.depth is not None
-    u, v = np.meshgrid(np.linspace(0.15, 0.85, 7) * rig.depth.width, np.linspace(0.15, 0.85, 5) * rig.depth.height)
-    px = np.stack([u.ravel(), v.ravel()], axis=-1)
-    seen = rig.systematic(np.full(len(px), z), px)
-    if rig.is_disparity:
-        seen = reading_m(found.depth_error, 1090 - 8 * 586.0 * 0.075 / seen)
+    px, seen = rig.readings_at(z, found.depth_error, 0.15, (7, 5))
     return float((found.depth_error.of_readings(seen, px, found.depth) - z).mean())
 
 
@@ -80,11 +75,7 @@ def points_off(rig: Rig, found: CameraCalibration, z: float) -> tuple[FloatArray
     """True points (N, 3) of the colour camera's frame, all over the image, and where readings of them are believed."""
     assert found.depth is not None
     assert found.T_color_depth is not None
-    u, v = np.meshgrid(np.linspace(0.1, 0.9, 9) * rig.depth.width, np.linspace(0.1, 0.9, 7) * rig.depth.height)
-    px = np.stack([u.ravel(), v.ravel()], axis=-1)
-    seen = rig.systematic(np.full(len(px), z), px)
-    if rig.is_disparity:
-        seen = reading_m(found.depth_error, 1090 - 8 * 586.0 * 0.075 / seen)
+    px, seen = rig.readings_at(z, found.depth_error, 0.1, (9, 7))
     believed_m = found.depth.back_project(px, found.depth_error.of_readings(seen, px, found.depth))
     true_m = rig.depth.back_project(px, np.full(len(px), z))
     return se3.apply(rig.T_color_depth, true_m), se3.apply(found.T_color_depth, believed_m)

@@ -354,9 +354,10 @@ class Navigator:
             return self._give_up(task, NavigationReason.BLOCKED, why)
         self._planning.drop()
         task.passes_hidden = stopped_by is not MonitorReason.NEVER_SEEN
-        b = self.settings.behaviours
-        behaviour = when_unseen(task.tries, b, was_backward=self._chain.was_backward)
-        task.recover(when_blocked(task.tries, b) if task.passes_hidden else behaviour, is_lost=False)
+        tries, b = task.tries, self.settings.behaviours
+        was_backward = self._chain.was_backward
+        behaviour = when_blocked(tries, b) if task.passes_hidden else when_unseen(tries, b, was_backward=was_backward)
+        task.recover(behaviour, is_lost=False)
         self._become(NavigationState.RECOVERING, f"{why}; {task.doing}")
         return STOP
 

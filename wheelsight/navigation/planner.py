@@ -144,14 +144,10 @@ class Planner:
         )
         if how == lattice.NOTHING_LEFT:
             last = nearest_heading(tree.pose[:count], goal.pose, drivable.rules.place_m)
-            goal = (
-                goal if last < 0 else beside(goal.pose, tree.pose[last, :3], "no way leads to the goal as it is asked")
-            )
-        if how == lattice.NOTHING_LEFT and last < 0:
-            detail = (
-                f"of {count} places and headings that can be reached none leads there: too narrow, or no room to turn"
-            )
-            return PlanFailure(PlanReason.UNREACHABLE, detail)
+            if last < 0:
+                none = f"of {count} places and headings that can be reached none leads there"
+                return PlanFailure(PlanReason.UNREACHABLE, f"{none}: too narrow, or no room to turn")
+            goal = beside(goal.pose, tree.pose[last, :3], "no way leads to the goal as it is asked")
         if how == lattice.TOO_MANY:
             return PlanFailure(PlanReason.GAVE_UP, f"after {count} places and headings")
         room = np.empty((1 << 16, 4))

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from wheelsight.calibration import Wheels
 from wheelsight.geometry import BoolArray, FloatArray, se3
-from wheelsight.odometry._robust_fit import UNKNOWN_SIGMA, RobustFit, RobustFitSettings, response, robust_fit, spread
-from wheelsight.odometry.camera_errors import with_error
+from wheelsight.odometry._robust_fit import UNKNOWN_SIGMA, RobustFitSettings, robust_fit, spread
 from wheelsight.odometry.extrinsics.settings import DEFAULTS, MountSettings
 from wheelsight.odometry.wheels.drive import Drive
+from wheelsight.odometry.wheels.reference_errors import covariance_by
 from wheelsight.odometry.wheels.segments import Segments, cut
 from wheelsight.trajectory import Trajectory
 
@@ -119,20 +119,9 @@ def fit_mount(
     )
     mount = problem.mount(found.values)
     covariance = _larger(found.covariance, found.if_independent) + np.diag(_LEAST_SIGMAS**2)
-    shifts = np.zeros((0, len(_BOUNDS))) if camera_errors is None else _shifts(problem, found, camera_errors, fit)
+    by_camera = covariance_by(problem, found, np.zeros((0, 3, 3)) if camera_errors is None else camera_errors, fit)
     explained = (segments, found.residuals, found.is_outlier)
-    return MountFit(mount, fitted, float(found.values[7]), covariance, shifts.T @ shifts, *explained)
-
-
-def _shifts(problem: _Problem, found: RobustFit, camera_errors: FloatArray, fit: RobustFitSettings) -> FloatArray:
-    """How far each error (K, 3, 3) of the camera's motions moves what is found, (K, 8)."""
-    motions = problem.segments.motions
-    moved = []
-    for error in camera_errors:
-        problem.segments = replace(problem.segments, motions=with_error(motions, error))
-        moved.append(problem.residuals(found.values) - found.residuals)
-    problem.segments = replace(problem.segments, motions=motions)
-    return response(problem, found, np.reshape(moved, (-1, *found.residuals.shape)), fit)
+    return MountFit(mount, fitted, float(found.values[7]), covariance, by_camera, *explained)
 
 
 def closed_form(base: FloatArray, level: FloatArray) -> FloatArray:

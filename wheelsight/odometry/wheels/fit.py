@@ -17,8 +17,7 @@ import numpy as np
 from wheelsight.calibration import Wheels
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry import BoolArray, FloatArray
-from wheelsight.odometry._robust_fit import UNKNOWN_SIGMA, RobustFit, response, robust_fit, spread
-from wheelsight.odometry.camera_errors import with_error
+from wheelsight.odometry._robust_fit import UNKNOWN_SIGMA, robust_fit, spread
 from wheelsight.odometry.wheels._observability import (
     chords_m,
     refuse_if_impossible,
@@ -26,6 +25,7 @@ from wheelsight.odometry.wheels._observability import (
     refuse_if_unobservable,
 )
 from wheelsight.odometry.wheels.drive import Drive
+from wheelsight.odometry.wheels.reference_errors import covariance_by
 from wheelsight.odometry.wheels.segments import Segments, cut
 from wheelsight.odometry.wheels.sureness import stated
 from wheelsight.trajectory import Trajectory
@@ -103,7 +103,7 @@ def fit_wheels(
     refuse_if_unlike(segments, found.residuals, drive, fitted.delay_s)
     refuse_if_unobservable(problem.sigmas(values, found.covariance), fitted, segments)
     refuse_if_impossible(wheels, fitted, LARGEST_DELAY_S)
-    covariance = found.covariance + (0 if camera_errors is None else problem.by_camera(found, camera_errors))
+    covariance = found.covariance + (0 if camera_errors is None else covariance_by(problem, found, camera_errors))
     sigmas, ratio_sigma = problem.sigmas(values, covariance), _ratio_sigma(fitted, covariance)
     known = stated(fitted, ratio_sigma, sigmas["track_width_m"] / fitted.track_width_m, _scale_sigma(covariance))
     explained = (found.residuals, found.weights, found.is_outlier)
@@ -161,16 +161,6 @@ class _Problem:
         """(M, 3) in metres, metres, radians."""
         robot = (self.sizes(values), self.delay_s(values), self.mount(values))
         return self.segments.residuals(self.segments.predicted(self.drive, *robot))
-
-    def by_camera(self, found: RobustFit, camera_errors: FloatArray) -> FloatArray:
-        """Covariance (P, P) of what the reference's own errors (K, 3, 3) make of the values found."""
-        motions, moved = self.segments.motions, []
-        for error in camera_errors:
-            self.segments = replace(self.segments, motions=with_error(motions, error))
-            moved.append(self.residuals(found.values) - found.residuals)
-        self.segments = replace(self.segments, motions=motions)
-        shifts = response(self, found, np.reshape(moved, (-1, *found.residuals.shape)))
-        return np.asarray(shifts.T @ shifts)
 
     def coarse(self) -> FloatArray:
         """Nominal sizes with the delay for which wheel angles best go along with the reference, linearly."""
