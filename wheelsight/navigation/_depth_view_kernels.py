@@ -39,12 +39,14 @@ class Shown(NamedTuple):
     Attributes:
         floor: (columns, bins) uint8, whether a bearing shows floor so far from the camera.
         cells: (n, n, 3) of things: pixels, sums of x and y in the base.
+        tops: (n, n, k) the k highest of a cell's pixels over the floor, the highest first.
         measured: (columns,) pixels with a depth.
         bin_m, cell_m: side of a bin and of a cell.
     """
 
     floor: Any
     cells: Any
+    tops: Any
     measured: Any
     bin_m: float
     cell_m: float
@@ -75,14 +77,18 @@ def look(depth_m: Any, rays: Rays, heights: Heights, shown: Shown) -> None:
             elif not (0 < h < heights.height_m):
                 continue
             if way_m <= heights.far_m:
-                _put(shown, rays.camera[0] + dx, rays.camera[1] + dy)
+                _put(shown, rays.camera[0] + dx, rays.camera[1] + dy, h)
 
 
 @kernel(error_model="numpy")
-def _put(shown: Shown, x: float, y: float) -> None:
+def _put(shown: Shown, x: float, y: float, height_m: float) -> None:
     side = shown.cells.shape[0]
     row, column = int(np.floor(y / shown.cell_m)) + side // 2, int(np.floor(x / shown.cell_m)) + side // 2
     if 0 <= row < side and 0 <= column < side:
         shown.cells[row, column, 0] += 1
         shown.cells[row, column, 1] += x
         shown.cells[row, column, 2] += y
+        top = height_m
+        for k in range(shown.tops.shape[2]):
+            if top > shown.tops[row, column, k]:
+                top, shown.tops[row, column, k] = shown.tops[row, column, k], top

@@ -18,7 +18,7 @@ class Memory(NamedTuple):
         seen_s: (n, n) when its floor was last seen to be free, or the robot was led over it; minus infinity: never.
         looked_s: (n, n) when a camera last saw its floor, or through the air over it; likewise.
         hit_s: (n, n) when a thing was last seen in it; minus infinity: none is there.
-        hits: (n, n, 4) where the thing is, how far from the camera it was, and the way driven until then, metres.
+        hits: (n, n, 4) where the thing is, how near to a camera it would show, and the way driven until then, metres.
         is_told: (n, n) 1 where somebody was told that no camera has looked there.
         cell_m: side of a cell.
     """
@@ -86,8 +86,8 @@ def look(memory: Memory, sight: Sight, x: float, y: float) -> None:
             if _is_seen(sight, x_m, y_m, cell / 2, sight.near_m):
                 memory.seen_s[a, b] = max(memory.seen_s[a, b], sight.stamp_s)
             if -np.inf < memory.hit_s[a, b] < sight.stamp_s:
-                # What showed from so near, or nearer than the floor does, would show again; a low thing might not.
-                near_m = min(sight.near_m, memory.hits[a, b, 2] - cell)
+                # A thing lower than the lowest ray is not seen through, however far the camera sees over it.
+                near_m = min(sight.near_m, memory.hits[a, b, 2])
                 if _is_seen(sight, memory.hits[a, b, 0], memory.hits[a, b, 1], cell, near_m):
                     memory.hit_s[a, b] = -np.inf
 
@@ -118,9 +118,9 @@ def _is_seen(sight: Sight, x: float, y: float, short_m: float, near_m: float) ->
 
 
 @kernel
-def keep(memory: Memory, points: FloatArray, stamp_s: float, middle: Any, camera: Any, way_m: float) -> None:
-    """Remember things at points (N, 2) in the plane, those within the window about a middle, as a camera there sees
-    them after so much way.
+def keep(memory: Memory, points: FloatArray, shows_m: FloatArray, stamp_s: float, middle: Any, way_m: float) -> None:
+    """Remember things at points (N, 2) in the plane, those within the window about a middle, after so much way; so near
+    to a camera (N,) they would show.
     """
     reach = (len(memory.seen_s) // 2 - 1) * memory.cell_m
     for k in range(len(points)):
@@ -129,7 +129,7 @@ def keep(memory: Memory, points: FloatArray, stamp_s: float, middle: Any, camera
             a, b = slot(memory, int(np.floor(x / memory.cell_m)), int(np.floor(y / memory.cell_m)))
             memory.hit_s[a, b] = stamp_s
             memory.hits[a, b, 0], memory.hits[a, b, 1] = x, y
-            memory.hits[a, b, 2], memory.hits[a, b, 3] = np.hypot(x - camera[0], y - camera[1]), way_m
+            memory.hits[a, b, 2], memory.hits[a, b, 3] = shows_m[k], way_m
 
 
 @kernel

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from wheelsight.calibration import Calibration
 from wheelsight.errors import MapError
-from wheelsight.geometry import Float32Array, FloatArray, IntArray
+from wheelsight.geometry import FloatArray, IntArray
 from wheelsight.mapping.mount import camera_over_floor
 from wheelsight.navigation import _depth_view_kernels as kernels
 from wheelsight.navigation.costmap_settings import LiveLayerSettings
@@ -68,19 +68,36 @@ class DepthViewer:
         side = 2 * int(np.ceil((far_m + np.hypot(*self._rays.camera[:2])) / s.cell_m) + 1)
         floor = np.zeros((s.columns, int(np.ceil(far_m / s.bin_m))), np.uint8)
         shown = kernels.Shown(
-            floor, np.zeros((side, side, 3), np.float32), np.zeros(s.columns, np.int64), s.bin_m, s.cell_m
+            floor,
+            np.zeros((side, side, 3), np.float32),
+            np.zeros((side, side, s.pixels), np.float32),
+            np.zeros(s.columns, np.int64),
+            s.bin_m,
+            s.cell_m,
         )
         kernels.look(depth, self._rays, self._heights, shown)
-        points = self._things(shown.cells)
+        points, tops_m = self._things(shown)
         seen_m = self._seen_m(shown, points)
         camera = float(self._rays.camera[0]), float(self._rays.camera[1])
-        return DepthView(stamp_s, points, camera, self._first_rad, self._step_rad, seen_m, self._near_m)
+        return DepthView(
+            stamp_s, points, camera, self._first_rad, self._step_rad, seen_m, self._near_m, self._shows_m(tops_m)
+        )
 
-    def _things(self, cells: Float32Array) -> FloatArray:
-        """(N, 2) in the base, one a cell; what lies within the outline is the robot itself."""
-        some = cells[cells[..., 0] >= self._settings.pixels].astype(float)
+    def _things(self, shown: kernels.Shown) -> tuple[FloatArray, FloatArray]:
+        """(N, 2) in the base, one a cell, and (N,) how high they are; what lies within the outline is the robot itself.
+
+        As high as so many pixels say as make a thing.
+        """
+        is_thing = shown.cells[..., 0] >= self._settings.pixels
+        some = shown.cells[is_thing].astype(float)
         points = some[:, 1:] / some[:, :1]
-        return np.asarray(points[~self._footprint.contains(points)])
+        is_other = ~self._footprint.contains(points)
+        return np.asarray(points[is_other]), np.asarray(shown.tops[is_thing][is_other, -1], float)
+
+    def _shows_m(self, tops_m: FloatArray) -> FloatArray:
+        """(N,) how near to the camera things so high show: nearer, they are below its lowest ray."""
+        height_m = float(self._rays.camera[2])
+        return np.asarray(self._near_m * np.maximum(1 - tops_m / height_m, 0.0))
 
     def _seen_m(self, shown: kernels.Shown, points: FloatArray) -> FloatArray:
         """(columns,) how far each sees: along floor without a long gap, or up to the nearest thing; 0 of nothing."""

@@ -33,6 +33,7 @@ class DepthView:
         step_rad: from one column to the next, counter-clockwise.
         seen_m: (B,) how far from the camera each column sees the floor, or through the air; 0 where it has no depth.
         near_m: nearer to the camera nothing of the floor is seen.
+        shows_m: (N,) how near to the camera each of the points would show; None: as near as it is.
     """
 
     stamp_s: float
@@ -42,6 +43,7 @@ class DepthView:
     step_rad: float
     seen_m: FloatArray
     near_m: float
+    shows_m: FloatArray | None = None
 
     @classmethod
     def of_points(
@@ -78,7 +80,9 @@ class DepthView:
         numbers = np.array([self.stamp_s, *self.camera, self.first_rad, self.step_rad, self.near_m], float)
         points, seen = np.asarray(self.points), np.asarray(self.seen_m)
         shapes = points.ndim == 2 and points.shape[1:] == (2,) and seen.ndim == 1 and len(seen) > 0
-        finite = np.isfinite(numbers).all() and np.isfinite(points).all() and np.isfinite(seen).all()
+        shows = np.zeros(len(points)) if self.shows_m is None else np.asarray(self.shows_m)
+        shapes &= shows.shape == points.shape[:1]
+        finite = all(np.isfinite(values).all() for values in (numbers, points, seen, shows))
         return bool(shapes and finite and self.step_rad > 0)
 
     @property
@@ -192,9 +196,16 @@ class Surroundings:
         near_far = (min(self._settings.air_m, view.near_m), view.near_m, float(seen_m.max()))
         sight = Sight(float(camera[0]), float(camera[1]), first_rad, view.step_rad, *near_far, seen_m, view.stamp_s)
         look(self._memory, sight, pose[0], pose[1])
-        keep(self._memory, points, view.stamp_s, (pose[0], pose[1]), (camera[0], camera[1]), self._way_m)
+        keep(self._memory, points, self._shows_m(view), view.stamp_s, (pose[0], pose[1]), self._way_m)
         self._newest, self._newest_s = points, view.stamp_s
         return True
+
+    def _shows_m(self, view: DepthView) -> FloatArray:
+        """(N,) how near to the camera its things would show again: where they did, and where they are high enough."""
+        away_m = np.hypot(*(np.asarray(view.points, float) - view.camera).T) - self._settings.cell_m
+        if view.shows_m is None:
+            return np.asarray(away_m)
+        return np.asarray(np.minimum(away_m, np.maximum(view.shows_m, self._settings.air_m)))
 
     def points_at(self, pose: Pose, now_s: float, reach_m: float) -> FloatArray:
         """(N, 2) things within reach in the frame of a pose: all of the newest frame, and what is remembered.
