@@ -78,6 +78,32 @@ def test_what_the_map_does_not_know_is_gone_round() -> None:
     assert not_none(subject.navigator.result).plans > 1
 
 
+def somebody_at(x_m: float, y_m: float) -> tuple:
+    """A square of 0.4 m."""
+    corners = [(x_m + dx, y_m + dy) for dx, dy in ((-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2))]
+    return tuple(zip(corners, corners[1:] + corners[:1], strict=True))
+
+
+@pytest.mark.parametrize("leaves", [True, False])
+def test_who_stands_where_it_is_to_go_is_waited_for_once(leaves: bool) -> None:
+    """If he leaves it goes there; if not, it has arrived beside, and says so."""
+    goal = (5.0, 3.0, 0.0)
+    subject = ride((*ROOM, *somebody_at(5.9, 3.0)), mapped=ROOM)
+    subject.navigator.go_to_pose(goal)
+    subject.go(60, until=lambda: subject.navigator.feedback.doing.startswith("wait until there is room"))
+    assert not subject.navigator.is_task_complete()
+    beside = subject.robot.base.pose.copy()
+    assert not is_near(beside, goal, off_m=0.05)
+    if leaves:
+        subject.robot.walls = Walls.of(*ROOM)
+    subject.go(60)
+    result = not_none(subject.navigator.result)
+    assert result.has_arrived
+    assert bool(result.goal_change) is not leaves
+    assert bool(is_near(subject.robot.base.pose, goal if leaves else beside.tolist(), off_m=0.05))
+    assert sum(transition.why.startswith("wait until there is room") for transition in result.transitions) == 1
+
+
 def test_behind_a_shut_door_it_says_that_no_way_leads_there() -> None:
     subject = ride(SHUT, mapped=SHUT, settings=HASTY)
     subject.navigator.go_to_pose(GOAL)

@@ -58,6 +58,11 @@ class Exploration:
         self.left = 1
         self.name = "explore"
 
+    @property
+    def is_waited_for(self) -> bool:
+        """See `Goals`: from beside a view shows as much."""
+        return False
+
     def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
         """See `Goals`: first once around, then the view that is worth most."""
         if self._turns > 0:

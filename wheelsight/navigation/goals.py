@@ -28,6 +28,10 @@ class Goals(Protocol):
     def left(self) -> int:
         """How many are left, as far as is known."""
 
+    @property
+    def is_waited_for(self) -> bool:
+        """Whether it is worth a while that the next may be reached itself, and not only from beside it."""
+
     def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
         """The poses (3,) that the next plan leads through, without a stop but at the last; none: all is done.
 
@@ -69,6 +73,11 @@ class Poses:
     def left(self) -> int:
         """See `Goals`."""
         return len(self._left)
+
+    @property
+    def is_waited_for(self) -> bool:
+        """See `Goals`: somebody asked for that very place."""
+        return True
 
     def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
         """See `Goals`."""
@@ -118,6 +127,11 @@ class Way:
     def left(self) -> int:
         """See `Goals`."""
         return len(self._left)
+
+    @property
+    def is_waited_for(self) -> bool:
+        """See `Goals`: somebody asked for that very place."""
+        return True
 
     def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
         """See `Goals`: all that was not passed yet."""

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.errors import WheelsightError
 from wheelsight.geometry import FloatArray
-from wheelsight.navigation.behaviours import when_blocked, when_lost, when_unseen
+from wheelsight.navigation.behaviours import Wait, when_blocked, when_lost, when_unseen
 from wheelsight.navigation.collision_monitor import MonitorReason, MonitorState
 from wheelsight.navigation.control_chain import ControlChain, controller_of
 from wheelsight.navigation.control_values import ControlReason, ControlResult
@@ -33,7 +33,7 @@ from wheelsight.navigation.navigator_values import (
     Transition,
 )
 from wheelsight.navigation.people import discs_of
-from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
+from wheelsight.navigation.plan_values import Plan, PlanFailure
 from wheelsight.navigation.planning import Planned, Planning
 from wheelsight.navigation.route_planner import to_go_m
 from wheelsight.navigation.senses import Senses
@@ -42,10 +42,7 @@ from wheelsight.navigation.workers import Worker
 from wheelsight.robots import Robot
 
 _STOPPING_S = 5.0
-# Nothing that passes by itself makes a plan possible.
-_FOR_GOOD = (PlanReason.INVALID, PlanReason.GOAL_OUTSIDE, PlanReason.STANDS)
-# Of one goal. So many are left out one after another before it is the robot that has to get out of something.
-_OF_GOAL = (PlanReason.GOAL_UNKNOWN, PlanReason.GOAL_OCCUPIED, PlanReason.UNREACHABLE, PlanReason.GAVE_UP)
+# So many goals are left out one after another before it is the robot that has to get out of something.
 _SKIPS = 2
 
 
@@ -258,10 +255,10 @@ class Navigator:
     def _without_plan(self, task: Task, failure: PlanFailure) -> VelocityCommand:
         """There may be one when somebody has gone, or more is seen; of a goal that may be left out there is another."""
         why = f"{failure.reason}: {failure.detail}"
-        if failure.reason in _OF_GOAL and task.goals.left > 1 and task.skips < _SKIPS and task.goals.missed():
+        if failure.reason.is_of_goal and task.goals.left > 1 and task.skips < _SKIPS and task.goals.missed():
             task.skips += 1
             return STOP
-        if failure.reason not in _FOR_GOOD and task.tries < self.settings.navigator.tries:
+        if not failure.reason.is_for_good and task.tries < self.settings.navigator.tries:
             return self._get_out(task, why)
         return self._give_up(task, NavigationReason.NO_PLAN, why)
 
@@ -323,12 +320,15 @@ class Navigator:
         return result.command
 
     def _reached(self, task: Task) -> VelocityCommand:
+        """Go on to the next goal; who stands on this one is waited for once."""
         self._planning.drop()
         if self._planning.is_busy:
             return STOP
-        task.goals.reached()
-        task.come_on()
-        task.goal_change = task.plan.goal_change if task.plan is not None else ""
+        if task.may_wait:
+            task.await_goal(Wait(self.settings.behaviours.wait_s, "wait until there is room at its goal"))
+            self._become(NavigationState.RECOVERING, task.doing)
+            return STOP
+        task.reached()
         self._become(NavigationState.PLANNING, "a goal is reached")
         return STOP
 

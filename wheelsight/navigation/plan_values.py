@@ -21,6 +21,21 @@ class PlanReason(StrEnum):
     UNREACHABLE = "no way leads to the goal"
     GAVE_UP = "no way was found within the bounds of the search"
 
+    @property
+    def is_for_good(self) -> bool:
+        """Whether nothing that passes by itself makes a plan possible."""
+        return self in (PlanReason.INVALID, PlanReason.GOAL_OUTSIDE, PlanReason.STANDS)
+
+    @property
+    def is_of_goal(self) -> bool:
+        """Whether another goal may have a plan."""
+        return self in (
+            PlanReason.GOAL_UNKNOWN,
+            PlanReason.GOAL_OCCUPIED,
+            PlanReason.UNREACHABLE,
+            PlanReason.GAVE_UP,
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class PlanFailure:

@@ -47,7 +47,7 @@ class Task:
         self.behaviour: Behaviour | None = None
         self.is_lost = False
         self.tries, self.skips, self.searches = 0, 0, 0
-        self.passes_hidden = False
+        self.passes_hidden = self._has_waited = False
         self.known_s = now_s
         self.transitions: list[Transition] = []
         self._begun_s = self._rolled_s = now_s
@@ -103,6 +103,24 @@ class Task:
         else:
             self.tries += 1
         self.come_on()
+
+    @property
+    def may_wait(self) -> bool:
+        """Whether somebody may yet make room where its goal is."""
+        is_changed = self.plan is not None and bool(self.plan.goal_change)
+        return is_changed and self.goals.is_waited_for and not self._has_waited
+
+    def await_goal(self, behaviour: Behaviour) -> None:
+        """Wait for that, once a goal."""
+        self.recover(behaviour, is_lost=False)
+        self._has_waited = True
+
+    def reached(self) -> None:
+        """The goal of the plan; what was to be told of it is kept."""
+        self.goals.reached()
+        self.come_on()
+        self.goal_change = self.plan.goal_change if self.plan is not None else ""
+        self._has_waited = False
 
     def held_for_s(self, now_s: float, is_held: bool) -> float:
         """For how long it has been held; 0 where it is not."""
