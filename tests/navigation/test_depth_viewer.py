@@ -63,3 +63,15 @@ def test_as_high_as_its_pixels_say_and_not_as_a_single_one() -> None:
     assert low is not None
     assert flying is not None
     np.testing.assert_array_equal(flying, low)
+
+
+def test_a_cell_that_a_tall_thing_grazes_is_as_tall() -> None:
+    """Three low pixels of it lie in the cell before."""
+    viewer = DepthViewer(CALIBRATION, CHAIR)
+    depth = depth_of([box(2.5, 1.3)])
+    rows, ahead = np.flatnonzero(np.abs(depth[:, 80] - 2.5) < 1e-3), depth.copy()
+    ahead[rows[-20:-17], 80] = 2.46
+    grazed, plain = viewer.view(ahead, 1.0), viewer.view(depth, 1.0)
+    assert grazed.shows_m is not None
+    assert len(grazed.points) == len(plain.points) + 1
+    assert (grazed.shows_m < MonitorSettings().air_m).all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -86,13 +87,15 @@ class DepthViewer:
     def _things(self, shown: kernels.Shown) -> tuple[FloatArray, FloatArray]:
         """(N, 2) in the base, one a cell, and (N,) how high they are; what lies within the outline is the robot itself.
 
-        As high as so many pixels say as make a thing.
+        As high as so many pixels say as make a thing, of a cell or of one beside it: where a surface grazes a cell,
+        hardly more show in it.
         """
         is_thing = shown.cells[..., 0] >= self._settings.pixels
         some = shown.cells[is_thing].astype(float)
         points = some[:, 1:] / some[:, :1]
         is_other = ~self._footprint.contains(points)
-        return np.asarray(points[is_other]), np.asarray(shown.tops[is_thing][is_other, -1], float)
+        tops_m = cv2.dilate(np.ascontiguousarray(shown.tops[..., -1]), np.ones((3, 3), np.uint8))
+        return np.asarray(points[is_other]), np.asarray(tops_m[is_thing][is_other], float)
 
     def _shows_m(self, tops_m: FloatArray) -> FloatArray:
         """(N,) how near to the camera things so high show: nearer, they are below its lowest ray."""
