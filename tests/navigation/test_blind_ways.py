@@ -144,3 +144,27 @@ def test_plans_and_controllers_keep_away_from_what_neither_map_nor_camera_knows(
     assert state_at(*ahead) == state_at(*far) == CellState.UNKNOWN
     senses.avoids_hidden = False
     assert state_at(*beside) == CellState.UNKNOWN
+
+
+def test_plans_and_controllers_keep_away_from_what_the_monitor_remembers() -> None:
+    """Somebody stands before it, it turns away, and what its own layer knew is wiped, as of people who walk."""
+    somebody = (((4.1, 2.9), (4.1, 3.1)), ((4.3, 2.9), (4.3, 3.1)), ((4.1, 2.9), (4.3, 2.9)), ((4.1, 3.1), (4.3, 3.1)))
+    floor = KnownFloor(Walls.of(((7.99, 0.0), (7.99, 6.0))).grid(8.0, 6.0))
+    robot = RoomRobot(Walls.of(*somebody), (3.0, 3.0, 0.0))
+    monitor = CollisionMonitor(CHAIR)
+    monitor.trust_floor(2.0)
+    senses = Senses(CALIBRATION, Told(robot), floor, monitor, CHAIR, NavigationSettings())
+    while robot.base.pose[2] < 1.2:
+        senses.hear(robot.step(VelocityCommand(0.0, 0.5 if robot.now_s > 1.0 else 0.0)), robot.now_s)
+
+    def is_there() -> bool:
+        local = senses.local()
+        assert local is not None
+        row, column = local.cells_at((4.1, 3.0))
+        return bool((local.state[row - 1 : row + 2, column - 1 : column + 2] == CellState.OCCUPIED).any())
+
+    assert is_there()
+    senses.clear()
+    for avoids_hidden in (True, False):
+        senses.avoids_hidden = avoids_hidden
+        assert is_there()

@@ -144,6 +144,10 @@ class CollisionMonitor:
         """
         return self._surroundings.hidden_about(reach_m, deep_m)
 
+    def remembered(self, reach_m: float) -> FloatArray:
+        """(N, 2) in the base: things within reach that it stops before, though the newest frame does not show them."""
+        return self._surroundings.out_of_sight(reach_m)
+
     def check(self, asked: VelocityCommand, now_s: float, status: Status) -> MonitorResult:
         """What becomes of a command; called once a period, also where it is a stop.
 

@@ -184,25 +184,29 @@ class Senses:
 
     def costmap_of(self, *, avoids_hidden: bool) -> Callable[[], Costmap]:
         """What makes a costmap of all the building, as it is known now, in whichever thread."""
-        obstacles = self._obstacles() if avoids_hidden else self._live.obstacles()
+        obstacles = self._obstacles(avoids_hidden=avoids_hidden)
         of = self._floor.layer, self._footprint, self._settings.costmap, obstacles, self.where.T_map_odom
         return lambda: Costmap.of(*of)
 
-    def _obstacles(self) -> LiveObstacles:
-        """What the camera met, and floor that the robot would sweep unseen."""
+    def _obstacles(self, *, avoids_hidden: bool) -> LiveObstacles:
+        """What the camera met, and what the monitor refuses besides: things out of sight, floor never looked at."""
         live, pose = self._live.obstacles(), self.where.odom_pose
         if pose is None:
             return live
-        s, free = self._settings.navigator, self._hidden(pose, self._settings.navigator.hidden_known_m, CellState.FREE)
+        s, T_odom_base = self._settings.navigator, se2.from_parts(*pose)
+        things = self._monitor.remembered(self._footprint.circumscribed_m + s.hidden_m)
+        refused = [things @ T_odom_base[:2, :2].T + T_odom_base[:2, 2]]
+        if avoids_hidden:
+            refused.append(self._hidden(T_odom_base, s.hidden_known_m, CellState.FREE))
         # Where unknown floor is forbidden, all of it is an obstacle already.
-        if self._settings.costmap.unknown == "forbidden":
-            return live.with_points(free)
-        return live.with_points(np.concatenate([free, self._hidden(pose, s.hidden_deep_m, CellState.UNKNOWN)]))
+        if avoids_hidden and self._settings.costmap.unknown != "forbidden":
+            refused.append(self._hidden(T_odom_base, s.hidden_deep_m, CellState.UNKNOWN))
+        return live.with_points(np.concatenate(refused))
 
-    def _hidden(self, odom_pose: FloatArray, deep_m: float, state: CellState) -> FloatArray:
+    def _hidden(self, T_odom_base: FloatArray, deep_m: float, state: CellState) -> FloatArray:
         """(N, 2) in `odom`, floor so deep in what no camera has looked at, of which the map has that state."""
         hidden = self._monitor.hidden(self._footprint.circumscribed_m + self._settings.navigator.hidden_m, deep_m)
-        T_odom_base, T_map_odom = se2.from_parts(*odom_pose), se2.from_parts(*self.where.T_map_odom)
+        T_map_odom = se2.from_parts(*self.where.T_map_odom)
         points = hidden @ T_odom_base[:2, :2].T + T_odom_base[:2, 2]
         found = self._floor.layer.state_at(points @ T_map_odom[:2, :2].T + T_map_odom[:2, 2])
         return np.asarray(points[found == state])
@@ -220,7 +224,7 @@ class Senses:
         made = _Made(stamp_s, self.avoids_hidden, self._floor.revision, (x, y), tuple(T_map_odom.tolist()))
         if self._local is None or self._local[0] != made:
             window = layer.window((x * side_m / 4, y * side_m / 4), 1.5 * side_m)
-            live = self._obstacles() if self.avoids_hidden else self._live.obstacles()
+            live = self._obstacles(avoids_hidden=self.avoids_hidden)
             costmap = Costmap.of(window, self._footprint, self._settings.costmap, live, T_map_odom)
             self._local = (
                 made,

@@ -213,15 +213,27 @@ class Surroundings:
         That is by the way driven since, which wheels err by, and hardly by time: beside a robot that stays where it is
         a thing stays, too. Where the robot has come to stand since there is none.
         """
-        s, out = self._settings, np.empty((_MOST_POINTS, 3))
-        since = (now_s - s.remember_s, self._way_m - s.remember_m)
-        old = out[: remembered(self._memory, pose, since, reach_m, out)]
-        within = all_outside_m(self._outline.sides, np.ascontiguousarray(old[:, :2])) < -s.inside_m
-        old = old[~(within & (old[:, 2] < now_s - s.fresh_s))]
+        old = self._remembered(pose, now_s, reach_m)
         apart = self._newest - np.array(pose[:2])
         apart = apart[np.hypot(*apart.T) < reach_m]
         R = np.array([[pose[2], -pose[3]], [pose[3], pose[2]]])
         return np.ascontiguousarray(np.concatenate([apart @ R, old[:, :2]]))
+
+    def out_of_sight(self, reach_m: float) -> FloatArray:
+        """(N, 2) in the base as it is now: things within reach that are remembered, and that the newest frame lacks."""
+        if not self._readings:
+            return np.empty((0, 2))
+        last = self._readings[-1]
+        old = self._remembered(last.pose, last.stamp_s, reach_m)
+        return np.asarray(old[old[:, 2] < self._newest_s, :2])
+
+    def _remembered(self, pose: Pose, now_s: float, reach_m: float) -> FloatArray:
+        """(N, 3) x and y in the frame of a pose, and when it was seen."""
+        s, out = self._settings, np.empty((_MOST_POINTS, 3))
+        since = (now_s - s.remember_s, self._way_m - s.remember_m)
+        old = out[: remembered(self._memory, pose, since, reach_m, out)]
+        within = all_outside_m(self._outline.sides, np.ascontiguousarray(old[:, :2])) < -s.inside_m
+        return np.asarray(old[~(within & (old[:, 2] < now_s - s.fresh_s))])
 
     def hidden_about(self, reach_m: float, deep_m: float) -> FloatArray:
         """(N, 2) in the base as it is now: middles of cells that are so deep in floor never looked at.
