@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from wheelsight.calibration import Calibration
 from wheelsight.errors import MapError
-from wheelsight.geometry import Float32Array, FloatArray, IntArray
+from wheelsight.geometry import BoolArray, Float32Array, FloatArray, IntArray
 from wheelsight.mapping.mount import camera_over_floor
 from wheelsight.navigation import _depth_view_kernels as kernels
 from wheelsight.navigation.costmap_settings import LiveLayerSettings
@@ -71,26 +71,26 @@ class DepthViewer:
             floor, np.zeros((side, side, 3), np.float32), np.zeros(s.columns, np.int64), s.bin_m, s.cell_m
         )
         kernels.look(depth, self._rays, self._heights, shown)
-        points = self._things(shown.cells)
-        seen_m = self._seen_m(shown, points)
+        is_thing, points = self._things(shown.cells)
+        thing_m = np.full(s.columns, np.inf)
+        kernels.reach(depth, self._rays, self._heights, shown, is_thing, thing_m)
+        seen_m = self._seen_m(shown, thing_m)
         camera = float(self._rays.camera[0]), float(self._rays.camera[1])
         return DepthView(stamp_s, points, camera, self._first_rad, self._step_rad, seen_m, self._near_m)
 
-    def _things(self, cells: Float32Array) -> FloatArray:
-        """(N, 2) in the base, one a cell; what lies within the outline is the robot itself."""
-        some = cells[cells[..., 0] >= self._settings.pixels].astype(float)
+    def _things(self, cells: Float32Array) -> tuple[BoolArray, FloatArray]:
+        """(n, n) which cells hold one, and where, (N, 2) in the base; what lies within the outline is the robot."""
+        is_thing = cells[..., 0] >= self._settings.pixels
+        some = cells[is_thing].astype(float)
         points = some[:, 1:] / some[:, :1]
-        return np.asarray(points[~self._footprint.contains(points)])
+        is_other = ~self._footprint.contains(points)
+        is_thing[is_thing] = is_other
+        return is_thing, np.asarray(points[is_other])
 
-    def _seen_m(self, shown: kernels.Shown, points: FloatArray) -> FloatArray:
+    def _seen_m(self, shown: kernels.Shown, thing_m: FloatArray) -> FloatArray:
         """(columns,) how far each sees: along floor without a long gap, or up to the nearest thing; 0 of nothing."""
         s, far_m = self._settings, self._heights.far_m
         floor_m = _floor_until_m(shown.floor, s.gap_m, s.bin_m, self._near_m)
-        apart = points - self._rays.camera[:2]
-        column = np.floor((np.arctan2(apart[:, 1], apart[:, 0]) - self._first_rad) / self._step_rad).astype(int)
-        inside = (column >= 0) & (column < s.columns)
-        thing_m = np.full(s.columns, np.inf)
-        np.minimum.at(thing_m, column[inside], np.hypot(*apart[inside].T))
         # Up to a thing that stands on the last floor seen, or nearer than any floor is.
         reached = thing_m <= np.maximum(floor_m, self._near_m) + s.gap_m
         seen_m = np.where(reached, thing_m, np.minimum(floor_m, far_m))

@@ -6,11 +6,13 @@ import math
 
 import numpy as np
 
+from wheelsight.estimates import Status
 from wheelsight.geometry import FloatArray
-from wheelsight.navigation.behaviours import Behaviour
+from wheelsight.navigation.behaviours import Behaviour, when_lost
+from wheelsight.navigation.collision_monitor import MonitorReason
 from wheelsight.navigation.goals import Goals
 from wheelsight.navigation.localization import WhereNow
-from wheelsight.navigation.navigator_settings import NavigatorSettings
+from wheelsight.navigation.navigator_settings import BehaviourSettings, NavigatorSettings
 from wheelsight.navigation.navigator_values import NavigationReason, NavigationResult, Transition
 from wheelsight.navigation.plan_values import Plan
 
@@ -103,6 +105,10 @@ class Task:
         else:
             self.tries += 1
         self.come_on()
+
+    def search(self, settings: BehaviourSettings, status: Status, held_by: MonitorReason | None) -> None:
+        """Do something to find out where it is; told what the localization says, and what the monitor holds it for."""
+        self.recover(when_lost(self.searches, settings, status, held_by), is_lost=True)
 
     def held_for_s(self, now_s: float, is_held: bool) -> float:
         """For how long it has been held; 0 where it is not."""
