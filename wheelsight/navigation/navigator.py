@@ -375,7 +375,7 @@ class Navigator:
 
     def _look_about(self, task: Task, why: str) -> VelocityCommand:
         self._planning.drop()
-        task.search(self.settings.behaviours, self._senses.where.status, self._chain.checked.reason)
+        task.search(self.settings.behaviours, self._senses.where.status, self._chain.checked)
         self._become(NavigationState.RECOVERING, f"{why}; {task.doing}")
         return STOP
 

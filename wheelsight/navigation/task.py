@@ -9,7 +9,7 @@ import numpy as np
 from wheelsight.estimates import Status
 from wheelsight.geometry import FloatArray
 from wheelsight.navigation.behaviours import Behaviour, when_lost
-from wheelsight.navigation.collision_monitor import MonitorReason
+from wheelsight.navigation.collision_monitor import MonitorResult
 from wheelsight.navigation.goals import Goals
 from wheelsight.navigation.localization import WhereNow
 from wheelsight.navigation.navigator_settings import BehaviourSettings, NavigatorSettings
@@ -106,9 +106,9 @@ class Task:
             self.tries += 1
         self.come_on()
 
-    def search(self, settings: BehaviourSettings, status: Status, held_by: MonitorReason | None) -> None:
-        """Do something to find out where it is; told what the localization says, and what the monitor holds it for."""
-        self.recover(when_lost(self.searches, settings, status, held_by), is_lost=True)
+    def search(self, settings: BehaviourSettings, status: Status, checked: MonitorResult) -> None:
+        """Do something to find out where it is; see `when_lost`."""
+        self.recover(when_lost(self.searches, settings, status, checked), is_lost=True)
 
     def held_for_s(self, now_s: float, is_held: bool) -> float:
         """For how long it has been held; 0 where it is not."""
