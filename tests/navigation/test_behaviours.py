@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wheelsight.commands import VelocityCommand
+from wheelsight.commands import STOP, VelocityCommand
+from wheelsight.estimates import Status
 from wheelsight.navigation import Behaviour, BehaviourSettings, Straight, Turn, Wait
 from wheelsight.navigation.behaviours import when_blocked, when_lost
+from wheelsight.navigation.collision_monitor import MonitorReason, MonitorResult, MonitorState
 
 PERIOD_S = 0.05
+FREE = MonitorResult(STOP, MonitorState.FREE)
 
 
 def done_by(behaviour: Behaviour, obeys: float = 1.0, longest_s: float = 60.0) -> tuple[np.ndarray, float]:
@@ -68,4 +71,29 @@ def test_without_a_pose_nothing_is_driven() -> None:
 def test_the_gentlest_first() -> None:
     settings = BehaviourSettings()
     assert [when_blocked(n, settings).name for n in range(4)] == ["wait", "look about", "back up", "wait"]
-    assert [type(when_lost(n, settings)) for n in range(4)] == [Wait, Turn, Turn, Turn]
+    assert [type(when_lost(n, settings, Status.LOST, FREE)) for n in range(4)] == [Wait, Turn, Turn, Turn]
+
+
+@pytest.mark.parametrize("status", [Status.LOST, Status.INITIALIZING])
+def test_a_search_turns_to_one_side_and_then_to_the_other(status: Status) -> None:
+    searches = (when_lost(n, BehaviourSettings(), status, FREE) for n in range(5))
+    turns = [np.sign(one.angles_rad[0]) for one in searches if isinstance(one, Turn)]
+    assert turns[:4] == [1, -1, 1, -1]
+
+
+def test_who_begins_in_a_map_does_not_stand_first() -> None:
+    assert isinstance(when_lost(0, BehaviourSettings(), Status.INITIALIZING, FREE), Turn)
+
+
+@pytest.mark.parametrize(
+    ("reason", "ways"),
+    [
+        (MonitorReason.NO_FRAME, [Turn, Straight, Straight, Straight]),
+        (MonitorReason.OBSTACLE, [Turn, Turn, Straight, Turn]),
+    ],
+)
+def test_who_may_not_turn_backs_up_and_does_not_begin_with_it(reason: MonitorReason, ways: list[type]) -> None:
+    held = MonitorResult(STOP, MonitorState.STOPPED, reason)
+    found = [when_lost(n, BehaviourSettings(), Status.INITIALIZING, held) for n in range(4)]
+    assert [type(one) for one in found] == ways
+    assert all(one.way_m < 0 for one in found if isinstance(one, Straight))

@@ -44,6 +44,8 @@ HASTY = NavigationSettings(
     behaviours=BehaviourSettings(wait_s=0.5, look_rad=0.2, search_rad=0.3),
 )
 
+QUICK_TO_LOOK = NavigationSettings(behaviours=BehaviourSettings(refused_s=0.5))
+
 
 def ride(walls: tuple = ROOM, mapped: tuple | None = None, settings: NavigationSettings | None = None) -> Ride:
     known = None if mapped is None else Walls.of(*mapped)
@@ -248,6 +250,16 @@ def test_not_yet_in_the_map_it_turns_to_look() -> None:
     subject.told.says = lambda estimate: estimate
     subject.go(60)
     assert not_none(subject.navigator.result).has_arrived
+
+
+def test_begun_before_a_wall_that_leaves_no_room_to_turn_it_backs_up_to_look() -> None:
+    face_m = BESIDE[0] + 0.9
+    subject = ride((*ROOM, ((face_m, 2.0), (face_m, 4.0))), settings=QUICK_TO_LOOK)
+    subject.told.says = lambda estimate: replace(estimate, status=Status.INITIALIZING)
+    subject.navigator.go_to_pose(BESIDE[:2])
+    subject.go(15, until=lambda: abs(subject.robot.base.pose[2]) > 1.0)
+    assert abs(subject.robot.base.pose[2]) > 1.0
+    assert subject.clearance_m > 0.04
 
 
 def test_wheels_that_do_something_else_end_it() -> None:

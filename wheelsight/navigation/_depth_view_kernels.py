@@ -8,6 +8,8 @@ import numpy as np
 
 from wheelsight.compiled import kernel
 
+_NEITHER, _FLOOR, _THING = 0, 1, 2
+
 
 class Rays(NamedTuple):
     """Of each pixel (h, w): where a point at depth 1 lies from the camera along the base's axes, and its bearing.
@@ -63,32 +65,67 @@ def look(depth_m: Any, rays: Rays, heights: Heights, shown: Shown) -> None:
             if column < 0 or not (z > 0 and z < np.inf):
                 continue
             shown.measured[column] += 1
-            dx, dy, dz = z * rays.ways[v, u, 0], z * rays.ways[v, u, 1], z * rays.ways[v, u, 2]
-            h, way_m = rays.camera[2] + dz, np.hypot(dx, dy)
-            tilt_m = heights.tilt_rad * way_m
-            if h < -heights.drop_m - tilt_m and rays.camera[2] > 0:
-                share = rays.camera[2] / (rays.camera[2] - h)
-                dx, dy, way_m = share * dx, share * dy, share * way_m
-            elif abs(h) <= heights.floor_m + tilt_m:
+            what, dx, dy, way_m = _met(z, rays.ways[v, u], rays.camera[2], heights)
+            if what == _FLOOR:
                 at = int(way_m / shown.bin_m)
                 if at < bins:
                     shown.floor[column, at] = 1
-                continue
-            elif not (0 < h < heights.height_m):
-                continue
-            if way_m <= heights.far_m:
-                _put(shown, rays.camera[0] + dx, rays.camera[1] + dy, h)
+            elif what == _THING:
+                row, place = _cell(shown, rays.camera[0] + dx, rays.camera[1] + dy)
+                if row >= 0:
+                    shown.cells[row, place, 0] += 1
+                    shown.cells[row, place, 1] += rays.camera[0] + dx
+                    shown.cells[row, place, 2] += rays.camera[1] + dy
+                    _keep_highest(shown.tops[row, place], rays.camera[2] + z * rays.ways[v, u, 2])
 
 
 @kernel(error_model="numpy")
-def _put(shown: Shown, x: float, y: float, height_m: float) -> None:
+def _keep_highest(tops: Any, height_m: float) -> None:
+    """Of a cell's pixels (k,), the highest first."""
+    for k in range(len(tops)):
+        if height_m > tops[k]:
+            height_m, tops[k] = tops[k], height_m
+
+
+@kernel(error_model="numpy")
+def reach(depth_m: Any, rays: Rays, heights: Heights, shown: Shown, is_thing: Any, nearest_m: Any) -> None:
+    """How far from the camera each bearing meets its nearest thing, into (columns,), of cells (n, n) that hold one.
+
+    By pixels: a cell close by spans several bearings.
+    """
+    rows, columns = depth_m.shape
+    for v in range(rows):
+        for u in range(columns):
+            z, column = depth_m[v, u], rays.columns[v, u]
+            if column < 0 or not (z > 0 and z < np.inf):
+                continue
+            what, dx, dy, way_m = _met(z, rays.ways[v, u], rays.camera[2], heights)
+            if what == _THING and way_m < nearest_m[column]:
+                row, place = _cell(shown, rays.camera[0] + dx, rays.camera[1] + dy)
+                if row >= 0 and is_thing[row, place]:
+                    nearest_m[column] = way_m
+
+
+@kernel(error_model="numpy")
+def _met(z: float, way: Any, camera_m: float, heights: Heights) -> Any:
+    """What a pixel at depth `z` shows, seen from so far over the floor, and where: along x, along y, and how far."""
+    dx, dy, dz = z * way[0], z * way[1], z * way[2]
+    h, way_m = camera_m + dz, np.sqrt(dx * dx + dy * dy)
+    tilt_m = heights.tilt_rad * way_m
+    what = _NEITHER
+    if h < -heights.drop_m - tilt_m and camera_m > 0:
+        share = camera_m / (camera_m - h)
+        what, dx, dy, way_m = _THING, share * dx, share * dy, share * way_m
+    elif abs(h) <= heights.floor_m + tilt_m:
+        return _FLOOR, dx, dy, way_m
+    elif 0 < h < heights.height_m:
+        what = _THING
+    return (what if way_m <= heights.far_m else _NEITHER), dx, dy, way_m
+
+
+@kernel(error_model="numpy")
+def _cell(shown: Shown, x: float, y: float) -> Any:
+    """Row and column of the cell at a point of the base; -1 beyond them."""
     side = shown.cells.shape[0]
     row, column = int(np.floor(y / shown.cell_m)) + side // 2, int(np.floor(x / shown.cell_m)) + side // 2
-    if 0 <= row < side and 0 <= column < side:
-        shown.cells[row, column, 0] += 1
-        shown.cells[row, column, 1] += x
-        shown.cells[row, column, 2] += y
-        top = height_m
-        for k in range(shown.tops.shape[2]):
-            if top > shown.tops[row, column, k]:
-                top, shown.tops[row, column, k] = shown.tops[row, column, k], top
+    return (row, column) if 0 <= row < side and 0 <= column < side else (-1, -1)

@@ -9,8 +9,10 @@ from typing import Protocol
 import numpy as np
 
 from wheelsight.commands import STOP, VelocityCommand
+from wheelsight.estimates import Status
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry.se2 import wrap_angle
+from wheelsight.navigation.collision_monitor import MonitorReason, MonitorResult, MonitorState
 from wheelsight.navigation.navigator_settings import BehaviourSettings
 
 # Less than these is no way made, radians and metres.
@@ -144,13 +146,24 @@ def _look(settings: BehaviourSettings) -> Turn:
     return Turn((s.look_rad, -2 * s.look_rad, s.look_rad), s.turn_rad_s, s.refused_s)
 
 
-def when_lost(attempt: int, settings: BehaviourSettings) -> Behaviour:
+def when_lost(attempt: int, settings: BehaviourSettings, status: Status, checked: MonitorResult) -> Behaviour:
     """What to do to find a place that is known: stand, then turn once around to one side, then to the other.
 
-    Nothing else: floor ahead of a robot that was just begun is trusted, not seen; a bed's frame was driven into there.
+    Who begins in a map does not stand first: by one view no place is taken, however long it is looked at. Who may turn
+    to neither side, or shows its camera nothing, goes back from what is too near. Nothing else: floor ahead of a robot
+    that was just begun is trusted, not seen; a bed's frame was driven into there.
+
+    Args:
+        attempt: 0 at first.
+        settings: of all behaviours.
+        status: of the localization.
+        checked: what the collision monitor made of the last command.
     """
-    s = settings
-    if attempt == 0:
+    s, begins = settings, status is Status.INITIALIZING
+    if attempt == 0 and not begins:
         return Wait(s.wait_s / 2, "wait to see where it is")
-    sign = 1.0 if attempt % 2 else -1.0
+    is_held = checked.state is MonitorState.STOPPED
+    if is_held and (attempt % 3 == 2 or (attempt > 0 and checked.reason is MonitorReason.NO_FRAME)):
+        return Straight(-s.back_m, s.back_m_s, s.refused_s, "back up, to see where it is")
+    sign = 1.0 if (attempt + begins) % 2 else -1.0
     return Turn((sign * s.search_rad,), s.turn_rad_s, s.refused_s, "look for a known place")

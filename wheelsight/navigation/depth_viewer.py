@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from wheelsight.calibration import Calibration
 from wheelsight.errors import MapError
-from wheelsight.geometry import FloatArray, IntArray
+from wheelsight.geometry import BoolArray, FloatArray, IntArray
 from wheelsight.mapping.mount import camera_over_floor
 from wheelsight.navigation import _depth_view_kernels as kernels
 from wheelsight.navigation.costmap_settings import LiveLayerSettings
@@ -77,15 +77,17 @@ class DepthViewer:
             s.cell_m,
         )
         kernels.look(depth, self._rays, self._heights, shown)
-        points, tops_m = self._things(shown)
-        seen_m = self._seen_m(shown, points)
+        is_thing, points, tops_m = self._things(shown)
+        thing_m = np.full(s.columns, np.inf)
+        kernels.reach(depth, self._rays, self._heights, shown, is_thing, thing_m)
+        seen_m = self._seen_m(shown, thing_m)
         camera = float(self._rays.camera[0]), float(self._rays.camera[1])
         return DepthView(
             stamp_s, points, camera, self._first_rad, self._step_rad, seen_m, self._near_m, self._shows_m(tops_m)
         )
 
-    def _things(self, shown: kernels.Shown) -> tuple[FloatArray, FloatArray]:
-        """(N, 2) in the base, one a cell, and (N,) how high they are; what lies within the outline is the robot itself.
+    def _things(self, shown: kernels.Shown) -> tuple[BoolArray, FloatArray, FloatArray]:
+        """(n, n) which cells hold one, and where, (N, 2) in the base, and (N,) how high; not the robot itself.
 
         As high as so many pixels say as make a thing, of a cell or of one beside it: where a surface grazes a cell,
         hardly more show in it.
@@ -93,24 +95,19 @@ class DepthViewer:
         is_thing = shown.cells[..., 0] >= self._settings.pixels
         some = shown.cells[is_thing].astype(float)
         points = some[:, 1:] / some[:, :1]
-        is_other = ~self._footprint.contains(points)
+        is_thing[is_thing] = is_other = ~self._footprint.contains(points)
         tops_m = cv2.dilate(np.ascontiguousarray(shown.tops[..., -1]), np.ones((3, 3), np.uint8))
-        return np.asarray(points[is_other]), np.asarray(tops_m[is_thing][is_other], float)
+        return is_thing, np.asarray(points[is_other]), np.asarray(tops_m[is_thing], float)
 
     def _shows_m(self, tops_m: FloatArray) -> FloatArray:
         """(N,) how near to the camera things so high show: nearer, they are below its lowest ray."""
         height_m = float(self._rays.camera[2])
         return np.asarray(self._near_m * np.maximum(1 - tops_m / height_m, 0.0))
 
-    def _seen_m(self, shown: kernels.Shown, points: FloatArray) -> FloatArray:
+    def _seen_m(self, shown: kernels.Shown, thing_m: FloatArray) -> FloatArray:
         """(columns,) how far each sees: along floor without a long gap, or up to the nearest thing; 0 of nothing."""
         s, far_m = self._settings, self._heights.far_m
         floor_m = _floor_until_m(shown.floor, s.gap_m, s.bin_m, self._near_m)
-        apart = points - self._rays.camera[:2]
-        column = np.floor((np.arctan2(apart[:, 1], apart[:, 0]) - self._first_rad) / self._step_rad).astype(int)
-        inside = (column >= 0) & (column < s.columns)
-        thing_m = np.full(s.columns, np.inf)
-        np.minimum.at(thing_m, column[inside], np.hypot(*apart[inside].T))
         # Up to a thing that stands on the last floor seen, or nearer than any floor is.
         reached = thing_m <= np.maximum(floor_m, self._near_m) + s.gap_m
         seen_m = np.where(reached, thing_m, np.minimum(floor_m, far_m))

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.errors import WheelsightError
 from wheelsight.geometry import FloatArray
-from wheelsight.navigation.behaviours import Wait, when_blocked, when_lost, when_unseen
+from wheelsight.navigation.behaviours import Wait, when_blocked, when_unseen
 from wheelsight.navigation.collision_monitor import MonitorReason, MonitorState
 from wheelsight.navigation.control_chain import ControlChain, controller_of
 from wheelsight.navigation.control_values import ControlReason, ControlResult
@@ -375,7 +375,7 @@ class Navigator:
 
     def _look_about(self, task: Task, why: str) -> VelocityCommand:
         self._planning.drop()
-        task.recover(when_lost(task.searches, self.settings.behaviours), is_lost=True)
+        task.search(self.settings.behaviours, self._senses.where.status, self._chain.checked)
         self._become(NavigationState.RECOVERING, f"{why}; {task.doing}")
         return STOP
 

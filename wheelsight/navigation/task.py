@@ -6,11 +6,13 @@ import math
 
 import numpy as np
 
+from wheelsight.estimates import Status
 from wheelsight.geometry import FloatArray
-from wheelsight.navigation.behaviours import Behaviour
+from wheelsight.navigation.behaviours import Behaviour, when_lost
+from wheelsight.navigation.collision_monitor import MonitorResult
 from wheelsight.navigation.goals import Goals
 from wheelsight.navigation.localization import WhereNow
-from wheelsight.navigation.navigator_settings import NavigatorSettings
+from wheelsight.navigation.navigator_settings import BehaviourSettings, NavigatorSettings
 from wheelsight.navigation.navigator_values import NavigationReason, NavigationResult, Transition
 from wheelsight.navigation.plan_values import Plan
 
@@ -103,6 +105,10 @@ class Task:
         else:
             self.tries += 1
         self.come_on()
+
+    def search(self, settings: BehaviourSettings, status: Status, checked: MonitorResult) -> None:
+        """Do something to find out where it is; see `when_lost`."""
+        self.recover(when_lost(self.searches, settings, status, checked), is_lost=True)
 
     @property
     def may_wait(self) -> bool:
