@@ -1,4 +1,4 @@
-"""Surfels in blocks of space: growing flat arrays, of which those in view are found without touching the others."""
+"""Surfels in blocks of space: flat arrays, of which those in view are found without touching the others."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ from wheelsight.mapping._block_kernels import (
     SurfelArrays,
 )
 
-_FIRST_PAGES = 1024
 _BINS = 512
 # Dropping goes over the whole map; a tenth at once makes it rare.
 _DROPPED_AT_ONCE = 0.1
@@ -34,7 +33,8 @@ class Blocks:
     """Surfels by the cell of space they lie in.
 
     Slots come in pages, and each cell owns a chain of them, so that a cell's surfels lie together in memory. Dead
-    surfels stay until `sweep` comes by, which does a bounded number of cells a call.
+    surfels stay until `sweep` comes by, which does a bounded number of cells a call. Arrays have room for all surfels
+    that may ever be there: the system gives memory to what is written of it, and a frame never waits for a copy.
 
     Attributes:
         geometry: (slots, 8) float32: position (3), radius, normal (3), confidence; not positive where dead.
@@ -47,23 +47,20 @@ class Blocks:
 
     def __init__(self, block_m: float, max_surfels: int) -> None:
         self.block_m, self.dropped = block_m, 0
-        self._max_pages = -(-max_surfels // PAGE)
+        pages = -(-max_surfels // PAGE)
+        slots = pages * PAGE
         self._counters = np.zeros(4, np.int64)
         self._cursor = 0
-        self.geometry: Float32Array = np.zeros((0, 8), np.float32)
-        self.look: Float32Array = np.zeros((0, 4), np.float32)
-        self.seen_s: FloatArray = np.zeros((0, 2))
-        self.variance: Float32Array = np.zeros(0, np.float32)
-        self.keyframe: Int32Array = np.zeros(0, np.int32)
-        self.page_next: Int32Array = np.zeros(0, np.int32)
-        self.page_fill: Int32Array = np.zeros(0, np.int32)
-        self.page_cell: Int32Array = np.zeros(0, np.int32)
-        self._free: Int32Array = np.zeros(0, np.int32)
+        self.geometry: Float32Array = np.zeros((slots, 8), np.float32)
+        self.look: Float32Array = np.empty((slots, 4), np.float32)
+        self.seen_s: FloatArray = np.empty((slots, 2))
+        self.variance: Float32Array = np.empty(slots, np.float32)
+        self.keyframe: Int32Array = np.empty(slots, np.int32)
+        self.page_next, self.page_fill, self.page_cell, self._free = (np.empty(pages, np.int32) for _ in range(4))
         self.cell_xyz: Int32Array = np.zeros((0, 3), np.int32)
         self._cell_pages: Int32Array = np.zeros((0, 2), np.int32)
         self.cell_seen_s: FloatArray = np.zeros(0)
         self._table: Int32Array = np.full(0, -1, np.int32)
-        self._grow_pages()
         self._grow_cells()
 
     @property
@@ -73,14 +70,17 @@ class Blocks:
 
     @property
     def memory_bytes(self) -> int:
-        """Of all arrays."""
-        return sum(array.nbytes for array in vars(self).values() if isinstance(array, np.ndarray))
+        """Of cells, and of the pages that were ever written to."""
+        arrays = [*self.surfels, *self.pages]
+        of_all = sum(array.nbytes for array in arrays)
+        of_cells = sum(array.nbytes for array in self.cells if isinstance(array, np.ndarray))
+        return of_cells + of_all * int(self._counters[PAGES]) // len(self.page_next)
 
     @property
     def room(self) -> float:
         """The share of the bound on memory that is still free."""
         used = int(self._counters[PAGES]) - int(self._counters[FREE])
-        return 1.0 - used / self._max_pages
+        return 1.0 - used / len(self.page_next)
 
     def count_deaths(self, count: int) -> None:
         """Note that so many surfels' confidence was set to 0."""
@@ -148,7 +148,7 @@ class Blocks:
         Those that leave their cell are laid into the one they come to; who finds no room there is counted as dropped.
         """
         has_moved = (T_new_old != np.eye(4)).any(axis=(1, 2))
-        left = np.empty(len(self.geometry), np.int32)
+        left = np.empty(int(self._counters[PAGES]) * PAGE, np.int32)
         left = left[: move_kernels.move(T_new_old, has_moved, self.surfels, self.pages, self.cells, left)]
         if len(left):
             self.append(self.take_out(left, now_s), now_s, rules)
@@ -181,22 +181,12 @@ class Blocks:
         return int(died), int(then)
 
     def _grow(self) -> bool:
-        """Make room for more pages or cells, whichever is wanting; False where the bound forbids it."""
+        """Make room for more cells; False where it is pages that are wanting."""
         cells = int(self._counters[CELLS])
-        if cells == len(self.cell_xyz) or 2 * cells >= len(self._table):
-            self._grow_cells()
-            return True
-        if len(self.page_next) >= self._max_pages:
+        if cells < len(self.cell_xyz) and 2 * cells < len(self._table):
             return False
-        self._grow_pages()
+        self._grow_cells()
         return True
-
-    def _grow_pages(self) -> None:
-        pages = min(max(2 * len(self.page_next), _FIRST_PAGES), self._max_pages)
-        for name in ("geometry", "look", "seen_s", "variance", "keyframe"):
-            setattr(self, name, _grown(getattr(self, name), pages * PAGE))
-        for name in ("page_next", "page_fill", "page_cell", "_free"):
-            setattr(self, name, _grown(getattr(self, name), pages))
 
     def _grow_cells(self) -> None:
         cells = max(2 * len(self.cell_xyz), 1024)
