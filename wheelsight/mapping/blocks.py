@@ -71,8 +71,7 @@ class Blocks:
     @property
     def memory_bytes(self) -> int:
         """Of cells, and of the pages that were ever written to."""
-        arrays = [*self.surfels, *self.pages]
-        of_all = sum(array.nbytes for array in arrays)
+        of_all = sum(int(array.nbytes) for array in (*self.surfels, *self.pages))
         of_cells = sum(array.nbytes for array in self.cells if isinstance(array, np.ndarray))
         return of_cells + of_all * int(self._counters[PAGES]) // len(self.page_next)
 
