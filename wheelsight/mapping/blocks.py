@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from wheelsight.geometry import Float32Array, FloatArray, Int32Array, IntArray
@@ -22,6 +24,7 @@ from wheelsight.mapping._block_kernels import (
 )
 
 _BINS = 512
+Share = Callable[[int, Callable[[int, int], None]], None]
 # Dropping goes over the whole map; a tenth at once makes it rare.
 _DROPPED_AT_ONCE = 0.1
 _SWEPT_SURFELS = 1 << 15
@@ -141,25 +144,40 @@ class Blocks:
         everything = int(self._counters[CELLS]), np.iinfo(np.int64).max
         return self._compact(0, *everything, now_s, rules, np.zeros(0, np.int64))[0]
 
-    def move(self, T_new_old: FloatArray, now_s: float, rules: FloatArray) -> None:
+    def move(self, T_new_old: FloatArray, now_s: float, rules: FloatArray, share: Share) -> None:
         """Move surfels with their keyframes: (K + 1, 4, 4) by keyframe, the last of those that name none of these.
 
         Those that leave their cell are laid into the one they come to; who finds no room there is counted as dropped.
+        `share` is of `Rows`: a frame waits for this, and it goes over the whole map.
         """
-        has_moved = (T_new_old != np.eye(4)).any(axis=(1, 2))
-        left = np.empty(int(self._counters[PAGES]) * PAGE, np.int32)
-        left = left[: move_kernels.move(T_new_old, has_moved, self.surfels, self.pages, self.cells, left)]
+        has_moved, pages = (T_new_old != np.eye(4)).any(axis=(1, 2)), int(self._counters[PAGES])
+        has_left = np.zeros(pages * PAGE, np.bool_)
+        given = (T_new_old, has_moved, self.surfels, self.pages, self.cells, has_left)
+        share(pages, lambda a, b: move_kernels.move(a, b, *given))
+        left = np.flatnonzero(has_left)
         if len(left):
-            self.append(self.take_out(left, now_s), now_s, rules)
+            taken = self._lifted(left)
+            if self.room < _DROPPED_AT_ONCE + len(left) / len(self.geometry):
+                self._close_gaps(now_s)  # else `sweep` does, a part at a time
+            self.append(taken, now_s, rules)
 
     def take_out(self, slots: Int32Array | IntArray, now_s: float) -> SurfelArrays:
         """Copies of surfels at (n,) slots, which are free from then on."""
+        taken = self._lifted(slots)
+        self._close_gaps(now_s)
+        return taken
+
+    def _lifted(self, slots: Int32Array | IntArray) -> SurfelArrays:
+        """Copies of surfels at (n,) slots, which are dead from then on."""
         taken = SurfelArrays(*(array[slots] for array in self.surfels))
         self.geometry[slots, CONFIDENCE] = 0.0
         self.count_deaths(len(slots))
+        return taken
+
+    def _close_gaps(self, now_s: float) -> None:
+        """Free what the dead take, everywhere."""
         everything = int(self._counters[CELLS]), np.iinfo(np.int64).max
         self._compact(0, *everything, now_s, _NONE_GOES, np.zeros(0, np.int64))
-        return taken
 
     def _drop_least_useful(self, now_s: float, rules: FloatArray) -> None:
         """Let a tenth of all surfels go, those of least use first."""
