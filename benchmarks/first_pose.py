@@ -44,7 +44,17 @@ FIRST_POSE_S, SLOWEST_MS = 3.0, 100.0
 PROFILES: tuple[str, ...] = ("default", "pi")
 SETTINGS = {"odometry": "wheels,dense", "map": "surfels", "loops.source": "keyframes"}
 SECONDS, RATE_HZ, SEED = 20.0, 15.0, 2
-HEADER = ("settings", "first pose s", "frames", "dropped", "median ms", "slowest ms", "its CPU ms", "over 100 ms")
+HEADER = (
+    "settings",
+    "first pose s",
+    "frames",
+    "dropped",
+    "median ms",
+    "slowest ms",
+    "its CPU ms",
+    "which",
+    "over 100 ms",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +66,7 @@ class Followed:
         frames, dropped: that came, and of them those that were not answered.
         median_ms, slowest_ms: of the time from a frame to its answer.
         slowest_cpu_ms: what the slowest frame took of processor time, all threads.
+        slowest_at: how many were answered before the slowest.
         slow: how many took over 100 ms.
     """
 
@@ -65,6 +76,7 @@ class Followed:
     median_ms: float
     slowest_ms: float
     slowest_cpu_ms: float
+    slowest_at: int
     slow: int
 
 
@@ -192,7 +204,8 @@ def followed(profile: str, seconds: float) -> Followed:
     frames_ms, (came, dropped) = 1e3 * np.array(watch.frame_s), source.frames_so_far
     slowest = int(np.argmax(frames_ms))
     times = float(np.median(frames_ms)), float(frames_ms[slowest]), 1e3 * watch.cpu_s[slowest]
-    return Followed(watch.first_pose_s, came, dropped, *times, int(np.count_nonzero(frames_ms > SLOWEST_MS)))
+    slow = int(np.count_nonzero(frames_ms > SLOWEST_MS))
+    return Followed(watch.first_pose_s, came, dropped, *times, slowest, slow)
 
 
 @contextmanager
@@ -204,7 +217,7 @@ def row(profile: str, one: Followed) -> tuple[str, ...]:
     """Of the table."""
     first = "—" if one.first_pose_s is None else f"{one.first_pose_s:.2f}"
     times = f"{one.median_ms:.1f}", f"{one.slowest_ms:.1f}", f"{one.slowest_cpu_ms:.1f}"
-    return profile, first, str(one.frames), str(one.dropped), *times, str(one.slow)
+    return profile, first, str(one.frames), str(one.dropped), *times, str(one.slowest_at), str(one.slow)
 
 
 def judge(found: Sequence[tuple[str, Followed]]) -> list[Target]:

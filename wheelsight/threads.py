@@ -13,14 +13,16 @@ from contextlib import suppress
 _FEWEST_ROWS = 100
 # A thread that is done early takes another part: rows are not all the same work, nor are threads there at once.
 _PARTS_A_THREAD = 2
-# Of `nice`: of work that frames must not wait for.
-_LEAST_PRIORITY = 15
+# Of `nice`, of work that frames must not wait for: a third of an ordinary thread's share. With less, such a thread
+# holds Python's lock while the system runs other programs, and frames wait for its turn (docs/decisions/0112).
+_YIELDED = 5
 
 
 def yield_to_others() -> None:
     """Let the calling thread run where others leave time, as far as the system lets threads differ (Linux does)."""
+    thread = threading.get_native_id()
     with suppress(AttributeError, OSError):
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _LEAST_PRIORITY)
+        os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, thread) + _YIELDED)
 
 
 class Rows:

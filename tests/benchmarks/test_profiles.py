@@ -38,7 +38,7 @@ def test_the_profile_is_told_as_a_share_of_the_default() -> None:
 
 @pytest.mark.parametrize(("first_s", "met"), [(2.9, True), (3.1, False), (None, None)])
 def test_a_first_pose_and_the_slowest_frame_are_held_against_the_issue(first_s: float | None, met: bool | None) -> None:
-    pose, slowest = judge([("default", Followed(first_s, 90, 3, 30.0, 101.0, 50.0, 1))])
+    pose, slowest = judge([("default", Followed(first_s, 90, 3, 30.0, 101.0, 50.0, 7, 1))])
     assert pose.is_met is met
     assert slowest.is_met is False
     assert np.isclose(slowest.measured or 0.0, 101.0)

@@ -71,6 +71,16 @@ def test_what_is_in_view_costs_the_same_however_large_the_map_is(rng):
     assert found[0] == found[1] > 0
 
 
+def test_a_map_that_grows_is_not_copied_and_takes_the_memory_that_it_needs(rng):
+    made = Blocks(0.5, 1 << 20)
+    lies, empty = [array.ctypes.data for array in made.surfels], made.memory_bytes
+    for _ in range(3):
+        assert made.append(scattered(rng, 40_000), 0.0, RULES) == 40_000
+    assert [array.ctypes.data for array in made.surfels] == lies, "a frame would wait for the copy"
+    assert empty < 1e6
+    assert 120_000 * 72 < made.memory_bytes < 120_000 * 72 * 2.5
+
+
 def test_surfels_survive_sweeping_whole(rng):
     made, new = Blocks(0.5, 1 << 20), scattered(rng, 20_000, 3.0)
     made.append(new, 0.0, RULES)

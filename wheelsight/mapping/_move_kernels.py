@@ -7,36 +7,33 @@ from typing import Any
 import numpy as np
 
 from wheelsight.compiled import kernel
-from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, PAGES, Cells, Pages, SurfelArrays
+from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, Cells, Pages, SurfelArrays
 
 
 @kernel
-def move(T_new_old: Any, has_moved: Any, surfels: SurfelArrays, pages: Pages, cells: Cells, left: Any) -> Any:
-    """Move surfels with their keyframes; how many have left their cell, whose slots are the first of `left`.
+def move(
+    begin: Any, end: Any, T_new_old: Any, has_moved: Any, surfels: SurfelArrays, pages: Pages, cells: Cells, left: Any
+) -> None:
+    """Move the surfels of pages `begin` to `end` with their keyframes, and mark in `left` those that left their cell.
 
     Args:
         T_new_old: (K + 1, 4, 4) by keyframe; the last is of surfels that name none of these.
         has_moved: (K + 1,).
-        left: (slots,) room.
+        left: (slots,) bool, all False.
     """
-    geometry, keyframe, count = surfels.geometry, surfels.keyframe, 0
-    p, n = np.empty(3), np.empty(3)
-    for page in range(cells.counters[PAGES]):
-        cell = pages.cell[page]
-        for slot in range(page * PAGE, page * PAGE + pages.fill[page]):
-            k = keyframe[slot] if 0 <= keyframe[slot] < len(has_moved) - 1 else len(has_moved) - 1
+    # Taken out of their tuples once: each time would be counted.
+    geometry, keyframe, block_m, cell_xyz = surfels.geometry, surfels.keyframe, cells.block_m, cells.xyz
+    fill, page_cell, known = pages.fill, pages.cell, len(has_moved) - 1
+    for page in range(begin, end):
+        cell = page_cell[page]
+        for slot in range(page * PAGE, page * PAGE + fill[page]):
+            k = keyframe[slot] if 0 <= keyframe[slot] < known else known
             if not has_moved[k] or geometry[slot, CONFIDENCE] <= 0:
                 continue
+            x, y, z = geometry[slot, 0], geometry[slot, 1], geometry[slot, 2]
+            a, b, c = geometry[slot, 4], geometry[slot, 5], geometry[slot, 6]
             for i in range(3):
-                p[i], n[i] = T_new_old[k, i, 3], 0.0
-                for j in range(3):
-                    p[i] += T_new_old[k, i, j] * geometry[slot, j]
-                    n[i] += T_new_old[k, i, j] * geometry[slot, 4 + j]
-            has_left = False
-            for i in range(3):
-                geometry[slot, i], geometry[slot, 4 + i] = p[i], n[i]
-                has_left |= int(np.floor(geometry[slot, i] / cells.block_m)) != cells.xyz[cell, i]
-            if has_left:
-                left[count] = slot
-                count += 1
-    return count
+                r, s, t = T_new_old[k, i, 0], T_new_old[k, i, 1], T_new_old[k, i, 2]
+                geometry[slot, i] = T_new_old[k, i, 3] + r * x + s * y + t * z
+                geometry[slot, 4 + i] = r * a + s * b + t * c
+                left[slot] |= int(np.floor(geometry[slot, i] / block_m)) != cell_xyz[cell, i]

@@ -1,6 +1,8 @@
-"""Surfels in blocks of space: growing flat arrays, of which those in view are found without touching the others."""
+"""Surfels in blocks of space: flat arrays, of which those in view are found without touching the others."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -21,8 +23,8 @@ from wheelsight.mapping._block_kernels import (
     SurfelArrays,
 )
 
-_FIRST_PAGES = 1024
 _BINS = 512
+Share = Callable[[int, Callable[[int, int], None]], None]
 # Dropping goes over the whole map; a tenth at once makes it rare.
 _DROPPED_AT_ONCE = 0.1
 _SWEPT_SURFELS = 1 << 15
@@ -34,7 +36,8 @@ class Blocks:
     """Surfels by the cell of space they lie in.
 
     Slots come in pages, and each cell owns a chain of them, so that a cell's surfels lie together in memory. Dead
-    surfels stay until `sweep` comes by, which does a bounded number of cells a call.
+    surfels stay until `sweep` comes by, which does a bounded number of cells a call. Arrays have room for all surfels
+    that may ever be there: the system gives memory to what is written of it, and a frame never waits for a copy.
 
     Attributes:
         geometry: (slots, 8) float32: position (3), radius, normal (3), confidence; not positive where dead.
@@ -47,23 +50,20 @@ class Blocks:
 
     def __init__(self, block_m: float, max_surfels: int) -> None:
         self.block_m, self.dropped = block_m, 0
-        self._max_pages = -(-max_surfels // PAGE)
+        pages = -(-max_surfels // PAGE)
+        slots = pages * PAGE
         self._counters = np.zeros(4, np.int64)
         self._cursor = 0
-        self.geometry: Float32Array = np.zeros((0, 8), np.float32)
-        self.look: Float32Array = np.zeros((0, 4), np.float32)
-        self.seen_s: FloatArray = np.zeros((0, 2))
-        self.variance: Float32Array = np.zeros(0, np.float32)
-        self.keyframe: Int32Array = np.zeros(0, np.int32)
-        self.page_next: Int32Array = np.zeros(0, np.int32)
-        self.page_fill: Int32Array = np.zeros(0, np.int32)
-        self.page_cell: Int32Array = np.zeros(0, np.int32)
-        self._free: Int32Array = np.zeros(0, np.int32)
+        self.geometry: Float32Array = np.zeros((slots, 8), np.float32)
+        self.look: Float32Array = np.empty((slots, 4), np.float32)
+        self.seen_s: FloatArray = np.empty((slots, 2))
+        self.variance: Float32Array = np.empty(slots, np.float32)
+        self.keyframe: Int32Array = np.empty(slots, np.int32)
+        self.page_next, self.page_fill, self.page_cell, self._free = (np.empty(pages, np.int32) for _ in range(4))
         self.cell_xyz: Int32Array = np.zeros((0, 3), np.int32)
         self._cell_pages: Int32Array = np.zeros((0, 2), np.int32)
         self.cell_seen_s: FloatArray = np.zeros(0)
         self._table: Int32Array = np.full(0, -1, np.int32)
-        self._grow_pages()
         self._grow_cells()
 
     @property
@@ -73,14 +73,16 @@ class Blocks:
 
     @property
     def memory_bytes(self) -> int:
-        """Of all arrays."""
-        return sum(array.nbytes for array in vars(self).values() if isinstance(array, np.ndarray))
+        """Of cells, and of the pages that were ever written to."""
+        of_all = sum(int(array.nbytes) for array in (*self.surfels, *self.pages))
+        of_cells = sum(array.nbytes for array in self.cells if isinstance(array, np.ndarray))
+        return of_cells + of_all * int(self._counters[PAGES]) // len(self.page_next)
 
     @property
     def room(self) -> float:
         """The share of the bound on memory that is still free."""
         used = int(self._counters[PAGES]) - int(self._counters[FREE])
-        return 1.0 - used / self._max_pages
+        return 1.0 - used / len(self.page_next)
 
     def count_deaths(self, count: int) -> None:
         """Note that so many surfels' confidence was set to 0."""
@@ -142,25 +144,40 @@ class Blocks:
         everything = int(self._counters[CELLS]), np.iinfo(np.int64).max
         return self._compact(0, *everything, now_s, rules, np.zeros(0, np.int64))[0]
 
-    def move(self, T_new_old: FloatArray, now_s: float, rules: FloatArray) -> None:
+    def move(self, T_new_old: FloatArray, now_s: float, rules: FloatArray, share: Share) -> None:
         """Move surfels with their keyframes: (K + 1, 4, 4) by keyframe, the last of those that name none of these.
 
         Those that leave their cell are laid into the one they come to; who finds no room there is counted as dropped.
+        `share` is of `Rows`: a frame waits for this, and it goes over the whole map.
         """
-        has_moved = (T_new_old != np.eye(4)).any(axis=(1, 2))
-        left = np.empty(len(self.geometry), np.int32)
-        left = left[: move_kernels.move(T_new_old, has_moved, self.surfels, self.pages, self.cells, left)]
+        has_moved, pages = (T_new_old != np.eye(4)).any(axis=(1, 2)), int(self._counters[PAGES])
+        has_left = np.zeros(pages * PAGE, np.bool_)
+        given = (T_new_old, has_moved, self.surfels, self.pages, self.cells, has_left)
+        share(pages, lambda a, b: move_kernels.move(a, b, *given))
+        left = np.flatnonzero(has_left)
         if len(left):
-            self.append(self.take_out(left, now_s), now_s, rules)
+            taken = self._lifted(left)
+            if self.room < _DROPPED_AT_ONCE + len(left) / len(self.geometry):
+                self._close_gaps(now_s)  # else `sweep` does, a part at a time
+            self.append(taken, now_s, rules)
 
     def take_out(self, slots: Int32Array | IntArray, now_s: float) -> SurfelArrays:
         """Copies of surfels at (n,) slots, which are free from then on."""
+        taken = self._lifted(slots)
+        self._close_gaps(now_s)
+        return taken
+
+    def _lifted(self, slots: Int32Array | IntArray) -> SurfelArrays:
+        """Copies of surfels at (n,) slots, which are dead from then on."""
         taken = SurfelArrays(*(array[slots] for array in self.surfels))
         self.geometry[slots, CONFIDENCE] = 0.0
         self.count_deaths(len(slots))
+        return taken
+
+    def _close_gaps(self, now_s: float) -> None:
+        """Free what the dead take, everywhere."""
         everything = int(self._counters[CELLS]), np.iinfo(np.int64).max
         self._compact(0, *everything, now_s, _NONE_GOES, np.zeros(0, np.int64))
-        return taken
 
     def _drop_least_useful(self, now_s: float, rules: FloatArray) -> None:
         """Let a tenth of all surfels go, those of least use first."""
@@ -181,22 +198,12 @@ class Blocks:
         return int(died), int(then)
 
     def _grow(self) -> bool:
-        """Make room for more pages or cells, whichever is wanting; False where the bound forbids it."""
+        """Make room for more cells; False where it is pages that are wanting."""
         cells = int(self._counters[CELLS])
-        if cells == len(self.cell_xyz) or 2 * cells >= len(self._table):
-            self._grow_cells()
-            return True
-        if len(self.page_next) >= self._max_pages:
+        if cells < len(self.cell_xyz) and 2 * cells < len(self._table):
             return False
-        self._grow_pages()
+        self._grow_cells()
         return True
-
-    def _grow_pages(self) -> None:
-        pages = min(max(2 * len(self.page_next), _FIRST_PAGES), self._max_pages)
-        for name in ("geometry", "look", "seen_s", "variance", "keyframe"):
-            setattr(self, name, _grown(getattr(self, name), pages * PAGE))
-        for name in ("page_next", "page_fill", "page_cell", "_free"):
-            setattr(self, name, _grown(getattr(self, name), pages))
 
     def _grow_cells(self) -> None:
         cells = max(2 * len(self.cell_xyz), 1024)

@@ -148,7 +148,7 @@ class SurfelMap:
         moves = store.T_map_keyframe[: len(known)] @ se3.invert(known)
         moves = np.where(np.isfinite(moves).all(axis=(1, 2), keepdims=True), moves, np.eye(4))
         if not np.allclose(moves, np.eye(4), atol=1e-12):
-            self.blocks.move(np.concatenate([moves, np.eye(4)[None]]), self.stamp_s, self._rules)
+            self.blocks.move(np.concatenate([moves, np.eye(4)[None]]), self.stamp_s, self._rules, self._rows.share)
         self._store, self._follower = store, store.follow()
 
     def move(self, T_new_old: FloatArray) -> None:
@@ -163,7 +163,7 @@ class SurfelMap:
         else:
             self._store.move(list(self._store), T @ self._store.T_map_keyframe)
             self._follower.moves()  # moved below, with those that hang on none
-        self.blocks.move(T[None], self.stamp_s, self._rules)
+        self.blocks.move(T[None], self.stamp_s, self._rules, self._rows.share)
 
     def settle(self) -> int:
         """Let unstable surfels go whose time has come, wherever they are in memory; how many did.
@@ -176,7 +176,7 @@ class SurfelMap:
         """Move surfels as their keyframes have moved since this was called last."""
         moves = None if self._follower is None else self._follower.moves()
         if moves is not None:
-            self.blocks.move(np.concatenate([moves, np.eye(4)[None]]), self.stamp_s, self._rules)
+            self.blocks.move(np.concatenate([moves, np.eye(4)[None]]), self.stamp_s, self._rules, self._rows.share)
 
     def fuse(
         self,
