@@ -10,6 +10,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from numba import types
 
 from wheelsight.compiled import kernel, made_of
 
@@ -167,3 +168,15 @@ def test_a_kernel_keeps_the_options_of_numba() -> None:
     with pytest.raises(ZeroDivisionError):
         stops(0.0)
     assert goes_on(0.0) == float("inf")
+
+
+def test_numbers_that_other_kernels_write_out_compile_it_once() -> None:
+    """Numba's literal types: one function of the simulator was compiled 29 times."""
+
+    @kernel
+    def doubled(x: int) -> int:
+        return 2 * x
+
+    for number in (1, 2, 3):
+        doubled.get_call_template((types.literal(number),), {})  # type: ignore[attr-defined, no-untyped-call]
+    assert list(doubled.overloads) == [(types.int64,)]  # type: ignore[attr-defined]

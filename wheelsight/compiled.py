@@ -21,7 +21,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal, TypeVar, overload
 
-from numba import njit
+from numba import njit, types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
@@ -64,7 +64,18 @@ def kernel(function: Any = None, **options: Any) -> Any:
         cache = _Cache(function)
         compiled._cache = cache  # type: ignore[attr-defined]  # noqa: SLF001
         compiled.compile = _one_process_at_a_time(compiled.compile, cache.lock_path)  # type: ignore[method-assign]
+        compiled.get_call_template = _whatever_the_number(compiled.get_call_template)  # type: ignore[method-assign]
     return compiled
+
+
+def _whatever_the_number(template_of: Callable[..., Any]) -> Callable[..., Any]:
+    """To be called by kernels without regard to the numbers they write out: numba compiles once for each of them."""
+
+    def unliteral(args: Any, kws: Any) -> Any:
+        plain: Callable[[Any], Any] = types.unliteral
+        return template_of(tuple(map(plain, args)), {name: plain(arg) for name, arg in kws.items()})
+
+    return unliteral
 
 
 class _Cache(FunctionCache):

@@ -166,6 +166,14 @@ def test_threads_do_not_change_a_bit(rng: np.random.Generator) -> None:
         np.testing.assert_array_equal(getattr(one, name), getattr(five, name))
 
 
+def test_one_pose_and_one_a_row_need_the_same_kernels() -> None:
+    """Numba compiles a kernel once more for poses that may not be written, which takes seconds."""
+    T_rows = np.ascontiguousarray(rows_of(looking()))
+    given = (looking(), T_rows, np.broadcast_to(T_rows, T_rows.shape))
+    flags = [Scene(ROOM).cast(CAMERA, T).T_world_camera.flags for T in given]
+    assert all(flag.writeable and flag.c_contiguous for flag in flags)
+
+
 def test_what_is_too_far_is_not_there() -> None:
     everything, near = (Scene(ROOM).cast(CAMERA, looking(), far_m) for far_m in (np.inf, 4.0))
     is_near = (everything.depth_m <= 4) & (everything.geom >= 0)

@@ -39,8 +39,8 @@ def from_quaternion(t: ArrayLike, quaternion_xyzw: ArrayLike) -> FloatArray:
 
 def from_plane(x: ArrayLike, y: ArrayLike, yaw_rad: ArrayLike) -> FloatArray:
     """Motions (..., 4, 4) in the plane z = 0, of x, y (...) in metres and yaw (...) in radians about z."""
-    x, y, yaw_rad = np.broadcast_arrays(*(np.asarray(a, float) for a in (x, y, yaw_rad)))
-    T = np.zeros((*x.shape, 4, 4))
+    x, y, yaw_rad = (np.asarray(a, float) for a in (x, y, yaw_rad))
+    T = np.zeros((*np.broadcast(x, y, yaw_rad).shape, 4, 4))
     T[..., 0, 0] = T[..., 1, 1] = np.cos(yaw_rad)
     T[..., 1, 0] = np.sin(yaw_rad)
     T[..., 0, 1] = -T[..., 1, 0]

@@ -72,7 +72,7 @@ class DrawnRobot:
             events.append(self._rolled(command))
         self._steps += 1
         if self._steps % _STEPS_A_FRAME == 0:
-            color, depth_m = seen_from(self.T_map_base)
+            color, depth_m = seen_from(self.T_map_base, self.calibration.depth)
             events.append(RgbdFrame(self.now_s, color, depth_m, self._steps // _STEPS_A_FRAME))
         return events
 

@@ -142,7 +142,8 @@ class Scene:
             far_m: hits beyond are none.
         """
         h, w = camera.height, camera.width
-        T = np.ascontiguousarray(np.broadcast_to(np.asarray(T_world_camera_rows, float), (h, 4, 4)))
+        # A copy: kernels would be compiled once more for poses that may not be written.
+        T = np.array(np.broadcast_to(np.asarray(T_world_camera_rows, float), (h, 4, 4)), order="C")
         view = _nothing(T, _rays(camera))
         self._cast_tiles(view, _tiles(h, w), far_m)
         return view

@@ -281,6 +281,17 @@ def test_the_first_reading_is_where_odom_begins() -> None:
     np.testing.assert_array_equal(estimate.covariance, np.zeros((6, 6)))
 
 
+@pytest.mark.parametrize("counts", [(0, 0), (40, 40), (50, 20), (-30, 30), (-9, -10)])
+@pytest.mark.parametrize("seconds", [-0.3, 0.0, 1e-9, 0.02, 2.0])
+def test_the_motion_in_some_time_is_the_exponential_of_the_twist(counts: tuple[int, int], seconds: float) -> None:
+    odometry = WheelOdometry(WHEELCHAIR)
+    odometry.process(WheelTicks(0.0, 0, 0))
+    odometry.process(WheelTicks(0.02, *counts))
+    v, yaw_rate = odometry.twist
+    T = se3.exp(np.array([v, 0, 0, 0, 0, yaw_rate]) * seconds)
+    np.testing.assert_allclose(odometry.motion_in(seconds), T, rtol=0, atol=1e-14)
+
+
 def test_twist_is_that_of_the_last_step() -> None:
     odometry = WheelOdometry(WHEELCHAIR)
     odometry.process(WheelTicks(0.0, 0, 0))

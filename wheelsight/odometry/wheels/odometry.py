@@ -92,7 +92,10 @@ class WheelOdometry:
     def motion_in(self, seconds: float) -> FloatArray:
         """T_now_then (4, 4) after so many seconds more at this twist."""
         speed, yaw_rate = self.twist
-        return se3.exp([speed * seconds, 0, 0, 0, 0, yaw_rate * seconds])
+        half = yaw_rate * seconds / 2
+        # Along the arc's chord, as the exponential of this twist: in closed form, as it is asked for at each reading.
+        chord_m = speed * seconds * (math.sin(half) / half if half else 1.0)
+        return se3.from_plane(chord_m * math.cos(half), chord_m * math.sin(half), 2 * half)
 
     @property
     def moved(self) -> FloatArray:
