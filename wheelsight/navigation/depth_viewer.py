@@ -19,6 +19,8 @@ from wheelsight.navigation.surroundings import DepthView
 
 # From bearing to bearing of a row its pixels lie closer than this, whatever the camera.
 _LEAST_COLUMNS = 8
+# So wide is a bearing at least, since one between two pixels would see nothing.
+_LEAST_PIXELS = 2
 
 
 class DepthViewer:
@@ -51,8 +53,9 @@ class DepthViewer:
         self._settings, self._footprint = settings or ViewSettings(), footprint
         self._heights = _heights_of(heights or LiveLayerSettings())
         ways = self._camera.rays() @ T_base_camera[:3, :3].T
-        self._first_rad, self._step_rad, columns = _bearings(ways, self._settings.columns)
-        self.half_rad = self._step_rad * self._settings.columns / 2
+        self._count = min(self._settings.columns, ways.shape[1] // _LEAST_PIXELS)
+        self._first_rad, self._step_rad, columns = _bearings(ways, self._count)
+        self.half_rad: float = self._step_rad * self._count / 2
         where = np.ascontiguousarray(T_base_camera[:3, 3])
         self._rays = kernels.Rays(np.ascontiguousarray(ways, np.float32), columns, where)
         self._near_m = _near_floor_m(ways, columns, float(where[2]))
@@ -67,18 +70,18 @@ class DepthViewer:
         depth = checked_depth(depth_m, self._camera)
         s, far_m = self._settings, self._heights.far_m
         side = 2 * int(np.ceil((far_m + np.hypot(*self._rays.camera[:2])) / s.cell_m) + 1)
-        floor = np.zeros((s.columns, int(np.ceil(far_m / s.bin_m))), np.uint8)
+        floor = np.zeros((self._count, int(np.ceil(far_m / s.bin_m))), np.uint8)
         shown = kernels.Shown(
             floor,
             np.zeros((side, side, 3), np.float32),
             np.zeros((side, side, s.pixels), np.float32),
-            np.zeros(s.columns, np.int64),
+            np.zeros(self._count, np.int64),
             s.bin_m,
             s.cell_m,
         )
         kernels.look(depth, self._rays, self._heights, shown)
         is_thing, points, tops_m = self._things(shown)
-        thing_m = np.full(s.columns, np.inf)
+        thing_m = np.full(self._count, np.inf)
         kernels.reach(depth, self._rays, self._heights, shown, is_thing, thing_m)
         seen_m = self._seen_m(shown, thing_m)
         camera = float(self._rays.camera[0]), float(self._rays.camera[1])

@@ -129,7 +129,13 @@ class WheelCheckSettings(Settings):
 class ViewSettings(Settings):
     """What a collision monitor is told of a depth image."""
 
-    columns: int = setting(64, "bearings that the view is cut into: each is 0.9° of a Kinect's", CHOSEN, ge=8, le=1024)
+    columns: int = setting(
+        64,
+        "bearings that the view is cut into, at most one for two pixels of a row: each is 0.9° of a Kinect's",
+        CHOSEN,
+        ge=8,
+        le=1024,
+    )
     cell_m: float = setting(0.05, "side of a cell in which pixels are one thing", CHOSEN, gt=0.005, le=0.5)
     pixels: int = setting(
         3, "least pixels of a thing in a cell: at edges single ones lie where nothing is", CHOSEN, ge=1, le=100
