@@ -87,7 +87,7 @@ def somebody_at(x_m: float, y_m: float) -> tuple:
 
 
 @pytest.mark.parametrize("leaves", [True, False])
-def test_who_stands_where_it_is_to_go_is_waited_for_once(leaves: bool) -> None:
+def test_who_stands_where_it_is_to_go_is_asked_for_once(leaves: bool) -> None:
     """If he leaves it goes there; if not, it has arrived beside, and says so."""
     goal = (5.0, 3.0, 0.0)
     subject = ride((*ROOM, *somebody_at(5.9, 3.0)), mapped=ROOM)
@@ -376,3 +376,21 @@ def test_feedback_tells_how_far_it_is() -> None:
     assert second.state is NavigationState.DRIVING
     assert second.goals_left == 1
     assert len(second.predicted)
+
+
+class Found(Poses):
+    """Poses that the task found by itself."""
+
+    @property
+    def is_asked_for(self) -> bool:
+        return False
+
+
+def test_where_nobody_asked_for_a_place_it_is_the_same_beside_it() -> None:
+    subject = ride((*ROOM, *somebody_at(5.9, 3.0)), mapped=ROOM)
+    subject.navigator.begin(Found([(5.0, 3.0, 0.0)]))
+    subject.go(60)
+    result = not_none(subject.navigator.result)
+    assert result.has_arrived
+    assert result.recoveries == 0
+    assert result.goal_change == ""

@@ -59,7 +59,7 @@ class Exploration:
         self.name = "explore"
 
     @property
-    def is_waited_for(self) -> bool:
+    def is_asked_for(self) -> bool:
         """See `Goals`: from beside a view shows as much."""
         return False
 

@@ -29,8 +29,8 @@ class Goals(Protocol):
         """How many are left, as far as is known."""
 
     @property
-    def is_waited_for(self) -> bool:
-        """Whether it is worth a while that the next may be reached itself, and not only from beside it."""
+    def is_asked_for(self) -> bool:
+        """Whether somebody asked for that very place: then it is not the same to come to stand beside it."""
 
     def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
         """The poses (3,) that the next plan leads through, without a stop but at the last; none: all is done.
@@ -75,8 +75,8 @@ class Poses:
         return len(self._left)
 
     @property
-    def is_waited_for(self) -> bool:
-        """See `Goals`: somebody asked for that very place."""
+    def is_asked_for(self) -> bool:
+        """See `Goals`."""
         return True
 
     def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
@@ -129,8 +129,8 @@ class Way:
         return len(self._left)
 
     @property
-    def is_waited_for(self) -> bool:
-        """See `Goals`: somebody asked for that very place."""
+    def is_asked_for(self) -> bool:
+        """See `Goals`."""
         return True
 
     def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:

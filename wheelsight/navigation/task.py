@@ -113,19 +113,23 @@ class Task:
     @property
     def may_wait(self) -> bool:
         """Whether somebody may yet make room where its goal is."""
-        is_changed = self.plan is not None and bool(self.plan.goal_change)
-        return is_changed and self.goals.is_waited_for and not self._has_waited
+        return bool(self._change) and not self._has_waited
 
     def await_goal(self, behaviour: Behaviour) -> None:
         """Wait for that, once a goal."""
         self.recover(behaviour, is_lost=False)
         self._has_waited = True
 
+    @property
+    def _change(self) -> str:
+        """Why the plan's goal is not what somebody asked for; empty where it is, or nobody did."""
+        return self.plan.goal_change if self.plan is not None and self.goals.is_asked_for else ""
+
     def reached(self) -> None:
-        """The goal of the plan; what was to be told of it is kept."""
+        """The goal of the plan; why it is another one than somebody asked for is kept."""
+        self.goal_change = self._change
         self.goals.reached()
         self.come_on()
-        self.goal_change = self.plan.goal_change if self.plan is not None else ""
         self._has_waited = False
 
     def held_for_s(self, now_s: float, is_held: bool) -> float:
