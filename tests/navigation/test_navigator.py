@@ -87,7 +87,7 @@ def somebody_at(x_m: float, y_m: float) -> tuple:
 
 
 @pytest.mark.parametrize("leaves", [True, False])
-def test_who_stands_where_it_is_to_go_is_asked_for_once(leaves: bool) -> None:
+def test_who_stands_where_it_is_to_go_is_waited_for_once(leaves: bool) -> None:
     """If he leaves it goes there; if not, it has arrived beside, and says so."""
     goal = (5.0, 3.0, 0.0)
     subject = ride((*ROOM, *somebody_at(5.9, 3.0)), mapped=ROOM)
