@@ -84,7 +84,7 @@ def test_whatever_ends_it_leaves_a_valid_recording(
 
 
 @pytest.mark.slow
-def test_a_port_that_vanishes_keeps_what_was_recorded_and_is_asked_for(
+def test_a_port_that_vanishes_keeps_what_was_recorded_and_is_waited_for(
     controller: SimulatedController, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"

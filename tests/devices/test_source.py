@@ -71,7 +71,7 @@ def test_a_pipe_gives_the_very_ticks_and_ends_with_the_daemon(tmp_path: Path) ->
     source.close()
 
 
-def test_a_pipe_is_asked_for_and_can_be_left(tmp_path: Path) -> None:
+def test_a_pipe_is_waited_for_and_can_be_left(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "wheels")
     source = open_wheels(tmp_path / "wheels")
     told: list[str] = []

@@ -154,7 +154,7 @@ def ctrl_c_raises() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("ctrl_c_raises")
-def test_ctrl_c_while_a_frame_is_asked_for_keeps_what_was_found(truth: Trajectory, tmp_path: Path) -> None:
+def test_ctrl_c_while_a_frame_is_waited_for_keeps_what_was_found(truth: Trajectory, tmp_path: Path) -> None:
     a_minute_apart = [replace(event, stamp_s=60.0 * event.index) for event in frames_at(truth)]  # type: ignore[type-var, union-attr]
     monotone = Trajectory(np.array([0.0, 1200.0]), truth.T_frame_body[:2])
     timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))

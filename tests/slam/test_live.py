@@ -74,7 +74,7 @@ def test_keyframes_go_to_where_loops_have_them(keyframes: list[Keyframe]) -> Non
     assert (last.loops[:, 0] + 5 < last.loops[:, 1]).all()  # the first lap's, and the second's
 
 
-def test_what_is_due_is_asked_for_and_comes_as_late_each_time(keyframes: list[Keyframe]) -> None:
+def test_what_is_due_is_waited_for_and_comes_as_late_each_time(keyframes: list[Keyframe]) -> None:
     (first, told), (second, again) = driven(keyframes), driven(keyframes)
     assert [update is None for update in told] == [update is None for update in again]
     for one, other in zip(told, again, strict=True):
