@@ -68,6 +68,13 @@ def test_parts_come_back(x: float, y: float, yaw_rad: float) -> None:
     np.testing.assert_allclose(se2.to_parts(se2.from_parts(x, y, yaw_rad)), (x, y, yaw_rad), atol=1e-14)
 
 
+@given(motions, st.lists(st.tuples(coordinate, coordinate), max_size=3))
+def test_apply_is_the_homogeneous_product(T: np.ndarray, points: list[tuple[float, float]]) -> None:
+    p = np.array(points).reshape(-1, 2)
+    homogeneous = np.column_stack([p, np.ones(len(p))])
+    np.testing.assert_allclose(se2.apply(T, p), (homogeneous @ T.T)[:, :2], atol=1e-11)
+
+
 @given(motions, tangents, st.floats(0, 1))
 def test_interpolation_follows_the_arc(T_start: np.ndarray, xi: np.ndarray, share: float) -> None:
     T_end = se2.exp(xi) @ T_start

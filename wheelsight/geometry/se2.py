@@ -67,6 +67,12 @@ def invert(T: ArrayLike) -> FloatArray:
     return from_parts(-c * x - s * y, s * x - c * y, -yaw_rad)
 
 
+def apply(T: ArrayLike, p: ArrayLike) -> FloatArray:
+    """Points (..., N, 2) moved by motions (..., 3, 3): `p_a = apply(T_a_b, p_b)`."""
+    T, p = np.asarray(T, float), np.asarray(p, float)
+    return np.asarray(p @ np.swapaxes(T[..., :2, :2], -1, -2) + T[..., None, :2, 2])
+
+
 def interpolate(T_start: ArrayLike, T_end: ArrayLike, share: ArrayLike) -> FloatArray:
     """Motions (..., 3, 3) a share (...) of the way along the arc from start to end."""
     T_start = np.asarray(T_start, float)

@@ -54,8 +54,8 @@ class MapMatch:
         if len(points) < s.least_points:
             return
         step = max(len(points) // s.most_points, 1)
-        told = _moved(se2.from_parts(*T_told_odom), points[::step])
-        middle = _moved(se2.from_parts(*T_told_odom), xy_odom[None])[0]
+        told = se2.apply(se2.from_parts(*T_told_odom), points[::step])
+        middle = se2.apply(se2.from_parts(*T_told_odom), xy_odom[None])[0]
         best: tuple[float, FloatArray] | None = None
         for begin in (self.T_map_told, np.eye(3)):
             for turn in s.starts_rad:
@@ -64,7 +64,7 @@ class MapMatch:
                 if best is None or cost < best[0] - 1e-9:
                     best = cost, T
         assert best is not None
-        distance_m, _ = self._at(_moved(best[1], told))
+        distance_m, _ = self._at(se2.apply(best[1], told))
         share = float((distance_m < s.near_m).mean())
         if share >= s.least_share:
             self.T_map_told, self.share = best[1], share
@@ -74,7 +74,7 @@ class MapMatch:
         s = self.settings
         hold = np.diag([s.hold_m**-2, s.hold_m**-2, s.hold_rad**-2])
         for _ in range(s.rounds):
-            places = _moved(T, told)
+            places = se2.apply(T, told)
             distance_m, slope = self._at(places)
             weight = self._weights(distance_m) / s.correlation
             away = places - middle
@@ -103,7 +103,7 @@ class MapMatch:
         return np.where(is_known, 1 / (s.sigma_m**2 + distance_m**2), 0.0)
 
     def _cost(self, T: FloatArray, told: FloatArray) -> float:
-        distance_m, _ = self._at(_moved(T, told))
+        distance_m, _ = self._at(se2.apply(T, told))
         s = self.settings
         return float(np.log1p((np.minimum(distance_m, s.cut_m) / s.sigma_m) ** 2).sum() / 2 / s.correlation)
 
@@ -118,10 +118,6 @@ def _places(live: LiveObstacles) -> FloatArray:
     return np.asarray((np.argwhere(live.is_occupied)[:, ::-1] + 0.5) * live.resolution_m + live.origin)
 
 
-def _moved(T: FloatArray, points: FloatArray) -> FloatArray:
-    return np.asarray(points @ T[:2, :2].T + T[:2, 2])
-
-
 def _about(middle: FloatArray, turn_rad: float, shift: tuple[float, float] = (0.0, 0.0)) -> FloatArray:
     """(3, 3) a turn about a place, and a shift (2,)."""
     c, s = np.cos(turn_rad), np.sin(turn_rad)
@@ -133,4 +129,4 @@ def _about(middle: FloatArray, turn_rad: float, shift: tuple[float, float] = (0.
 
 def _small(T: FloatArray, middle: FloatArray) -> FloatArray:
     """(3,) shift of a place, and turn, of a motion (3, 3)."""
-    return np.array([*(_moved(T, middle[None])[0] - middle), np.arctan2(T[1, 0], T[0, 0])])
+    return np.array([*(se2.apply(T, middle[None])[0] - middle), np.arctan2(T[1, 0], T[0, 0])])

@@ -162,7 +162,7 @@ class Senses:
         reach = math.ceil(self._settings.people.beside_m / near.resolution_m)
         beside = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
         is_thing = cv2.dilate((near.state == CellState.OCCUPIED).astype(np.uint8), beside) > 0
-        cells = (view.points @ T[:2, :2].T + T[:2, 2] - near.origin) / near.resolution_m
+        cells = (se2.apply(T, view.points) - near.origin) / near.resolution_m
         column, row = np.clip(np.floor(cells).astype(int), 0, len(near.state) - 1).T
         return np.asarray((near.state == CellState.FREE)[row, column] & ~is_thing[row, column])
 
@@ -195,20 +195,20 @@ class Senses:
             return live
         s, T_odom_base = self._settings.navigator, se2.from_parts(*pose)
         things = self._monitor.remembered(self._footprint.circumscribed_m + s.hidden_m)
-        refused = [things @ T_odom_base[:2, :2].T + T_odom_base[:2, 2]]
+        refused = [se2.apply(T_odom_base, things)]
         if avoids_hidden:
             refused.append(self._hidden(T_odom_base, s.hidden_known_m, CellState.FREE))
-        # Where unknown floor is forbidden, all of it is an obstacle already.
-        if avoids_hidden and self._settings.costmap.unknown != "forbidden":
-            refused.append(self._hidden(T_odom_base, s.hidden_deep_m, CellState.UNKNOWN))
+            # Where unknown floor is forbidden, all of it is an obstacle already.
+            if self._settings.costmap.unknown != "forbidden":
+                refused.append(self._hidden(T_odom_base, s.hidden_deep_m, CellState.UNKNOWN))
         return live.with_points(np.concatenate(refused))
 
     def _hidden(self, T_odom_base: FloatArray, deep_m: float, state: CellState) -> FloatArray:
         """(N, 2) in `odom`, floor so deep in what no camera has looked at, of which the map has that state."""
         hidden = self._monitor.hidden(self._footprint.circumscribed_m + self._settings.navigator.hidden_m, deep_m)
         T_map_odom = se2.from_parts(*self.where.T_map_odom)
-        points = hidden @ T_odom_base[:2, :2].T + T_odom_base[:2, 2]
-        found = self._floor.layer.state_at(points @ T_map_odom[:2, :2].T + T_map_odom[:2, 2])
+        points = se2.apply(T_odom_base, hidden)
+        found = self._floor.layer.state_at(se2.apply(T_map_odom, points))
         return np.asarray(points[found == state])
 
     def local(self) -> Costmap | None:
