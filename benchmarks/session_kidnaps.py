@@ -117,10 +117,10 @@ def _is_right(answer: Estimate, day: SecondDay, known: FirstDay, shift_s: float)
     return error_m <= WRONG_M and error_deg <= WRONG_DEG
 
 
-def kidnappings(count: int, calibration: Calibration, day: SecondDay, known: FirstDay) -> Iterator[Kidnapping]:
-    """So many from moments evenly over the drive, each half a drive on, by camera alone and joined in turn."""
+def kidnap_moments(count: int, day: SecondDay) -> Iterator[tuple[tuple[float, float], str]]:
+    """So many moments evenly over the drive, each with one half a drive on, by camera alone and joined in turn."""
     begin_s, end_s = day.events[0].stamp_s + FIND_S, day.events[-1].stamp_s - WATCHED_S
     moments_s = np.linspace(begin_s, end_s, count)
     for number, from_s in enumerate(moments_s.tolist()):
         to_s = begin_s + (from_s - begin_s + (end_s - begin_s) / 2) % (end_s - begin_s)
-        yield kidnapped_at((from_s, to_s), MODES[number % len(MODES)], calibration, day, known)
+        yield (from_s, to_s), MODES[number % len(MODES)]

@@ -1,14 +1,19 @@
-"""Maps of first days, kept in a folder: each takes minutes to drive, and many mornings can be begun in it."""
+"""Maps of first days and what was measured in them, kept in a folder: hours of it can be broken off and go on."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from benchmarks.kept_records import KeptRecords
-from benchmarks.session_starts import Building, FirstDay, first_day
+from benchmarks.session_kidnaps import Kidnapping
+from benchmarks.session_starts import Building, FirstDay, Start, first_day
+
+One = TypeVar("One", Start, Kidnapping)
 
 _POSES = ("T_world_map", "T_world_base", "T_map_base")
 
@@ -28,6 +33,17 @@ def kept_day(
         return day
     poses = {name: np.array(told.pop(name)).reshape((-1, 4, 4) if name != "T_world_map" else (4, 4)) for name in _POSES}
     return FirstDay(**{**told, "folder": folder / told["folder"], **poses})
+
+
+def kept_one(records: KeptRecords, name: str, kind: type[One], measured: Callable[[], One]) -> One:
+    """What was kept by that name, or else what is measured now, and is kept."""
+    told = records.of(name)
+    if told is None:
+        one = measured()
+        records.keep(name, asdict(one))
+        return one
+    known: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in told.items()}
+    return kind(**known)
 
 
 def _told(day: FirstDay, folder: Path) -> dict[str, Any]:

@@ -24,18 +24,21 @@ import argparse
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from rich.console import Console
 
 from benchmarks import calibrated_unit, machine
+from benchmarks.kept_records import KeptRecords
 from benchmarks.sequences import default_data_folder
-from benchmarks.session_kidnaps import Kidnapping, kidnappings
-from benchmarks.session_maps import kept_day
-from benchmarks.session_starts import MODES, Building, FirstDay, Start, moments_of, second_day, start_at
+from benchmarks.session_kidnaps import Kidnapping, kidnap_moments, kidnapped_at
+from benchmarks.session_maps import kept_day, kept_one
+from benchmarks.session_starts import MODES, Building, FirstDay, SecondDay, Start, moments_of, second_day, start_at
 from benchmarks.table import Sheet, targets_sheet, write_page
 from benchmarks.targets import Target
+from wheelsight.calibration import Calibration
 from wheelsight.simulation import FloorPlan
 
 FOUND_PERCENT, WITHIN_S, MEDIAN_M, MEDIAN_DEG = 95.0, 5.0, 0.05, 1.0
@@ -170,30 +173,47 @@ def map_settings(asked: argparse.Namespace) -> dict[str, object]:
 
 
 def measure(buildings: Sequence[Building], asked: argparse.Namespace, folder: Path, console: Console) -> Measured:
-    """All starts and kidnappings, in maps that the folder has, or gets."""
-    rate_hz, units = asked.rate, asked.calibrated
+    """All starts and kidnappings, in maps that the folder has, or gets; what it has of them is not measured again."""
     of = Measured()
-    own, elsewhere, known = of.own, of.elsewhere, of.known
     for building in buildings:
-        known.append(kept_day(building, folder, map_settings(asked), rate_hz, units))
-        told = f"{known[-1].together} of {known[-1].keyframes} keyframes together, {known[-1].ate_m:.3f} m off"
-        console.print(f"{building.name}: first day mapped, {known[-1].way_m:.0f} m, {told}")
+        of.known.append(kept_day(building, folder, map_settings(asked), asked.rate, asked.calibrated))
+        day = of.known[-1]
+        told = f"{day.together} of {day.keyframes} keyframes together, {day.ate_m:.3f} m off"
+        console.print(f"{building.name}: first day mapped, {day.way_m:.0f} m, {told}")
     for number, building in enumerate(buildings):
-        calibration, events = second_day(building, rate_hz, units)
+        calibration, events = second_day(building, asked.rate, asked.calibrated)
         console.print(f"{building.name}: second day rendered")
-        other = known[(number + 1) % len(known)]
-        for count, moment_s in enumerate(moments_of(events, asked.starts)):
-            for mode in MODES:
-                own.append(start_at(moment_s, mode, calibration, events, known[number], building.name))
-                console.print(own[-1].sentence)
-            if other is not known[number]:
-                mode = MODES[count % len(MODES)]
-                elsewhere.append(start_at(moment_s, mode, calibration, events, other, building.name, has_truth=False))
-                console.print(f"in the map of {other.name}: {elsewhere[-1].sentence}")
-        for one in kidnappings(asked.kidnaps, calibration, events, known[number]):
-            of.taken.append(one)
-            console.print(one.sentence)
+        records = KeptRecords(folder / f"{building.name}-next-day", map_settings(asked))
+        other = of.known[(number + 1) % len(buildings)]
+        _measure_starts(of, (of.known[number], other), (calibration, events), asked.starts, records, console)
+        for moments_s, mode in kidnap_moments(asked.kidnaps, events):
+            what = f"carried-{moments_s[0]:.2f}-{moments_s[1]:.2f}-{mode}"
+            taken = partial(kidnapped_at, moments_s, mode, calibration, events, of.known[number])
+            of.taken.append(kept_one(records, what, Kidnapping, taken))
+            console.print(of.taken[-1].sentence)
     return of
+
+
+def _measure_starts(
+    of: Measured,
+    maps: tuple[FirstDay, FirstDay],
+    day: tuple[Calibration, SecondDay],
+    count: int,
+    records: KeptRecords,
+    console: Console,
+) -> None:
+    """So many by each mode in the map of the day's own building, and one each in another building's, in turn."""
+    (known, other), (calibration, events) = maps, day
+    for number, moment_s in enumerate(moments_of(events, count)):
+        for mode in MODES:
+            made = partial(start_at, moment_s, mode, calibration, events, known, known.name)
+            of.own.append(kept_one(records, f"start-{moment_s:.2f}-{mode}", Start, made))
+            console.print(of.own[-1].sentence)
+        if other is not known:
+            mode = MODES[number % len(MODES)]
+            made = partial(start_at, moment_s, mode, calibration, events, other, known.name, has_truth=False)
+            of.elsewhere.append(kept_one(records, f"in-{other.name}-{moment_s:.2f}-{mode}", Start, made))
+            console.print(f"in the map of {other.name}: {of.elsewhere[-1].sentence}")
 
 
 def main() -> None:
@@ -205,7 +225,9 @@ def main() -> None:
     parser.add_argument("--kidnaps", type=int, default=12, help="in each building")
     parser.add_argument("--rate", type=float, default=15.0, help="images a second")
     parser.add_argument("--way", type=float, default=60.0, help="metres of the tour through a plan")
-    parser.add_argument("--keep", type=Path, help="folder for maps of first days: those that it has are not made again")
+    parser.add_argument(
+        "--keep", type=Path, help="folder for maps, starts and the rest: what it has is not measured again"
+    )
     calibrated_unit.add_option(parser)
     parser.add_argument("--out", type=Path, help="Markdown to write")
     arguments = parser.parse_args()

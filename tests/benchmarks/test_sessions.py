@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks import session_maps, session_starts, sessions
+from benchmarks.kept_records import KeptRecords
+from benchmarks.session_kidnaps import Kidnapping
 from benchmarks.session_starts import ALONE, JOINED, FirstDay, Start
 from wheelsight.errors import InputError
 from wheelsight.estimates import Estimate, Status
@@ -89,3 +91,17 @@ def test_a_map_that_is_kept_is_not_made_again_and_may_be_moved(tmp_path: Path, m
     assert (again.name, again.ate_m, again.way_m, again.keyframes, again.together) == ("flat", 0.03, 12.5, 3, 2)
     with pytest.raises(InputError, match="otherwise"):
         session_maps.kept_day(building, tmp_path / "there", {"rate": 15.0}, 15.0)
+
+
+@pytest.mark.parametrize("one", [FOUND, NOT_FOUND, Kidnapping("flat", JOINED, 4.0, 9.0, True, False, 3.5)])
+def test_what_is_kept_of_a_start_is_not_measured_again(tmp_path: Path, one: Start | Kidnapping) -> None:
+    made: list[int] = []
+    records = KeptRecords(tmp_path, {"rate": 10.0})
+
+    def measured() -> Start | Kidnapping:
+        made.append(1)
+        return one
+
+    first, again = (session_maps.kept_one(records, "one", type(one), measured) for _ in range(2))  # type: ignore[type-var]
+    assert repr(first) == repr(again) == repr(one)
+    assert len(made) == 1
