@@ -52,8 +52,8 @@ class Kidnapping:
 
 
 def carried_off(events: Sequence[Event], from_s: float, to_s: float, dark_s: float = DARK_S) -> Iterator[Event]:
-    """The events up to a moment, a dark in which wheels stand, and those from another moment on, later by as much."""
-    before = [event for event in events if event.stamp_s < from_s]
+    """The events before a moment, a dark in which wheels stand, and those from another moment on, later by as much."""
+    before = [event for event in events if from_s - FIND_S <= event.stamp_s < from_s]
     after = [event for event in events if event.stamp_s >= to_s]
     yield from before
     stood = next((event for event in reversed(before) if isinstance(event, WheelTicks)), None)
@@ -87,10 +87,9 @@ def kidnapped_at(
     """Begin some seconds before a moment, be carried off at it to another one, and go on there."""
     from_s, to_s = moments_s
     subject, close = localizer_in(known, mode, calibration, day)
-    window = [event for event in day.events if from_s - FIND_S <= event.stamp_s]
     light_s = from_s + DARK_S
     was_found, is_unnoticed, again_s = False, False, None
-    for event in carried_off(window, from_s, to_s):
+    for event in carried_off(day.events, from_s, to_s):
         if event.stamp_s > light_s + WATCHED_S:
             break
         answer = subject.process(event)

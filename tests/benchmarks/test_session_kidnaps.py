@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks import sessions
-from benchmarks.session_kidnaps import Kidnapping, carried_off
+from benchmarks.session_kidnaps import FIND_S, Kidnapping, carried_off
 from wheelsight.events import Event, RgbdFrame, WheelTicks, YawRate
 
 SIZE = (3, 4)
@@ -36,6 +36,15 @@ def test_stamps_grow_and_counts_stand_in_the_dark_and_go_on_from_there(events: l
     assert (after[0].left, after[0].right) == (3 * 59, 2 * 59)
     assert (after[10].left - after[0].left, after[10].right - after[0].right) == (30, 20)
     assert after[0].stamp_s == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize("to_s", [2.0, 16.0])
+def test_the_light_comes_back_at_once_wherever_to_it_was_carried(events: list[Event], to_s: float) -> None:
+    """Carried back to the drive's begin, it saw nothing for as long as it was watched, and was not counted as lost."""
+    cut = list(carried_off(events, 14.0, to_s, dark_s=4.0))
+    assert cut[0].stamp_s == pytest.approx(14.0 - FIND_S)
+    frames = [event for event in cut if isinstance(event, RgbdFrame) and event.color.any()]
+    assert next(frame.stamp_s for frame in frames if frame.stamp_s >= 14.0) == pytest.approx(18.02)
 
 
 def test_it_is_dark_meanwhile_and_nothing_turns(events: list[Event]) -> None:
