@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.errors import WheelsightError
 from wheelsight.geometry import FloatArray
-from wheelsight.navigation.behaviours import Wait, when_blocked, when_unseen
+from wheelsight.navigation.behaviours import Wait
 from wheelsight.navigation.collision_monitor import MonitorReason, MonitorState
 from wheelsight.navigation.control_chain import ControlChain, controller_of
 from wheelsight.navigation.control_values import ControlReason, ControlResult
@@ -202,7 +202,8 @@ class Navigator:
         task = self._task
         if task is None or self.is_task_complete():
             return STOP
-        task.roll(now_s, self._senses.where, self.settings.navigator)
+        meets_people = bool(self._senses.people(now_s))
+        task.roll(now_s, self._senses.where, self.settings.navigator, meets_people=meets_people)
         why_over = self._why_over(task, now_s)
         if why_over is not None:
             return self._fail(*why_over)
@@ -258,7 +259,7 @@ class Navigator:
         if failure.reason.is_of_goal and task.goals.left > 1 and task.skips < _SKIPS and task.goals.missed():
             task.skips += 1
             return STOP
-        if not failure.reason.is_for_good and task.tries < self.settings.navigator.tries:
+        if not failure.reason.is_for_good and task.may_try(self.settings.navigator):
             return self._get_out(task, why)
         return self._give_up(task, NavigationReason.NO_PLAN, why)
 
@@ -305,9 +306,9 @@ class Navigator:
         if result.reason is ControlReason.ARRIVED:
             return self._reached(task)
         if result.reason in (ControlReason.MISSED, ControlReason.OFF_PATH, ControlReason.NO_PATH):
-            task.tries += 1
-            if task.tries > self.settings.navigator.tries:
+            if not task.may_try(self.settings.navigator):
                 return self._give_up(task, NavigationReason.BLOCKED, str(result.reason))
+            task.tries += 1
             self._become(NavigationState.PLANNING, str(result.reason))
             return STOP
         is_held = result.reason is not None or self._chain.checked.state is MonitorState.STOPPED
@@ -349,15 +350,11 @@ class Navigator:
         return STOP
 
     def _get_out(self, task: Task, why: str, stopped_by: MonitorReason | None = None) -> VelocityCommand:
-        """Floor that was never seen stays so, however long it waits: only another way leads past it."""
-        if task.tries >= self.settings.navigator.tries:
+        """Do something to get on, or give up."""
+        if not task.may_try(self.settings.navigator):
             return self._give_up(task, NavigationReason.BLOCKED, why)
         self._planning.drop()
-        task.passes_hidden = stopped_by is not MonitorReason.NEVER_SEEN
-        tries, b = task.tries, self.settings.behaviours
-        was_backward = self._chain.was_backward
-        behaviour = when_blocked(tries, b) if task.passes_hidden else when_unseen(tries, b, was_backward=was_backward)
-        task.recover(behaviour, is_lost=False)
+        task.get_out(self.settings, stopped_by, was_backward=self._chain.was_backward)
         self._become(NavigationState.RECOVERING, f"{why}; {task.doing}")
         return STOP
 

@@ -126,6 +126,13 @@ class NavigatorSettings(Settings):
         le=60,
     )
     tries: int = setting(6, "times to get itself out, without a way made, before it gives up", CHOSEN, ge=0, le=100)
+    patience_s: float = setting(
+        120.0,
+        "time since it last made way in which it does not give up where somebody walks about: he will go",
+        CHOSEN,
+        ge=0,
+        le=3600,
+    )
     progress_m: float = setting(
         1.0, "from where it last got itself out, so far off its tries begin anew", CHOSEN, gt=0, le=20
     )

@@ -8,11 +8,11 @@ import numpy as np
 
 from wheelsight.estimates import Status
 from wheelsight.geometry import FloatArray
-from wheelsight.navigation.behaviours import Behaviour, when_lost
-from wheelsight.navigation.collision_monitor import MonitorResult
+from wheelsight.navigation.behaviours import Behaviour, Wait, when_blocked, when_lost, when_unseen
+from wheelsight.navigation.collision_monitor import MonitorReason, MonitorResult
 from wheelsight.navigation.goals import Goals
 from wheelsight.navigation.localization import WhereNow
-from wheelsight.navigation.navigator_settings import BehaviourSettings, NavigatorSettings
+from wheelsight.navigation.navigator_settings import BehaviourSettings, NavigationSettings, NavigatorSettings
 from wheelsight.navigation.navigator_values import NavigationReason, NavigationResult, Transition
 from wheelsight.navigation.plan_values import Plan
 
@@ -49,10 +49,10 @@ class Task:
         self.behaviour: Behaviour | None = None
         self.is_lost = False
         self.tries, self.skips, self.searches = 0, 0, 0
-        self.passes_hidden = self._has_waited = False
+        self.passes_hidden = self._has_waited = self._has_met_people = False
         self.known_s = now_s
         self.transitions: list[Transition] = []
-        self._begun_s = self._rolled_s = now_s
+        self._begun_s = self._rolled_s = self._tried_s = now_s
         self._way_m = 0.0
         self._here = self._from = np.full(2, math.nan)
         self._now_s = self._since_s = now_s
@@ -64,9 +64,10 @@ class Task:
         """In words."""
         return self.goals.name if self.behaviour is None else self.behaviour.name
 
-    def roll(self, now_s: float, where: WhereNow, settings: NavigatorSettings) -> None:
+    def roll(self, now_s: float, where: WhereNow, settings: NavigatorSettings, *, meets_people: bool = False) -> None:
         """Count the way made; once it has come so far, tries begin anew: to and fro it may go for ever."""
         self._now_s = now_s
+        self._has_met_people |= meets_people
         # By readings: wheels that are not heard any more made no way.
         speed = where.speed
         if speed.stamp_s > self._rolled_s:
@@ -76,6 +77,7 @@ class Task:
             self._here = where.odom_pose[:2]
             if not np.hypot(*(self._here - self._from)) <= settings.progress_m:
                 self.tries, self.passes_hidden = 0, False
+                self._has_met_people, self._tried_s = False, now_s
                 self.come_on()
         if where.is_known(settings.unsure_m):
             self.known_s, self.searches = now_s, 0
@@ -105,6 +107,25 @@ class Task:
         else:
             self.tries += 1
         self.come_on()
+
+    def may_try(self, settings: NavigatorSettings) -> bool:
+        """Whether it may get itself out once more: people who walk about go in time, not in so many tries."""
+        has_time = self._now_s - self._tried_s < settings.patience_s
+        return self.tries < settings.tries or (self._has_met_people and has_time)
+
+    def get_out(self, settings: NavigationSettings, stopped_by: MonitorReason | None, *, was_backward: bool) -> None:
+        """Do something to get on.
+
+        Floor that was never seen stays so, however long it waits: only another way leads past it.
+        """
+        b, tries = settings.behaviours, self.tries
+        self.passes_hidden = stopped_by is not MonitorReason.NEVER_SEEN
+        if tries >= settings.navigator.tries:
+            self.recover(Wait(b.wait_s, "wait until people have gone"), is_lost=False)
+        elif self.passes_hidden:
+            self.recover(when_blocked(tries, b), is_lost=False)
+        else:
+            self.recover(when_unseen(tries, b, was_backward=was_backward), is_lost=False)
 
     def search(self, settings: BehaviourSettings, status: Status, checked: MonitorResult) -> None:
         """Do something to find out where it is; see `when_lost`."""

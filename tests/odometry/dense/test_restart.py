@@ -10,7 +10,7 @@ from odometry.views import covered_frame, from_start, room_frame, run
 from synthetic import wobbling_trajectory
 
 from wheelsight.calibration import Calibration
-from wheelsight.estimates import Estimate, Reason, Status
+from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.odometry.dense import DenseOdometry, _step_kernels
@@ -181,3 +181,18 @@ def test_a_restart_right_after_the_first_frame_forgets_to_straighten_that(frames
         answer = subject.process(frame, WAY)
         assert answer.status is Status.TRACKING
         assert apart(T_told @ on_the_way(k), not_none(answer.T_odom_body))[0] < 0.02
+
+
+def test_a_second_frame_that_keypoints_alone_found_leaves_the_first_in_its_place(
+    frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The third put the first one's image where the second was, and looked for landmarks that had been forgotten."""
+    subject = dense(Calibration.registered_camera(SMALL, rolling_shutter_s=0.02))
+    run(subject, frames[:1])
+    with monkeypatch.context() as patched:
+        fail = lambda *_: MotionEstimate.failed(Reason.POOR_FIT)  # noqa: E731
+        patched.setattr(subject._locator, "locate", fail)  # noqa: SLF001
+        assert subject.process(frames[1]).status is Status.TRACKING
+    for k, answer in enumerate(run(subject, frames[2:5]), 2):
+        assert answer.status is Status.TRACKING
+        assert apart(IN_WORLD[k], not_none(answer.T_odom_body))[0] < 0.02

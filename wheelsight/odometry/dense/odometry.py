@@ -210,8 +210,9 @@ class DenseOdometry:
             return self._fail(frame.stamp_s, MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH))
         with self.watch.stage("keyframe"):
             start = self._policy.begin(features.result(), grid, T_map_camera, covariance)
+        begun = self._accept(start)
         self._first = (frame, features.result()) if is_first else None
-        return self._accept(start)
+        return begun
 
     def _begin_again(
         self, found: Tracked, features: Features, ahead: Prediction
@@ -226,6 +227,8 @@ class DenseOdometry:
         return self._locator.by_view(found.frame, view, ahead, [found.T_map_camera]), ahead
 
     def _accept(self, found: Tracked) -> DenseEstimate:
+        # A frame that keypoints alone found is the last one now: the first is not to be put in its place.
+        self._first = None
         self._last, self._state = found, self._state.tracked()
         self._verifier.faults.learn(found)
         if found.joint is not None:
