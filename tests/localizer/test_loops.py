@@ -19,8 +19,11 @@ from wheelsight.geometry import se3
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.localizer import Localizer
 from wheelsight.localizer._loops import LoopsBeside
+from wheelsight.places.recognition import Recognizer
 from wheelsight.recordings import Recording, open_recording
 from wheelsight.slam.drive_graph import KeyframePlace, LivedKeyframe, PoseUpdate
+from wheelsight.slam.graph import RelativePose
+from wheelsight.slam.known import KnownMap
 from wheelsight.slam.live import LiveLoops
 
 FAR = se3.exp([3.0, -2.0, 1.0, 0.4, -0.6, 0.8])
@@ -190,4 +193,30 @@ def test_a_piece_counts_as_joined_once_it_is_sure_where_it_lies(
         # 0.1 m at the keyframe, and what odometry has grown by since: 0.01 m, and little by turns at half a metre.
         C_now = se3.position_covariance(FAR @ se3.from_plane(1.5, 0, 0), called.covariance_map)
         assert np.sqrt(C_now.max()) == pytest.approx(sigma_m, rel=0.1)
+    beside.close()
+
+
+@pytest.mark.parametrize("grows", [False, True])
+def test_in_a_map_that_stays_a_pose_is_tracked_while_it_is_sure(monkeypatch: pytest.MonkeyPatch, grows: bool) -> None:
+    """Somebody before the camera leads odometry astray, and it says so; in a map that grows that is the way's doing."""
+    store, settings = KeyframeStore(), load_config(overrides={"loops.source": "keyframes"})
+    blank, C, places = np.ones((24, 32), np.float32), 1e-4 * np.eye(6), np.zeros((0, 2), np.int64)
+    for x_m in (0.0, 1.0):
+        store.add(Keyframe.of_images(x_m, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), se3.from_plane(x_m, 0, 0))
+    step = RelativePose(KeyframeId(0), KeyframeId(1), se3.from_plane(1, 0, 0), C)
+    known = KnownMap(store, Recognizer(), (step,) if grows else ())
+    beside = LoopsBeside(store, Calibration.registered_camera(synthetic.CAMERA), settings, known, waits=True)
+    store.add(Keyframe.of_images(2.0, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), se3.from_plane(2, 0, 0))
+    place = KeyframePlace(KeyframeId(2), np.eye(4), C, np.eye(4), C)
+
+    def due(live: LiveLoops, stamp_s: float) -> PoseUpdate:
+        live.place = place
+        return PoseUpdate(store.T_map_keyframe, np.zeros(3, np.int64), places)
+
+    monkeypatch.setattr(LiveLoops, "due", due)
+    beside.move_keyframes(2.0, None)
+    sure = Estimate(2.1, Status.TRACKING, np.eye(4), 2 * C)
+    answers = [replace(sure, covariance=C * of) for of in (2.0, 30.0, 700.0, 2.0)]
+    statuses = [str(beside.called(answer).status) for answer in answers]
+    assert statuses == ["tracking", "tracking", "tracking" if grows else "coasting", "tracking"]
     beside.close()

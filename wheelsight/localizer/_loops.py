@@ -49,6 +49,7 @@ class LoopsBeside:
     ) -> None:
         self._store, self._settings = store, settings.loops
         self._live = LiveLoops(store, calibration, settings.loops, settings.recognition, known=known, waits=waits)
+        self._map_stays = known is not None and not known.edges
         self._told = len(store)
         self._waiting: list[list[LivedKeyframe]] = []  # by the frames at which they were kept
         self._closed: ClosedLoops | None = None
@@ -93,12 +94,19 @@ class LoopsBeside:
 
     def _is_sure(self, answer: Estimate, covariance_map: FloatArray | None) -> bool:
         """Whether an answer is of a piece that lies in the map, and sure enough there."""
-        place, limits, T_odom_body = self._live.place, self._settings, answer.T_odom_body
-        if covariance_map is None or T_odom_body is None or place is None or place.number < self._pieces[-1]:
+        place, limits = self._live.place, self._settings
+        if covariance_map is None or place is None or place.number < self._pieces[-1]:
             return False
-        C = se3.position_covariance(answer.T_map_odom @ T_odom_body, covariance_map)
-        sigma_m, sigma_rad = (np.sqrt(np.linalg.eigvalsh(one)[-1]) for one in (C, covariance_map[3:, 3:]))
-        return bool(sigma_m <= limits.sure_m and sigma_rad <= limits.sure_rad)
+        return _is_within(answer, covariance_map, limits.sure_m, limits.sure_rad)
+
+    def _is_unsure(self, answer: Estimate, covariance_map: FloatArray | None) -> bool:
+        """Whether an answer that counts is by now too unsure in a map of before that stays as it is.
+
+        In a map that grows it is the drive's own way that makes it so, and the map is as unsure there.
+        """
+        if covariance_map is None or not self._map_stays:
+            return False
+        return not _is_within(answer, covariance_map, self._settings.unsure_m, self._settings.unsure_rad)
 
     def tie(self, number: int) -> bool:
         """Whether loops tie keyframes from `number` on to older ones, and were seen from apart as those between pieces.
@@ -171,7 +179,9 @@ class LoopsBeside:
         if not self.is_joined and answer.status is Status.TRACKING and self._is_sure(answer, covariance_map):
             self.is_joined, self._is_new = True, False
         if self.is_joined:
-            return replace(answer, covariance_map=covariance_map)
+            is_unsure = answer.status is Status.TRACKING and self._is_unsure(answer, covariance_map)
+            status = Status.COASTING if is_unsure else answer.status
+            return replace(answer, covariance_map=covariance_map, status=status)
         if answer.status not in (Status.TRACKING, Status.COASTING):
             return answer
         return replace(answer, status=Status.INITIALIZING if self._is_new else Status.COASTING)
@@ -238,3 +248,12 @@ def apart(piece: int, settings: PieceSettings) -> FloatArray:
     T = np.eye(4)
     T[2, 3] = -settings.apart_m * piece
     return T
+
+
+def _is_within(answer: Estimate, covariance_map: FloatArray, most_m: float, most_rad: float) -> bool:
+    """Whether a pose in the map is known to so many metres and radians along the worst axis."""
+    if answer.T_odom_body is None:
+        return False
+    C = se3.position_covariance(answer.T_map_odom @ answer.T_odom_body, covariance_map)
+    sigma_m, sigma_rad = (np.sqrt(np.linalg.eigvalsh(one)[-1]) for one in (C, covariance_map[3:, 3:]))
+    return bool(sigma_m <= most_m and sigma_rad <= most_rad)

@@ -183,6 +183,14 @@ class LoopSettings(Settings):
         le=100,
     )
     sure_rad: float = setting(0.06, "likewise, radians", "reckoned, likewise: of 10 degrees", gt=0, le=3)
+    unsure_m: float = setting(
+        0.2,
+        "in a map of before that stays as it is, a pose known to no better than this, metres, is `coasting`",
+        "reckoned: 0.5 m, a wrong place, is 2.5 times as much; more than sure_m, so that it does not come and go",
+        gt=0,
+        le=100,
+    )
+    unsure_rad: float = setting(0.08, "likewise, radians", "reckoned, likewise", gt=0, le=3)
     most_across: int = setting(
         60,
         "loops between pieces that are remembered, the newest: of more, comparing takes long",
