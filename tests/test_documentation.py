@@ -20,6 +20,7 @@ import pytest
 import yaml
 from area_drive import write_area_drive
 from documentation_blocks import USERS_CODE, declared, python_blocks, unmade
+from documentation_commands import unknown_in, wheelsight_commands
 from drives import simulate as drive_legs
 from drives import square_legs, write_recording
 from floor_plans import rooms_in_colours, two_rooms, write_plan
@@ -264,6 +265,24 @@ def test_every_reason_for_not_running_is_of_some_command() -> None:
     texts = [(PROJECT / page).read_text(encoding="utf-8") for page in PAGES]
     found = {why_not(command) for text in texts for command in commands_of(text)}
     assert found - {None} == set(NOT_RUN)
+
+
+def test_commands_that_pages_name_have_the_options_that_they_give() -> None:
+    """All of them, since those in NOT_RUN and those within text are run by nobody."""
+    pages = (*PAGES, "papers/README.md", *(path.name for path in PROJECT.glob("BENCHMARKS*.md")))
+    told = [(page, words) for page in pages for words in wheelsight_commands((PROJECT / page).read_text("utf-8"))]
+    assert len(told) > 200
+    assert [(page, unknown) for page, words in told if (unknown := unknown_in(words))] == []
+    assert unknown_in(["run", "drive", "--outt", "x", "--map-from=y"]) == ["--outt"]
+    assert unknown_in(["map", "shrink", "x"]) == ["shrink"]
+
+
+def test_pages_beside_the_docs_link_to_files_that_are_there() -> None:
+    """Those of docs are held by the site's builder."""
+    for page in (*PROJECT.glob("*.md"), PROJECT / "papers" / "README.md"):
+        links = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8"))
+        gone = [link for link in links if "://" not in link and not (page.parent / link).exists()]
+        assert gone == [], page.name
 
 
 def test_blocks_are_read_as_a_newcomer_reads_them() -> None:

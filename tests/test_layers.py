@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -99,6 +100,13 @@ def wrong_imports(source: str, layer: str) -> list[str]:
         for line, name in imports_of(source)
         if layer_of(name) is not None and layer_of(name) not in allowed
     ]
+
+
+def test_the_page_on_architecture_names_the_layers_in_their_order() -> None:
+    page = (PACKAGE.parent / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (`.*?) \|", page.partition("| part |")[2], re.MULTILINE)
+    named = [name for row in rows for name in re.findall(r"`(\w+)`", row)]
+    assert named == [name for name in LAYERS if not name.startswith("_")]
 
 
 def module_of(path: Path) -> str:

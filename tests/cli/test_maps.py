@@ -143,6 +143,14 @@ def test_places_get_names_that_can_be_listed_and_forgotten(wheelsight: Command, 
     assert [one.name for one in MapFolder.open(kept / "map").named_poses()] == ["desk"]
 
 
+def test_a_name_where_no_keyframe_sees_floor_is_warned_of(wheelsight: Command, kept: Path) -> None:
+    assert wheelsight("map", "name", kept, "near", "--at", "3,0,0").stderr == ""
+    told = wheelsight("map", "name", kept, "far", "--at", "100,0,0")
+    assert told.exit_code == 0
+    words = " ".join(told.stderr.split())
+    assert re.match(r"warning: far is 9\d\.\d m from the nearest keyframe, which shows the floor to 5 m", words)
+
+
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
