@@ -28,7 +28,8 @@ class Kidnapping:
         moment_s, moment_to_s: of the drive: where it was taken from, and to.
         was_found: whether it had found itself in the map before; without that it cannot be contradicted.
         is_unnoticed: whether, three seconds after the light came back or later, a frame was answered `tracking` at a
-            wrong place.
+            wrong place, while it had not been found again.
+        is_astray: whether a frame was answered so after it had been found again, rightly.
         again_s: when it was found again, rightly, after the light came back; None where it was not.
     """
 
@@ -38,6 +39,7 @@ class Kidnapping:
     moment_to_s: float
     was_found: bool
     is_unnoticed: bool
+    is_astray: bool
     again_s: float | None
 
     @property
@@ -48,7 +50,7 @@ class Kidnapping:
             return f"{where}: not found before"
         told = "UNNOTICED, " if self.is_unnoticed else ""
         again = "not found again" if self.again_s is None else f"found again after {self.again_s:.1f} s"
-        return f"{where}: {told}{again}"
+        return f"{where}: {told}{again}{', then LED ASTRAY' if self.is_astray else ''}"
 
 
 def carried_off(events: Sequence[Event], from_s: float, to_s: float, dark_s: float = DARK_S) -> Iterator[Event]:
@@ -88,7 +90,8 @@ def kidnapped_at(
     from_s, to_s = moments_s
     subject, close = localizer_in(known, mode, calibration, day)
     light_s = from_s + DARK_S
-    was_found, is_unnoticed, again_s = False, False, None
+    was_found = is_unnoticed = is_astray = False
+    again_s = None
     for event in carried_off(day.events, from_s, to_s):
         if event.stamp_s > light_s + WATCHED_S:
             break
@@ -99,11 +102,12 @@ def kidnapped_at(
             was_found |= _is_there(answer)
         elif event.stamp_s >= light_s and _is_there(answer):
             is_right = _is_right(answer, day, known, to_s - light_s)
-            is_unnoticed |= not is_right and event.stamp_s >= light_s + NOTICE_S
+            is_unnoticed |= not is_right and again_s is None and event.stamp_s >= light_s + NOTICE_S
+            is_astray |= not is_right and again_s is not None
             again_s = event.stamp_s - light_s if is_right and again_s is None else again_s
     subject.close()
     close()
-    return Kidnapping(known.name, mode, from_s, to_s, was_found, was_found and is_unnoticed, again_s)
+    return Kidnapping(known.name, mode, *moments_s, was_found, was_found and is_unnoticed, is_astray, again_s)
 
 
 def _is_there(answer: Estimate) -> bool:

@@ -12,7 +12,8 @@ so at that first frame. "In the whole map" are errors by one rigid alignment of 
 with its truth: they hold what is wrong with the map itself, too.
 
 A robot that has found itself is also carried to another place of the building during four seconds in the dark, in which
-its wheels stand. "Unnoticed" is a `tracking` at a wrong place three seconds after the light came back, or later.
+its wheels stand. "Unnoticed" is a `tracking` at a wrong place three seconds after the light came back, or later, of one
+that had not been found again; "then led astray" is one of who had.
 
 Nobody has told the robot of its unit's errors of depth, lens, registration and mount, except with `--calibrated`: then
 its owner has found them by a board and a drive before, as docs/tutorial-your-robot.md says, for both days.
@@ -111,7 +112,8 @@ def kidnapping_sheet(taken: Sequence[Kidnapping]) -> Sheet:
         found = [one for one in some if one.was_found]
         again = [one.again_s for one in found if one.again_s is not None]
         counts = (len(some), len(found), sum(one.is_unnoticed for one in found), len(again))
-        rows.append((f"{building}, {mode}", *map(str, counts), _median(again, 1)))
+        astray = str(sum(one.is_astray for one in found))
+        rows.append((f"{building}, {mode}", *map(str, counts), _median(again, 1), astray))
     header = (
         "carried off in, by",
         "times",
@@ -119,6 +121,7 @@ def kidnapping_sheet(taken: Sequence[Kidnapping]) -> Sheet:
         "unnoticed after 3 s",
         "found again in 10 s",
         "after s, median",
+        "then led astray",
     )
     return Sheet("Carried elsewhere in the dark", header, tuple(rows))
 

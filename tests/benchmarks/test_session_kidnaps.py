@@ -61,9 +61,9 @@ def test_it_is_dark_meanwhile_and_nothing_turns(events: list[Event]) -> None:
 
 def test_only_who_had_found_itself_counts() -> None:
     taken = [
-        Kidnapping("flat", "joined", 10.0, 20.0, True, False, 2.0),
-        Kidnapping("flat", "joined", 12.0, 22.0, True, True, None),
-        Kidnapping("flat", "joined", 14.0, 24.0, False, False, None),
+        Kidnapping("flat", "joined", 10.0, 20.0, True, False, True, 2.0),
+        Kidnapping("flat", "joined", 12.0, 22.0, True, True, False, None),
+        Kidnapping("flat", "joined", 14.0, 24.0, False, False, False, None),
     ]
-    assert sessions.kidnapping_sheet(taken).rows == (("flat, joined", "3", "2", "1", "1", "2.0"),)
+    assert sessions.kidnapping_sheet(taken).rows == (("flat, joined", "3", "2", "1", "1", "2.0", "1"),)
     assert sessions.judge([], [], taken)[-1].measured == pytest.approx(50.0)

@@ -93,7 +93,7 @@ def test_a_map_that_is_kept_is_not_made_again_and_may_be_moved(tmp_path: Path, m
         session_maps.kept_day(building, tmp_path / "there", {"rate": 15.0}, 15.0)
 
 
-@pytest.mark.parametrize("one", [FOUND, NOT_FOUND, Kidnapping("flat", JOINED, 4.0, 9.0, True, False, 3.5)])
+@pytest.mark.parametrize("one", [FOUND, NOT_FOUND, Kidnapping("flat", JOINED, 4.0, 9.0, True, False, False, 3.5)])
 def test_what_is_kept_of_a_start_is_not_measured_again(tmp_path: Path, one: Start | Kidnapping) -> None:
     made: list[int] = []
     records = KeptRecords(tmp_path, {"rate": 10.0})
