@@ -57,6 +57,21 @@ def test_a_view_of_another_room_is_not_found(mapped):
     assert len(search.refused) == sum(verifier.refusals.values()) == 24
 
 
+def test_the_place_may_be_the_fortieth_of_those_that_are_alike(mapped):
+    """Seen from far aside, it is not among the first 24."""
+    recognizer, store = Recognizer(), KeyframeStore()
+    for T, number in zip(ring() * 2, (*mapped[1], *mapped[1]), strict=True):
+        keyframe = mapped[1][number]
+        recognizer.add(store.add(keyframe, T), keyframe)
+    view = seen(ring()[0])
+    last = recognizer.candidates(view, k=40)[-1].keyframe
+    search = PlaceFinder(recognizer, Told({last: answer(store, last, standing(0, 0, 0))})).find(
+        view, store, store.T_map_keyframe
+    )
+    assert search.found is not None
+    assert search.found.keyframe == last
+
+
 def test_two_places_that_look_alike_are_neither(mapped):
     recognizer, store = mapped
     here, there = standing(0, 0, 0), standing(1.5, 0, 0)

@@ -184,9 +184,9 @@ class RecognitionSettings(Settings):
 
     seed: int = setting(0, "of ferns and of RANSAC", CHOSEN, ge=0, lt=2**32)
     candidates: int = setting(
-        24,
+        64,
         "keyframes that are verified at most, for one view: one that shows another place costs 1 to 2 ms",
-        _FROM_0052,
+        "two real recordings of Kinects, docs/decisions/0116; reckoned: its time, 100 ms where none shows the place",
         ge=1,
         le=1000,
     )

@@ -63,7 +63,7 @@ class SeenSettings(Settings):
     candidates_adrift: int = setting(
         24,
         "and of the rest of the map, while nobody knows where in that they lie",
-        "as `recognition.candidates`: of one view nobody knows more",
+        "docs/decisions/0111; fewer than of a single view, since each keyframe asks anew",
         ge=1,
         le=1000,
     )
