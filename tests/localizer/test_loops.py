@@ -204,7 +204,7 @@ def test_in_a_map_that_stays_a_pose_is_tracked_while_it_is_sure(monkeypatch: pyt
     for x_m in (0.0, 1.0):
         store.add(Keyframe.of_images(x_m, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), se3.from_plane(x_m, 0, 0))
     step = RelativePose(KeyframeId(0), KeyframeId(1), se3.from_plane(1, 0, 0), C)
-    known = KnownMap(store, Recognizer(), (step,) if grows else ())
+    known = KnownMap(store, Recognizer(), (step,) if grows else (), np.eye(4), 700 * C)
     beside = LoopsBeside(store, Calibration.registered_camera(synthetic.CAMERA), settings, known, waits=True)
     store.add(Keyframe.of_images(2.0, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), se3.from_plane(2, 0, 0))
     place = KeyframePlace(KeyframeId(2), np.eye(4), C, np.eye(4), C)
@@ -216,7 +216,8 @@ def test_in_a_map_that_stays_a_pose_is_tracked_while_it_is_sure(monkeypatch: pyt
     monkeypatch.setattr(LiveLoops, "due", due)
     beside.move_keyframes(2.0, None)
     sure = Estimate(2.1, Status.TRACKING, np.eye(4), 2 * C)
-    answers = [replace(sure, covariance=C * of) for of in (2.0, 30.0, 700.0, 2.0)]
+    # A start that somebody gave is as unsure as he is, and believed.
+    answers = [replace(sure, covariance=C * of) for of in (700.0, 2.0, 30.0, 700.0, 2.0)]
     statuses = [str(beside.called(answer).status) for answer in answers]
-    assert statuses == ["tracking", "tracking", "tracking" if grows else "coasting", "tracking"]
+    assert statuses == ["tracking", "tracking", "tracking", "tracking" if grows else "coasting", "tracking"]
     beside.close()

@@ -49,7 +49,7 @@ class LoopsBeside:
     ) -> None:
         self._store, self._settings = store, settings.loops
         self._live = LiveLoops(store, calibration, settings.loops, settings.recognition, known=known, waits=waits)
-        self._map_stays = known is not None and not known.edges
+        self._map_stays, self._was_sure = known is not None and not known.edges, False
         self._told = len(store)
         self._waiting: list[list[LivedKeyframe]] = []  # by the frames at which they were kept
         self._closed: ClosedLoops | None = None
@@ -68,7 +68,7 @@ class LoopsBeside:
     def begin_piece(self, keyframe: KeyframeId) -> None:
         """A keyframe begins a piece of map, apart from the others."""
         self._pieces.append(keyframe)
-        self.is_laid = self.is_joined = False
+        self.is_laid = self.is_joined = self._was_sure = False
 
     def move_keyframes(self, stamp_s: float, keyframe: KeyframeId | None) -> FloatArray | None:
         """Put keyframes to where loops have them; T_new_old (4, 4) of one of them, or None where none has moved.
@@ -100,11 +100,13 @@ class LoopsBeside:
         return _is_within(answer, covariance_map, limits.sure_m, limits.sure_rad)
 
     def _is_unsure(self, answer: Estimate, covariance_map: FloatArray | None) -> bool:
-        """Whether an answer that counts is by now too unsure in a map of before that stays as it is.
+        """Whether an answer that was sure is by now too unsure in a map of before that stays as it is.
 
-        In a map that grows it is the drive's own way that makes it so, and the map is as unsure there.
+        In a map that grows it is the drive's own way that makes it so, and the map is as unsure there. A start that
+        somebody gave is believed as it is until loops make it surer.
         """
-        if covariance_map is None or not self._map_stays:
+        self._was_sure |= self._map_stays and self._is_sure(answer, covariance_map)
+        if covariance_map is None or not self._was_sure:
             return False
         return not _is_within(answer, covariance_map, self._settings.unsure_m, self._settings.unsure_rad)
 
