@@ -8,7 +8,9 @@ import pytest
 from wheelsight.geometry import se3
 from wheelsight.keyframes import KeyframeId
 from wheelsight.slam.graph import RelativePose
-from wheelsight.slam.steps import along_floor
+from wheelsight.slam.own_solver import OwnPoseGraph
+from wheelsight.slam.settings import StepSettings
+from wheelsight.slam.steps import along_floor, step_edge
 
 # The camera looks ahead: its y axis points down.
 UP = np.array([0.0, -1.0, 0.0])
@@ -34,3 +36,22 @@ def test_a_motion_in_the_plane_is_taken_whole(way: list[float]) -> None:
         RelativePose(*ENDS, se3.exp([0.1, 0, 0, 0, 0.3, 0]) @ motion, np.eye(6)), (motion, np.eye(6)), UP
     )
     np.testing.assert_allclose(edge.T_first_second, motion, atol=1e-9)
+
+
+@pytest.mark.parametrize("variance", [1e2, 1e9, 1e12, 1e15])
+@pytest.mark.parametrize("seed", range(3))
+def test_an_edge_stays_definite_where_a_direction_is_hardly_known(seed: int, variance: float) -> None:
+    """Rounding of so large a variance made others negative, and the graph refused the edge: it ended the drive."""
+    rng = np.random.default_rng(seed)
+    T_before, T_now = (se3.exp(rng.normal(0, 1, 6)) for _ in range(2))
+    axes = np.linalg.qr(rng.normal(0, 1, (6, 6)))[0]
+    C_now = (axes * [variance, 1.0, 1.0, 1.0, 1.0, 1.0]) @ axes.T
+    edge = step_edge(ENDS, (T_before, 0.1 * np.eye(6)), (T_now, (C_now + C_now.T) / 2), StepSettings())
+    graph = OwnPoseGraph()
+    for _ in ENDS:
+        graph.add(np.eye(4))
+    graph.add_edges([edge])
+    assert np.linalg.eigvalsh(edge.covariance)[0] > 0
+    variances = np.linalg.eigvalsh(edge.covariance)
+    assert variances[4] < 30.0  # all other directions are known as before: rounding of the largest is 1 m² at most
+    assert variances[5] < 1.01e6

@@ -12,6 +12,8 @@ from wheelsight.slam.settings import StepSettings
 
 # The first keyframe holds the map where it began; so little, in metres and radians, is as good as exact.
 ANCHOR_SIGMA = 1e-4
+# Variances (m² or rad²) above the one tell nothing any more; those below that share of the largest are its rounding.
+_UNKNOWN, _ROUNDING = 1e6, 1e-15
 
 
 def anchor(keyframe: KeyframeId, T_map_keyframe: FloatArray) -> Prior:
@@ -29,7 +31,7 @@ def step_edge(
     T_step, _ = motions.between(*before, *now)
     _, grown = motions.step_between(*before, *now)
     least = np.diag(np.square([settings.plane_sigma_m] * 3 + [settings.plane_sigma_rad] * 3))
-    return RelativePose(*ends, motions.mended(T_step), grown + least)
+    return RelativePose(*ends, motions.mended(T_step), _definite(grown + least))
 
 
 def along_floor(edge: RelativePose, motion: tuple[FloatArray, FloatArray], up: FloatArray) -> RelativePose:
@@ -47,3 +49,13 @@ def along_floor(edge: RelativePose, motion: tuple[FloatArray, FloatArray], up: F
     covariance = in_plane @ C @ in_plane + out_of_plane @ edge.covariance @ out_of_plane
     T_first_second = motions.mended(motions.times(motions.exp(ahead), edge.T_first_second))
     return RelativePose(edge.first, edge.second, T_first_second, covariance + ANCHOR_SIGMA**2 * np.eye(6))
+
+
+def _definite(C: FloatArray) -> FloatArray:
+    """C (6, 6), positive definite by more than rounding.
+
+    A camera before a bare wall was unsure by 10⁶ m along it, and rounding of that variance made others negative.
+    """
+    variances, axes = np.linalg.eigh((C + C.T) / 2)
+    bounded = (axes * np.clip(variances, _ROUNDING * variances[-1], _UNKNOWN)) @ axes.T
+    return np.asarray((bounded + bounded.T) / 2)
