@@ -105,7 +105,6 @@ class LoopsBeside:
         In a map that grows it is the drive's own way that makes it so, and the map is as unsure there. A start that
         somebody gave is believed as it is until loops make it surer.
         """
-        self._was_sure |= self._map_stays and self._is_sure(answer, covariance_map)
         if covariance_map is None or not self._was_sure:
             return False
         return not _is_within(answer, covariance_map, self._settings.unsure_m, self._settings.unsure_rad)
@@ -181,9 +180,11 @@ class LoopsBeside:
         if not self.is_joined and answer.status is Status.TRACKING and self._is_sure(answer, covariance_map):
             self.is_joined, self._is_new = True, False
         if self.is_joined:
-            is_unsure = answer.status is Status.TRACKING and self._is_unsure(answer, covariance_map)
-            status = Status.COASTING if is_unsure else answer.status
-            return replace(answer, covariance_map=covariance_map, status=status)
+            answer = replace(answer, covariance_map=covariance_map)
+            if answer.status is not Status.TRACKING or not self._map_stays:
+                return answer
+            self._was_sure = self._was_sure or self._is_sure(answer, covariance_map)
+            return replace(answer, status=Status.COASTING) if self._is_unsure(answer, covariance_map) else answer
         if answer.status not in (Status.TRACKING, Status.COASTING):
             return answer
         return replace(answer, status=Status.INITIALIZING if self._is_new else Status.COASTING)

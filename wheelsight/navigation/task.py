@@ -64,7 +64,7 @@ class Task:
         """In words."""
         return self.goals.name if self.behaviour is None else self.behaviour.name
 
-    def roll(self, now_s: float, where: WhereNow, settings: NavigatorSettings, *, meets_people: bool = False) -> None:
+    def roll(self, now_s: float, where: WhereNow, settings: NavigatorSettings, *, meets_people: bool) -> None:
         """Count the way made; once it has come so far, tries begin anew: to and fro it may go for ever."""
         self._now_s = now_s
         self._has_met_people |= meets_people
