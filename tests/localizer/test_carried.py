@@ -35,11 +35,14 @@ def test_wheels_that_stood_and_another_view_say_so_and_a_known_view_takes_it_bac
     assert not subject.is_so
 
 
-def test_wheels_that_went_on_tell_where_the_view_changed() -> None:
+@pytest.mark.parametrize(("way_m", "is_so"), [(0.4, True), (0.8, False)])
+def test_wheels_that_went_on_farther_than_a_view_is_recognised_tell_why_it_changed(way_m: float, is_so: bool) -> None:
     subject = Carried(JoiningSettings())
     subject.known(0.0)
-    subject.unknown(4.0, se3.exp([0.0, 0.0, 0.4, 0.0, 0.0, 0.0]), np.eye(4))
-    assert not subject.is_so
+    gone = se3.exp([0.0, 0.0, way_m, 0.0, 0.0, 0.0])
+    subject.unknown(4.0, gone, np.eye(4))
+    assert subject.is_so == is_so
+    assert not subject.waits(gone)
 
 
 def test_frames_that_are_not_believed_show_what_is_known_all_the_same() -> None:

@@ -66,7 +66,8 @@ class Carried:
         """
         of, stood_s = self._settings, self._stood_s if self._stood_s > self._settings.stands_s else 0.0
         dark_s = stamp_s - self._known_s
-        if not (dark_s > of.dark_s or stood_s) or self.is_so or not self._shows_the_same(T_last_now):
+        known_m = of.recognised_m if dark_s > of.dark_s else of.same_view_m if stood_s else 0.0
+        if self.is_so or not _is_within(known_m, T_last_now):
             return
         self._away_s, self._up_m = dark_s + stood_s, of.floor_m if stood_s else 0.0
         self._from = T_odom_base[:2, 3].copy()
@@ -89,7 +90,7 @@ class Carried:
 
     def waits(self, T_last_now: FloatArray | None) -> bool:
         """Whether what hides the known view may go away: the wheels (4, 4) have not moved the camera from it yet."""
-        return self.is_so and not self._is_scattered and self._shows_the_same(T_last_now)
+        return self.is_so and not self._is_scattered and _is_within(self._settings.same_view_m, T_last_now)
 
     def scatter(self, T_odom_base: FloatArray, covariance: FloatArray) -> FloatArray:
         """The covariance (6, 6) of a pose from which the camera starts again, by all that may have happened."""
@@ -116,9 +117,6 @@ class Carried:
         carried_m = self._settings.carried_m_s * self._away_s
         Ad = motions.adjoint(T_odom_base)
         return np.asarray(Ad @ np.diag(np.square([carried_m, carried_m, self._up_m, 0, 0, _TURNED_RAD])) @ Ad.T)
-
-    def _shows_the_same(self, T_last_now: FloatArray | None) -> bool:
-        return T_last_now is not None and motions.view_shift_m(T_last_now) <= self._settings.same_view_m
 
 
 class UnsureStart:
@@ -167,6 +165,10 @@ class UnsureStart:
             return answer
         reason = answer.reason or Reason.NOT_RECOGNISED
         return replace(answer, status=Status.COASTING, doubtful=True, reason=reason)
+
+
+def _is_within(way_m: float, T_last_now: FloatArray | None) -> bool:
+    return T_last_now is not None and motions.view_shift_m(T_last_now) <= way_m
 
 
 def _variance_m2(answer: FusedEstimate) -> float:
