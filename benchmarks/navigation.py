@@ -35,8 +35,9 @@ from benchmarks.navigation_courses import KnownBuilding
 from benchmarks.navigation_drives import Drive, Hardness, drives_from
 from benchmarks.navigation_page import write_section
 from benchmarks.sequences import default_data_folder
+from benchmarks.session_maps import kept_day
 from benchmarks.session_starts import Building, first_day
-from benchmarks.sessions import buildings_of
+from benchmarks.sessions import buildings_of, map_settings
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
 from wheelsight.navigation import NavigationSettings
@@ -122,11 +123,18 @@ def drives_in(
                 for one in record:
                     told(_of(one))
                 continue
-            known = known or KnownBuilding(
-                building, first_day(building, Path(folder), arguments.rate, hard.units), NavigationSettings()
-            )
+            known = known or known_building(building, arguments, Path(folder))
             done = drives_from(known, number, arguments.goals, arguments.seed, hard, told)
             kept.keep(name, [asdict(drive) for drive in done])
+
+
+def known_building(building: Building, asked: argparse.Namespace, folder: Path) -> KnownBuilding:
+    """By a map that was kept, or else by one that is made now: kept where drives are, or in `folder`."""
+    if asked.keep is None:
+        day = first_day(building, folder, asked.rate, asked.calibrated)
+    else:
+        day = kept_day(building, asked.keep / "maps", map_settings(asked), asked.rate, asked.calibrated)
+    return KnownBuilding(building, day, NavigationSettings())
 
 
 def _of(record: dict[str, Any]) -> Drive:
@@ -146,7 +154,7 @@ def _asked() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=1, help="of starts and goals")
     calibrated_unit.add_option(parser)
     parser.add_argument("--out", type=Path, help="page whose section is written, BENCHMARKS-NAVIGATION.md")
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="keeps drives; those kept are not measured again")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keeps maps and drives; those kept are not made again")
     return parser.parse_args()
 
 

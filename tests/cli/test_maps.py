@@ -67,6 +67,15 @@ def test_damage_is_told_in_the_table_and_as_json(wheelsight: Command, kept: Path
     assert (told["source"], told["camera"]["width"]) == ("made up", 64)
 
 
+def test_a_cut_end_is_told_in_the_table(wheelsight: Command, kept: Path) -> None:
+    with (kept / "map" / "keyframes-00000.journal").open("ab") as journal:
+        journal.write(b"half a record")
+    result = wheelsight("map", "info", kept)
+    assert result.exit_code == 0, result.output
+    assert "whole but for its end, see below" in result.stdout
+    assert result.stderr.startswith("warning: The drive was cut off: ")
+
+
 def test_a_map_is_rebuilt_and_its_points_are_written(wheelsight: Command, kept: Path, tmp_path: Path) -> None:
     result = wheelsight("map", "rebuild", kept, "--out", tmp_path / "new")
     assert result.exit_code == 0, result.output

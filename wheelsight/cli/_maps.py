@@ -10,7 +10,7 @@ import typer
 
 if TYPE_CHECKING:
     from wheelsight.cli._map_export import Exports
-    from wheelsight.slam.sessions import MapFolder, MapInfo
+    from wheelsight.slam.sessions import Health, MapFolder, MapInfo
 
 _MB = 1e6
 
@@ -130,7 +130,13 @@ def _facts(found: MapInfo) -> Iterator[tuple[str, str]]:
     if found.places != ():
         yield "places", "cannot be read" if found.places is None else ", ".join(found.places)
     yield "size", f"{found.bytes / _MB:.1f} MB"
-    yield "health", "whole" if found.health.is_whole else "damaged, see below"
+    yield "health", _how_whole(found.health)
+
+
+def _how_whole(health: Health) -> str:
+    if not health.is_whole:
+        return "damaged, see below"
+    return "whole but for its end, see below" if health.notes else "whole"
 
 
 def _parts(parts: int) -> str:
