@@ -89,7 +89,7 @@ def test_a_place_is_found_as_a_fit_to_what_both_views_show_finds_it(points_m: Fl
     for mode, expected in zip(NOMINAL_ERRORS.modes, stated, strict=True):
         some = PointErrors((tuple(0.1 * c for c in mode),))
         seen = [points + some.moved_m(points)[0] for points in (second_m, first_m)]
-        fitted = _rigid(*seen, 1 / first_m[:, 2])
+        fitted = _rigid(seen[0], seen[1], 1 / first_m[:, 2])
         off = 10 * se3.log(fitted @ se3.invert(T_first_second))
         np.testing.assert_allclose(expected, off, atol=0.05 * np.abs(off).max() + 1e-6)
 

@@ -173,7 +173,7 @@ class PlaceVerifier:
         if len(points) < _LEAST:
             return np.full((6, 6), np.nan)
         off = place_errors(self._calibration, T_keyframe_camera, points)
-        return self._of_frame + self._of_registration + off.T @ off
+        return np.asarray(self._of_frame + self._of_registration + off.T @ off)
 
     def _refused(self, candidate: KeyframeId, reason: Refusal, matches: int, inliers: int = 0) -> RefusedPlace:
         self.refusals[reason] += 1
