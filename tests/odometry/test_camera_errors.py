@@ -7,7 +7,13 @@ import pytest
 
 from wheelsight.calibration import Calibration, PointErrors
 from wheelsight.geometry import FloatArray, PinholeCamera, se2, se3
-from wheelsight.odometry.camera_errors import errors_of, motion_errors, typical_motion_errors, with_error
+from wheelsight.odometry.camera_errors import (
+    errors_of,
+    motion_errors,
+    place_errors,
+    typical_motion_errors,
+    with_error,
+)
 from wheelsight.point_errors import NOMINAL_ERRORS, mode_of
 from wheelsight.simulation import Robot
 
@@ -62,6 +68,30 @@ def test_a_small_motion_is_found_as_a_fit_to_moved_points_finds_it(points_m: Flo
         off = (se3.log(fitted) - se3.log(motion_base))[[0, 1, 5]]
         stated = motion_errors(calibration, level, points_m)[0] @ twist
         np.testing.assert_allclose(stated, off, atol=0.05 * np.abs(off).max() + 1e-6)
+
+
+def test_two_views_of_one_place_err_alike_and_a_scale_makes_the_way_between_others_longer(points_m: FloatArray) -> None:
+    calibration = known(points_m, 0.01 * points_m)
+    T_first_second = se3.exp([0.3, -0.1, 0.2, 0.05, 0.4, -0.1])
+    np.testing.assert_allclose(place_errors(calibration, np.eye(4), points_m), np.zeros((1, 6)), atol=1e-12)
+    off = place_errors(calibration, T_first_second, points_m + [0, 0, 1.0])
+    np.testing.assert_allclose(off, [[*(0.01 * T_first_second[:3, 3]), 0, 0, 0]], atol=1e-6)
+    exact = Calibration.registered_camera(CAMERA, point_errors=PointErrors())
+    assert place_errors(exact, T_first_second, points_m).shape == (0, 6)
+
+
+def test_a_place_is_found_as_a_fit_to_what_both_views_show_finds_it(points_m: FloatArray) -> None:
+    """Every nominal error by itself, of views half a metre and 0.3 rad apart."""
+    first_m = points_m + [0, 0, 0.8]
+    T_first_second = se3.exp([0.2, 0.1, 0.4, 0.05, 0.3, -0.05])
+    second_m = se3.apply(se3.invert(T_first_second), first_m)
+    stated = place_errors(Calibration.registered_camera(CAMERA), T_first_second, first_m)
+    for mode, expected in zip(NOMINAL_ERRORS.modes, stated, strict=True):
+        some = PointErrors((tuple(0.1 * c for c in mode),))
+        seen = [points + some.moved_m(points)[0] for points in (second_m, first_m)]
+        fitted = _rigid(seen[0], seen[1], 1 / first_m[:, 2])
+        off = 10 * se3.log(fitted @ se3.invert(T_first_second))
+        np.testing.assert_allclose(expected, off, atol=0.05 * np.abs(off).max() + 1e-6)
 
 
 def _rigid(a: FloatArray, b: FloatArray, weights: FloatArray) -> FloatArray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,6 +61,17 @@ def test_one_view_does_not_bear_out_the_next_beside_it() -> None:
     made = graph()
     assert not made.close([loop(0, 5), loop(1, 5), loop(1, 6)])  # 0.4 m apart
     assert made.close([loop(2, 8)])
+
+
+def test_loops_that_guess_along_a_corridor_bear_nothing_out() -> None:
+    """Both take one stretch for the next, two metres on, and each says that it does not know."""
+    made = graph()
+    on = se3.exp([2.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    unsure = np.diag([100.0, *np.diag(C)[1:]])
+    guesses = [replace(loop(*ends, on), covariance=unsure) for ends in ((0, 5), (2, 7), (4, 9))]
+    assert not made.close(guesses)
+    assert made.close([loop(0, 5), loop(2, 7)])
+    np.testing.assert_allclose(made.poses, [at(number) for number in range(2 * COUNT)], atol=1e-5)
 
 
 @pytest.mark.parametrize("against", [1, 2])

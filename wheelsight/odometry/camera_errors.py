@@ -42,15 +42,37 @@ def motion_errors(calibration: Calibration, T_body_camera: FloatArray, points_m:
     """
     twists = np.eye(6)[list(_PLANAR)] @ se3.adjoint(se3.invert(T_body_camera)).T
     here = moved_in_camera_m(calibration, points_m)
-    of_points = np.concatenate([np.tile(np.eye(3), (len(points_m), 1, 1)), -so3.hat(points_m)], axis=-1)
-    weighted = of_points / points_m[:, 2, None, None]
-    H = np.einsum("nij,nik->jk", weighted, of_points)
     found = np.empty((len(here), 6, len(twists)))
     for k, (v, w) in enumerate(twists.reshape(-1, 2, 3)):
         flow = v + np.cross(w, points_m)
         off = (moved_in_camera_m(calibration, points_m + _STEP * flow) - here) / _STEP - np.cross(w, here)
-        found[..., k] = np.linalg.solve(H, np.einsum("nij,kni->jk", weighted, off)).T
+        found[..., k] = _best_twists(points_m, off)
     return np.asarray((se3.adjoint(T_body_camera) @ found)[:, list(_PLANAR)])
+
+
+def place_errors(calibration: Calibration, T_first_second: FloatArray, points_m: FloatArray) -> FloatArray:
+    """(K, 6): by what left perturbation (v, ω) each error moves a pose (4, 4) that is told by what two views both show.
+
+    A point p of the first view is seen at p + δ(p), and by the second at q + δ(q), where T q = p. Where both views are
+    one, that cancels; from elsewhere the point has another distance and lies in another part of the image, where δ is
+    another. The pose is that of the rigid motion that fits best, by the same weights as in `motion_errors`.
+
+    Args:
+        calibration: of the camera that saw both.
+        T_first_second: (4, 4).
+        points_m: (N, 3) that both show, of the first view's frame; three and more, not in a row.
+    """
+    seen_m = se3.apply(se3.invert(T_first_second), points_m)
+    moved_m = moved_in_camera_m(calibration, seen_m) @ T_first_second[:3, :3].T
+    return _best_twists(points_m, moved_in_camera_m(calibration, points_m) - moved_m)
+
+
+def _best_twists(points_m: FloatArray, moved_m: FloatArray) -> FloatArray:
+    """(K, 6) twists (v, ω) that come nearest to moving points (N, 3) by (K, N, 3), each weighed by 1/z."""
+    of_points = np.concatenate([np.tile(np.eye(3), (len(points_m), 1, 1)), -so3.hat(points_m)], axis=-1)
+    weighted = of_points / points_m[:, 2, None, None]
+    H = np.einsum("nij,nik->jk", weighted, of_points)
+    return np.asarray(np.linalg.solve(H, np.einsum("nij,kni->jk", weighted, moved_m)).T)
 
 
 def typical_motion_errors(calibration: Calibration) -> FloatArray:

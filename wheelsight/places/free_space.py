@@ -65,15 +65,24 @@ def shown_share(
     seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise, settings: PlaceVerificationSettings
 ) -> float:
     """Share of what one view sees whose surfaces another one, from which it lies at (4, 4), shows too; 0 of nothing."""
-    z_m, surface_m, within_m, _, count = _met(seen, by, T_by_seen, noise, settings)
-    return int(np.count_nonzero(np.abs(z_m - surface_m) <= within_m)) / max(count, 1)
+    points, surface_m, within_m, _, count = _met(seen, by, T_by_seen, noise, settings)
+    return int(np.count_nonzero(np.abs(points[:, 2] - surface_m) <= within_m)) / max(count, 1)
+
+
+def shown_points(
+    seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise, settings: PlaceVerificationSettings
+) -> FloatArray:
+    """Points (N, 3) in the frame of one view whose surfaces another one, which lies at (4, 4) off it, shows too."""
+    points, surface_m, within_m, _, _ = _met(seen, by, T_by_seen, noise, settings)
+    return np.asarray(points[np.abs(points[:, 2] - surface_m) <= within_m])
 
 
 def _one_way(
     seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise, settings: PlaceVerificationSettings
 ) -> Intrusion:
     """Points that lie behind what was seen are hidden, and tell nothing."""
-    z_m, surface_m, within_m, pixels, _ = _met(seen, by, T_by_seen, noise, settings)
+    points, surface_m, within_m, pixels, _ = _met(seen, by, T_by_seen, noise, settings)
+    z_m = points[:, 2]
     is_compared, intrudes = z_m < surface_m + within_m, z_m < surface_m - within_m
     compared, intruding = (np.zeros(seen.depth_m.size, bool) for _ in range(2))
     compared[pixels[is_compared]], intruding[pixels[intrudes]] = True, True
@@ -107,8 +116,8 @@ def _free_pixels(
 def _met(
     seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise, settings: PlaceVerificationSettings
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, int]:
-    """Points (P,) that fall where the other view saw a surface: their depths, its depths, within how many metres both
-    are one, and their pixels, counted row by row; and how many points there are in all.
+    """Points (P, 3) in the other view's frame that fall where it saw a surface; its depths (P,), within how many metres
+    both are one, and the points' pixels, counted row by row; and how many points there are in all.
     """
     points, rows, columns = seen.points()
     points, pixels = points @ T_by_seen[:3, :3].T + T_by_seen[:3, 3], rows * seen.depth_m.shape[1] + columns
@@ -118,12 +127,12 @@ def _met(
     u, v = np.rint(points[:, :2] / points[:, 2:] * (fx, fy) + (cx, cy)).astype(np.int64).T
     height, width = by.depth_m.shape
     inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
-    u, v, z_m, pixels = u[inside], v[inside], points[inside, 2], pixels[inside]
+    u, v, points, pixels = u[inside], v[inside], points[inside], pixels[inside]
     nearest_m, is_known = _nearest(by.depth_m, settings.free_px)[v, u], by.depth_m[v, u] > 0
-    surface_m, z_m, pixels = nearest_m[is_known].astype(float), z_m[is_known], pixels[is_known]
-    sigma_m = np.hypot(noise.sigma_m(surface_m), noise.sigma_m(z_m))
+    surface_m, points, pixels = nearest_m[is_known].astype(float), points[is_known], pixels[is_known]
+    sigma_m = np.hypot(noise.sigma_m(surface_m), noise.sigma_m(points[:, 2]))
     within_m = settings.free_m + settings.free_share * surface_m + settings.free_sigmas * sigma_m
-    return z_m, surface_m, within_m, pixels, count
+    return points, surface_m, within_m, pixels, count
 
 
 def _nearest(depth_m: Float32Array, radius_px: int) -> Float32Array:

@@ -13,7 +13,9 @@ from wheelsight.estimates import Reason
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.geometry.motion_kernels import is_definite
 from wheelsight.keyframes import Keyframe, KeyframeFeatures, KeyframeId
+from wheelsight.odometry.camera_errors import place_errors
 from wheelsight.odometry.dense.alignment import Aligner, DenseAlignment
+from wheelsight.odometry.dense.grid import Level
 from wheelsight.odometry.dense.joint import SurfaceWeight, Told
 from wheelsight.odometry.dense.observability import Judgement, Prior, judge
 from wheelsight.odometry.dense.reference import ReferenceMaker
@@ -21,9 +23,12 @@ from wheelsight.odometry.features.alignment import Alignment, PointPairs, find_m
 from wheelsight.odometry.features.matching import match_all
 from wheelsight.odometry.features.settings import FeatureSettings
 from wheelsight.odometry.frame_error import frame_covariance, with_frame_error
-from wheelsight.places.free_space import intrusion
+from wheelsight.places.free_space import intrusion, shown_points
 from wheelsight.places.views import SeenView, ViewMaker
 from wheelsight.settings import RecognitionSettings
+
+# Of the points that both views show, each so many-th tells what errors of the camera do, and so few tell nothing.
+_EVERY, _LEAST = 4, 10
 
 
 class Refusal(StrEnum):
@@ -117,7 +122,8 @@ class PlaceVerifier:
         self._features = FeatureSettings(
             min_inliers=self._settings.min_inliers, ransac_iterations=self._settings.iterations
         )
-        self._noise, self._of_frame = calibration.depth_noise, frame_covariance(calibration)
+        self._calibration, self._noise = calibration, calibration.depth_noise
+        self._of_frame = frame_covariance(calibration)
         sigmas = [self._settings.registration_sigma_m] * 3 + [self._settings.registration_sigma_rad] * 3
         self._of_registration = np.diag(np.square(sigmas))
         self._sigma_xy = float(np.hypot(self._settings.keypoint_px, calibration.color_sigma_px))
@@ -151,12 +157,23 @@ class PlaceVerifier:
         if space.share > self._settings.max_intruding or space.free_share > self._settings.max_free:
             return self._refused(candidate, Refusal.INTRUDES, *counts)
         shared = with_frame_error(np.zeros((6, 6)), T_keyframe_camera, self._of_frame)
-        covariance = judged.covariance + self._of_frame + self._of_registration + shared
+        covariance = self._of_both(*seen, T_keyframe_camera) + judged.covariance + shared
         covariance = (covariance + covariance.T) / 2
         if not (np.isfinite(covariance).all() and is_definite(covariance)):
             # A direction that surfaces hardly show has a variance so large that rounding it hides all others.
             return self._refused(candidate, Refusal.DEGENERATE, *counts)
         return VerifiedPlace(candidate, T_keyframe_camera, covariance, shared, judged.degenerate, *counts, space.share)
+
+    def _of_both(self, other: Level, view: Level, T_keyframe_camera: FloatArray) -> FloatArray:
+        """Covariance (6, 6) of what a pose is off by beyond noise and the view's own error; NaN where it is not known.
+
+        What is wrong with the camera's points grows with the way between both views, since it is another there.
+        """
+        points = shown_points(view, other, T_keyframe_camera, self._noise, self._settings)[::_EVERY]
+        if len(points) < _LEAST:
+            return np.full((6, 6), np.nan)
+        off = place_errors(self._calibration, T_keyframe_camera, points)
+        return np.asarray(self._of_frame + self._of_registration + off.T @ off)
 
     def _refused(self, candidate: KeyframeId, reason: Refusal, matches: int, inliers: int = 0) -> RefusedPlace:
         self.refusals[reason] += 1

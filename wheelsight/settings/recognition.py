@@ -151,14 +151,15 @@ class PlaceVerificationSettings(Settings):
         le=1,
     )
     registration_sigma_m: float = setting(
-        0.012,
-        "standard deviation of a place by surfaces seen from apart, metres, beyond what single frames are off by",
-        "freiburg1_desk against motion capture: docs/decisions/0052",
+        0.01,
+        "standard deviation of a place by surfaces seen from apart, metres, beyond what single frames and the camera's"
+        " points are off by",
+        "freiburg1_desk against motion capture: docs/decisions/0122",
         ge=0,
         le=10,
     )
     registration_sigma_rad: float = setting(
-        0.012, "likewise, radians", "freiburg1_desk against motion capture: docs/decisions/0052", ge=0, le=3.2
+        0.01, "likewise, radians", "freiburg1_desk against motion capture: docs/decisions/0122", ge=0, le=3.2
     )
     unseen_sigma_m: float = setting(
         10.0, "standard deviation along directions that are not known, turns as ways at 2 m", CHOSEN, gt=0, le=1e6

@@ -1,7 +1,8 @@
 """PieceGraph: a pose graph that may lie in pieces, until places that are seen again join them.
 
 Within a piece edges say how far off a loop may be, and loops are judged by that. How two pieces lie to each other
-nothing says but the loops themselves: two of them, seen from apart, have to agree, and few may say otherwise.
+nothing says but the loops themselves: two of them, seen from apart, have to agree, and few may say otherwise. Only such
+count as know all directions: what one guesses along a corridor, where it looks alike, the next one guesses as well.
 """
 
 from __future__ import annotations
@@ -83,7 +84,8 @@ class PieceGraph:
         within = [loop for loop in loops if self._piece[loop.first] == self._piece[loop.second]]
         if within:
             self._closer.offer(within)
-        self._across += [loop for loop in loops if self._piece[loop.first] != self._piece[loop.second]]
+        across = [loop for loop in loops if self._piece[loop.first] != self._piece[loop.second]]
+        self._across += [loop for loop in across if self._knows_all(loop)]
         self._across = self._across[-self._settings.most_across :]
         return self._join()
 
@@ -116,6 +118,11 @@ class PieceGraph:
 
     def _ends(self, loop: RelativePose) -> tuple[int, int]:
         return self._piece[loop.first], self._piece[loop.second]
+
+    def _knows_all(self, loop: RelativePose) -> bool:
+        """Whether a loop is as sure in each direction as two of them have to agree."""
+        variances = [np.linalg.eigvalsh(part)[-1] for part in (loop.covariance[:3, :3], loop.covariance[3:, 3:])]
+        return bool(variances[0] <= self._settings.agree_m**2 and variances[1] <= self._settings.agree_rad**2)
 
     def _agree(self, one: RelativePose, other: RelativePose, T: FloatArray) -> bool:
         """Whether two loops put the same piece to the same place, as seen where the other one's keyframe is."""

@@ -161,7 +161,11 @@ class LoopSettings(Settings):
     )
     known_sigma_rad: float = setting(0.1, "likewise, radians", CHOSEN, gt=0, le=3)
     agree_m: float = setting(
-        0.3, "two loops that join pieces of a map put them to one place, metres apart at most", CHOSEN, gt=0, le=100
+        0.3,
+        "two loops that join pieces of a map put them to one place, metres apart at most, and each is as sure itself",
+        CHOSEN,
+        gt=0,
+        le=100,
     )
     join_apart_m: float = setting(
         0.5,
