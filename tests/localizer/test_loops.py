@@ -174,7 +174,7 @@ def test_a_piece_counts_as_joined_once_it_is_sure_where_it_lies(
         T_map = FAR @ se3.from_plane(1.0, 0, 0)
         # Of the map's origin the left perturbation turns about; the keyframe is as uncertain as C says by itself.
         Ad = se3.adjoint(se3.from_parts(np.eye(3), T_map[:3, 3]))
-        place = KeyframePlace(KeyframeId(1), se3.from_plane(1.0, 0, 0), C_odom, T_map, Ad @ C @ Ad.T)
+        place = KeyframePlace(KeyframeId(1), se3.from_plane(1.0, 0, 0), C_odom, T_map, Ad @ C @ Ad.T, KeyframeId(1))
 
     def due(live: LiveLoops, stamp_s: float) -> PoseUpdate:
         live.place = place
@@ -207,7 +207,7 @@ def test_in_a_map_that_stays_a_pose_is_tracked_while_it_is_sure(monkeypatch: pyt
     known = KnownMap(store, Recognizer(), (step,) if grows else (), np.eye(4), 700 * C)
     beside = LoopsBeside(store, Calibration.registered_camera(synthetic.CAMERA), settings, known, waits=True)
     store.add(Keyframe.of_images(2.0, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), se3.from_plane(2, 0, 0))
-    place = KeyframePlace(KeyframeId(2), np.eye(4), C, np.eye(4), C)
+    place = KeyframePlace(KeyframeId(2), np.eye(4), C, np.eye(4), C, KeyframeId(2))
 
     def due(live: LiveLoops, stamp_s: float) -> PoseUpdate:
         live.place = place

@@ -11,15 +11,17 @@ import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.config import Config
-from wheelsight.estimates import Estimate, Status
+from wheelsight.estimates import CameraEstimate, Estimate, Status
 from wheelsight.geometry import FloatArray, IntArray, se3
 from wheelsight.geometry import motion_kernels as motions
 from wheelsight.keyframes import KeyframeId, KeyframeStore
 from wheelsight.places.recognition import Recognizer
-from wheelsight.slam.drive_graph import CameraMotion, LivedKeyframe, PoseUpdate
+from wheelsight.slam.drive_graph import CameraMotion, LivedKeyframe, PoseUpdate, SeenAgain
+from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.known import KnownMap
 from wheelsight.slam.live import ClosedLoops, LiveLoops
 from wheelsight.slam.settings import FROM_KEYFRAMES, PieceSettings
+from wheelsight.slam.steps import aligned_edge
 
 AnyEstimate = TypeVar("AnyEstimate", bound=Estimate)
 
@@ -52,6 +54,8 @@ class LoopsBeside:
         self._map_stays, self._was_sure = known is not None and not known.edges, False
         self._told = len(store)
         self._waiting: list[list[LivedKeyframe]] = []  # by the frames at which they were kept
+        self._hangs_on: KeyframeId | None = None
+        self._seen_from: tuple[KeyframeId, FloatArray] | None = None
         self._closed: ClosedLoops | None = None
         self._loops: IntArray = np.zeros((0, 2), np.int64)
         self._pieces: list[int] = [0]  # by the numbers of their first keyframes
@@ -95,7 +99,7 @@ class LoopsBeside:
     def _is_sure(self, answer: Estimate, covariance_map: FloatArray | None) -> bool:
         """Whether an answer is of a piece that lies in the map, and sure enough there."""
         place, limits = self._live.place, self._settings
-        if covariance_map is None or place is None or place.number < self._pieces[-1]:
+        if covariance_map is None or place is None or place.newest < self._pieces[-1]:
             return False
         return _is_within(answer, covariance_map, limits.sure_m, limits.sure_rad)
 
@@ -153,10 +157,36 @@ class LoopsBeside:
             T_before_now = self._laid_since(KeyframeId(number))
             lived = (KeyframeId(number), stamp_s, T_odom_keyframe, covariance, begins, T_before_now)
             since = None if kept else motion
-            kept.append(LivedKeyframe(*lived, since, self._store.pose(KeyframeId(number))))
+            told = self._store.pose(KeyframeId(number)), None if kept else self._aligned(KeyframeId(number))
+            kept.append(LivedKeyframe(*lived, since, *told))
         self._told = len(self._store)
         if kept:
             self._waiting.append(kept)
+
+    def _aligned(self, number: KeyframeId) -> RelativePose | None:
+        """A new keyframe against the older one by which odometry has found it; None where that is the one before."""
+        if self._seen_from is None:
+            return None
+        older, covariance = self._seen_from
+        T_older_new = se3.invert(self._store.pose(older)) @ self._store.pose(number)
+        return aligned_edge((older, number), T_older_new, covariance, self._settings.matches)
+
+    def hang_on(self, seen: CameraEstimate, T_odom_map: FloatArray, covariance: FloatArray) -> None:
+        """By which keyframe odometry has a frame, where the map lies at (4, 4), as uncertain in odom as (6, 6).
+
+        Where it has come back to an older one, that tells how surely the frame is placed. It is asked before `keep`.
+        """
+        number, motion = seen.keyframe, seen.motion.covariance
+        before, self._hangs_on, self._seen_from = self._hangs_on, number, None
+        if number is None or motion is None or number == before:
+            return
+        if number >= self._told:
+            self._seen_from = None if before is None or before == number - 1 else (before, motion)
+            return
+        if number == self._told - 1 or self._waiting:
+            return
+        T_odom_keyframe = se3.nearest(T_odom_map @ self._store.pose(number))
+        self._live.see_again(SeenAgain(number, seen.stamp_s, T_odom_keyframe, covariance, motion))
 
     def hand_over(self, motions: Sequence[CameraMotion | None] = ()) -> None:
         """Hand all that were kept to the thread, with what is known by now of the motions to the last of them."""

@@ -19,7 +19,7 @@ from wheelsight.geometry import BoolArray, FloatArray, se3
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.places.recognition import Recognizer
 from wheelsight.settings import RecognitionSettings
-from wheelsight.slam.drive_graph import DriveGraph, KeyframePlace, LivedKeyframe, PoseUpdate
+from wheelsight.slam.drive_graph import DriveGraph, KeyframePlace, LivedKeyframe, PoseUpdate, SeenAgain
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.known import KnownMap
 from wheelsight.slam.loops import LoopReport
@@ -99,7 +99,7 @@ class LiveLoops:
             drives does not wait: it takes what is there.
 
     Attributes:
-        place: of the newest keyframe that an answer was taken of; see `Judged`.
+        place: of the newest keyframe that an answer was taken of, or of one seen again since; see `Judged`.
     """
 
     def __init__(
@@ -131,6 +131,12 @@ class LiveLoops:
         self._unseen += not has_time
         self._lived.append(keyframe)
         self._waiting.append((keyframe.stamp_s, self._thread.submit(self._judge, keyframe, has_time)))
+
+    def see_again(self, keyframe: SeenAgain) -> None:
+        """Have the thread tell how surely a keyframe that it was handed before is placed; a busy one need not."""
+        if self._thread is not None and (self._waits or not self._waiting):
+            found = self._thread.submit(lambda: Judged(None, self._graph.place(keyframe)))
+            self._waiting.append((keyframe.stamp_s, found))
 
     def due(self, stamp_s: float) -> PoseUpdate | None:
         """Where the first keyframes are, if loops have moved them since it was asked last.
@@ -183,6 +189,9 @@ class LiveLoops:
             loops = self._watcher.look(keyframe.number, near, self._graph.adrift)
         else:
             loops = self._watcher.pass_by(keyframe.number)
+        told = keyframe.seen_from
+        if told is not None and all(loop.first != told.first for loop in loops):
+            loops = (*loops, told)
         judged = Judged(self._graph.close(loops), self._graph.place())
         self._judged_s.append(time.perf_counter() - started)
         return judged
