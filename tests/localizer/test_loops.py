@@ -13,7 +13,7 @@ from room_drive import make_room_drive
 
 from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
-from wheelsight.estimates import Estimate, Status
+from wheelsight.estimates import CameraEstimate, Estimate, MotionEstimate, Status
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.geometry import se3
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
@@ -21,7 +21,7 @@ from wheelsight.localizer import Localizer
 from wheelsight.localizer._loops import LoopsBeside
 from wheelsight.places.recognition import Recognizer
 from wheelsight.recordings import Recording, open_recording
-from wheelsight.slam.drive_graph import KeyframePlace, LivedKeyframe, PoseUpdate
+from wheelsight.slam.drive_graph import KeyframePlace, LivedKeyframe, PoseUpdate, SeenAgain
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.known import KnownMap
 from wheelsight.slam.live import LiveLoops
@@ -221,3 +221,42 @@ def test_in_a_map_that_stays_a_pose_is_tracked_while_it_is_sure(monkeypatch: pyt
     statuses = [str(beside.called(answer).status) for answer in answers]
     assert statuses == ["tracking", "tracking", "tracking", "tracking" if grows else "coasting", "tracking"]
     beside.close()
+
+
+def test_a_keyframe_that_odometry_comes_back_to_is_told_and_so_is_what_it_sees_from_there(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    store, settings = KeyframeStore(), load_config(overrides={"loops.source": "keyframes"})
+    blank, C, T_odom_map = np.ones((24, 32), np.float32), 1e-4 * np.eye(6), se3.from_plane(0.0, 2.0, 0.5)
+    added: list[LivedKeyframe] = []
+    again: list[SeenAgain] = []
+    monkeypatch.setattr(LiveLoops, "add", lambda live, keyframe: added.append(keyframe))
+    monkeypatch.setattr(LiveLoops, "see_again", lambda live, keyframe: again.append(keyframe))
+    beside = LoopsBeside(store, Calibration.registered_camera(synthetic.CAMERA), settings, waits=True)
+
+    def see(stamp_s: float, keyframe: int, *, is_new: bool = False) -> None:
+        if is_new:
+            images = np.array([30.0, 30.0, 16.0, 12.0]), blank, blank
+            store.add(Keyframe.of_images(stamp_s, *images), se3.from_plane(float(keyframe), 0, 0))
+        motion = MotionEstimate(np.eye(4), (1 + keyframe) * C)
+        seen = CameraEstimate(stamp_s, Status.TRACKING, np.eye(4), C, keyframe=KeyframeId(keyframe), motion=motion)
+        beside.hang_on(seen, T_odom_map, 9 * C)
+        beside.keep(stamp_s, T_odom_map, 9 * C)
+        beside.hand_over()
+
+    for number in range(3):
+        see(float(number), number, is_new=True)
+    see(3.0, 2)
+    assert not again  # it is the newest, of which the thread is told as that
+    see(4.0, 0)
+    see(5.0, 0)
+    (found,) = again
+    assert (found.number, found.stamp_s) == (0, 4.0)
+    np.testing.assert_allclose(found.T_odom_keyframe, T_odom_map @ store.pose(KeyframeId(0)), atol=1e-12)
+    np.testing.assert_array_equal(found.of_motion, C)
+    see(6.0, 3, is_new=True)
+    assert [keyframe.seen_from is None for keyframe in added] == [True, True, True, False]
+    edge = not_none(added[-1].seen_from)
+    assert (edge.first, edge.second, edge.is_loop) == (0, 3, True)
+    np.testing.assert_allclose(edge.T_first_second, se3.from_plane(3.0, 0, 0), atol=1e-12)
+    assert (np.diag(edge.covariance) > 4e-4).all()
