@@ -87,7 +87,7 @@ class KeypointTracker:
         return KeyframeFeatures(features.px, points, features.descriptors)
 
     def recalled(self, stamp_s: float, kept: KeyframeFeatures) -> Features:
-        """What `kept` made of features, of those that have depth; on which level each was found nobody knows by then."""
+        """What `kept` made of features that have depth; on which level each was found is not known by then."""
         has_depth = kept.points[:, 2] > 0
         points = se3.apply(self._T_color_camera, kept.points[has_depth])
         z_m = points[:, 2].copy()
