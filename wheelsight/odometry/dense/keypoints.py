@@ -144,6 +144,7 @@ class KeypointTracker:
             known = self._landmarks.keyframes[-1].landmark if self._landmarks.keyframes else np.zeros(1, int)
             if len(seen) < self._features.keyframe_share * np.count_nonzero(known >= 0):
                 view = self._landmarks.add_keyframe(view, tracked.keyframe)
+                self._landmarks.forget_keypoints()
         self._last = view
 
     def forget(self) -> None:

@@ -47,6 +47,11 @@ class Features:
     def __len__(self) -> int:
         return len(self.px)
 
+    def some(self, count: int) -> Features:
+        """The first ones, copied."""
+        arrays = (self.px, self.level, self.descriptors, self.xy, self.depth_m, self.sigma_px, self.sigma_m)
+        return Features(self.stamp_s, *(array[:count].copy() for array in arrays))
+
     @property
     def has_depth(self) -> BoolArray:
         """(N,) which keypoints have depth."""
