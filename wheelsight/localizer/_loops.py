@@ -183,8 +183,8 @@ class LoopsBeside:
         if number >= self._told:
             self._seen_from = None if before is None or before == number - 1 else (before, motion)
             return
-        if number == self._told - 1 or self._waiting:
-            return
+        if self._waiting and number >= self._waiting[0][0].number:
+            return  # the thread does not know it yet
         T_odom_keyframe = se3.nearest(T_odom_map @ self._store.pose(number))
         self._live.see_again(SeenAgain(number, seen.stamp_s, T_odom_keyframe, covariance, motion))
 

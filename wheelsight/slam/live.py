@@ -44,6 +44,7 @@ class ClosedLoops:
         is_in_map: (N,) whether it is known where each keyframe of this drive lies in the map.
         judged_s: (N,) seconds that the thread took for each.
         begins: (N,) whether odometry does not tell how each lies to the one before.
+        again: keyframes of this drive that odometry came back to, in order of time.
     """
 
     stamps_s: FloatArray
@@ -57,6 +58,7 @@ class ClosedLoops:
     is_in_map: BoolArray
     begins: BoolArray
     judged_s: FloatArray
+    again: tuple[SeenAgain, ...] = ()
 
     @property
     def is_joined(self) -> bool:
@@ -121,6 +123,7 @@ class LiveLoops:
         self._thread: ThreadPoolExecutor | None = None
         self._unseen = 0
         self._judged_s: list[float] = []
+        self._again: list[SeenAgain] = []
         self.place: KeyframePlace | None = None
 
     def add(self, keyframe: LivedKeyframe) -> None:
@@ -134,6 +137,7 @@ class LiveLoops:
 
     def see_again(self, keyframe: SeenAgain) -> None:
         """Have the thread tell how surely a keyframe that it was handed before is placed; a busy one need not."""
+        self._again.append(keyframe)
         if self._thread is not None and (self._waits or not self._waiting):
             found = self._thread.submit(lambda: Judged(None, self._graph.place(keyframe)))
             self._waiting.append((keyframe.stamp_s, found))
@@ -164,7 +168,7 @@ class LiveLoops:
         is_in_map = pieces[len(pieces) - len(stamps_s) :] == 0
         begins = np.array([keyframe.begins for keyframe in self._lived], bool)
         judged = is_in_map, begins, np.array(self._judged_s)
-        return ClosedLoops(stamps_s, T_odom, *found, max(len(np.unique(pieces)), 1), *judged)
+        return ClosedLoops(stamps_s, T_odom, *found, max(len(np.unique(pieces)), 1), *judged, tuple(self._again))
 
     @property
     def recognizer(self) -> Recognizer:

@@ -49,8 +49,16 @@ class Features:
 
     def some(self, count: int) -> Features:
         """The first ones, copied."""
-        arrays = (self.px, self.level, self.descriptors, self.xy, self.depth_m, self.sigma_px, self.sigma_m)
-        return Features(self.stamp_s, *(array[:count].copy() for array in arrays))
+        return replace(
+            self,
+            px=self.px[:count].copy(),
+            level=self.level[:count].copy(),
+            descriptors=self.descriptors[:count].copy(),
+            xy=self.xy[:count].copy(),
+            depth_m=self.depth_m[:count].copy(),
+            sigma_px=self.sigma_px[:count].copy(),
+            sigma_m=self.sigma_m[:count].copy(),
+        )
 
     @property
     def has_depth(self) -> BoolArray:
