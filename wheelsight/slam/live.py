@@ -83,17 +83,19 @@ class Judged:
     Attributes:
         update: where all keyframes are by now, if its loops have moved any.
         place: how surely it is placed in the map; None while nobody knows where its piece lies.
+        ties: its loops that are kept.
     """
 
     update: PoseUpdate | None
     place: KeyframePlace | None
+    ties: tuple[RelativePose, ...] = ()
 
 
 class LiveLoops:
     """See the module.
 
     Args:
-        store: holds the keyframes. It is read here, and never moved.
+        store: holds the keyframes. It is read here, and never moved; it is told which ones loops tie.
         calibration: of the camera.
         settings, recognition: or the defaults.
         known: what an earlier drive has left, whose keyframes the store has.
@@ -114,7 +116,7 @@ class LiveLoops:
         known: KnownMap | None = None,
         waits: bool = False,
     ) -> None:
-        self._settings, self._waits = settings or LoopSettings(), waits
+        self._store, self._settings, self._waits = store, settings or LoopSettings(), waits
         recognizer = None if known is None else known.recognizer
         self._watcher = PlaceWatcher(store, calibration, self._settings.seen, recognition, recognizer)
         self._graph = DriveGraph(self._settings, known)
@@ -143,7 +145,7 @@ class LiveLoops:
             self._waiting.append((keyframe.stamp_s, found))
 
     def due(self, stamp_s: float) -> PoseUpdate | None:
-        """Where the first keyframes are, if loops have moved them since it was asked last.
+        """Where the first keyframes are, if loops have moved them since it was asked last; the store hears of ties.
 
         Raises what went wrong in the thread.
         """
@@ -152,6 +154,8 @@ class LiveLoops:
             found = self._waiting.popleft()[1].result()
             newest = newest if found.update is None else found.update
             self.place = found.place
+            for tie in found.ties:
+                self._store.tie(tie.first, tie.second)
         return newest
 
     def finish(self) -> ClosedLoops:
@@ -196,6 +200,7 @@ class LiveLoops:
         told = keyframe.seen_from
         if told is not None and all(loop.first != told.first for loop in loops):
             loops = (*loops, told)
-        judged = Judged(self._graph.close(loops), self._graph.place())
+        update, kept = self._graph.close(loops), set(map(id, self._graph.edges))
+        judged = Judged(update, self._graph.place(), tuple(loop for loop in loops if id(loop) in kept))
         self._judged_s.append(time.perf_counter() - started)
         return judged

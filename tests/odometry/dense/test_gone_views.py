@@ -32,9 +32,9 @@ class Known:
     """A store with a keyframe each metre, and what dense odometry holds of them."""
 
     def __init__(self, count: int = 3, shape: tuple[int, int] | None = None) -> None:
-        keypoints = KeypointTracker(EXACT, VerificationSettings(), has_landmarks=False)
+        self.keypoints = keypoints = KeypointTracker(EXACT, VerificationSettings(), has_landmarks=False)
         self.store = KeyframeStore()
-        self.gone = GoneViews(self.store, BENCH.gridder, BENCH.maker, keypoints)
+        self.gone = GoneViews(self.store, BENCH.gridder, BENCH.maker, keypoints, room=1)
         self.views: list[KnownView] = []
         for number in range(count):
             frame, T = frame_of(WALL, at(number), float(number)), at(number)
@@ -48,6 +48,8 @@ class Known:
             reference, covariance = BENCH.maker.of_frame(grid, T), np.diag([1.0, 2, 3, 4, 5, 6]) * (1 + number)
             self.views.append(KnownView(KeyframeId(number), reference, covariance, raw, turning))
             self.gone.put(self.views[-1])
+        for number in range(1, count):
+            self.store.tie(KeyframeId(0), KeyframeId(number))
 
 
 @pytest.fixture(scope="module")
@@ -112,14 +114,30 @@ def there_and_back() -> list[tuple[FloatArray, RgbdFrame]]:
     return [(at(x_m), frame_of(WALL, at(x_m), k / 5)) for k, x_m in enumerate(ways_m)]
 
 
-@pytest.mark.parametrize("settings", [{}, {"kept_keyframes": 2}], ids=["room for all", "room for two"])
-def test_on_the_way_back_no_keyframe_is_made(settings: dict[str, Any]) -> None:
-    """With room for two views as with room for all: before, each place was kept anew."""
+@pytest.mark.parametrize(
+    ("settings", "is_tied", "comes_back"),
+    [({}, False, True), ({"kept_keyframes": 2}, True, True), ({"kept_keyframes": 2}, False, False)],
+    ids=["room for all", "room for two", "room for two, and no loops"],
+)
+def test_on_the_way_back_no_keyframe_is_made(settings: dict[str, Any], is_tied: bool, comes_back: bool) -> None:
+    """With room for two views as with room for all, once loops tie them; before, each place was kept anew."""
     subject, counts = dense(**settings), list[int]()
     for T, frame in there_and_back():
         answer = subject.process(frame)
         assert answer.status is Status.TRACKING
         assert apart(not_none(answer.T_odom_body), T)[0] < 0.02
         counts.append(len(subject.store))
+        for number in subject.store if is_tied else ():
+            subject.store.tie(number, KeyframeId(number + 10))
     assert counts[8] >= 4
-    assert counts[-1] == counts[8]
+    assert (counts[-1] == counts[8]) == comes_back
+
+
+def test_one_that_no_loop_ties_to_another_time_stays_away() -> None:
+    known = Known(4)
+    known.gone = GoneViews(known.store, BENCH.gridder, BENCH.maker, known.keypoints, room=3)
+    for view in known.views:
+        known.gone.put(view)
+    assert [known.gone.is_tied(number) for number in known.store] == [True, False, False, True]
+    assert not_none(known.gone.nearer(at(1.2), 2.0)).keyframe == 0
+    assert known.gone.nearer(at(1.2), 0.5) is None

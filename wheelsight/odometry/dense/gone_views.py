@@ -32,15 +32,20 @@ class _Gone:
 class GoneViews:
     """See the module.
 
+    Only those come back that loops tie to keyframes of another time: how far off the others are from where the camera
+    has come to, odometry alone would say, and that loops can mend it new keyframes are needed.
+
     Args:
         store: has the keyframes, and where they are.
         gridder, maker, keypoints: make views of them.
+        room: of another time is a keyframe that so many others follow, for which there is room.
     """
 
     def __init__(
-        self, store: KeyframeStore, gridder: Gridder, maker: ReferenceMaker, keypoints: KeypointTracker
+        self, store: KeyframeStore, gridder: Gridder, maker: ReferenceMaker, keypoints: KeypointTracker, room: int
     ) -> None:
         self._store, self._gridder, self._maker, self._keypoints = store, gridder, maker, keypoints
+        self._room = room
         self._gone: dict[KeyframeId, _Gone] = {}
 
     def __len__(self) -> int:
@@ -53,17 +58,21 @@ class GoneViews:
         self._gone[view.keyframe] = _Gone(covariance, view.turning_rad_s, view.reference.vignetting)
 
     def nearer(self, T_map_camera: FloatArray, limit_m: float) -> KnownView | None:
-        """The one whose view is nearest to one from there (4, 4), a turn by a radian as 1.5 m, if that is nearer.
+        """The tied one whose view is nearest to one from there (4, 4), a turn by a radian as 1.5 m, if that is nearer.
 
         None, too, where the disk has lost it, or has it in another size than frames are aligned in. It stays here: see
         `take`.
         """
-        if not self._gone:
+        numbers = [number for number in self._gone if self.is_tied(number)]
+        if not numbers:
             return None
-        numbers = list(self._gone)
         apart_m = se3.view_shift_m(se3.invert(self._store.T_map_keyframe[numbers]) @ T_map_camera)
         nearest = int(np.argmin(apart_m))
         return self._recalled(numbers[nearest]) if apart_m[nearest] < limit_m else None
+
+    def is_tied(self, number: KeyframeId) -> bool:
+        """Whether loops tie a keyframe to one of another time."""
+        return self._store.tied_over(number) >= self._room
 
     def take(self, view: KnownView) -> None:
         """One that is held from now on."""

@@ -24,6 +24,9 @@ from wheelsight.odometry.dense.vignetting import Vignetting
 from wheelsight.odometry.features.extraction import Features
 from wheelsight.odometry.state import START_VARIANCE
 
+# The newest keyframe is not judged yet, and not each one is recognised.
+_GOES_BY = 5
+
 
 class KeyframePolicy:
     """Keeps frames that show much that is not known yet.
@@ -112,8 +115,7 @@ class KeyframePolicy:
         if self._views.has_model:
             return None
         here, nearest = ahead.at(found.T_map_camera), self._views.nearest(found.T_map_camera)
-        gone = self._gone.nearer(found.T_map_camera, nearest.distance_m(found.T_map_camera))
-        for view in (gone, nearest):
+        for view in (self._gone_nearer(found.T_map_camera, nearest), nearest):
             if view is None or view is self._views.keyframes[-1]:
                 continue
             seen = self._locator.by_view(found.frame, view, here, here.T_map_camera)
@@ -121,6 +123,12 @@ class KeyframePolicy:
                 self._keep(view)
                 return seen
         return None
+
+    def _gone_nearer(self, T_map_camera: FloatArray, nearest: KnownView) -> KnownView | None:
+        """An older keyframe nearer than those held, while loops tie one of those that the camera goes by."""
+        if not any(self._gone.is_tied(view.keyframe) for view in self._views.keyframes[-_GOES_BY:]):
+            return None
+        return self._gone.nearer(T_map_camera, nearest.distance_m(T_map_camera))
 
     def _keep(self, view: KnownView) -> None:
         """A view that counts as the newest; those that there is no room for go."""
