@@ -133,6 +133,8 @@ def test_a_keyframe_goes_to_where_odometry_saw_it_from_one_that_it_had_come_back
         store.add(Keyframe.of_images(number, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), T_odom)
         covariance = (1 + 100 * number) * C
         live.add(LivedKeyframe(KeyframeId(number), float(number), T_odom, covariance, seen_from=seen_from))
+    live.due(10.0)
+    assert [store.tied_over(number) for number in store] == ([3, 0, 0, 3] if is_told else [0, 0, 0, 0])
     found = live.finish()
     assert len(found.loops.kept) == is_told
     assert found.T_map_keyframe[3, 0, 3] == pytest.approx(0.1 if is_told else 0.4, abs=0.01)
