@@ -230,16 +230,19 @@ def test_a_keyframe_that_odometry_comes_back_to_is_told_and_so_is_what_it_sees_f
     blank, C, T_odom_map = np.ones((24, 32), np.float32), 1e-4 * np.eye(6), se3.from_plane(0.0, 2.0, 0.5)
     added: list[LivedKeyframe] = []
     again: list[SeenAgain] = []
+    followed: list[SeenAgain] = []
     monkeypatch.setattr(LiveLoops, "add", lambda live, keyframe: added.append(keyframe))
     monkeypatch.setattr(LiveLoops, "see_again", lambda live, keyframe: again.append(keyframe))
+    monkeypatch.setattr(LiveLoops, "follow", lambda live, keyframe: followed.append(keyframe))
     beside = LoopsBeside(store, Calibration.registered_camera(synthetic.CAMERA), settings, waits=True)
 
-    def see(stamp_s: float, keyframe: int, *, is_new: bool = False) -> None:
+    def see(stamp_s: float, keyframe: int, apart_m: float = 0.0, *, is_new: bool = False) -> None:
         if is_new:
             images = np.array([30.0, 30.0, 16.0, 12.0]), blank, blank
             store.add(Keyframe.of_images(stamp_s, *images), se3.from_plane(float(keyframe), 0, 0))
         motion = MotionEstimate(np.eye(4), (1 + keyframe) * C)
-        seen = CameraEstimate(stamp_s, Status.TRACKING, np.eye(4), C, keyframe=KeyframeId(keyframe), motion=motion)
+        by = {"keyframe": KeyframeId(keyframe), "T_keyframe_body": se3.from_plane(apart_m, 0.0, 0.0)}
+        seen = CameraEstimate(stamp_s, Status.TRACKING, np.eye(4), C, motion=motion, **by)
         beside.hang_on(seen, T_odom_map, 9 * C)
         beside.keep(stamp_s, T_odom_map, 9 * C)
         beside.hand_over()
@@ -248,13 +251,19 @@ def test_a_keyframe_that_odometry_comes_back_to_is_told_and_so_is_what_it_sees_f
         see(float(number), number, is_new=True)
     see(3.0, 2)
     assert not again  # it is the newest, of which the thread is told as that
-    see(4.0, 0)
-    see(5.0, 0)
+    see(4.0, 0, 0.5)
+    see(5.0, 0, 0.1)
+    see(5.5, 0, 0.3)
     (found,) = again
     assert (found.number, found.stamp_s) == (0, 4.0)
     np.testing.assert_allclose(found.T_odom_keyframe, T_odom_map @ store.pose(KeyframeId(0)), atol=1e-12)
     np.testing.assert_array_equal(found.of_motion, C)
+    assert not followed
     see(6.0, 3, is_new=True)
+    assert [one.stamp_s for one in followed] == [5.0]  # of all frames by the first keyframe it was the nearest
+    see(7.0, 3)
+    see(8.0, 2)
+    assert [one.number for one in again] == [0, 2]
     assert [keyframe.seen_from is None for keyframe in added] == [True, True, True, False]
     edge = not_none(added[-1].seen_from)
     assert (edge.first, edge.second, edge.is_loop) == (0, 3, True)

@@ -200,3 +200,15 @@ def test_a_floor_between_two_blocks_takes_no_more_memory_where_loops_move_it_up_
     made.move(np.array([se3.from_parts(np.eye(3), [0.0, 0.0, 0.1])]), 0.0, RULES, Rows(1).share)
     slots = made.slots()
     assert (made.cell_xyz[made.page_cell[slots // PAGE], 2] == 0).mean() > 0.99
+
+
+def test_a_map_that_loops_move_far_takes_its_memory_once(rng):
+    """As at the end of a first lap: all surfels left their block at each move, faster than the sweep came by."""
+    made = Blocks(0.5, 1 << 20)
+    made.append(scattered(rng, 100_000), 0.0, RULES)
+    took = made.memory_bytes
+    for _ in range(4):
+        made.move(np.array([se3.from_parts(np.eye(3), [0.6, 0.0, 0.0])]), 0.0, RULES, Rows(1).share)
+        made.sweep(0.0, RULES)
+    assert made.alive == 100_000
+    assert made.memory_bytes < 1.5 * took

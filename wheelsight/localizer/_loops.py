@@ -56,6 +56,7 @@ class LoopsBeside:
         self._waiting: list[list[LivedKeyframe]] = []  # by the frames at which they were kept
         self._hangs_on: KeyframeId | None = None
         self._seen_from: tuple[KeyframeId, FloatArray] | None = None
+        self._nearest: tuple[float, SeenAgain] | None = None  # of the frames that hang on one that it came back to
         self._closed: ClosedLoops | None = None
         self._loops: IntArray = np.zeros((0, 2), np.int64)
         self._pieces: list[int] = [0]  # by the numbers of their first keyframes
@@ -176,17 +177,31 @@ class LoopsBeside:
 
         Where it has come back to an older one, that tells how surely the frame is placed. It is asked before `keep`.
         """
-        number, motion = seen.keyframe, seen.motion.covariance
+        number, motion, T_keyframe_camera = seen.keyframe, seen.motion.covariance, seen.T_keyframe_body
         before, self._hangs_on, self._seen_from = self._hangs_on, number, None
-        if number is None or motion is None or number == before:
+        if number != before:
+            self._leave()
+        if number is None or motion is None or T_keyframe_camera is None:
             return
         if number >= self._told:
             self._seen_from = None if before is None or before == number - 1 else (before, motion)
             return
         if self._waiting and number >= self._waiting[0][0].number:
             return  # the thread does not know it yet
+        apart_m = float(se3.view_shift_m(T_keyframe_camera))
+        if number == before and (self._nearest is None or self._nearest[0] <= apart_m):
+            return
         T_odom_keyframe = se3.nearest(T_odom_map @ self._store.pose(number))
-        self._live.see_again(SeenAgain(number, seen.stamp_s, T_odom_keyframe, covariance, motion))
+        again = SeenAgain(number, seen.stamp_s, T_odom_keyframe, covariance, motion)
+        self._nearest = apart_m, again
+        if number != before:
+            self._live.see_again(again)
+
+    def _leave(self) -> None:
+        """Another keyframe comes. Of the last one the nearest frame counts: a view's error grows by the way."""
+        if self._nearest is not None:
+            self._live.follow(self._nearest[1])
+            self._nearest = None
 
     def hand_over(self, motions: Sequence[CameraMotion | None] = ()) -> None:
         """Hand all that were kept to the thread, with what is known by now of the motions to the last of them."""
@@ -239,6 +254,7 @@ class LoopsBeside:
         if self._closed is not None and len(self._closed.T_map_keyframe) == len(self._store):
             return self._closed
         self.hand_over()
+        self._leave()
         self._closed = found = self._live.finish()
         if len(found.T_map_keyframe) == len(self._store):
             self._store.move(list(self._store), found.T_map_keyframe)

@@ -139,10 +139,13 @@ class LiveLoops:
 
     def see_again(self, keyframe: SeenAgain) -> None:
         """Have the thread tell how surely a keyframe that it was handed before is placed; a busy one need not."""
-        self._again.append(keyframe)
         if self._thread is not None and (self._waits or not self._waiting):
             found = self._thread.submit(lambda: Judged(None, self._graph.place(keyframe)))
             self._waiting.append((keyframe.stamp_s, found))
+
+    def follow(self, keyframe: SeenAgain) -> None:
+        """The drive's corrected way is to follow a keyframe that was seen again, too, as what was seen has it."""
+        self._again.append(keyframe)
 
     def due(self, stamp_s: float) -> PoseUpdate | None:
         """Where the first keyframes are, if loops have moved them since it was asked last; the store hears of ties.
@@ -198,8 +201,8 @@ class LiveLoops:
         else:
             loops = self._watcher.pass_by(keyframe.number)
         told = keyframe.seen_from
-        if told is not None and all(loop.first != told.first for loop in loops):
-            loops = (*loops, told)
+        if told is not None and not loops:  # what is recognised by both views is surer than odometry's own word
+            loops = (told,)
         update, kept = self._graph.close(loops), set(map(id, self._graph.edges))
         judged = Judged(update, self._graph.place(), tuple(loop for loop in loops if id(loop) in kept))
         self._judged_s.append(time.perf_counter() - started)
