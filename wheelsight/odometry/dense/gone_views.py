@@ -61,8 +61,8 @@ class GoneViews:
     def nearer(self, T_map_camera: FloatArray, limit_m: float, held: Set[KeyframeId] = frozenset()) -> KnownView | None:
         """The tied one whose view is nearest to one from there (4, 4), a turn by a radian as 1.5 m, if that is nearer.
 
-        `held` are the views that there is room for. None, too, where the disk has lost it, or has it in another size than
-        frames are aligned in. It stays here: see `take`.
+        `held` are the views that there is room for. None, too, where the disk has lost it, or has it in another size
+        than frames are aligned in. It stays here: see `take`.
         """
         numbers = [number for number in self._gone if self.is_tied(number, held)]
         if not numbers:
