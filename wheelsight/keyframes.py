@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Callable, Iterator, Sequence, Set
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, NewType
@@ -107,7 +107,7 @@ class KeyframeStore:
         self._making: Future[Keyframe] | None = None
         self._most: int | None = None
         self._readers: dict[int, Callable[[], Keyframe]] = {}
-        self._tied: dict[int, set[KeyframeId]] = {}
+        self._tied: dict[int, int] = {}
         self._unreleased: deque[int] = deque()
         self._read: OrderedDict[int, Keyframe] = OrderedDict()
         self._lock = threading.Lock()
@@ -214,12 +214,12 @@ class KeyframeStore:
 
     def tie(self, first: KeyframeId, second: KeyframeId) -> None:
         """A loop that is kept ties two keyframes."""
-        self._tied.setdefault(first, set()).add(second)
-        self._tied.setdefault(second, set()).add(first)
+        for number in (first, second):
+            self._tied[number] = max(self._tied.get(number, 0), abs(second - first))
 
-    def tied_to(self, number: KeyframeId) -> Set[KeyframeId]:
-        """The keyframes that loops tie one to."""
-        return self._tied.get(number, frozenset())
+    def tied_over(self, number: KeyframeId) -> int:
+        """Over how many keyframes loops tie one, at most; 0 where none does."""
+        return self._tied.get(number, 0)
 
     def follow(self) -> Follower:
         """For someone who holds positions in the map that hang on keyframes."""

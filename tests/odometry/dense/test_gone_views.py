@@ -141,5 +141,3 @@ def test_one_that_no_loop_ties_to_another_time_stays_away() -> None:
     assert [known.gone.is_tied(number) for number in known.store] == [True, False, False, True]
     assert not_none(known.gone.nearer(at(1.2), 2.0)).keyframe == 0
     assert known.gone.nearer(at(1.2), 0.5) is None
-    # The other one is of the pass that goes on.
-    assert known.gone.nearer(at(1.2), 1.5, {KeyframeId(3)}) is None

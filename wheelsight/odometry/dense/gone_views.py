@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,8 +32,8 @@ class _Gone:
 class GoneViews:
     """See the module.
 
-    Only those come back that loops tie to keyframes of another time, which are gone as well: a second pass is to keep
-    keyframes, for how far off the first one's lie odometry alone would say, and it takes new ones for loops to mend it.
+    Only those come back that loops tie to keyframes of another time: how far off the others are from where the camera
+    has come to, odometry alone would say, and that loops can mend it new keyframes are needed.
 
     Args:
         store: has the keyframes, and where they are.
@@ -58,22 +57,22 @@ class GoneViews:
         covariance = Ad @ view.covariance @ Ad.T
         self._gone[view.keyframe] = _Gone(covariance, view.turning_rad_s, view.reference.vignetting)
 
-    def nearer(self, T_map_camera: FloatArray, limit_m: float, held: Set[KeyframeId] = frozenset()) -> KnownView | None:
+    def nearer(self, T_map_camera: FloatArray, limit_m: float) -> KnownView | None:
         """The tied one whose view is nearest to one from there (4, 4), a turn by a radian as 1.5 m, if that is nearer.
 
-        `held` are the views that there is room for. None, too, where the disk has lost it, or has it in another size
-        than frames are aligned in. It stays here: see `take`.
+        None, too, where the disk has lost it, or has it in another size than frames are aligned in. It stays here: see
+        `take`.
         """
-        numbers = [number for number in self._gone if self.is_tied(number, held)]
+        numbers = [number for number in self._gone if self.is_tied(number)]
         if not numbers:
             return None
         apart_m = se3.view_shift_m(se3.invert(self._store.T_map_keyframe[numbers]) @ T_map_camera)
         nearest = int(np.argmin(apart_m))
         return self._recalled(numbers[nearest]) if apart_m[nearest] < limit_m else None
 
-    def is_tied(self, number: KeyframeId, but: Set[KeyframeId] = frozenset()) -> bool:
-        """Whether loops tie a keyframe to one of another time, but for some."""
-        return any(abs(other - number) >= self._room and other not in but for other in self._store.tied_to(number))
+    def is_tied(self, number: KeyframeId) -> bool:
+        """Whether loops tie a keyframe to one of another time."""
+        return self._store.tied_over(number) >= self._room
 
     def take(self, view: KnownView) -> None:
         """One that is held from now on."""

@@ -128,8 +128,7 @@ class KeyframePolicy:
         """An older keyframe nearer than those held, while loops tie one of those that the camera goes by."""
         if not any(self._gone.is_tied(view.keyframe) for view in self._views.keyframes[-_GOES_BY:]):
             return None
-        held = {view.keyframe for view in self._views.keyframes}
-        return self._gone.nearer(T_map_camera, nearest.distance_m(T_map_camera), held)
+        return self._gone.nearer(T_map_camera, nearest.distance_m(T_map_camera))
 
     def _keep(self, view: KnownView) -> None:
         """A view that counts as the newest; those that there is no room for go."""
