@@ -241,8 +241,8 @@ def test_a_keyframe_that_odometry_comes_back_to_is_told_and_so_is_what_it_sees_f
             images = np.array([30.0, 30.0, 16.0, 12.0]), blank, blank
             store.add(Keyframe.of_images(stamp_s, *images), se3.from_plane(float(keyframe), 0, 0))
         motion = MotionEstimate(np.eye(4), (1 + keyframe) * C)
-        by = {"keyframe": KeyframeId(keyframe), "T_keyframe_body": se3.from_plane(apart_m, 0.0, 0.0)}
-        seen = CameraEstimate(stamp_s, Status.TRACKING, np.eye(4), C, motion=motion, **by)
+        T, by = se3.from_plane(apart_m, 0.0, 0.0), KeyframeId(keyframe)
+        seen = CameraEstimate(stamp_s, Status.TRACKING, np.eye(4), C, keyframe=by, T_keyframe_body=T, motion=motion)
         beside.hang_on(seen, T_odom_map, 9 * C)
         beside.keep(stamp_s, T_odom_map, 9 * C)
         beside.hand_over()

@@ -40,9 +40,8 @@ class Known:
             frame, T = frame_of(WALL, at(number), float(number)), at(number)
             raw, grid = keypoints.look(frame).result(), BENCH.grid(frame)
             finest = grid.levels[0]
-            images = [
-                image if shape is None else image[: shape[0], : shape[1]] for image in (finest.depth_m, finest.grey)
-            ]
+            height, width = shape or finest.depth_m.shape
+            images = finest.depth_m[:height, :width], finest.grey[:height, :width]
             self.store.add(Keyframe.of_images(grid.stamp_s, finest.intrinsics, *images, keypoints.kept(raw)), T)
             turning = np.array([0.0, 0.1 * number, 0.0])
             reference, covariance = BENCH.maker.of_frame(grid, T), np.diag([1.0, 2, 3, 4, 5, 6]) * (1 + number)
