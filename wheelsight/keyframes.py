@@ -107,6 +107,7 @@ class KeyframeStore:
         self._making: Future[Keyframe] | None = None
         self._most: int | None = None
         self._readers: dict[int, Callable[[], Keyframe]] = {}
+        self._tied: dict[int, int] = {}
         self._unreleased: deque[int] = deque()
         self._read: OrderedDict[int, Keyframe] = OrderedDict()
         self._lock = threading.Lock()
@@ -210,6 +211,15 @@ class KeyframeStore:
         self.revision += 1
         for follower in self._followers:
             follower.hear(rows, T_new_old, len(self))
+
+    def tie(self, first: KeyframeId, second: KeyframeId) -> None:
+        """A loop that is kept ties two keyframes."""
+        for number in (first, second):
+            self._tied[number] = max(self._tied.get(number, 0), abs(second - first))
+
+    def tied_over(self, number: KeyframeId) -> int:
+        """Over how many keyframes loops tie one, at most; 0 where none does."""
+        return self._tied.get(number, 0)
 
     def follow(self) -> Follower:
         """For someone who holds positions in the map that hang on keyframes."""

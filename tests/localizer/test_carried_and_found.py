@@ -49,7 +49,8 @@ class Loops:
         if stamp_s < self.laid_s or len(self.eye.store) < 2:
             return None
         newest, T = self.lived[-1], np.array(self.eye.store.T_map_keyframe)
-        live.place = KeyframePlace(newest.number, newest.T_odom_keyframe, newest.covariance, T[-1], self.C)
+        lived = newest.number, newest.T_odom_keyframe, newest.covariance
+        live.place = KeyframePlace(*lived, T[-1], self.C, newest.number)
         return PoseUpdate(T, np.zeros(len(T), np.int64), np.zeros((0, 2), np.int64))
 
 

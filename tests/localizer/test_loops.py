@@ -13,7 +13,7 @@ from room_drive import make_room_drive
 
 from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
-from wheelsight.estimates import Estimate, Status
+from wheelsight.estimates import CameraEstimate, Estimate, MotionEstimate, Status
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.geometry import se3
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
@@ -21,7 +21,7 @@ from wheelsight.localizer import Localizer
 from wheelsight.localizer._loops import LoopsBeside
 from wheelsight.places.recognition import Recognizer
 from wheelsight.recordings import Recording, open_recording
-from wheelsight.slam.drive_graph import KeyframePlace, LivedKeyframe, PoseUpdate
+from wheelsight.slam.drive_graph import KeyframePlace, LivedKeyframe, PoseUpdate, SeenAgain
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.known import KnownMap
 from wheelsight.slam.live import LiveLoops
@@ -174,7 +174,7 @@ def test_a_piece_counts_as_joined_once_it_is_sure_where_it_lies(
         T_map = FAR @ se3.from_plane(1.0, 0, 0)
         # Of the map's origin the left perturbation turns about; the keyframe is as uncertain as C says by itself.
         Ad = se3.adjoint(se3.from_parts(np.eye(3), T_map[:3, 3]))
-        place = KeyframePlace(KeyframeId(1), se3.from_plane(1.0, 0, 0), C_odom, T_map, Ad @ C @ Ad.T)
+        place = KeyframePlace(KeyframeId(1), se3.from_plane(1.0, 0, 0), C_odom, T_map, Ad @ C @ Ad.T, KeyframeId(1))
 
     def due(live: LiveLoops, stamp_s: float) -> PoseUpdate:
         live.place = place
@@ -207,7 +207,7 @@ def test_in_a_map_that_stays_a_pose_is_tracked_while_it_is_sure(monkeypatch: pyt
     known = KnownMap(store, Recognizer(), (step,) if grows else (), np.eye(4), 700 * C)
     beside = LoopsBeside(store, Calibration.registered_camera(synthetic.CAMERA), settings, known, waits=True)
     store.add(Keyframe.of_images(2.0, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), se3.from_plane(2, 0, 0))
-    place = KeyframePlace(KeyframeId(2), np.eye(4), C, np.eye(4), C)
+    place = KeyframePlace(KeyframeId(2), np.eye(4), C, np.eye(4), C, KeyframeId(2))
 
     def due(live: LiveLoops, stamp_s: float) -> PoseUpdate:
         live.place = place
@@ -221,3 +221,51 @@ def test_in_a_map_that_stays_a_pose_is_tracked_while_it_is_sure(monkeypatch: pyt
     statuses = [str(beside.called(answer).status) for answer in answers]
     assert statuses == ["tracking", "tracking", "tracking", "tracking" if grows else "coasting", "tracking"]
     beside.close()
+
+
+def test_a_keyframe_that_odometry_comes_back_to_is_told_and_so_is_what_it_sees_from_there(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    store, settings = KeyframeStore(), load_config(overrides={"loops.source": "keyframes"})
+    blank, C, T_odom_map = np.ones((24, 32), np.float32), 1e-4 * np.eye(6), se3.from_plane(0.0, 2.0, 0.5)
+    added: list[LivedKeyframe] = []
+    again: list[SeenAgain] = []
+    followed: list[SeenAgain] = []
+    monkeypatch.setattr(LiveLoops, "add", lambda live, keyframe: added.append(keyframe))
+    monkeypatch.setattr(LiveLoops, "see_again", lambda live, keyframe: again.append(keyframe))
+    monkeypatch.setattr(LiveLoops, "follow", lambda live, keyframe: followed.append(keyframe))
+    beside = LoopsBeside(store, Calibration.registered_camera(synthetic.CAMERA), settings, waits=True)
+
+    def see(stamp_s: float, keyframe: int, apart_m: float = 0.0, *, is_new: bool = False) -> None:
+        if is_new:
+            images = np.array([30.0, 30.0, 16.0, 12.0]), blank, blank
+            store.add(Keyframe.of_images(stamp_s, *images), se3.from_plane(float(keyframe), 0, 0))
+        motion = MotionEstimate(np.eye(4), (1 + keyframe) * C)
+        T, by = se3.from_plane(apart_m, 0.0, 0.0), KeyframeId(keyframe)
+        seen = CameraEstimate(stamp_s, Status.TRACKING, np.eye(4), C, keyframe=by, T_keyframe_body=T, motion=motion)
+        beside.hang_on(seen, T_odom_map, 9 * C)
+        beside.keep(stamp_s, T_odom_map, 9 * C)
+        beside.hand_over()
+
+    for number in range(3):
+        see(float(number), number, is_new=True)
+    see(3.0, 2)
+    assert not again  # it is the newest, of which the thread is told as that
+    see(4.0, 0, 0.5)
+    see(5.0, 0, 0.1)
+    see(5.5, 0, 0.3)
+    (found,) = again
+    assert (found.number, found.stamp_s) == (0, 4.0)
+    np.testing.assert_allclose(found.T_odom_keyframe, T_odom_map @ store.pose(KeyframeId(0)), atol=1e-12)
+    np.testing.assert_array_equal(found.of_motion, C)
+    assert not followed
+    see(6.0, 3, is_new=True)
+    assert [one.stamp_s for one in followed] == [5.0]  # of all frames by the first keyframe it was the nearest
+    see(7.0, 3)
+    see(8.0, 2)
+    assert [one.number for one in again] == [0, 2]
+    assert [keyframe.seen_from is None for keyframe in added] == [True, True, True, False]
+    edge = not_none(added[-1].seen_from)
+    assert (edge.first, edge.second, edge.is_loop) == (0, 3, True)
+    np.testing.assert_allclose(edge.T_first_second, se3.from_plane(3.0, 0, 0), atol=1e-12)
+    assert (np.diag(edge.covariance) > 4e-4).all()

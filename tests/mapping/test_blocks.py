@@ -11,8 +11,9 @@ from odometry.plain_kernels import plain
 
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.mapping import Surfels, _block_kernels, _fusion_kernels, _match_kernels, _view_kernels, blocks, surfels
-from wheelsight.mapping._block_kernels import PAGE, SurfelArrays
+from wheelsight.mapping._block_kernels import PAGE, STRAY_M, SurfelArrays
 from wheelsight.mapping.blocks import Blocks
+from wheelsight.threads import Rows
 
 RULES = np.array([8.0, 3.0, 60.0, 1.0])
 
@@ -177,3 +178,37 @@ def test_surfels_may_stray_from_their_block_only_as_far_as_it_is_looked_for():
     low = cells * 0.1
     stray = np.maximum(low - made.geometry[slots, :3], made.geometry[slots, :3] - low - 0.1).max()
     assert 0.0 < stray <= 0.05 + 1e-4
+
+
+def test_a_floor_between_two_blocks_takes_no_more_memory_where_loops_move_it_up_and_down(rng):
+    """All surfels of a floor left their block at each move by a millimetre, and what they left was free too late."""
+    made, n = Blocks(0.5, 1 << 18), 50_000
+    geometry = np.zeros((n, 8), np.float32)
+    geometry[:, :2], geometry[:, 2] = rng.uniform(-5, 5, (n, 2)), rng.normal(0.0, 0.005, n)
+    geometry[:, 3], geometry[:, 6], geometry[:, 7] = 0.01, 1.0, 20.0
+    made.append(made_of(geometry), 0.0, RULES)
+    took = made.memory_bytes
+    for way_m in (*(0.02, -0.02) * 3, 0.02):
+        made.move(np.array([se3.from_parts(np.eye(3), [0.0, 0.0, way_m])]), 0.0, RULES, Rows(1).share)
+        made.sweep(0.0, RULES)
+    assert made.alive == n
+    assert made.memory_bytes < 1.2 * took
+    slots = made.slots()
+    cells = made.cell_xyz[made.page_cell[slots // PAGE]]
+    stray = np.abs(made.geometry[slots, :3] - 0.5 * (cells + 0.5)).max() - 0.25
+    assert 0.0 < stray <= STRAY_M + 1e-6
+    made.move(np.array([se3.from_parts(np.eye(3), [0.0, 0.0, 0.1])]), 0.0, RULES, Rows(1).share)
+    slots = made.slots()
+    assert (made.cell_xyz[made.page_cell[slots // PAGE], 2] == 0).mean() > 0.99
+
+
+def test_a_map_that_loops_move_far_takes_its_memory_once(rng):
+    """As at the end of a first lap: all surfels left their block at each move, faster than the sweep came by."""
+    made = Blocks(0.5, 1 << 20)
+    made.append(scattered(rng, 100_000), 0.0, RULES)
+    took = made.memory_bytes
+    for _ in range(4):
+        made.move(np.array([se3.from_parts(np.eye(3), [0.6, 0.0, 0.0])]), 0.0, RULES, Rows(1).share)
+        made.sweep(0.0, RULES)
+    assert made.alive == 100_000
+    assert made.memory_bytes < 1.5 * took

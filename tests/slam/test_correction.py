@@ -3,8 +3,12 @@ import pytest
 
 from wheelsight.errors import ArgumentError
 from wheelsight.geometry import se3
+from wheelsight.keyframes import KeyframeId
 from wheelsight.matches import Match, SpeedVariances
-from wheelsight.slam.correction import Unused, carried, correct
+from wheelsight.slam.correction import Unused, carried, correct, corrected_by
+from wheelsight.slam.drive_graph import SeenAgain
+from wheelsight.slam.live import ClosedLoops
+from wheelsight.slam.loops import LoopReport
 from wheelsight.slam.own_solver import OwnPoseGraph
 from wheelsight.slam.settings import LoopSettings, MatchSettings
 from wheelsight.trajectory import Trajectory
@@ -152,3 +156,18 @@ def test_a_trajectory_that_states_no_errors_cannot_be_weighed():
         correct(lived_of(stamps_s, T_lived), [Match(0.0, 1.0)])
     with pytest.raises(ArgumentError, match="no poses"):
         correct(lived_of(stamps_s[:0], T_lived[:0]), [])
+
+
+def test_a_pose_goes_with_a_keyframe_that_was_seen_again():
+    """Nothing new is kept for ten seconds of known rooms, while odom drifts by 0.4 m and is back by wheels alone."""
+    T_kept = np.array([se3.from_plane(x_m, 0.0, 0.0) for x_m in (0.0, 10.0)])
+    again = SeenAgain(KeyframeId(0), 5.0, se3.from_plane(0.0, 0.4, 0.0), np.eye(6), np.eye(6))
+    told = (np.ones(2, bool), np.zeros(2, bool), np.zeros(2))
+    closed = ClosedLoops(np.array([0.0, 10.0]), T_kept, T_kept, (), LoopReport(()), {}, 0, 1, *told, (again,))
+    stamps_s = np.arange(0.0, 11.0)
+    lived = Trajectory(stamps_s, np.array([se3.from_plane(x_m, 0.4, 0.0) for x_m in stamps_s]))
+    found = corrected_by(closed, lived)
+    np.testing.assert_allclose(found.corrected.T_frame_body[5], se3.from_plane(5.0, 0.0, 0.0), atol=1e-9)
+    shares = [0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 0.8, 0.6, 0.4, 0.2, 0.0]
+    np.testing.assert_allclose(found.corrected.positions_m[:, 1], 0.4 * (1 - np.array(shares)), atol=1e-9)
+    np.testing.assert_array_equal(found.rows, [0, 10])

@@ -6,7 +6,7 @@ from narrowing import not_none
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.places.recognition import Recognizer
-from wheelsight.slam.drive_graph import DriveGraph, LivedKeyframe
+from wheelsight.slam.drive_graph import DriveGraph, LivedKeyframe, SeenAgain
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.known import KnownMap
 from wheelsight.slam.settings import LoopSettings
@@ -51,6 +51,22 @@ def test_a_chain_grows_as_its_steps_do() -> None:
         Ad = se3.adjoint(se3.exp([float(way_m), 0, 0, 0, 0, 0]))
         expected = expected + Ad @ least @ Ad.T
     np.testing.assert_allclose(place.covariance, expected, rtol=0.01, atol=1e-6)
+
+
+def test_a_keyframe_seen_again_is_as_sure_as_it_is_and_the_view_of_it() -> None:
+    graph = DriveGraph(LoopSettings())
+    for number in range(4):
+        graph.add(lived(number, number))
+        graph.close([])
+        if number == 1:
+            then = not_none(graph.place())
+    T_odom, C_odom = se3.exp([1.1, 0, 0, 0, 0, 0.02]), 9 * STEP
+    place = not_none(graph.place(SeenAgain(KeyframeId(1), 9.0, T_odom, C_odom, SEEN)))
+    assert (place.number, place.newest) == (1, 3)
+    np.testing.assert_array_equal(place.T_odom_keyframe, T_odom)
+    np.testing.assert_array_equal(place.covariance_odom, C_odom)
+    Ad = se3.adjoint(then.T_map_keyframe)
+    np.testing.assert_allclose(place.covariance, then.covariance + Ad @ SEEN @ Ad.T, rtol=0.01, atol=1e-6)
 
 
 def test_a_piece_is_placed_once_loops_join_it_and_more_surely_by_more_of_them() -> None:

@@ -6,13 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from narrowing import not_none
 from places.seen_room import EXACT, kept, ring, seen
 
 from wheelsight.errors import MapError
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.slam.correction import corrected_by
-from wheelsight.slam.drive_graph import LivedKeyframe, PoseUpdate
+from wheelsight.slam.drive_graph import LivedKeyframe, PoseUpdate, SeenAgain
+from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.live import LiveLoops
 from wheelsight.slam.settings import LoopSettings, SeenSettings
 from wheelsight.trajectory import Trajectory
@@ -118,3 +120,38 @@ def test_a_trajectory_goes_with_its_keyframes(keyframes: list[Keyframe]) -> None
     corrected = corrected_by(found, at)
     assert corrected.corrected.frame == "map"
     np.testing.assert_allclose(corrected.corrected.T_frame_body, found.T_map_keyframe, atol=1e-9)
+
+
+@pytest.mark.parametrize("is_told", [False, True])
+def test_a_keyframe_goes_to_where_odometry_saw_it_from_one_that_it_had_come_back_to(is_told: bool) -> None:
+    """Though nobody recognises anything: nothing is to be seen here. Odometry has drifted by 0.3 m since."""
+    store, blank, C = KeyframeStore(), np.ones((24, 32), np.float32), 1e-4 * np.eye(6)
+    live = LiveLoops(store, EXACT, SETTINGS, waits=True)
+    back = RelativePose(KeyframeId(0), KeyframeId(3), se3.from_plane(0.1, 0.0, 0.0), 0.01 * C, is_loop=True)
+    for number, x_m in enumerate([0.0, 1.0, 2.0, 0.4]):
+        T_odom, seen_from = se3.from_plane(x_m, 0.0, 0.0), back if is_told and number == 3 else None
+        store.add(Keyframe.of_images(number, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), T_odom)
+        covariance = (1 + 100 * number) * C
+        live.add(LivedKeyframe(KeyframeId(number), float(number), T_odom, covariance, seen_from=seen_from))
+    live.due(10.0)
+    assert [store.tied_over(number) for number in store] == ([3, 0, 0, 3] if is_told else [0, 0, 0, 0])
+    found = live.finish()
+    assert len(found.loops.kept) == is_told
+    assert found.T_map_keyframe[3, 0, 3] == pytest.approx(0.1 if is_told else 0.4, abs=0.01)
+
+
+def test_one_that_is_seen_again_is_placed_anew() -> None:
+    store, blank, C = KeyframeStore(), np.ones((24, 32), np.float32), 1e-4 * np.eye(6)
+    live = LiveLoops(store, EXACT, SETTINGS, waits=True)
+    for number in range(2):
+        T_odom = se3.from_plane(float(number), 0.0, 0.0)
+        store.add(Keyframe.of_images(number, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), T_odom)
+        live.add(LivedKeyframe(KeyframeId(number), float(number), T_odom, (1 + number) * C))
+    live.see_again(SeenAgain(KeyframeId(0), 3.0, np.eye(4), 9 * C, C))
+    live.due(2.0)
+    assert not_none(live.place).number == 1
+    live.due(4.0)
+    place = not_none(live.place)
+    assert (place.number, place.newest) == (0, 1)
+    np.testing.assert_allclose(place.covariance, C, atol=1e-7)
+    live.close()

@@ -11,15 +11,17 @@ import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.config import Config
-from wheelsight.estimates import Estimate, Status
+from wheelsight.estimates import CameraEstimate, Estimate, Status
 from wheelsight.geometry import FloatArray, IntArray, se3
 from wheelsight.geometry import motion_kernels as motions
 from wheelsight.keyframes import KeyframeId, KeyframeStore
 from wheelsight.places.recognition import Recognizer
-from wheelsight.slam.drive_graph import CameraMotion, LivedKeyframe, PoseUpdate
+from wheelsight.slam.drive_graph import CameraMotion, LivedKeyframe, PoseUpdate, SeenAgain
+from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.known import KnownMap
 from wheelsight.slam.live import ClosedLoops, LiveLoops
 from wheelsight.slam.settings import FROM_KEYFRAMES, PieceSettings
+from wheelsight.slam.steps import aligned_edge
 
 AnyEstimate = TypeVar("AnyEstimate", bound=Estimate)
 
@@ -52,6 +54,9 @@ class LoopsBeside:
         self._map_stays, self._was_sure = known is not None and not known.edges, False
         self._told = len(store)
         self._waiting: list[list[LivedKeyframe]] = []  # by the frames at which they were kept
+        self._hangs_on: KeyframeId | None = None
+        self._seen_from: tuple[KeyframeId, FloatArray] | None = None
+        self._nearest: tuple[float, SeenAgain] | None = None  # of the frames that hang on one that it came back to
         self._closed: ClosedLoops | None = None
         self._loops: IntArray = np.zeros((0, 2), np.int64)
         self._pieces: list[int] = [0]  # by the numbers of their first keyframes
@@ -95,7 +100,7 @@ class LoopsBeside:
     def _is_sure(self, answer: Estimate, covariance_map: FloatArray | None) -> bool:
         """Whether an answer is of a piece that lies in the map, and sure enough there."""
         place, limits = self._live.place, self._settings
-        if covariance_map is None or place is None or place.number < self._pieces[-1]:
+        if covariance_map is None or place is None or place.newest < self._pieces[-1]:
             return False
         return _is_within(answer, covariance_map, limits.sure_m, limits.sure_rad)
 
@@ -153,10 +158,50 @@ class LoopsBeside:
             T_before_now = self._laid_since(KeyframeId(number))
             lived = (KeyframeId(number), stamp_s, T_odom_keyframe, covariance, begins, T_before_now)
             since = None if kept else motion
-            kept.append(LivedKeyframe(*lived, since, self._store.pose(KeyframeId(number))))
+            told = self._store.pose(KeyframeId(number)), None if kept else self._aligned(KeyframeId(number))
+            kept.append(LivedKeyframe(*lived, since, *told))
         self._told = len(self._store)
         if kept:
             self._waiting.append(kept)
+
+    def _aligned(self, number: KeyframeId) -> RelativePose | None:
+        """A new keyframe against the older one by which odometry has found it; None where that is the one before."""
+        if self._seen_from is None:
+            return None
+        older, covariance = self._seen_from
+        T_older_new = se3.invert(self._store.pose(older)) @ self._store.pose(number)
+        return aligned_edge((older, number), T_older_new, covariance, self._settings.matches)
+
+    def hang_on(self, seen: CameraEstimate, T_odom_map: FloatArray, covariance: FloatArray) -> None:
+        """By which keyframe odometry has a frame, where the map lies at (4, 4), as uncertain in odom as (6, 6).
+
+        Where it has come back to an older one, that tells how surely the frame is placed. It is asked before `keep`.
+        """
+        number, motion, T_keyframe_camera = seen.keyframe, seen.motion.covariance, seen.T_keyframe_body
+        before, self._hangs_on, self._seen_from = self._hangs_on, number, None
+        if number != before:
+            self._leave()
+        if number is None or motion is None or T_keyframe_camera is None:
+            return
+        if number >= self._told:
+            self._seen_from = None if before is None or before == number - 1 else (before, motion)
+            return
+        if self._waiting and number >= self._waiting[0][0].number:
+            return  # the thread does not know it yet
+        apart_m = float(se3.view_shift_m(T_keyframe_camera))
+        if number == before and (self._nearest is None or self._nearest[0] <= apart_m):
+            return
+        T_odom_keyframe = se3.nearest(T_odom_map @ self._store.pose(number))
+        again = SeenAgain(number, seen.stamp_s, T_odom_keyframe, covariance, motion)
+        self._nearest = apart_m, again
+        if number != before:
+            self._live.see_again(again)
+
+    def _leave(self) -> None:
+        """Another keyframe comes. Of the last one the nearest frame counts: a view's error grows by the way."""
+        if self._nearest is not None:
+            self._live.follow(self._nearest[1])
+            self._nearest = None
 
     def hand_over(self, motions: Sequence[CameraMotion | None] = ()) -> None:
         """Hand all that were kept to the thread, with what is known by now of the motions to the last of them."""
@@ -209,6 +254,7 @@ class LoopsBeside:
         if self._closed is not None and len(self._closed.T_map_keyframe) == len(self._store):
             return self._closed
         self.hand_over()
+        self._leave()
         self._closed = found = self._live.finish()
         if len(found.T_map_keyframe) == len(self._store):
             self._store.move(list(self._store), found.T_map_keyframe)

@@ -97,6 +97,7 @@ class ByFrames:
             return estimate
         in_odom = framed(estimate, self.T_odom_map)
         if in_odom.covariance is not None:
+            self.loops.hang_on(estimate, self.T_odom_map, in_odom.covariance)
             self.loops.keep(frame.stamp_s, self.T_odom_map, in_odom.covariance)
             self.loops.hand_over()
         self._last = self._last if in_odom.T_odom_body is None else in_odom

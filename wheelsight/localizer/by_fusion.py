@@ -253,6 +253,9 @@ class ByFusion:
         if update.is_believed and answer.T_odom_body is not None and answer.status is Status.TRACKING:
             self._map.believe(frame.stamp_s, seen.T_odom_body, update.T_odom_base)
             self._map.refer(seen)
+            if self.loops is not None and answer.covariance is not None:
+                against = strayed(seen.motion, self._of_frame, self._settings.frame_walk_per_m)
+                self.loops.hang_on(replace(seen, motion=against), self._map.T_odom_map, answer.covariance)
             self._unsure.known(answer, len(self.odometry.store))
             if self.mapper is not None and isinstance(seen, DenseEstimate):
                 self.mapper.fuse_tracked(frame, seen)

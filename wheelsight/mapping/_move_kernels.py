@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from wheelsight.compiled import kernel
 from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, Cells, Pages, SurfelArrays
+from wheelsight.mapping._fusion_kernels import _has_left
 
 
 @kernel
@@ -36,4 +35,5 @@ def move(
                 r, s, t = T_new_old[k, i, 0], T_new_old[k, i, 1], T_new_old[k, i, 2]
                 geometry[slot, i] = T_new_old[k, i, 3] + r * x + s * y + t * z
                 geometry[slot, 4 + i] = r * a + s * b + t * c
-                left[slot] |= int(np.floor(geometry[slot, i] / block_m)) != cell_xyz[cell, i]
+            # Not at once: a floor between two blocks would go over and back at each loop.
+            left[slot] = _has_left(geometry, slot, cell_xyz, cell, block_m)

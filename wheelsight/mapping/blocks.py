@@ -28,6 +28,8 @@ Share = Callable[[int, Callable[[int, int], None]], None]
 # Dropping goes over the whole map; a tenth at once makes it rare.
 _DROPPED_AT_ONCE = 0.1
 _SWEPT_SURFELS = 1 << 15
+# Where a larger share leaves in one move, as at a first lap's end, the map would soon take its memory several times.
+_LEFT_AT_ONCE = 0.25
 # Rules by which no surfel's time has come.
 _NONE_GOES = np.array([0.0, np.inf, 1.0, np.inf])
 
@@ -156,8 +158,9 @@ class Blocks:
         share(pages, lambda a, b: move_kernels.move(a, b, *given))
         left = np.flatnonzero(has_left)
         if len(left):
+            are_many = len(left) > _LEFT_AT_ONCE * self.alive  # to lay them anew takes longer than to make room
             taken = self._lifted(left)
-            if self.room < _DROPPED_AT_ONCE + len(left) / len(self.geometry):
+            if are_many or self.room < _DROPPED_AT_ONCE + len(left) / len(self.geometry):
                 self._close_gaps(now_s)  # else `sweep` does, a part at a time
             self.append(taken, now_s, rules)
 

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -91,17 +92,40 @@ def correct(
 def corrected_by(found: ClosedLoops, lived: Trajectory) -> Correction:
     """A trajectory as known at the end, by loops that were closed while driving.
 
-    In the map of an earlier drive it has no poses where it is not known how they lie in that: odom begins anywhere.
+    It follows keyframes where they were kept and where odometry came back to them. In the map of an earlier drive it
+    has no poses where it is not known how they lie in that: odom begins anywhere.
     """
-    T_map_odom = found.T_map_odom
     rows = np.array([_nearest(lived.stamps_s, stamp_s) for stamp_s in found.stamps_s], np.int64)
-    corrected = carried(lived, found.stamps_s, T_map_odom, found.begins)
+    followed = _followed(found)
+    corrected = carried(lived, followed.stamps_s, followed.T_map_odom, followed.begins)
     if found.known:
-        corrected = corrected.select(found.is_in_map[_before(lived.stamps_s, found.stamps_s)])
-    T_map_new = T_map_odom @ lived.T_frame_body[rows]
+        corrected = corrected.select(followed.is_in_map[_before(lived.stamps_s, followed.stamps_s)])
+    T_map_new = found.T_map_odom @ lived.T_frame_body[rows]
     T_camera_body = se3.invert(found.T_odom_keyframe[0]) @ lived.T_frame_body[rows[0]]
     T_map_known = found.T_map_keyframe[: found.known] @ T_camera_body
     return Correction(corrected, rows, np.concatenate([T_map_known, T_map_new]), found.loops, {})
+
+
+class _Followed(NamedTuple):
+    """Where odom lies in the map (F, 4, 4) at stamps (F,), and as `ClosedLoops` has them (F,)."""
+
+    stamps_s: FloatArray
+    T_map_odom: FloatArray
+    begins: BoolArray
+    is_in_map: BoolArray
+
+
+def _followed(found: ClosedLoops) -> _Followed:
+    """By keyframes as they were kept, and as they were seen again."""
+    kept = found.stamps_s, found.T_map_odom, found.begins, found.is_in_map
+    numbers = np.array([one.number for one in found.again], np.int64)
+    T_odom = np.array([one.T_odom_keyframe for one in found.again]).reshape(-1, 4, 4)
+    stamps_s, in_map = np.array([one.stamp_s for one in found.again]), found.is_in_map[numbers - found.known]
+    T_map_odom = found.T_map_keyframe[numbers] @ se3.invert(T_odom)
+    both = zip(kept, (stamps_s, T_map_odom, np.zeros(len(numbers), bool), in_map), strict=True)
+    arrays = [np.concatenate(pair) for pair in both]
+    order = np.argsort(arrays[0], kind="stable")
+    return _Followed(*(array[order] for array in arrays))
 
 
 def _before(at_s: FloatArray, stamps_s: FloatArray) -> IntArray:

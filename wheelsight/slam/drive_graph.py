@@ -37,6 +37,7 @@ class LivedKeyframe:
             poses in odom say.
         T_map_keyframe: (4, 4) where odometry has laid it in the map; it counts of a drive's first one, where somebody
             says where the drive begins: the robot may have moved before its camera saw anything. None: it has not.
+        seen_from: how odometry has aligned it with an older keyframe than the one before, to which it had come back.
     """
 
     number: KeyframeId
@@ -47,6 +48,25 @@ class LivedKeyframe:
     T_before_now: FloatArray | None = None
     motion: CameraMotion | None = None
     T_map_keyframe: FloatArray | None = None
+    seen_from: RelativePose | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenAgain:
+    """A keyframe of before to which odometry has come back, so that a frame there needs none of its own.
+
+    Attributes:
+        number, stamp_s: of the keyframe; of the frame, seconds.
+        T_odom_keyframe: (4, 4) as that frame has it.
+        covariance: (6, 6) of the left perturbation (v, ω) of the frame's pose in odom.
+        of_motion: (6, 6) likewise of the frame's motion against the keyframe.
+    """
+
+    number: KeyframeId
+    stamp_s: float
+    T_odom_keyframe: FloatArray
+    covariance: FloatArray
+    of_motion: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,6 +95,7 @@ class KeyframePlace:
         covariance_odom: (6, 6) of the left perturbation (v, ω) of that, as then.
         T_map_keyframe: (4, 4).
         covariance: (6, 6) of the left perturbation (v, ω) of that.
+        newest: the keyframe that was the newest then.
     """
 
     number: KeyframeId
@@ -82,6 +103,7 @@ class KeyframePlace:
     covariance_odom: FloatArray
     T_map_keyframe: FloatArray
     covariance: FloatArray
+    newest: KeyframeId
 
 
 class DriveGraph:
@@ -120,16 +142,24 @@ class DriveGraph:
         """What became of all loops so far."""
         return self._graph.report()
 
-    def place(self) -> KeyframePlace | None:
-        """How surely the newest keyframe is placed in the map; None while nobody knows where its piece lies."""
+    def place(self, again: SeenAgain | None = None) -> KeyframePlace | None:
+        """How surely the newest keyframe is placed in the map, or one that is seen `again` by what was seen of it.
+
+        None while nobody knows where its piece lies.
+        """
         newest = self._before
-        if newest is None or self._graph.pieces[-1] > 0:
+        told = newest if again is None else again
+        if newest is None or told is None or self._graph.pieces[told.number] > 0:
             return None
-        covariance = self._graph.covariance(newest.number)
+        covariance = self._graph.covariance(told.number)
         if covariance is None:
             return None
-        lived = newest.T_odom_keyframe, newest.covariance
-        return KeyframePlace(newest.number, *lived, self._graph.poses[-1], covariance)
+        T_map_keyframe = self._graph.poses[told.number]
+        if again is not None:
+            Ad = se3.adjoint(T_map_keyframe)
+            covariance = covariance + Ad @ again.of_motion @ Ad.T
+        lived = told.T_odom_keyframe, told.covariance
+        return KeyframePlace(told.number, *lived, T_map_keyframe, covariance, newest.number)
 
     def review(self) -> None:
         """Judge all loops anew."""

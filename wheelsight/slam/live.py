@@ -19,7 +19,7 @@ from wheelsight.geometry import BoolArray, FloatArray, se3
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.places.recognition import Recognizer
 from wheelsight.settings import RecognitionSettings
-from wheelsight.slam.drive_graph import DriveGraph, KeyframePlace, LivedKeyframe, PoseUpdate
+from wheelsight.slam.drive_graph import DriveGraph, KeyframePlace, LivedKeyframe, PoseUpdate, SeenAgain
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.known import KnownMap
 from wheelsight.slam.loops import LoopReport
@@ -44,6 +44,7 @@ class ClosedLoops:
         is_in_map: (N,) whether it is known where each keyframe of this drive lies in the map.
         judged_s: (N,) seconds that the thread took for each.
         begins: (N,) whether odometry does not tell how each lies to the one before.
+        again: keyframes of this drive that odometry came back to, in order of time.
     """
 
     stamps_s: FloatArray
@@ -57,6 +58,7 @@ class ClosedLoops:
     is_in_map: BoolArray
     begins: BoolArray
     judged_s: FloatArray
+    again: tuple[SeenAgain, ...] = ()
 
     @property
     def is_joined(self) -> bool:
@@ -81,17 +83,19 @@ class Judged:
     Attributes:
         update: where all keyframes are by now, if its loops have moved any.
         place: how surely it is placed in the map; None while nobody knows where its piece lies.
+        ties: its loops that are kept.
     """
 
     update: PoseUpdate | None
     place: KeyframePlace | None
+    ties: tuple[RelativePose, ...] = ()
 
 
 class LiveLoops:
     """See the module.
 
     Args:
-        store: holds the keyframes. It is read here, and never moved.
+        store: holds the keyframes. It is read here, and never moved; it is told which ones loops tie.
         calibration: of the camera.
         settings, recognition: or the defaults.
         known: what an earlier drive has left, whose keyframes the store has.
@@ -99,7 +103,7 @@ class LiveLoops:
             drives does not wait: it takes what is there.
 
     Attributes:
-        place: of the newest keyframe that an answer was taken of; see `Judged`.
+        place: of the newest keyframe that an answer was taken of, or of one seen again since; see `Judged`.
     """
 
     def __init__(
@@ -112,7 +116,7 @@ class LiveLoops:
         known: KnownMap | None = None,
         waits: bool = False,
     ) -> None:
-        self._settings, self._waits = settings or LoopSettings(), waits
+        self._store, self._settings, self._waits = store, settings or LoopSettings(), waits
         recognizer = None if known is None else known.recognizer
         self._watcher = PlaceWatcher(store, calibration, self._settings.seen, recognition, recognizer)
         self._graph = DriveGraph(self._settings, known)
@@ -121,6 +125,7 @@ class LiveLoops:
         self._thread: ThreadPoolExecutor | None = None
         self._unseen = 0
         self._judged_s: list[float] = []
+        self._again: list[SeenAgain] = []
         self.place: KeyframePlace | None = None
 
     def add(self, keyframe: LivedKeyframe) -> None:
@@ -132,8 +137,18 @@ class LiveLoops:
         self._lived.append(keyframe)
         self._waiting.append((keyframe.stamp_s, self._thread.submit(self._judge, keyframe, has_time)))
 
+    def see_again(self, keyframe: SeenAgain) -> None:
+        """Have the thread tell how surely a keyframe that it was handed before is placed; a busy one need not."""
+        if self._thread is not None and (self._waits or not self._waiting):
+            found = self._thread.submit(lambda: Judged(None, self._graph.place(keyframe)))
+            self._waiting.append((keyframe.stamp_s, found))
+
+    def follow(self, keyframe: SeenAgain) -> None:
+        """The drive's corrected way is to follow a keyframe that was seen again, too, as what was seen has it."""
+        self._again.append(keyframe)
+
     def due(self, stamp_s: float) -> PoseUpdate | None:
-        """Where the first keyframes are, if loops have moved them since it was asked last.
+        """Where the first keyframes are, if loops have moved them since it was asked last; the store hears of ties.
 
         Raises what went wrong in the thread.
         """
@@ -142,6 +157,8 @@ class LiveLoops:
             found = self._waiting.popleft()[1].result()
             newest = newest if found.update is None else found.update
             self.place = found.place
+            for tie in found.ties:
+                self._store.tie(tie.first, tie.second)
         return newest
 
     def finish(self) -> ClosedLoops:
@@ -158,7 +175,7 @@ class LiveLoops:
         is_in_map = pieces[len(pieces) - len(stamps_s) :] == 0
         begins = np.array([keyframe.begins for keyframe in self._lived], bool)
         judged = is_in_map, begins, np.array(self._judged_s)
-        return ClosedLoops(stamps_s, T_odom, *found, max(len(np.unique(pieces)), 1), *judged)
+        return ClosedLoops(stamps_s, T_odom, *found, max(len(np.unique(pieces)), 1), *judged, tuple(self._again))
 
     @property
     def recognizer(self) -> Recognizer:
@@ -183,6 +200,10 @@ class LiveLoops:
             loops = self._watcher.look(keyframe.number, near, self._graph.adrift)
         else:
             loops = self._watcher.pass_by(keyframe.number)
-        judged = Judged(self._graph.close(loops), self._graph.place())
+        told = keyframe.seen_from
+        if told is not None and not loops:  # what is recognised by both views is surer than odometry's own word
+            loops = (told,)
+        update, kept = self._graph.close(loops), set(map(id, self._graph.edges))
+        judged = Judged(update, self._graph.place(), tuple(loop for loop in loops if id(loop) in kept))
         self._judged_s.append(time.perf_counter() - started)
         return judged

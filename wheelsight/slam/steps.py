@@ -51,6 +51,14 @@ def along_floor(edge: RelativePose, motion: tuple[FloatArray, FloatArray], up: F
     return RelativePose(edge.first, edge.second, T_first_second, covariance + ANCHOR_SIGMA**2 * np.eye(6))
 
 
+def aligned_edge(
+    ends: tuple[KeyframeId, KeyframeId], T_first_second: FloatArray, covariance: FloatArray, settings: StepSettings
+) -> RelativePose:
+    """Between a keyframe and an older one that odometry has come back to: a loop, since neither is the other's next."""
+    least = np.diag(np.square([settings.plane_sigma_m] * 3 + [settings.plane_sigma_rad] * 3))
+    return RelativePose(*ends, motions.mended(T_first_second), _definite(covariance + least), is_loop=True)
+
+
 def _definite(C: FloatArray) -> FloatArray:
     """C (6, 6), positive definite by more than rounding.
 

@@ -172,3 +172,23 @@ def test_a_long_drive_stays_within_its_memory():
         assert (np.diff(landmarks.numbers) > 0).all()
     assert len(subject.store) - len(landmarks.keyframes) > 10
     assert landmarks.numbers[-1] > 2 * len(landmarks.numbers)
+
+
+def test_landmarks_stay_as_they_are_where_keypoints_of_older_keyframes_are_forgotten(points):
+    kept, subject = (LandmarkMap(FeatureSettings(kept_keyframes=3)) for _ in range(2))
+    known = np.full(10, -1)
+    for number in range(5):
+        for one in (kept, subject):
+            T = se3.exp([0.5 * number, 0, 0, 0, 0, 0])
+            keyframe = one.add_keyframe(view_at(T, points, known.copy()), KeyframeId(number))
+        subject.forget_keypoints()
+        known = np.where(np.arange(10) < 4, keyframe.landmark, -1)
+    assert [len(view.features) for view in subject.keyframes] == [0, 0, 10]
+    np.testing.assert_array_equal(subject.keyframes[-1].landmark, kept.keyframes[-1].landmark)
+    np.testing.assert_array_equal(subject.numbers, kept.numbers)
+    np.testing.assert_array_equal(subject.near(aside(1.4), 1), kept.near(aside(1.4), 1))
+    moves = np.tile(se3.exp([0, 1, 0, 0, 0, 0.1]), (5, 1, 1))
+    for one in (kept, subject):
+        one.move(moves)
+    for now, then in zip(subject.get(subject.numbers), kept.get(kept.numbers), strict=True):
+        np.testing.assert_array_equal(now, then)

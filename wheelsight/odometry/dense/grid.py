@@ -102,8 +102,11 @@ class Gridder:
             depth_m, grey = self._straightened(depth_m, grey, twist, behind_s)
         if not self._calibration.is_registered:
             grey = self._looked_up(grey, depth_m, twist)
-        levels = coarser(Level(self.intrinsics, depth_m, grey), self._settings, self._rows)
-        return GridFrame(frame.stamp_s, levels, twist, self._vignetting)
+        return GridFrame(frame.stamp_s, self.pyramid(depth_m, grey), twist, self._vignetting)
+
+    def pyramid(self, depth_m: Float32Array, grey: Float32Array) -> tuple[Level, ...]:
+        """All scales of images (h, w) that are on the grid."""
+        return coarser(Level(self.intrinsics, depth_m, grey), self._settings, self._rows)
 
     def color_on_grid(self, frame: RgbdFrame, grid: GridFrame) -> Float32Array:
         """Red, green and blue (h, w, 3) from 0 to 255 of the frame that `grid` was made of, known where its grey is.

@@ -11,6 +11,7 @@ from wheelsight.estimates import MotionEstimate
 from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.odometry.dense.gone_views import GoneViews
 from wheelsight.odometry.dense.grid import Gridder, GridFrame
 from wheelsight.odometry.dense.keypoints import KeypointTracker
 from wheelsight.odometry.dense.locating import Locator
@@ -23,6 +24,9 @@ from wheelsight.odometry.dense.vignetting import Vignetting
 from wheelsight.odometry.features.extraction import Features
 from wheelsight.odometry.state import START_VARIANCE
 
+# The newest keyframe is not judged yet, and not each one is recognised.
+_GOES_BY = 5
+
 
 class KeyframePolicy:
     """Keeps frames that show much that is not known yet.
@@ -34,6 +38,7 @@ class KeyframePolicy:
         keypoints: verify that a keyframe is where it seems to be.
         views: keep what frames are aligned with.
         store: holds all keyframes and where they are.
+        gone: those that views have no room for.
     """
 
     def __init__(
@@ -44,9 +49,10 @@ class KeyframePolicy:
         keypoints: KeypointTracker,
         views: Views,
         store: KeyframeStore,
+        gone: GoneViews,
     ) -> None:
         self._settings, self._gridder, self._store = settings, gridder, store
-        self._locator, self._keypoints, self._views = locator, keypoints, views
+        self._locator, self._keypoints, self._views, self._gone = locator, keypoints, views, gone
         self.vignetting = Vignetting(gridder, settings)
 
     def begin(self, features: Features, grid: GridFrame, T_map_camera: FloatArray, covariance: FloatArray) -> Tracked:
@@ -54,7 +60,8 @@ class KeyframePolicy:
         motion = MotionEstimate(np.eye(4), START_VARIANCE * np.eye(6))
         start = Tracked(grid, T_map_camera, covariance, motion, KeyframeId(-1))
         start, view = self._stored(start, features)
-        self._views.begin(view)
+        self._views.expect_nothing()
+        self._keep(view)
         return start
 
     def begin_again(self, features: Features, first: Tracked) -> KnownView:
@@ -82,7 +89,7 @@ class KeyframePolicy:
         straight = self._straightened(frame, self._by_two(found, ahead))
         self.vignetting.learn(straight.frame, straight.T_map_camera, self._views.keyframes[-1].reference)
         straight, view = self._stored(straight, features)
-        self._views.keep(view)
+        self._keep(view)
         return straight
 
     def _remembered(self, tracked: Tracked, features: Features) -> Tracked:
@@ -105,15 +112,29 @@ class KeyframePolicy:
 
     def _seen_from_before(self, found: Tracked, ahead: Prediction) -> Tracked | None:
         """The frame by an older keyframe that is nearer and shows the same, which ends the drift, if there is one."""
-        nearest = self._views.nearest(found.T_map_camera)
-        if self._views.has_model or nearest is self._views.keyframes[-1]:
+        if self._views.has_model:
             return None
-        here = ahead.at(found.T_map_camera)
-        seen = self._locator.by_view(found.frame, nearest, here, here.T_map_camera)
-        if isinstance(seen, Tracked) and seen.overlap > self._settings.keyframe_overlap:
-            self._views.keep(nearest)
-            return seen
+        here, nearest = ahead.at(found.T_map_camera), self._views.nearest(found.T_map_camera)
+        for view in (self._gone_nearer(found.T_map_camera, nearest), nearest):
+            if view is None or view is self._views.keyframes[-1]:
+                continue
+            seen = self._locator.by_view(found.frame, view, here, here.T_map_camera)
+            if isinstance(seen, Tracked) and seen.overlap > self._settings.keyframe_overlap:
+                self._keep(view)
+                return seen
         return None
+
+    def _gone_nearer(self, T_map_camera: FloatArray, nearest: KnownView) -> KnownView | None:
+        """An older keyframe nearer than those held, while loops tie one of those that the camera goes by."""
+        if not any(self._gone.is_tied(view.keyframe) for view in self._views.keyframes[-_GOES_BY:]):
+            return None
+        return self._gone.nearer(T_map_camera, nearest.distance_m(T_map_camera))
+
+    def _keep(self, view: KnownView) -> None:
+        """A view that counts as the newest; those that there is no room for go."""
+        self._gone.take(view)
+        for one in self._views.keep(view):
+            self._gone.put(one)
 
     def _by_two(self, found: Tracked, ahead: Prediction) -> Tracked:
         """The frame by the keyframe before the last one, too, where no map ties keyframes together."""

@@ -20,7 +20,7 @@ from wheelsight.odometry.dense.keypoint_pose import KeypointPose
 from wheelsight.odometry.dense.settings_parts import VerificationSettings
 from wheelsight.odometry.dense.tracked import Tracked
 from wheelsight.odometry.dense.views import KnownView
-from wheelsight.odometry.features.extraction import FeatureExtractor, Features
+from wheelsight.odometry.features.extraction import FeatureExtractor, Features, keypoint_sigma_px
 from wheelsight.odometry.features.landmarks import LandmarkMap, View
 from wheelsight.odometry.features.settings import FeatureSettings
 from wheelsight.odometry.features.tracking import Fix, MapTracker, ViewTracker
@@ -50,6 +50,7 @@ class KeypointTracker:
         features = FeatureSettings(keypoints=settings.keypoints, candidates=2 * settings.keypoints)
         calibration, self._straight = _without_lens(calibration)
         self._T_color_camera = calibration.T_color_camera
+        self._noise, self._color_sigma_px = calibration.depth_noise, calibration.color_sigma_px
         self._settings, self._has_landmarks = settings, has_landmarks
         self._extractor = FeatureExtractor(calibration, features)
         self._by_view = ViewTracker(calibration, features, Stopwatch())
@@ -84,6 +85,16 @@ class KeypointTracker:
         points = se3.apply(se3.invert(self._T_color_camera), features.points)
         points[~features.has_depth] = 0.0
         return KeyframeFeatures(features.px, points, features.descriptors)
+
+    def recalled(self, stamp_s: float, kept: KeyframeFeatures) -> Features:
+        """What `kept` made of features that have depth; on which level each was found is not known by then."""
+        has_depth = kept.points[:, 2] > 0
+        points = se3.apply(self._T_color_camera, kept.points[has_depth])
+        z_m = points[:, 2].copy()
+        level = np.full(len(z_m), self._features.pyramid_levels // 2)
+        sigmas = np.hypot(keypoint_sigma_px(level, self._features), self._color_sigma_px), self._noise.sigma_m(z_m)
+        told = kept.px[has_depth], level, kept.descriptors[has_depth]
+        return Features(stamp_s, *told, points[:, :2] / z_m[:, None], z_m, *sigmas)
 
     def track(self, features: Features, twist: FloatArray) -> KeypointPose | None:
         """Where a frame is by the one before and the landmarks around; None where they tell nothing.
@@ -133,6 +144,7 @@ class KeypointTracker:
             known = self._landmarks.keyframes[-1].landmark if self._landmarks.keyframes else np.zeros(1, int)
             if len(seen) < self._features.keyframe_share * np.count_nonzero(known >= 0):
                 view = self._landmarks.add_keyframe(view, tracked.keyframe)
+                self._landmarks.forget_keypoints()
         self._last = view
 
     def forget(self) -> None:

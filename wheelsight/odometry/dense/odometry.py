@@ -15,6 +15,7 @@ from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.odometry.dense.alignment import Aligner
 from wheelsight.odometry.dense.depth_delay import DepthDelay
+from wheelsight.odometry.dense.gone_views import GoneViews
 from wheelsight.odometry.dense.grid import Gridder, GridFrame
 from wheelsight.odometry.dense.keyframe_policy import KeyframePolicy
 from wheelsight.odometry.dense.keypoints import KeypointTracker
@@ -81,7 +82,8 @@ class DenseOdometry:
         self._views = Views(self._settings, self._gridder, self._maker, self.watch, model)
         self._locator = Locator(calibration, self._settings, aligner, self._views, self.watch)
         self._verifier = Verifier(self._settings, keypoints, self._views, self._locator.doubt, self.watch)
-        parts = (self._gridder, self._locator, keypoints, self._views, self.store)
+        gone = GoneViews(self.store, self._gridder, self._maker, keypoints, self._settings.kept_keyframes)
+        parts = (self._gridder, self._locator, keypoints, self._views, self.store, gone)
         self._policy = KeyframePolicy(self._settings, *parts)
         self.begin_at(np.eye(4) if T_map_first is None else T_map_first)
         self._state, self._stamps = TrackingState(self._settings.lost_after), StampCheck()

@@ -139,7 +139,13 @@ class DenseSettings(Settings):
     dark_share: float = setting(
         0.01, "an image is dark where fewer of its pixels than this are brighter than that", CHOSEN, ge=0, le=1
     )
-    kept_keyframes: int = setting(60, "held in memory; those used longest ago go first", CHOSEN, gt=0, le=10_000)
+    kept_keyframes: int = setting(
+        60,
+        "held in memory as views; those used longest ago go first, and come back where the camera does",
+        CHOSEN,
+        gt=0,
+        le=10_000,
+    )
     max_unseen_s: float = setting(
         0.5,
         "how long a direction of motion may stay unseen where nothing but the camera tells it",

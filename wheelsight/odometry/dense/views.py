@@ -97,17 +97,18 @@ class Views:
             view.move(T_new_old[view.keyframe])
         self._prediction = None, 0
 
-    def begin(self, keyframe: KnownView) -> None:
-        """Keep a keyframe from where all begins anew; what was predicted for elsewhere is forgotten."""
+    def expect_nothing(self) -> None:
+        """All begins anew; what was predicted for elsewhere is forgotten."""
         self._prediction = None, 0
-        self.keep(keyframe)
 
-    def keep(self, keyframe: KnownView) -> None:
-        """Keep a keyframe, or let it count as the newest again; the oldest ones go."""
+    def keep(self, keyframe: KnownView) -> list[KnownView]:
+        """Keep a keyframe, or let it count as the newest again; answers with the oldest ones, which go."""
         if keyframe in self.keyframes:
             self.keyframes.remove(keyframe)
         self.keyframes.append(keyframe)
-        del self.keyframes[: -self._settings.kept_keyframes]
+        going = self.keyframes[: -self._settings.kept_keyframes]
+        del self.keyframes[: len(going)]
+        return going
 
     def of_frame(self, tracked: Tracked) -> KnownView:
         """A tracked frame as a view."""

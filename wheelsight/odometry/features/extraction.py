@@ -47,6 +47,19 @@ class Features:
     def __len__(self) -> int:
         return len(self.px)
 
+    def some(self, count: int) -> Features:
+        """The first ones, copied."""
+        return replace(
+            self,
+            px=self.px[:count].copy(),
+            level=self.level[:count].copy(),
+            descriptors=self.descriptors[:count].copy(),
+            xy=self.xy[:count].copy(),
+            depth_m=self.depth_m[:count].copy(),
+            sigma_px=self.sigma_px[:count].copy(),
+            sigma_m=self.sigma_m[:count].copy(),
+        )
+
     @property
     def has_depth(self) -> BoolArray:
         """(N,) which keypoints have depth."""

@@ -89,6 +89,12 @@ class LandmarkMap:
             self._forget_oldest()
         return keyframe
 
+    def forget_keypoints(self) -> None:
+        """Of keyframes but the newest keep only where they are: for who recognises none by its keypoints."""
+        if len(self.keyframes) > 1:
+            before = self.keyframes[-2]
+            self.keyframes[-2] = replace(before, features=before.features.some(0), landmark=before.landmark[:0].copy())
+
     def move(self, T_new_old: FloatArray) -> None:
         """Landmarks and views go with their keyframes, which have moved in the map by (K, 4, 4)."""
         self.keyframes[:] = [keyframe.moved(T_new_old) for keyframe in self.keyframes]
