@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from localizer.joined_drives import Drive, Eye, Sight, answers_to, drive, joined, of_frames, off_m, pushed, spread_m
 
-from wheelsight.estimates import Reason, Status
+from wheelsight.estimates import CameraEstimate, Reason, Status
 from wheelsight.fusion import FusedEstimate
+from wheelsight.geometry import FloatArray
 from wheelsight.keyframes import KeyframeId
 from wheelsight.localizer import by_fusion
 from wheelsight.simulation.scene_faults import Silence
@@ -84,6 +85,9 @@ class Loops:
     is_waiting: bool = False
 
     def move_keyframes(self, stamp_s: float, keyframe: KeyframeId | None) -> None:
+        pass
+
+    def hang_on(self, seen: CameraEstimate, T_odom_map: FloatArray, covariance: FloatArray) -> None:
         pass
 
     def tie(self, number: int) -> bool:

@@ -24,9 +24,6 @@ from wheelsight.odometry.dense.vignetting import Vignetting
 from wheelsight.odometry.features.extraction import Features
 from wheelsight.odometry.state import START_VARIANCE
 
-# The newest keyframe is not judged yet, and not each one is recognised.
-_GOES_BY = 5
-
 
 class KeyframePolicy:
     """Keeps frames that show much that is not known yet.
@@ -126,7 +123,8 @@ class KeyframePolicy:
 
     def _gone_nearer(self, T_map_camera: FloatArray, nearest: KnownView) -> KnownView | None:
         """An older keyframe nearer than those held, while loops tie one of those that the camera goes by."""
-        if not any(self._gone.is_tied(view.keyframe) for view in self._views.keyframes[-_GOES_BY:]):
+        newest = self._views.keyframes[-self._settings.keyframes.tied_views :]
+        if not any(self._gone.is_tied(view.keyframe) for view in newest):
             return None
         return self._gone.nearer(T_map_camera, nearest.distance_m(T_map_camera))
 

@@ -247,6 +247,14 @@ class KeyframeSettings(Settings):
     joined_chi2: float = setting(
         22.5, "how far apart both may be to say the same: chi² of 6, 99.9 %", "reckoned: χ² of 6", gt=0, le=1e6
     )
+    tied_views: int = setting(
+        5,
+        "so many keyframes that the camera went by last, of which loops must tie one to another time for older ones to "
+        "come back: the newest is not judged yet, and not each one is recognised",
+        CHOSEN,
+        ge=1,
+        le=1000,
+    )
 
 
 class VignettingSettings(Settings):
