@@ -89,6 +89,12 @@ def test_another_view_at_once_is_an_elevators_where_the_wheels_stood_before(
     assert subject.is_so == is_so
 
 
+def test_another_view_without_dark_or_a_long_stand_says_nothing_though_the_wheels_have_not_moved_at_all() -> None:
+    subject = stood(1.5)
+    subject.unknown(10.03, np.eye(4), np.eye(4))
+    assert not subject.is_so
+
+
 def test_an_elevator_may_have_gone_to_another_floor_and_the_dark_has_not() -> None:
     subject = stood(3.0)
     subject.unknown(10.03, AHEAD, np.eye(4))

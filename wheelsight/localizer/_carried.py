@@ -66,8 +66,10 @@ class Carried:
         """
         of, stood_s = self._settings, self._stood_s if self._stood_s > self._settings.stands_s else 0.0
         dark_s = stamp_s - self._known_s
-        known_m = of.recognised_m if dark_s > of.dark_s else of.same_view_m if stood_s else 0.0
-        if self.is_so or not _is_within(known_m, T_last_now):
+        was_dark = dark_s > of.dark_s
+        if self.is_so or not (was_dark or stood_s):
+            return
+        if not _is_within(of.recognised_m if was_dark else of.same_view_m, T_last_now):
             return
         self._away_s, self._up_m = dark_s + stood_s, of.floor_m if stood_s else 0.0
         self._from = T_odom_base[:2, 3].copy()
