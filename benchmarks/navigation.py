@@ -36,7 +36,7 @@ from benchmarks.navigation_drives import Drive, Hardness, drives_from
 from benchmarks.navigation_page import write_section
 from benchmarks.sequences import default_data_folder
 from benchmarks.session_maps import kept_day
-from benchmarks.session_starts import Building, first_day
+from benchmarks.session_starts import Building
 from benchmarks.sessions import buildings_of, map_settings
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
@@ -117,23 +117,21 @@ def drives_in(
     names = [f"{building.name}-{arguments.seed}-{number}" for number in range(arguments.starts)]
     records = [kept.of(name) for name in names]
     with TemporaryDirectory() as folder:
+        maps = Path(folder) if arguments.keep is None else arguments.keep / "maps"
         known: KnownBuilding | None = None
         for number, (name, record) in enumerate(zip(names, records, strict=True)):
             if record is not None:
                 for one in record:
                     told(_of(one))
                 continue
-            known = known or known_building(building, arguments, Path(folder))
+            known = known or known_building(building, arguments, maps)
             done = drives_from(known, number, arguments.goals, arguments.seed, hard, told)
             kept.keep(name, [asdict(drive) for drive in done])
 
 
 def known_building(building: Building, asked: argparse.Namespace, folder: Path) -> KnownBuilding:
-    """By a map that was kept, or else by one that is made now: kept where drives are, or in `folder`."""
-    if asked.keep is None:
-        day = first_day(building, folder, asked.rate, asked.calibrated)
-    else:
-        day = kept_day(building, asked.keep / "maps", map_settings(asked), asked.rate, asked.calibrated)
+    """By the map that `folder` has, or else by one that is made now, and kept there."""
+    day = kept_day(building, folder, map_settings(asked), asked.rate, asked.calibrated)
     return KnownBuilding(building, day, NavigationSettings())
 
 

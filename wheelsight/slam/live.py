@@ -203,7 +203,8 @@ class LiveLoops:
         told = keyframe.seen_from
         if told is not None and not loops:  # what is recognised by both views is surer than odometry's own word
             loops = (told,)
-        update, kept = self._graph.close(loops), set(map(id, self._graph.edges))
+        update = self._graph.close(loops)
+        kept = set(map(id, self._graph.edges)) if loops else ()
         judged = Judged(update, self._graph.place(), tuple(loop for loop in loops if id(loop) in kept))
         self._judged_s.append(time.perf_counter() - started)
         return judged

@@ -30,8 +30,7 @@ def step_edge(
     """From one keyframe to the next, by poses (4, 4) with covariances (6, 6) that grow along the way."""
     T_step, _ = motions.between(*before, *now)
     _, grown = motions.step_between(*before, *now)
-    least = np.diag(np.square([settings.plane_sigma_m] * 3 + [settings.plane_sigma_rad] * 3))
-    return RelativePose(*ends, motions.mended(T_step), _definite(grown + least))
+    return RelativePose(*ends, motions.mended(T_step), _with_least(grown, settings))
 
 
 def along_floor(edge: RelativePose, motion: tuple[FloatArray, FloatArray], up: FloatArray) -> RelativePose:
@@ -55,8 +54,12 @@ def aligned_edge(
     ends: tuple[KeyframeId, KeyframeId], T_first_second: FloatArray, covariance: FloatArray, settings: StepSettings
 ) -> RelativePose:
     """Between a keyframe and an older one that odometry has come back to: a loop, since neither is the other's next."""
-    least = np.diag(np.square([settings.plane_sigma_m] * 3 + [settings.plane_sigma_rad] * 3))
-    return RelativePose(*ends, motions.mended(T_first_second), _definite(covariance + least), is_loop=True)
+    return RelativePose(*ends, motions.mended(T_first_second), _with_least(covariance, settings), is_loop=True)
+
+
+def _with_least(C: FloatArray, settings: StepSettings) -> FloatArray:
+    """C (6, 6) with what no step is surer than."""
+    return _definite(C + np.diag(np.square([settings.plane_sigma_m] * 3 + [settings.plane_sigma_rad] * 3)))
 
 
 def _definite(C: FloatArray) -> FloatArray:

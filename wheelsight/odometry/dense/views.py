@@ -95,10 +95,10 @@ class Views:
         """Keyframes have moved by (N, 4, 4), by number; the map has moved too, and is asked anew what it looks like."""
         for view in self.keyframes:
             view.move(T_new_old[view.keyframe])
-        self._prediction = None, 0
+        self.expect_nothing()
 
     def expect_nothing(self) -> None:
-        """All begins anew; what was predicted for elsewhere is forgotten."""
+        """What was predicted is forgotten: for elsewhere, or for keyframes where they were."""
         self._prediction = None, 0
 
     def keep(self, keyframe: KnownView) -> list[KnownView]:
