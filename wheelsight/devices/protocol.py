@@ -128,7 +128,8 @@ class LineStatistics:
 class FrameDecoder:
     """Finds the messages in a stream of bytes, however it is cut, and counts what was lost.
 
-    A damaged frame costs itself, and the next one where the zero between them was hit. Memory stays below
+    A damaged frame costs itself, and the next one where the zero between them was hit. What comes before the first zero
+    may be the end of a frame that began before anybody listened, so it is no error. Memory stays below
     `LONGEST_FRAME` bytes between two calls, whatever comes.
 
     Attributes:
@@ -144,6 +145,7 @@ class FrameDecoder:
         self._sequence: int | None = None
         self._recent: deque[bytes] = deque(maxlen=_REPEATS_KNOWN)
         self._is_in_step = True
+        self._may_be_cut = True
         self._gaps: dict[int, int] = {}  # frames missing before the last frame of each sequence number
 
     def feed(self, data: bytes) -> list[Message]:
@@ -155,6 +157,9 @@ class FrameDecoder:
         messages: list[Message] = []
         for piece in pieces:
             left -= len(piece) + 1
+            may_be_cut, self._may_be_cut = self._may_be_cut, False
+            if may_be_cut and self._checked(piece, LineStatistics()) is None:
+                continue  # the rest of a frame that began before anybody listened
             if piece and (message := self._message(piece)) is not None:
                 self.begun = self.begun if messages else left + len(piece) + 1
                 self.ended = left
@@ -162,7 +167,7 @@ class FrameDecoder:
         return messages
 
     def _message(self, piece: bytes) -> Message | None:
-        frame = self._checked(piece)
+        frame = self._checked(piece, self.statistics)
         if frame is None:
             self._is_in_step = False
             return None
@@ -181,25 +186,26 @@ class FrameDecoder:
         kind, struct = layout
         return kind(*struct.unpack(frame))
 
-    def _checked(self, piece: bytes) -> bytes | None:
-        """The frame inside a piece, or None where it is damaged."""
+    @staticmethod
+    def _checked(piece: bytes, statistics: LineStatistics) -> bytes | None:
+        """The frame inside a piece, or None where it is damaged, which is counted."""
         if len(piece) > LONGEST_FRAME:
-            self.statistics.malformed += 1
+            statistics.malformed += 1
             return None
         try:
             frame = cobs.decode(piece)
         except cobs.DecodeError:
-            self.statistics.malformed += 1
+            statistics.malformed += 1
             return None
         if len(frame) < 4:
-            self.statistics.malformed += 1
+            statistics.malformed += 1
             return None
         if crc_hqx(frame[:-2], _CRC_START) != frame[-2] | frame[-1] << 8:
-            self.statistics.crc_errors += 1
+            statistics.crc_errors += 1
             return None
         layout = _LAYOUTS.get(frame[0])
         if layout is not None and layout[1].size != len(frame):
-            self.statistics.malformed += 1
+            statistics.malformed += 1
             return None
         return bytes(frame)
 
@@ -231,3 +237,4 @@ class FrameDecoder:
         """Count no loss before the next frame: the port was opened anew."""
         self._sequence = None
         self._rest = b""
+        self._may_be_cut = True
