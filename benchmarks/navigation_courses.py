@@ -101,6 +101,16 @@ class KnownBuilding:
         plan = self.planner.plan(costmap, start, goal)
         return plan if isinstance(plan, Plan) and not plan.goal_change and plan.length_m > _LEAST_WAY_M else None
 
+    def ways(self, costmap: Costmap, stops: Sequence[FloatArray]) -> list[Plan]:
+        """From each stop to the next; none where one cannot be reached, which takes the planner seconds to say."""
+        found = []
+        for here, there in pairwise(stops):
+            plan = self.way(costmap, here, there)
+            if plan is None:
+                return []
+            found.append(plan)
+        return found
+
     def goal_from(self, start: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, Plan]:
         """A goal that the map says can be reached from a pose, and the plan by the map alone."""
         while True:
@@ -123,10 +133,9 @@ class KnownBuilding:
             tried = thing_on([way.poses for way in ways], found, rng)
             if tried is None:
                 continue
-            costmap = self.costmap_with((*placed, tried))
-            around = [self.way(costmap, here, there) for here, there in pairwise(found)]
-            if all(around):
-                placed, lengths = (*placed, tried), tuple(way.length_m for way in around if way is not None)
+            around = self.ways(self.costmap_with((*placed, tried)), found)
+            if around:
+                placed, lengths = (*placed, tried), tuple(way.length_m for way in around)
             if len(placed) == things:
                 break
         return Course(start, tuple(found[1:]), lengths, placed)

@@ -8,13 +8,14 @@ import re
 from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.errors import TrajectoryError
-from wheelsight.files import StrPath, write_text
+from wheelsight.files import StrPath, write_lines
 from wheelsight.geometry import BoolArray, FloatArray, IntArray, interpolate_at, se3, so3
 from wheelsight.inputs import Kind, as_number, lines_of, numbers_with_commas, plain_rows, read_text, split_words
 from wheelsight.stamps import StampUnit, column_unit
@@ -188,8 +189,7 @@ def _first_of_each_stamp(stamps_s: FloatArray, lines: IntArray, path: Path, warn
 
 def write_tum(trajectory: Trajectory, path: StrPath) -> None:
     """Write TUM text, atomically; the header names the frames, and stamps read back exactly. Raises OutputError."""
-    path = Path(path)
-    write_text(path, tum_header(trajectory) + "".join(tum_lines(trajectory)))
+    write_lines(path, chain((tum_header(trajectory),), tum_lines(trajectory)))
 
 
 def tum_header(trajectory: Trajectory) -> str:
@@ -226,9 +226,8 @@ def read_kitti(path: StrPath, period_s: float = 0.1, body: str = "camera") -> Tr
 
 def write_kitti(trajectory: Trajectory, path: StrPath) -> None:
     """Write KITTI text, atomically; stamps are not part of the format. Raises OutputError."""
-    path = Path(path)
     rows = trajectory.T_frame_body[:, :3, :].reshape(-1, 12)
-    write_text(path, "".join(" ".join(f"{x:.9e}" for x in row) + "\n" for row in rows))
+    write_lines(path, (" ".join(f"{x:.9e}" for x in row) + "\n" for row in rows))
 
 
 def _read_rows(path: Path, columns: int) -> tuple[IntArray, FloatArray, tuple[str, str] | None]:

@@ -14,6 +14,7 @@ from wheelsight.geometry import FloatArray
 from wheelsight.geometry.se2 import wrap_angle
 from wheelsight.navigation.collision_monitor import MonitorReason, MonitorResult, MonitorState
 from wheelsight.navigation.navigator_settings import BehaviourSettings
+from wheelsight.navigation.open_way import OpenWay
 
 # Less than these is no way made, radians and metres.
 _LEAST_RAD, _LEAST_M = 0.02, 0.01
@@ -107,6 +108,23 @@ class Straight:
         return VelocityCommand(math.copysign(self.speed_m_s, self.way_m), 0.0)
 
 
+@dataclass
+class Series:
+    """Some behaviours one after another."""
+
+    parts: tuple[Behaviour, ...]
+    name: str
+
+    def command(self, now_s: float, odom_pose: FloatArray | None) -> VelocityCommand | None:
+        """See `Behaviour`."""
+        while self.parts:
+            command = self.parts[0].command(now_s, odom_pose)
+            if command is not None:
+                return command
+            self.parts = self.parts[1:]
+        return None
+
+
 class _Watch:
     """Whether what is left has become no less for too long."""
 
@@ -146,18 +164,22 @@ def _look(settings: BehaviourSettings) -> Turn:
     return Turn((s.look_rad, -2 * s.look_rad, s.look_rad), s.turn_rad_s, s.refused_s)
 
 
-def when_lost(attempt: int, settings: BehaviourSettings, status: Status, checked: MonitorResult) -> Behaviour:
-    """What to do to find a place that is known: stand, then turn once around to one side, then to the other.
+def when_lost(
+    attempt: int, settings: BehaviourSettings, status: Status, checked: MonitorResult, open_way: OpenWay | None
+) -> Behaviour:
+    """What to do to find a place that is known: stand, turn once around, and then do so from elsewhere.
 
     Who begins in a map does not stand first: by one view no place is taken, however long it is looked at. Who may turn
-    to neither side, or shows its camera nothing, goes back from what is too near. Nothing else: floor ahead of a robot
-    that was just begun is trusted, not seen; a bed's frame was driven into there.
+    to neither side, or shows its camera nothing, goes back from what is too near. Nobody drives on before a whole turn
+    has shown what is about it: floor ahead of a robot that was just begun is trusted, not seen; a bed's frame was
+    driven into there.
 
     Args:
         attempt: 0 at first.
         settings: of all behaviours.
         status: of the localization.
         checked: what the collision monitor made of the last command.
+        open_way: where to; None where it is to stay.
     """
     s, begins = settings, status is Status.INITIALIZING
     if attempt == 0 and not begins:
@@ -165,5 +187,11 @@ def when_lost(attempt: int, settings: BehaviourSettings, status: Status, checked
     is_held = checked.state is MonitorState.STOPPED
     if is_held and (attempt % 3 == 2 or (attempt > 0 and checked.reason is MonitorReason.NO_FRAME)):
         return Straight(-s.back_m, s.back_m_s, s.refused_s, "back up, to see where it is")
-    sign = 1.0 if (attempt + begins) % 2 else -1.0
+    is_second = (attempt + begins) % 2 == 0
+    if is_second and not is_held and open_way is not None and open_way.way_m >= s.least_search_m:
+        turn = Turn((open_way.turn_rad,), s.turn_rad_s, s.refused_s)
+        way_m = min(open_way.way_m, s.search_m)
+        parts = turn, Straight(way_m, s.search_m_s, s.refused_s, "drive on")
+        return Series(parts, f"look for a known place {way_m:.1f} m from here")
+    sign = -1.0 if is_second else 1.0
     return Turn((sign * s.search_rad,), s.turn_rad_s, s.refused_s, "look for a known place")

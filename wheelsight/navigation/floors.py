@@ -14,7 +14,7 @@ from wheelsight.calibration import Calibration
 from wheelsight.geometry import BoolArray, FloatArray, IntArray
 from wheelsight.geometry.se2 import wrap_angle
 from wheelsight.keyframes import KeyframeStore
-from wheelsight.mapping import MapEdits, OccupancyGrid, OccupancyMapper, OccupancySettings
+from wheelsight.mapping import EditKind, MapEdits, OccupancyGrid, OccupancyMapper, OccupancySettings
 from wheelsight.navigation.costmap import CellState, StaticLayer
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.localization import Localization
@@ -40,6 +40,10 @@ class Floor(Protocol):
     @property
     def is_fixed(self) -> bool:
         """Whether it stays as it is, so that what is seen can be laid on it."""
+
+    @property
+    def has_keep_out(self) -> bool:
+        """Whether somebody forbade a part of it, which no camera sees."""
 
     def update(self, pose: FloatArray | None, now_s: float) -> None:
         """Look whether more is known, of a robot at (3,) in the map; called once a period, and quick."""
@@ -68,6 +72,7 @@ class KnownFloor:
         footprint: Footprint | None = None,
     ) -> None:
         static, self.revision = StaticLayer.of(grid, edits, T_map_keyframe), 0
+        self.has_keep_out = edits is not None and any(edit.kind is EditKind.KEEP_OUT for edit in edits.edits)
         is_stood = np.zeros(static.state.shape, bool)
         if footprint is not None:
             for pose in (pose for stretch in driven for pose in _densely(stretch)):
@@ -108,7 +113,7 @@ class GrowingFloor:
         MapError: the calibration does not say where the camera sits on the base.
     """
 
-    is_fixed = False
+    is_fixed = has_keep_out = False
 
     def __init__(
         self,

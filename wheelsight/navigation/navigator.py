@@ -372,7 +372,8 @@ class Navigator:
 
     def _look_about(self, task: Task, why: str) -> VelocityCommand:
         self._planning.drop()
-        task.search(self.settings.behaviours, self._senses.where.status, self._chain.checked)
+        where, open_way = self._senses.where, self._senses.open_way()
+        task.search(self.settings.behaviours, where.status, self._chain.checked, open_way)
         self._become(NavigationState.RECOVERING, f"{why}; {task.doing}")
         return STOP
 

@@ -37,6 +37,16 @@ class BehaviourSettings(Settings):
     search_rad: float = setting(
         6.4, "turn in which a lost robot looks for a place it knows: once around", CHOSEN, gt=0, le=20
     )
+    search_m: float = setting(
+        1.5,
+        "way to the next place where it turns so, over floor that it has seen; 0: it stays where it is. Views are "
+        "recognised from about so far away",
+        CHOSEN,
+        ge=0,
+        le=10,
+    )
+    least_search_m: float = setting(0.5, "less of that shows nothing new, and is not driven", CHOSEN, gt=0, le=10)
+    search_m_s: float = setting(0.2, "speed of that", CHOSEN, gt=0, le=0.5)
     turn_rad_s: float = setting(0.4, "speed of such turns; images blur beyond", CHOSEN, gt=0, le=2)
     back_m: float = setting(0.3, "way back, where no camera looks", CHOSEN, gt=0, le=1)
     unseen_back_m: float = setting(
@@ -145,7 +155,11 @@ class NavigatorSettings(Settings):
         le=600,
     )
     lost_s: float = setting(
-        60.0, "time without knowing where in the map it is, before it gives up", CHOSEN, gt=0, le=3600
+        120.0,
+        "time without knowing where in the map it is, before it gives up: three whole turns, and two ways between",
+        "reckoned",
+        gt=0,
+        le=3600,
     )
     unsure_m: float = setting(
         0.3,

@@ -27,6 +27,7 @@ from wheelsight.navigation.localization import Localization, WhereNow, planar_po
 from wheelsight.navigation.map_clearance import keeps_clear
 from wheelsight.navigation.map_match import MapMatch
 from wheelsight.navigation.navigator_settings import NavigationSettings
+from wheelsight.navigation.open_way import OpenWay, open_way
 from wheelsight.navigation.people import PeopleTracker, Person
 from wheelsight.navigation.surroundings import DepthView
 
@@ -177,6 +178,17 @@ class Senses:
         if local is None or state is None:
             return True
         return keeps_clear(local, self._outline, state.pose, command, self._settings.behaviours)
+
+    def open_way(self) -> OpenWay | None:
+        """Where to drive while it is not known where the robot is; None where it is to stay.
+
+        A part of the floor that somebody forbade may be anywhere then.
+        """
+        pose, s = self.where.odom_pose, self._settings
+        if pose is None or self._floor.has_keep_out or not s.behaviours.search_m:
+            return None
+        costmap = Costmap.of_live(self._obstacles(avoids_hidden=False), self._footprint, s.costmap)
+        return open_way(costmap, self._outline, pose, s.drivable.wanted_margin_m)
 
     def clear(self) -> None:
         """Forget what stands about the robot; what is there is seen again."""

@@ -14,6 +14,7 @@ from wheelsight.navigation.goals import Goals
 from wheelsight.navigation.localization import WhereNow
 from wheelsight.navigation.navigator_settings import BehaviourSettings, NavigationSettings, NavigatorSettings
 from wheelsight.navigation.navigator_values import NavigationReason, NavigationResult, Transition
+from wheelsight.navigation.open_way import OpenWay
 from wheelsight.navigation.plan_values import Plan
 
 
@@ -127,9 +128,11 @@ class Task:
         else:
             self.recover(when_unseen(tries, b, was_backward=was_backward), is_lost=False)
 
-    def search(self, settings: BehaviourSettings, status: Status, checked: MonitorResult) -> None:
+    def search(
+        self, settings: BehaviourSettings, status: Status, checked: MonitorResult, open_way: OpenWay | None
+    ) -> None:
         """Do something to find out where it is; see `when_lost`."""
-        self.recover(when_lost(self.searches, settings, status, checked), is_lost=True)
+        self.recover(when_lost(self.searches, settings, status, checked, open_way), is_lost=True)
 
     @property
     def may_wait(self) -> bool:

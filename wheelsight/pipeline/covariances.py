@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from wheelsight.errors import TrajectoryError
-from wheelsight.files import StrPath, write_text
+from wheelsight.files import StrPath, write_lines
 from wheelsight.inputs import Kind, lines_of, read_text
 from wheelsight.trajectory import Trajectory
 
@@ -25,13 +26,15 @@ def write_covariances(trajectory: Trajectory, path: StrPath) -> None:
 
     Raises OutputError.
     """
+    write_lines(path, _lines(trajectory))
+
+
+def _lines(trajectory: Trajectory) -> Iterator[str]:
     assert trajectory.covariances is not None
-    upper = trajectory.covariances[:, _UPPER[0], _UPPER[1]]
-    lines = [_HEADER]
-    for stamp_s, values in zip(trajectory.stamps_s, upper, strict=True):
-        numbers = ",".join(f"{value:.6g}" for value in values)
-        lines.append(f"{np.format_float_positional(stamp_s, min_digits=6)},{numbers}")
-    write_text(Path(path), "\n".join(lines) + "\n")
+    yield f"{_HEADER}\n"
+    for stamp_s, C in zip(trajectory.stamps_s, trajectory.covariances, strict=True):
+        numbers = ",".join(f"{value:.6g}" for value in C[_UPPER])
+        yield f"{np.format_float_positional(stamp_s, min_digits=6)},{numbers}\n"
 
 
 def with_covariances(trajectory: Trajectory, path: StrPath) -> Trajectory:
