@@ -2,9 +2,12 @@
 
 By the published description (Perille et al. 2020: "Benchmarking Metric Ground Navigation"): cells are filled at random,
 15 to 30 % of them, and smoothed 2 to 4 times: more than 4 of 8 neighbours fill a cell, less than 2 empty it. The field
-is closed at its sides and open at its ends. A Jackal (0.51 × 0.43 m) crosses 5 × 5 m of cells of 0.15 m, to a goal 10 m
-on. The simulated wheelchair (1.10 × 0.60 m) has 3 times the Jackal's area: all lengths are 1.75 times as long, which is
-the root of that.
+is closed at its sides and open at its ends. There is a way through for a square of 5 cells: the challenge's generator
+gives the Jackal two cells to each side of its own. Where there is none, a strip of that width is cleared from the
+largest region that is open at the begin to that at the end.
+
+A Jackal (0.51 × 0.43 m) crosses 5 × 5 m of cells of 0.15 m, to a goal 10 m on. The simulated wheelchair (1.10 × 0.60 m)
+has 3 times the Jackal's area: all lengths are 1.75 times as long, which is the root of that.
 """
 
 from __future__ import annotations
@@ -12,10 +15,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import cv2
 import numpy as np
 
 from benchmarks.box_worlds import Box, hall
-from wheelsight.geometry import BoolArray
+from wheelsight.geometry import BoolArray, IntArray
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import Costmap, NavigationSettings, Plan, Planner, StaticLayer
 from wheelsight.simulation import World
@@ -23,6 +27,7 @@ from wheelsight.simulation import World
 SCALE = 1.75
 CELL_M, SIDE_CELLS, WAY_M = 0.15 * SCALE, 33, 10.0 * SCALE
 FILLS, ROUNDS = (0.15, 0.20, 0.25, 0.30), (2, 3, 4)
+WAY_CELLS = 5
 _FIELD_M = SIDE_CELLS * CELL_M
 _BEGIN_M = (WAY_M - _FIELD_M) / 2
 _BEHIND_M, _BEYOND_M = 2.0, 2.5
@@ -47,6 +52,31 @@ def smoothed(filled: BoolArray) -> BoolArray:
     shifts = [(i, j) for i in range(3) for j in range(3) if (i, j) != (1, 1)]
     neighbours = np.sum([padded[i : i + rows, j : j + columns] for i, j in shifts], axis=0)
     return np.asarray((neighbours > 4) | (filled & (neighbours >= 2)))
+
+
+def opened(filled: BoolArray) -> BoolArray | None:
+    """The same with a way from the first column to the last for a square of `WAY_CELLS`; None where an end is shut."""
+    reach = WAY_CELLS // 2
+    closed = np.pad(np.pad(filled, ((reach, reach), (0, 0)), constant_values=True), ((0, 0), (reach, reach)))
+    square = np.ones((WAY_CELLS, WAY_CELLS), np.uint8)
+    is_open = cv2.erode((~closed).astype(np.uint8), square)[reach:-reach, reach:-reach]
+    _, labels, about, _ = cv2.connectedComponentsWithStats(is_open, connectivity=4)
+    ends = [np.unique(column[column > 0]) for column in (labels[:, 0], labels[:, -1])]
+    if not all(map(len, ends)):
+        return None
+    first, last = (there[about[there, cv2.CC_STAT_AREA].argmax()] for there in ends)
+    cleared = filled.copy()
+    return cleared if first == last else _cleared(cleared, np.argwhere(labels == first), np.argwhere(labels == last))
+
+
+def _cleared(cleared: BoolArray, begins: IntArray, ends: IntArray) -> BoolArray:
+    """With a strip from the last of some cells (N, 2) to the first of others, along the row and then the column."""
+    reach = WAY_CELLS // 2
+    (row, column), (row_to, column_to) = begins[begins[:, 1].argmax()], ends[ends[:, 1].argmin()]
+    for rows, columns in (((row, row), (column, column_to)), ((row, row_to), (column_to, column_to))):
+        (top, bottom), (left, right) = sorted(rows), sorted(columns)
+        cleared[top - reach : bottom + reach + 1, max(left - reach, 0) : right + reach + 1] = False
+    return cleared
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,9 +114,11 @@ def field_of(number: int, seed: int, settings: NavigationSettings) -> Field:
     fill, rounds = FILLS[number % len(FILLS)], ROUNDS[number // len(FILLS) % len(ROUNDS)]
     rng, tries = np.random.default_rng([seed, number]), 0
     footprint = settings.footprint.outline
-    planner = Planner(footprint, settings.planner, settings.limits)
+    planner = Planner(footprint, settings.drivable, settings.limits)
     while True:
-        filled, tries = automaton(rng, fill, rounds), tries + 1
+        filled, tries = opened(automaton(rng, fill, rounds)), tries + 1
+        if filled is None:
+            continue
         costmap = Costmap.of(StaticLayer.of(grid_of(filled)), footprint, settings.costmap)
         plan = planner.plan(costmap, (0.0, 0.0, 0.0), (WAY_M, 0.0))
         if isinstance(plan, Plan) and not plan.goal_change:

@@ -10,7 +10,7 @@ import pytest
 import shapely
 
 from benchmarks import barn
-from benchmarks.barn_worlds import CELL_M, SIDE_CELLS, WAY_M, automaton, field_of, grid_of, smoothed
+from benchmarks.barn_worlds import CELL_M, SIDE_CELLS, WAY_CELLS, WAY_M, automaton, field_of, grid_of, opened, smoothed
 from wheelsight.mapping import CellKind
 from wheelsight.navigation import CostmapSettings, NavigationSettings
 from wheelsight.simulation.worlds.clearance import obstacles
@@ -54,6 +54,43 @@ def test_sides_are_closed_and_more_fill_leaves_more() -> None:
     shares = [np.mean([automaton(np.random.default_rng(s), fill, 3).mean() for s in range(20)]) for fill in (0.15, 0.3)]
     assert shares[0] < shares[1]
     assert automaton(np.random.default_rng(1), 0.2, 4)[[0, -1]].all()
+
+
+def comes_through(filled: np.ndarray) -> bool:
+    """A flood of whole squares, cell by cell, from the first column to the last; beyond both all is open."""
+    reach, (rows, columns) = WAY_CELLS // 2, filled.shape
+
+    def fits(r: int, c: int) -> bool:
+        block = filled[r - reach : r + reach + 1, max(c - reach, 0) : c + reach + 1]
+        return reach <= r < rows - reach and not block.any()
+
+    seen = {(r, 0) for r in range(rows) if fits(r, 0)}
+    left = list(seen)
+    while left:
+        r, c = left.pop()
+        for at in ((r + 1, c), (r - 1, c), (r, c + 1), (r, c - 1)):
+            if 0 <= at[1] < columns and at not in seen and fits(*at):
+                seen.add(at)
+                left.append(at)
+    return any(c == columns - 1 for _, c in seen)
+
+
+def test_a_way_for_the_challenges_square_is_there_or_is_cleared() -> None:
+    cleared = 0
+    for seed in range(30):
+        filled = automaton(np.random.default_rng(seed), 0.3, 2)
+        way = opened(filled)
+        if way is None:
+            assert not comes_through(filled)
+            continue
+        assert comes_through(way)
+        assert not (way & ~filled).any()
+        if comes_through(filled):
+            assert (way == filled).all()
+        else:
+            cleared += 1
+            assert (way != filled).any()
+    assert 5 < cleared < 30
 
 
 def test_the_grid_is_the_world() -> None:
