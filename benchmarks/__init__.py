@@ -24,3 +24,21 @@ targets    what wheelsight must reach, met or missed by how much
 machine    on what all this was measured
 table      the figures as tables: in the terminal and in BENCHMARKS.md
 """
+
+from __future__ import annotations
+
+import sys
+from types import TracebackType
+
+from wheelsight.errors import WheelsightError
+
+
+def tell(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """One line of what whoever called a benchmark can mend, such as a recording that is not there; else all of it."""
+    if isinstance(error, WheelsightError):
+        print(f"error: {error}", file=sys.stderr)
+    else:
+        sys.__excepthook__(kind, error, trace)
+
+
+sys.excepthook = tell
