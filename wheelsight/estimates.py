@@ -72,6 +72,8 @@ class MotionEstimate:
         matches: how many point pairs were proposed.
         inliers: how many of them agree with the motion.
         degenerate: (K, 6) unit vectors of (v, ω · 2 m) that the images do not show; there the prior stands. Or None.
+        fitting: share of the regions of the view that lie at this motion where they are known, each with one vote,
+            however much of it matches; None where that is not told.
     """
 
     T_reference_current: FloatArray | None
@@ -80,6 +82,7 @@ class MotionEstimate:
     matches: int = 0
     inliers: int = 0
     degenerate: FloatArray | None = None
+    fitting: float | None = None
 
     @classmethod
     def failed(cls, reason: Reason, matches: int = 0, inliers: int = 0) -> MotionEstimate:

@@ -48,7 +48,7 @@ class Anchor:
         if motion.degenerate is not None and not motion.shows_all:
             Ad = motions.adjoint(T_anchor_reference)
             hidden = np.linalg.qr(((motion.degenerate / DEGENERATE_SCALE) @ Ad.T * DEGENERATE_SCALE).T)[0].T
-        return MotionEstimate(T_anchor_camera, covariance, None, motion.matches, motion.inliers, hidden)
+        return MotionEstimate(T_anchor_camera, covariance, None, motion.matches, motion.inliers, hidden, motion.fitting)
 
 
 class CameraMap:

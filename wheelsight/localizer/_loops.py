@@ -15,6 +15,7 @@ from wheelsight.estimates import CameraEstimate, Estimate, Status
 from wheelsight.geometry import FloatArray, IntArray, se3
 from wheelsight.geometry import motion_kernels as motions
 from wheelsight.keyframes import KeyframeId, KeyframeStore
+from wheelsight.localizer._laid_anew import laid_anew
 from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.drive_graph import CameraMotion, LivedKeyframe, PoseUpdate, SeenAgain
 from wheelsight.slam.graph import RelativePose
@@ -55,6 +56,7 @@ class LoopsBeside:
         self._told = len(store)
         self._waiting: list[list[LivedKeyframe]] = []  # by the frames at which they were kept
         self._hangs_on: KeyframeId | None = None
+        self.hung_s = -np.inf
         self._seen_from: tuple[KeyframeId, FloatArray] | None = None
         self._nearest: tuple[float, SeenAgain] | None = None  # of the frames that hang on one that it came back to
         self._closed: ClosedLoops | None = None
@@ -179,6 +181,7 @@ class LoopsBeside:
         """
         number, motion, T_keyframe_camera = seen.keyframe, seen.motion.covariance, seen.T_keyframe_body
         before, self._hangs_on, self._seen_from = self._hangs_on, number, None
+        self.hung_s = seen.stamp_s
         if number != before:
             self._leave()
         if number is None or motion is None or T_keyframe_camera is None:
@@ -197,20 +200,43 @@ class LoopsBeside:
         if number != before:
             self._live.see_again(again)
 
+    def let_go(self) -> None:
+        """A frame came to nothing that is believed: by which keyframe odometry has the next one tells nothing of it.
+
+        Else a camera that somebody who walks past has led astray would tie what it saw then to what it saw before.
+        """
+        self._leave()
+        self._hangs_on = self._seen_from = None
+
     def _leave(self) -> None:
         """Another keyframe comes. Of the last one the nearest frame counts: a view's error grows by the way."""
         if self._nearest is not None:
             self._live.follow(self._nearest[1])
             self._nearest = None
 
-    def hand_over(self, motions: Sequence[CameraMotion | None] = ()) -> None:
-        """Hand all that were kept to the thread, with what is known by now of the motions to the last of them."""
+    def hand_over(
+        self, motions: Sequence[CameraMotion | None] = (), keyframe: KeyframeId | None = None
+    ) -> FloatArray | None:
+        """Hand all that were kept to the thread, with what is known by now of the motions to the last of them.
+
+        Where the camera was astray they are put to where those motions lead: T_new_old (4, 4) of a keyframe, or None.
+        """
         waiting, self._waiting = self._waiting, []
         # Another filter that has taken over knows of the last ones alone.
         for kept, motion in zip(reversed(waiting), reversed(motions), strict=False):
             kept[0] = kept[0] if motion is None else replace(kept[0], motion=motion)
+        anew = laid_anew(self._store, waiting, self._settings.gate_probability)
+        waiting, T_new = (waiting, None) if anew is None else anew
         for lived in chain.from_iterable(waiting):
             self._live.add(lived)
+        if T_new is None:
+            return None
+        numbers = [KeyframeId(len(self._store) - len(T_new) + row) for row in range(len(T_new))]
+        T_old = None if keyframe is None else self._store.pose(keyframe)
+        self._store.move(numbers, T_new)
+        if keyframe is None or T_old is None or keyframe not in numbers:
+            return None
+        return np.asarray(se3.nearest(self._store.pose(keyframe) @ se3.invert(T_old)))
 
     def _laid_since(self, number: KeyframeId) -> FloatArray | None:
         """(4, 4) from the keyframe before, as both lie in the store; None of the first."""

@@ -192,6 +192,8 @@ class ByFusion:
             return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), ""
         self._check.look(event)
         answer = self._frame(event, expected)
+        if self.loops is not None and self.loops.hung_s != event.stamp_s:
+            self.loops.let_go()
         self._camera.lead(answer)
         if self.loops is not None:
             self._keep(self.loops, event.stamp_s, answer.covariance)
@@ -203,7 +205,7 @@ class ByFusion:
             loops.keep(stamp_s, self._map.T_odom_map, covariance, self.filter.keep_frame(stamp_s))
         motions_there = self.filter.settled_motions() if loops.is_waiting else None
         if motions_there is not None:
-            loops.hand_over(motions_there)
+            self._moved(loops.hand_over(motions_there, self._map.keyframe))
 
     def _frame(self, frame: RgbdFrame, expected: FloatArray | None) -> FusedEstimate:
         """Track, judge, and remember what was believed."""
@@ -230,16 +232,19 @@ class ByFusion:
 
     def _close_loops(self, stamp_s: float) -> None:
         """Put keyframes to where loops have them by now; the pose in odom stays."""
-        T_new_old = None if self.loops is None else self.loops.move_keyframes(stamp_s, self._map.keyframe)
-        if T_new_old is not None:
-            self._map.moved(T_new_old)
-            self._camera.moved(T_new_old)
-            self._check.moved(T_new_old)
+        self._moved(None if self.loops is None else self.loops.move_keyframes(stamp_s, self._map.keyframe))
         since = self._unsure.since
         if self.loops is not None and since is not None and self.loops.tie(since):
             self._unsure.found()
         if self.loops is not None and self.loops.is_laid:  # not `is_joined`: no doubtful answer makes it so
             self._carried.found()
+
+    def _moved(self, T_new_old: FloatArray | None) -> None:
+        """The keyframe on which the camera's pose hangs was put elsewhere in its map, by (4, 4) from the left."""
+        if T_new_old is not None:
+            self._map.moved(T_new_old)
+            self._camera.moved(T_new_old)
+            self._check.moved(T_new_old)
 
     def _measured(self, frame: RgbdFrame, seen: CameraEstimate, motion: MotionEstimate) -> FusedEstimate:
         """The answer to a frame that was tracked, by its motion against the anchor; the map grows if it is believed."""

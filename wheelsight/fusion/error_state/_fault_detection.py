@@ -7,8 +7,8 @@ between them, in nats, sums up frame by frame (Wald 1945) until one is decided:
 - the one whose own speed changed more than a robot's can, at the onset or since, is the one that is wrong;
 - the gyroscope, where there is one, turns with one of both;
 - a camera with its usual share of inliers that goes on contradicting the wheels speaks for slip, since wheels cannot
-  notice that they slip; one with fewer, or that fails, against itself. One that does not see all directions speaks for
-  neither: what it has wrong of these it mistakes for the others.
+  notice that they slip; one with fewer, or that contradicts a part of its view, or fails, against itself. One that
+  does not see all directions speaks for neither: what it has wrong of these it mistakes for the others.
 
 A measurement that even slipping wheels could not explain, because it leaves the floor's plane, is refused and tells
 nothing of both. Until it is decided both hypotheses go on, and the answer lies between and covers both. Where both
@@ -367,7 +367,13 @@ def _shows_all(measurement: RelativePose) -> bool:
 
 
 def _is_healthy(detection: FaultDetection, measurement: RelativePose, settings: FilterParameters) -> bool:
-    """Whether a measurement that contradicts the wheels may be right: it has its usual share of inliers."""
+    """Whether a measurement that contradicts the wheels may be right.
+
+    It has its usual share of inliers, and does not contradict the view. Somebody who walks past close by has most
+    inliers, and the room behind is left out, or off: wheels that slip leave the view whole.
+    """
+    if measurement.fitting is not None and measurement.fitting < settings.fitting_share:
+        return False
     if measurement.inlier_share is None or detection.usual_share is None:
         return True
     return measurement.inlier_share >= settings.inlier_share * detection.usual_share

@@ -30,6 +30,7 @@ class RelativePose:
         covariance: (m, m) in these.
         spread: (6, 6) of the left perturbation of Z, very wide where nothing is shown.
         inlier_share: of the matches, or None.
+        fitting: share of the regions of the view, each with one vote, or None.
     """
 
     name: str
@@ -38,6 +39,7 @@ class RelativePose:
     covariance: FloatArray
     spread: FloatArray
     inlier_share: float | None = None
+    fitting: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -44,7 +44,7 @@ class Mount:
             return Reason.INVALID
         Z = motions.times(motions.times(self.T_base_camera, T), self._T_camera_base)
         share = motion.inliers / motion.matches if motion.matches > 0 else None
-        return RelativePose(name, Z, rows, shown, spread, share)
+        return RelativePose(name, Z, rows, shown, spread, share, motion.fitting)
 
 
 def motion_of(T: ArrayLike | None) -> FloatArray | None:

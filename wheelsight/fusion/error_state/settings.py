@@ -296,6 +296,14 @@ class ErrorStateSettings(Settings):
         gt=0,
         lt=1,
     )
+    fitting_share: float = setting(
+        0.75,
+        "of the view's regions that must lie where they are known: a camera that contradicts the wheels, and a part of "
+        "its view, follows what moves",
+        CHOSEN,
+        ge=0,
+        le=1,
+    )
     inlier_memory: float = setting(
         0.05, "of the usual share, what one frame changes: about the last twenty count", CHOSEN, gt=0, lt=1
     )

@@ -102,15 +102,19 @@ class Locator:
         tracked = self._tracked(grid, view, found, judged, T_map_camera, twist)
         return replace(tracked, joint=joint, turning_rad_s=turning)
 
-    def doubt(self, grid: GridFrame, reference: Reference, T_reference_frame: FloatArray) -> FloatArray:
-        """Covariance (6, 6) in the frame's own axes of how far off it may be, as most of what it shows says.
+    def by_regions(
+        self, grid: GridFrame, reference: Reference, T_reference_frame: FloatArray
+    ) -> tuple[FloatArray, float | None]:
+        """What the regions of a frame say of its pose T_reference_frame (4, 4).
 
-        Turns are ways at 2 m. Nothing where regions agree with the pose T_reference_frame (4, 4).
+        Returns:
+            Covariance (6, 6) in the frame's own axes of how far off it may be, as most of what it shows says: turns
+            are ways at 2 m, and nothing where regions agree with the pose. And the share of them that does; or None.
         """
         if not self._settings.regions.columns:
-            return np.zeros((6, 6))
-        doubt_m = self._misfits(grid, reference, T_reference_frame).doubt_m
-        return np.diag((doubt_m / DEGENERATE_SCALE) ** 2)
+            return np.zeros((6, 6)), None
+        found = self._misfits(grid, reference, T_reference_frame)
+        return np.diag((found.doubt_m / DEGENERATE_SCALE) ** 2), found.fitting
 
     def _begun(
         self, grid: GridFrame, reference: Reference, expected: list[FloatArray], told: Told | None
@@ -154,11 +158,11 @@ class Locator:
     ) -> Tracked:
         counts = (None, found.pairs, found.planes, judged.degenerate)
         spread = with_frame_error(judged.covariance, judged.T_reference_frame, self.of_frame)
-        motion = MotionEstimate(judged.T_reference_frame, spread, *counts)
+        doubt, fitting = self.by_regions(grid, view.reference, judged.T_reference_frame)
+        motion = MotionEstimate(judged.T_reference_frame, spread, *counts, fitting)
         fine = fine_share(grid, judged.T_reference_frame, self._settings.keyframes.fineness)
         fit = (found.planes / max(found.points, 1) * fine, view in self._views.keyframes, found.residual)
         covariance = view.with_motion(spread)
-        doubt = self.doubt(grid, view.reference, judged.T_reference_frame)
         return Tracked(grid, T_map_camera, covariance, motion, view.keyframe, twist, *fit, doubt=doubt)
 
     def _references(self, ahead: Prediction, state: TrackingState) -> Iterator[KnownView]:

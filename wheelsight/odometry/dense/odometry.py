@@ -81,7 +81,7 @@ class DenseOdometry:
         self._keypoints = keypoints
         self._views = Views(self._settings, self._gridder, self._maker, self.watch, model)
         self._locator = Locator(calibration, self._settings, aligner, self._views, self.watch)
-        self._verifier = Verifier(self._settings, keypoints, self._views, self._locator.doubt, self.watch)
+        self._verifier = Verifier(self._settings, keypoints, self._views, self._locator.by_regions, self.watch)
         gone = GoneViews(self.store, self._gridder, self._maker, keypoints, self._settings.kept_keyframes)
         parts = (self._gridder, self._locator, keypoints, self._views, self.store, gone)
         self._policy = KeyframePolicy(self._settings, *parts)

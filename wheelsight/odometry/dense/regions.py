@@ -52,8 +52,16 @@ class Misfits:
 
         Else 0. All that follow a pose do not make it right: somebody close by has most pixels and most keypoints.
         """
-        is_off = self.is_told & (self.sigmas > self.settings.odd_sigmas)
-        return float(np.median(self.metres[self.is_told])) if self._is_judged and self._are_many(is_off) else 0.0
+        return float(np.median(self.metres[self.is_told])) if self._is_judged and self._are_many(self._is_off) else 0.0
+
+    @property
+    def fitting(self) -> float | None:
+        """Share of the regions that have a say which do not lie off; None where they are too few."""
+        return 1 - np.count_nonzero(self._is_off) / np.count_nonzero(self.is_told) if self._is_judged else None
+
+    @property
+    def _is_off(self) -> BoolArray:
+        return np.asarray(self.is_told & (self.sigmas > self.settings.odd_sigmas))
 
     @property
     def _is_judged(self) -> bool:

@@ -32,8 +32,8 @@ class Tracked:
         told: what keypoints say, where the pose goes by them too.
         joint: how surfaces and keypoints met, where they did.
         turning_rad_s: (3,) how much faster the camera turned than at its reference, in that one's frame.
-        doubt: (6, 6) in the frame's own axes, what most of the view has against the pose: see `Locator.doubt`. Which of
-            two references tells the pose better is weighed without it.
+        doubt: (6, 6) in the frame's own axes, what most of the view has against the pose: see `Locator.by_regions`.
+            Which of two references tells the pose better is weighed without it.
     """
 
     frame: GridFrame

@@ -29,7 +29,7 @@ class Verifier:
         settings: which poses are suspected, and when keypoints count.
         keypoints: find a frame by its keypoints.
         views: the keyframes that it may show.
-        doubt: how far off a frame may be at a pose against a reference: see `Locator.doubt`.
+        by_regions: what a frame's regions say of its pose against a reference: see `Locator.by_regions`.
         watch: counts the time of "recognise".
 
     Attributes:
@@ -41,11 +41,11 @@ class Verifier:
         settings: DenseSettings,
         keypoints: KeypointTracker,
         views: Views,
-        doubt: Callable[[GridFrame, Reference, FloatArray], FloatArray],
+        by_regions: Callable[[GridFrame, Reference, FloatArray], tuple[FloatArray, float | None]],
         watch: Stopwatch,
     ) -> None:
         self._all, self._settings, self._watch = settings, settings.verification, watch
-        self._keypoints, self._views, self._doubt = keypoints, views, doubt
+        self._keypoints, self._views, self._by_regions = keypoints, views, by_regions
         self.faults = FaultDetector(settings.faults, settings.max_unseen_s)
 
     def ask(self, features: Features, twist: FloatArray, ahead: Prediction, state: TrackingState) -> Prediction:
@@ -117,8 +117,9 @@ class Verifier:
         self.faults.unseen_s = 0.0
         nearest = self._views.nearest(told.T_map_camera)
         T_map_camera, T_map_reference = se3.nearest(told.T_map_camera), nearest.reference.T_map_reference
-        doubt = self._doubt(grid, nearest.reference, se3.invert(T_map_reference) @ T_map_camera)
-        motion = told.motion_from(T_map_reference)
+        T_reference_camera = se3.invert(T_map_reference) @ T_map_camera
+        doubt, fitting = self._by_regions(grid, nearest.reference, T_reference_camera)
+        motion = replace(told.motion_from(T_map_reference), fitting=fitting)
         known = (grid, T_map_camera, told.covariance, motion, nearest.keyframe, grid.twist)
         is_near = nearest.distance_m(told.T_map_camera) < self._all.keyframe_way_m
         return Tracked(*known, overlap=float(is_near), told=told, doubt=doubt)
