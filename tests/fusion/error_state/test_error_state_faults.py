@@ -123,6 +123,28 @@ def test_vision_that_creeps_off_with_fewer_inliers_is_refused():
     assert off_m(steps[-1], answers[-1]) < 0.2
 
 
+def test_vision_that_creeps_off_with_what_walks_past_is_refused():
+    """It has all its inliers, and a third of the view's regions lie off: whose motion it is that the camera follows."""
+
+    def crept(t, motion):
+        if not faulty(t):
+            return replace(motion, fitting=0.95)
+        return replace(shifted(motion, (0.3 * min((t - BEGIN_S) / 0.5, 1), 0, 0), FRAME_S), fitting=0.65)
+
+    steps, answers = drive_with(0, camera_fault=crept)
+    assert np.mean([a.reason is not None for a in in_fault(steps, answers)]) > 0.8
+    assert not any(a.slip for a in answers)
+    assert off_m(steps[-1], answers[-1]) < 0.2
+
+
+def test_slip_is_told_by_a_camera_whose_whole_view_agrees():
+    for share in (None, 0.95):
+        _, answers = drive_with(
+            0, camera_fault=lambda t, motion, of=share: replace(motion, fitting=of), wheel_fault=spinning
+        )
+        assert any(a.slip for a in answers)
+
+
 def test_vision_out_of_the_floors_plane_is_never_slip():
     def up(t, motion):
         T = motion.T_reference_current.copy()

@@ -73,6 +73,16 @@ def test_a_pose_that_the_room_contradicts_may_be_as_far_off_as_that_says(parts: 
     assert 0.05 < misfits_of(parts, first, second, with_person).doubt_m < 0.4
 
 
+def test_the_share_of_regions_that_fit_is_all_but_the_persons_at_the_true_pose_and_few_at_his(parts: Bench) -> None:
+    first, second = seen(np.eye(4), 0.0, 1.0), seen(MOTION, 0.1, 0.8)
+    by_person = se3.exp([0.0, 0.0, 0.2, 0.0, 0.0, 0.0]) @ MOTION
+    assert misfits_of(parts, seen(np.eye(4), 0.0), seen(MOTION, 0.1), MOTION).fitting == 1.0
+    assert 0.6 < (misfits_of(parts, first, second, MOTION).fitting or 0.0) < 0.9
+    assert (misfits_of(parts, first, second, by_person).fitting or 0.0) < 0.5
+    blank = replace(second, depth_m=np.zeros_like(second.depth_m))
+    assert misfits_of(parts, first, blank, MOTION).fitting is None
+
+
 def test_alignment_goes_by_the_room_once_the_person_is_left_out(parts: Bench) -> None:
     first, second = seen(np.eye(4), 0.0, 1.0), seen(MOTION, 0.1, 0.92)
     reference, frame = parts.reference(first), parts.grid(second)
