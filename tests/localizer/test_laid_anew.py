@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import synthetic
@@ -62,6 +64,17 @@ def test_two_of_one_frame_go_together() -> None:
 def test_within_what_the_motions_allow_they_stay(off_m: float) -> None:
     store = kept_at(np.eye(4), STEP @ se3.from_plane(off_m, 0.0, 0.0))
     assert laid_anew(store, [[lived(store, 1, STEP)]], PROBABILITY) is None
+
+
+def test_height_and_tilt_stay_and_a_motion_may_be_sure_of_them() -> None:
+    tilted = se3.exp([0.0, 0.0, 0.02, 0.03, -0.02, 0.0])
+    store = kept_at(np.eye(4), ASTRAY @ tilted)
+    flat = np.diag([1e-4, 1e-4, 0.0, 0.0, 0.0, 2.5e-5])
+    one = replace(lived(store, 1, STEP), motion=(STEP, flat))
+    _, (T,) = not_none(laid_anew(store, [[one]], PROBABILITY))
+    np.testing.assert_allclose(se3.log(T @ se3.invert(STEP))[[0, 1, 5]], 0.0, atol=2e-3)
+    np.testing.assert_allclose(T[2, [3, 0, 1]], (ASTRAY @ tilted)[2, [3, 0, 1]], atol=5e-3)
+    assert np.abs(T[2, :2]).max() > 0.01
 
 
 def test_where_nobody_knows_the_way_they_stay() -> None:

@@ -16,7 +16,9 @@ from wheelsight.geometry import FloatArray, se3
 from wheelsight.geometry import motion_kernels as motions
 from wheelsight.geometry.chi_square import quantile
 from wheelsight.keyframes import KeyframeId, KeyframeStore
-from wheelsight.slam.drive_graph import LivedKeyframe
+from wheelsight.slam.drive_graph import CameraMotion, LivedKeyframe
+from wheelsight.slam.graph import RelativePose
+from wheelsight.slam.steps import ANCHOR_SIGMA, along_floor
 
 # By the frames at which they were kept.
 Kept = list[list[LivedKeyframe]]
@@ -25,17 +27,23 @@ Kept = list[list[LivedKeyframe]]
 def laid_anew(store: KeyframeStore, waiting: Kept, probability: float) -> tuple[Kept, FloatArray] | None:
     """Those that wait, and all their poses (K, 4, 4) in the store; None where they may stay where they are.
 
-    They move where one lies farther from the one before than the motion between them, and its covariance, allow: but
-    for so small a probability that all is well. What the camera alone has aligned meanwhile is forgotten.
+    They move where one lies farther from the one before, along the floor, than the motion between them and its
+    covariance allow: but for so small a probability that all is well. Height and tilt stay as the camera has them. What
+    it alone has aligned meanwhile is forgotten.
     """
     first = waiting[0][0].number if waiting else 0
-    if not first or not any(_is_astray(kept, probability) for kept in waiting) or not _is_one_way(waiting):
+    if not first or not _is_one_way(waiting):
         return None
-    T_before, T_new, T_last = store.pose(KeyframeId(first - 1)), list[FloatArray](), store.pose(KeyframeId(first - 1))
+    T_old = T_before = T_last = store.pose(KeyframeId(first - 1))
+    T_new: list[FloatArray] = []
     laid: Kept = []
+    is_astray = False
     for kept in waiting:
+        T_now = store.pose(kept[0].number)
         assert kept[0].motion is not None
-        T_here = se3.nearest(T_before @ kept[0].motion[0])
+        step = se3.invert(T_old) @ T_now
+        is_astray |= _misfit(step, kept[0].motion, T_old[2, :3]) > quantile(probability, 3)
+        T_here, T_old = se3.nearest(T_before @ _along_floor(step, kept[0].motion, T_old[2, :3])), T_now
         T_new_old = T_here @ se3.invert(store.pose(kept[0].number))
         of_frame = []
         for lived in kept:
@@ -44,7 +52,7 @@ def laid_anew(store: KeyframeStore, waiting: Kept, probability: float) -> tuple[
             T_last = T_new[-1]
         laid.append(of_frame)
         T_before = T_here
-    return laid, np.array(T_new)
+    return (laid, np.array(T_new)) if is_astray else None
 
 
 def _is_one_way(waiting: Sequence[Sequence[LivedKeyframe]]) -> bool:
@@ -52,10 +60,16 @@ def _is_one_way(waiting: Sequence[Sequence[LivedKeyframe]]) -> bool:
     return all(kept[0].motion is not None and not any(lived.begins for lived in kept) for kept in waiting)
 
 
-def _is_astray(kept: Sequence[LivedKeyframe], probability: float) -> bool:
-    one = kept[0]
-    if one.motion is None or one.T_before_now is None:
-        return False
-    T, C = one.motion
-    off = motions.log(motions.times(one.T_before_now, motions.inverse(T)))
-    return bool(off @ np.linalg.solve(C, off) > quantile(probability, len(off)))
+def _misfit(step: FloatArray, motion: CameraMotion, up: FloatArray) -> float:
+    """χ² of three degrees of freedom: how far a step (4, 4) is from a motion along a floor with a normal (3,)."""
+    T, C = motion
+    along = np.zeros((6, 3))
+    along[:3, :2], along[3:, 2] = np.linalg.svd(up[None])[2][1:].T, up
+    off = along.T @ motions.log(motions.times(step, motions.inverse(T)))
+    return float(off @ np.linalg.solve(along.T @ C @ along + ANCHOR_SIGMA**2 * np.eye(3), off))
+
+
+def _along_floor(step: FloatArray, motion: CameraMotion, up: FloatArray) -> FloatArray:
+    """A step (4, 4) that goes along the floor as a motion says."""
+    ends = KeyframeId(0), KeyframeId(1)
+    return along_floor(RelativePose(*ends, step, np.eye(6)), motion, up).T_first_second

@@ -242,6 +242,9 @@ class Navigator:
     def _take(self, task: Task, planned: Planned, now_s: float) -> VelocityCommand:
         """Go by what came of a plan."""
         task.goals.taken()
+        if planned.passes_hidden and task.looks_first(self.settings.behaviours):
+            self._become(NavigationState.RECOVERING, f"no way on but over floor never looked at; {task.doing}")
+            return STOP
         task.passes_hidden |= planned.passes_hidden
         if planned.found is None:
             self._become(NavigationState.ARRIVED, task.goals.name)
@@ -372,8 +375,7 @@ class Navigator:
 
     def _look_about(self, task: Task, why: str) -> VelocityCommand:
         self._planning.drop()
-        where, open_way = self._senses.where, self._senses.open_way()
-        task.search(self.settings.behaviours, where.status, self._chain.checked, open_way)
+        task.search(self.settings.behaviours, self._senses.where.status, self._chain.checked, self._senses.open_way())
         self._become(NavigationState.RECOVERING, f"{why}; {task.doing}")
         return STOP
 
