@@ -90,3 +90,34 @@ def test_too_little_is_no_match() -> None:
     match = MapMatch(static_of(along(ROOM)))
     match.update(live_of(np.array([(1.0, 1.0), (1.1, 1.0)])), np.zeros(3), np.zeros(2))
     assert match.share is None
+
+
+def test_what_stands_elsewhere_pulls_no_farther_than_the_localization_may_be_off() -> None:
+    """Two walls of four, moved by 0.3 m since: as far as the likelihood goes, it is the robot that has."""
+    walls = along(ROOM)
+    T_map_odom = se2.from_parts(2.0, 1.0, 0.0)
+    seen = seen_from(walls[:800] + (0.3, 0.0), T_map_odom)
+    off_m = []
+    for sigmas in ((np.inf, np.inf), (0.02, 0.01)):
+        match = MapMatch(static_of(walls))
+        for _ in range(8):
+            match.update(live_of(seen), np.array(se2.to_parts(T_map_odom)), np.zeros(2), sigmas)
+        off_m.append(float(np.hypot(*match.T_map_told[:2, 2])))
+    assert off_m[0] > 0.2
+    assert off_m[1] < 0.6 * off_m[0]
+    assert off_m[1] < 0.15
+
+
+def test_a_correction_is_given_up_once_the_localization_knows_better() -> None:
+    walls = along(ROOM)
+    match = MapMatch(static_of(walls))
+    T_map_odom = se2.from_parts(2.0, 1.0, 0.0)
+    told = np.array(se2.to_parts(se2.from_parts(0.3, -0.2, 0.0) @ T_map_odom))
+    for _ in range(8):
+        match.update(live_of(seen_from(walls, T_map_odom)), told, np.zeros(2), (0.5, 0.1))
+    assert np.hypot(*match.T_map_told[:2, 2]) == pytest.approx(np.hypot(0.3, 0.2), abs=0.05)
+    nothing = live_of(np.zeros((0, 2)))
+    match.update(nothing, np.array(se2.to_parts(T_map_odom)), np.zeros(2), (0.5, 0.1))
+    assert np.hypot(*match.T_map_told[:2, 2]) > 0.3
+    match.update(nothing, np.array(se2.to_parts(T_map_odom)), np.zeros(2), (0.03, 0.01))
+    assert_allclose(match.T_map_told, np.eye(3))

@@ -155,6 +155,18 @@ class WhereNow:
         return _pose(self._T_map_told @ se2.from_parts(*self.T_told_odom))
 
     @property
+    def sigmas_map(self) -> tuple[float, float]:
+        """Metres, along the worse axis, and radians, of where the localization has the robot in the map.
+
+        Infinite where it does not say.
+        """
+        answer = self._answer
+        if answer is None or answer.covariance_map is None or answer.T_map_body is None:
+            return math.inf, math.inf
+        C = se3.position_covariance(answer.T_map_body, answer.covariance_map)
+        return float(np.sqrt(np.linalg.eigvalsh(C[:2, :2])[-1])), float(np.sqrt(answer.covariance_map[5, 5]))
+
+    @property
     def T_told_odom(self) -> FloatArray:
         """(3,) the same, as the localization has it."""
         return np.zeros(3) if self._answer is None else _pose(_planar(self._answer.T_map_odom))

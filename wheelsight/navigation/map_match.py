@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from wheelsight.geometry import BoolArray, Float32Array, FloatArray, se2
+from wheelsight.geometry.chi_square import quantile
 from wheelsight.navigation.costmap import CellState, StaticLayer, distances_m
 from wheelsight.navigation.live_layer import LiveObstacles
 from wheelsight.navigation.navigator_settings import MatchSettings
@@ -18,7 +19,8 @@ class MapMatch:
     """Holds by how much a localization is off in a map, as obstacles have it.
 
     Gauss-Newton over distances to the map's nearest obstacle (likelihood fields; Thrun, Burgard & Fox, 6.4), robust,
-    and held by what was known before: along a bare corridor nothing is learned.
+    and held by what was known before: along a bare corridor nothing is learned. Nor does it lead farther than the
+    localization may be off by what it states: chairs that stand elsewhere would pull it along.
 
     Args:
         static: of the map, which stays as it is.
@@ -33,34 +35,45 @@ class MapMatch:
         self.settings = settings or MatchSettings()
         self.T_map_told: FloatArray = np.eye(3)
         self.share: float | None = None
+        self._known: FloatArray = np.zeros((3, 3))
         # Distances to the middle of cells; half a cell is the surface of the thing.
         self._distance_m: Float32Array = distances_m(static.state == CellState.OCCUPIED, static.resolution_m)
         self._resolution_m, self._origin = static.resolution_m, np.array(static.origin)
         slopes = [cv2.Sobel(self._distance_m, cv2.CV_32F, *axis, ksize=3, scale=0.125) for axis in ((1, 0), (0, 1))]
         self._slope = np.stack(slopes, axis=-1) / np.float32(static.resolution_m)
 
-    def update(self, live: LiveObstacles, T_told_odom: FloatArray, xy_odom: FloatArray) -> None:
-        """Match anew.
+    def update(
+        self,
+        live: LiveObstacles,
+        T_told_odom: FloatArray,
+        xy_odom: FloatArray,
+        sigmas: tuple[float, float] = (np.inf, np.inf),
+    ) -> None:
+        """Match anew; what was found before is given up where nothing is matched and `sigmas` are too small for it.
 
         Args:
             live: obstacles in `odom`.
             T_told_odom: (3,) where `odom` lies in the map, as the localization has it.
             xy_odom: (2,) where the robot is; what is far from it is left out.
+            sigmas: metres and radians, of where the localization has the robot in the map.
         """
         s = self.settings
         points = _places(live)
         points = points[np.hypot(*(points - xy_odom).T) < s.far_m]
+        middle = se2.apply(se2.from_parts(*T_told_odom), xy_odom[None])[0]
+        self._known = np.diag([(sigma**2 + hold**2) ** -1 for sigma, hold in self._held_by(sigmas)])
         self.share = None
+        if _chi2(self._known, self.T_map_told, middle) > quantile(s.likely, 3):
+            self.T_map_told = np.eye(3)
         if len(points) < s.least_points:
             return
         step = max(len(points) // s.most_points, 1)
         told = se2.apply(se2.from_parts(*T_told_odom), points[::step])
-        middle = se2.apply(se2.from_parts(*T_told_odom), xy_odom[None])[0]
         best: tuple[float, FloatArray] | None = None
         for begin in (self.T_map_told, np.eye(3)):
             for turn in s.starts_rad:
                 T = self._solved(begin, _about(middle, turn) @ begin, told, middle)
-                cost = self._cost(T, told) + self._held(T, begin, middle)
+                cost = self._cost(T, told) + self._held(T, begin, middle) + _chi2(self._known, T, middle) / 2
                 if best is None or cost < best[0] - 1e-9:
                     best = cost, T
         assert best is not None
@@ -77,11 +90,11 @@ class MapMatch:
             places = se2.apply(T, told)
             distance_m, slope = self._at(places)
             weight = self._weights(distance_m) / s.correlation
-            away = places - middle
-            J = np.column_stack([slope, slope[:, 1] * away[:, 0] - slope[:, 0] * away[:, 1]])
-            off = _small(T @ se2.invert(begin), middle)
-            H = (J * weight[:, None]).T @ J + hold
-            change = -np.linalg.solve(H, J.T @ (weight * distance_m) + hold @ off)
+            arm = places - middle
+            J = np.column_stack([slope, slope[:, 1] * arm[:, 0] - slope[:, 0] * arm[:, 1]])
+            off, away = _small(T @ se2.invert(begin), middle), _small(T, middle)
+            H = (J * weight[:, None]).T @ J + hold + self._known
+            change = -np.linalg.solve(H, J.T @ (weight * distance_m) + hold @ off + self._known @ away)
             T = _about(middle, float(change[2]), (float(change[0]), float(change[1]))) @ T
             if np.abs(change).max() < 1e-4:
                 break
@@ -107,10 +120,14 @@ class MapMatch:
         s = self.settings
         return float(np.log1p((np.minimum(distance_m, s.cut_m) / s.sigma_m) ** 2).sum() / 2 / s.correlation)
 
+    def _held_by(self, sigmas: tuple[float, float]) -> tuple[tuple[float, float], ...]:
+        """Of x, y and yaw: what the localization states, and how far it may drift meanwhile."""
+        place, heading = (sigmas[0], self.settings.hold_m), (sigmas[1], self.settings.hold_rad)
+        return place, place, heading
+
     def _held(self, T: FloatArray, begin: FloatArray, middle: FloatArray) -> float:
-        off = _small(T @ se2.invert(begin), middle)
         s = self.settings
-        return float((off[:2] @ off[:2]) / s.hold_m**2 + off[2] ** 2 / s.hold_rad**2) / 2
+        return _chi2(np.diag([s.hold_m**-2, s.hold_m**-2, s.hold_rad**-2]), T @ se2.invert(begin), middle) / 2
 
 
 def _places(live: LiveObstacles) -> FloatArray:
@@ -125,6 +142,12 @@ def _about(middle: FloatArray, turn_rad: float, shift: tuple[float, float] = (0.
     T = np.eye(3)
     T[:2, :2], T[:2, 2] = R, middle - R @ middle + shift
     return T
+
+
+def _chi2(information: FloatArray, T: FloatArray, middle: FloatArray) -> float:
+    """Of a motion (3, 3) about a place, by information (3, 3)."""
+    off = _small(T, middle)
+    return float(off @ information @ off)
 
 
 def _small(T: FloatArray, middle: FloatArray) -> FloatArray:

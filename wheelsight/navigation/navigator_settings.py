@@ -189,6 +189,9 @@ class MatchSettings(Settings):
         0.05, "by how much the localization drifts between two matches, at most", CHOSEN, gt=0, le=1
     )
     hold_rad: float = setting(0.02, "likewise, radians", CHOSEN, gt=0, le=1)
+    likely: float = setting(
+        0.99, "share of right corrections that are within what the localization states of itself", CHOSEN, gt=0, lt=1
+    )
     starts_rad: tuple[Annotated[float, bounds(ge=-1, le=1)], ...] = setting(
         (0.0, -0.06, 0.06), "turns at which the search begins", CHOSEN, min_length=1, max_length=100
     )

@@ -137,7 +137,7 @@ class Senses:
             return
         if stamp_s >= self._matched_s + self._settings.match.every_s:
             self._matched_s = stamp_s
-            self._match.update(live, self.where.T_told_odom, odom_pose[:2])
+            self._match.update(live, self.where.T_told_odom, odom_pose[:2], self.where.sigmas_map)
             self.where.correct(self._match.T_map_told)
 
     def _follow_people(self, stamp_s: float, pose: FloatArray) -> None:
