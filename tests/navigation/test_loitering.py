@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from narrowing import not_none
 from navigation.rooms import Ride, Walls
@@ -22,7 +20,6 @@ from wheelsight.navigation import (
 )
 from wheelsight.navigation.control_values import ControlResult, DrivenPath, MotionState
 from wheelsight.navigation.fields import CostField
-from wheelsight.navigation.planning import Planned
 
 ROOM = Walls.of(((0.0, 0.0), (8.0, 0.0)), ((7.99, 0.0), (7.99, 6.0)), ((8.0, 5.99), (0.0, 5.99)))
 SETTINGS = NavigationSettings(
@@ -65,20 +62,3 @@ def test_floor_that_was_never_seen_is_not_waited_for_and_named() -> None:
     ride.navigator.go_to_pose((6.0, 3.0, 0.0))
     ride.go(2.0, until=lambda: ride.navigator.state is NavigationState.RECOVERING)
     assert ride.transitions[-1].why == "floor that was never seen; back up, to see where its front was"
-
-
-def test_it_looks_about_once_before_it_goes_over_floor_that_was_never_looked_at() -> None:
-    ride = Ride.of(ROOM, (3.0, 3.0, 0.0), (8.0, 6.0))
-    planning = ride.navigator._planning  # noqa: SLF001
-    answer = planning.answer
-
-    def hidden(now_s: float) -> Planned | None:
-        planned = answer(now_s)
-        return None if planned is None else replace(planned, passes_hidden=True)
-
-    planning.answer = hidden  # type: ignore[method-assign]
-    ride.navigator.go_to_pose((6.0, 3.0, 0.0))
-    ride.go(40.0, until=lambda: ride.navigator.state is NavigationState.DRIVING)
-    whys = [one.why for one in ride.transitions if one.after is NavigationState.RECOVERING]
-    assert whys == ["no way on but over floor never looked at; look about"]
-    assert ride.navigator.state is NavigationState.DRIVING

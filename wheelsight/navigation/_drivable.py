@@ -121,4 +121,5 @@ def _metre_cost(costmap: Costmap, settings: PlannerSettings) -> Float32Array:
     """(H, W) of a metre of the centre of rotation's way, where nothing says it cannot be there."""
     metre = 1 + np.float32(settings.nearness_cost) * costmap.cost
     slow = np.float32(settings.usual_m_s) / costmap.speed_m_s
-    return np.ascontiguousarray(metre * np.maximum(slow, 1), np.float32)
+    dear = np.float32(1) if costmap.dearness is None else costmap.dearness
+    return np.ascontiguousarray(metre * np.maximum(slow, 1) * dear, np.float32)

@@ -142,7 +142,7 @@ def when_blocked(attempt: int, settings: BehaviourSettings) -> Behaviour:
     """What to do at the first, second, ... attempt to get on: the gentlest first."""
     s = settings
     back = Straight(-s.back_m, s.back_m_s, s.refused_s, "back up")
-    ways: tuple[Behaviour, ...] = (Wait(s.wait_s), look_about(s), back)
+    ways: tuple[Behaviour, ...] = (Wait(s.wait_s), _look(s), back)
     return ways[attempt % len(ways)]
 
 
@@ -154,13 +154,13 @@ def when_unseen(attempt: int, settings: BehaviourSettings, *, was_backward: bool
     """
     s = settings
     if attempt % 2:
-        return look_about(s)
+        return _look(s)
     if was_backward:
         return Straight(s.unseen_back_m, s.back_m_s, s.refused_s, "drive on, away from what is behind")
     return Straight(-s.unseen_back_m, s.back_m_s, s.refused_s, "back up, to see where its front was")
 
 
-def look_about(settings: BehaviourSettings) -> Turn:
+def _look(settings: BehaviourSettings) -> Turn:
     """Turn to either side, and back."""
     s = settings
     return Turn((s.look_rad, -2 * s.look_rad, s.look_rad), s.turn_rad_s, s.refused_s)

@@ -133,6 +133,7 @@ class Costmap:
         inscribed_m: of the footprint that it was made for.
         settings: by which it was made.
         is_told: as of `StaticLayer`.
+        dearness: (H, W) float32 how many times as much a metre costs; None: once.
     """
 
     state: ByteArray
@@ -146,6 +147,7 @@ class Costmap:
     inscribed_m: float
     settings: CostmapSettings
     is_told: BoolArray | None = None
+    dearness: Float32Array | None = None
 
     @property
     def is_unseen(self) -> BoolArray:
@@ -214,7 +216,8 @@ class Costmap:
         state = self.state.copy()
         state[cut][unknown] = CellState.FREE
         place = self.resolution_m, self.origin, self.frame
-        return _made(state, self.speed_m_s, place, self.inscribed_m, self.settings)
+        made = _made(state, self.speed_m_s, place, self.inscribed_m, self.settings)
+        return replace(made, dearness=self.dearness)
 
     def cells_at(self, xy: ArrayLike) -> IntArray:
         """(..., 2) row and column of points (..., 2); they may lie outside."""

@@ -242,9 +242,6 @@ class Navigator:
     def _take(self, task: Task, planned: Planned, now_s: float) -> VelocityCommand:
         """Go by what came of a plan."""
         task.goals.taken()
-        if planned.passes_hidden and task.looks_first(self.settings.behaviours):
-            self._become(NavigationState.RECOVERING, f"no way on but over floor never looked at; {task.doing}")
-            return STOP
         task.passes_hidden |= planned.passes_hidden
         if planned.found is None:
             self._become(NavigationState.ARRIVED, task.goals.name)
@@ -298,7 +295,7 @@ class Navigator:
         if not self._planning.is_asked:
             if now_s - task.planned_s < s.anew_s:
                 return True
-            task.why_anew = self._planning.why_anew(plan, task.T_map_odom)
+            task.why_anew = self._planning.why_anew(plan, task.T_map_odom, now_s)
             if not task.why_anew:
                 return True
             self._planning.ask(task.goals, now_s)

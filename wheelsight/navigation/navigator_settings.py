@@ -173,6 +173,21 @@ class NavigatorSettings(Settings):
     )
 
 
+class BlockedSettings(Settings):
+    """How long plans keep away from where one was found to be blocked."""
+
+    radius_m: float = setting(0.6, "of a place, about the axle: a robot's width", CHOSEN, gt=0, le=5)
+    cost: float = setting(
+        4.0,
+        "that a metre costs more there, in metres, each time it was found blocked, up to three: a way round of up to "
+        "15 m is taken first",
+        CHOSEN,
+        ge=0,
+        le=100,
+    )
+    seconds: float = setting(180.0, "after which it is forgotten: who stood there may have gone", CHOSEN, ge=0, le=3600)
+
+
 class MatchSettings(Settings):
     """How obstacles are laid on those of a known map."""
 
@@ -255,6 +270,7 @@ class NavigationSettings(Settings):
     limits: RobotLimits = RobotLimits()
     navigator: NavigatorSettings = NavigatorSettings()
     behaviours: BehaviourSettings = BehaviourSettings()
+    blocked: BlockedSettings = BlockedSettings()
     match: MatchSettings = MatchSettings()
     exploration: ExplorationSettings = ExplorationSettings()
     costmap: CostmapSettings = CostmapSettings()

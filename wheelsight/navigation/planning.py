@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wheelsight.geometry import FloatArray, se2
+from wheelsight.navigation.blocked_ways import BlockedWays
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.goals import Goals
 from wheelsight.navigation.navigator_settings import NavigationSettings
@@ -47,6 +48,7 @@ class Planning:
         self._senses, self._settings = senses, settings
         self._planner = RoutePlanner(footprint, settings)
         self._worker: Worker[Planned] = worker or WorkerInStep(settings.navigator.planning_s)
+        self._blocked = BlockedWays(settings.blocked)
 
     @property
     def is_asked(self) -> bool:
@@ -63,16 +65,17 @@ class Planning:
         where = self._senses.where
         assert where.state is not None
         pose, T_map_odom, avoids = where.state.pose, where.T_map_odom, self._senses.avoids_hidden
+        blocked = self._blocked
         first, plain = (self._senses.costmap_of(avoids_hidden=is_first and avoids) for is_first in (True, False))
 
         def plan() -> Planned:
-            costmap = first()
+            costmap = blocked.on(first(), now_s)
             ahead = goals.upcoming(pose, costmap)
             if not ahead:
                 return Planned(None, T_map_odom)
             found = self._planner.plan(costmap, pose, ahead)
             if avoids and (isinstance(found, PlanFailure) or found.goal_change):
-                other = self._planner.plan(plain(), pose, ahead)
+                other = self._planner.plan(blocked.on(plain(), now_s), pose, ahead)
                 if isinstance(other, Plan) and (isinstance(found, PlanFailure) or not other.goal_change):
                     return Planned(other, T_map_odom, passes_hidden=True)
             return Planned(found, T_map_odom)
@@ -87,19 +90,29 @@ class Planning:
         """Want none any more."""
         self._worker.drop()
 
-    def why_anew(self, plan: Plan, T_map_odom: FloatArray) -> str:
-        """Why another plan is needed than one that was made with (3,); empty where it is not."""
+    def why_anew(self, plan: Plan, T_map_odom: FloatArray, now_s: float) -> str:
+        """Why another plan is needed than one that was made with (3,); empty where it is not.
+
+        Where it is blocked is remembered: the next plans lead elsewhere if they can.
+        """
         where, s = self._senses.where, self._settings.navigator
         assert where.odom_pose is not None
         now, then = (se2.from_parts(*T) @ se2.from_parts(*where.odom_pose) for T in (where.T_map_odom, T_map_odom))
         x, y, turn = se2.to_parts(se2.invert(then) @ now)
         if np.hypot(x, y) > s.jump_m or abs(turn) > s.jump_rad:
             return "the map has moved below it"
-        return "" if self.is_free(plan, s.check_m) else "something is in the way"
+        blocked = self._blocked_at(plan, s.check_m)
+        if blocked is None:
+            return ""
+        self._blocked = self._blocked.with_place(blocked[:2], now_s)
+        return "something is in the way"
 
     def is_free(self, plan: Plan, reach_m: float) -> bool:
         """Whether the robot passes so much of a plan, from where it is."""
+        return self._blocked_at(plan, reach_m) is None
+
+    def _blocked_at(self, plan: Plan, reach_m: float) -> FloatArray | None:
         local, state = self._senses.local(), self._senses.where.state
         assert local is not None
         assert state is not None
-        return self._planner.is_free(local, plan, state.pose, reach_m)
+        return self._planner.blocked_at(local, plan, state.pose, reach_m)

@@ -45,12 +45,13 @@ class RoutePlanner:
                 return found
         return plans[0] if len(plans) == 1 else _joined(plans)
 
-    def is_free(self, costmap: Costmap, plan: Plan, pose: FloatArray, reach_m: float) -> bool:
-        """Whether the footprint passes so much of a plan, from (3,) on."""
+    def blocked_at(self, costmap: Costmap, plan: Plan, pose: FloatArray, reach_m: float) -> FloatArray | None:
+        """The first pose (3,) of so much of a plan, from a pose (3,) on, where the footprint does not pass; or None."""
         drivable = Drivable.of(costmap, self._footprint, self._rules, self._settings.limits)
         ahead = ahead_of(plan, pose, reach_m)
         inside = ((costmap.cells_at(ahead[:, :2]) >= 0) & (costmap.cells_at(ahead[:, :2]) < costmap.state.shape)).all(1)
-        return bool(drivable.is_free(ahead[inside]).all())
+        blocked = ahead[inside][~drivable.is_free(ahead[inside])]
+        return blocked[0] if len(blocked) else None
 
 
 def to_go_m(plan: Plan, pose: FloatArray) -> float:

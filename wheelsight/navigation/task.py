@@ -8,7 +8,7 @@ import numpy as np
 
 from wheelsight.estimates import Status
 from wheelsight.geometry import FloatArray
-from wheelsight.navigation.behaviours import Behaviour, Wait, look_about, when_blocked, when_lost, when_unseen
+from wheelsight.navigation.behaviours import Behaviour, Wait, when_blocked, when_lost, when_unseen
 from wheelsight.navigation.collision_monitor import MonitorReason, MonitorResult
 from wheelsight.navigation.goals import Goals
 from wheelsight.navigation.localization import WhereNow
@@ -50,7 +50,7 @@ class Task:
         self.behaviour: Behaviour | None = None
         self.is_lost = False
         self.tries, self.skips, self.searches = 0, 0, 0
-        self.passes_hidden = self._has_looked = self._has_waited = self._has_met_people = False
+        self.passes_hidden = self._has_waited = self._has_met_people = False
         self.known_s = now_s
         self.transitions: list[Transition] = []
         self._begun_s = self._rolled_s = self._tried_s = now_s
@@ -77,7 +77,7 @@ class Task:
         if where.odom_pose is not None:
             self._here = where.odom_pose[:2]
             if not np.hypot(*(self._here - self._from)) <= settings.progress_m:
-                self.tries, self.passes_hidden, self._has_looked = 0, False, False
+                self.tries, self.passes_hidden = 0, False
                 self._has_met_people, self._tried_s = False, now_s
                 self.come_on()
         if where.is_known(settings.unsure_m):
@@ -127,14 +127,6 @@ class Task:
             self.recover(when_blocked(tries, b), is_lost=False)
         else:
             self.recover(when_unseen(tries, b, was_backward=was_backward), is_lost=False)
-
-    def looks_first(self, settings: BehaviourSettings) -> bool:
-        """Look about, if it has not yet, where no way leads on but over floor that no camera has looked at."""
-        if self._has_looked:
-            return False
-        self.recover(look_about(settings), is_lost=False)
-        self._has_looked = True
-        return True
 
     def search(
         self, settings: BehaviourSettings, status: Status, checked: MonitorResult, open_way: OpenWay | None
