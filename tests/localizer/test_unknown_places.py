@@ -83,6 +83,10 @@ class Loops:
     asked: list[int] = field(default_factory=list)
     has_new: bool = False
     is_waiting: bool = False
+    hung_s: float = -np.inf
+
+    def let_go(self) -> None:
+        pass
 
     def move_keyframes(self, stamp_s: float, keyframe: KeyframeId | None) -> None:
         pass
