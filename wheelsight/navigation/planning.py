@@ -104,7 +104,8 @@ class Planning:
         blocked = self._blocked_at(plan, s.check_m)
         if blocked is None:
             return ""
-        self._blocked = self._blocked.with_place(blocked[:2], now_s)
+        if not self._senses.people(now_s):  # who walks will have gone
+            self._blocked = self._blocked.with_place(blocked[:2], now_s)
         return "something is in the way"
 
     def is_free(self, plan: Plan, reach_m: float) -> bool:
