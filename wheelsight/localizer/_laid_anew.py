@@ -44,7 +44,7 @@ def laid_anew(store: KeyframeStore, waiting: Kept, probability: float) -> tuple[
         step = se3.invert(T_old) @ T_now
         is_astray |= _misfit(step, kept[0].motion, T_old[2, :3]) > quantile(probability, 3)
         T_here, T_old = se3.nearest(T_before @ _along_floor(step, kept[0].motion, T_old[2, :3])), T_now
-        T_new_old = T_here @ se3.invert(store.pose(kept[0].number))
+        T_new_old = T_here @ se3.invert(T_now)
         of_frame = []
         for lived in kept:
             T_new.append(se3.nearest(T_new_old @ store.pose(lived.number)))

@@ -232,11 +232,11 @@ class LoopsBeside:
         if T_new is None:
             return None
         numbers = [KeyframeId(len(self._store) - len(T_new) + row) for row in range(len(T_new))]
-        T_old = None if keyframe is None else self._store.pose(keyframe)
+        T_old = np.array(self._store.T_map_keyframe)
         self._store.move(numbers, T_new)
-        if keyframe is None or T_old is None or keyframe not in numbers:
+        if keyframe not in numbers:
             return None
-        return np.asarray(se3.nearest(self._store.pose(keyframe) @ se3.invert(T_old)))
+        return np.asarray(se3.nearest(self._store.pose(keyframe) @ se3.invert(T_old[keyframe])))
 
     def _laid_since(self, number: KeyframeId) -> FloatArray | None:
         """(4, 4) from the keyframe before, as both lie in the store; None of the first."""

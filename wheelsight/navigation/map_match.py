@@ -35,7 +35,6 @@ class MapMatch:
         self.settings = settings or MatchSettings()
         self.T_map_told: FloatArray = np.eye(3)
         self.share: float | None = None
-        self._known: FloatArray = np.zeros((3, 3))
         # Distances to the middle of cells; half a cell is the surface of the thing.
         self._distance_m: Float32Array = distances_m(static.state == CellState.OCCUPIED, static.resolution_m)
         self._resolution_m, self._origin = static.resolution_m, np.array(static.origin)
@@ -61,9 +60,9 @@ class MapMatch:
         points = _places(live)
         points = points[np.hypot(*(points - xy_odom).T) < s.far_m]
         middle = se2.apply(se2.from_parts(*T_told_odom), xy_odom[None])[0]
-        self._known = np.diag([(sigma**2 + hold**2) ** -1 for sigma, hold in self._held_by(sigmas)])
+        known = self._information(sigmas[0], sigmas[1])
         self.share = None
-        if _chi2(self._known, self.T_map_told, middle) > quantile(s.likely, 3):
+        if _chi2(known, self.T_map_told, middle) > quantile(s.likely, 3):
             self.T_map_told = np.eye(3)
         if len(points) < s.least_points:
             return
@@ -72,8 +71,9 @@ class MapMatch:
         best: tuple[float, FloatArray] | None = None
         for begin in (self.T_map_told, np.eye(3)):
             for turn in s.starts_rad:
-                T = self._solved(begin, _about(middle, turn) @ begin, told, middle)
-                cost = self._cost(T, told) + self._held(T, begin, middle) + _chi2(self._known, T, middle) / 2
+                T = self._solved(begin, _about(middle, turn) @ begin, told, middle, known)
+                held = _chi2(self._information(), T @ se2.invert(begin), middle) + _chi2(known, T, middle)
+                cost = self._cost(T, told) + held / 2
                 if best is None or cost < best[0] - 1e-9:
                     best = cost, T
         assert best is not None
@@ -82,10 +82,19 @@ class MapMatch:
         if share >= s.least_share:
             self.T_map_told, self.share = best[1], share
 
-    def _solved(self, begin: FloatArray, T: FloatArray, told: FloatArray, middle: FloatArray) -> FloatArray:
-        """(3, 3) the motion near to one (3, 3), begun at another, that lays points (N, 2) on obstacles."""
-        s = self.settings
-        hold = np.diag([s.hold_m**-2, s.hold_m**-2, s.hold_rad**-2])
+    def _information(self, sigma_m: float = 0.0, sigma_rad: float = 0.0) -> FloatArray:
+        """(3, 3) of how little the localization drifts between two matches, beside what it states of itself."""
+        place, heading = sigma_m**2 + self.settings.hold_m**2, sigma_rad**2 + self.settings.hold_rad**2
+        return np.diag([1 / place, 1 / place, 1 / heading])
+
+    def _solved(
+        self, begin: FloatArray, T: FloatArray, told: FloatArray, middle: FloatArray, known: FloatArray
+    ) -> FloatArray:
+        """(3, 3) the motion near to one (3, 3), begun at another, that lays points (N, 2) on obstacles.
+
+        `known`: (3, 3) information of how little the localization is off, by what it states.
+        """
+        s, hold = self.settings, self._information()
         for _ in range(s.rounds):
             places = se2.apply(T, told)
             distance_m, slope = self._at(places)
@@ -93,8 +102,8 @@ class MapMatch:
             arm = places - middle
             J = np.column_stack([slope, slope[:, 1] * arm[:, 0] - slope[:, 0] * arm[:, 1]])
             off, away = _small(T @ se2.invert(begin), middle), _small(T, middle)
-            H = (J * weight[:, None]).T @ J + hold + self._known
-            change = -np.linalg.solve(H, J.T @ (weight * distance_m) + hold @ off + self._known @ away)
+            H = (J * weight[:, None]).T @ J + hold + known
+            change = -np.linalg.solve(H, J.T @ (weight * distance_m) + hold @ off + known @ away)
             T = _about(middle, float(change[2]), (float(change[0]), float(change[1]))) @ T
             if np.abs(change).max() < 1e-4:
                 break
@@ -119,15 +128,6 @@ class MapMatch:
         distance_m, _ = self._at(se2.apply(T, told))
         s = self.settings
         return float(np.log1p((np.minimum(distance_m, s.cut_m) / s.sigma_m) ** 2).sum() / 2 / s.correlation)
-
-    def _held_by(self, sigmas: tuple[float, float]) -> tuple[tuple[float, float], ...]:
-        """Of x, y and yaw: what the localization states, and how far it may drift meanwhile."""
-        place, heading = (sigmas[0], self.settings.hold_m), (sigmas[1], self.settings.hold_rad)
-        return place, place, heading
-
-    def _held(self, T: FloatArray, begin: FloatArray, middle: FloatArray) -> float:
-        s = self.settings
-        return _chi2(np.diag([s.hold_m**-2, s.hold_m**-2, s.hold_rad**-2]), T @ se2.invert(begin), middle) / 2
 
 
 def _places(live: LiveObstacles) -> FloatArray:
