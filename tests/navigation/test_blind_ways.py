@@ -110,9 +110,11 @@ def test_nobody_is_led_on_and_on_over_floor_that_no_camera_has_looked_at(turn_ra
 
 
 def test_points_are_obstacles_in_the_cells_that_they_lie_in() -> None:
-    live = LiveObstacles(np.zeros((4, 6), bool), 0.1, (1.0, -0.2), "odom", 0.0)
+    none = np.zeros((4, 6), bool)
+    live = LiveObstacles(none, 0.1, (1.0, -0.2), "odom", 0.0, none)
     found = live.with_points(np.array([[1.05, -0.15], [1.59, 0.19], [1.61, 0.0], [0.99, 0.0]]))
     assert np.argwhere(found.is_occupied).tolist() == [[0, 0], [3, 5]]
+    np.testing.assert_array_equal(found.standing().is_occupied, found.is_occupied)
     assert not live.is_occupied.any()
 
 

@@ -25,7 +25,7 @@ def grid() -> OccupancyGrid:
 
 
 def live(is_occupied: np.ndarray, origin: tuple[float, float] = (0.0, 0.0)) -> LiveObstacles:
-    return LiveObstacles(is_occupied, 0.05, origin, "odom", 1.0)
+    return LiveObstacles(is_occupied, 0.05, origin, "odom", 1.0, is_occupied)
 
 
 @pytest.mark.parametrize(

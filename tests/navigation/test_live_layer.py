@@ -46,9 +46,9 @@ def layer(**changes: Any) -> LiveLayer:
     return LiveLayer(CALIBRATION, CHAIR, LiveLayerSettings(**changes))
 
 
-def is_occupied_at(found: LiveLayer, x: float, y: float) -> bool:
+def is_occupied_at(found: LiveLayer, x: float, y: float, *, is_standing: bool = False) -> bool:
     """Whether anything is within a cell of a place."""
-    obstacles = found.obstacles()
+    obstacles = found.obstacles().standing() if is_standing else found.obstacles()
     column, row = np.floor((np.array([x, y]) - obstacles.origin) / obstacles.resolution_m).astype(int)
     return bool(obstacles.is_occupied[row - 1 : row + 2, column - 1 : column + 2].any())
 
@@ -77,9 +77,10 @@ def test_a_ghost_is_gone_once_it_is_seen_through_and_not_before_its_passes() -> 
     assert is_occupied_at(found, 4.0, 1.0)
 
 
-def test_what_is_not_looked_at_is_not_forgotten() -> None:
+def test_what_stands_and_is_not_looked_at_is_not_forgotten() -> None:
     found = layer()
-    found.update(depth_of([AHEAD, WALL]), (0, 0, 0), 0.0)
+    for stamp_s in (0.0, 0.9):
+        found.update(depth_of([AHEAD, WALL]), (0, 0, 0), stamp_s)
     turned = (0.0, 0.0, np.pi)
     for number in range(20):
         found.update(depth_of([WALL], turned), turned, 1.0 + number)
@@ -90,11 +91,61 @@ def test_what_is_not_looked_at_is_not_forgotten() -> None:
     assert is_occupied_at(found, 2.02, 0.0)
 
 
+def passer_by(stamp_s: float, walk_m_s: float = 0.8) -> Box:
+    """Half a metre wide, who crosses 2 m ahead, in the middle after a second."""
+    y = walk_m_s * (stamp_s - 1.0)
+    return 2.0, 2.3, y - 0.25, y + 0.25, 0.0, 1.7
+
+
+def test_who_walks_past_stands_nowhere_and_what_stands_does() -> None:
+    found = layer()
+    bin_: Box = (2.6, 2.9, -0.9, -0.6, 0.0, 0.8)
+    for number in range(20):
+        stamp_s = 0.1 * number
+        found.update(depth_of([passer_by(stamp_s), bin_, WALL]), (0, 0, 0), stamp_s)
+        y = 0.8 * (stamp_s - 1.0)
+        assert is_occupied_at(found, 2.02, y)
+        assert not is_occupied_at(found, 2.02, y, is_standing=True)
+    assert is_occupied_at(found, 2.62, -0.75, is_standing=True)
+    assert is_occupied_at(found, 4.0, 1.0, is_standing=True)
+
+
+def test_who_stops_stands() -> None:
+    found = layer()
+    for number in range(20):
+        found.update(depth_of([passer_by(min(0.1 * number, 1.0)), WALL]), (0, 0, 0), 0.1 * number)
+    assert is_occupied_at(found, 2.02, 0.0, is_standing=True)
+
+
+@pytest.mark.parametrize("shows", ["a wall elsewhere", "nothing"])
+def test_who_walked_past_is_forgotten_by_a_camera_that_looks_elsewhere_and_not_by_one_that_is_covered(
+    shows: str,
+) -> None:
+    found, turned = layer(), (0.0, 0.0, np.pi)
+    for number in range(11):
+        found.update(depth_of([passer_by(0.1 * number), WALL]), (0, 0, 0), 0.1 * number)
+    image = depth_of([(-3.1, -3.0, -5.0, 5.0, 0.0, 3.0)], turned) if shows != "nothing" else np.zeros((120, 160))
+    left = []
+    for stamp_s in (3.9, 4.1):
+        found.update(image, turned, stamp_s)
+        left.append(is_occupied_at(found, 2.02, 0.0))
+    assert left == [True, shows == "nothing"]
+
+
+def test_what_stands_stays_so_while_the_robot_goes_on() -> None:
+    found = layer()
+    for stamp_s in (0.0, 0.8):
+        found.update(depth_of([AHEAD]), (0, 0, 0), stamp_s)
+    found.update(np.zeros((120, 160)), (0.7, 0.3, 0.4), 1.0)
+    assert is_occupied_at(found, 2.02, 0.0, is_standing=True)
+
+
 def test_a_ray_below_a_table_leaves_its_top() -> None:
     """At a height at which the camera sees its edge alone, and then only the floor below."""
     top: Box = (2.0, 2.8, -0.6, 0.6, 0.7, 0.75)
     found = layer()
-    found.update(depth_of([top, WALL]), (0, 0, 0), 0.0)
+    for stamp_s in (0.0, 0.9):
+        found.update(depth_of([top, WALL]), (0, 0, 0), stamp_s)
     assert is_occupied_at(found, 2.02, 0.0)
     below = depth_of([top, WALL])
     # The upper part is measured by nothing any more; what passes under the table is.
@@ -194,8 +245,10 @@ def test_compiled_and_plain_kernels_say_the_same(rng: np.random.Generator) -> No
     M[:2] *= 10
     M[:2, 3] += 30
     heights = kernels.Heights(0.1, 0.05, 0.1, 0.015, 0.1, 1.4, 4.5, 0.5, 4)
+    met = rng.choice([2.0, 5.0, 9.5], (60, 80))
     results = []
     for module in (kernels, plain(kernels)):
+        met_s = np.stack([met - 0.5, met + 0.1 * (met > 5)], axis=-1)
         seen, left = np.zeros((60, 80, 15), np.uint8), np.ones((60, 80, 15), np.uint8)
         is_own = np.zeros((60, 80), bool)
         is_own[28:32, 28:36] = True
@@ -203,12 +256,17 @@ def test_compiled_and_plain_kernels_say_the_same(rng: np.random.Generator) -> No
         module.mark_met(view, heights, is_own, seen)
         module.mark_passed(view, heights, kernels.Noise(0.001, 0.001, 3.0), seen)
         marked = seen.copy()
-        module.remember(seen, is_own, left, 3)
+        module.remember(seen, is_own, left, met_s, 10.0, kernels.Rules(3, 0.55, 3.0))
         assert not seen.any()
-        results.append((marked, left))
+        results.append((marked, left, met_s))
     for one, other in zip(*results, strict=True):
         np.testing.assert_array_equal(one, other)
     assert set(np.unique(results[0][1])) == {0, 1, 3}
+    # What was met long ago, and for a moment, is gone; what was met for a moment and lately is not.
+    marked, left, _ = results[0]
+    is_other = ~marked.any(axis=2) & ~is_own
+    assert not left[is_other & (met < 9)].any()
+    assert left[is_other & (met > 9)].all()
 
 
 def test_what_is_wiped_is_gone_until_it_is_seen_again() -> None:

@@ -33,7 +33,7 @@ def live_of(points: FloatArray) -> LiveObstacles:
     is_occupied = np.zeros((280, 280), bool)
     cells = np.floor((points[np.abs(points).max(axis=1) < 6.9] + 7.0) / CELL_M).astype(int)
     is_occupied[cells[:, 1], cells[:, 0]] = True
-    return LiveObstacles(is_occupied, CELL_M, (-7.0, -7.0), "odom", 1.0)
+    return LiveObstacles(is_occupied, CELL_M, (-7.0, -7.0), "odom", 1.0, is_occupied)
 
 
 def seen_from(points: FloatArray, T_map_odom: FloatArray) -> FloatArray:

@@ -19,7 +19,7 @@ def seen(*boxes: tuple[float, float, float, float]) -> Costmap:
     for left, right, bottom, top in boxes:
         columns, rows = (slice(round(20 * (a + 7)), round(20 * (b + 7))) for a, b in ((left, right), (bottom, top)))
         is_occupied[rows, columns] = True
-    return Costmap.of_live(LiveObstacles(is_occupied, 0.05, (-7.0, -7.0), "odom", 0.0), ROBOT)
+    return Costmap.of_live(LiveObstacles(is_occupied, 0.05, (-7.0, -7.0), "odom", 0.0, is_occupied), ROBOT)
 
 
 def found(costmap: Costmap, yaw: float = 0.0) -> OpenWay:

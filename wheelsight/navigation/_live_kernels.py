@@ -50,6 +50,14 @@ class Noise(NamedTuple):
     margin_sigmas: float
 
 
+class Rules(NamedTuple):
+    """When what was met is gone; see `LiveLayerSettings`."""
+
+    passes: int
+    standing_s: float
+    forget_s: float
+
+
 @kernel(error_model="numpy")
 def _end(view: View, v: int, u: int, z: float) -> Any:
     """Column, row and height of the point at a depth."""
@@ -138,16 +146,30 @@ def _pass(view: View, ray: Any, margin_m: float, heights: Heights, seen: Any) ->
 
 
 @kernel
-def remember(seen: Any, is_own: Any, left: Any, passes: int) -> None:
-    """Bring `left` (rows, columns, channels), how often each must yet be seen through, up to date; empty `seen`."""
+def remember(seen: Any, is_own: Any, left: Any, met_s: Any, stamp_s: float, rules: Rules) -> None:
+    """Bring `left` (rows, columns, channels), how often each must yet be seen through, up to date; empty `seen`.
+
+    `met_s` (rows, columns, 2) says when something was met in a cell first and last.
+    """
     rows, columns, channels = left.shape
     for i in range(rows):
         for j in range(columns):
+            is_met, is_left = False, False
             for channel in range(channels):
                 if is_own[i, j]:
                     left[i, j, channel] = 0
                 elif seen[i, j, channel] == MET:
-                    left[i, j, channel] = passes
+                    left[i, j, channel], is_met = rules.passes, True
                 elif seen[i, j, channel] == PASSED and left[i, j, channel] > 0:
                     left[i, j, channel] -= 1
+                is_left = is_left or left[i, j, channel] > 0
                 seen[i, j, channel] = 0
+            if is_met:
+                met_s[i, j, 1] = stamp_s
+                met_s[i, j, 0] = min(met_s[i, j, 0], stamp_s)
+            elif is_left and stamp_s - met_s[i, j, 1] > rules.forget_s:
+                if met_s[i, j, 1] - met_s[i, j, 0] < rules.standing_s:
+                    left[i, j, :] = 0
+                    is_left = False
+            if not is_left:
+                met_s[i, j, 0] = np.inf

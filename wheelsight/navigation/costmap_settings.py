@@ -77,6 +77,17 @@ class LiveLayerSettings(Settings):
         ge=1,
         le=20,
     )
+    standing_s: float = setting(
+        0.7,
+        "what was met in a cell for less time may be somebody who walks: plans lead on there, and controllers around; "
+        "his half a metre passes a cell in that time",
+        CHOSEN,
+        ge=0,
+        le=10,
+    )
+    forget_s: float = setting(
+        3.0, "time after which that is gone where no image looks at it any more; what stands stays", CHOSEN, ge=0, le=60
+    )
     margin_sigmas: float = setting(
         3.0,
         "standard deviations of depth, and a cell, before a ray's end within which it clears nothing",

@@ -28,6 +28,7 @@ class LiveObstacles:
         origin: x and y in metres of the corner of cell (0, 0).
         frame: in which its axes lie: `odom`, or `map`.
         stamp_s: of the newest image; None before the first.
+        is_standing: (N, N) those of them that were met for some time: nobody who walks past.
     """
 
     is_occupied: BoolArray
@@ -35,14 +36,19 @@ class LiveObstacles:
     origin: tuple[float, float]
     frame: str
     stamp_s: float | None
+    is_standing: BoolArray
+
+    def standing(self) -> LiveObstacles:
+        """Without what may be somebody who walks past."""
+        return replace(self, is_occupied=self.is_standing)
 
     def with_points(self, points: FloatArray) -> LiveObstacles:
-        """The same, and the cells of points (N, 2) in its frame."""
+        """The same, and the cells of points (N, 2) in its frame, where something stands."""
         at = np.floor((points - self.origin) / self.resolution_m).astype(np.int64)[:, ::-1]
         at = at[((at >= 0) & (at < self.is_occupied.shape)).all(axis=1)]
-        is_occupied = self.is_occupied.copy()
-        is_occupied[at[:, 0], at[:, 1]] = True
-        return replace(self, is_occupied=is_occupied)
+        is_occupied, is_standing = self.is_occupied.copy(), self.is_standing.copy()
+        is_occupied[at[:, 0], at[:, 1]] = is_standing[at[:, 0], at[:, 1]] = True
+        return replace(self, is_occupied=is_occupied, is_standing=is_standing)
 
 
 class LiveLayer:
@@ -50,7 +56,8 @@ class LiveLayer:
 
     A cell is occupied from the image on that shows something there. It is free as soon as some images saw through
     each layer in which there was something; what no image looks at stays as it was, until the robot is half the
-    layer's size away. Where the robot itself stands there is nothing else.
+    layer's size away; but what was met for a moment only is somebody who walks past, and is gone soon after. Where the
+    robot itself stands there is nothing else.
 
     Args:
         calibration: of the robot: its depth camera, and where that sits over the floor.
@@ -79,6 +86,7 @@ class LiveLayer:
         self._low: IntArray = np.zeros(2, np.int64)  # row and column of cell (0, 0), from the frame's origin
         self._left = np.zeros((side, side, layers + 1), np.uint8)
         self._seen = np.zeros_like(self._left)
+        self._met_s = np.full((side, side, 2), (np.inf, -np.inf))  # first and last
         self._stamp_s: float | None = None
         self._known: LiveObstacles | None = None  # as it was asked last
 
@@ -104,7 +112,10 @@ class LiveLayer:
         noise = kernels.Noise(self._noise.constant_m, self._noise.quadratic_per_m, self.settings.margin_sigmas)
         kernels.mark_met(view, heights, is_own, self._seen)
         kernels.mark_passed(view, heights, noise, self._seen)
-        kernels.remember(self._seen, is_own, self._left, self.settings.passes)
+        # A camera that shows nothing is no reason to forget.
+        forget_s = self.settings.forget_s if self._seen.any() else math.inf
+        rules = kernels.Rules(self.settings.passes, self.settings.standing_s, forget_s)
+        kernels.remember(self._seen, is_own, self._left, self._met_s, stamp_s, rules)
         self._stamp_s, self._known = stamp_s, None
 
     def obstacles(self) -> LiveObstacles:
@@ -112,7 +123,9 @@ class LiveLayer:
         if self._known is None:
             size_m = self.settings.resolution_m
             y, x = (size_m * self._low).tolist()
-            self._known = LiveObstacles(np.asarray(self._left.any(axis=2)), size_m, (x, y), self.frame, self._stamp_s)
+            is_left = np.asarray(self._left.any(axis=2))
+            is_standing = is_left & (self._met_s[..., 1] - self._met_s[..., 0] >= self.settings.standing_s)
+            self._known = LiveObstacles(is_left, size_m, (x, y), self.frame, self._stamp_s, is_standing)
         return self._known
 
     def clear(self) -> None:
@@ -136,12 +149,12 @@ class LiveLayer:
         low = np.floor(pose[1::-1] / self.settings.resolution_m).astype(np.int64) - side // 2
         if (low == self._low).all():
             return
-        moved = np.zeros_like(self._left)
+        moved, met_s = np.zeros_like(self._left), np.full_like(self._met_s, (np.inf, -np.inf))
         first, last = np.maximum(low, self._low), np.minimum(low, self._low) + side
         if (first < last).all():
             to, of = (tuple(slice(a, b) for a, b in zip(first - at, last - at, strict=True)) for at in (low, self._low))
-            moved[to] = self._left[of]
-        self._low, self._left = low, moved
+            moved[to], met_s[to] = self._left[of], self._met_s[of]
+        self._low, self._left, self._met_s = low, moved, met_s
 
     def _is_own(self, pose: FloatArray) -> BoolArray:
         """(N, N) cells that lie wholly under the robot."""

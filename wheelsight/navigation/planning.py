@@ -104,16 +104,15 @@ class Planning:
         blocked = self._blocked_at(plan, s.check_m)
         if blocked is None:
             return ""
-        if not self._senses.people(now_s):  # who walks will have gone
-            self._blocked = self._blocked.with_place(blocked[:2], now_s)
+        self._blocked = self._blocked.with_place(blocked[:2], now_s)
         return "something is in the way"
 
     def is_free(self, plan: Plan, reach_m: float) -> bool:
-        """Whether the robot passes so much of a plan, from where it is."""
+        """Whether nothing that stands is in the way on so much of a plan, from where the robot is."""
         return self._blocked_at(plan, reach_m) is None
 
     def _blocked_at(self, plan: Plan, reach_m: float) -> FloatArray | None:
-        local, state = self._senses.local(), self._senses.where.state
+        local, state = self._senses.local(is_standing=True), self._senses.where.state
         assert local is not None
         assert state is not None
         return self._planner.blocked_at(local, plan, state.pose, reach_m)

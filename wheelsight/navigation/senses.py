@@ -85,7 +85,7 @@ class Senses:
         self._matched_s, self.avoids_hidden = -math.inf, True
         self._people = PeopleTracker(settings.people, settings.live.far_m)
         self._views: deque[DepthView] = deque(maxlen=_VIEWS)
-        self._local: tuple[_Made, Costmap] | None = None
+        self._local: dict[bool, tuple[_Made, Costmap]] = {}
 
     @property
     def near_m(self) -> float:
@@ -195,8 +195,8 @@ class Senses:
         self._live.clear()
 
     def costmap_of(self, *, avoids_hidden: bool) -> Callable[[], Costmap]:
-        """What makes a costmap of all the building, as it is known now, in whichever thread."""
-        obstacles = self._obstacles(avoids_hidden=avoids_hidden)
+        """What makes a costmap of all the building, as it is known now, in whichever thread; without who walks past."""
+        obstacles = self._obstacles(avoids_hidden=avoids_hidden).standing()
         of = self._floor.layer, self._footprint, self._settings.costmap, obstacles, self.where.T_map_odom
         return lambda: Costmap.of(*of)
 
@@ -223,8 +223,11 @@ class Senses:
         found = self._floor.layer.state_at(se2.apply(T_map_odom, points))
         return np.asarray(points[found == state])
 
-    def local(self) -> Costmap | None:
-        """Of the floor about the robot; None while it is not known where that is. Made anew where it has changed."""
+    def local(self, *, is_standing: bool = False) -> Costmap | None:
+        """Of the floor about the robot; None while it is not known where that is. Made anew where it has changed.
+
+        `is_standing`: without who walks past.
+        """
         state = self.where.state
         if state is None:
             return None
@@ -234,14 +237,12 @@ class Senses:
         x, y = (round(float(at) / (side_m / 4)) for at in state.pose[:2])
         stamp_s = self._live.obstacles().stamp_s
         made = _Made(stamp_s, self.avoids_hidden, self._floor.revision, (x, y), tuple(T_map_odom.tolist()))
-        if self._local is None or self._local[0] != made:
+        known = self._local.get(is_standing)
+        if known is None or known[0] != made:
             window = layer.window((x * side_m / 4, y * side_m / 4), 1.5 * side_m)
             live = self._obstacles(avoids_hidden=self.avoids_hidden)
+            live = live.standing() if is_standing else live
             costmap = Costmap.of(window, self._footprint, self._settings.costmap, live, T_map_odom)
-            self._local = (
-                made,
-                costmap.standing_at(
-                    self._footprint.padded(self._settings.follow.margin_m + 2 * layer.resolution_m), state.pose
-                ),
-            )
-        return self._local[1]
+            outline = self._footprint.padded(self._settings.follow.margin_m + 2 * layer.resolution_m)
+            known = self._local[is_standing] = (made, costmap.standing_at(outline, state.pose))
+        return known[1]
