@@ -167,9 +167,9 @@ def remember(seen: Any, is_own: Any, left: Any, met_s: Any, stamp_s: float, rule
             if is_met:
                 met_s[i, j, 1] = stamp_s
                 met_s[i, j, 0] = min(met_s[i, j, 0], stamp_s)
-            elif is_left and stamp_s - met_s[i, j, 1] > rules.forget_s:
-                if met_s[i, j, 1] - met_s[i, j, 0] < rules.standing_s:
-                    left[i, j, :] = 0
-                    is_left = False
+            is_brief = met_s[i, j, 1] - met_s[i, j, 0] < rules.standing_s
+            if is_brief and stamp_s - met_s[i, j, 1] > rules.forget_s:
+                left[i, j, :] = 0
+                is_left = False
             if not is_left:
                 met_s[i, j, 0] = np.inf
