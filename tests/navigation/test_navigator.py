@@ -86,6 +86,29 @@ def somebody_at(x_m: float, y_m: float) -> tuple:
     return tuple(zip(corners, corners[1:] + corners[:1], strict=True))
 
 
+@pytest.mark.parametrize("stops", [False, True])
+def test_who_crosses_the_way_is_no_reason_for_another_plan_and_who_stops_in_it_is(stops: bool) -> None:
+    subject = ride(ROOM, mapped=ROOM)
+    subject.navigator.go_to_pose(GOAL)
+    nearest_m = np.inf
+
+    def walks() -> bool:
+        nonlocal nearest_m
+        y_m = 1.0 + 0.8 * subject.robot.now_s
+        y_m = min(y_m, 3.0) if stops else y_m
+        subject.robot.walls = Walls.of(*ROOM, *(somebody_at(4.0, y_m) if y_m < 5.5 else ()))
+        nearest_m = min(nearest_m, float(np.hypot(*(subject.robot.base.pose[:2] - (4.0, y_m)))))
+        return False
+
+    subject.go(90, until=walks)
+    result = not_none(subject.navigator.result)
+    assert result.has_arrived
+    assert subject.clearance_m > 0.02
+    assert nearest_m < 2.5
+    in_way = [one for one in result.transitions if one.why == "something is in the way"]
+    assert bool(in_way) is stops
+
+
 @pytest.mark.parametrize("leaves", [True, False])
 def test_who_stands_where_it_is_to_go_is_waited_for_once(leaves: bool) -> None:
     """If he leaves it goes there; if not, it has arrived beside, and says so."""
