@@ -121,6 +121,15 @@ def test_who_stands_where_it_is_to_go_is_waited_for_once(leaves: bool) -> None:
     assert not is_near(beside, goal, off_m=0.05)
     if leaves:
         subject.robot.walls = Walls.of(*ROOM)
+    yaws: list[float] = []
+
+    def looks() -> bool:
+        yaws.append(float(subject.robot.base.pose[2]))
+        return not subject.navigator.feedback.doing.startswith("wait until there is room")
+
+    subject.go(60, until=looks)
+    assert max(yaws) > beside[2] + 0.5
+    assert min(yaws) < beside[2] - 0.5
     subject.go(60)
     result = not_none(subject.navigator.result)
     assert result.has_arrived

@@ -146,6 +146,14 @@ def when_blocked(attempt: int, settings: BehaviourSettings) -> Behaviour:
     return ways[attempt % len(ways)]
 
 
+def beside_goal(settings: BehaviourSettings) -> Behaviour:
+    """What to do next to a goal that something stands on.
+
+    Who has left is seen to have left only where the camera looks, and it does not look at what is beside the robot.
+    """
+    return Series((Wait(settings.wait_s), _look(settings)), "wait until there is room at its goal")
+
+
 def when_unseen(attempt: int, settings: BehaviourSettings, *, was_backward: bool) -> Behaviour:
     """What to do where a part of the robot would go over floor that was never seen, and stays so however long it waits.
 

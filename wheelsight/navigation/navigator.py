@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.errors import WheelsightError
 from wheelsight.geometry import FloatArray
-from wheelsight.navigation.behaviours import Wait
+from wheelsight.navigation.behaviours import beside_goal
 from wheelsight.navigation.collision_monitor import MonitorReason, MonitorState
 from wheelsight.navigation.control_chain import ControlChain, controller_of
 from wheelsight.navigation.control_values import ControlReason, ControlResult
@@ -326,7 +326,7 @@ class Navigator:
         if self._planning.is_busy:
             return STOP
         if task.may_wait:
-            task.await_goal(Wait(self.settings.behaviours.wait_s, "wait until there is room at its goal"))
+            task.await_goal(beside_goal(self.settings.behaviours))
             self._become(NavigationState.RECOVERING, task.doing)
             return STOP
         task.reached()
