@@ -77,9 +77,9 @@ def test_a_ghost_is_gone_once_it_is_seen_through_and_not_before_its_passes() -> 
     assert is_occupied_at(found, 4.0, 1.0)
 
 
-def test_what_stands_and_is_not_looked_at_is_not_forgotten() -> None:
+def test_what_stood_and_is_not_looked_at_is_not_forgotten_soon() -> None:
     found = layer()
-    for stamp_s in (0.0, 0.9):
+    for stamp_s in (-6.0, 0.0):
         found.update(depth_of([AHEAD, WALL]), (0, 0, 0), stamp_s)
     turned = (0.0, 0.0, np.pi)
     for number in range(20):
@@ -99,20 +99,20 @@ def passer_by(stamp_s: float, walk_m_s: float = 0.8) -> Box:
 
 def test_who_walks_past_stands_nowhere_and_what_stands_does() -> None:
     found = layer()
-    bin_: Box = (2.6, 2.9, -0.9, -0.6, 0.0, 0.8)
-    for number in range(20):
+    bin_: Box = (2.6, 2.9, -1.2, -0.9, 0.0, 0.8)
+    for number in range(22):
         stamp_s = 0.1 * number
         found.update(depth_of([passer_by(stamp_s), bin_, WALL]), (0, 0, 0), stamp_s)
         y = 0.8 * (stamp_s - 1.0)
         assert is_occupied_at(found, 2.02, y)
         assert not is_occupied_at(found, 2.02, y, is_standing=True)
-    assert is_occupied_at(found, 2.62, -0.75, is_standing=True)
+    assert is_occupied_at(found, 2.62, -1.05, is_standing=True)
     assert is_occupied_at(found, 4.0, 1.0, is_standing=True)
 
 
 def test_who_stops_stands() -> None:
     found = layer()
-    for number in range(20):
+    for number in range(32):
         found.update(depth_of([passer_by(min(0.1 * number, 1.0)), WALL]), (0, 0, 0), 0.1 * number)
     assert is_occupied_at(found, 2.02, 0.0, is_standing=True)
 
@@ -126,7 +126,8 @@ def test_who_walked_past_is_forgotten_by_a_camera_that_looks_elsewhere_and_not_b
         found.update(depth_of([passer_by(0.1 * number), WALL]), (0, 0, 0), 0.1 * number)
     image = depth_of([(-3.1, -3.0, -5.0, 5.0, 0.0, 3.0)], turned) if shows != "nothing" else np.zeros((120, 160))
     left = []
-    for stamp_s in (3.9, 4.1):
+    # He was met there for 0.3 s at least, and for 0.6 at most.
+    for stamp_s in (6.9, 10.1):
         found.update(image, turned, stamp_s)
         left.append(is_occupied_at(found, 2.02, 0.0))
     assert left == [True, shows == "nothing"]
@@ -134,9 +135,21 @@ def test_who_walked_past_is_forgotten_by_a_camera_that_looks_elsewhere_and_not_b
 
 def test_what_stands_stays_so_while_the_robot_goes_on() -> None:
     found = layer()
-    for stamp_s in (0.0, 0.8):
+    for stamp_s in (0.0, 2.1):
         found.update(depth_of([AHEAD]), (0, 0, 0), stamp_s)
-    found.update(np.zeros((120, 160)), (0.7, 0.3, 0.4), 1.0)
+    found.update(np.zeros((120, 160)), (0.7, 0.3, 0.4), 2.5)
+    assert is_occupied_at(found, 2.02, 0.0, is_standing=True)
+
+
+def test_what_came_lately_is_cleared_and_what_has_stood_for_long_is_not() -> None:
+    found = layer()
+    for stamp_s in (0.0, 8.0, 11.0):
+        boxes = [AHEAD] if stamp_s < 5 else [AHEAD, (2.0, 2.2, 0.8, 1.0, 0.0, 1.7)]
+        found.update(depth_of(boxes), (0, 0, 0), stamp_s)
+    found.clear(stood_s=10.0)
+    assert is_occupied_at(found, 2.02, 0.0)
+    assert not is_occupied_at(found, 2.02, 0.9)
+    found.update(np.zeros((120, 160)), (0, 0, 0), 11.1)
     assert is_occupied_at(found, 2.02, 0.0, is_standing=True)
 
 
@@ -144,7 +157,7 @@ def test_a_ray_below_a_table_leaves_its_top() -> None:
     """At a height at which the camera sees its edge alone, and then only the floor below."""
     top: Box = (2.0, 2.8, -0.6, 0.6, 0.7, 0.75)
     found = layer()
-    for stamp_s in (0.0, 0.9):
+    for stamp_s in (-2.0, 0.0):
         found.update(depth_of([top, WALL]), (0, 0, 0), stamp_s)
     assert is_occupied_at(found, 2.02, 0.0)
     below = depth_of([top, WALL])
@@ -245,10 +258,10 @@ def test_compiled_and_plain_kernels_say_the_same(rng: np.random.Generator) -> No
     M[:2] *= 10
     M[:2, 3] += 30
     heights = kernels.Heights(0.1, 0.05, 0.1, 0.015, 0.1, 1.4, 4.5, 0.5, 4)
-    met = rng.choice([2.0, 5.0, 9.5], (60, 80))
+    met, met_for = rng.choice([2.0, 9.5], (60, 80)), rng.choice([0.5, 7.5], (60, 80))
     results = []
     for module in (kernels, plain(kernels)):
-        met_s = np.stack([met - 0.5, met + 0.1 * (met > 5)], axis=-1)
+        met_s = np.stack([met - met_for, met], axis=-1)
         seen, left = np.zeros((60, 80, 15), np.uint8), np.ones((60, 80, 15), np.uint8)
         is_own = np.zeros((60, 80), bool)
         is_own[28:32, 28:36] = True
@@ -256,17 +269,18 @@ def test_compiled_and_plain_kernels_say_the_same(rng: np.random.Generator) -> No
         module.mark_met(view, heights, is_own, seen)
         module.mark_passed(view, heights, kernels.Noise(0.001, 0.001, 3.0), seen)
         marked = seen.copy()
-        module.remember(seen, is_own, left, met_s, 10.0, kernels.Rules(3, 0.55, 3.0))
+        module.remember(seen, is_own, left, met_s, 10.0, kernels.Rules(3, 1.0, 1.0))
         assert not seen.any()
         results.append((marked, left, met_s))
     for one, other in zip(*results, strict=True):
         np.testing.assert_array_equal(one, other)
     assert set(np.unique(results[0][1])) == {0, 1, 3}
-    # What was met long ago, and for a moment, is gone; what was met for a moment and lately is not.
+    # What was met for a moment is gone sooner than what was met for longer, and not at once.
     marked, left, _ = results[0]
     is_other = ~marked.any(axis=2) & ~is_own
-    assert not left[is_other & (met < 9)].any()
-    assert left[is_other & (met > 9)].all()
+    is_gone = (met < 9) & (met_for < 1)
+    assert not left[is_other & is_gone].any()
+    assert left[is_other & ~is_gone].all()
 
 
 def test_what_is_wiped_is_gone_until_it_is_seen_again() -> None:

@@ -54,8 +54,8 @@ class Rules(NamedTuple):
     """When what was met is gone; see `LiveLayerSettings`."""
 
     passes: int
-    standing_s: float
     forget_s: float
+    stays: float
 
 
 @kernel(error_model="numpy")
@@ -167,8 +167,7 @@ def remember(seen: Any, is_own: Any, left: Any, met_s: Any, stamp_s: float, rule
             if is_met:
                 met_s[i, j, 1] = stamp_s
                 met_s[i, j, 0] = min(met_s[i, j, 0], stamp_s)
-            is_brief = met_s[i, j, 1] - met_s[i, j, 0] < rules.standing_s
-            if is_brief and stamp_s - met_s[i, j, 1] > rules.forget_s:
+            if is_left and stamp_s - met_s[i, j, 1] > rules.forget_s + rules.stays * (met_s[i, j, 1] - met_s[i, j, 0]):
                 left[i, j, :] = 0
                 is_left = False
             if not is_left:

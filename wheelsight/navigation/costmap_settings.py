@@ -78,15 +78,30 @@ class LiveLayerSettings(Settings):
         le=20,
     )
     standing_s: float = setting(
-        0.7,
-        "what was met in a cell for less time may be somebody who walks: plans lead on there, and controllers around; "
-        "his half a metre passes a cell in that time",
+        2.0,
+        "what was met in a cell for less time may be somebody who walks by or is about to: plans lead on there, and "
+        "controllers go round or wait, for less than a way round takes; who crosses a way is on it for 1.5 s",
         CHOSEN,
         ge=0,
         le=10,
     )
     forget_s: float = setting(
-        3.0, "time after which that is gone where no image looks at it any more; what stands stays", CHOSEN, ge=0, le=60
+        3.0, "where no image looks, what was met for a moment is gone after this time", CHOSEN, ge=0, le=60
+    )
+    stays: float = setting(
+        10.0,
+        "and what was met for longer, after so many times as long besides: who stood for 3 s, after half a minute",
+        CHOSEN,
+        ge=0,
+        le=1000,
+    )
+    settled_s: float = setting(
+        10.0,
+        "what has stood for so long is nobody who walks: it is not forgotten after a behaviour, as all else is, so "
+        "that who has gone does not stay",
+        CHOSEN,
+        ge=0,
+        le=600,
     )
     margin_sigmas: float = setting(
         3.0,

@@ -56,8 +56,8 @@ class LiveLayer:
 
     A cell is occupied from the image on that shows something there. It is free as soon as some images saw through
     each layer in which there was something; what no image looks at stays as it was, until the robot is half the
-    layer's size away; but what was met for a moment only is somebody who walks past, and is gone soon after. Where the
-    robot itself stands there is nothing else.
+    layer's size away; but the shorter it was met the sooner it is gone: it may be somebody who walks. Where the robot
+    itself stands there is nothing else.
 
     Args:
         calibration: of the robot: its depth camera, and where that sits over the floor.
@@ -114,7 +114,7 @@ class LiveLayer:
         kernels.mark_passed(view, heights, noise, self._seen)
         # A camera that shows nothing is no reason to forget.
         forget_s = self.settings.forget_s if self._seen.any() else math.inf
-        rules = kernels.Rules(self.settings.passes, self.settings.standing_s, forget_s)
+        rules = kernels.Rules(self.settings.passes, forget_s, self.settings.stays)
         kernels.remember(self._seen, is_own, self._left, self._met_s, stamp_s, rules)
         self._stamp_s, self._known = stamp_s, None
 
@@ -124,13 +124,13 @@ class LiveLayer:
             size_m = self.settings.resolution_m
             y, x = (size_m * self._low).tolist()
             is_left = np.asarray(self._left.any(axis=2))
-            is_standing = is_left & (self._met_s[..., 1] - self._met_s[..., 0] >= self.settings.standing_s)
+            is_standing = is_left & self._has_stood(self.settings.standing_s)
             self._known = LiveObstacles(is_left, size_m, (x, y), self.frame, self._stamp_s, is_standing)
         return self._known
 
-    def clear(self) -> None:
-        """Forget all, as a person may ask for."""
-        self._left[:] = 0
+    def clear(self, stood_s: float = math.inf) -> None:
+        """Forget what has stood for less time; all, as a person may ask for."""
+        self._left[~self._has_stood(stood_s)] = 0
         self._known = None
 
     def wipe(self, ends: ArrayLike, radius_m: float) -> None:
@@ -142,6 +142,10 @@ class LiveLayer:
         near = cells[np.hypot(*(places - a - share[:, None] * (b - a)).T) <= radius_m]
         self._left[near[:, 0], near[:, 1]] = 0
         self._known = None
+
+    def _has_stood(self, seconds: float) -> BoolArray:
+        """(N, N)"""
+        return np.asarray(self._met_s[..., 1] - self._met_s[..., 0] >= seconds)
 
     def _move_to(self, pose: FloatArray) -> None:
         """Keep what is near a pose, by whole cells."""

@@ -191,8 +191,8 @@ class Senses:
         return open_way(costmap, self._outline, pose, s.drivable.wanted_margin_m)
 
     def clear(self) -> None:
-        """Forget what stands about the robot; what is there is seen again."""
-        self._live.clear()
+        """Forget what came to stand about the robot lately; what is there is seen again."""
+        self._live.clear(self._settings.live.settled_s)
 
     def costmap_of(self, *, avoids_hidden: bool) -> Callable[[], Costmap]:
         """What makes a costmap of all the building, as it is known now, in whichever thread; without who walks past."""
