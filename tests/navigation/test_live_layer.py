@@ -100,11 +100,11 @@ def passer_by(stamp_s: float, walk_m_s: float = 0.8) -> Box:
 def test_who_walks_past_stands_nowhere_and_what_stands_does() -> None:
     found = layer()
     bin_: Box = (2.6, 2.9, -1.2, -0.9, 0.0, 0.8)
-    for number in range(22):
+    for number in range(32):
         stamp_s = 0.1 * number
         found.update(depth_of([passer_by(stamp_s), bin_, WALL]), (0, 0, 0), stamp_s)
         y = 0.8 * (stamp_s - 1.0)
-        assert is_occupied_at(found, 2.02, y)
+        assert is_occupied_at(found, 2.02, y) or y > 0.9
         assert not is_occupied_at(found, 2.02, y, is_standing=True)
     assert is_occupied_at(found, 2.62, -1.05, is_standing=True)
     assert is_occupied_at(found, 4.0, 1.0, is_standing=True)
