@@ -144,7 +144,7 @@ class LiveLayer:
         self._known = None
 
     def _has_stood(self, seconds: float) -> BoolArray:
-        """(N, N)"""
+        """(N, N) whether what was met in a cell was so over such a time."""
         return np.asarray(self._met_s[..., 1] - self._met_s[..., 0] >= seconds)
 
     def _move_to(self, pose: FloatArray) -> None:
