@@ -79,8 +79,8 @@ class LiveLayerSettings(Settings):
     )
     standing_s: float = setting(
         2.0,
-        "what was met in a cell for less time may be somebody who walks by or is about to: plans lead on there, and "
-        "controllers go round or wait, for less than a way round takes; who crosses a way is on it for 1.5 s",
+        "what was met in a cell first less long ago may be somebody who walks by: plans lead on there, and controllers "
+        "go round or wait, for less than a way round takes; who crosses a way is on it for 1.5 s",
         CHOSEN,
         ge=0,
         le=10,

@@ -28,7 +28,7 @@ class LiveObstacles:
         origin: x and y in metres of the corner of cell (0, 0).
         frame: in which its axes lie: `odom`, or `map`.
         stamp_s: of the newest image; None before the first.
-        is_standing: (N, N) those of them that were met for some time: nobody who walks past.
+        is_standing: (N, N) those of them that were met some time ago, and not seen through since.
     """
 
     is_occupied: BoolArray
@@ -87,7 +87,7 @@ class LiveLayer:
         self._left = np.zeros((side, side, layers + 1), np.uint8)
         self._seen = np.zeros_like(self._left)
         self._met_s = np.full((side, side, 2), (np.inf, -np.inf))  # first and last
-        self._stamp_s: float | None = None
+        self._newest_s = -math.inf
         self._known: LiveObstacles | None = None  # as it was asked last
 
     def update(self, depth_m: ArrayLike, pose: ArrayLike, stamp_s: float) -> None:
@@ -116,7 +116,7 @@ class LiveLayer:
         forget_s = self.settings.forget_s if self._seen.any() else math.inf
         rules = kernels.Rules(self.settings.passes, forget_s, self.settings.stays)
         kernels.remember(self._seen, is_own, self._left, self._met_s, stamp_s, rules)
-        self._stamp_s, self._known = stamp_s, None
+        self._newest_s, self._known = stamp_s, None
 
     def obstacles(self) -> LiveObstacles:
         """What is there by now."""
@@ -124,13 +124,14 @@ class LiveLayer:
             size_m = self.settings.resolution_m
             y, x = (size_m * self._low).tolist()
             is_left = np.asarray(self._left.any(axis=2))
-            is_standing = is_left & self._has_stood(self.settings.standing_s)
-            self._known = LiveObstacles(is_left, size_m, (x, y), self.frame, self._stamp_s, is_standing)
+            is_standing = is_left & (self._newest_s - self._met_s[..., 0] >= self.settings.standing_s)
+            stamp_s = self._newest_s if math.isfinite(self._newest_s) else None
+            self._known = LiveObstacles(is_left, size_m, (x, y), self.frame, stamp_s, is_standing)
         return self._known
 
     def clear(self, stood_s: float = math.inf) -> None:
         """Forget what has stood for less time; all, as a person may ask for."""
-        self._left[~self._has_stood(stood_s)] = 0
+        self._left[~(self._met_s[..., 1] - self._met_s[..., 0] >= stood_s)] = 0
         self._known = None
 
     def wipe(self, ends: ArrayLike, radius_m: float) -> None:
@@ -142,10 +143,6 @@ class LiveLayer:
         near = cells[np.hypot(*(places - a - share[:, None] * (b - a)).T) <= radius_m]
         self._left[near[:, 0], near[:, 1]] = 0
         self._known = None
-
-    def _has_stood(self, seconds: float) -> BoolArray:
-        """(N, N) whether what was met in a cell was so over such a time."""
-        return np.asarray(self._met_s[..., 1] - self._met_s[..., 0] >= seconds)
 
     def _move_to(self, pose: FloatArray) -> None:
         """Keep what is near a pose, by whole cells."""
