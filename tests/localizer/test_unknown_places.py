@@ -45,6 +45,28 @@ def test_after_an_elevator_the_place_is_doubtful(monkeypatch: pytest.MonkeyPatch
     assert all(1.0 < off_m(answer, moved.truth) < 3 * spread_m(answer) for answer in after)
 
 
+def test_a_view_taken_for_a_known_one_that_contradicts_the_wheels_ends_no_doubt(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Carried aside in the dark; some frames are of an unknown place, and then it is taken for the one before."""
+
+    def sight(seconds: float) -> Sight:
+        if 4.0 <= seconds < 5.5:
+            return Sight(blind=Reason.TOO_LITTLE_DEPTH)
+        if 5.5 <= seconds < 5.7:
+            return Sight(place=1)
+        if seconds < 4.0:
+            return Sight()
+        # What is seen wrongly adds up: a metre at first, and the same from then on.
+        return Sight(wrong=(0.6 if seconds < 5.75 else 1e-9, 0.0, 0.0))
+
+    moved = pushed(drive(STOPS, sight), 4.5, 1.5)
+    after = [answer for answer in said(monkeypatch, moved) if answer.stamp_s > moved.begin_s + 5.51]
+    assert len(after) > 60
+    assert all(answer.doubtful and answer.status is Status.COASTING for answer in after)
+    assert all(0.5 < off_m(answer, moved.truth) < 3 * spread_m(answer) for answer in after)
+
+
 def test_who_steps_before_a_robot_that_stands_hides_the_place_only_so_long(monkeypatch: pytest.MonkeyPatch) -> None:
     made = drive(STOPS, lambda seconds: Sight(place=int(5.5 <= seconds < 6.5)))
     eye = made.eye()

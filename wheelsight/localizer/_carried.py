@@ -43,6 +43,14 @@ class Carried:
         """See the class."""
         return self._from is not None
 
+    @property
+    def is_suspected(self) -> bool:
+        """Whether the view became another, and the camera has not begun again yet.
+
+        A view that is taken for a known one, and contradicts the wheels, speaks for it: rooms look alike.
+        """
+        return self.is_so and not self._is_scattered
+
     def roll(self, stamp_s: float, T_odom_base: FloatArray) -> None:
         """Take where the wheels alone have the base (4, 4) at a reading."""
         if self._stands is not None and stamp_s >= self._stands[0]:
@@ -92,7 +100,7 @@ class Carried:
 
     def waits(self, T_last_now: FloatArray | None) -> bool:
         """Whether what hides the known view may go away: the wheels (4, 4) have not moved the camera from it yet."""
-        return self.is_so and not self._is_scattered and _is_within(self._settings.same_view_m, T_last_now)
+        return self.is_suspected and _is_within(self._settings.same_view_m, T_last_now)
 
     def scatter(self, T_odom_base: FloatArray, covariance: FloatArray) -> FloatArray:
         """The covariance (6, 6) of a pose from which the camera starts again, by all that may have happened."""
@@ -104,7 +112,7 @@ class Carried:
         T, C = answer.T_odom_body, answer.covariance
         if self._from is None or T is None or C is None:
             return answer
-        if not self._is_scattered:
+        if self.is_suspected:
             C = C + self._spread(T)
         elif C[5, 5] < self._settings.known_turn_rad**2:
             self._from, self._is_scattered, self._is_apart = None, False, False

@@ -253,7 +253,10 @@ class ByFusion:
         update = self.filter.update_frame(
             frame.stamp_s, motion, here.covariance, is_far=is_far(motion, self._settings.anchor_way_m)
         )
-        answer, self._camera.unknown = update.answer, 0
+        answer = update.answer
+        if not update.is_believed and self._carried.is_suspected and answer.covariance is not None:
+            return self._again(frame, seen, answer)
+        self._camera.unknown = 0
         self._carried.known(frame.stamp_s)
         if update.is_believed and answer.T_odom_body is not None and answer.status is Status.TRACKING:
             self._map.believe(frame.stamp_s, seen.T_odom_body, update.T_odom_base)
