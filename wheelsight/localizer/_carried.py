@@ -36,7 +36,7 @@ class Carried:
         self._stands: tuple[float, FloatArray] | None = None  # since when the wheels stand, and where
         self._stood_s = 0.0  # for how long they had stood at the last known view
         self._from: FloatArray | None = None  # x, y where the wheels had it
-        self._is_scattered = self._is_apart = False
+        self._was_dark = self._is_scattered = self._is_apart = False
 
     @property
     def is_so(self) -> bool:
@@ -45,11 +45,17 @@ class Carried:
 
     @property
     def is_suspected(self) -> bool:
-        """Whether the view became another, and the camera has not begun again yet.
-
-        A view that is taken for a known one, and contradicts the wheels, speaks for it: rooms look alike.
-        """
+        """Whether the view became another, and the camera has not begun again yet."""
         return self.is_so and not self._is_scattered
+
+    @property
+    def is_by_dark(self) -> bool:
+        """Whether it did so in the dark.
+
+        A view that is taken for a known one then, and contradicts the wheels, speaks for it: rooms look alike. Beside a
+        robot that stood in the light it is as likely somebody who walks past.
+        """
+        return self.is_suspected and self._was_dark
 
     def roll(self, stamp_s: float, T_odom_base: FloatArray) -> None:
         """Take where the wheels alone have the base (4, 4) at a reading."""
@@ -80,6 +86,7 @@ class Carried:
         if not _is_within(of.recognised_m if was_dark else of.same_view_m, T_last_now):
             return
         self._away_s, self._up_m = dark_s + stood_s, of.floor_m if stood_s else 0.0
+        self._was_dark = was_dark
         self._from = T_odom_base[:2, 3].copy()
 
     def known(self, stamp_s: float) -> None:

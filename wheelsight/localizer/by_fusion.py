@@ -254,7 +254,7 @@ class ByFusion:
             frame.stamp_s, motion, here.covariance, is_far=is_far(motion, self._settings.anchor_way_m)
         )
         answer = update.answer
-        if not update.is_believed and self._carried.is_suspected and answer.covariance is not None:
+        if not update.is_believed and self._carried.is_by_dark and answer.covariance is not None:
             return self._again(frame, seen, answer)
         self._camera.unknown = 0
         self._carried.known(frame.stamp_s)
