@@ -196,7 +196,8 @@ class Senses:
 
     def costmap_of(self, *, avoids_hidden: bool) -> Callable[[], Costmap]:
         """What makes a costmap of all the building, as it is known now, in whichever thread; without who walks past."""
-        obstacles = self._standing(self._obstacles(avoids_hidden=avoids_hidden))
+        obstacles = self._obstacles(avoids_hidden=avoids_hidden)
+        obstacles = obstacles.standing() if self._floor.is_fixed else obstacles
         of = self._floor.layer, self._footprint, self._settings.costmap, obstacles, self.where.T_map_odom
         return lambda: Costmap.of(*of)
 
@@ -215,10 +216,6 @@ class Senses:
                 refused.append(self._hidden(T_odom_base, s.hidden_deep_m, CellState.UNKNOWN))
         return live.with_points(np.concatenate(refused))
 
-    def _standing(self, live: LiveObstacles) -> LiveObstacles:
-        """Without who may only walk by; where the map grows all is new, and most of it stands."""
-        return live.standing() if self._floor.is_fixed else live
-
     def _hidden(self, T_odom_base: FloatArray, deep_m: float, state: CellState) -> FloatArray:
         """(N, 2) in `odom`, floor so deep in what no camera has looked at, of which the map has that state."""
         hidden = self._monitor.hidden(self._footprint.circumscribed_m + self._settings.navigator.hidden_m, deep_m)
@@ -230,8 +227,9 @@ class Senses:
     def local(self, *, is_standing: bool = False) -> Costmap | None:
         """Of the floor about the robot; None while it is not known where that is. Made anew where it has changed.
 
-        `is_standing`: without who walks past.
+        `is_standing`: without who walks past. Where the map grows all is new, most of it stands: nothing is left out.
         """
+        is_standing = is_standing and self._floor.is_fixed
         state = self.where.state
         if state is None:
             return None
@@ -245,7 +243,7 @@ class Senses:
         if known is None or known[0] != made:
             window = layer.window((x * side_m / 4, y * side_m / 4), 1.5 * side_m)
             live = self._obstacles(avoids_hidden=self.avoids_hidden)
-            live = self._standing(live) if is_standing else live
+            live = live.standing() if is_standing else live
             costmap = Costmap.of(window, self._footprint, self._settings.costmap, live, T_map_odom)
             outline = self._footprint.padded(self._settings.follow.margin_m + 2 * layer.resolution_m)
             known = self._local[is_standing] = (made, costmap.standing_at(outline, state.pose))
