@@ -19,7 +19,6 @@ class Memory(NamedTuple):
         looked_s: (n, n) when a camera last saw its floor, or through the air over it; likewise.
         hit_s: (n, n) when a thing was last seen in it; minus infinity: none is there.
         hits: (n, n, 4) where the thing is, how near to a camera it would show, and the way driven until then, metres.
-        is_told: (n, n) 1 where somebody was told that no camera has looked there.
         cell_m: side of a cell.
     """
 
@@ -28,7 +27,6 @@ class Memory(NamedTuple):
     looked_s: FloatArray
     hit_s: FloatArray
     hits: FloatArray
-    is_told: ByteArray
     cell_m: float
 
 
@@ -67,7 +65,6 @@ def slot(memory: Memory, i: int, j: int) -> Any:
         memory.seen_s[a, b] = -np.inf
         memory.looked_s[a, b] = -np.inf
         memory.hit_s[a, b] = -np.inf
-        memory.is_told[a, b] = 0
     return a, b
 
 
@@ -186,17 +183,3 @@ def unseen(memory: Memory, first: Any, since_s: float, out: ByteArray) -> None:
             out[i, j, 0] = 1 if memory.seen_s[a, b] == -np.inf else 0
             out[i, j, 1] = 1 if memory.seen_s[a, b] < since_s else 0
             out[i, j, 2] = 1 if memory.looked_s[a, b] == -np.inf else 0
-
-
-@kernel
-def tell(memory: Memory, first: Any, middle: Any, reach_m: float, is_hidden: ByteArray) -> None:
-    """Of hidden cells (m, m) from the first (i, j) on, leave those within reach of a middle, or told of before."""
-    for i in range(len(is_hidden)):
-        for j in range(len(is_hidden)):
-            if is_hidden[i, j] == 0:
-                continue
-            a, b = slot(memory, first[0] + i, first[1] + j)
-            x, y = (first[0] + i + 0.5) * memory.cell_m - middle[0], (first[1] + j + 0.5) * memory.cell_m - middle[1]
-            if x * x + y * y < reach_m * reach_m:
-                memory.is_told[a, b] = 1
-            is_hidden[i, j] = memory.is_told[a, b]

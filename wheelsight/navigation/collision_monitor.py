@@ -137,8 +137,7 @@ class CollisionMonitor:
             self._frame_s, self._blind_way_m = view.stamp_s, 0.0
 
     def hidden(self, reach_m: float, deep_m: float) -> FloatArray:
-        """(N, 2) in the base: floor that lies deeper than so in what no camera has looked at, within reach now or when
-        this was asked before.
+        """(N, 2) in the base: floor within reach that lies deeper than so in what no camera has looked at.
 
         Corners lead the view in a turn, so that it cannot all be forbidden; whoever leads does well to keep away.
         """

@@ -35,6 +35,7 @@ class DepthViewer:
     Attributes:
         near_m: from the axle, the nearest floor that the camera sees at all its bearings.
         half_rad: to either side, how far all its rows see.
+        camera: x and y of it in `base`.
 
     Raises:
         CalibrationError: there is no camera.
@@ -57,6 +58,7 @@ class DepthViewer:
         self._first_rad, self._step_rad, columns = _bearings(ways, self._count)
         self.half_rad: float = self._step_rad * self._count / 2
         where = np.ascontiguousarray(T_base_camera[:3, 3])
+        self.camera: tuple[float, float] = (float(where[0]), float(where[1]))
         self._rays = kernels.Rays(np.ascontiguousarray(ways, np.float32), columns, where)
         self._near_m = _near_floor_m(ways, columns, float(where[2]))
         self.near_m = self._near_m + float(np.hypot(*where[:2]))
@@ -84,9 +86,8 @@ class DepthViewer:
         thing_m = np.full(self._count, np.inf)
         kernels.reach(depth, self._rays, self._heights, shown, is_thing, thing_m)
         seen_m = self._seen_m(shown, thing_m)
-        camera = float(self._rays.camera[0]), float(self._rays.camera[1])
         return DepthView(
-            stamp_s, points, camera, self._first_rad, self._step_rad, seen_m, self._near_m, self._shows_m(tops_m)
+            stamp_s, points, self.camera, self._first_rad, self._step_rad, seen_m, self._near_m, self._shows_m(tops_m)
         )
 
     def _things(self, shown: kernels.Shown) -> tuple[BoolArray, FloatArray, FloatArray]:

@@ -75,8 +75,8 @@ class NavigatorSettings(Settings):
     )
     hidden_m: float = setting(
         0.3,
-        "beyond the circle that its corners go, floor that neither map nor camera knows is an obstacle, where unknown "
-        "floor is costly, until no way on is found: what is farther off is looked at on the way there",
+        "beyond the circle that its corners go, floor that neither map nor camera knows is an obstacle to controllers, "
+        "where unknown floor is costly, until no way on is found: what is farther off is looked at on the way there",
         CHOSEN,
         ge=0,
         le=2,

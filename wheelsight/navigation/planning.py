@@ -8,11 +8,13 @@ import numpy as np
 
 from wheelsight.geometry import FloatArray, se2
 from wheelsight.navigation.blocked_ways import BlockedWays
+from wheelsight.navigation.cautious_planner import CautiousPlanner
+from wheelsight.navigation.costmap import Costmap
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.goals import Goals
 from wheelsight.navigation.navigator_settings import NavigationSettings
 from wheelsight.navigation.plan_values import Plan, PlanFailure
-from wheelsight.navigation.route_planner import RoutePlanner
+from wheelsight.navigation.plan_view import PlanView
 from wheelsight.navigation.senses import Senses
 from wheelsight.navigation.workers import Worker, WorkerInStep
 
@@ -24,8 +26,8 @@ class Planned:
     Attributes:
         found: a plan, or why there is none; None where no goal is left.
         T_map_odom: (3,) of when it was asked for.
-        passes_hidden: whether it leads over floor beside the robot that no camera has looked at, since none leads to
-            that goal past it.
+        passes_hidden: whether it leads over floor that no camera will have looked at by then, since none leads to that
+            goal past it.
     """
 
     found: Plan | PlanFailure | None
@@ -46,7 +48,7 @@ class Planning:
         self, senses: Senses, footprint: Footprint, settings: NavigationSettings, worker: Worker[Planned] | None
     ) -> None:
         self._senses, self._settings = senses, settings
-        self._planner = RoutePlanner(footprint, settings)
+        self._planner = CautiousPlanner(footprint, settings, PlanView(footprint, senses.eye))
         self._worker: Worker[Planned] = worker or WorkerInStep(settings.navigator.planning_s)
         self._blocked = BlockedWays(settings.blocked)
 
@@ -64,21 +66,18 @@ class Planning:
         """For a plan from where the robot is now, which is known; one that was asked for before is wanted no more."""
         where = self._senses.where
         assert where.state is not None
-        pose, T_map_odom, avoids = where.state.pose, where.T_map_odom, self._senses.avoids_hidden
-        blocked = self._blocked
-        first, plain = (self._senses.costmap_of(avoids_hidden=is_first and avoids) for is_first in (True, False))
+        pose, blocked, floor = where.state.pose, self._blocked, self._senses.floor_now()
+        hidden = floor.hidden if self._senses.avoids_hidden else floor.hidden[:0]
+
+        def costmap_with(avoided: FloatArray) -> Costmap:
+            return blocked.on(floor.costmap(avoided), now_s)
 
         def plan() -> Planned:
-            costmap = blocked.on(first(), now_s)
-            ahead = goals.upcoming(pose, costmap)
+            ahead = goals.upcoming(pose, costmap_with(hidden[:0, :2]))
             if not ahead:
-                return Planned(None, T_map_odom)
-            found = self._planner.plan(costmap, pose, ahead)
-            if avoids and (isinstance(found, PlanFailure) or found.goal_change):
-                other = self._planner.plan(blocked.on(plain(), now_s), pose, ahead)
-                if isinstance(other, Plan) and (isinstance(found, PlanFailure) or not other.goal_change):
-                    return Planned(other, T_map_odom, passes_hidden=True)
-            return Planned(found, T_map_odom)
+                return Planned(None, floor.T_map_odom)
+            made = self._planner.plan(costmap_with, hidden, pose, ahead)
+            return Planned(made.found, floor.T_map_odom, made.is_blind)
 
         self._worker.ask(plan, now_s)
 
@@ -102,17 +101,28 @@ class Planning:
         if np.hypot(x, y) > s.jump_m or abs(turn) > s.jump_rad:
             return "the map has moved below it"
         blocked = self._blocked_at(plan, s.check_m)
-        if blocked is None:
-            return ""
-        self._blocked = self._blocked.with_place(blocked[:2], now_s)
-        return "something is in the way"
+        if blocked is not None:
+            self._blocked = self._blocked.with_place(blocked[:2], now_s)
+            return "something is in the way"
+        return "its camera will not have looked at the floor there" if self._is_blind(plan, s.check_m) else ""
 
     def is_free(self, plan: Plan, reach_m: float) -> bool:
         """Whether nothing that stands is in the way on so much of a plan, from where the robot is."""
-        return self._blocked_at(plan, reach_m) is None
+        return self._blocked_at(plan, reach_m) is None and not self._is_blind(plan, reach_m)
 
     def _blocked_at(self, plan: Plan, reach_m: float) -> FloatArray | None:
-        local, state = self._senses.local(is_standing=True), self._senses.where.state
+        local, pose = self._here()
+        return self._planner.route.blocked_at(local, plan, pose, reach_m)
+
+    def _is_blind(self, plan: Plan, reach_m: float) -> bool:
+        if not self._senses.avoids_hidden:
+            return False
+        local, pose = self._here()
+        return self._planner.blind_at(local, self._senses.hidden(), plan, pose, reach_m) is not None
+
+    def _here(self) -> tuple[Costmap, FloatArray]:
+        """What stands about the robot, and where that is (3,)."""
+        local, state = self._senses.local(for_plans=True), self._senses.where.state
         assert local is not None
         assert state is not None
-        return self._planner.blocked_at(local, plan, state.pose, reach_m)
+        return local, state.pose

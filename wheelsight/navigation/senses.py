@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -20,6 +20,7 @@ from wheelsight.navigation.collision_monitor import CollisionMonitor
 from wheelsight.navigation.costmap import CellState, Costmap
 from wheelsight.navigation.depth_viewer import DepthViewer
 from wheelsight.navigation.fields import outline_of
+from wheelsight.navigation.floor_now import FloorNow
 from wheelsight.navigation.floors import Floor
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.live_layer import LiveLayer, LiveObstacles
@@ -29,6 +30,7 @@ from wheelsight.navigation.map_match import MapMatch
 from wheelsight.navigation.navigator_settings import NavigationSettings
 from wheelsight.navigation.open_way import OpenWay, open_way
 from wheelsight.navigation.people import PeopleTracker, Person
+from wheelsight.navigation.plan_view import Eye
 from wheelsight.navigation.surroundings import DepthView
 
 # Views that wait for the localization to say where they were taken: two seconds of a Kinect's.
@@ -96,6 +98,12 @@ class Senses:
     def half_view_rad(self) -> float:
         """To either side, how far the camera sees."""
         return self._viewer.half_rad
+
+    @property
+    def eye(self) -> Eye:
+        """Its camera, as it looks over floor on the way."""
+        x, y = self._viewer.camera
+        return Eye(x, y, self.half_view_rad, self._settings.monitor.air_m, self._settings.navigator.check_m)
 
     @property
     def floor(self) -> Floor:
@@ -187,49 +195,64 @@ class Senses:
         pose, s = self.where.odom_pose, self._settings
         if pose is None or self._floor.has_keep_out or not s.behaviours.search_m:
             return None
-        costmap = Costmap.of_live(self._obstacles(avoids_hidden=False), self._footprint, s.costmap)
+        costmap = Costmap.of_live(self._obstacles(), self._footprint, s.costmap)
         return open_way(costmap, self._outline, pose, s.drivable.wanted_margin_m)
 
     def clear(self) -> None:
         """Forget what came to stand about the robot lately; what is there is seen again."""
         self._live.clear(self._settings.live.settled_s)
 
-    def costmap_of(self, *, avoids_hidden: bool) -> Callable[[], Costmap]:
-        """What makes a costmap of all the building, as it is known now, in whichever thread; without who walks past."""
-        obstacles = self._obstacles(avoids_hidden=avoids_hidden)
+    def floor_now(self) -> FloorNow:
+        """All the building, as it is known now, without who walks past."""
+        obstacles = self._obstacles()
         obstacles = obstacles.standing() if self._floor.is_fixed else obstacles
-        of = self._floor.layer, self._footprint, self._settings.costmap, obstacles, self.where.T_map_odom
-        return lambda: Costmap.of(*of)
+        T_map_odom = self.where.T_map_odom
+        return FloorNow(
+            self._floor.layer, obstacles, T_map_odom, self.hidden(), self._footprint, self._settings.costmap
+        )
 
-    def _obstacles(self, *, avoids_hidden: bool) -> LiveObstacles:
-        """What the camera met, and what the monitor refuses besides: things out of sight, floor never looked at."""
+    def hidden(self) -> FloatArray:
+        """(N, 3) x and y in the map of floor about the robot that no camera has looked at, and how near to it one must
+        look: where the map knows it, as near as the monitor lets the robot go.
+        """
+        return self._hidden(math.inf)
+
+    def _obstacles(self, hidden: FloatArray | None = None) -> LiveObstacles:
+        """What the camera met, and what the monitor refuses besides: things out of sight, and hidden floor (N, 3)."""
         live, pose = self._live.obstacles(), self.where.odom_pose
         if pose is None:
             return live
         s, T_odom_base = self._settings.navigator, se2.from_parts(*pose)
         things = self._monitor.remembered(self._footprint.circumscribed_m + s.hidden_m)
         refused = [se2.apply(T_odom_base, things)]
-        if avoids_hidden:
-            refused.append(self._hidden(T_odom_base, s.hidden_known_m, CellState.FREE))
-            # Where unknown floor is forbidden, all of it is an obstacle already.
-            if self._settings.costmap.unknown != "forbidden":
-                refused.append(self._hidden(T_odom_base, s.hidden_deep_m, CellState.UNKNOWN))
+        if hidden is not None:
+            T_odom_map = se2.invert(se2.from_parts(*self.where.T_map_odom))
+            refused.append(se2.apply(T_odom_map, hidden[:, :2]))
         return live.with_points(np.concatenate(refused))
 
-    def _hidden(self, T_odom_base: FloatArray, deep_m: float, state: CellState) -> FloatArray:
-        """(N, 2) in `odom`, floor so deep in what no camera has looked at, of which the map has that state."""
-        hidden = self._monitor.hidden(self._footprint.circumscribed_m + self._settings.navigator.hidden_m, deep_m)
-        T_map_odom = se2.from_parts(*self.where.T_map_odom)
-        points = se2.apply(T_odom_base, hidden)
-        found = self._floor.layer.state_at(se2.apply(T_map_odom, points))
-        return np.asarray(points[found == state])
+    def _hidden(self, reach_m: float) -> FloatArray:
+        """As `hidden`, within reach."""
+        pose, s = self.where.odom_pose, self._settings
+        if pose is None:
+            return np.empty((0, 3))
+        T_map_base = se2.from_parts(*self.where.T_map_odom) @ se2.from_parts(*pose)
+        kinds = [(CellState.FREE, s.navigator.hidden_known_m)]
+        # Where unknown floor is forbidden, all of it is an obstacle already.
+        if s.costmap.unknown != "forbidden":
+            kinds.append((CellState.UNKNOWN, s.navigator.hidden_deep_m))
+        found = []
+        for state, deep_m in kinds:
+            points = se2.apply(T_map_base, self._monitor.hidden(reach_m, deep_m))
+            points = points[self._floor.layer.state_at(points) == state]
+            found.append(np.column_stack([points, np.full(len(points), deep_m)]))
+        return np.concatenate(found)
 
-    def local(self, *, is_standing: bool = False) -> Costmap | None:
+    def local(self, *, for_plans: bool = False) -> Costmap | None:
         """Of the floor about the robot; None while it is not known where that is. Made anew where it has changed.
 
-        `is_standing`: without who walks past. Where the map grows all is new, most of it stands: nothing is left out.
+        `for_plans`: without who walks past, and floor that was not looked at. Where the map grows all is new, most of
+        it stands: nobody is left out.
         """
-        is_standing = is_standing and self._floor.is_fixed
         state = self.where.state
         if state is None:
             return None
@@ -239,12 +262,13 @@ class Senses:
         x, y = (round(float(at) / (side_m / 4)) for at in state.pose[:2])
         stamp_s = self._live.obstacles().stamp_s
         made = _Made(stamp_s, self.avoids_hidden, self._floor.revision, (x, y), tuple(T_map_odom.tolist()))
-        known = self._local.get(is_standing)
+        known = self._local.get(for_plans)
         if known is None or known[0] != made:
             window = layer.window((x * side_m / 4, y * side_m / 4), 1.5 * side_m)
-            live = self._obstacles(avoids_hidden=self.avoids_hidden)
-            live = live.standing() if is_standing else live
+            near_m = self._footprint.circumscribed_m + self._settings.navigator.hidden_m
+            live = self._obstacles(self._hidden(near_m) if self.avoids_hidden and not for_plans else None)
+            live = live.standing() if for_plans and self._floor.is_fixed else live
             costmap = Costmap.of(window, self._footprint, self._settings.costmap, live, T_map_odom)
             outline = self._footprint.padded(self._settings.follow.margin_m + 2 * layer.resolution_m)
-            known = self._local[is_standing] = (made, costmap.standing_at(outline, state.pose))
+            known = self._local[for_plans] = (made, costmap.standing_at(outline, state.pose))
         return known[1]

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from wheelsight.geometry import ByteArray, Float32Array, FloatArray
 from wheelsight.navigation._field_kernels import moved
-from wheelsight.navigation._surroundings_kernels import Memory, Sight, keep, look, mark_under, remembered, tell, unseen
+from wheelsight.navigation._surroundings_kernels import Memory, Sight, keep, look, mark_under, remembered, unseen
 from wheelsight.navigation._sweep_kernels import all_outside_m
 from wheelsight.navigation.fields import Outline, sides_of
 from wheelsight.navigation.footprint import Footprint
@@ -136,8 +136,8 @@ class Surroundings:
         n = int(np.ceil(s.window_m / s.cell_m))
         never = np.full((n, n), -np.inf)
         nowhere = np.full((n, n, 2), np.iinfo(np.int64).min)
-        hits, is_told = np.zeros((n, n, 4)), np.zeros((n, n), np.uint8)
-        self._memory = Memory(nowhere, never, never.copy(), never.copy(), hits, is_told, s.cell_m)
+        hits = np.zeros((n, n, 4))
+        self._memory = Memory(nowhere, never, never.copy(), never.copy(), hits, s.cell_m)
         self._readings.clear()
         self._newest, self._newest_s = np.empty((0, 2)), -np.inf
 
@@ -236,20 +236,19 @@ class Surroundings:
         return np.asarray(old[~(within & (old[:, 2] < now_s - s.fresh_s))])
 
     def hidden_about(self, reach_m: float, deep_m: float) -> FloatArray:
-        """(N, 2) in the base as it is now: middles of cells that are so deep in floor never looked at.
+        """(N, 2) in the base as it is now: middles of cells within reach that are so deep in floor never looked at.
 
-        Those within reach, and those that were when they were asked for before: whoever plans another way, leaves, and
-        hears of them no more would come back. Where the robot was led over it there is floor, but nothing was looked at
-        from there: what is beside that is as deep as it was.
+        Where the robot was led over it there is floor, but nothing was looked at from there: what is beside that is as
+        deep as it was.
         """
         if not self._readings:
             return np.empty((0, 2))
         last, cell_m = self._readings[-1], self._settings.cell_m
         out, first = self._unseen(last.pose, last.stamp_s, self._settings.window_m / 2)
         x, y, c, s = last.pose
-        is_hidden = ((_deep_m(out[..., 2], cell_m) > deep_m) & (out[..., 0] > 0)).astype(np.uint8)
-        tell(self._memory, first, (x, y), reach_m, is_hidden)
+        is_hidden = (_deep_m(out[..., 2], cell_m) > deep_m) & (out[..., 0] > 0)
         away = (np.argwhere(is_hidden) + first + 0.5) * cell_m - (x, y)
+        away = away[np.hypot(*away.T) < reach_m]
         return np.asarray(away @ np.array([[c, -s], [s, c]]))
 
     def unseen_about(self, pose: Pose, now_s: float, reach_m: float) -> Unseen:
