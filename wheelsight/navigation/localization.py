@@ -14,9 +14,12 @@ from wheelsight.calibration import Wheels
 from wheelsight.errors import ArgumentError
 from wheelsight.estimates import Estimate, Status
 from wheelsight.events import Event, WheelSpeeds, WheelTicks
+from wheelsight.fusion import FusedEstimate
 from wheelsight.geometry import FloatArray, se2, se3
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.navigation.control_values import MotionState
+from wheelsight.navigation.held_place import HeldPlace
+from wheelsight.navigation.navigator_settings import HoldSettings
 from wheelsight.odometry.wheels import WheelOdometry
 
 Answered = tuple[Event, Estimate | None]
@@ -61,14 +64,16 @@ class WheelSpeed:
 
 
 class WhereNow:
-    """The last answer of the localization, carried on by the wheels' own way since.
+    """The last answer of the localization, carried on by the wheels' own way since; or one of a moment before.
 
     Args:
         wheels: of the calibration.
+        hold: for how long a place that was surer is held; or the defaults.
     """
 
-    def __init__(self, wheels: Wheels) -> None:
-        self._wheels = WheelOdometry(wheels)
+    def __init__(self, wheels: Wheels, hold: HoldSettings | None = None) -> None:
+        self._wheels, self._hold = WheelOdometry(wheels), hold or HoldSettings()
+        self._held: HeldPlace | None = None
         self._track: deque[tuple[float, FloatArray]] = deque()
         self._answer: Estimate | None = None
         self._known_sigma_m = 0.0
@@ -110,6 +115,13 @@ class WhereNow:
         self._answer = estimate
         if self.status is Status.TRACKING:
             self._known_sigma_m = _sigma_m(estimate)
+        if estimate.T_map_body is None or self.status in (Status.LOST, Status.FAILING):
+            self._held = None
+            return
+        T_wheels, sigmas = self._rolled_at(estimate.stamp_s), _sigmas_map(estimate)
+        slips = isinstance(estimate, FusedEstimate) and estimate.slip
+        if self._held is None or slips or not self._held.holds(sigmas[0], T_wheels, estimate.stamp_s, self._hold):
+            self._held = HeldPlace(_planar(estimate.T_map_body), T_wheels, sigmas, estimate.stamp_s)
 
     @property
     def estimate(self) -> Estimate | None:
@@ -156,34 +168,39 @@ class WhereNow:
 
     @property
     def sigmas_map(self) -> tuple[float, float]:
-        """Metres, along the worse axis, and radians, of where the localization has the robot in the map.
+        """Metres, along the worse axis, and radians, of where the robot is said to be in the map.
 
-        Infinite where it does not say.
+        Infinite where nobody says.
         """
-        answer = self._answer
-        if answer is None or answer.covariance_map is None or answer.T_map_body is None:
-            return math.inf, math.inf
-        C = se3.position_covariance(answer.T_map_body, answer.covariance_map)
-        return float(np.sqrt(np.linalg.eigvalsh(C[:2, :2])[-1])), float(np.sqrt(answer.covariance_map[5, 5]))
+        held = self._held
+        return (math.inf, math.inf) if held is None else held.sigmas_at(self._rolled_at(math.inf), self._hold)
 
     @property
     def T_told_odom(self) -> FloatArray:
-        """(3,) the same, as the localization has it."""
-        return np.zeros(3) if self._answer is None else _pose(_planar(self._answer.T_map_odom))
+        """(3,) the same, before it is corrected."""
+        held, odom_pose = self._held, self.odom_pose
+        if held is None or odom_pose is None:
+            return np.zeros(3) if self._answer is None else _pose(_planar(self._answer.T_map_odom))
+        return _pose(held.carried(self._rolled_at(math.inf)) @ se2.invert(se2.from_parts(*odom_pose)))
 
     @property
     def state(self) -> MotionState | None:
         """In the map, now; None while it is not known where in the map the robot is."""
-        answer = self._answer
-        if answer is None or answer.T_map_body is None or self.status in (Status.LOST, Status.FAILING):
+        if self._held is None:
             return None
-        pose = _pose(self._T_map_told @ _planar(answer.T_map_body) @ self._since(answer.stamp_s))
+        pose = _pose(self._T_map_told @ self._held.carried(self._rolled_at(math.inf)))
         return MotionState(pose, self._speed.forward_m_s, self._speed.turn_rad_s)
 
     def _since(self, stamp_s: float) -> FloatArray:
         """(3, 3) how the wheels moved the base since a stamp; the identity where that is not remembered."""
+        return np.asarray(se2.invert(self._rolled_at(stamp_s)) @ self._rolled_at(math.inf))
+
+    def _rolled_at(self, stamp_s: float) -> FloatArray:
+        """(3, 3) where the wheels alone have the base at a stamp; now, where that is not remembered."""
         before = [T for track_s, T in self._track if track_s <= stamp_s]
-        return np.eye(3) if not before else np.linalg.inv(before[-1]) @ self._track[-1][1]
+        if before:
+            return before[-1]
+        return self._track[-1][1] if self._track else np.eye(3)
 
 
 def planar_pose(T: FloatArray) -> FloatArray:
@@ -205,3 +222,11 @@ def _sigma_m(estimate: Estimate) -> float:
         return 0.0
     C = se3.position_covariance(estimate.T_odom_body, estimate.covariance)
     return float(np.sqrt(max(np.linalg.eigvalsh(C[:2, :2])[-1], 0.0)))
+
+
+def _sigmas_map(estimate: Estimate) -> tuple[float, float]:
+    """Metres, along the worse axis, and radians, of where an answer has the robot in the map; infinite if unsaid."""
+    if estimate.covariance_map is None or estimate.T_map_body is None:
+        return math.inf, math.inf
+    C = se3.position_covariance(estimate.T_map_body, estimate.covariance_map)
+    return float(np.sqrt(np.linalg.eigvalsh(C[:2, :2])[-1])), float(np.sqrt(estimate.covariance_map[5, 5]))

@@ -188,6 +188,19 @@ class BlockedSettings(Settings):
     seconds: float = setting(180.0, "after which it is forgotten: who stood there may have gone", CHOSEN, ge=0, le=3600)
 
 
+class HoldSettings(Settings):
+    """While the localization is less sure of the place in the map than it was, wheels carry the old place on."""
+
+    sure_m: float = setting(0.05, "standard deviation of a place that is taken as it is: a cell", CHOSEN, ge=0, le=5)
+    seconds: float = setting(
+        3.0, "longest time: somebody who walks past fills the view for one or two", CHOSEN, ge=0, le=60
+    )
+    way_m: float = setting(1.0, "longest way", CHOSEN, ge=0, le=20)
+    wheels_share: float = setting(
+        0.05, "of a way, and of a turn, by which wheels err: one standard deviation", CHOSEN, ge=0, le=1
+    )
+
+
 class MatchSettings(Settings):
     """How obstacles are laid on those of a known map."""
 
@@ -271,6 +284,7 @@ class NavigationSettings(Settings):
     navigator: NavigatorSettings = NavigatorSettings()
     behaviours: BehaviourSettings = BehaviourSettings()
     blocked: BlockedSettings = BlockedSettings()
+    hold: HoldSettings = HoldSettings()
     match: MatchSettings = MatchSettings()
     exploration: ExplorationSettings = ExplorationSettings()
     costmap: CostmapSettings = CostmapSettings()

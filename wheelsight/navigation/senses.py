@@ -82,7 +82,7 @@ class Senses:
         self._footprint, self._settings, self._outline = footprint, settings, outline_of(footprint)
         self._viewer = DepthViewer(calibration, footprint, settings.view, settings.live)
         self._live = LiveLayer(calibration, footprint, settings.live)
-        self.where = WhereNow(calibration.wheels)
+        self.where = WhereNow(calibration.wheels, settings.hold)
         self._match = MapMatch(floor.layer, settings.match) if floor.is_fixed else None
         self._matched_s, self.avoids_hidden = -math.inf, True
         self._people = PeopleTracker(settings.people, settings.live.far_m)
