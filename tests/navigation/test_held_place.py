@@ -11,6 +11,7 @@ from navigation.test_where_now import SPEED_M_S, ticks
 from wheelsight.estimates import Status
 from wheelsight.fusion import FusedEstimate
 from wheelsight.geometry import se2, se3
+from wheelsight.navigation.held_place import HeldPlace
 from wheelsight.navigation.localization import WhereNow
 from wheelsight.navigation.navigator_settings import HoldSettings
 
@@ -66,12 +67,11 @@ def test_it_is_held_for_no_longer_time_or_way(speed_m_s: float, held_s: float) -
 
 
 def test_it_becomes_less_sure_by_the_way_of_the_wheels() -> None:
-    drive = Drive()
-    drive.go(1.0, 0.0, 0.015)
-    before, _ = drive.where.sigmas_map
-    drive.go(2.0, LEAP_M, 0.2)
-    after, _ = drive.where.sigmas_map
-    assert (before, after) == pytest.approx((0.015, np.hypot(0.015, SETTINGS.wheels_share * SPEED_M_S)), rel=0.05)
+    held, T_wheels = HeldPlace(np.eye(3), np.eye(3), 0.03, 0.0), se2.from_parts(0.3, 0.4, -0.2)
+    assert held.sigma_at(T_wheels, SETTINGS) == pytest.approx(np.hypot(0.03, 0.5 * SETTINGS.wheels_share))
+    assert held.holds(0.06, T_wheels, 1.0, SETTINGS)
+    # Until the way makes it no better than what is said.
+    assert not held.holds(0.06, se2.from_parts(0.99, 0.0, 0.0), 1.0, SETTINGS.model_copy(update={"wheels_share": 0.1}))
 
 
 def test_nothing_is_held_where_that_is_forbidden_or_the_robot_is_lost() -> None:
@@ -80,4 +80,3 @@ def test_nothing_is_held_where_that_is_forbidden_or_the_robot_is_lost() -> None:
     assert drive.go(1.1, LEAP_M, 0.2) == pytest.approx(LEAP_M, abs=0.01)
     drive.where.answer(FusedEstimate(1.1, Status.LOST, body="base"))
     assert drive.where.state is None
-    assert drive.where.sigmas_map == (np.inf, np.inf)

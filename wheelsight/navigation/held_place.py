@@ -22,33 +22,31 @@ class HeldPlace:
     Attributes:
         T_map_base: (3, 3) where the base was.
         T_wheels: (3, 3) where the wheels alone had it then, in a frame of their own.
-        sigmas: metres along the worse axis, and radians, as the localization stated.
+        sigma_m: standard deviation along the worse axis, as the localization stated.
         stamp_s: when.
     """
 
     T_map_base: FloatArray
     T_wheels: FloatArray
-    sigmas: tuple[float, float]
+    sigma_m: float
     stamp_s: float
 
     def carried(self, T_wheels: FloatArray) -> FloatArray:
         """(3, 3) where the base is once the wheels have it at (3, 3)."""
         return np.asarray(self.T_map_base @ se2.invert(self.T_wheels) @ T_wheels)
 
-    def sigmas_at(self, T_wheels: FloatArray, settings: HoldSettings) -> tuple[float, float]:
-        """As sure as wheels leave it, once they have the base at (3, 3)."""
-        way_m, turn_rad = self._way(T_wheels)
-        share = settings.wheels_share
-        return float(np.hypot(self.sigmas[0], share * way_m)), float(np.hypot(self.sigmas[1], share * turn_rad))
+    def sigma_at(self, T_wheels: FloatArray, settings: HoldSettings) -> float:
+        """Metres: as sure as wheels leave it, once they have the base at (3, 3)."""
+        return float(np.hypot(self.sigma_m, settings.wheels_share * self._way_m(T_wheels)))
 
     def holds(self, sigma_m: float, T_wheels: FloatArray, stamp_s: float, settings: HoldSettings) -> bool:
         """Whether it is better still than what the localization states to be known to `sigma_m` now."""
         s = settings
-        is_late = stamp_s - self.stamp_s > s.seconds or self._way(T_wheels)[0] > s.way_m
-        is_sure = sigma_m <= max(self.sigmas_at(T_wheels, s)[0], s.sure_m)
+        is_late = stamp_s - self.stamp_s > s.seconds or self._way_m(T_wheels) > s.way_m
+        is_sure = sigma_m <= max(self.sigma_at(T_wheels, s), s.sure_m)
         return not is_late and not is_sure and np.isfinite(sigma_m)
 
-    def _way(self, T_wheels: FloatArray) -> tuple[float, float]:
-        """Metres as the crow flies, and radians, since."""
-        x, y, turn = se2.to_parts(se2.invert(self.T_wheels) @ T_wheels)
-        return float(np.hypot(x, y)), abs(float(turn))
+    def _way_m(self, T_wheels: FloatArray) -> float:
+        """As the crow flies, since."""
+        x, y, _ = se2.to_parts(se2.invert(self.T_wheels) @ T_wheels)
+        return float(np.hypot(x, y))

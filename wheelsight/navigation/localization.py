@@ -78,11 +78,6 @@ class WhereNow:
         self._answer: Estimate | None = None
         self._known_sigma_m = 0.0
         self._speed = WheelSpeed(-math.inf, 0.0, 0.0)
-        self._T_map_told: FloatArray = np.eye(3)
-
-    def correct(self, T_map_told: FloatArray) -> None:
-        """From now on, the robot is in the map where this (3, 3) carries what the localization says."""
-        self._T_map_told = T_map_told
 
     def roll(self, reading: WheelTicks | WheelSpeeds) -> WheelSpeed | None:
         """Go on by a reading; the base's speed, or None where the reading tells none."""
@@ -118,10 +113,10 @@ class WhereNow:
         if estimate.T_map_body is None or self.status in (Status.LOST, Status.FAILING):
             self._held = None
             return
-        T_wheels, sigmas = self._rolled_at(estimate.stamp_s), _sigmas_map(estimate)
+        T_wheels, sigma_m = self._rolled_at(estimate.stamp_s), _sigma_map_m(estimate)
         slips = isinstance(estimate, FusedEstimate) and estimate.slip
-        if self._held is None or slips or not self._held.holds(sigmas[0], T_wheels, estimate.stamp_s, self._hold):
-            self._held = HeldPlace(_planar(estimate.T_map_body), T_wheels, sigmas, estimate.stamp_s)
+        if self._held is None or slips or not self._held.holds(sigma_m, T_wheels, estimate.stamp_s, self._hold):
+            self._held = HeldPlace(_planar(estimate.T_map_body), T_wheels, sigma_m, estimate.stamp_s)
 
     @property
     def estimate(self) -> Estimate | None:
@@ -163,21 +158,7 @@ class WhereNow:
 
     @property
     def T_map_odom(self) -> FloatArray:
-        """(3,) x, y, yaw of `odom` in `map`, as corrected."""
-        return _pose(self._T_map_told @ se2.from_parts(*self.T_told_odom))
-
-    @property
-    def sigmas_map(self) -> tuple[float, float]:
-        """Metres, along the worse axis, and radians, of where the robot is said to be in the map.
-
-        Infinite where nobody says.
-        """
-        held = self._held
-        return (math.inf, math.inf) if held is None else held.sigmas_at(self._rolled_at(math.inf), self._hold)
-
-    @property
-    def T_told_odom(self) -> FloatArray:
-        """(3,) the same, before it is corrected."""
+        """(3,) x, y, yaw of `odom` in `map`."""
         held, odom_pose = self._held, self.odom_pose
         if held is None or odom_pose is None:
             return np.zeros(3) if self._answer is None else _pose(_planar(self._answer.T_map_odom))
@@ -188,7 +169,7 @@ class WhereNow:
         """In the map, now; None while it is not known where in the map the robot is."""
         if self._held is None:
             return None
-        pose = _pose(self._T_map_told @ self._held.carried(self._rolled_at(math.inf)))
+        pose = _pose(self._held.carried(self._rolled_at(math.inf)))
         return MotionState(pose, self._speed.forward_m_s, self._speed.turn_rad_s)
 
     def _since(self, stamp_s: float) -> FloatArray:
@@ -224,9 +205,9 @@ def _sigma_m(estimate: Estimate) -> float:
     return float(np.sqrt(max(np.linalg.eigvalsh(C[:2, :2])[-1], 0.0)))
 
 
-def _sigmas_map(estimate: Estimate) -> tuple[float, float]:
-    """Metres, along the worse axis, and radians, of where an answer has the robot in the map; infinite if unsaid."""
+def _sigma_map_m(estimate: Estimate) -> float:
+    """Of where an answer has the robot in the map, along the worse axis; infinite where it does not say."""
     if estimate.covariance_map is None or estimate.T_map_body is None:
-        return math.inf, math.inf
+        return math.inf
     C = se3.position_covariance(estimate.T_map_body, estimate.covariance_map)
-    return float(np.sqrt(np.linalg.eigvalsh(C[:2, :2])[-1])), float(np.sqrt(estimate.covariance_map[5, 5]))
+    return float(np.sqrt(np.linalg.eigvalsh(C[:2, :2])[-1]))

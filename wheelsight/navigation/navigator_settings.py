@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 from wheelsight.navigation.control_settings import FollowSettings, MppiSettings, PurePursuitSettings
 from wheelsight.navigation.costmap_settings import CostmapSettings, LiveLayerSettings
@@ -11,7 +11,7 @@ from wheelsight.navigation.monitor_settings import MonitorSettings, ViewSettings
 from wheelsight.navigation.people_settings import PeopleSettings
 from wheelsight.navigation.planner_settings import PlannerSettings
 from wheelsight.robot_limits import RobotLimits
-from wheelsight.settings import CHOSEN, Settings, bounds, setting
+from wheelsight.settings import CHOSEN, Settings, setting
 
 
 class FootprintSettings(Settings):
@@ -196,36 +196,7 @@ class HoldSettings(Settings):
         3.0, "longest time: somebody who walks past fills the view for one or two", CHOSEN, ge=0, le=60
     )
     way_m: float = setting(1.0, "longest way", CHOSEN, ge=0, le=20)
-    wheels_share: float = setting(
-        0.05, "of a way, and of a turn, by which wheels err: one standard deviation", CHOSEN, ge=0, le=1
-    )
-
-
-class MatchSettings(Settings):
-    """How obstacles are laid on those of a known map."""
-
-    every_s: float = setting(0.5, "time between two matches", CHOSEN, gt=0.05, le=60)
-    far_m: float = setting(5.0, "obstacles farther from the robot are left out", CHOSEN, gt=0.5, le=30)
-    least_points: int = setting(40, "cells with obstacles, below which nothing is matched", CHOSEN, ge=3, le=10_000)
-    most_points: int = setting(400, "cells that are taken, evenly", CHOSEN, ge=10, le=100_000)
-    sigma_m: float = setting(0.05, "standard deviation of a cell's place: a cell", CHOSEN, gt=0, le=1)
-    cut_m: float = setting(
-        0.4, "farther from what the map has an obstacle is one that it does not have", CHOSEN, gt=0, le=3
-    )
-    correlation: float = setting(10.0, "how many cells err as one", CHOSEN, ge=1, le=1000)
-    hold_m: float = setting(
-        0.05, "by how much the localization drifts between two matches, at most", CHOSEN, gt=0, le=1
-    )
-    hold_rad: float = setting(0.02, "likewise, radians", CHOSEN, gt=0, le=1)
-    likely: float = setting(
-        0.99, "share of right corrections that are within what the localization states of itself", CHOSEN, gt=0, lt=1
-    )
-    starts_rad: tuple[Annotated[float, bounds(ge=-1, le=1)], ...] = setting(
-        (0.0, -0.06, 0.06), "turns at which the search begins", CHOSEN, min_length=1, max_length=100
-    )
-    rounds: int = setting(12, "steps of Gauss-Newton, at most", CHOSEN, ge=1, le=100)
-    near_m: float = setting(0.1, "nearer to what the map has an obstacle is one that it has", CHOSEN, gt=0, le=1)
-    least_share: float = setting(0.5, "of obstacles that the map must have, for a match to count", CHOSEN, ge=0, le=1)
+    wheels_share: float = setting(0.05, "of a way, by which wheels err: one standard deviation", CHOSEN, ge=0, le=1)
 
 
 class ExplorationSettings(Settings):
@@ -285,7 +256,6 @@ class NavigationSettings(Settings):
     behaviours: BehaviourSettings = BehaviourSettings()
     blocked: BlockedSettings = BlockedSettings()
     hold: HoldSettings = HoldSettings()
-    match: MatchSettings = MatchSettings()
     exploration: ExplorationSettings = ExplorationSettings()
     costmap: CostmapSettings = CostmapSettings()
     live: LiveLayerSettings = LiveLayerSettings()

@@ -26,7 +26,6 @@ from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.live_layer import LiveLayer, LiveObstacles
 from wheelsight.navigation.localization import Localization, WhereNow, planar_pose
 from wheelsight.navigation.map_clearance import keeps_clear
-from wheelsight.navigation.map_match import MapMatch
 from wheelsight.navigation.navigator_settings import NavigationSettings
 from wheelsight.navigation.open_way import OpenWay, open_way
 from wheelsight.navigation.people import PeopleTracker, Person
@@ -83,8 +82,7 @@ class Senses:
         self._viewer = DepthViewer(calibration, footprint, settings.view, settings.live)
         self._live = LiveLayer(calibration, footprint, settings.live)
         self.where = WhereNow(calibration.wheels, settings.hold)
-        self._match = MapMatch(floor.layer, settings.match) if floor.is_fixed else None
-        self._matched_s, self.avoids_hidden = -math.inf, True
+        self.avoids_hidden = True
         self._people = PeopleTracker(settings.people, settings.live.far_m)
         self._views: deque[DepthView] = deque(maxlen=_VIEWS)
         self._local: dict[bool, tuple[_Made, Costmap]] = {}
@@ -133,20 +131,8 @@ class Senses:
                 pose = planar_pose(estimate.T_odom_body)
                 self._live.update(event.depth_m, pose, event.stamp_s)
                 self._follow_people(event.stamp_s, pose)
-        self._lay_on_map()
         state = self.where.state
         self._floor.update(None if state is None else state.pose, now_s)
-
-    def _lay_on_map(self) -> None:
-        """Correct where the robot is by what stands about it, now and then, in a map of before."""
-        live, state = self._live.obstacles(), self.where.state
-        odom_pose, stamp_s = self.where.odom_pose, live.stamp_s
-        if self._match is None or state is None or odom_pose is None or stamp_s is None:
-            return
-        if stamp_s >= self._matched_s + self._settings.match.every_s:
-            self._matched_s = stamp_s
-            self._match.update(live, self.where.T_told_odom, odom_pose[:2], self.where.sigmas_map)
-            self.where.correct(self._match.T_map_told)
 
     def _follow_people(self, stamp_s: float, pose: FloatArray) -> None:
         """Look who walks, of a frame that was taken at (3,) in `odom`."""
