@@ -47,7 +47,8 @@ class CautiousPlanner:
 
     def plan(
         self,
-        costmap_with: Callable[[FloatArray], Costmap],
+        costmap: Costmap,
+        avoiding: Callable[[FloatArray], Costmap],
         hidden: FloatArray,
         pose: FloatArray,
         goals: Sequence[FloatArray],
@@ -55,28 +56,28 @@ class CautiousPlanner:
         """From a pose (3,) through goals.
 
         Args:
-            costmap_with: makes a costmap in which there are obstacles at (N, 2) besides.
+            costmap: of what stands.
+            avoiding: makes the same with obstacles at (N, 2) besides.
             hidden: (M, 3) as `FloorNow`; empty where it does not matter.
             pose, goals: as `RoutePlanner.plan`.
         """
+        found = plain = self.route.plan(costmap, pose, goals)
+        if isinstance(plain, PlanFailure):
+            return CautiousPlan(plain)
         avoided = hidden[:0, :2]
-        plainly = costmap_with(avoided)
-        found = plain = self.route.plan(plainly, pose, goals)
         for _ in range(_ROUNDS):
             if isinstance(found, PlanFailure) or (found.goal_change and found is not plain):
                 break
-            blind = self.blind_at(plainly, hidden, found, pose, self._settings.navigator.local_m / 2)
+            blind = self.blind_at(costmap, hidden, found, pose, self._settings.navigator.local_m / 2)
             if blind is None:
                 return CautiousPlan(found)
             reach_m = self._footprint.circumscribed_m + self._settings.follow.margin_m
             near = np.hypot(*(hidden[:, :2] - blind[:2]).T) < reach_m
             avoided = np.concatenate([avoided, hidden[near, :2]])
-            found = self.route.plan(costmap_with(avoided), pose, goals)
-        if isinstance(plain, PlanFailure):
-            return CautiousPlan(plain)
+            found = self.route.plan(avoiding(avoided), pose, goals)
         # What is farther off is seen from nearer by.
         near_m = self._footprint.circumscribed_m + self._settings.navigator.hidden_m
-        return CautiousPlan(plain, self.blind_at(plainly, hidden, plain, pose, near_m) is not None)
+        return CautiousPlan(plain, self.blind_at(costmap, hidden, plain, pose, near_m) is not None)
 
     def blind_at(
         self, costmap: Costmap, hidden: FloatArray, plan: Plan, pose: FloatArray, reach_m: float

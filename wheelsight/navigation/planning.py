@@ -69,14 +69,15 @@ class Planning:
         pose, blocked, floor = where.state.pose, self._blocked, self._senses.floor_now()
         hidden = floor.hidden if self._senses.avoids_hidden else floor.hidden[:0]
 
-        def costmap_with(avoided: FloatArray) -> Costmap:
+        def avoiding(avoided: FloatArray) -> Costmap:
             return blocked.on(floor.costmap(avoided), now_s)
 
         def plan() -> Planned:
-            ahead = goals.upcoming(pose, costmap_with(hidden[:0, :2]))
+            costmap = avoiding(hidden[:0, :2])
+            ahead = goals.upcoming(pose, costmap)
             if not ahead:
                 return Planned(None, floor.T_map_odom)
-            made = self._planner.plan(costmap_with, hidden, pose, ahead)
+            made = self._planner.plan(costmap, avoiding, hidden, pose, ahead)
             return Planned(made.found, floor.T_map_odom, made.is_blind)
 
         self._worker.ask(plan, now_s)
