@@ -8,6 +8,7 @@ import numpy as np
 
 from wheelsight.compiled import kernel
 from wheelsight.geometry.arrays import BoolArray, FloatArray, IntArray
+from wheelsight.navigation._sweep_kernels import outside_m
 
 
 class Eye(NamedTuple):
@@ -53,11 +54,7 @@ def first_over(poses: FloatArray, points: FloatArray, sides: FloatArray, out: In
             dx, dy = points[m, 0] - poses[n, 0], points[m, 1] - poses[n, 1]
             if dx * dx + dy * dy > reach2:
                 continue
-            bx, by = c * dx + s * dy, -s * dx + c * dy
-            away = -np.inf
-            for k in range(len(sides)):
-                away = max(away, sides[k, 3] * (bx - sides[k, 0]) - sides[k, 2] * (by - sides[k, 1]))
-            if away <= 0.0:
+            if outside_m(sides, c * dx + s * dy, -s * dx + c * dy) <= 0.0:
                 out[m] = n
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from wheelsight.compiled import kernel
 from wheelsight.geometry.arrays import ByteArray, FloatArray, IntArray
+from wheelsight.navigation._sweep_kernels import outside_m
 
 
 class Memory(NamedTuple):
@@ -144,10 +145,7 @@ def mark_under(memory: Memory, sides: FloatArray, pose: Any, stamp_s: float, fro
         for j in range(middle_j - reach, middle_j + reach + 1):
             dx, dy = (i + 0.5) * cell - x, (j + 0.5) * cell - y
             bx, by = c * dx + s * dy, -s * dx + c * dy
-            away = -np.inf
-            for k in range(len(sides)):
-                away = max(away, sides[k, 3] * (bx - sides[k, 0]) - sides[k, 2] * (by - sides[k, 1]))
-            if away <= 0.0 and bx >= from_m:
+            if bx >= from_m and outside_m(sides, bx, by) <= 0.0:
                 a, b = slot(memory, i, j)
                 memory.seen_s[a, b] = max(memory.seen_s[a, b], stamp_s)
                 if from_m == -np.inf:

@@ -201,13 +201,17 @@ def _sigma_m(estimate: Estimate) -> float:
     """Of the horizontal position, the larger one."""
     if estimate.covariance is None or estimate.T_odom_body is None:
         return 0.0
-    C = se3.position_covariance(estimate.T_odom_body, estimate.covariance)
-    return float(np.sqrt(max(np.linalg.eigvalsh(C[:2, :2])[-1], 0.0)))
+    return _worse_sigma_m(estimate.T_odom_body, estimate.covariance)
 
 
 def _sigma_map_m(estimate: Estimate) -> float:
     """Of where an answer has the robot in the map, along the worse axis; infinite where it does not say."""
     if estimate.covariance_map is None or estimate.T_map_body is None:
         return math.inf
-    C = se3.position_covariance(estimate.T_map_body, estimate.covariance_map)
-    return float(np.sqrt(np.linalg.eigvalsh(C[:2, :2])[-1]))
+    return _worse_sigma_m(estimate.T_map_body, estimate.covariance_map)
+
+
+def _worse_sigma_m(T: FloatArray, covariance: FloatArray) -> float:
+    """Along the worse horizontal axis, of a pose (4, 4) with covariance (6, 6); 0 where rounding made it less."""
+    C = se3.position_covariance(T, covariance)
+    return float(np.sqrt(max(np.linalg.eigvalsh(C[:2, :2])[-1], 0.0)))
