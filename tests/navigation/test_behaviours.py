@@ -5,16 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wheelsight.commands import STOP, VelocityCommand
+from wheelsight.commands import VelocityCommand
 from wheelsight.estimates import Status
 from wheelsight.navigation import Behaviour, BehaviourSettings, Straight, Turn, Wait
 from wheelsight.navigation.behaviours import Series, when_blocked, when_lost
-from wheelsight.navigation.collision_monitor import MonitorReason, MonitorResult, MonitorState
 from wheelsight.navigation.open_way import OpenWay
 
 PERIOD_S = 0.05
-FREE = MonitorResult(STOP, MonitorState.FREE)
 WIDE = OpenWay(0.5, 3.0)
+
+
+def search(attempt: int, status: Status, way: OpenWay | None, *, is_held: bool = False, sees: bool = True) -> Behaviour:
+    return when_lost(attempt, BehaviourSettings(), status, way, is_held=is_held, sees=sees)
 
 
 def done_by(behaviour: Behaviour, obeys: float = 1.0, longest_s: float = 60.0) -> tuple[np.ndarray, float]:
@@ -73,37 +75,32 @@ def test_without_a_pose_nothing_is_driven() -> None:
 def test_the_gentlest_first() -> None:
     settings = BehaviourSettings()
     assert [when_blocked(n, settings).name for n in range(4)] == ["wait", "look about", "back up", "wait"]
-    assert [type(when_lost(n, settings, Status.LOST, FREE, WIDE)) for n in range(4)] == [Wait, Turn, Series, Turn]
+    assert [type(search(n, Status.LOST, WIDE)) for n in range(4)] == [Wait, Turn, Series, Turn]
 
 
 @pytest.mark.parametrize("status", [Status.LOST, Status.INITIALIZING])
 def test_a_search_turns_to_one_side_and_then_to_the_other(status: Status) -> None:
-    searches = (when_lost(n, BehaviourSettings(), status, FREE, None) for n in range(5))
+    searches = (search(n, status, None) for n in range(5))
     turns = [np.sign(one.angles_rad[0]) for one in searches if isinstance(one, Turn)]
     assert turns[:4] == [1, -1, 1, -1]
 
 
 def test_who_begins_in_a_map_does_not_stand_first() -> None:
-    assert isinstance(when_lost(0, BehaviourSettings(), Status.INITIALIZING, FREE, WIDE), Turn)
+    assert isinstance(search(0, Status.INITIALIZING, WIDE), Turn)
 
 
 @pytest.mark.parametrize(
-    ("reason", "ways"),
-    [
-        (MonitorReason.NO_FRAME, [Turn, Straight, Straight, Straight]),
-        (MonitorReason.OBSTACLE, [Turn, Turn, Straight, Turn]),
-    ],
+    ("sees", "ways"), [(False, [Turn, Straight, Straight, Straight]), (True, [Turn, Turn, Straight, Turn])]
 )
-def test_who_may_not_turn_backs_up_and_does_not_begin_with_it(reason: MonitorReason, ways: list[type]) -> None:
-    held = MonitorResult(STOP, MonitorState.STOPPED, reason)
-    found = [when_lost(n, BehaviourSettings(), Status.INITIALIZING, held, WIDE) for n in range(4)]
+def test_who_may_not_turn_backs_up_and_does_not_begin_with_it(sees: bool, ways: list[type]) -> None:
+    found = [search(n, Status.INITIALIZING, WIDE, is_held=True, sees=sees) for n in range(4)]
     assert [type(one) for one in found] == ways
     assert all(one.way_m < 0 for one in found if isinstance(one, Straight))
 
 
 def test_a_search_goes_on_from_elsewhere_after_a_whole_turn() -> None:
     settings = BehaviourSettings()
-    searches = [when_lost(n, settings, Status.INITIALIZING, FREE, WIDE) for n in range(4)]
+    searches = [search(n, Status.INITIALIZING, WIDE) for n in range(4)]
     assert [type(one) for one in searches] == [Turn, Series, Turn, Series]
     pose, _ = done_by(searches[1])
     way = settings.search_m * np.array([np.cos(3.5), np.sin(3.5)])
@@ -112,5 +109,5 @@ def test_a_search_goes_on_from_elsewhere_after_a_whole_turn() -> None:
 
 @pytest.mark.parametrize("way", [None, OpenWay(0.5, 0.3)])
 def test_a_search_stays_where_nothing_is_open(way: OpenWay | None) -> None:
-    searches = [when_lost(n, BehaviourSettings(), Status.INITIALIZING, FREE, way) for n in range(4)]
+    searches = [search(n, Status.INITIALIZING, way) for n in range(4)]
     assert [type(one) for one in searches] == [Turn] * 4

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from wheelsight.navigation import LiveLayer, LiveLayerSettings
 from wheelsight.navigation import _live_kernels as kernels
 
 CAMERA = PinholeCamera(160, 120, 138.0, 138.0, 79.5, 59.5)
+CAMERA_HALF_RAD = math.atan(80 / 138)
 # 0.9 m high, 0.35 m ahead of the axle, level.
 T_BASE_CAMERA = np.array([[0, 0, 1, 0.35], [-1.0, 0, 0, 0], [0, -1.0, 0, 0.9], [0, 0, 0, 1]])
 CALIBRATION = Calibration.registered_camera(CAMERA, T_base_camera=T_BASE_CAMERA, depth_noise=DepthNoise(0.001, 0.001))
@@ -151,6 +153,30 @@ def test_what_came_lately_is_cleared_and_what_has_stood_for_long_is_not() -> Non
     assert not is_occupied_at(found, 2.02, 0.9)
     found.update(np.zeros((120, 160)), (0, 0, 0), 11.1)
     assert is_occupied_at(found, 2.02, 0.0, is_standing=True)
+
+
+def test_what_came_lately_is_cleared_in_view_alone() -> None:
+    """A person ahead, who may have gone with his feet out of view, and a box beside the view that is still there."""
+    found = layer()
+    ahead, aside = (1.5, 1.7, -0.2, 0.2, 0.0, 1.7), (1.5, 1.7, 1.2, 1.5, 0.0, 1.7)
+    found.update(depth_of([ahead, aside, WALL], turned := (0, 0, 0.5)), turned, 0.0)
+    for stamp_s in (0.5, 1.0):
+        found.update(depth_of([ahead, aside, WALL]), (0, 0, 0), stamp_s)
+    assert is_occupied_at(found, 1.52, 1.25)
+    found.clear_ahead(math.inf, (0.35, 0.0, 0.0), CAMERA_HALF_RAD)
+    assert not is_occupied_at(found, 1.52, 0.0)
+    assert not is_occupied_at(found, 4.0, 1.0)
+    assert is_occupied_at(found, 1.52, 1.25)
+
+
+def test_in_view_what_has_stood_for_long_is_not_cleared() -> None:
+    found = layer()
+    for stamp_s in (0.0, 11.0):
+        found.update(depth_of([AHEAD]), (0, 0, 0), stamp_s)
+    found.clear_ahead(10.0, (0.35, 0.0, 0.0), CAMERA_HALF_RAD)
+    assert is_occupied_at(found, 2.02, 0.0)
+    found.clear_ahead(12.0, (0.35, 0.0, 0.0), CAMERA_HALF_RAD)
+    assert not is_occupied_at(found, 2.02, 0.0)
 
 
 def test_a_ray_below_a_table_leaves_its_top() -> None:

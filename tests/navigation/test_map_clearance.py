@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
+from navigation.rooms import Ride, Walls
 
 from wheelsight.commands import STOP, VelocityCommand
+from wheelsight.estimates import Status
 from wheelsight.geometry import FloatArray
-from wheelsight.navigation import Costmap, Footprint, StaticLayer
+from wheelsight.navigation import Costmap, Footprint, NavigationSettings, NavigationState, StaticLayer
 from wheelsight.navigation.costmap import CellState
 from wheelsight.navigation.fields import outline_of
 from wheelsight.navigation.map_clearance import keeps_clear
@@ -54,3 +59,19 @@ def test_nearer_than_it_should_be_it_may_stay_and_leave_but_come_no_nearer() -> 
 
 def test_floor_that_nobody_has_seen_is_no_obstacle() -> None:
     assert clear(0.1, LEFT, CellState.UNKNOWN)
+
+
+def test_who_is_lost_where_the_map_lets_it_turn_to_no_side_backs_up_to_look() -> None:
+    """It took up another way to look in each period, twenty a second, and did none of them."""
+    room = ((0.0, 0.0), (8.0, 0.0)), ((7.99, 0.0), (7.99, 6.0)), ((8.0, 5.99), (0.0, 5.99)), ((0.01, 6.0), (0.01, 0.0))
+    mapped = *room, ((1.9, 2.62), (3.2, 2.62)), ((1.9, 3.38), (3.2, 3.38))
+    hasty = NavigationSettings(behaviours=BehaviourSettings(refused_s=0.5, wait_s=0.5, search_m=0.0))
+    ride = Ride.of(Walls.of(*room), (2.2, 3.0, 0.0), (8.0, 6.0), Walls.of(*mapped), hasty)
+    vague = np.diag([4.0, 4.0, 1e-6, 1e-6, 1e-6, 0.01])
+    ride.told.says = lambda estimate: replace(estimate, status=Status.COASTING, covariance=vague)
+    ride.navigator.go_to_pose((6.0, 3.0, 0.0))
+    ride.go(12.0, until=lambda: ride.robot.base.pose[0] < 2.0)
+    searches = [one for one in ride.transitions if one.after is NavigationState.RECOVERING]
+    assert ride.robot.base.pose[0] < 2.0
+    assert 2 <= len(searches) <= 5
+    assert all(b.stamp_s - a.stamp_s > 0.2 for a, b in pairwise(searches))

@@ -12,7 +12,6 @@ from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.estimates import Status
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry.se2 import wrap_angle
-from wheelsight.navigation.collision_monitor import MonitorReason, MonitorResult, MonitorState
 from wheelsight.navigation.navigator_settings import BehaviourSettings
 from wheelsight.navigation.open_way import OpenWay
 
@@ -175,7 +174,7 @@ def _look(settings: BehaviourSettings) -> Turn:
 
 
 def when_lost(
-    attempt: int, settings: BehaviourSettings, status: Status, checked: MonitorResult, open_way: OpenWay | None
+    attempt: int, settings: BehaviourSettings, status: Status, open_way: OpenWay | None, *, is_held: bool, sees: bool
 ) -> Behaviour:
     """What to do to find a place that is known: stand, turn once around, and then do so from elsewhere.
 
@@ -188,14 +187,14 @@ def when_lost(
         attempt: 0 at first.
         settings: of all behaviours.
         status: of the localization.
-        checked: what the collision monitor made of the last command.
         open_way: where to; None where it is to stay.
+        is_held: whether the collision monitor or the map held it up in what it did last.
+        sees: whether its camera shows something.
     """
     s, begins = settings, status is Status.INITIALIZING
     if attempt == 0 and not begins:
         return Wait(s.wait_s / 2, "wait to see where it is")
-    is_held = checked.state is MonitorState.STOPPED
-    if is_held and (attempt % 3 == 2 or (attempt > 0 and checked.reason is MonitorReason.NO_FRAME)):
+    if is_held and (attempt % 3 == 2 or (attempt > 0 and not sees)):
         return Straight(-s.back_m, s.back_m_s, s.refused_s, "back up, to see where it is")
     is_second = (attempt + begins) % 2 == 0
     if is_second and not is_held and open_way is not None and open_way.way_m >= s.least_search_m:

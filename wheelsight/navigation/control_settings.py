@@ -76,6 +76,10 @@ class FollowSettings(Settings):
     standing_m_s: float = setting(0.02, "slower than this a robot stands", "encoders' resolution", gt=0, le=0.2)
     standing_rad_s: float = setting(0.05, "the same of turns", "encoders' resolution", gt=0, le=0.5)
 
+    def stands(self, forward_m_s: float, turn_rad_s: float) -> bool:
+        """Whether a robot of such speeds stands."""
+        return abs(forward_m_s) <= self.standing_m_s and abs(turn_rad_s) <= self.standing_rad_s
+
 
 class MppiSettings(Settings):
     """Model predictive path integral control; weights are for a second of a rollout where nothing else is said."""

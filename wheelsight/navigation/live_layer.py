@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from wheelsight.calibration import Calibration
 from wheelsight.errors import ArgumentError
 from wheelsight.geometry import BoolArray, FloatArray, IntArray
+from wheelsight.geometry.se2 import wrap_angle
 from wheelsight.mapping.mount import camera_over_floor
 from wheelsight.navigation import _live_kernels as kernels
 from wheelsight.navigation.costmap_settings import LiveLayerSettings
@@ -131,8 +132,28 @@ class LiveLayer:
 
     def clear(self, stood_s: float = math.inf) -> None:
         """Forget what has stood for less time; all, as a person may ask for."""
-        self._left[~(self._met_s[..., 1] - self._met_s[..., 0] >= stood_s)] = 0
+        self._left[~self._has_stood(stood_s)] = 0
         self._known = None
+
+    def clear_ahead(self, stood_s: float, eye: ArrayLike, half_view_rad: float) -> None:
+        """Forget of that only what lies within a camera's view; the next image shows anew what is there.
+
+        Args:
+            stood_s: as in `clear`.
+            eye: (3,) x, y and heading of the camera in the layer's frame.
+            half_view_rad: to either side.
+        """
+        x, y, yaw = map(float, np.asarray(eye, float))
+        rows, columns = np.indices(self._left.shape[:2])
+        size_m, (row, column) = self.settings.resolution_m, self._low.tolist()
+        to_x, to_y = (columns + column + 0.5) * size_m - x, (rows + row + 0.5) * size_m - y
+        is_ahead = np.abs(wrap_angle(np.arctan2(to_y, to_x) - yaw)) < half_view_rad
+        self._left[is_ahead & ~self._has_stood(stood_s)] = 0
+        self._known = None
+
+    def _has_stood(self, stood_s: float) -> BoolArray:
+        """(N, N) cells in which something was met for so long."""
+        return np.asarray(self._met_s[..., 1] - self._met_s[..., 0] >= stood_s)
 
     def wipe(self, ends: ArrayLike, radius_m: float) -> None:
         """Forget what is so near to a line from one place to another, (2, 2); what is there is seen again."""

@@ -249,6 +249,9 @@ class Navigator:
             return STOP
         if isinstance(planned.found, PlanFailure):
             return self._without_plan(task, planned.found)
+        if self._senses.floor.is_fixed and task.await_way(planned.found, self._senses.where, self.settings.behaviours):
+            self._become(NavigationState.RECOVERING, task.doing)
+            return STOP
         task.take(planned.found, now_s, planned.T_map_odom)
         self._become(NavigationState.DRIVING, f"{planned.found.length_m:.1f} m to go")
         return STOP
@@ -313,8 +316,7 @@ class Navigator:
             return STOP
         is_held = result.reason is not None or self._chain.checked.state is MonitorState.STOPPED
         if task.held_for_s(now_s, is_held) > self.settings.navigator.held_s:
-            since_s = now_s - self.settings.navigator.held_s - self.settings.follow.stuck_s
-            stopped_by = self._chain.stopped_by(since_s)
+            stopped_by = self._chain.stopped_by(now_s - self.settings.navigator.held_s - self.settings.follow.stuck_s)
             return self._get_out(task, str(stopped_by or result.reason), stopped_by)
         if task.loiters_s > self.settings.navigator.loiter_s:
             return self._get_out(task, "it comes no farther")
@@ -341,11 +343,12 @@ class Navigator:
             return STOP
         assert task.behaviour is not None
         command = task.behaviour.command(now_s, where.odom_pose)
-        if command is not None and self._senses.keeps_clear(command):
-            return command
+        if command is not None:
+            task.is_refused = not self._senses.keeps_clear(command)
+            return STOP if task.is_refused else command
         if task.is_lost and not is_known:
             return self._look_about(task, "it is still not known where it is")
-        self._senses.clear()
+        self._senses.clear(only_ahead=task.awaits_way)
         self._become(NavigationState.PLANNING, f"after it has done so: {task.behaviour.name}")
         return STOP
 
@@ -392,6 +395,5 @@ class Navigator:
         self._on_transition(transition)
 
     def _stands(self) -> bool:
-        speed, follow = self._senses.where.speed, self.settings.follow
-        stands = abs(speed.forward_m_s) <= follow.standing_m_s and abs(speed.turn_rad_s) <= follow.standing_rad_s
-        return stands or not math.isfinite(speed.stamp_s)
+        speed = self._senses.where.speed
+        return self.settings.follow.stands(speed.forward_m_s, speed.turn_rad_s) or not math.isfinite(speed.stamp_s)

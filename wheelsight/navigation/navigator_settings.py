@@ -31,6 +31,12 @@ class BehaviourSettings(Settings):
     """What a robot does that cannot go on."""
 
     wait_s: float = setting(3.0, "time to wait for somebody to step aside", CHOSEN, ge=0, le=60)
+    round_times: float = setting(
+        1.5, "so many times what is left of the old way, and round_m, is a way round that waits", CHOSEN, ge=1, le=100
+    )
+    round_m: float = setting(
+        1.0, "likewise: what is driven in the time of a wait, at a walk's pace among people", CHOSEN, ge=0, le=100
+    )
     look_rad: float = setting(
         1.0, "turn to either side, to see what is there; the view of a Kinect is 1 rad wide", CHOSEN, gt=0, le=3.2
     )
@@ -179,12 +185,13 @@ class BlockedSettings(Settings):
     radius_m: float = setting(0.6, "of a place, about the axle: a robot's width", CHOSEN, gt=0, le=5)
     cost: float = setting(
         4.0,
-        "that a metre costs more there, in metres, each time it was found blocked, up to three: a way round of up to "
-        "15 m is taken first",
+        "that a metre costs more there, in metres, for each visit that found it blocked, up to three; in a map of "
+        "before but for the first: a way round of up to 15 m is taken first",
         CHOSEN,
         ge=0,
         le=100,
     )
+    visit_s: float = setting(10.0, "in which it is found again at the same visit", CHOSEN, ge=0, le=600)
     seconds: float = setting(180.0, "after which it is forgotten: who stood there may have gone", CHOSEN, ge=0, le=3600)
 
 

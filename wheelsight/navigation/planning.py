@@ -50,7 +50,7 @@ class Planning:
         self._senses, self._settings = senses, settings
         self._planner = CautiousPlanner(footprint, settings, PlanView(footprint, senses.eye))
         self._worker: Worker[Planned] = worker or WorkerInStep(settings.navigator.planning_s)
-        self._blocked = BlockedWays(settings.blocked)
+        self._blocked = BlockedWays(settings.blocked, free_visits=int(senses.floor.is_fixed))
 
     @property
     def is_asked(self) -> bool:

@@ -184,9 +184,14 @@ class Senses:
         costmap = Costmap.of_live(self._obstacles(), self._footprint, s.costmap)
         return open_way(costmap, self._outline, pose, s.drivable.wanted_margin_m)
 
-    def clear(self) -> None:
-        """Forget what came to stand about the robot lately; what is there is seen again."""
-        self._live.clear(self._settings.live.settled_s)
+    def clear(self, *, only_ahead: bool = False) -> None:
+        """Forget what came to stand about the robot lately, or in its view alone; what is there is seen again."""
+        pose, stood_s = self.where.odom_pose, self._settings.live.settled_s
+        if not only_ahead:
+            self._live.clear(stood_s)
+        elif pose is not None:
+            eye = se2.from_parts(*pose) @ se2.from_parts(self.eye.x, self.eye.y, 0.0)
+            self._live.clear_ahead(stood_s, se2.to_parts(eye), self.half_view_rad)
 
     def floor_now(self) -> FloorNow:
         """All the building, as it is known now, without who walks past."""

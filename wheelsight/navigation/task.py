@@ -9,13 +9,14 @@ import numpy as np
 from wheelsight.estimates import Status
 from wheelsight.geometry import FloatArray
 from wheelsight.navigation.behaviours import Behaviour, Wait, when_blocked, when_lost, when_unseen
-from wheelsight.navigation.collision_monitor import MonitorReason, MonitorResult
+from wheelsight.navigation.collision_monitor import MonitorReason, MonitorResult, MonitorState
 from wheelsight.navigation.goals import Goals
 from wheelsight.navigation.localization import WhereNow
 from wheelsight.navigation.navigator_settings import BehaviourSettings, NavigationSettings, NavigatorSettings
 from wheelsight.navigation.navigator_values import NavigationReason, NavigationResult, Transition
 from wheelsight.navigation.open_way import OpenWay
 from wheelsight.navigation.plan_values import Plan
+from wheelsight.navigation.route_planner import to_go_m
 
 
 class Task:
@@ -26,13 +27,15 @@ class Task:
         now_s: when it begins.
 
     Attributes:
-        plan: that is driven.
+        plan: that is driven; None until there is one to the goal that is next.
         planned_s, checked_s: when it was made, and when it was last held against the surroundings.
         T_map_odom: (3,) of when it was asked for.
         why_anew: why another was asked for, while it is driven.
         goal_change: of the last goal that was reached.
         behaviour: that is done while it recovers.
         is_lost: whether that is to find out where it is.
+        awaits_way: whether that is to see whether a way gets free again.
+        is_refused: whether the map holds it up in what it does: something is too near.
         tries: to get itself out, since it last made way.
         passes_hidden: whether no way was found beside floor that no camera has looked at, since it last made way.
         skips: goals left out, since it last had a plan or got itself out.
@@ -48,9 +51,9 @@ class Task:
         self.T_map_odom: FloatArray = np.zeros(3)
         self.why_anew = self.goal_change = ""
         self.behaviour: Behaviour | None = None
-        self.is_lost = False
+        self.is_lost = self.awaits_way = self.is_refused = False
         self.tries, self.skips, self.searches = 0, 0, 0
-        self.passes_hidden = self._has_waited = self._has_met_people = False
+        self.passes_hidden = self._has_waited = self._has_awaited_way = self._has_met_people = False
         self.known_s = now_s
         self.transitions: list[Transition] = []
         self._begun_s = self._rolled_s = self._tried_s = now_s
@@ -77,7 +80,7 @@ class Task:
         if where.odom_pose is not None:
             self._here = where.odom_pose[:2]
             if not np.hypot(*(self._here - self._from)) <= settings.progress_m:
-                self.tries, self.passes_hidden = 0, False
+                self.tries, self.passes_hidden, self._has_awaited_way = 0, False, False
                 self._has_met_people, self._tried_s = False, now_s
                 self.come_on()
         if where.is_known(settings.unsure_m):
@@ -102,6 +105,7 @@ class Task:
     def recover(self, behaviour: Behaviour, *, is_lost: bool) -> None:
         """Do something to get on."""
         self.behaviour, self.is_lost, self._held, self.skips = behaviour, is_lost, _Stopwatch(), 0
+        self.awaits_way = self.is_refused = False
         self._recoveries += 1
         if is_lost:
             self.searches += 1
@@ -132,7 +136,9 @@ class Task:
         self, settings: BehaviourSettings, status: Status, checked: MonitorResult, open_way: OpenWay | None
     ) -> None:
         """Do something to find out where it is; see `when_lost`."""
-        self.recover(when_lost(self.searches, settings, status, checked, open_way), is_lost=True)
+        is_held = self.is_refused or checked.state is MonitorState.STOPPED
+        sees = checked.reason is not MonitorReason.NO_FRAME
+        self.recover(when_lost(self.searches, settings, status, open_way, is_held=is_held, sees=sees), is_lost=True)
 
     @property
     def may_wait(self) -> bool:
@@ -144,6 +150,20 @@ class Task:
         self.recover(behaviour, is_lost=False)
         self._has_waited = True
 
+    def await_way(self, plan: Plan, where: WhereNow, settings: BehaviourSettings) -> bool:
+        """Wait, once here, rather than go a long way round what may go away; whether it does so.
+
+        As Nav2's `PathLongerOnApproach` does: somebody who stands in the way is gone sooner than a way round is driven.
+        """
+        if self.plan is None or where.state is None or self._has_awaited_way:
+            return False
+        left_m = to_go_m(self.plan, where.state.pose)
+        if plan.length_m <= settings.round_times * left_m + settings.round_m:
+            return False
+        self.recover(Wait(settings.wait_s, f"wait, rather than go {plan.length_m - left_m:.1f} m round"), is_lost=False)
+        self.awaits_way = self._has_awaited_way = True
+        return True
+
     @property
     def _change(self) -> str:
         """Why the plan's goal is not what somebody asked for; empty where it is, or nobody did."""
@@ -151,7 +171,7 @@ class Task:
 
     def reached(self) -> None:
         """The goal of the plan; why it is another one than somebody asked for is kept."""
-        self.goal_change = self._change
+        self.goal_change, self.plan = self._change, None
         self.goals.reached()
         self.come_on()
         self._has_waited = False

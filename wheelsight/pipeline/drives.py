@@ -162,8 +162,7 @@ class Drive:
         while self._robot.now_s < until_s:
             feedback = self.navigator.step()
             self._recorder.step(feedback, self.navigator.senses)
-            is_slow = abs(feedback.forward_m_s) <= follow.standing_m_s
-            if is_slow and abs(feedback.turn_rad_s) <= follow.standing_rad_s:
+            if follow.stands(feedback.forward_m_s, feedback.turn_rad_s):
                 return
 
 
