@@ -13,7 +13,7 @@ from wheelsight.mapping import CellKind
 from wheelsight.pipeline.drive_outputs import drive_dict
 from wheelsight.pipeline.drive_record import DriveRecord, StopRecord
 from wheelsight.pipeline.drives import Goal
-from wheelsight.report.drive_figures import apart, plan_figure, time_line_figure
+from wheelsight.report.drive_figures import apart, plan_figure, time_line_figure, walked
 from wheelsight.report.drive_page import drive_picture, render_drive, verdict
 
 
@@ -53,6 +53,31 @@ def test_the_plan_shows_all_ways_in_metres(record: DriveRecord) -> None:
     assert (traces["held"].x, traces["held"].y) == pytest.approx((-1.0, -0.4))
     image = plan_figure(record).layout.images[0]
     assert (image.x, image.sizex) == pytest.approx((-2.55, 5.1))
+
+
+def test_who_walked_near_it_is_shown_with_how_near(record: DriveRecord) -> None:
+    stamps_s = 0.05 * np.arange(20)
+    one = np.column_stack([stamps_s, -1.5 + stamps_s, np.full(20, 0.5), 0.9 - 0.5 * stamps_s])
+    other = np.column_stack([stamps_s + 10.0, 1.5 - stamps_s, np.full(20, -0.5), np.full(20, 1.2)])
+    met = replace(record, people=np.concatenate([one, other]))
+    ways = [trace for trace in plan_figure(met).data if trace.name == "somebody walked"]
+    assert [trace.showlegend for trace in ways] == [True, False]
+    assert [(trace.x[0], trace.x[-1]) for trace in ways] == [(-1.5, pytest.approx(-0.55)), (1.5, pytest.approx(0.55))]
+    assert "Nearest person" in (page := unescape(render_drive(met)))
+    assert "42.5 cm" in page
+    assert "Nearest person" not in render_drive(record)
+    assert drive_dict(met)["people"] == {
+        "periods": 40,
+        "nearest": {"stamp_s": 0.95, "x_m": -0.55, "y_m": 0.5, "away_m": 0.425},
+    }
+    assert drive_dict(record)["people"] is None
+    assert (drive_picture(met) == (86, 180, 233)).all(axis=2).any()
+
+
+def test_two_who_walk_side_by_side_have_a_way_each(record: DriveRecord) -> None:
+    both = [(0.05 * n, 0.05 * n, y, 1.0) for n in range(10) for y in (0.0, 0.6)]
+    assert sorted({float(y) for way in walked(np.array(both)) for y in way[:, 1]}) == [0.0, 0.6]
+    assert [len(np.unique(way[:, 1])) for way in walked(np.array(both))] == [1, 1]
 
 
 def test_the_time_line_has_each_moment_once(record: DriveRecord) -> None:

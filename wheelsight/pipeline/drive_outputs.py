@@ -49,6 +49,7 @@ def drive_dict(record: DriveRecord) -> dict[str, Any]:
         "way_m": round(record.way_m, 3),
         "planned_m": round(record.planned_m, 3),
         "clearance_m": _number(record.clearance_m),
+        "people": _people(record.people),
         "stops": [_stop(stop) for stop in record.stops],
         "transitions": transitions,
         "plans": plans,
@@ -76,6 +77,15 @@ def _goal(goal: GoalRecord) -> dict[str, Any]:
         "plans": result.plans,
         "recoveries": result.recoveries,
     }
+
+
+def _people(people: FloatArray) -> dict[str, Any] | None:
+    """When somebody was known to walk near the robot, and how near; None where nobody was."""
+    if not len(people):
+        return None
+    stamp_s, x_m, y_m, away_m = people[people[:, 3].argmin()].tolist()
+    nearest = {"stamp_s": _number(stamp_s), "x_m": _number(x_m), "y_m": _number(y_m), "away_m": _number(away_m)}
+    return {"periods": len(np.unique(people[:, 0])), "nearest": nearest}
 
 
 def _stop(stop: StopRecord) -> dict[str, Any]:

@@ -116,6 +116,7 @@ class DriveRecord:
         stops: by the collision monitor.
         clearance_m: least distance of the outline from what map and camera showed; infinite where nothing was near.
         images: a few, in order.
+        people: (N, 4) stamp, x and y in the map of who was known to walk near it, and how far from its outline he was.
         grid: of the map.
         footprint: of the robot.
         config: all settings.
@@ -138,6 +139,7 @@ class DriveRecord:
     grid: OccupancyGrid
     footprint: Footprint
     config: dict[str, Any]
+    people: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
     truth: dict[str, Any] = field(default_factory=dict)
     loops: int | None = None
     is_interrupted: bool = False

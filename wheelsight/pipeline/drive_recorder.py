@@ -12,6 +12,7 @@ from wheelsight.events import Event, RgbdFrame
 from wheelsight.geometry import FloatArray
 from wheelsight.navigation import CellState, Costmap, Feedback, Footprint, MonitorState, Plan
 from wheelsight.navigation.costmap import distances_m
+from wheelsight.navigation.people import Person
 from wheelsight.navigation.senses import Senses
 from wheelsight.pipeline.drive_record import FilmImage, PeriodRows, StopRecord
 from wheelsight.trajectory import Trajectory
@@ -46,6 +47,8 @@ class DriveRecorder:
 
     def __init__(self, footprint: Footprint) -> None:
         self._rows = _Rows()
+        self._footprint = footprint
+        self._people: list[tuple[float, float, float, float]] = []
         self._way: list[tuple[float, FloatArray]] = []
         self._film = _Film()
         self._clearance = _Clearance(footprint)
@@ -79,6 +82,14 @@ class DriveRecorder:
         local = senses.local()
         if feedback.pose is not None and local is not None:
             self.clearance_m = min(self.clearance_m, self._clearance.of(local, feedback.pose))
+        if feedback.pose is not None:
+            outline = self._footprint.at(feedback.pose)
+            self._people += [_met(one, outline, feedback.stamp_s) for one in senses.people(feedback.stamp_s)]
+
+    @property
+    def people(self) -> FloatArray:
+        """As `DriveRecord` has them, so far."""
+        return np.array(self._people, float).reshape(-1, 4)
 
     @property
     def rows(self) -> PeriodRows:
@@ -163,6 +174,13 @@ class _Clearance:
             return np.inf
         nearest_m = float(self._distance_m[tuple(cells[inside].T)].min())
         return max(nearest_m - costmap.resolution_m / 2, 0.0)
+
+
+def _met(person: Person, outline: FloatArray, stamp_s: float) -> tuple[float, float, float, float]:
+    """Stamp, place, and how far his circle is from an outline (N, 2); 0 where they overlap."""
+    x, y = map(float, person.position)
+    inside_m = cv2.pointPolygonTest(outline.astype(np.float32), (x, y), measureDist=True)
+    return stamp_s, x, y, max(-inside_m - person.radius_m, 0.0)
 
 
 def _points_on(footprint: Footprint) -> FloatArray:

@@ -139,6 +139,7 @@ class Drive:
             stops=tuple(kept.stops),
             clearance_m=kept.clearance_m,
             images=kept.images,
+            people=kept.people,
             grid=self._grid(),
             footprint=config.navigation.footprint.outline,
             config=config.to_dict(),

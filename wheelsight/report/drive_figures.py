@@ -20,6 +20,8 @@ from wheelsight.report._plotly import make_subplots
 
 _PLAN_PX, _TIME_PX = 640, 460
 _AROUND_M = 0.5
+# Of who was followed without a break there is a row each 0.05 s; nobody walks farther in the longer time.
+_SAME_WALKER_S, _SAME_WALKER_M = 0.5, 0.8
 _BANDS = ("navigator", "localization", "monitor")
 _BAND_COLOURS = {
     **{"idle": GREY, "planning": ORANGE, "driving": GREEN, "recovering": VERMILLION, "arrived": BLUE, "failed": PURPLE},
@@ -41,6 +43,9 @@ def plan_figure(record: DriveRecord) -> go.Figure:
     path = path[series.keep_shape(path)]
     if len(path):
         drawing.add_path(figure, path, name="driven", line={"color": BLUE, "width": 3}, hover=hover)
+    for number, way in enumerate(walked(record.people)):
+        line = {"color": SKY, "width": 2, "dash": "dot"}
+        drawing.add_path(figure, way, name="somebody walked", line=line, hover=hover, in_legend=not number)
     known = record.rows.poses[np.isfinite(record.rows.poses).all(axis=1)]
     if len(known):
         _add_marks(figure, known[:1, :2], ["start"], "start", {"symbol": "circle", "color": GREEN})
@@ -67,6 +72,19 @@ def time_line_figure(record: DriveRecord) -> go.Figure:
     figure.update_yaxes(autorange="reversed", showgrid=False, row=1, col=1)
     drawing.time_axis_until(figure, record.time_s, "seconds since the begin")
     return figure
+
+
+def walked(people: FloatArray) -> list[FloatArray]:
+    """Ways (M, 2) of who walked near, of people (N, 4) as `DriveRecord` has them: each joins the way it is next to."""
+    ways: list[list[FloatArray]] = []
+    for row in people:
+        lately = [way for way in ways if 0 < row[0] - way[-1][0] < _SAME_WALKER_S]
+        way = min(lately, key=lambda way: np.hypot(*(row - way[-1])[1:3]), default=None)
+        if way is not None and np.hypot(*(row - way[-1])[1:3]) < _SAME_WALKER_M:
+            way.append(row)
+        else:
+            ways.append([row])
+    return [np.array(way)[:, 1:3] for way in ways if len(way) > 1]
 
 
 def apart(poses: FloatArray, apart_m: float) -> FloatArray:

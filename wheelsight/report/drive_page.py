@@ -22,6 +22,7 @@ from wheelsight.report.page import fill_template
 from wheelsight.report.places_sheet import jpeg_uri
 
 _PLANNED, _DRIVEN, _STOPPED, _GOAL, _START = (230, 159, 0), (0, 114, 178), (213, 94, 0), (204, 121, 167), (0, 158, 115)
+_WALKED = (86, 180, 233)
 _ROBOT_EVERY_M = 1.0
 _FOOTER = "Lengths are in metres, stamps in seconds, poses of the base in the map. This page needs no network."
 
@@ -46,6 +47,7 @@ def drive_picture(record: DriveRecord) -> ByteArray:
         for stop in record.stops
         if stop.pose is not None
     ]
+    lines += [PlanLine(way, _WALKED, "somebody walked", 2) for way in figures.walked(record.people)]
     marks += [PlanMark(known[0, :2], "circle", _START, "start")] if len(known) else []
     marks += [PlanMark(goal.goal[:2], "square", _GOAL, "goal", goal.name) for goal in record.goals if goal.is_place]
     return picture_of(record.grid, lines=lines, marks=marks)
@@ -116,6 +118,7 @@ def _tiles(record: DriveRecord) -> list[tuple[str, str, str]]:
         ("Way driven", words.length(record.way_m), f"first plans: {words.length(record.planned_m)}"),
         ("Time", words.duration(record.time_s), f"{words.number(record.way_m / max(record.time_s, 1e-9))} m/s in all"),
         ("Clearance", near, "least, as map and camera showed"),
+        *_people_tile(record),
         ("Held", words.count(len(record.stops), "time"), f"{words.duration(held_s)} in all"),
         ("Plans", str(sum(goal.result.plans for goal in record.goals)), ""),
     ]
@@ -130,10 +133,18 @@ def _tiles(record: DriveRecord) -> list[tuple[str, str, str]]:
     return tiles
 
 
+def _people_tile(record: DriveRecord) -> list[tuple[str, str, str]]:
+    if not len(record.people):
+        return []
+    return [
+        ("Nearest person", words.length(float(record.people[:, 3].min())), "who walked, as the camera followed him")
+    ]
+
+
 def _plan(record: DriveRecord) -> str:
     intro = (
         "The map, what was planned (orange) and what was driven (blue), from the circle to the squares; crosses are "
-        "where the collision monitor held the robot."
+        "where the collision monitor held the robot, light blue where it knew somebody to walk."
     )
     alt = f"The map from above with the way of the robot, {words.length(record.way_m)} long."
     plot = html.plot("drive-map-plan", figures.plan_figure(record), "From above", "", alt)
