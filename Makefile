@@ -43,6 +43,7 @@ demo: $(VENV)/.installed-sim,report,web
 	@echo
 	@echo 'Click a goal yourself, and see it arrive; Ctrl-C ends it:'
 	@echo '  $(BIN)/wheelsight serve --sim studio --map "$(OUT)/explored" --known-start 0,0,0'
+	@grep -qs '"has_arrived": true' "$(OUT)/driven/drive.json" || { echo 'The robot did not arrive at its goal; why is in driven/drive.html.' >&2; exit 1; }
 else
 demo: $(VENV)/.installed-report
 	$(BIN)/wheelsight run "$(RECORDING)" $(if $(ODOMETRY),--odometry "$(ODOMETRY)") --out "$(OUT)/results" --force
