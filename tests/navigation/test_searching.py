@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from narrowing import not_none
 from navigation.rooms import Ride, Walls
 
 from wheelsight.estimates import Status
@@ -59,7 +60,7 @@ def test_before_wheels_were_heard_it_stands_and_says_so_in_the_end() -> None:
     ride = ride_of_one_that_begins(ROOM)
     ride.told.says = lambda estimate: replace(estimate, status=Status.INITIALIZING, T_odom_body=None, covariance=None)
     ride.go(2.0)
-    assert ride.navigator.feedback.monitor.state is MonitorState.STOPPED
+    assert not_none(ride.navigator.feedback.monitor).state is MonitorState.STOPPED
     ride.go(70.0)
     assert ride.robot.base.pose == pytest.approx(np.array(BEGIN), abs=1e-6)
     result = ride.navigator.result

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from wheelsight.cli._drive_options import DriveOptions, SettingsOptions
     from wheelsight.cli._drive_robot_options import RobotOptions
     from wheelsight.config import Config
+    from wheelsight.geometry import FloatArray
     from wheelsight.pipeline.drives import Goal
 
 _CALLED = {"profile": "--profile", "known_map.path": "--map", "known_map.start": "--known-start"}
@@ -50,12 +51,16 @@ def _check_task(options: DriveOptions) -> None:
     if options.explore:
         if options.map_ is not None or options.to:
             raise ConfigError("--explore begins without a map and goals", fix="no --map and no --to; those come next")
+        if options.follow is not None:
+            raise ConfigError("--explore finds its own way", fix="leave out --explore or --follow")
         if options.out is None:
             raise ConfigError("--explore leaves a map", fix="--out DIR")
     elif options.map_ is None:
         raise ConfigError("there is no map to drive in", fix="--map DIR, of a run with --map surfels; or --explore")
-    elif not options.to:
-        raise ConfigError("there is no goal", fix="--to NAME, or --to X,Y,YAW_DEG")
+    elif options.follow is not None and options.to:
+        raise ConfigError("--follow ends where its way does", fix="leave out --follow or --to")
+    elif options.follow is None and not options.to:
+        raise ConfigError("there is no goal", fix="--to NAME, or --to X,Y,YAW_DEG; or --follow FILE")
 
 
 def drive_settings(options: DriveOptions) -> Config:
@@ -88,6 +93,21 @@ def goals_of(options: DriveOptions) -> list[Goal]:
     folder = MapFolder.open(find_map(options.map_))
     try:
         return [Goal.of(goal_of(word, folder), "" if "," in word else word) for word in options.to or ()]
+    finally:
+        folder.close()
+
+
+def way_of(options: DriveOptions) -> FloatArray | None:
+    """(N, 3) of --follow; None without it. Raises as `read_way`, and MapError: before anything moves."""
+    from wheelsight.cli._console import print_warning
+    from wheelsight.pipeline.recorded_ways import read_way
+    from wheelsight.slam.sessions import MapFolder, find_map
+
+    if options.map_ is None or options.follow is None:
+        return None
+    folder = MapFolder.open(find_map(options.map_))
+    try:
+        return read_way(options.follow, folder.calibration, print_warning)
     finally:
         folder.close()
 

@@ -29,6 +29,16 @@ To = Annotated[
         rich_help_panel=_TASK,
     ),
 ]
+Follow = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Along a way that was driven before: the trajectory.txt of a run or a drive in this map, or its folder. "
+        "In place of --to.",
+        show_default=False,
+        rich_help_panel=_TASK,
+    ),
+]
 Back = Annotated[
     bool, typer.Option("--back", help="Return to where the drive began, at the end.", rich_help_panel=_TASK)
 ]
@@ -103,6 +113,7 @@ class TaskOptions:
 
     map_: MapPath = None
     to: To = None
+    follow: Follow = None
     back: Back = False
     explore: Explore = False
     known_start: KnownStart = None

@@ -52,8 +52,8 @@ def write(record: DriveRecord, out: Path) -> None:
     print_note(f"results are in {out}")
 
 
-def tell(record: DriveRecord) -> None:
-    """What became of each goal, on stdout; raises Exit where any was not reached."""
+def tell(record: DriveRecord, left_out: str = "") -> None:
+    """What became of each goal, on stdout, and what was not begun; raises Exit where any was not reached."""
     for goal in record.goals:
         result = goal.result
         if result.has_arrived:
@@ -64,5 +64,7 @@ def tell(record: DriveRecord) -> None:
     if record.is_interrupted:
         print_note("interrupted; the robot was stopped first, and stands")
         raise typer.Exit(INTERRUPTED)
+    if left_out:
+        print_error(left_out)
     if not record.has_arrived:
         raise typer.Exit(_FAILED)

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from wheelsight.cli._console import print_note
-from wheelsight.cli._drive_inputs import check, drive_settings, goals_of
+from wheelsight.cli._drive_inputs import check, drive_settings
 from wheelsight.cli._drive_results import Truth, tell, write
 from wheelsight.cli._drive_robots import robot_of, robot_words
+from wheelsight.cli._drive_tasks import do_all, tasks_of, why_no_return
 from wheelsight.cli._signals import until_stopped
 
 if TYPE_CHECKING:
     from wheelsight.cli._drive_options import DriveOptions
+    from wheelsight.cli._drive_tasks import Task
     from wheelsight.cli._drive_watch import DriveWatch
     from wheelsight.config import Config
     from wheelsight.navigation import Feedback
     from wheelsight.pipeline.drive_record import DriveRecord
-    from wheelsight.pipeline.drives import Drive, Goal
+    from wheelsight.pipeline.drives import Drive, OnStep
     from wheelsight.robots import Robot
 
 # Kernels that localization in a known map, and a drive in it, call.
@@ -41,7 +43,7 @@ def drive_there(options: DriveOptions) -> None:
 
     check(options)
     config = drive_settings(options)
-    goals = goals_of(options)
+    tasks = tasks_of(options)
     if options.out is not None and not options.force:
         refuse_full(options.out)  # before the long work; made once there is a robot
     check_rerun(options.rerun, options.force)
@@ -49,13 +51,14 @@ def drive_there(options: DriveOptions) -> None:
     with robot_of(options, config) as robot:
         if options.out is not None:
             make_output_folder(options.out, options.force)
-        record = _driven(robot, config, goals, options)
+        record, left_out = _driven(robot, config, tasks, options)
     if options.out is not None:
         write(record, options.out)
-    tell(record)
+    tell(record, left_out)
 
 
-def _driven(robot: Robot, config: Config, goals: Sequence[Goal], options: DriveOptions) -> DriveRecord:
+def _driven(robot: Robot, config: Config, tasks: Sequence[Task], options: DriveOptions) -> tuple[DriveRecord, str]:
+    """What became of it, and in a sentence what was not begun; empty where everything was."""
     from wheelsight.cli._drive_watch import watching
     from wheelsight.pipeline.exploring import loops_of
     from wheelsight.slam.sessions import MAP_FOLDER
@@ -67,11 +70,13 @@ def _driven(robot: Robot, config: Config, goals: Sequence[Goal], options: DriveO
         watch.view,
     ):
         truth = Truth(robot) if options.is_simulated else None
-        is_interrupted = _through(drive, goals, options, _on_step(drive, watch, truth))
-        told, tasks = truth.told if truth else {}, len(goals) + options.back + options.explore
-        record = drive.record(tasks, robot_words(options), config, told, is_interrupted=is_interrupted)
-    # The last of them are closed once the drive is over.
-    return replace(record, loops=loops_of(options.out / MAP_FOLDER)) if options.explore and options.out else record
+        is_interrupted = _through(drive, tasks, options, _on_step(drive, watch, truth))
+        told, asked = truth.told if truth else {}, len(tasks) + options.back
+        record = drive.record(asked, robot_words(options), config, told, is_interrupted=is_interrupted)
+    if options.explore and options.out:
+        # The last of them are closed once the drive is over.
+        record = replace(record, loops=loops_of(options.out / MAP_FOLDER))
+    return record, why_no_return(record, drive) if options.back else ""
 
 
 @contextmanager
@@ -97,10 +102,8 @@ def _begun(robot: Robot, config: Config, watch: DriveWatch, options: DriveOption
             yield drive
 
 
-def _through(drive: Drive, goals: Sequence[Goal], options: DriveOptions, on_step: Callable[[Feedback], None]) -> bool:
-    """Through all goals, up to the first that is not reached; whether somebody stopped it."""
-    from wheelsight.pipeline.drives import Goal
-
+def _through(drive: Drive, tasks: Sequence[Task], options: DriveOptions, on_step: OnStep) -> bool:
+    """Through all tasks, up to the first that fails, then back; whether somebody stopped it."""
     with until_stopped() as is_over:
 
         def step(feedback: Feedback) -> None:
@@ -109,19 +112,13 @@ def _through(drive: Drive, goals: Sequence[Goal], options: DriveOptions, on_step
                 raise _ToldToStop
 
         try:
-            if options.explore and not drive.explore(step):
-                return False
-            for goal in goals:
-                if not drive.go_to(goal, step):
-                    return False
-            if options.back and drive.start is not None:
-                drive.go_to(Goal(drive.start, "the start"), step)
+            do_all(drive, tasks, options, step)
         except _ToldToStop:
             return True
     return False
 
 
-def _on_step(drive: Drive, watch: DriveWatch, truth: Truth | None) -> Callable[[Feedback], None]:
+def _on_step(drive: Drive, watch: DriveWatch, truth: Truth | None) -> OnStep:
     def step(feedback: Feedback) -> None:
         if truth is not None:
             truth.look()

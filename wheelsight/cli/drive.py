@@ -30,6 +30,8 @@ def drive(options: DriveOptions) -> None:
 
     wheelsight drive --sim flat --day 1 --map home --to 3.2,1.5,90 --to desk --back
 
+    wheelsight drive --sim flat --map home --follow drive/trajectory.txt --back
+
     wheelsight drive --robot /dev/ttyUSB0 --camera any --calibration robot.yaml --map home --to kitchen
 
     wheelsight drive --sim flat --map home --known-start 0,0,0 --to kitchen --set navigation.limits.forward_m_s=0.5

@@ -219,14 +219,11 @@ class Navigator:
 
     def _why_over(self, task: Task, now_s: float) -> tuple[NavigationReason, str] | None:
         """Why the task cannot go on, whatever it does now."""
-        s = self.settings.navigator
         if self._chain.checked.reason is MonitorReason.WHEELS_OFF:
             return NavigationReason.DISOBEYS, "look at the wheels, then clear the fault"
-        if task.stopped_for_s(now_s, bool(self._robot.stop_reason)) > s.held_s:
+        if task.stopped_for_s(now_s, bool(self._robot.stop_reason)) > self.settings.navigator.held_s:
             return NavigationReason.ROBOT_STOPPED, self._robot.stop_reason
-        if now_s - task.known_s > s.lost_s:
-            return NavigationReason.LOST, f"for {s.lost_s:g} s"
-        return None
+        return task.why_over(now_s, self.settings)
 
     def _plan(self, task: Task, now_s: float) -> VelocityCommand:
         """Plan, and drive; or get out of what makes it impossible."""
@@ -375,7 +372,7 @@ class Navigator:
 
     def _look_about(self, task: Task, why: str) -> VelocityCommand:
         self._planning.drop()
-        task.search(self.settings.behaviours, self._senses.where.status, self._chain.checked, self._senses.open_way())
+        task.search(self.settings, self._senses.where.status, self._chain.checked, self._senses.open_way())
         self._become(NavigationState.RECOVERING, f"{why}; {task.doing}")
         return STOP
 

@@ -17,6 +17,7 @@ class PlanReason(StrEnum):
     GOAL_OUTSIDE = "the goal is outside the map"
     GOAL_UNKNOWN = "nobody has seen the floor at the goal"
     GOAL_OCCUPIED = "the robot does not fit at the goal, nor near to it"
+    GOAL_IN_WALL = "the map has no room for the robot at the goal, nor near to it"
     STANDS = "its limits let the robot neither forward nor backward"
     UNREACHABLE = "no way leads to the goal"
     GAVE_UP = "no way was found within the bounds of the search"
@@ -24,7 +25,12 @@ class PlanReason(StrEnum):
     @property
     def is_for_good(self) -> bool:
         """Whether nothing that passes by itself makes a plan possible."""
-        return self in (PlanReason.INVALID, PlanReason.GOAL_OUTSIDE, PlanReason.STANDS)
+        return self in (
+            PlanReason.INVALID,
+            PlanReason.GOAL_OUTSIDE,
+            PlanReason.GOAL_IN_WALL,
+            PlanReason.STANDS,
+        )
 
     @property
     def is_of_goal(self) -> bool:
@@ -32,6 +38,7 @@ class PlanReason(StrEnum):
         return self in (
             PlanReason.GOAL_UNKNOWN,
             PlanReason.GOAL_OCCUPIED,
+            PlanReason.GOAL_IN_WALL,
             PlanReason.UNREACHABLE,
             PlanReason.GAVE_UP,
         )

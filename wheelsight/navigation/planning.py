@@ -10,11 +10,13 @@ from wheelsight.geometry import FloatArray, se2
 from wheelsight.navigation.blocked_ways import BlockedWays
 from wheelsight.navigation.cautious_planner import CautiousPlanner
 from wheelsight.navigation.costmap import Costmap
+from wheelsight.navigation.floor_now import FloorNow
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.goals import Goals
 from wheelsight.navigation.navigator_settings import NavigationSettings
-from wheelsight.navigation.plan_values import Plan, PlanFailure
+from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
 from wheelsight.navigation.plan_view import PlanView
+from wheelsight.navigation.planner import Planner
 from wheelsight.navigation.senses import Senses
 from wheelsight.navigation.workers import Worker, WorkerInStep
 
@@ -49,6 +51,7 @@ class Planning:
     ) -> None:
         self._senses, self._settings = senses, settings
         self._planner = CautiousPlanner(footprint, settings, PlanView(footprint, senses.eye))
+        self._rooms = Planner(footprint, settings.drivable, settings.limits)
         self._worker: Worker[Planned] = worker or WorkerInStep(settings.navigator.planning_s)
         self._blocked = BlockedWays(settings.blocked, free_visits=int(senses.floor.is_fixed))
 
@@ -78,7 +81,7 @@ class Planning:
             if not ahead:
                 return Planned(None, floor.T_map_odom)
             made = self._planner.plan(costmap, avoiding, hidden, pose, ahead)
-            return Planned(made.found, floor.T_map_odom, made.is_blind)
+            return Planned(self._judged(made.found, floor, ahead[-1]), floor.T_map_odom, made.is_blind)
 
         self._worker.ask(plan, now_s)
 
@@ -110,6 +113,22 @@ class Planning:
     def is_free(self, plan: Plan, reach_m: float) -> bool:
         """Whether nothing that stands is in the way on so much of a plan, from where the robot is."""
         return self._blocked_at(plan, reach_m) is None and not self._is_blind(plan, reach_m)
+
+    def _judged(self, found: Plan | PlanFailure, floor: FloorNow, goal: FloatArray) -> Plan | PlanFailure:
+        """What was found for a goal (3,); where the map itself has no room there, no waiting helps, and that is said.
+
+        Of a map that grows nobody knows yet: who was seen to stand there may go.
+        """
+        if isinstance(found, Plan) or not self._senses.floor.is_fixed:
+            return found
+        if found.reason not in (PlanReason.GOAL_OCCUPIED, PlanReason.GOAL_UNKNOWN):
+            return found
+        mapped = Costmap.of(floor.layer, floor.footprint, floor.settings)
+        if self._rooms.has_room_near(mapped, goal):
+            return found
+        is_unknown = found.reason is PlanReason.GOAL_UNKNOWN
+        what = "nobody has seen the floor" if is_unknown else "a wall, a thing or forbidden floor is"
+        return PlanFailure(PlanReason.GOAL_IN_WALL, f"{what} at ({goal[0]:.2f}, {goal[1]:.2f}) m")
 
     def _blocked_at(self, plan: Plan, reach_m: float) -> FloatArray | None:
         local, pose = self._here()

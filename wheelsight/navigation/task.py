@@ -15,7 +15,7 @@ from wheelsight.navigation.localization import WhereNow
 from wheelsight.navigation.navigator_settings import BehaviourSettings, NavigationSettings, NavigatorSettings
 from wheelsight.navigation.navigator_values import NavigationReason, NavigationResult, Transition
 from wheelsight.navigation.open_way import OpenWay
-from wheelsight.navigation.plan_values import Plan
+from wheelsight.navigation.plan_values import Plan, PlanReason
 from wheelsight.navigation.route_planner import to_go_m
 
 
@@ -132,13 +132,30 @@ class Task:
         else:
             self.recover(when_unseen(tries, b, was_backward=was_backward), is_lost=False)
 
+    def why_over(self, now_s: float, settings: NavigationSettings) -> tuple[NavigationReason, str] | None:
+        """Why the robot cannot do it, wherever it is, or finds out no more where that is; None while it may."""
+        limits, lost_s = settings.limits, now_s - self.known_s
+        if limits.forward_m_s == 0 and limits.backward_m_s == 0:
+            return NavigationReason.NO_PLAN, f"{PlanReason.STANDS}: forward_m_s and backward_m_s are 0"
+        if limits.turn_rad_s == 0 and lost_s > settings.behaviours.wait_s:
+            return NavigationReason.LOST, "nor can it look about: turn_rad_s is 0"
+        most_s = settings.navigator.lost_s
+        return (NavigationReason.LOST, f"for {most_s:g} s") if lost_s > most_s else None
+
     def search(
-        self, settings: BehaviourSettings, status: Status, checked: MonitorResult, open_way: OpenWay | None
+        self, settings: NavigationSettings, status: Status, checked: MonitorResult, open_way: OpenWay | None
     ) -> None:
-        """Do something to find out where it is; see `when_lost`."""
+        """Do something to find out where it is; see `when_lost`.
+
+        Who may not turn stands: nobody drives on before a whole turn has shown what is about it.
+        """
+        s = settings.behaviours
+        if settings.limits.turn_rad_s == 0:
+            self.recover(Wait(s.wait_s, "wait to see where it is"), is_lost=True)
+            return
         is_held = self.is_refused or checked.state is MonitorState.STOPPED
         sees = checked.reason is not MonitorReason.NO_FRAME
-        self.recover(when_lost(self.searches, settings, status, open_way, is_held=is_held, sees=sees), is_lost=True)
+        self.recover(when_lost(self.searches, s, status, open_way, is_held=is_held, sees=sees), is_lost=True)
 
     @property
     def may_wait(self) -> bool:

@@ -96,6 +96,16 @@ class Drive:
         pose = goal.pose[:2] if np.isnan(goal.pose[2:]).any() else goal.pose
         return self._through(goal, lambda: self.navigator.go_to_pose(pose, goal.name), on_step)
 
+    def follow(self, way: ArrayLike, on_step: OnStep, name: str = "the end of a recorded way") -> NavigationResult:
+        """Drive along a way (N, 3) of x, y, yaw in the map, metres and radians, and stand at its end.
+
+        It begins wherever the robot is: that drives to the way first. `on_step` and what is raised are as of `go_to`.
+        """
+        poses = np.asarray(way, float)
+        # What is no way has no end; the navigator refuses it before anything moves.
+        end = poses[-1] if poses.ndim == 2 and len(poses) else np.full(3, np.nan)
+        return self._through(Goal(end, name), lambda: self.navigator.follow_way(way, name), on_step)
+
     def explore(self, on_step: OnStep) -> NavigationResult:
         """Look at all floor that can be reached, and stand. Raises what the robot raises."""
         return self._through(Goal(np.full(3, np.nan), "explore"), self.navigator.explore, on_step)

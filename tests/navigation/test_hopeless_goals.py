@@ -1,0 +1,202 @@
+"""What no waiting helps: a goal in a wall or outside, a shut door, limits of zero; it stands, and says why, at once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from narrowing import not_none
+from navigation.rooms import Ride, Walls
+
+from wheelsight.errors import ArgumentError
+from wheelsight.estimates import Status
+from wheelsight.navigation import (
+    BehaviourSettings,
+    NavigationReason,
+    NavigationResult,
+    NavigationSettings,
+    NavigatorSettings,
+)
+from wheelsight.navigation.goals import Goals, Poses
+from wheelsight.robot_limits import RobotLimits
+
+SIZE_M, BEGIN, GOAL, NEAR = (8.0, 6.0), (1.5, 3.0, 0.0), (6.0, 3.0, 0.0), (2.5, 3.0, 0.0)
+ROOM = (((0.0, 0.0), (8.0, 0.0)), ((7.99, 0.0), (7.99, 6.0)), ((8.0, 5.99), (0.0, 5.99)), ((0.01, 6.0), (0.01, 0.0)))
+SHUT = (*ROOM, ((4.0, 0.0), (4.0, 6.0)))
+CORRIDOR = (*ROOM, ((0.0, 2.0), (8.0, 2.0)), ((0.0, 4.0), (8.0, 4.0)))
+# So thick that nothing within the planner's reach of its middle is free.
+PILLAR = tuple(((x, 2.0), (x, 4.0)) for x in np.arange(5.0, 7.0, 0.05))
+HASTY = NavigatorSettings(tries=1, held_s=1.0, lost_s=8.0)
+QUICK = BehaviourSettings(wait_s=0.5, look_rad=0.2, search_rad=0.3)
+TURNS_ALONE = RobotLimits(forward_m_s=0, backward_m_s=0)
+ALL_ZERO = RobotLimits(forward_m_s=0, backward_m_s=0, turn_rad_s=0)
+AT_ONCE_S = 0.5
+
+
+def ride_of(walls: tuple = ROOM, mapped: tuple | None = None, **chosen: Any) -> Ride:
+    settings = NavigationSettings(controller="pure_pursuit", **chosen)
+    return Ride.of(Walls.of(*walls), BEGIN, SIZE_M, None if mapped is None else Walls.of(*mapped), settings)
+
+
+def end_of(ride: Ride, seconds: float) -> NavigationResult:
+    """Of a task that ends by then, without arrival and with the robot standing."""
+    ride.go(seconds)
+    result = not_none(ride.navigator.result)
+    assert not result
+    assert result.detail
+    assert ride.robot.base.stands
+    return result
+
+
+@pytest.mark.parametrize(
+    ("walls", "goal", "why"),
+    [
+        ((*ROOM, *PILLAR), (6.0, 3.0, 0.0), "the map has no room for the robot at the goal"),
+        ((*ROOM, *PILLAR), (6.0, 3.0), "the map has no room for the robot at the goal"),
+        (ROOM, (7.999, 3.0, 0.0), "the map has no room for the robot at the goal"),
+        (ROOM, (9.0, 3.0, 0.0), "outside the map"),
+        (ROOM, (-1e9, 3.0), "outside the map"),
+    ],
+    ids=["in a wall", "in a wall, of any heading", "in the map's edge", "outside", "far outside"],
+)
+def test_where_the_map_has_no_room_it_says_so_at_once_and_does_not_move(
+    walls: tuple, goal: tuple[float, ...], why: str
+) -> None:
+    ride = ride_of(walls)
+    ride.navigator.go_to_pose(goal)
+    result = end_of(ride, 5.0)
+    assert result.reason is NavigationReason.NO_PLAN
+    assert why in result.detail
+    assert result.recoveries == 0
+    assert result.time_s < AT_ONCE_S
+    assert tuple(ride.robot.base.pose) == BEGIN
+
+
+def test_what_stands_there_and_not_in_the_map_may_go_and_is_waited_for() -> None:
+    across = ((3.3, 2.0), (3.3, 4.0))
+    ride = ride_of((*CORRIDOR, across), mapped=CORRIDOR, navigator=HASTY, behaviours=QUICK)
+    ride.navigator.go_to_pose((3.5, 3.0, 0.0))
+    result = end_of(ride, 30.0)
+    assert any("the robot does not fit at the goal, nor near to it" in one.why for one in result.transitions)
+    assert not any("the map has no room" in one.why for one in result.transitions)
+    assert result.recoveries > 0
+    assert ride.clearance_m > 0.02
+
+
+def test_behind_a_door_that_the_map_has_shut_it_gives_up_where_it_began() -> None:
+    ride = ride_of(SHUT, navigator=HASTY, behaviours=QUICK)
+    ride.navigator.go_to_pose(GOAL)
+    result = end_of(ride, 20.0)
+    assert result.reason is NavigationReason.NO_PLAN
+    assert "walls or things are all round it" in result.detail
+    assert np.hypot(*(ride.robot.base.pose[:2] - BEGIN[:2])) < 0.05
+
+
+@pytest.mark.parametrize("goal", [(np.nan, 1.0, 0.0), (1.0, np.inf), (1.0, 2.0, np.nan)])
+def test_what_is_no_number_is_refused_while_it_drives_and_the_drive_goes_on(goal: tuple[float, ...]) -> None:
+    ride = ride_of()
+    with pytest.raises(ArgumentError, match="goal"):
+        ride.navigator.go_to_pose(goal)
+    ride.go(0.5)
+    assert tuple(ride.robot.base.pose) == BEGIN
+    ride.navigator.go_to_pose(NEAR)
+    ride.go(1.0)
+    with pytest.raises(ArgumentError, match="goal"):
+        ride.navigator.go_to_pose(goal)
+    ride.go(20.0)
+    assert not_none(ride.navigator.result).has_arrived
+
+
+class OneAfterAnother(Poses):
+    """Goes on without a goal that is not reached."""
+
+    def missed(self) -> bool:
+        self.reached()
+        return bool(self.left)
+
+
+@pytest.mark.parametrize("goals", [OneAfterAnother, Poses], ids=["may be left out", "wanted, all of them"])
+def test_of_several_goals_one_in_a_wall_is_left_out_or_ends_it(goals: type[Poses]) -> None:
+    ride = ride_of((*ROOM, *PILLAR))
+    several: Goals = goals([GOAL, NEAR])
+    ride.navigator.begin(several)
+    ride.go(30.0)
+    result = not_none(ride.navigator.result)
+    assert result.recoveries == 0
+    assert result.has_arrived is (goals is OneAfterAnother)
+    assert result.has_arrived or result.time_s < AT_ONCE_S
+
+
+@pytest.mark.parametrize("is_lost", [False, True], ids=["it knows where it is", "lost"])
+@pytest.mark.parametrize("limits", [TURNS_ALONE, ALL_ZERO], ids=["may turn", "all zero"])
+@pytest.mark.parametrize("explores", [False, True], ids=["to a pose", "explores"])
+def test_who_may_not_drive_is_told_so_at_once(explores: bool, limits: RobotLimits, is_lost: bool) -> None:
+    ride = ride_of(limits=limits)
+    if is_lost:
+        ride.told.says = lambda estimate: replace(estimate, status=Status.INITIALIZING)
+    ride.navigator.explore() if explores else ride.navigator.go_to_pose(GOAL)
+    result = end_of(ride, 5.0)
+    assert result.reason is NavigationReason.NO_PLAN
+    assert "limits let the robot neither forward nor backward" in result.detail
+    assert result.time_s < AT_ONCE_S
+    assert tuple(ride.robot.base.pose) == BEGIN
+
+
+@pytest.mark.parametrize("status", [Status.INITIALIZING, Status.LOST])
+def test_who_may_not_turn_does_not_drive_about_to_find_out_where_it_is(status: Status) -> None:
+    """It would drive over floor that no turn has shown."""
+    ride = ride_of(limits=RobotLimits(turn_rad_s=0))
+    ride.told.says = lambda estimate: replace(estimate, status=status)
+    ride.navigator.go_to_pose(GOAL)
+    result = end_of(ride, 10.0)
+    assert result.reason is NavigationReason.LOST
+    assert "turn_rad_s is 0" in result.detail
+    assert result.time_s < BehaviourSettings().wait_s + AT_ONCE_S
+    assert tuple(ride.robot.base.pose) == BEGIN
+
+
+def test_who_may_not_turn_goes_on_when_it_knows_where_it_is_by_then() -> None:
+    ride = ride_of(limits=RobotLimits(turn_rad_s=0))
+    ride.told.says = lambda estimate: (
+        replace(estimate, status=Status.INITIALIZING) if estimate.stamp_s < 2.0 else estimate
+    )
+    ride.navigator.go_to_pose(NEAR)
+    ride.go(20.0)
+    assert not_none(ride.navigator.result).has_arrived
+
+
+@pytest.mark.parametrize(
+    ("limits", "goal"),
+    [
+        (RobotLimits(turn_rad_s=0), (4.0, 4.5, 1.0)),
+        (RobotLimits(forward_m_s=0, turn_rad_s=0), NEAR),
+        (RobotLimits(forward_m_s=0, turn_rad_s=0), (2.5, 4.0)),
+    ],
+    ids=["no turn, to the side", "backward alone, ahead", "backward alone, to the side"],
+)
+def test_where_limits_leave_no_way_it_says_that_none_leads_there(limits: RobotLimits, goal: tuple[float, ...]) -> None:
+    ride = ride_of(limits=limits, navigator=HASTY, behaviours=QUICK)
+    ride.navigator.go_to_pose(goal)
+    result = end_of(ride, 20.0)
+    assert result.reason is NavigationReason.NO_PLAN
+    assert "no way leads to the goal" in result.detail
+    assert abs(ride.robot.base.pose[2]) < 1e-6
+
+
+def test_who_may_not_drive_forward_never_does() -> None:
+    ride = ride_of(limits=RobotLimits(forward_m_s=0), navigator=HASTY, behaviours=QUICK)
+    ride.navigator.go_to_pose(NEAR)
+    fastest_m_s = -np.inf
+
+    def drives() -> bool:
+        nonlocal fastest_m_s
+        fastest_m_s = max(fastest_m_s, ride.robot.base.forward_m_s)
+        return False
+
+    ride.go(60.0, until=drives)
+    assert fastest_m_s < 1e-6
+    result = not_none(ride.navigator.result)
+    assert result.has_arrived or result.reason in (NavigationReason.NO_PLAN, NavigationReason.BLOCKED)
+    assert ride.robot.base.stands
