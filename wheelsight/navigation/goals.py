@@ -135,13 +135,21 @@ class Way:
 
     def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
         """See `Goals`: all that was not passed yet."""
-        while len(self._left) > 1 and np.hypot(*(self._left[0][:2] - pose[:2])) < _PASSED_M:
-            self._left.pop(0)
+        self._pass(pose)
         return tuple(self._left)
 
     def is_met(self, pose: FloatArray, layer: StaticLayer) -> bool:
-        """See `Goals`: its end is driven to."""
+        """See `Goals`: its end is driven to. What was passed is in no later plan, however late that is made."""
+        self._pass(pose)
         return False
+
+    def _pass(self, pose: FloatArray) -> None:
+        """In order: where the way crosses itself, what comes later is not passed."""
+        # As one step: a plan may be in the making beside it.
+        left = self._left
+        while len(left) > 1 and np.hypot(*(left[0][:2] - pose[:2])) < _PASSED_M:
+            left = left[1:]
+        self._left = left
 
     def taken(self) -> None:
         """See `Goals`: its end is the same each time."""
