@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from navigation.rooms import RoomRobot, Told, Walls
+from navigation.rooms import RoomRobot, Told, Walls, walls_about
 
 from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.errors import MapError
@@ -22,8 +22,8 @@ from wheelsight.navigation import KnownFloor, NavigationSettings, Navigator, Tra
 from wheelsight.robots import Robot
 from wheelsight.settings import LivePageSettings
 
-ROOM = Walls.of(((0, 0), (8, 0)), ((7.99, 0), (7.99, 6)), ((8, 5.99), (0, 5.99)), ((0.01, 6), (0.01, 0)))
 SIZE_M, BEGIN = (8.0, 6.0), (1.5, 3.0, 0.0)
+ROOM = Walls.of(*walls_about(*SIZE_M))
 GOAL = {"type": "goal", "x_m": 5.0, "y_m": 3.0, "yaw_rad": 0.0}
 LONGEST_S = 30.0
 

@@ -31,6 +31,20 @@ MOUNT = Robot(camera_height_m=HEIGHT_M, camera_forward_m=AHEAD_M, camera_pitch_r
 CALIBRATION = Calibration.registered_camera(CAMERA, T_base_camera=MOUNT, wheels=WHEELS)
 
 
+Wall = tuple[tuple[float, float], tuple[float, float]]
+
+
+def walls_about(width_m: float, height_m: float) -> tuple[Wall, ...]:
+    """Of an empty room from the origin on; the farther ones within the last cell of its grid."""
+    right, top = width_m - 0.01, height_m - 0.01
+    return (
+        ((0.0, 0.0), (width_m, 0.0)),
+        ((right, 0.0), (right, height_m)),
+        ((width_m, top), (0.0, top)),
+        ((0.01, height_m), (0.01, 0.0)),
+    )
+
+
 @dataclass
 class Walls:
     """Walls from floor to ceiling, each from (x, y) to (x, y): (N, 2, 2)."""
@@ -38,7 +52,7 @@ class Walls:
     ends: FloatArray
 
     @classmethod
-    def of(cls, *walls: tuple[tuple[float, float], tuple[float, float]]) -> Walls:
+    def of(cls, *walls: Wall) -> Walls:
         return cls(np.array(walls, float))
 
     def grid(self, width_m: float, height_m: float) -> OccupancyGrid:

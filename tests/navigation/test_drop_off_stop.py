@@ -7,29 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import CAMERA, SENSES_M, Ride, Walls
+from navigation.rooms import CAMERA, SENSES_M, Ride, Walls, walls_about
+from navigation.unguarded import FULL, Asks, without_monitor
 
-from wheelsight.commands import VelocityCommand
 from wheelsight.geometry import FloatArray
-from wheelsight.navigation import MonitorReason, MonitorResult, MonitorState, NavigationSettings
-from wheelsight.navigation.control_values import ControlResult, DrivenPath, MotionState
-from wheelsight.navigation.fields import CostField
+from wheelsight.navigation import MonitorReason, MonitorState, NavigationSettings
+from wheelsight.navigation.control_values import ControlResult
 from wheelsight.navigation.live_layer import LiveLayer
 from wheelsight.navigation.people_settings import PeopleSettings
-from wheelsight.robot_limits import RobotLimits
 
 SIZE_M = (9.0, 6.0)
-ROOM = (
-    ((0.0, 0.0), (9.0, 0.0)),
-    ((8.99, 0.0), (8.99, 6.0)),
-    ((9.0, 5.99), (0.0, 5.99)),
-    ((0.01, 6.0), (0.01, 0.0)),
-)
+ROOM = walls_about(*SIZE_M)
 EDGE_M, LOWER_M = 5.2, 1.0
 BEGIN, GOAL = (1.5, 3.0, 0.0), (8.0, 3.0, 0.0)
 # Nobody walks here, and looking for people takes time.
 SETTINGS = NavigationSettings(people=PeopleSettings(is_predicted=False))
-FULL = VelocityCommand(RobotLimits().forward_m_s, 0.0)
 
 
 @dataclass
@@ -57,23 +49,15 @@ class Stair(Walls):
         return np.where(is_beyond & is_floor, lower, seen)
 
 
-class AlwaysFull:
-    """The worst controller."""
-
-    def command(self, state: MotionState, plan: DrivenPath, field: CostField, people: FloatArray) -> ControlResult:
-        return ControlResult(FULL)
-
-
 def farthest_m(slant_rad: float, monkeypatch: pytest.MonkeyPatch, *, is_checked: bool) -> tuple[float, float, Ride]:
     """How far the outline came beyond the edge, and how fast it was, of a ride that nothing but the monitor ends."""
     stair = Stair(Walls.of(*ROOM).ends, slant_rad)
     # The map does not know of it, nor does any costmap.
     monkeypatch.setattr(LiveLayer, "update", lambda layer, *seen: None)
     ride = Ride.of(stair, BEGIN, SIZE_M, Walls.of(*ROOM), SETTINGS)
-    ride.navigator._controller = AlwaysFull()  # noqa: SLF001
+    ride.navigator._controller = Asks(ControlResult(FULL))  # noqa: SLF001
     if not is_checked:
-        free = MonitorState.FREE
-        monkeypatch.setattr(ride.navigator.monitor, "check", lambda asked, *now: MonitorResult(asked, free))
+        without_monitor(monkeypatch, ride)
     most_m, fastest_m_s = -np.inf, 0.0
 
     def looks() -> bool:

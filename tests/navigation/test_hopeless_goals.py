@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import Ride, Walls
+from navigation.rooms import Ride, Walls, walls_about
 
 from wheelsight.errors import ArgumentError
 from wheelsight.estimates import Status
@@ -23,7 +23,7 @@ from wheelsight.navigation.goals import Goals, Poses
 from wheelsight.robot_limits import RobotLimits
 
 SIZE_M, BEGIN, GOAL, NEAR = (8.0, 6.0), (1.5, 3.0, 0.0), (6.0, 3.0, 0.0), (2.5, 3.0, 0.0)
-ROOM = (((0.0, 0.0), (8.0, 0.0)), ((7.99, 0.0), (7.99, 6.0)), ((8.0, 5.99), (0.0, 5.99)), ((0.01, 6.0), (0.01, 0.0)))
+ROOM = walls_about(*SIZE_M)
 SHUT = (*ROOM, ((4.0, 0.0), (4.0, 6.0)))
 CORRIDOR = (*ROOM, ((0.0, 2.0), (8.0, 2.0)), ((0.0, 4.0), (8.0, 4.0)))
 # So thick that nothing within the planner's reach of its middle is free.

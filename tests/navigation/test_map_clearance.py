@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from navigation.rooms import Ride, Walls
+from navigation.rooms import Ride, Walls, walls_about
 
 from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.estimates import Status
@@ -63,7 +63,7 @@ def test_floor_that_nobody_has_seen_is_no_obstacle() -> None:
 
 def test_who_is_lost_where_the_map_lets_it_turn_to_no_side_backs_up_to_look() -> None:
     """It took up another way to look in each period, twenty a second, and did none of them."""
-    room = ((0.0, 0.0), (8.0, 0.0)), ((7.99, 0.0), (7.99, 6.0)), ((8.0, 5.99), (0.0, 5.99)), ((0.01, 6.0), (0.01, 0.0))
+    room = walls_about(8.0, 6.0)
     mapped = *room, ((1.9, 2.62), (3.2, 2.62)), ((1.9, 3.38), (3.2, 3.38))
     hasty = NavigationSettings(behaviours=BehaviourSettings(refused_s=0.5, wait_s=0.5, search_m=0.0))
     ride = Ride.of(Walls.of(*room), (2.2, 3.0, 0.0), (8.0, 6.0), Walls.of(*mapped), hasty)

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import Ride, Walls
+from navigation.rooms import Ride, Walls, walls_about
+from navigation.unguarded import FULL, Asks, without_monitor
 from navigation.unicycle import clearance_m, field_of
 
 from wheelsight.commands import STOP, VelocityCommand
@@ -32,37 +33,20 @@ from wheelsight.navigation.plan_values import Plan
 from wheelsight.navigation.planning import Planning
 from wheelsight.navigation.pure_pursuit import PurePursuitController
 from wheelsight.navigation.senses import Senses
-from wheelsight.robot_limits import RobotLimits
 
 SIZE_M = (9.0, 6.0)
-ROOM = (
-    ((0.0, 0.0), (9.0, 0.0)),
-    ((8.99, 0.0), (8.99, 6.0)),
-    ((9.0, 5.99), (0.0, 5.99)),
-    ((0.01, 6.0), (0.01, 0.0)),
-)
+ROOM = walls_about(*SIZE_M)
 # Right across the room: nobody gets past it, nor around it.
 WALL_M = 5.0
 ACROSS = (*ROOM, ((WALL_M, 0.0), (WALL_M, 6.0)))
 POINTS = np.concatenate([np.linspace(a, b, 1 + round(np.hypot(b[0] - a[0], b[1] - a[1]) / 0.02)) for a, b in ACROSS])
 BEGIN, GOAL = (1.5, 3.0, 0.0), (8.0, 3.0, 0.0)
 NEARER = (2.9, 3.0, 0.0)
-FULL = VelocityCommand(RobotLimits().forward_m_s, 0.0)
 # A chair's link stands still by itself when nothing is said for so long: docs/serial-link.md.
 WATCHDOG_S, PERIOD_S, HANGS_S = 0.25, 0.05, 1.0
 # Nobody walks here, and looking for people takes time.
 UNTRACKED = PeopleSettings(is_predicted=False)
 ABOUT_THINGS = (MonitorReason.OBSTACLE, MonitorReason.IN_ZONE, MonitorReason.NEAR, MonitorReason.INSIDE)
-
-
-@dataclass
-class Asks:
-    """A controller that asks for the same whatever it is shown."""
-
-    result: ControlResult
-
-    def command(self, state: MotionState, plan: DrivenPath, field: CostField, people: FloatArray) -> ControlResult:
-        return self.result
 
 
 class AsksAnything:
@@ -177,11 +161,6 @@ class Faults:
         """Another one."""
         self.ride.navigator._controller = controller  # noqa: SLF001
 
-    def no_monitor(self) -> None:
-        """What is asked is driven."""
-        free = MonitorState.FREE
-        self.patch.setattr(self.ride.navigator.monitor, "check", lambda asked, *now: MonitorResult(asked, free))
-
 
 def plan_leads_through_the_wall(faults: Faults) -> None:
     faults.plans_through()
@@ -274,7 +253,7 @@ def ride_with(
         faults = Faults(patch, ride)
         put(faults)
         if not is_checked:
-            faults.no_monitor()
+            without_monitor(patch, ride)
         ride.navigator.go_to_pose(GOAL)
         ride.go(seconds, seen.look)
     return seen

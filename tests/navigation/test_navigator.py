@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import Ride, Walls, is_near
+from navigation.rooms import Ride, Walls, is_near, walls_about
 
 from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.errors import ArgumentError
@@ -26,12 +26,7 @@ from wheelsight.navigation.plan_values import Plan
 from wheelsight.navigation.pure_pursuit import PurePursuitController
 
 SIZE_M = (8.0, 6.0)
-ROOM = (
-    ((0.0, 0.0), (8.0, 0.0)),
-    ((7.99, 0.0), (7.99, 6.0)),
-    ((8.0, 5.99), (0.0, 5.99)),
-    ((0.01, 6.0), (0.01, 0.0)),
-)
+ROOM = walls_about(*SIZE_M)
 BESIDE = (1.5, 3.0, 0.0)
 GOAL = (6.0, 3.0, 0.0)
 NEAR = (3.5, 3.0, 0.0)

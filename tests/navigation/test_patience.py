@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import Ride, Walls, is_near
+from navigation.rooms import Ride, Walls, is_near, walls_about
 
 from wheelsight.navigation import BehaviourSettings, NavigationReason, NavigationSettings, NavigatorSettings
 from wheelsight.navigation.people import Person
 
-ROOM = (((0.0, 0.0), (8.0, 0.0)), ((7.99, 0.0), (7.99, 6.0)), ((8.0, 5.99), (0.0, 5.99)), ((0.01, 6.0), (0.01, 0.0)))
+ROOM = walls_about(8.0, 6.0)
 DOOR = (*ROOM, ((4.0, 0.0), (4.0, 2.3)), ((4.0, 3.7), (4.0, 6.0)))
 CROWD = (*DOOR, ((4.0, 2.3), (4.0, 3.7)))
 BEGIN, GOAL = (1.5, 3.0, 0.0), (6.0, 3.0, 0.0)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import Ride, Walls
+from navigation.rooms import Ride, Walls, walls_about
 
 from wheelsight.estimates import Status
 from wheelsight.navigation import (
@@ -19,7 +19,7 @@ from wheelsight.navigation import (
 )
 
 SIZE_M, BEGIN = (8.0, 6.0), (1.5, 3.0, 0.0)
-ROOM = (((0.0, 0.0), (8.0, 0.0)), ((7.99, 0.0), (7.99, 6.0)), ((8.0, 5.99), (0.0, 5.99)), ((0.01, 6.0), (0.01, 0.0)))
+ROOM = walls_about(*SIZE_M)
 # Where most room is, seen from the begin, and not in the map.
 ACROSS = ((3.4, 1.0), (3.4, 5.0))
 # A whole turn at 0.4 rad/s, 1.5 m at 0.2 m/s after a turn to there, and some of the next whole turn.

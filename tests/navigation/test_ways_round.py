@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 from narrowing import not_none
-from navigation.rooms import Ride, Walls, is_near
+from navigation.rooms import Ride, Walls, is_near, walls_about
 
 from wheelsight.navigation import BehaviourSettings, NavigationSettings
 
 SIZE_M = (8.0, 12.0)
-ROOM = (
-    ((0.0, 0.0), (8.0, 0.0)),
-    ((7.99, 0.0), (7.99, 12.0)),
-    ((8.0, 11.99), (0.0, 11.99)),
-    ((0.01, 12.0), (0.01, 0.0)),
-)
+ROOM = walls_about(*SIZE_M)
 FAR_DOOR = ((4.0, 3.7), (4.0, 9.0)), ((4.0, 10.6), (4.0, 12.0))
 TWO_DOORS = (*ROOM, ((4.0, 0.0), (4.0, 2.3)), *FAR_DOOR)
 ONE_DOOR = (*ROOM, ((4.0, 0.0), (4.0, 3.7)), *FAR_DOOR)

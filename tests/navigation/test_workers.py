@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import CALIBRATION, Ride, Walls, is_near
+from navigation.rooms import CALIBRATION, Ride, Walls, is_near, walls_about
 from navigation.test_floors import CHAIR, Seen
 
 from wheelsight.errors import MapError
@@ -28,12 +28,7 @@ from wheelsight.navigation import (
 )
 
 SIZE_M = (8.0, 6.0)
-ROOM = (
-    ((0.0, 0.0), (8.0, 0.0)),
-    ((7.99, 0.0), (7.99, 6.0)),
-    ((8.0, 5.99), (0.0, 5.99)),
-    ((0.01, 6.0), (0.01, 0.0)),
-)
+ROOM = walls_about(*SIZE_M)
 BESIDE, GOAL = (1.5, 3.0, 0.0), (6.0, 3.0, 0.0)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wheelsight.errors import ConfigError
@@ -13,6 +15,7 @@ if TYPE_CHECKING:
     from wheelsight.config import Config
     from wheelsight.geometry import FloatArray
     from wheelsight.pipeline.drives import Goal
+    from wheelsight.slam.sessions import MapFolder
 
 _CALLED = {"profile": "--profile", "known_map.path": "--map", "known_map.start": "--known-start"}
 
@@ -86,28 +89,32 @@ def goals_of(options: DriveOptions) -> list[Goal]:
     """All of --to. Raises ConfigError, MapError: before anything moves."""
     from wheelsight.cli._map_names import goal_of
     from wheelsight.pipeline.drives import Goal
-    from wheelsight.slam.sessions import MapFolder, find_map
 
     if options.map_ is None:
         return []
-    folder = MapFolder.open(find_map(options.map_))
-    try:
+    with _opened(options.map_) as folder:
         return [Goal.of(goal_of(word, folder), "" if "," in word else word) for word in options.to or ()]
-    finally:
-        folder.close()
 
 
 def way_of(options: DriveOptions) -> FloatArray | None:
     """(N, 3) of --follow; None without it. Raises as `read_way`, and MapError: before anything moves."""
     from wheelsight.cli._console import print_warning
     from wheelsight.pipeline.recorded_ways import read_way
-    from wheelsight.slam.sessions import MapFolder, find_map
 
     if options.map_ is None or options.follow is None:
         return None
-    folder = MapFolder.open(find_map(options.map_))
-    try:
+    with _opened(options.map_) as folder:
         return read_way(options.follow, folder.calibration, print_warning)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[MapFolder]:
+    """A map of --map. Raises MapError."""
+    from wheelsight.slam.sessions import MapFolder, find_map
+
+    folder = MapFolder.open(find_map(path))
+    try:
+        yield folder
     finally:
         folder.close()
 

@@ -16,7 +16,6 @@ from wheelsight.navigation.goals import Goals
 from wheelsight.navigation.navigator_settings import NavigationSettings
 from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
 from wheelsight.navigation.plan_view import PlanView
-from wheelsight.navigation.planner import Planner
 from wheelsight.navigation.senses import Senses
 from wheelsight.navigation.workers import Worker, WorkerInStep
 
@@ -51,7 +50,6 @@ class Planning:
     ) -> None:
         self._senses, self._settings = senses, settings
         self._planner = CautiousPlanner(footprint, settings, PlanView(footprint, senses.eye))
-        self._rooms = Planner(footprint, settings.drivable, settings.limits)
         self._worker: Worker[Planned] = worker or WorkerInStep(settings.navigator.planning_s)
         self._blocked = BlockedWays(settings.blocked, free_visits=int(senses.floor.is_fixed))
 
@@ -124,7 +122,7 @@ class Planning:
         if found.reason not in (PlanReason.GOAL_OCCUPIED, PlanReason.GOAL_UNKNOWN):
             return found
         mapped = Costmap.of(floor.layer, floor.footprint, floor.settings)
-        if self._rooms.has_room_near(mapped, goal):
+        if self._planner.route.has_room_near(mapped, goal):
             return found
         is_unknown = found.reason is PlanReason.GOAL_UNKNOWN
         what = "nobody has seen the floor" if is_unknown else "a wall, a thing or forbidden floor is"

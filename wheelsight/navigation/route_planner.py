@@ -45,6 +45,10 @@ class RoutePlanner:
                 return found
         return plans[0] if len(plans) == 1 else _joined(plans)
 
+    def has_room_near(self, costmap: Costmap, goal: FloatArray) -> bool:
+        """See `Planner.has_room_near`."""
+        return self._planner.has_room_near(costmap, goal)
+
     def blocked_at(self, costmap: Costmap, plan: Plan, pose: FloatArray, reach_m: float) -> FloatArray | None:
         """The first pose (3,) of so much of a plan, from a pose (3,) on, where the footprint does not pass; or None."""
         drivable = Drivable.of(costmap, self._footprint, self._rules, self._settings.limits)

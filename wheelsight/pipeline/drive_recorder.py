@@ -79,12 +79,8 @@ class DriveRecorder:
             self.plans.append((feedback.stamp_s, feedback.plan.poses))
         self._plan = feedback.plan
         self._keep_way(senses)
-        local = senses.local()
-        if feedback.pose is not None and local is not None:
-            self.clearance_m = min(self.clearance_m, self._clearance.of(local, feedback.pose))
         if feedback.pose is not None:
-            outline = self._footprint.at(feedback.pose)
-            self._people += [_met(one, outline, feedback.stamp_s) for one in senses.people(feedback.stamp_s)]
+            self._look_about(feedback.pose, feedback.stamp_s, senses)
 
     @property
     def people(self) -> FloatArray:
@@ -124,6 +120,14 @@ class DriveRecorder:
             self.stops[-1] = replace(last, end_s=now_s)
         else:
             self.stops.append(StopRecord(now_s, now_s, reason, feedback.pose))
+
+    def _look_about(self, pose: FloatArray, stamp_s: float, senses: Senses) -> None:
+        """What and who is near."""
+        local = senses.local()
+        if local is not None:
+            self.clearance_m = min(self.clearance_m, self._clearance.of(local, pose))
+        outline = self._footprint.at(pose)
+        self._people += [_met(one, outline, stamp_s) for one in senses.people(stamp_s)]
 
     def _keep_way(self, senses: Senses) -> None:
         estimate = senses.where.estimate
