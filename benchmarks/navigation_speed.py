@@ -16,7 +16,7 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -35,7 +35,16 @@ from wheelsight.estimates import Estimate, Status
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.localizer import Localizer, LocalizerBeside
-from wheelsight.navigation import CostmapSettings, GrowingFloor, NavigationSettings, Navigator, WheelCheckSettings
+from wheelsight.navigation import (
+    CostmapSettings,
+    GrowingFloor,
+    NavigationSettings,
+    Navigator,
+    Planned,
+    SeenFloor,
+    WheelCheckSettings,
+    WorkerBeside,
+)
 from wheelsight.simulation import SimulationSettings, simulate
 from wheelsight.simulation.simulator import PERIOD_S
 
@@ -105,10 +114,15 @@ def played(drive: PlayedDrive, minutes: float) -> list[Quarter]:
     """Lead the robot along it, and measure by quarters; what comes before is warming up."""
     check = WheelCheckSettings(off_m_s=2.0, off_rad_s=4.0)
     settings = NavigationSettings(costmap=CostmapSettings(unknown="costly"), wheel_check=check)
-    with PlayedRobot(drive) as robot, _localized(drive) as (localization, counting):
-        footprint = settings.footprint.outline
-        floor = GrowingFloor(localization, drive.calibration, footprint, _TRUSTED_M, holds=drive.way[:, :2])
-        navigator = Navigator(robot, localization, floor, settings, trusts_floor=True)
+    with (
+        PlayedRobot(drive) as robot,
+        _localized(drive) as (localization, counting),
+        closing(WorkerBeside[SeenFloor]("floor")) as growing,
+        closing(WorkerBeside[Planned]("planning")) as planning,
+    ):
+        footprint, holds = settings.footprint.outline, drive.way[:, :2]
+        floor = GrowingFloor(localization, drive.calibration, footprint, _TRUSTED_M, holds=holds, worker=growing)
+        navigator = Navigator(robot, localization, floor, settings, planning=planning, trusts_floor=True)
         robot.begin()
         _lead(navigator, robot, drive, _WARMING_S)
         quarters = []

@@ -16,6 +16,8 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
+_TRIES = 50
+
 
 def serve(connection: Connection, work: Callable[[Any], object], folder: str) -> None:
     """Answer each job with its outcome.
@@ -28,13 +30,19 @@ def serve(connection: Connection, work: Callable[[Any], object], folder: str) ->
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     tempfile.tempdir = folder
     _speak_into(os.path.join(folder, "stderr.txt"))  # noqa: PTH118 - before anything else is loaded
-    threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
+    ending = threading.Thread(target=_end_with_parent, args=(folder,), daemon=True)
+    ending.start()
     while True:
         try:
             job = connection.recv()
-        except EOFError:
-            return
-        connection.send(work(job))
+        except (EOFError, ConnectionError):
+            break
+        outcome = work(job)
+        try:
+            connection.send(outcome)
+        except ConnectionError:
+            break
+    ending.join()  # it tidies up, and ends this process; or whoever closed the connection does
 
 
 def _speak_into(log: str) -> None:
@@ -52,7 +60,10 @@ def _end_with_parent(folder: str) -> None:
     parent = parent_process()
     assert parent is not None
     wait([parent.sentinel])
-    shutil.rmtree(folder, ignore_errors=True)
+    for _ in range(_TRIES):  # a job that goes on may write into it meanwhile
+        shutil.rmtree(folder, ignore_errors=True)
+        if not Path(folder).exists():
+            break
     with suppress(OSError):  # the last one removes what all of them were in
         Path(folder).parent.rmdir()
     os._exit(1)
