@@ -10,10 +10,11 @@ from wheelsight.estimates import Estimate
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.localizer.in_step import Answering
+from wheelsight.threads import yield_to_others
 
 
 class LocalizerBeside:
-    """Answers in a thread of its own, so that who controls a robot never waits for a frame.
+    """Answers in a thread of its own, which yields to who controls a robot: that one never waits for a frame.
 
     Frames that come faster than they are answered are left out but for the newest; wheel readings never are.
 
@@ -68,6 +69,7 @@ class LocalizerBeside:
         self._waiting.append(event)
 
     def _run(self) -> None:
+        yield_to_others()
         try:
             while True:
                 with self._changed:

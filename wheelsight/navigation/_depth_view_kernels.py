@@ -58,14 +58,15 @@ class Shown(NamedTuple):
 def look(depth_m: Any, rays: Rays, heights: Heights, shown: Shown) -> None:
     """Sort the pixels of a depth image (h, w) in metres; where it is not finite and over 0, nothing was measured."""
     rows, columns = depth_m.shape
-    bins = shown.floor.shape[1]
+    bins, lowest = shown.floor.shape[1], shown.tops.shape[2] - 1
     for v in range(rows):
         for u in range(columns):
             z, column = depth_m[v, u], rays.columns[v, u]
             if column < 0 or not (z > 0 and z < np.inf):
                 continue
             shown.measured[column] += 1
-            what, dx, dy, way_m = _met(z, rays.ways[v, u], rays.camera[2], heights)
+            x, y, dz = z * rays.ways[v, u, 0], z * rays.ways[v, u, 1], z * rays.ways[v, u, 2]
+            what, dx, dy, way_m = _met(x, y, dz, rays.camera[2], heights)
             if what == _FLOOR:
                 at = int(way_m / shown.bin_m)
                 if at < bins:
@@ -76,7 +77,9 @@ def look(depth_m: Any, rays: Rays, heights: Heights, shown: Shown) -> None:
                     shown.cells[row, place, 0] += 1
                     shown.cells[row, place, 1] += rays.camera[0] + dx
                     shown.cells[row, place, 2] += rays.camera[1] + dy
-                    _keep_highest(shown.tops[row, place], rays.camera[2] + z * rays.ways[v, u, 2])
+                    height_m = rays.camera[2] + dz
+                    if height_m > shown.tops[row, place, lowest]:
+                        _keep_highest(shown.tops[row, place], height_m)
 
 
 @kernel(error_model="numpy")
@@ -99,7 +102,8 @@ def reach(depth_m: Any, rays: Rays, heights: Heights, shown: Shown, is_thing: An
             z, column = depth_m[v, u], rays.columns[v, u]
             if column < 0 or not (z > 0 and z < np.inf):
                 continue
-            what, dx, dy, way_m = _met(z, rays.ways[v, u], rays.camera[2], heights)
+            x, y, dz = z * rays.ways[v, u, 0], z * rays.ways[v, u, 1], z * rays.ways[v, u, 2]
+            what, dx, dy, way_m = _met(x, y, dz, rays.camera[2], heights)
             if what == _THING and way_m < nearest_m[column]:
                 row, place = _cell(shown, rays.camera[0] + dx, rays.camera[1] + dy)
                 if row >= 0 and is_thing[row, place]:
@@ -107,9 +111,10 @@ def reach(depth_m: Any, rays: Rays, heights: Heights, shown: Shown, is_thing: An
 
 
 @kernel(error_model="numpy")
-def _met(z: float, way: Any, camera_m: float, heights: Heights) -> Any:
-    """What a pixel at depth `z` shows, seen from so far over the floor, and where: along x, along y, and how far."""
-    dx, dy, dz = z * way[0], z * way[1], z * way[2]
+def _met(dx: float, dy: float, dz: float, camera_m: float, heights: Heights) -> Any:
+    """What a pixel shows whose point lies so from the camera, seen from so far over the floor, and where: along x,
+    along y, and how far.
+    """
     h, way_m = camera_m + dz, np.sqrt(dx * dx + dy * dy)
     tilt_m = heights.tilt_rad * way_m
     what = _NEITHER

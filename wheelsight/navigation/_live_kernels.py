@@ -77,7 +77,7 @@ def mark_met(view: View, heights: Heights, is_own: Any, seen: Any) -> None:
             if not (z > 0 and z < np.inf):
                 continue
             x, y, h = _end(view, v, u, z)
-            way_m = heights.resolution_m * np.hypot(x - M[0, 3], y - M[1, 3])
+            way_m = heights.resolution_m * np.sqrt((x - M[0, 3]) ** 2 + (y - M[1, 3]) ** 2)
             tilt_m = heights.tilt_rad * way_m
             channel, what = 0, MET
             if h < -heights.drop_m - tilt_m and M[2, 3] > 0:
@@ -172,3 +172,17 @@ def remember(seen: Any, is_own: Any, left: Any, met_s: Any, stamp_s: float, rule
                 is_left = False
             if not is_left:
                 met_s[i, j, 0] = np.inf
+
+
+@kernel
+def any_left(left: Any) -> Any:
+    """(rows, columns) where any of `left`'s channels is over 0: numpy's own takes ten times as long."""
+    rows, columns, channels = left.shape
+    found = np.zeros((rows, columns), np.bool_)
+    for i in range(rows):
+        for j in range(columns):
+            for channel in range(channels):
+                if left[i, j, channel] > 0:
+                    found[i, j] = True
+                    break
+    return found

@@ -14,6 +14,7 @@ from wheelsight.errors import ArgumentError
 from wheelsight.geometry import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from wheelsight.mapping.map_edits import MapEdits
 from wheelsight.mapping.occupancy import OccupancyGrid
+from wheelsight.navigation import _costmap_kernels as kernels
 from wheelsight.navigation.costmap_settings import CostmapSettings
 from wheelsight.navigation.fields import CostField
 from wheelsight.navigation.footprint import Footprint
@@ -243,10 +244,9 @@ def _made(
         is_lethal |= state == CellState.UNKNOWN
     distance_m = distances_m(is_lethal, resolution_m)
     # To the nearest edge of a cell, as seen along a row or column.
-    beyond_m = np.maximum(distance_m - np.float32(0.5 * resolution_m + inscribed_m), 0)
-    cost = np.where(beyond_m <= settings.inflation_m, np.exp(-np.float32(settings.decay_per_m) * beyond_m), 0)
-    cost = np.where(state == CellState.UNKNOWN, np.maximum(cost, settings.unknown_cost), cost)
-    cost = np.where(is_lethal, 1, cost).astype(np.float32)
+    near_m = 0.5 * resolution_m + inscribed_m
+    falls = kernels.Falls(near_m, settings.inflation_m, settings.decay_per_m, settings.unknown_cost)
+    cost = kernels.costs(state, is_lethal, distance_m, falls, CellState.UNKNOWN.value)
     return Costmap(state, is_lethal, distance_m, cost, speed_m_s, resolution_m, origin, frame, inscribed_m, settings)
 
 
@@ -281,15 +281,7 @@ def _put(live: LiveObstacles, T_map_live: FloatArray, static: StaticLayer, state
     """Mark all cells in which any sixteenth of an occupied cell has its middle."""
     if T_map_live.shape != (3,) or not np.isfinite(T_map_live).all():
         raise ArgumentError(f"T_map_live is {T_map_live}", fix="x, y and yaw of the obstacles' frame in map, finite")
-    cells = np.argwhere(live.is_occupied)
-    if not len(cells):
-        return
-    x, y, yaw = T_map_live
-    c, s = np.cos(yaw), np.sin(yaw)
-    offsets = (np.arange(4) + 0.5) / 4
-    inner = np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 1, 2)
-    points = (cells[:, ::-1] + inner).reshape(-1, 2) * live.resolution_m + live.origin
-    places = points @ np.array([[c, s], [-s, c]]) + (x, y)
-    at = np.floor((places - static.origin) / static.resolution_m).astype(np.int64)[:, ::-1]
-    inside = ((at >= 0) & (at < state.shape)).all(axis=1)
-    state[at[inside, 0], at[inside, 1]] = CellState.OCCUPIED
+    x, y, yaw = (float(value) for value in T_map_live)
+    of = kernels.Cells(live.resolution_m, *live.origin)
+    to = kernels.Cells(static.resolution_m, *static.origin)
+    kernels.mark_occupied(live.is_occupied, of, (x, y, np.cos(yaw), np.sin(yaw)), to, CellState.OCCUPIED.value, state)

@@ -59,8 +59,21 @@ class LiveLayerSettings(Settings):
         gt=0,
         le=30,
     )
-    pixels: int = setting(
-        4, "side of a block of pixels that clears as one ray, as far as the nearest of them says", CHOSEN, ge=1, le=32
+    period_s: float = setting(
+        0.09,
+        "an image sooner than that after the last one is left out, for the collision monitor sees each: two cores have "
+        "no time for more",
+        CHOSEN,
+        ge=0,
+        le=1,
+    )
+    columns: int = setting(
+        80,
+        "columns of square blocks of pixels, each of which clears as one ray, as far as its nearest pixel says: "
+        "as many in large images, so that they take no longer",
+        CHOSEN,
+        ge=8,
+        le=2000,
     )
     measured: float = setting(
         0.5,

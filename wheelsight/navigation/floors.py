@@ -15,6 +15,7 @@ from wheelsight.geometry import BoolArray, FloatArray, IntArray
 from wheelsight.geometry.se2 import wrap_angle
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.mapping import EditKind, MapEdits, OccupancyGrid, OccupancyMapper, OccupancySettings
+from wheelsight.navigation import _floor_kernels as kernels
 from wheelsight.navigation.costmap import CellState, StaticLayer
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.localization import Localization
@@ -126,7 +127,8 @@ class GrowingFloor:
         worker: Worker[SeenFloor] | None = None,
     ) -> None:
         self._localization, self._footprint, self._trusted_m = localization, footprint, trusted_m
-        self._holds = np.asarray(holds, float).reshape(-1, 2)
+        self._reached = np.array([[np.inf] * 2, [-np.inf] * 2])
+        self._reach(np.asarray(holds, float).reshape(-1, 2))
         self._mapper = OccupancyMapper(calibration, settings)
         self._worker: Worker[SeenFloor] = worker or WorkerInStep()
         self._stood: list[FloatArray] = []
@@ -143,6 +145,7 @@ class GrowingFloor:
         has_moved = pose is not None and (not self._stood or _apart(pose, self._stood[-1]))
         if pose is not None and has_moved:
             self._stood.append(pose)
+            self._reach(pose[None, :2])
         self._look(now_s)
         seen = self._worker.answer(now_s)
         if seen is not None:
@@ -167,11 +170,16 @@ class GrowingFloor:
         grid = self._mapper.grid()
         return SeenFloor(grid, StaticLayer.of(grid))
 
+    def _reach(self, places: FloatArray) -> None:
+        """Widen the bounds to hold (N, 2) more."""
+        if len(places):
+            low, high = self._reached
+            self._reached = np.array([np.minimum(low, places.min(axis=0)), np.maximum(high, places.max(axis=0))])
+
     def _bounds(self) -> FloatArray:
         """(2, 2) low and high corner of all floor that is known by standing there, and of what it is to hold."""
         reach_m = max(self._footprint.circumscribed_m, self._trusted_m) + 0.1
-        places = np.concatenate([np.array(self._stood)[:, :2], self._holds])
-        return np.array([places.min(axis=0) - reach_m, places.max(axis=0) + reach_m])
+        return self._reached + [[-reach_m], [reach_m]]
 
     def _with_stood(self, static: StaticLayer) -> StaticLayer:
         """With the floor where the robot stood, and near to where it began."""
@@ -231,13 +239,8 @@ def _stamp(found: BoolArray, static: StaticLayer, pose: FloatArray, footprint: F
 def _in_sight(static: StaticLayer, xy: FloatArray, reach_m: float) -> BoolArray:
     """(H, W) unknown cells that near to a place, with nothing known between."""
     found = np.zeros(static.state.shape, bool)
-    cut, away = _about(static, xy, reach_m)
-    is_asked = (np.hypot(*np.moveaxis(away, -1, 0)) <= reach_m) & (static.state[cut] == CellState.UNKNOWN)
-    ways = away[is_asked]
-    shares = np.linspace(0, 1, 2 + int(2 * reach_m / static.resolution_m))
-    at = np.floor((xy + shares[:, None, None] * ways - static.origin) / static.resolution_m).astype(int)
-    is_hidden = (static.state[at[..., 1], at[..., 0]] == CellState.OCCUPIED).any(axis=0)
-    found[cut][is_asked] = ~is_hidden
+    cells, reach = (xy - np.array(static.origin)) / static.resolution_m, reach_m / static.resolution_m
+    kernels.mark_in_sight(static.state, cells, reach, (int(CellState.UNKNOWN), int(CellState.OCCUPIED)), found)
     return found
 
 

@@ -82,6 +82,7 @@ class LiveLayer:
         _, self._camera = calibration.cameras
         self._slopes = np.ascontiguousarray(self._camera.rays()[..., :2], np.float32)
         self.settings, self.frame, self._footprint = settings or LiveLayerSettings(), frame, footprint
+        self._heights = _heights_of(self.settings, self._camera.width)
         side = math.ceil(self.settings.size_m / self.settings.resolution_m)
         layers = max(1, math.ceil((self.settings.height_m - self.settings.floor_m) / self.settings.layer_m))
         self._low: IntArray = np.zeros(2, np.int64)  # row and column of cell (0, 0), from the frame's origin
@@ -90,6 +91,10 @@ class LiveLayer:
         self._met_s = np.full((side, side, 2), (np.inf, -np.inf))  # first and last
         self._newest_s = -math.inf
         self._known: LiveObstacles | None = None  # as it was asked last
+
+    def is_due(self, stamp_s: float) -> bool:
+        """Whether an image of then is to be seen, as `period_s` has it; a clock that was set back makes none wait."""
+        return not 0 <= stamp_s - self._newest_s < self.settings.period_s
 
     def update(self, depth_m: ArrayLike, pose: ArrayLike, stamp_s: float) -> None:
         """See a depth image.
@@ -108,11 +113,9 @@ class LiveLayer:
         self._move_to(at)
         is_own = self._is_own(at)
         view = kernels.View(depth, self._slopes, self._matrix(at))
-        names = kernels.Heights._fields
-        heights = kernels.Heights(**{name: getattr(self.settings, name) for name in names})
         noise = kernels.Noise(self._noise.constant_m, self._noise.quadratic_per_m, self.settings.margin_sigmas)
-        kernels.mark_met(view, heights, is_own, self._seen)
-        kernels.mark_passed(view, heights, noise, self._seen)
+        kernels.mark_met(view, self._heights, is_own, self._seen)
+        kernels.mark_passed(view, self._heights, noise, self._seen)
         # A camera that shows nothing is no reason to forget.
         forget_s = self.settings.forget_s if self._seen.any() else math.inf
         rules = kernels.Rules(self.settings.passes, forget_s, self.settings.stays)
@@ -124,7 +127,7 @@ class LiveLayer:
         if self._known is None:
             size_m = self.settings.resolution_m
             y, x = (size_m * self._low).tolist()
-            is_left = np.asarray(self._left.any(axis=2))
+            is_left = kernels.any_left(self._left)
             is_standing = is_left & (self._newest_s - self._met_s[..., 0] >= self.settings.standing_s)
             stamp_s = self._newest_s if math.isfinite(self._newest_s) else None
             self._known = LiveObstacles(is_left, size_m, (x, y), self.frame, stamp_s, is_standing)
@@ -201,3 +204,10 @@ class LiveLayer:
         M[:2] /= self.settings.resolution_m
         M[:2, 3] -= self._low[::-1]
         return np.ascontiguousarray(M)
+
+
+def _heights_of(settings: LiveLayerSettings, width: int) -> kernels.Heights:
+    """With blocks of pixels for an image so wide."""
+    pixels = max(1, round(width / settings.columns))
+    named = [name for name in kernels.Heights._fields if name != "pixels"]
+    return kernels.Heights(**{name: getattr(settings, name) for name in named}, pixels=pixels)

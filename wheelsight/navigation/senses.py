@@ -129,7 +129,8 @@ class Senses:
             self.where.answer(estimate)
             if isinstance(event, RgbdFrame) and estimate.T_odom_body is not None:
                 pose = planar_pose(estimate.T_odom_body)
-                self._live.update(event.depth_m, pose, event.stamp_s)
+                if self._live.is_due(event.stamp_s):
+                    self._live.update(event.depth_m, pose, event.stamp_s)
                 self._follow_people(event.stamp_s, pose)
         state = self.where.state
         self._floor.update(None if state is None else state.pose, now_s)

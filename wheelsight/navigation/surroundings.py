@@ -127,11 +127,14 @@ class Surroundings:
         self._readings: deque[_Reading] = deque()
         self._newest = np.empty((0, 2))
         self._newest_s, self._trusted_m, self._way_m = -np.inf, 0.0, 0.0
+        # How deep cells are in floor never looked at, by the last reading; None where that has changed since.
+        self._hidden: tuple[Float32Array, tuple[int, int]] | None = None
         self._reach_m = float(np.linalg.norm(outline.sides[:, :2], axis=1).max())
         self.forget()
 
     def forget(self) -> None:
         """Begin anew: nothing is known but that the robot stands where it stands."""
+        self._hidden = None
         s = self._settings
         n = int(np.ceil(s.window_m / s.cell_m))
         never = np.full((n, n), -np.inf)
@@ -145,6 +148,7 @@ class Surroundings:
         self, stamp_s: float, forward_m_s: float, turn_rad_s: float, rolled: tuple[float, float] | None = None
     ) -> None:
         """Go on by what the wheels measured since the last reading; stamps in order. `rolled` as `CollisionMonitor`."""
+        self._hidden = None
         if not self._readings:
             pose = (0.0, 0.0, 1.0, 0.0)
             mark_under(self._memory, self._outline.sides, pose, stamp_s, -np.inf)
@@ -166,6 +170,7 @@ class Surroundings:
 
     def trust(self, radius_m: float) -> None:
         """Count the floor so far about the axle as seen, where the robot is now; before any reading, at the first."""
+        self._hidden = None
         self._trusted_m = 0.0 if self._readings else radius_m
         if self._readings and radius_m > 0:
             last = self._readings[-1]
@@ -182,10 +187,12 @@ class Surroundings:
 
     def cover(self, pose: Pose, stamp_s: float) -> None:
         """Count the floor under the robot ahead of its axle as seen: its front went over that before its sides do."""
+        self._hidden = None
         mark_under(self._memory, self._outline.sides, pose, stamp_s, 0.0)
 
     def see(self, view: DepthView) -> bool:
         """Add what a frame shows; False where nobody knows where the robot was then."""
+        self._hidden = None
         pose = self.pose_at(view.stamp_s)
         if pose is None:
             return False
@@ -244,12 +251,20 @@ class Surroundings:
         if not self._readings:
             return np.empty((0, 2))
         last, cell_m = self._readings[-1], self._settings.cell_m
-        out, first = self._unseen(last.pose, last.stamp_s, self._settings.window_m / 2)
+        if np.isfinite(reach_m):  # all that is as near as that to floor within reach decides how deep it is
+            deep, first = self._hidden_within(reach_m + deep_m)
+        else:
+            self._hidden = deep, first = self._hidden or self._hidden_within(self._settings.window_m / 2)
         x, y, c, s = last.pose
-        is_hidden = (_deep_m(out[..., 2], cell_m) > deep_m) & (out[..., 0] > 0)
-        away = (np.argwhere(is_hidden) + first + 0.5) * cell_m - (x, y)
+        away = (np.argwhere(deep > deep_m) + first + 0.5) * cell_m - (x, y)
         away = away[np.hypot(*away.T) < reach_m]
         return np.asarray(away @ np.array([[c, -s], [s, c]]))
+
+    def _hidden_within(self, reach_m: float) -> tuple[Float32Array, tuple[int, int]]:
+        """(m, m) metres into floor that no camera has looked at, 0 where it was seen; i and j of the first cell."""
+        last = self._readings[-1]
+        out, first = self._unseen(last.pose, last.stamp_s, reach_m)
+        return np.where(out[..., 0] > 0, _deep_m(out[..., 2], self._settings.cell_m), 0), first
 
     def unseen_about(self, pose: Pose, now_s: float, reach_m: float) -> Unseen:
         """What was not seen of the floor within reach of a pose."""

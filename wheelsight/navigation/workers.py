@@ -6,6 +6,8 @@ import threading
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
+from wheelsight.threads import yield_to_others
+
 _Answer = TypeVar("_Answer")
 
 
@@ -72,7 +74,7 @@ class WorkerInStep(Generic[_Answer]):
 
 
 class WorkerBeside(Generic[_Answer]):
-    """Does it in a thread of its own, so that who controls a robot never waits.
+    """Does it in a thread of its own, which yields to who controls the robot: that one never waits.
 
     Args:
         name: of the thread.
@@ -129,6 +131,7 @@ class WorkerBeside(Generic[_Answer]):
         self._thread.join()
 
     def _run(self) -> None:
+        yield_to_others()
         try:
             while True:
                 with self._changed:
