@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from wheelsight.robots import Robot
 
 _FAILED = 1
+# Share of periods that may come late before it is said.
+_OFTEN = 0.01
 
 
 class Truth:
@@ -61,6 +63,7 @@ def tell(record: DriveRecord, left_out: str = "") -> None:
             typer.echo(f"arrived at {goal.name}: {result.way_m:.1f} m in {result.time_s:.0f} s{change}")
         elif not record.is_interrupted:
             print_error(f"{goal.name} was not reached: {result.reason} ({result.detail})")
+    _tell_late(record)
     if record.is_interrupted:
         print_note("interrupted; the robot was stopped first, and stands")
         raise typer.Exit(INTERRUPTED)
@@ -68,3 +71,13 @@ def tell(record: DriveRecord, left_out: str = "") -> None:
         print_error(left_out)
     if not record.has_arrived:
         raise typer.Exit(_FAILED)
+
+
+def _tell_late(record: DriveRecord) -> None:
+    """Say where the robot was often led later than it should have been."""
+    periods = record.periods
+    if periods.late > _OFTEN * periods.count:
+        print_note(
+            f"{periods.late:,} of {periods.count:,} periods of the control loop took longer than they should, "
+            f"{1e3 * periods.longest_s:.0f} ms at most: a faster computer helps, and smaller images do"
+        )

@@ -50,6 +50,11 @@ def drive_dict(record: DriveRecord) -> dict[str, Any]:
         "planned_m": round(record.planned_m, 3),
         "clearance_m": _number(record.clearance_m),
         "people": _people(record.people),
+        "periods": {
+            "count": record.periods.count,
+            "late": record.periods.late,
+            "longest_s": round(record.periods.longest_s, 3),
+        },
         "stops": [_stop(stop) for stop in record.stops],
         "transitions": transitions,
         "plans": plans,

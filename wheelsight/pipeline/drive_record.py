@@ -14,6 +14,9 @@ from wheelsight.mapping import OccupancyGrid
 from wheelsight.navigation import Footprint, NavigationResult
 from wheelsight.trajectory import Trajectory
 
+# Of what a period is to take: longer ones are late.
+_LATE = 1.2
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GoalRecord:
@@ -101,6 +104,27 @@ class PeriodRows:
         return len(self.stamps_s)
 
 
+@dataclass(frozen=True, slots=True)
+class PeriodLengths:
+    """How regularly a robot was led.
+
+    Attributes:
+        count: periods that went by.
+        late: of these, how many took over a fifth longer than they were to.
+        longest_s: of all; 0 without any.
+    """
+
+    count: int
+    late: int
+    longest_s: float
+
+    @classmethod
+    def of(cls, stamps_s: FloatArray, period_s: float) -> PeriodLengths:
+        """Of when each began, (N,) seconds in order, and how long each was to be."""
+        took_s = np.diff(stamps_s)
+        return cls(len(took_s), int((took_s > _LATE * period_s).sum()), float(took_s.max(initial=0.0)))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveRecord:
     """Everything about a drive.
@@ -159,6 +183,11 @@ class DriveRecord:
     def time_s(self) -> float:
         """From the first period to the last."""
         return float(self.rows.stamps_s[-1]) - self.begin_s if len(self.rows) else 0.0
+
+    @property
+    def periods(self) -> PeriodLengths:
+        """How regularly the robot was led: what is reckoned in a period may take longer than that."""
+        return PeriodLengths.of(self.rows.stamps_s, self.config["navigation"]["follow"]["period_s"])
 
     @property
     def way_m(self) -> float:
