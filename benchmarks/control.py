@@ -6,9 +6,11 @@ speed alone says little, the ratio of both does.
 
 from __future__ import annotations
 
+import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,8 +18,10 @@ from rich.console import Console
 from scipy import ndimage
 
 from benchmarks import machine
+from benchmarks.navigation_page import write_section
 from benchmarks.plain_rollouts import plain_costs
-from benchmarks.table import Sheet
+from benchmarks.table import Sheet, targets_sheet
+from benchmarks.targets import Target
 from wheelsight.commands import VelocityCommand
 from wheelsight.estimates import Status
 from wheelsight.geometry import BoolArray, FloatArray
@@ -34,6 +38,7 @@ from wheelsight.navigation.surroundings import DepthView
 
 CHAIR = Footprint.rectangle(0.8, 0.3, 0.6)
 MPPI_MS = 5.0
+_TITLE = "Commands on one core"
 _RESOLUTION_M, _TIMES, _PLAIN_TIMES = 0.05, 100, 3
 _NOBODY = np.empty((0, 5))
 _CROWD = np.array([[5, 5, -1, 0, 0.3], [4, 6, 0, -0.5, 0.3], [6, 6, 0, -0.5, 0.3], [6, 3, 0, 0.5, 0.3]])
@@ -126,25 +131,40 @@ def monitor_ms() -> dict[str, tuple[float, float]]:
     }
 
 
-def main() -> None:
-    """Measure and print."""
-    console, about = Console(), machine.description()
-    if machine.is_busy():
-        console.print(f"The machine is busy ({about['Load']}): times will be too long.", style="yellow")
+def sheets() -> list[Sheet]:
+    """Measured now: commands, rollouts beside numpy's, and what must be reached."""
     rows = []
     for name, (field, people) in places().items():
         for kind in (MppiController, PurePursuitController):
             least, median = command_ms(kind(CHAIR), field, people)
             rows.append((f"{kind.__name__}, {name}", f"{least:.2f}", f"{median:.2f}"))
     rows += [(f"CollisionMonitor, {name}", f"{a:.2f}", f"{b:.2f}") for name, (a, b) in monitor_ms().items()]
-    console.print(Sheet("One command, ms of processor time", ("what", "least", "median"), tuple(rows)).to_rich())
-    compared = []
+    compared, targets = [], []
     for name, (field, people) in places().items():
         if not len(people):
             kernel_ms, plain_ms = rollouts_ms(field)
             compared.append((name, f"{kernel_ms:.2f}", f"{plain_ms:.0f}", f"{plain_ms / kernel_ms:.0f}"))
-    title = f"2000 rollouts of 56 steps, least ms; the kernel is to take less than {MPPI_MS:g}"
-    console.print(Sheet(title, ("where", "kernel", "numpy", "ratio"), tuple(compared)).to_rich())
+            targets.append(Target(f"2000 rollouts of 56 steps, {name}, least", MPPI_MS, kernel_ms, "ms", 2))
+    return [
+        Sheet("One command, ms of processor time", ("what", "least", "median"), tuple(rows)),
+        Sheet("2000 rollouts of 56 steps, least ms", ("where", "kernel", "numpy", "ratio"), tuple(compared)),
+        targets_sheet(targets),
+    ]
+
+
+def main() -> None:
+    """Measure, print, and write where asked to."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.control", description=__doc__)
+    parser.add_argument("--out", type=Path, help="page whose section is written, BENCHMARKS-NAVIGATION.md")
+    arguments = parser.parse_args()
+    console, about = Console(width=120), machine.description() | {"Command": "`python -m benchmarks.control`"}
+    if machine.is_busy():
+        console.print(f"The machine is busy ({about['Load']}): times will be too long.", style="yellow")
+    measured = sheets()
+    for sheet in measured:
+        console.print(sheet.to_rich())
+    if arguments.out is not None:
+        write_section(arguments.out, _TITLE, __doc__ or "", about, measured)
 
 
 if __name__ == "__main__":

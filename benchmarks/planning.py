@@ -10,16 +10,21 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
+from benchmarks import machine
+from benchmarks.navigation_page import write_section
 from benchmarks.sequences import default_data_folder
+from benchmarks.table import Sheet, targets_sheet
+from benchmarks.targets import Target
 from wheelsight.geometry import BoolArray, ByteArray, Float32Array, FloatArray
 from wheelsight.mapping.occupancy import CellKind, OccupancyGrid
 from wheelsight.navigation import (
@@ -41,6 +46,11 @@ PLANS = (
     *("ctrl_room.yaml", "indoor.yaml", "map_real.yaml", "willow-2010-02-18-0.10.yaml"),
 )
 _SIDE, _REPEATS, _GOALS, _SEED = 1000, 5, 20, 1
+_OURS, _PLAN_MS, _TITLE = "ours", 150.0, "Plans of a wheelchair"
+_HEADER = (
+    *("building", "found", "by search", "way m", "backward m", "clearance m", "shortest over ours"),
+    *("median s", "most s", "none, since"),
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,20 +121,24 @@ def _shortest_m(costmap: Costmap, start: FloatArray, goal: FloatArray) -> float:
     return float(cost_to_go(metre_cost, costmap.resolution_m, (row, column))[tuple(costmap.cells_at(start[:2]))])
 
 
-def told(name: str, asked: Sequence[Asked]) -> str:
-    """A line about the plans of a building."""
+def row_of(name: str, asked: Sequence[Asked]) -> tuple[str, ...]:
+    """Of a building's plans, as `_HEADER` has it."""
     found = [(one, one.answer) for one in asked if isinstance(one.answer, Plan)]
     why = Counter(one.answer.reason.name for one in asked if isinstance(one.answer, PlanFailure))
     seconds = np.array([one.seconds for one in asked])
-    searched = sum(plan.states > 0 for _, plan in found)
     clear = min((plan.least_clearance_m for _, plan in found), default=np.nan)
-    length = sum(plan.length_m for _, plan in found)
-    backward = sum(_backward_m(plan) for _, plan in found)
     ratio = np.mean([min(one.shortest_m / max(plan.length_m, 1e-9), 1.0) for one, plan in found])
     return (
-        f"{name:28s} {len(found):2d} of {len(asked)} found ({searched} by search), {length:6.0f} m, "
-        f"{backward:4.1f} m of it backward, least clearance {clear:.3f} m, shortest over ours {ratio:.3f}; "
-        f"median {np.median(seconds):.2f} s, most {seconds.max():.2f} s {dict(why) or ''}"
+        name,
+        f"{len(found)} of {len(asked)}",
+        str(sum(plan.states > 0 for _, plan in found)),
+        f"{sum(plan.length_m for _, plan in found):.0f}",
+        f"{sum(_backward_m(plan) for _, plan in found):.1f}",
+        f"{clear:.3f}",
+        f"{ratio:.3f}",
+        f"{np.median(seconds):.2f}",
+        f"{seconds.max():.2f}",
+        ", ".join(f"{count} {reason}" for reason, count in why.items()) or "—",
     )
 
 
@@ -153,30 +167,54 @@ def graph_of(metre_cost: Float32Array) -> csr_matrix:
     return csr_matrix((np.concatenate(cost), ends), shape=(rows * columns, rows * columns))
 
 
-def time_cost_to_go() -> None:
-    """Print seconds for 1000 × 1000 cells, ours and peers', in alternation."""
+def timed_cost_to_go() -> dict[str, float]:
+    """Median milliseconds for 1000 × 1000 cells, ours and peers', in alternation."""
     rng = np.random.default_rng(_SEED)
     metre_cost = (1 + 2 * rng.random((_SIDE, _SIDE))).astype(np.float32)
     metre_cost[rng.random(metre_cost.shape) < 0.1] = np.inf
     metre_cost[_SIDE // 2, _SIDE // 2] = 1
     cost_to_go(metre_cost[:50, :50].copy(), 1.0, (25, 25))
     graph = graph_of(metre_cost)
-    kept: dict[str, list[float]] = {
-        "ours": [],
-        "csgraph's Dijkstra, its graph being made": [],
-        "scikit-image's MCP": [],
+    ways: dict[str, Callable[[], float]] = {
+        _OURS: lambda: _timed_ours(metre_cost),
+        "csgraph's Dijkstra, its graph being made": lambda: _timed_csgraph(graph),
+        "scikit-image's MCP": lambda: _timed_skimage(metre_cost),
     }
+    kept = [[timed() for timed in ways.values()] for _ in range(_REPEATS)]
+    return dict(zip(ways, (1e3 * np.median(kept, axis=0)).tolist(), strict=True))
+
+
+def rooms() -> OccupancyGrid:
+    """50 × 50 m of rooms of 5 m, 1000 × 1000 cells: each has a door of 1.2 m to each of its neighbours, askew."""
+    kind = np.full((_SIDE, _SIDE), CellKind.FREE, np.uint8)
+    rng, side, door = np.random.default_rng(_SEED), 100, 24
+    for wall in range(0, _SIDE, side):
+        kind[wall : wall + 3] = kind[:, wall : wall + 3] = CellKind.OBSTACLE
+    kind[-3:] = kind[:, -3:] = CellKind.OBSTACLE
+    for wall in range(side, _SIDE, side):
+        for room in range(0, _SIDE, side):
+            first, other = room + rng.integers(10, side - door - 10, 2)
+            kind[wall : wall + 3, first : first + door] = CellKind.FREE
+            kind[other : other + door, wall : wall + 3] = CellKind.FREE
+    return OccupancyGrid.of_kinds(kind, kind == CellKind.FREE, BARE_RESOLUTION_M, (0.0, 0.0))
+
+
+def timed_plan() -> tuple[float, float]:
+    """Median milliseconds of a whole plan through those rooms from corner to corner, and how long it is in metres.
+
+    Raises:
+        RuntimeError: there is none, so that what was measured is no plan.
+    """
+    costmap, planner = Costmap.of(StaticLayer.of(rooms()), CHAIR), Planner(CHAIR)
+    spent, length_m = [], np.nan
     for _ in range(_REPEATS):
-        for name, seconds in (
-            ("ours", _timed_ours(metre_cost)),
-            ("csgraph's Dijkstra, its graph being made", _timed_csgraph(graph)),
-            ("scikit-image's MCP", _timed_skimage(metre_cost)),
-        ):
-            kept[name].append(seconds)
-    ours_s = float(np.median(kept["ours"]))
-    for name, times in kept.items():
-        median_s = float(np.median(times))
-        print(f"{name}: {1000 * median_s:.0f} ms ({median_s / ours_s:.1f} times ours)")
+        begin = time.perf_counter()
+        answer = planner.plan(costmap, np.array([2.5, 2.5, 0.0]), np.array([47.5, 47.5, 0.0]))
+        spent.append(time.perf_counter() - begin)
+        if not isinstance(answer, Plan):
+            raise RuntimeError(f"no plan: {answer.detail}")
+        length_m = answer.length_m
+    return 1e3 * float(np.median(spent)), length_m
 
 
 def _timed_ours(metre_cost: Float32Array) -> float:
@@ -223,31 +261,56 @@ def picture_of(grid: OccupancyGrid, asked: Sequence[Asked], px: int = 2) -> Byte
     return image
 
 
+def time_sheets() -> list[Sheet]:
+    """Measured now: beside peers, and what must be reached."""
+    ms, (plan_ms, plan_m) = timed_cost_to_go(), timed_plan()
+    rows = [(name, f"{one:.0f}", f"{one / ms[_OURS]:.1f}") for name, one in ms.items()]
+    rows.append((f"a whole plan of ours, {plan_m:.0f} m through rooms and doors", f"{plan_ms:.0f}", "—"))
+    targets = [
+        Target("cost to go of 1000 × 1000 cells", _PLAN_MS, ms[_OURS], "ms", 0),
+        Target("a whole plan over 1000 × 1000 cells", _PLAN_MS, plan_ms, "ms", 0),
+    ]
+    return [
+        Sheet("1000 × 1000 cells, median ms", ("what", "ms", "times ours"), tuple(rows)),
+        targets_sheet(targets),
+    ]
+
+
+def plans_in(name: str, goals: int, seed: int, pictures: Path | None) -> tuple[str, ...] | None:
+    """Of a building, with a picture in a folder; None where its file is not there."""
+    path = default_data_folder() / "maps" / name
+    if not path.exists():
+        print(f"{name}: left out, {path} is not there")
+        return None
+    grid = grid_of(path)
+    asked = list(asked_in(grid, goals, seed))
+    if pictures is not None:
+        import cv2
+
+        pictures.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(pictures / f"{path.stem}.png"), picture_of(grid, asked)[..., ::-1])
+    return row_of(name, asked)
+
+
 def main(words: Sequence[str] | None = None) -> int:
-    """Print all figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    """Print all figures, and write them where asked to."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.planning", description=__doc__)
     parser.add_argument("--goals", type=int, default=_GOALS, help="a building")
     parser.add_argument("--seed", type=int, default=_SEED)
     parser.add_argument("--only", default="", help="buildings whose names hold this")
     parser.add_argument("--pictures", type=Path, help="a folder for a picture of each building")
+    parser.add_argument("--out", type=Path, help="page whose section is written, BENCHMARKS-NAVIGATION.md")
     arguments = parser.parse_args(words)
-    time_cost_to_go()
-    for name in PLANS:
-        path = default_data_folder() / "maps" / name
-        if arguments.only not in name:
-            continue
-        if not path.exists():
-            print(f"{name}: left out, {path} is not there")
-            continue
-        grid = grid_of(path)
-        asked = list(asked_in(grid, arguments.goals, arguments.seed))
-        print(told(name, asked), flush=True)
-        if arguments.pictures is not None:
-            import cv2
-
-            arguments.pictures.mkdir(parents=True, exist_ok=True)
-            image = picture_of(grid, asked)
-            cv2.imwrite(str(arguments.pictures / f"{path.stem}.png"), image[..., ::-1])
+    what = f"--goals {arguments.goals} --seed {arguments.seed}"
+    about = machine.description() | {"Command": f"`python -m benchmarks.planning {what}`"}
+    console, named = Console(width=150), [name for name in PLANS if arguments.only in name]
+    found = (plans_in(name, arguments.goals, arguments.seed, arguments.pictures) for name in named)
+    rows = tuple(row for row in found if row is not None)
+    sheets = [*time_sheets(), Sheet("Plans in floor plans of real buildings", _HEADER, rows)]
+    for sheet in sheets:
+        console.print(sheet.to_rich())
+    if arguments.out is not None:
+        write_section(arguments.out, _TITLE, __doc__ or "", about, sheets)
     return 0
 
 

@@ -109,6 +109,22 @@ def test_stops_of_the_monitor_are_kept_with_reason_and_place() -> None:
     assert np.hypot(*(stop.pose - NEAR.pose)[:2]) < 0.7
 
 
+def test_where_the_robot_stopped_by_itself_is_kept_beside_what_the_monitor_held() -> None:
+    drive, robot, config = rehearsed_drive()
+
+    def stopped(command):
+        events = DrawnRobot.step(robot, command)
+        robot.stop_reason = "no ticks come" if 1.0 < robot.now_s < 1.6 else ""
+        return [one for one in events if not (1.0 < robot.now_s < 2.0 and hasattr(one, "depth_m"))]
+
+    robot.step = stopped  # type: ignore[method-assign]
+    assert drive.go_to(NEAR, lambda feedback: None)
+    stops = [one for one in recorded(drive, config).stops if one.end_s > 1.0]
+    assert sorted(one.reason for one in stops) == ["no fresh depth frame", "the robot stopped by itself: no ticks come"]
+    (own,) = [one for one in stops if "itself" in one.reason]
+    assert 1.0 < own.begin_s < own.end_s < 1.65
+
+
 def test_a_goal_without_a_name_is_called_by_its_coordinates() -> None:
     assert Goal.of((1.0, -2.0)).name == "(1.00, -2.00) m"
     assert Goal.of(np.array([1.0, -2.0, np.pi / 2])).name == "(1.00, -2.00) m, 90°"

@@ -194,6 +194,7 @@ class Navigator:
             monitor=self._chain.checked,
             doing="" if task is None else task.doing,
             goals_left=0 if task is None else task.goals.left,
+            robot_stop=self._robot.stop_reason,
         )
 
     def _decide(self, now_s: float) -> VelocityCommand:

@@ -71,6 +71,7 @@ class Feedback:
         monitor: what the collision monitor made of the last command.
         doing: in words, what it does now.
         goals_left: how many goals are left, this one included.
+        robot_stop: why the robot stopped by itself, in words; empty where it obeys.
     """
 
     stamp_s: float
@@ -86,6 +87,7 @@ class Feedback:
     monitor: MonitorResult | None
     doing: str
     goals_left: int
+    robot_stop: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -55,7 +55,7 @@ class GoalRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StopRecord:
-    """The collision monitor held the robot.
+    """The collision monitor held the robot, or it stopped by itself.
 
     Attributes:
         begin_s, end_s: stamps.
@@ -137,7 +137,7 @@ class DriveRecord:
         rows: period by period.
         way: as the localization told it, of the base in the map.
         plans: stamp and poses (N, 3) of each plan.
-        stops: by the collision monitor.
+        stops: by the collision monitor, and by the robot itself.
         clearance_m: least distance of the outline from what map and camera showed; infinite where nothing was near.
         images: a few, in order.
         people: (N, 4) stamp, x and y in the map of who was known to walk near it, and how far from its outline he was.

@@ -75,6 +75,8 @@ class DriveRecorder:
         rows.words.append((str(feedback.state), str(feedback.status), str(state), reason))
         if state is MonitorState.STOPPED:
             self._stopped(feedback, reason)
+        if feedback.robot_stop:
+            self._stopped(feedback, f"the robot stopped by itself: {feedback.robot_stop}")
         if feedback.plan is not None and feedback.plan is not self._plan:
             self.plans.append((feedback.stamp_s, feedback.plan.poses))
         self._plan = feedback.plan
@@ -114,12 +116,14 @@ class DriveRecorder:
         return tuple(self._film.images)
 
     def _stopped(self, feedback: Feedback, reason: str) -> None:
-        now_s = feedback.stamp_s
-        last = self.stops[-1] if self.stops else None
-        if last is not None and last.reason == reason and now_s - last.end_s < _SAME_STOP_S:
-            self.stops[-1] = replace(last, end_s=now_s)
-        else:
-            self.stops.append(StopRecord(now_s, now_s, reason, feedback.pose))
+        now_s, count = feedback.stamp_s, len(self.stops)
+        # One by the robot itself and one by the monitor may go on side by side.
+        for number in range(max(count - 2, 0), count):
+            last = self.stops[number]
+            if last.reason == reason and now_s - last.end_s < _SAME_STOP_S:
+                self.stops[number] = replace(last, end_s=now_s)
+                return
+        self.stops.append(StopRecord(now_s, now_s, reason, feedback.pose))
 
     def _look_about(self, pose: FloatArray, stamp_s: float, senses: Senses) -> None:
         """What and who is near."""

@@ -149,7 +149,7 @@ def _people_tile(record: DriveRecord) -> list[tuple[str, str, str]]:
 def _plan(record: DriveRecord) -> str:
     intro = (
         "The map, what was planned (orange) and what was driven (blue), from the circle to the squares; crosses are "
-        "where the collision monitor held the robot, light blue where it knew somebody to walk."
+        "where the robot was held, light blue where it knew somebody to walk."
     )
     alt = f"The map from above with the way of the robot, {words.length(record.way_m)} long."
     plot = html.plot("drive-map-plan", figures.plan_figure(record), "From above", "", alt)
@@ -184,8 +184,10 @@ def _goals(record: DriveRecord) -> str:
 
 def _stops(record: DriveRecord) -> str:
     if not record.stops:
-        return html.section("stops", "What held it", "The collision monitor held it nowhere.")
-    body = html.table("Each time that the collision monitor held the robot.", STOPS_HEAD, stop_rows(record))
+        return html.section("stops", "What held it", "Nothing held it.")
+    body = html.table(
+        "Each time that the collision monitor held the robot, or it stopped by itself.", STOPS_HEAD, stop_rows(record)
+    )
     return html.section("stops", "What held it", "", body)
 
 
