@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,6 +21,7 @@ from wheelsight.ros_map import FREE, OCCUPIED, UNKNOWN, Mode, RosMap, read_ros_m
 YAML = "image: a.pgm\nresolution: 0.1\norigin: [1, 2, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
 # Black, grey as map_saver writes what is unknown, and the two whites in use; below it, what falls between.
 PIXELS = np.array([[0, 205, 254, 255], [100, 60, 206, 128]], np.uint8)
+MODES: tuple[Mode, ...] = ("trinary", "scale", "raw")
 
 
 def written(folder: Path, text: str = YAML, image: np.ndarray = PIXELS, name: str = "a.pgm") -> Path:
@@ -136,7 +138,7 @@ def test_an_image_that_is_missing_or_damaged_is_named(tmp_path: Path) -> None:
         read_ros_map(path)
 
 
-@pytest.mark.parametrize("mode", ["trinary", "scale", "raw"])
+@pytest.mark.parametrize("mode", MODES)
 def test_what_is_transparent_is_unknown_but_in_raw_maps(tmp_path: Path, mode: str) -> None:
     alpha = np.array([[255, 0, 255, 255], [254, 255, 255, 0]], np.uint8)
     image = np.dstack([PIXELS, PIXELS, PIXELS, alpha])
@@ -153,12 +155,12 @@ def test_thresholds_count_themselves(tmp_path: Path) -> None:
     np.testing.assert_array_equal(plan.occupancy[1], [OCCUPIED, UNKNOWN, UNKNOWN, FREE])
 
 
-def pixels_of(path: Path) -> np.ndarray:
-    """A plain PGM by its own bytes; a PNG, whose colours are all alike, by one of them."""
+def pixels_of(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Shades and what is opaque: a plain PGM by its own bytes; a PNG, whose colours are all alike, by one of them."""
     if path.suffix == ".png":
-        image = cv2.imread(str(path))
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
         assert image is not None
-        return image[..., 1]
+        return image[..., 1], image[..., 3] == 255 if image.shape[2] == 4 else np.ones(image.shape[:2], bool)
     data, numbers, at = path.read_bytes(), list[int](), 2
     assert data.startswith(b"P5")
     while len(numbers) < 3:
@@ -166,34 +168,91 @@ def pixels_of(path: Path) -> np.ndarray:
         at += len(line) + 1
         numbers += [int(word) for word in line.split(b"#")[0].split()]
     width, height, _ = numbers
-    return np.frombuffer(data, np.uint8, width * height, at).reshape(height, width)
+    return np.frombuffer(data, np.uint8, width * height, at).reshape(height, width), np.ones((height, width), bool)
 
 
-def plainly_read(path: Path) -> tuple[np.ndarray, dict[str, object]]:
-    """A map in mode trinary as map_server's documentation reads it: shade by shade, in exact fractions."""
+def plain_value(shade: int, mode: object, told: dict[str, Any]) -> int:
+    """Of one shade as Nav2's map_server reads it, in exact fractions; none lies midway between two whole numbers."""
+    if mode == "raw":
+        return shade if shade <= 100 else -1
+    occupied = Fraction(shade if told["negate"] else 255 - shade, 255)
+    occupied_at, free_at = Fraction(str(told["occupied_thresh"])), Fraction(str(told["free_thresh"]))
+    if occupied >= occupied_at:
+        return 100
+    if occupied <= free_at:
+        return 0
+    return -1 if mode == "trinary" else round(100 * (occupied - free_at) / (occupied_at - free_at))
+
+
+def plainly_read(path: Path) -> tuple[np.ndarray, dict[str, Any]]:
+    """A map by map_server's documentation, shade by shade."""
     told = yaml.safe_load(path.read_text())
-    assert told.get("mode", "trinary") == "trinary"
-    table = np.empty(256, np.int8)
-    for shade in range(256):
-        occupied = Fraction(shade if told["negate"] else 255 - shade, 255)
-        is_occupied, is_free = occupied > Fraction(told["occupied_thresh"]), occupied < Fraction(told["free_thresh"])
-        table[shade] = 100 if is_occupied else 0 if is_free else -1
-    image = pixels_of(path.parent / told["image"])
-    return np.array([table[row] for row in reversed(image)]), told
+    mode = told.get("mode", "trinary")
+    table = np.array([plain_value(shade, mode, told) for shade in range(256)], np.int8)
+    shades, is_opaque = pixels_of(path.parent / told["image"])
+    return np.where(is_opaque, table[shades], -1)[::-1], told
 
 
-def test_cells_of_real_maps_are_those_of_a_plain_reading_and_come_back(data_folder: Path, tmp_path: Path) -> None:
+def real_maps(data_folder: Path) -> list[Path]:
     paths = sorted((data_folder / "maps").glob("*.yaml"))
     assert len(paths) >= 5
-    for path in paths:
+    return paths
+
+
+def check_returns(plan: RosMap, path: Path, mode: Mode) -> None:
+    """What is written is read as the same map, by us and plainly."""
+    write_ros_map(plan, path, mode)
+    again, (cells, told) = read_ros_map(path), plainly_read(path)
+    assert told["mode"] == mode
+    for back in (again.occupancy, cells):
+        np.testing.assert_array_equal(back, plan.occupancy, err_msg=f"{path.name}, {mode}")
+    assert (again.resolution_m, again.origin) == (plan.resolution_m, plan.origin)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_cells_of_real_maps_are_those_of_a_plain_reading_and_come_back(
+    data_folder: Path, tmp_path: Path, mode: Mode
+) -> None:
+    for path in real_maps(data_folder):
         plan, (cells, told) = read_ros_map(path), plainly_read(path)
         np.testing.assert_array_equal(plan.occupancy, cells, err_msg=path.name)
-        assert [plan.resolution_m, *plan.origin] == [told["resolution"], *told["origin"]]  # type: ignore[misc]
-        write_ros_map(plan, tmp_path / path.name)
-        again, (cells, _) = read_ros_map(tmp_path / path.name), plainly_read(tmp_path / path.name)
-        for back in (again.occupancy, cells):
-            np.testing.assert_array_equal(back, plan.occupancy, err_msg=path.name)
-        assert (again.resolution_m, again.origin) == (plan.resolution_m, plan.origin)
+        assert [plan.resolution_m, *plan.origin] == [told["resolution"], *told["origin"]]
+        check_returns(plan, tmp_path / path.name, mode)
+
+
+@pytest.mark.parametrize("mode", ["scale", "raw"])
+def test_every_percent_of_real_maps_is_that_of_a_plain_reading_and_comes_back(
+    data_folder: Path, tmp_path: Path, mode: Mode
+) -> None:
+    """Their images, the greys of some and all, as a file of that mode tells them."""
+    seen = set[int]()
+    for path in real_maps(data_folder):
+        fields = yaml.safe_load(path.read_text())
+        image = path.parent / fields["image"]
+        (tmp_path / "read.yaml").write_text(yaml.safe_dump({**fields, "image": str(image), "mode": mode}))
+        plan, (cells, _) = read_ros_map(tmp_path / "read.yaml"), plainly_read(tmp_path / "read.yaml")
+        np.testing.assert_array_equal(plan.occupancy, cells, err_msg=path.name)
+        check_returns(plan, tmp_path / path.name, mode)
+        seen |= set(np.unique(cells).tolist())
+    assert len(seen) > 90
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_thing_in_a_real_map_that_is_turned_stands_where_origin_and_yaw_put_it(
+    data_folder: Path, tmp_path: Path, mode: Mode
+) -> None:
+    """Two black pixels that stand alone, the 69th and 70th of a row with 1024 more below it, of 0.0504 m each.
+
+    They lie 3.478 m along and 51.635 m above the lower left corner, which is at (25.9, 48.5); turned by 3.14 rad both
+    ways are subtracted but for 1.6 mm a metre: 25.9 - 3.478 - 51.635 * 0.00159 and 48.5 + 3.478 * 0.00159 - 51.635.
+    """
+    plan = read_ros_map(data_folder / "maps" / "basement_fixed.map.yaml")
+    write_ros_map(plan, tmp_path / "turned.yaml", mode)
+    for read in (plan, read_ros_map(tmp_path / "turned.yaml")):
+        assert read.origin[2] == 3.14
+        things = read.to_map(np.argwhere(read.occupancy == OCCUPIED)[:, ::-1] + 0.5)
+        near = things[np.hypot(*(things - (22.340, -3.129)).T) < 0.25]
+        np.testing.assert_allclose(near.mean(axis=0), (22.340, -3.129), atol=0.002)
 
 
 METRES = st.floats(-1e4, 1e4)
@@ -217,13 +276,14 @@ def test_a_trinary_map_comes_back_exactly(
     np.testing.assert_array_equal(back.occupancy, cells)
     assert (back.resolution_m, back.origin) == (resolution_m, origin)
     np.testing.assert_array_equal(plainly_read(path)[0], cells)
-    assert set(np.unique(pixels_of(image))) <= {0, 205, 254}
+    assert set(np.unique(pixels_of(image)[0])) <= {0, 205, 254}
 
 
 @given(arrays(np.int8, SHAPES, elements=PERCENT), st.sampled_from(["scale", "raw"]))
 def test_shares_come_back_exactly(folder: Path, cells: np.ndarray, mode: Mode) -> None:
     path, _ = write_ros_map(RosMap(cells, 0.05), folder / "shares.yaml", mode)
-    np.testing.assert_array_equal(read_ros_map(path).occupancy, cells)
+    for back in (read_ros_map(path).occupancy, plainly_read(path)[0]):
+        np.testing.assert_array_equal(back, cells)
 
 
 def test_what_lies_between_the_thresholds_is_unknown_once_written(tmp_path: Path) -> None:
