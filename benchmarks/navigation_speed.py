@@ -1,6 +1,6 @@
 """`python -m benchmarks.navigation_speed`: the control loop at 20 Hz in real time, beside localization, on two cores.
 
-A drive through the simulated flat with real sensors is rendered beforehand at 640×480 and 15 images a second, and
+A drive through the simulated flat with real sensors is rendered beforehand at 15 images a second, and
 played there and back for so many minutes, as fast as time goes. The navigator of `wheelsight drive`, with MPPI,
 follows the way that was driven, in a map that grows, while the localizer (wheels and camera joined, loops by
 keyframes) works in a thread of its own and leaves out frames that come too fast. The robot does not mind what it is
@@ -231,25 +231,28 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=1.0, help="the issue asks for 60")
     parser.add_argument("--seconds", type=float, default=30.0, help="of the drive that is played there and back")
     parser.add_argument("--seed", type=int, default=1, help="of the drive")
+    parser.add_argument("--width", type=int, default=640, help="of the images, 4 to 3; the issue asks for 640")
     parser.add_argument("--out", type=Path, help="page whose section is written, BENCHMARKS-NAVIGATION.md")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keeps rendered images, 2 MB each, for the next time")
     arguments = parser.parse_args()
     keep_to(2)
-    what = f"--minutes {arguments.minutes:g} --seconds {arguments.seconds:g} --seed {arguments.seed}"
-    about = machine.description() | {"Command": f"`python -m benchmarks.navigation_speed {what}`", "Images": "640×480"}
+    width, height = arguments.width, arguments.width * 3 // 4
+    what = f"--minutes {arguments.minutes:g} --seconds {arguments.seconds:g} --seed {arguments.seed} --width {width}"
+    images = f"{width}×{height}"
+    about = machine.description() | {"Command": f"`python -m benchmarks.navigation_speed {what}`", "Images": images}
     console = Console(width=150)
-    how = {"size": (640, 480), "rate_hz": FRAMES_HZ, "duration_s": arguments.seconds, "seed": arguments.seed}
+    how = {"size": (width, height), "rate_hz": FRAMES_HZ, "duration_s": arguments.seconds, "seed": arguments.seed}
     recording = simulate(SimulationSettings("flat", realism="real", **how))
     with TemporaryDirectory() as scratch:
         kept = arguments.keep or Path(scratch)
         console.print("Rendering the drive", style="dim")
-        drive = rendered(recording, kept / f"flat-{arguments.seed}-{arguments.seconds:g}")
+        drive = rendered(recording, kept / f"flat-{width}-{arguments.seed}-{arguments.seconds:g}")
         console.print(f"Playing it for {arguments.minutes:g} min", style="dim")
         sheets = sheets_of(played(drive, arguments.minutes))
     for sheet in sheets:
         console.print(sheet.to_rich())
     if arguments.out is not None:
-        write_section(arguments.out, _TITLE, __doc__ or "", about, sheets)
+        write_section(arguments.out, f"{_TITLE}, images of {images}", __doc__ or "", about, sheets)
 
 
 if __name__ == "__main__":
