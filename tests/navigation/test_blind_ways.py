@@ -13,6 +13,7 @@ from navigation.test_collision_monitor import NOTHING, Ride
 from navigation.unicycle import CHAIR, Camera
 
 from wheelsight.commands import STOP, VelocityCommand
+from wheelsight.events import RgbdFrame
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import CellState, CostmapSettings, KnownFloor, NavigationSettings
 from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason
@@ -145,6 +146,19 @@ def test_plans_and_controllers_keep_away_from_what_neither_map_nor_camera_knows(
     assert state_at(*ahead) == state_at(*far) == CellState.UNKNOWN
     senses.avoids_hidden = False
     assert state_at(*beside) == CellState.UNKNOWN
+
+
+def test_of_several_frames_in_a_period_the_monitor_sees_the_newest() -> None:
+    floor = KnownFloor(Walls.of(((7.99, 0.0), (7.99, 6.0))).grid(8.0, 6.0))
+    robot, monitor = RoomRobot(Walls.of(((7.99, 0.0), (7.99, 6.0))), (3.0, 3.0, 0.0)), CollisionMonitor(CHAIR)
+    seen_s: list[float] = []
+    senses = Senses(CALIBRATION, Told(robot), floor, monitor, CHAIR, NavigationSettings())
+    monitor.see = lambda view: seen_s.append(view.stamp_s)  # type: ignore[method-assign]
+    late = [event for _ in range(8) for event in robot.step(STOP)]
+    frames_s = [event.stamp_s for event in late if isinstance(event, RgbdFrame)]
+    assert len(frames_s) > 1
+    senses.hear(late, robot.now_s)
+    assert seen_s == [max(frames_s)]
 
 
 def test_plans_and_controllers_keep_away_from_what_the_monitor_remembers() -> None:

@@ -317,3 +317,21 @@ def test_what_is_wiped_is_gone_until_it_is_seen_again() -> None:
     assert is_occupied_at(found, 2.02, 0.9)
     found.update(depth_of([AHEAD]), (0, 0, 0), 1.1)
     assert is_occupied_at(found, 2.02, 0.0)
+
+
+@pytest.mark.parametrize(("columns", "clears"), [(80, False), (160, True)])
+def test_a_block_of_pixels_clears_no_farther_than_its_nearest(columns: int, clears: bool) -> None:
+    """Every second column shows something near: single pixels see past it to what is behind, pairs do not."""
+    found = layer(columns=columns, passes=1)
+    found.update(depth_of([AHEAD]), (0, 0, 0), 1.0)
+    empty = depth_of([WALL])
+    empty[:, 1::2] = np.minimum(empty[:, 1::2], np.where(empty[:, 1::2] > 0, 0.9, 0))
+    found.update(empty, (0, 0, 0), 1.2)
+    assert is_occupied_at(found, 2.02, 0.0) is not clears
+
+
+def test_images_that_come_too_soon_are_left_out_and_clocks_that_were_set_back_stop_none() -> None:
+    found = layer(period_s=0.09)
+    assert found.is_due(5.0)
+    found.update(depth_of([AHEAD]), (0, 0, 0), 5.0)
+    assert [found.is_due(stamp_s) for stamp_s in (5.0, 5.05, 5.1, 4.99, 0.0)] == [False, False, True, True, True]

@@ -114,13 +114,17 @@ class Senses:
         return self._localization.keyframes
 
     def hear(self, events: Sequence[Event], now_s: float) -> None:
-        """All that came in a period, which ends now. Raises what the localization raises."""
+        """All that came in a period, which ends now. Raises what the localization raises.
+
+        Of several frames in one period the monitor sees the newest: who is late already must not become later by them.
+        """
+        newest = next((event for event in reversed(events) if isinstance(event, RgbdFrame)), None)
         for event in events:
             if isinstance(event, WheelTicks | WheelSpeeds):
                 speed = self.where.roll(event)
                 if speed is not None:
                     self._monitor.hear(speed.stamp_s, speed.forward_m_s, speed.turn_rad_s, speed.rolled)
-            elif isinstance(event, RgbdFrame):
+            elif event is newest and isinstance(event, RgbdFrame):
                 self._views.append(self._viewer.view(event.depth_m, event.stamp_s))
                 self._monitor.see(self._views[-1])
         for event, estimate in self._localization.hear(events):
