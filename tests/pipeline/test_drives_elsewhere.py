@@ -1,0 +1,69 @@
+"""Drives whose map is of another place, or that are told a wrong start: the localizer is the real one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from narrowing import not_none
+from navigation.rooms import Ride, is_near
+from pipeline.painted_drives import Pose, painted_ride
+
+from wheelsight.navigation import NavigationReason, NavigationState
+
+pytestmark = pytest.mark.slow
+BEGIN: Pose = (-1.8, 0.2, 0.0)
+GOAL: Pose = (-0.3, 0.4, 0.0)
+SEED_OF_THE_MAP, OTHER_SEED = 0, 3
+LOST_S = 8.0
+# So far off that nobody means the same place.
+FAR_OFF: Pose = (-0.6, -0.9, 1.5)
+
+
+def driven(seed: int, start: Pose | None = None, goal: tuple[float, ...] = GOAL) -> Ride:
+    """To its end."""
+    with painted_ride(seed, BEGIN, LOST_S, start) as ride:
+        ride.navigator.go_to_pose(goal)
+        ride.go(40.0)
+    assert ride.navigator.is_task_complete()
+    assert ride.robot.base.stands
+    assert ride.clearance_m > 0.04
+    return ride
+
+
+def test_in_the_room_of_the_map_it_knows_its_place_and_arrives() -> None:
+    ride = driven(SEED_OF_THE_MAP)
+    assert not_none(ride.navigator.result).has_arrived
+    assert is_near(ride.robot.base.pose, GOAL)
+
+
+def test_in_another_room_it_is_lost_and_does_not_drive_to_the_goal() -> None:
+    """One of the same shape, whose walls look different."""
+    ride = driven(OTHER_SEED)
+    result = not_none(ride.navigator.result)
+    assert (result.has_arrived, result.reason) == (False, NavigationReason.LOST)
+    assert ride.navigator.state is NavigationState.FAILED
+    assert ride.navigator.feedback.pose is None
+    assert ride.robot.now_s == pytest.approx(LOST_S, abs=1.0)
+    assert str(NavigationState.DRIVING) not in ride.states
+    assert result.plans == 0
+    assert np.hypot(*(ride.robot.base.pose[:2] - BEGIN[:2])) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("start", "goal"), [((-1.4, 0.0, 0.25), GOAL), (FAR_OFF, (-1.8, 0.6))], ids=["a little", "altogether"]
+)
+def test_a_start_that_is_wrong_is_put_right_by_what_is_recognised(start: Pose, goal: tuple[float, ...]) -> None:
+    ride = driven(SEED_OF_THE_MAP, start, goal)
+    assert not_none(ride.navigator.result).has_arrived
+    assert np.hypot(*(ride.robot.base.pose[:2] - goal[:2])) < 0.12
+    np.testing.assert_allclose(not_none(ride.navigator.feedback.pose), ride.robot.base.pose, atol=0.05)
+
+
+def test_a_start_in_another_room_is_believed_and_yet_nothing_is_touched() -> None:
+    """The wheels carry it on, and nothing that is seen contradicts: its way is checked by the camera alone."""
+    ride = driven(OTHER_SEED, FAR_OFF)
+    begin, now = np.array(FAR_OFF), not_none(ride.navigator.feedback.pose)
+    assert ride.transitions[1].after is NavigationState.DRIVING
+    assert ride.navigator.feedback.forward_m_s == pytest.approx(0.0, abs=0.02)
+    moved_m = np.hypot(*(ride.robot.base.pose[:2] - BEGIN[:2]))
+    assert np.hypot(*(now - begin)[:2]) == pytest.approx(moved_m, abs=0.05)
