@@ -126,13 +126,78 @@ def test_files_come_back(
         assert_array_equal(one.T_map_keyframe, other.T_map_keyframe)
 
 
+def area(name: str, shift_m: float = 0.0) -> MapEdit:
+    return MapEdit(EditKind.AREA, SQUARE + shift_m, name=name)
+
+
+def test_an_area_says_nothing_of_cells() -> None:
+    edits = MapEdits((area("kitchen"),))
+    assert_array_equal(edits.applied(grid_of()).kind, grid_of().kind)
+    assert np.isinf(edits.limits_m_s(grid_of())).all()
+
+
+def test_an_area_moves_with_the_nearest_keyframe_and_keeps_its_name_wherever_it_hangs() -> None:
+    T = np.array([se3.from_plane(x, 0.0, 0.3) for x in (9.0, 0.5, -7.0)])
+    hung = area("kitchen").hung_on_nearest(T, np.array([0, 1, 2]))
+    assert hung.keyframe == 1
+    assert area("kitchen").hung_on_nearest(T, np.array([0, 2])).keyframe == 2
+    assert area("kitchen").hung_on_nearest(T, np.array([], np.int64)).keyframe is None
+    T_new_old = se3.from_plane(1.0, -2.0, 0.7)
+    there = se3.apply(T_new_old, np.c_[SQUARE, np.zeros(4)])[:, :2]
+    assert_allclose(hung.polygon_now(T_new_old @ T), there, atol=1e-12)
+    (carried,) = MapEdits((hung,)).carried(T, np.array([0, -1, 1])).edits
+    assert (carried.name, carried.keyframe) == ("kitchen", 1)
+    assert_allclose(carried.polygon, SQUARE, atol=1e-12)
+
+
+def test_an_edit_on_a_keyframe_that_its_map_never_had_is_where_it_was_drawn() -> None:
+    zone = MapEdit(EditKind.KEEP_OUT, SQUARE).anchored(KeyframeId(99), np.eye(4))
+    (carried,) = MapEdits((zone,)).carried(np.array([se3.from_plane(3.0, 0.0, 1.0)]), np.array([0])).edits
+    assert carried.keyframe == 0
+    assert_array_equal(carried.polygon, SQUARE)
+
+
+def test_a_name_is_that_of_one_area() -> None:
+    with pytest.raises(MapError, match="two areas are called 'kitchen'"):
+        MapEdits((area("kitchen"), area("kitchen", 1.0)))
+    zone = MapEdit(EditKind.KEEP_OUT, SQUARE)
+    edits = MapEdits((area("kitchen"), zone)).with_edit(area("kitchen", 1.0))
+    assert [edit.name for edit in edits.edits] == [None, "kitchen"]
+    assert_array_equal(edits.areas[0].polygon, SQUARE + 1.0)
+    both = edits.beside(MapEdits((area("kitchen"), area("hall"), area("kitchen 2"), zone)))
+    assert len(both) == 6
+    assert both.area_names == ("hall", "kitchen", "kitchen 2", "kitchen 2 2")
+    assert_array_equal(both.areas[0].polygon, SQUARE + 1.0)
+
+
+def test_areas_come_back_from_files_that_older_programs_refuse(tmp_path: Path) -> None:
+    path = tmp_path / "edits.json"
+    MapEdits((area("Büro  im Hof").anchored(KeyframeId(3), np.eye(4)), MapEdit(EditKind.KEEP_OUT, SQUARE))).save(path)
+    assert json.loads(path.read_text(encoding="utf-8"))["version"] == 2
+    back, zone = MapEdits.load(path).edits
+    assert (back.kind, back.name, back.keyframe, zone.name) == (EditKind.AREA, "Büro im Hof", 3, None)
+    path.write_text(path.read_text(encoding="utf-8").replace('"keep_out"', '"area", "name": "Büro im Hof"'), "utf-8")
+    with pytest.raises(MapError, match=r"edits\.json: two areas are called 'Büro im Hof'"):
+        MapEdits.load(path)
+
+
+def test_without_areas_a_file_is_as_it_was_before_there_were_any(tmp_path: Path) -> None:
+    path = tmp_path / "edits.json"
+    corners = np.array([[0, 0], [1, 0], [0, 1.0]])
+    MapEdits((MapEdit(EditKind.SPEED, corners, 0.5).anchored(KeyframeId(2), np.eye(4)),)).save(path)
+    rows = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+    zone = {"kind": "speed", "polygon": [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], "limit_m_s": 0.5}
+    before = {"format": "wheelsight-map-edits", "version": 1, "edits": [zone | {"keyframe": 2, "T_map_keyframe": rows}]}
+    assert path.read_text() == json.dumps(before, indent=1) + "\n"
+
+
 SOUND = {"kind": "speed", "polygon": SQUARE.tolist(), "limit_m_s": 0.5}
 
 
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
-        ({"kind": "slow"}, "kind is 'slow' (one of keep_out, speed, wiped)"),
+        ({"kind": "slow"}, "kind is 'slow' (one of keep_out, speed, wiped, area)"),
         ({"limit_m_s": None}, "limit_m_s is None of speed (speed zones have a limit"),
         ({"limit_m_s": -1}, "limit_m_s is -1 (metres a second, over 0"),
         ({"limit_m_s": "fast"}, "limit_m_s is 'fast'"),
@@ -147,6 +212,10 @@ SOUND = {"kind": "speed", "polygon": SQUARE.tolist(), "limit_m_s": 0.5}
         ({"keyframe": -3, "T_map_keyframe": np.eye(4).tolist()}, "keyframe is -3"),
         ({"keyframe": 3, "T_map_keyframe": (2 * np.eye(4)).tolist()}, "the pose of keyframe 3 is no rigid motion"),
         ({"colour": "red"}, "is no edit"),
+        ({"name": "kitchen"}, "name is 'kitchen' of speed (areas have a name, no others do)"),
+        ({"kind": "area", "limit_m_s": None}, "name is None of area"),
+        ({"kind": "area", "limit_m_s": None, "name": "a, b"}, "'a, b' is no name for a place"),
+        ({"kind": "area", "limit_m_s": None, "name": 5}, "5 is no name for a place"),
     ],
 )
 def test_an_edit_that_is_wrong_is_named(tmp_path: Path, change: dict[str, Any], problem: str) -> None:
@@ -164,8 +233,8 @@ def test_an_edit_that_is_wrong_is_named(tmp_path: Path, change: dict[str, Any], 
         ("{", "is no JSON"),
         ("[]", "is not of format 'wheelsight-map-edits'"),
         (
-            '{"format": "wheelsight-map-edits", "version": 2, "edits": []}',
-            "its version is 2, and this wheelsight reads 1",
+            '{"format": "wheelsight-map-edits", "version": 3, "edits": []}',
+            "its version is 3, and this wheelsight reads 2",
         ),
         ('{"format": "wheelsight-map-edits", "version": true, "edits": []}', "its version is True"),
         ('{"format": "wheelsight-map-edits", "version": 1}', "its edits are no list"),

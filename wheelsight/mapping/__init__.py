@@ -1,6 +1,7 @@
 """Mapping: surfels that frames are fused into, views predicted from them, files and meshes; occupancy of the floor."""
 
 from wheelsight.mapping.export import Mesh, colors_of, mesh_of, write_mesh_ply, write_ply
+from wheelsight.mapping.floor_polygons import roomiest_place
 from wheelsight.mapping.map_edits import EditKind, MapEdit, MapEdits
 from wheelsight.mapping.named_poses import NamedPose, NamedPoses
 from wheelsight.mapping.occupancy import CellKind, OccupancyGrid
@@ -31,6 +32,7 @@ __all__ = [
     "colors_of",
     "load_map",
     "mesh_of",
+    "roomiest_place",
     "save_map",
     "write_mesh_ply",
     "write_ply",

@@ -1,4 +1,4 @@
-"""MapEdits: what a person says of a map: where not to drive, where to drive slowly, and what is not there.
+"""MapEdits: what a person says of a map: where not to drive, where to drive slowly, what is not there, and areas.
 
 They are a layer of their own: the map can be made anew below them. One that is anchored at a keyframe moves with it.
 """
@@ -10,26 +10,27 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import shapely
 from numpy.typing import ArrayLike
 
 from wheelsight.errors import ArgumentError, MapError
 from wheelsight.files import StrPath, write_text
-from wheelsight.geometry import BoolArray, Float32Array, FloatArray, IntArray, se3
+from wheelsight.geometry import Float32Array, FloatArray, IntArray, se3
 from wheelsight.inputs import Kind
 from wheelsight.keyframes import KeyframeId
+from wheelsight.mapping.floor_polygons import cells_in, checked_corners
 from wheelsight.mapping.json_lists import read_list
 from wheelsight.mapping.occupancy import CellKind, OccupancyGrid
+from wheelsight.mapping.place_names import checked_name, free_name
 
-FORMAT, VERSION = "wheelsight-map-edits", 1
+# Programs that know no areas read version 1: they refuse what has any, and read all else.
+FORMAT, VERSION, VERSION_WITHOUT_AREAS = "wheelsight-map-edits", 2, 1
 _FILE = Kind("edits of a map", most_mb=16, fix="give a file that MapEdits.save wrote")
-_FIELDS = ("kind", "polygon", "limit_m_s", "keyframe", "T_map_keyframe")
-_SMALLEST_AREA_M2 = 1e-6
-_FARTHEST_M = 1e6
+_FIELDS = ("kind", "polygon", "limit_m_s", "keyframe", "T_map_keyframe", "name")
 
 
 class EditKind(StrEnum):
@@ -41,6 +42,8 @@ class EditKind(StrEnum):
     """Nobody drives faster there than its limit."""
     WIPED = "wiped"
     """Obstacles and drop-offs that the map has there are none: free."""
+    AREA = "area"
+    """It is called so, as a goal may be; all else is as it was."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,10 +56,11 @@ class MapEdit:
         limit_m_s: of a speed zone, metres a second; else None.
         keyframe: with which it moves, or None.
         T_map_keyframe: (4, 4) where that was when the polygon was drawn, or None.
+        name: of an area, as `NamedPose` has it; else None.
 
     Raises:
         MapError: a polygon that crosses itself, has no surface or lies beyond 1000 km; a limit that is missing, not
-            over 0, or of another kind; a keyframe without its pose.
+            over 0, or of another kind; a name that is missing, none, or of another kind; a keyframe without its pose.
     """
 
     kind: EditKind
@@ -64,15 +68,20 @@ class MapEdit:
     limit_m_s: float | None = None
     keyframe: KeyframeId | None = None
     T_map_keyframe: FloatArray | None = None
+    name: str | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "polygon", _corners(self.polygon))
+        object.__setattr__(self, "polygon", checked_corners(self.polygon))
         if (self.kind == EditKind.SPEED) != (self.limit_m_s is not None):
             raise MapError(
                 f"limit_m_s is {self.limit_m_s} of {self.kind}", fix="speed zones have a limit, no others do"
             )
         if self.limit_m_s is not None and not 0 < self.limit_m_s < math.inf:
             raise MapError(f"limit_m_s is {self.limit_m_s:g}", fix="metres a second, over 0; or a keep-out zone")
+        if (self.kind == EditKind.AREA) != (self.name is not None):
+            raise MapError(f"name is {self.name!r} of {self.kind}", fix="areas have a name, no others do")
+        if self.name is not None:
+            object.__setattr__(self, "name", checked_name(self.name))
         if (self.keyframe is None) != (self.T_map_keyframe is None):
             raise MapError("an anchor is a keyframe and its pose", fix="give both, or neither")
         if self.T_map_keyframe is not None and not se3.is_valid(self.T_map_keyframe):
@@ -81,6 +90,18 @@ class MapEdit:
     def anchored(self, keyframe: KeyframeId, T_map_keyframe: ArrayLike) -> MapEdit:
         """The same, which from now on moves with a keyframe that is at (4, 4) now."""
         return replace(self, keyframe=keyframe, T_map_keyframe=np.array(T_map_keyframe, float))
+
+    def hung_on_nearest(self, T_map_keyframe: ArrayLike, among: IntArray) -> MapEdit:
+        """The same, which from now on moves with the nearest of some keyframes (N,), of poses (K, 4, 4) of all.
+
+        Its polygon is where it is now; without any keyframe it stays there.
+        """
+        if not len(among):
+            return replace(self, keyframe=None, T_map_keyframe=None)
+        table = np.asarray(T_map_keyframe, float)
+        off_m = np.linalg.norm(table[among, :2, 3] - self.polygon.mean(axis=0), axis=1)
+        nearest = int(among[np.argmin(off_m)])
+        return self.anchored(KeyframeId(nearest), table[nearest])
 
     def polygon_now(self, T_map_keyframe: ArrayLike) -> FloatArray:
         """(N, 2) corners where its keyframe is by now, of poses (K, 4, 4) by number."""
@@ -96,15 +117,47 @@ class MapEdit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapEdits:
-    """All edits of a map, in the order in which they were made: where they overlap, the last one counts."""
+    """All edits of a map, in the order in which they were made: where they overlap, the last one counts.
+
+    Raises:
+        MapError: two areas of one name.
+    """
 
     edits: tuple[MapEdit, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, following in pairwise(self.area_names):
+            if name == following:
+                raise MapError(f"two areas are called {name!r}", fix="each name once")
 
     def __len__(self) -> int:
         return len(self.edits)
 
+    @property
+    def areas(self) -> tuple[MapEdit, ...]:
+        """Those that are areas."""
+        return tuple(edit for edit in self.edits if edit.kind == EditKind.AREA)
+
+    @property
+    def area_names(self) -> tuple[str, ...]:
+        """Of the areas, in order."""
+        return tuple(sorted(area.name for area in self.areas if area.name is not None))
+
+    def with_edit(self, edit: MapEdit) -> MapEdits:
+        """With one more at the end; an area takes the place of the one that has its name."""
+        others = (one for one in self.edits if edit.name is None or one.name != edit.name)
+        return MapEdits((*others, edit))
+
+    def beside(self, other: MapEdits) -> MapEdits:
+        """Both; where both have an area of a name, this one's keeps it, and the other's gets a number behind it."""
+        found = self
+        for edit in other.edits:
+            named = edit if edit.name is None else replace(edit, name=free_name(edit.name, found.area_names))
+            found = found.with_edit(named)
+        return found
+
     def applied(self, grid: OccupancyGrid, T_map_keyframe: ArrayLike = ()) -> OccupancyGrid:
-        """A grid with what they say of its cells; speed zones say nothing of these.
+        """A grid with what they say of its cells; speed zones and areas say nothing of these.
 
         A keep-out zone has every cell that it touches, what is wiped those whose middles lie in it. Beyond the grid
         nothing is said.
@@ -119,9 +172,9 @@ class MapEdits:
         for edit in self.edits:
             polygon = edit.polygon_now(T_map_keyframe)
             if edit.kind == EditKind.KEEP_OUT:
-                grid = grid.changed(_cells(grid, polygon, is_generous=True), CellKind.KEEP_OUT)
+                grid = grid.changed(cells_in(grid, polygon, is_generous=True), CellKind.KEEP_OUT)
             elif edit.kind == EditKind.WIPED:
-                grid = grid.changed(_cells(grid, polygon) & (grid.kind >= CellKind.OBSTACLE), CellKind.FREE)
+                grid = grid.changed(cells_in(grid, polygon) & (grid.kind >= CellKind.OBSTACLE), CellKind.FREE)
         return grid
 
     def limits_m_s(self, grid: OccupancyGrid, T_map_keyframe: ArrayLike = ()) -> Float32Array:
@@ -129,7 +182,7 @@ class MapEdits:
         limits = np.full(grid.kind.shape, np.inf, np.float32)
         for edit in self.edits:
             if edit.limit_m_s is not None:
-                limits[_cells(grid, edit.polygon_now(T_map_keyframe), is_generous=True)] = edit.limit_m_s
+                limits[cells_in(grid, edit.polygon_now(T_map_keyframe), is_generous=True)] = edit.limit_m_s
         return limits
 
     def carried(self, T_map_keyframe: ArrayLike, numbers: IntArray, *, is_same_frame: bool = True) -> MapEdits:
@@ -145,23 +198,25 @@ class MapEdits:
         table, kept = np.asarray(T_map_keyframe, float), np.flatnonzero(numbers >= 0)
         carried = []
         for edit in self.edits:
+            # A file may name keyframes that its map never had.
+            number = -1 if edit.keyframe is None or edit.keyframe >= len(numbers) else int(numbers[edit.keyframe])
             if edit.keyframe is None and is_same_frame:
                 carried.append(edit)
-            elif edit.keyframe is not None and numbers[edit.keyframe] >= 0:
-                carried.append(replace(edit, keyframe=KeyframeId(int(numbers[edit.keyframe]))))
+            elif number >= 0:
+                carried.append(replace(edit, keyframe=KeyframeId(number)))
             elif len(kept):
-                is_lost = edit.keyframe is not None and not np.isfinite(table[edit.keyframe]).all()
-                drawn = edit.polygon if is_lost else edit.polygon_now(table)
-                now = replace(edit, polygon=drawn, keyframe=None, T_map_keyframe=None)
-                off_m = np.linalg.norm(table[kept, :2, 3] - now.polygon.mean(axis=0), axis=1)
-                nearest = int(kept[np.argmin(off_m)])
-                carried.append(now.anchored(KeyframeId(int(numbers[nearest])), table[nearest]))
+                is_lost = edit.keyframe is not None and not np.isfinite(table[edit.keyframe : edit.keyframe + 1]).any()
+                now = replace(edit, polygon=edit.polygon if is_lost else edit.polygon_now(table))
+                hung = now.hung_on_nearest(table, kept)
+                assert hung.keyframe is not None
+                carried.append(replace(hung, keyframe=KeyframeId(int(numbers[hung.keyframe]))))
         return MapEdits(tuple(carried))
 
     def save(self, path: StrPath) -> None:
         """Write them as JSON, atomically. Raises OutputError."""
-        document = {"format": FORMAT, "version": VERSION, "edits": [_told(edit) for edit in self.edits]}
-        write_text(path, json.dumps(document, indent=1) + "\n")
+        version = VERSION if self.areas else VERSION_WITHOUT_AREAS
+        document = {"format": FORMAT, "version": version, "edits": [_told(edit) for edit in self.edits]}
+        write_text(path, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
 
     @classmethod
     def load(cls, path: StrPath) -> MapEdits:
@@ -174,12 +229,15 @@ class MapEdits:
                 edits.append(_edit(fields))
             except MapError as error:
                 raise MapError(f"edit {number}: {error.problem}", path=path, fix=error.fix) from error
-        return cls(tuple(edits))
+        try:
+            return cls(tuple(edits))
+        except MapError as error:
+            raise MapError(error.problem, path=path, fix=error.fix) from error
 
 
 def _told(edit: MapEdit) -> dict[str, Any]:
     T = None if edit.T_map_keyframe is None else edit.T_map_keyframe.tolist()
-    values = (edit.kind.value, edit.polygon.tolist(), edit.limit_m_s, edit.keyframe, T)
+    values = (edit.kind.value, edit.polygon.tolist(), edit.limit_m_s, edit.keyframe, T, edit.name)
     return {name: value for name, value in zip(_FIELDS, values, strict=True) if value is not None}
 
 
@@ -190,7 +248,7 @@ def _edit(fields: Any) -> MapEdit:
     kinds = [kind.value for kind in EditKind]
     if fields.get("kind") not in kinds:
         raise MapError(f"kind is {fields.get('kind')!r}", fix=f"one of {', '.join(kinds)}")
-    limit, keyframe, T = (fields.get(name) for name in _FIELDS[2:])
+    limit, keyframe, T, called = (fields.get(name) for name in _FIELDS[2:])
     if limit is not None and (isinstance(limit, bool) or not isinstance(limit, int | float)):
         raise MapError(f"limit_m_s is {limit!r}", fix="metres a second")
     if keyframe is not None and (type(keyframe) is not int or keyframe < 0):
@@ -198,7 +256,7 @@ def _edit(fields: Any) -> MapEdit:
     number = None if keyframe is None else KeyframeId(keyframe)
     pose = None if T is None else _numbers(T, "T_map_keyframe", (4, 4))
     polygon = _numbers(fields.get("polygon"), "polygon", (-1, 2))
-    return MapEdit(EditKind(fields["kind"]), polygon, limit, number, pose)
+    return MapEdit(EditKind(fields["kind"]), polygon, limit, number, pose, called)
 
 
 def _numbers(value: Any, name: str, shape: Sequence[int]) -> FloatArray:
@@ -210,37 +268,3 @@ def _numbers(value: Any, name: str, shape: Sequence[int]) -> FloatArray:
     if not is_right:
         raise MapError(f"{name} is no table of numbers", fix=f"{shape[1]} numbers a row")
     return found
-
-
-def _corners(polygon: ArrayLike) -> FloatArray:
-    """Raises MapError for corners that make no polygon."""
-    corners = np.array(polygon, float)
-    if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
-        raise MapError("a polygon has fewer than three corners", fix="[[x, y], [x, y], [x, y], …] in metres")
-    if not (np.abs(corners) < _FARTHEST_M).all():
-        raise MapError("a polygon has corners that are no place on earth", fix="metres in the frame map")
-    shape = shapely.Polygon(corners)
-    if not shape.is_valid or shape.area < _SMALLEST_AREA_M2:
-        raise MapError("a polygon crosses itself or has no surface", fix="give its corners in the order of its outline")
-    corners.setflags(write=False)
-    return corners
-
-
-def _cells(grid: OccupancyGrid, polygon: FloatArray, *, is_generous: bool = False) -> BoolArray:
-    """(H, W) cells whose middles lie in a polygon; with `is_generous`, those that it touches."""
-    inside = np.zeros(grid.kind.shape, bool)
-    low = np.maximum(grid.cells_at(polygon.min(axis=0)), 0)
-    high = np.minimum(grid.cells_at(polygon.max(axis=0)) + 1, grid.kind.shape)
-    if (low >= high).any():
-        return inside
-    rows, columns = (np.arange(a, b) for a, b in zip(low.tolist(), high.tolist(), strict=True))
-    cells = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1)
-    shape, (x, y) = shapely.Polygon(polygon), np.moveaxis(grid.middle_of(cells), -1, 0)
-    shapely.prepare(shape)
-    if is_generous:
-        half = 0.5 * grid.resolution_m
-        found = shapely.intersects(shape, shapely.box(x - half, y - half, x + half, y + half))
-    else:
-        found = shapely.contains_xy(shape, x, y)
-    inside[low[0] : high[0], low[1] : high[1]] = found
-    return inside

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +17,11 @@ from wheelsight.geometry import FloatArray, IntArray, se3
 from wheelsight.inputs import Kind
 from wheelsight.keyframes import KeyframeId
 from wheelsight.mapping.json_lists import read_list
+from wheelsight.mapping.place_names import checked_name, free_name, unknown_name
 
 FORMAT, VERSION = "wheelsight-named-poses", 1
 _FILE = Kind("named poses of a map", most_mb=4, fix="give a file that NamedPoses.save wrote")
 _FIELDS = ("name", "pose", "keyframe", "T_map_keyframe")
-_LONGEST_NAME = 60
 _FARTHEST_M = 1e6
 
 
@@ -46,7 +45,7 @@ class NamedPose:
     T_map_keyframe: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "name", _checked_name(self.name))
+        object.__setattr__(self, "name", checked_name(self.name))
         object.__setattr__(self, "pose", _checked_pose(self.name, self.pose))
         if (self.keyframe is None) != (self.T_map_keyframe is None):
             raise MapError("an anchor is a keyframe and its pose", fix="give both, or neither")
@@ -110,7 +109,7 @@ class NamedPoses:
         """The one of a name. Raises MapError, which tells the nearest name and all that are known."""
         found = next((one for one in self.poses if one.name == name), None)
         if found is None:
-            raise MapError(f"no place of the map is called {name!r}{_meant(name, self.names)}", fix=_known(self.names))
+            raise unknown_name(name, self.names)
         return found
 
     def with_pose(self, pose: NamedPose) -> NamedPoses:
@@ -145,10 +144,7 @@ class NamedPoses:
         """Both; where both have a name, this one's counts, and the other's gets a number behind it."""
         found = self
         for one in other.poses:
-            number, name = 2, one.name
-            while name in found.names:
-                name, number = f"{one.name[: _LONGEST_NAME - 4]} {number}", number + 1
-            found = found.with_pose(replace(one, name=name))
+            found = found.with_pose(replace(one, name=free_name(one.name, found.names)))
         return found
 
     def save(self, path: StrPath) -> None:
@@ -165,27 +161,6 @@ class NamedPoses:
             return cls(tuple(_pose(fields) for fields in listed))
         except MapError as error:
             raise MapError(error.problem, path=path, fix=error.fix) from error
-
-
-def _meant(name: str, names: tuple[str, ...]) -> str:
-    lower = {known.lower(): known for known in names}
-    near = get_close_matches(name.lower(), lower, n=1)
-    return f" (did you mean {lower[near[0]]}?)" if near else ""
-
-
-def _known(names: tuple[str, ...]) -> str:
-    if not names:
-        return "the map has no names yet: wheelsight map name MAP NAME --at X,Y,YAW_DEG"
-    return f"known: {', '.join(names)}"
-
-
-def _checked_name(name: Any) -> str:
-    """Raises MapError."""
-    text = " ".join(name.split()) if isinstance(name, str) else ""
-    if not text or "," in text or len(text) > _LONGEST_NAME or not text.isprintable() or text.startswith("-"):
-        problem = f"{name!r} is no name for a place"
-        raise MapError(problem, fix=f"up to {_LONGEST_NAME} letters, digits and spaces, without commas")
-    return text
 
 
 def _checked_pose(name: str, pose: ArrayLike) -> FloatArray:

@@ -11,6 +11,7 @@ import numpy as np
 from wheelsight.errors import MapError
 from wheelsight.files import StrPath
 from wheelsight.inputs import is_there
+from wheelsight.mapping import MapEdits
 from wheelsight.slam.sessions.hanging import connected
 from wheelsight.slam.sessions.header import HEADER_FILE, MapHeader
 from wheelsight.slam.sessions.map_folder import (
@@ -41,7 +42,8 @@ class MapInfo:
         bytes: of all files.
         keyframe_bytes: a keyframe, with its place, its edges and its moves.
         surfel_bytes, recognition_bytes, occupancy_bytes: of these files; None where they are missing.
-        edits: zones and wiped obstacles; None where their file cannot be read.
+        edits: how many zones and wiped obstacles; None where their file cannot be read.
+        areas: names of areas, which are in the same file; likewise.
         places: names of poses; likewise.
         health: what is wrong.
     """
@@ -60,6 +62,7 @@ class MapInfo:
     recognition_bytes: int | None
     occupancy_bytes: int | None
     edits: int | None
+    areas: tuple[str, ...] | None
     places: tuple[str, ...] | None
     health: Health
 
@@ -72,7 +75,7 @@ class MapInfo:
 
 def info_of(folder: MapFolder) -> MapInfo:
     """The figures of an open map."""
-    path, store, edges = folder.path, folder.store, folder.edges
+    path, store, edges, edits = folder.path, folder.store, folder.edges, _edits(folder)
     numbers = list(store)
     stamps_s = [folder.contents.places[number].stamp_s for number in numbers]
     at = store.T_map_keyframe[numbers][:, :3, 3]
@@ -93,7 +96,8 @@ def info_of(folder: MapFolder) -> MapInfo:
         surfel_bytes=_size(path / SURFELS_FILE),
         recognition_bytes=_size(path / RECOGNITION_FILE),
         occupancy_bytes=_occupancy_bytes(path),
-        edits=_edits(folder),
+        edits=None if edits is None else len(edits) - len(edits.areas),
+        areas=None if edits is None else edits.area_names,
         places=_places(folder),
         health=folder.contents.health,
     )
@@ -123,9 +127,9 @@ def _occupancy_bytes(path: Path) -> int | None:
     return None if about is None or image is None else about + image
 
 
-def _edits(folder: MapFolder) -> int | None:
+def _edits(folder: MapFolder) -> MapEdits | None:
     try:
-        return len(folder.map_edits())
+        return folder.map_edits()
     except MapError:
         return None
 

@@ -11,7 +11,7 @@ from wheelsight.errors import MapError
 from wheelsight.files import StrPath, refuse_full
 from wheelsight.geometry import IntArray
 from wheelsight.keyframes import KeyframeId
-from wheelsight.mapping import MapEdits, SurfelSettings
+from wheelsight.mapping import SurfelSettings
 from wheelsight.places.recognition import Recognizer
 from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.graph import RelativePose
@@ -90,8 +90,7 @@ def merge(
 def _said(first: MapFolder, second: MapFolder, kept: IntArray, pair: _Pair) -> SaidOfMap:
     """Of both maps; the second's all hang on keyframes, whose frame goes."""
     of_first, of_second = carried(first, kept), carried(second, kept, len(pair.first), is_same_frame=False)
-    edits = MapEdits((*of_first.edits.edits, *of_second.edits.edits))
-    return SaidOfMap(edits, of_first.poses.beside(of_second.poses))
+    return SaidOfMap(of_first.edits.beside(of_second.edits), of_first.poses.beside(of_second.poses))
 
 
 def _told(folder: MapFolder, pair: _Pair, kept: IntArray, graph: PieceGraph) -> MergedMap:
