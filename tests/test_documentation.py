@@ -58,6 +58,8 @@ NOT_RUN = {
     "wheelsight serve ": "goes on until it is interrupted; tests/cli/test_serve.py",
     "wheelsight map info home": "of the map that an exploration leaves after minutes",
     "wheelsight map name ": "names a place of that map; tests/cli/test_maps.py",
+    "wheelsight map zone ": "draws in that map; tests/cli/test_map_zones.py",
+    "wheelsight map export home ": "of that map; tests/cli/test_maps.py",
     "wheelsight simulate flat --laps 2": "a minute of driving, for that map",
     "wheelsight run monday --map surfels --loops keyframes --out home": "of that drive",
     "wheelsight simulate floor4 --laps 2": "four minutes of driving; docs/simulation.md's is run for some seconds",

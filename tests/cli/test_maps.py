@@ -111,7 +111,9 @@ def test_what_of_the_floor_is_free_is_exported_and_drawn(wheelsight: Command, tm
     assert set(np.unique(found.occupancy)) == {-1, 0, 100}
     image = cv2.imread(str(picture))
     assert image is not None
-    assert second.startswith(f"{image.shape[1]} × {image.shape[0]} pixels: ")
+    (x, y, _), (rows, columns) = found.origin, found.occupancy.shape
+    reach = f"x {x:.2f} to {x + 0.1 * columns:.2f} m, y {y:.2f} to {y + 0.1 * rows:.2f} m"
+    assert second == f"{image.shape[1]} × {image.shape[0]} pixels: {picture}; above its legend {reach}"
     assert "is there already" in wheelsight(*asked).stderr
     assert wheelsight(*asked, "--force").exit_code == 0
 
@@ -185,6 +187,7 @@ def test_two_maps_are_merged_and_pruned(wheelsight: Command, tmp_path: Path) -> 
     write_seen(tmp_path / "tuesday", [aside(T, 0.03) for T in RING[:5]], begin_s=100.0)
     for day in ("monday", "tuesday"):
         assert wheelsight("map", "name", tmp_path / day, "here", "--at", "0,0").exit_code == 0
+        assert wheelsight("map", "zone", tmp_path / day, "--area", "room", "-1,-1", "1,1").exit_code == 0
     result = wheelsight("map", "merge", tmp_path / "monday", tmp_path / "tuesday", "--out", tmp_path / "both")
     assert result.exit_code == 0, result.output
     assert result.stdout.startswith("4 keyframes and 5, joined by ")
@@ -195,7 +198,9 @@ def test_two_maps_are_merged_and_pruned(wheelsight: Command, tmp_path: Path) -> 
     assert 5 <= count < 9
     assert result.stdout.startswith(f"{count} keyframes, {9 - count} left out: ")
     for made in ("both", "pruned"):
-        poses = MapFolder.open(tmp_path / made).named_poses()
+        folder = MapFolder.open(tmp_path / made)
+        poses = folder.named_poses()
+        assert folder.map_edits().area_names == ("room", "room 2")
         assert poses.names == ("here", "here 2")
         assert all(one.keyframe is not None for one in poses)
 

@@ -87,13 +87,15 @@ def settings_of(options: SettingsOptions, given: Mapping[str, str | None]) -> Co
 
 def goals_of(options: DriveOptions) -> list[Goal]:
     """All of --to. Raises ConfigError, MapError: before anything moves."""
-    from wheelsight.cli._map_names import goal_of
+    from wheelsight.cli._map_goals import poses_of
     from wheelsight.pipeline.drives import Goal
 
     if options.map_ is None:
         return []
+    words = options.to or ()
     with _opened(options.map_) as folder:
-        return [Goal.of(goal_of(word, folder), "" if "," in word else word) for word in options.to or ()]
+        poses = poses_of(words, folder)
+    return [Goal.of(pose, "" if "," in word else word) for word, pose in zip(words, poses, strict=True)]
 
 
 def way_of(options: DriveOptions) -> FloatArray | None:

@@ -23,8 +23,8 @@ To = Annotated[
     list[str] | None,
     typer.Option(
         metavar="GOAL",
-        help="A name of the map (wheelsight map name), X,Y,YAW_DEG in it, or X,Y for any heading. May be given again: "
-        "one after another.",
+        help="A name of the map (wheelsight map name), an area of it (wheelsight map zone), X,Y,YAW_DEG in it, or X,Y "
+        "for any heading. May be given again: one after another.",
         show_default=False,
         rich_help_panel=_TASK,
     ),

@@ -42,7 +42,7 @@ def export(folder: MapFolder, wanted: Exports, force: bool) -> None:
         _write_points(folder, wanted.points, wanted.everything)
     if wanted.occupancy is None and wanted.picture is None:
         return
-    grid = _grid(folder, wanted.resolution_m)
+    grid = grid_of(folder, wanted.resolution_m)
     if wanted.occupancy is not None:
         _write_occupancy(grid, wanted.occupancy)
     if wanted.picture is not None:
@@ -76,7 +76,11 @@ def _write_points(folder: MapFolder, out: Path, everything: bool) -> None:
     typer.echo(f"{count:,} points, {out.stat().st_size / _MB:.1f} MB: {out}")
 
 
-def _grid(folder: MapFolder, resolution_m: float | None) -> OccupancyGrid:
+def grid_of(folder: MapFolder, resolution_m: float | None = None) -> OccupancyGrid:
+    """The occupancy map of an open map, made with progress; of cells of so many metres, or as its settings say.
+
+    Raises as `occupancy_of` does.
+    """
     from wheelsight.cli._compiling import compile_missing
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.mapping import OccupancyMapper
@@ -112,7 +116,10 @@ def _write_picture(grid: OccupancyGrid, folder: MapFolder, out: Path) -> None:
     written, code = cv2.imencode(".png", image[..., ::-1])
     assert written
     write_bytes(out, code.tobytes())
-    typer.echo(f"{image.shape[1]} × {image.shape[0]} pixels: {out}")
+    # By which corners of zones can be read off it.
+    (x, y), (rows, columns) = grid.origin, grid.kind.shape
+    reach = f"x {x:.2f} to {x + columns * grid.resolution_m:.2f} m, y {y:.2f} to {y + rows * grid.resolution_m:.2f} m"
+    typer.echo(f"{image.shape[1]} × {image.shape[0]} pixels: {out}; above its legend {reach}")
 
 
 def _fused(folder: MapFolder) -> SurfelMap:

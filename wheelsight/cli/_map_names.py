@@ -1,4 +1,4 @@
-"""What `wheelsight map name` does, and what the words of goals mean."""
+"""What `wheelsight map name` does, and how poses are written."""
 
 from __future__ import annotations
 
@@ -79,19 +79,6 @@ def names_of(folder: MapFolder) -> NamedPoses:
     from wheelsight.slam.sessions.parts import names_as_known
 
     return names_as_known(folder)
-
-
-def goal_of(word: str, folder: MapFolder) -> FloatArray:
-    """(3,) of a goal as people write it: a name of the map, or coordinates; a yaw of NaN is any heading.
-
-    Raises:
-        ConfigError: coordinates that are none.
-        MapError: a name that the map does not have; tells the nearest and all.
-    """
-    names = names_of(folder)
-    if word not in names.names and "," in word:
-        return pose_of("--to", word)
-    return names.named(word).pose_now(folder.store.T_map_keyframe)
 
 
 def pose_of(option: str, text: str) -> FloatArray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,24 +9,17 @@ import typer
 
 if TYPE_CHECKING:
     from wheelsight.cli._map_export import Exports
-    from wheelsight.slam.sessions import Health, MapFolder, MapInfo
+    from wheelsight.cli._zone_words import AskedZone
+    from wheelsight.slam.sessions import MapFolder
 
 _MB = 1e6
 
 
 def info(source: Path, as_json: bool) -> None:
     """Print the figures of a map."""
-    from wheelsight.cli._console import console, facts_table, print_json, print_warning
-    from wheelsight.slam.sessions import info_of
+    from wheelsight.cli._map_info import print_info
 
-    folder = _opened(source)
-    found = info_of(folder)
-    if as_json:
-        print_json(found.to_dict())
-        return
-    console().print(facts_table(f"map of {found.header.source or 'a drive'}", _facts(found)))
-    for note in found.health.notes:
-        print_warning(note)
+    print_info(_opened(source), as_json)
 
 
 def name(source: Path, called: str | None, at: str | None, *, show_list: bool, remove: bool) -> None:
@@ -45,6 +37,17 @@ def name(source: Path, called: str | None, at: str | None, *, show_list: bool, r
         print_names(_opened(source))
     else:
         change(source, called, at)
+
+
+def zone(source: Path, asked: AskedZone) -> None:
+    """Draw a zone or an area, forget one, or print all."""
+    from wheelsight.cli._map_zones import change, print_zones
+
+    asked.check()
+    if asked.told is None:
+        print_zones(_opened(source))
+    else:
+        change(source, asked)
 
 
 def export(source: Path, wanted: Exports, force: bool) -> None:
@@ -108,40 +111,3 @@ def _compile() -> None:
     from wheelsight.cli._compiling import compile_missing
 
     compile_missing(["dense"])
-
-
-def _facts(found: MapInfo) -> Iterator[tuple[str, str]]:
-    header, camera = found.header, found.header.camera
-    yield "made", f"{header.made} by {header.made_by}"
-    lens = f"fx {camera.fx:.1f}, fy {camera.fy:.1f}, cx {camera.cx:.1f}, cy {camera.cy:.1f} px"
-    yield "camera", f"{camera.width}×{camera.height}, {lens}"
-    kilobytes = found.keyframe_bytes / 1e3
-    yield "keyframes", f"{found.keyframes:,}" + (f", {kilobytes:.0f} kB each" if found.keyframes else "")
-    if found.begin_s is not None and found.end_s is not None:
-        yield "time", f"{found.end_s - found.begin_s:.1f} s"
-        yield "way", f"{found.length_m:.1f} m from keyframe to keyframe"
-    yield "edges", f"{found.edges:,} by odometry, {found.loops:,} loops; {_parts(found.parts)}"
-    yield "surfels", _size(found.surfel_bytes, "none; wheelsight map rebuild makes them")
-    yield "recognition", _size(found.recognition_bytes, "made when the map is used")
-    told = "none; wheelsight map export --occupancy makes it"
-    yield "occupancy", told if found.occupancy_bytes is None else f"{found.occupancy_bytes / 1e3:.0f} kB"
-    if found.edits != 0:
-        yield "edits", "cannot be read" if found.edits is None else f"{found.edits:,} zones and wiped places"
-    if found.places != ():
-        yield "places", "cannot be read" if found.places is None else ", ".join(found.places)
-    yield "size", f"{found.bytes / _MB:.1f} MB"
-    yield "health", _how_whole(found.health)
-
-
-def _how_whole(health: Health) -> str:
-    if not health.is_whole:
-        return "damaged, see below"
-    return "whole but for its end, see below" if health.notes else "whole"
-
-
-def _parts(parts: int) -> str:
-    return "all hang together" if parts <= 1 else f"in {parts:,} parts that do not hang together"
-
-
-def _size(size: int | None, missing: str) -> str:
-    return missing if size is None else f"{size / _MB:.1f} MB"

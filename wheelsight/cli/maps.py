@@ -11,13 +11,14 @@ from wheelsight.cli import _map_options as options
 from wheelsight.cli import _maps as work
 from wheelsight.cli._help import Command, Group
 from wheelsight.cli._map_export import Exports
+from wheelsight.cli.map_zones import zone
 
 app = typer.Typer(cls=Group, no_args_is_help=True, rich_markup_mode="rich")
 
 
 @app.callback()
 def _about() -> None:
-    """The map that a run leaves for the next drive: info, name, export, rebuild, merge, prune."""
+    """The map that a run leaves for the next drive: info, name, zone, export, rebuild, merge, prune."""
 
 
 @app.command(cls=Command)
@@ -58,6 +59,10 @@ def name(
     wheelsight map name home kitchen --remove
     """
     work.name(source, called, at, show_list=show_list, remove=remove)
+
+
+# Else -1,2 would be an option; what is none is refused by the work.
+app.command(cls=Command, context_settings={"ignore_unknown_options": True})(zone)
 
 
 @app.command(cls=Command)
