@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from wheelsight.errors import ConfigError, MapError
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.live_page import NEW, DriveMaps
 from wheelsight.live_page.maps import KnownPlaces, NewPlaces
+from wheelsight.mapping import CellKind, EditKind, MapEdit, MapEdits, OccupancyGrid
 from wheelsight.slam.sessions import MapFolder
 
 CONFIG = load_config(overrides={"odometry": "wheels,dense", "loops.source": "keyframes"})
@@ -56,6 +58,23 @@ def test_a_name_is_in_the_map_at_once(tmp_path: Path) -> None:
     folder.close()
     with pytest.raises(MapError, match="is no name for a place"):
         places.name("a, b", HERE)
+
+
+def test_areas_of_a_map_are_places_where_they_have_most_room(tmp_path: Path) -> None:
+    """A name goes before an area; one without free floor is none."""
+    write_map(tmp_path / "map", 3)
+    square = np.array([[0, 0], [2, 0], [2, 2], [0, 2.0]])
+    drawn = {"kitchen": square, "desk": square, "garden": square + 50.0}
+    with closing(MapFolder.open(tmp_path / "map", read_only=False)) as folder:
+        folder.save_edits(MapEdits(tuple(MapEdit(EditKind.AREA, at, name=name) for name, at in drawn.items())))
+    free = np.full((60, 60), CellKind.FREE, np.uint8)
+    grid = OccupancyGrid.of_kinds(free, np.ones_like(free, bool), 0.05, (0.0, 0.0))
+    places = KnownPlaces(tmp_path / "map", grid)
+    places.name("desk", HERE)
+    where = places.where()
+    assert set(where) == {"kitchen", "desk"}
+    np.testing.assert_allclose(where["kitchen"], (1.0, 1.0, np.nan), atol=0.05)
+    np.testing.assert_allclose(where["desk"], HERE)
 
 
 def test_names_of_a_map_that_is_made_move_with_its_keyframes(tmp_path: Path) -> None:

@@ -15,13 +15,13 @@ from wheelsight.files import StrPath, make_output_folder
 from wheelsight.geometry import FloatArray
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.live_page.driven import Driven
-from wheelsight.mapping import NamedPose, NamedPoses
+from wheelsight.mapping import MapEdits, NamedPose, NamedPoses, OccupancyGrid, roomiest_place
 from wheelsight.navigation import Transition
 from wheelsight.pipeline.drives import drive_in_map
 from wheelsight.pipeline.exploring import exploring
 from wheelsight.robots import Robot
 from wheelsight.slam.sessions import MAP_FOLDER, MapFolder, find_map, lie_together
-from wheelsight.slam.sessions.parts import names_as_known
+from wheelsight.slam.sessions.parts import edits_as_known, names_as_known
 
 NEW = "a new map"
 
@@ -81,7 +81,7 @@ class DriveMaps:
         with drive_in_map(
             robot, config, in_step=self._in_step, trusts_floor=True, on_transition=on_transition
         ) as drive:
-            yield Driven(drive.navigator, KnownPlaces(path), is_new=False)
+            yield Driven(drive.navigator, KnownPlaces(path, drive.grid), is_new=False)
 
     @contextmanager
     def _making(self, robot: Robot, on_transition: Callable[[Transition], None]) -> Iterator[Driven]:
@@ -105,18 +105,25 @@ class DriveMaps:
 class KnownPlaces:
     """Of a map of before; written at once.
 
+    Args:
+        path: of the map's folder.
+        grid: of its floor, by which areas are places, too: where in each is most room; without free floor it is none.
+
     Raises:
-        MapError: its file is damaged.
+        MapError: a file of it is damaged.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path: Path, grid: OccupancyGrid | None = None) -> None:
+        self._path, self._areas = path, dict[str, FloatArray]()
         with closing(MapFolder.open(path)) as folder:
-            self._where = _where(names_as_known(folder), folder.store.T_map_keyframe)
+            table = folder.store.T_map_keyframe
+            self._where = _where(names_as_known(folder), table)
+            if grid is not None:
+                self._areas = _places_in(edits_as_known(folder), table, grid)
 
     def where(self) -> Mapping[str, FloatArray]:
-        """See `Places`."""
-        return self._where
+        """See `Places`; a name that a place and an area have is the place's."""
+        return {**self._areas, **self._where}
 
     def name(self, name: str, pose: FloatArray) -> None:
         """See `Places`."""
@@ -158,6 +165,12 @@ def _by_the_wall(config: Config) -> Config:
 
 def _where(named: NamedPoses, T_map_keyframe: FloatArray) -> dict[str, FloatArray]:
     return {one.name: one.pose_now(T_map_keyframe) for one in named}
+
+
+def _places_in(edits: MapEdits, T_map_keyframe: FloatArray, grid: OccupancyGrid) -> dict[str, FloatArray]:
+    """(3,) of each area that has free floor, with any heading."""
+    found = {area.name or "": roomiest_place(grid, area.polygon_now(T_map_keyframe)) for area in edits.areas}
+    return {name: np.array([*at, np.nan]) for name, at in found.items() if at is not None}
 
 
 def _start_at(pose: FloatArray) -> StartSettings:

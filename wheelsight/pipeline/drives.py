@@ -84,6 +84,11 @@ class Drive:
         self._start: FloatArray | None = None
 
     @property
+    def grid(self) -> OccupancyGrid:
+        """Of the map, as it is by now."""
+        return self._grid()
+
+    @property
     def start(self) -> FloatArray | None:
         """(3,) in the map where it first knew where it was; None before."""
         return self._start
