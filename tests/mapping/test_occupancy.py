@@ -18,6 +18,7 @@ from wheelsight.events import RgbdFrame
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.mapping import CellKind, OccupancyGrid, OccupancyMapper, OccupancySettings
+from wheelsight.mapping.seen_depths import SeenDepth
 from wheelsight.recordings import open_recording
 from wheelsight.ros_map import FREE, OCCUPIED, UNKNOWN
 
@@ -204,6 +205,43 @@ def test_a_store_is_followed() -> None:
     assert made.update(store)
     assert len(made) == 4
     assert not made.update(store)
+
+
+def counted(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
+    """How many images of depth are decoded, and how many keyframes are put into a map, from now on."""
+    counts, depth_m, rays = {"decoded": 0, "put": 0}, Keyframe.depth_m.fget, SeenDepth.rays  # type: ignore[attr-defined]
+
+    def decode(self: Keyframe) -> np.ndarray:
+        counts["decoded"] += 1
+        return np.asarray(depth_m(self))
+
+    def put(self: SeenDepth) -> object:
+        counts["put"] += 1
+        return rays(self)
+
+    monkeypatch.setattr(Keyframe, "depth_m", property(decode))
+    monkeypatch.setattr(SeenDepth, "rays", put)
+    return counts
+
+
+def test_a_loop_puts_each_keyframe_once_anew_and_decodes_none_but_new_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which is what lets a map be made anew within a second: benchmarks measure that, and here is no clock."""
+    view, count, bend = keyframe(depth_of(at(0.0, 0.0, 0.0))), 40, se3.exp([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
+    store, made = KeyframeStore(), OccupancyMapper(ROBOT)
+    for number in range(count):
+        store.add(view, at(0.002 * number, 0.0, 0.0))
+    counts = counted(monkeypatch)
+    made.update(store)
+    assert counts == {"decoded": count, "put": count}
+    for loop in (1, 2):
+        put, known = counts["put"], len(store)
+        store.move([KeyframeId(number) for number in range(known)], bend @ store.T_map_keyframe)
+        store.add(view, at(0.0, 0.0, 10.0 * loop))
+        assert made.update(store)
+        assert counts == {"decoded": known + 1, "put": put + known + 1}
+    before = counts.copy()
+    assert not made.update(store)
+    assert counts == before
 
 
 @pytest.mark.parametrize(("roll", "pitch", "z"), [(0.02, 0.0, 0.3), (0.0, 0.03, -0.4), (-0.02, -0.02, 1.0)])
