@@ -79,5 +79,5 @@ def _tell_late(record: DriveRecord) -> None:
     if periods.late > _OFTEN * periods.count:
         print_note(
             f"{periods.late:,} of {periods.count:,} periods of the control loop took longer than they should, "
-            f"{1e3 * periods.longest_s:.0f} ms at most: a faster computer helps, and smaller images do"
+            f"{1e3 * periods.longest_s:.0f} ms at most: a faster computer helps, or fewer programs beside it"
         )
