@@ -84,12 +84,16 @@ def _grid() -> OccupancyGrid:
 
 
 @contextmanager
-def painted_ride(seed: int, pose: Pose, lost_s: float, start: Pose | None = None) -> Iterator[Ride]:
+def painted_ride(
+    seed: int, pose: Pose, lost_s: float, start: Pose | None = None, localizers: list[Localizer] | None = None
+) -> Iterator[Ride]:
     """A ride in the room with textures of a seed; its map is of the room of seed 0."""
     overrides = {"odometry": "wheels,dense", "loops.source": "keyframes", "loops.latency_s": 0.3}
     config = load_config(overrides={**overrides, "navigation.navigator.lost_s": lost_s})
     robot, transitions = PaintedRobot(seed, pose), list[Transition]()
     localizer = Localizer(CALIBRATION, config, known=_known(start), waits=True)
+    if localizers is not None:
+        localizers.append(localizer)
     with closing(LocalizerInStep(localizer)) as localization:
         how = {"trusts_floor": True, "on_transition": transitions.append}
         navigator = Navigator(robot, localization, KnownFloor(_grid()), config.navigation, **how)  # type: ignore[arg-type]

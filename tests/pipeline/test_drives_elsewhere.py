@@ -8,6 +8,7 @@ from narrowing import not_none
 from navigation.rooms import Ride, is_near
 from pipeline.painted_drives import Pose, painted_ride
 
+from wheelsight.localizer import Localizer
 from wheelsight.navigation import NavigationReason, NavigationState
 
 pytestmark = pytest.mark.slow
@@ -21,9 +22,12 @@ FAR_OFF: Pose = (-0.6, -0.9, 1.5)
 
 def driven(seed: int, start: Pose | None = None, goal: tuple[float, ...] = GOAL) -> Ride:
     """To its end."""
-    with painted_ride(seed, BEGIN, LOST_S, start) as ride:
+    localizers: list[Localizer] = []
+    with painted_ride(seed, BEGIN, LOST_S, start, localizers) as ride:
         ride.navigator.go_to_pose(goal)
         ride.go(40.0)
+    # What tells a start that is borne out from one that is believed alone.
+    assert (not_none(localizers[0].loops).recognised > 0) is (seed == SEED_OF_THE_MAP)
     assert ride.navigator.is_task_complete()
     assert ride.robot.base.stands
     assert ride.clearance_m > 0.04

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from wheelsight.cli._console import INTERRUPTED, print_error, print_note
+from wheelsight.cli._console import INTERRUPTED, print_error, print_note, print_warning
 
 if TYPE_CHECKING:
     from wheelsight.pipeline.drive_record import DriveRecord
@@ -64,6 +64,10 @@ def tell(record: DriveRecord, left_out: str = "") -> None:
         elif not record.is_interrupted:
             print_error(f"{goal.name} was not reached: {result.reason} ({result.detail})")
     _tell_late(record)
+    if record.rests_on_start:
+        print_warning(
+            "nothing of the map was recognised: where the robot was rests on --known-start alone, and may be wrong"
+        )
     if record.is_interrupted:
         print_note("interrupted; the robot was stopped first, and stands")
         raise typer.Exit(INTERRUPTED)

@@ -271,6 +271,11 @@ class LoopsBeside:
         return np.asarray(place.covariance + Ad @ grown @ Ad.T)
 
     @property
+    def recognised(self) -> int:
+        """As `LiveLoops.recognised`."""
+        return self._live.recognised
+
+    @property
     def recognizer(self) -> Recognizer:
         """Knows all keyframes; whole once loops are finished."""
         return self._live.recognizer

@@ -58,6 +58,7 @@ def drive_dict(record: DriveRecord) -> dict[str, Any]:
         "stops": [_stop(stop) for stop in record.stops],
         "transitions": transitions,
         "plans": plans,
+        "recognised": record.recognised,
         "truth": record.truth or None,
         "loops": record.loops,
         "navigation": record.config["navigation"],

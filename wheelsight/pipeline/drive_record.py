@@ -144,6 +144,7 @@ class DriveRecord:
         grid: of the map.
         footprint: of the robot.
         config: all settings.
+        recognised: how often something of a map of before was recognised; None where it made the map.
         truth: what a simulator knows: contacts by the robot, least true clearance; empty of a real one.
         loops: closed in the map that it made; None where it made none.
         is_interrupted: whether somebody ended it.
@@ -164,6 +165,7 @@ class DriveRecord:
     footprint: Footprint
     config: dict[str, Any]
     people: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
+    recognised: int | None = None
     truth: dict[str, Any] = field(default_factory=dict)
     loops: int | None = None
     is_interrupted: bool = False
@@ -173,6 +175,11 @@ class DriveRecord:
     def has_arrived(self) -> bool:
         """At all goals."""
         return len(self.goals) == self.asked and all(one.result.has_arrived for one in self.goals)
+
+    @property
+    def rests_on_start(self) -> bool:
+        """Whether nothing but what somebody said of the start tells where in the map it was."""
+        return self.config["known_map"]["start"] is not None and self.recognised == 0
 
     @property
     def begin_s(self) -> float:

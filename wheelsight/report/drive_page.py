@@ -99,6 +99,8 @@ def verdict(record: DriveRecord) -> tuple[str, str, str]:
         why = "" if last is None else f"{last.name}: {last.result.reason} ({last.result.detail})."
         return of_all, why, "poor"
     told = [f"{goal.name}: {goal.result.goal_change}." for goal in record.goals if goal.result.goal_change]
+    if record.rests_on_start:
+        told.append("Nothing of the map was recognised: all of it rests on the start that was said.")
     helped = sum(goal.result.recoveries for goal in record.goals)
     if helped:
         told.append(f"{words.count(helped, 'time')} it had to get itself out or find out where it was.")

@@ -104,6 +104,8 @@ class LiveLoops:
 
     Attributes:
         place: of the newest keyframe that an answer was taken of, or of one seen again since; see `Judged`.
+        recognised: how often this drive has seen something of the map of before so far, by its loops that are kept and
+            by keyframes of it that odometry came back to. Where a start was said, that alone bears it out.
     """
 
     def __init__(
@@ -127,6 +129,8 @@ class LiveLoops:
         self._judged_s: list[float] = []
         self._again: list[SeenAgain] = []
         self.place: KeyframePlace | None = None
+        self._known = 0 if known is None else len(known.store)
+        self.recognised = 0
 
     def add(self, keyframe: LivedKeyframe) -> None:
         """Have the thread look whether a keyframe shows a place seen before."""
@@ -139,6 +143,7 @@ class LiveLoops:
 
     def see_again(self, keyframe: SeenAgain) -> None:
         """Have the thread tell how surely a keyframe that it was handed before is placed; a busy one need not."""
+        self.recognised += keyframe.number < self._known
         if self._thread is not None and (self._waits or not self._waiting):
             found = self._thread.submit(lambda: Judged(None, self._graph.place(keyframe)))
             self._waiting.append((keyframe.stamp_s, found))
@@ -158,6 +163,7 @@ class LiveLoops:
             newest = newest if found.update is None else found.update
             self.place = found.place
             for tie in found.ties:
+                self.recognised += tie.first < self._known <= tie.second
                 self._store.tie(tie.first, tie.second)
         return newest
 
