@@ -166,7 +166,7 @@ from numba.core.dispatcher import Dispatcher
 from rehearsed_drive import CALIBRATION
 from wheelsight.estimates import Estimate, Status
 from wheelsight.geometry import se3
-from wheelsight.navigation import KnownFloor, Navigator
+from wheelsight.navigation import GrowingFloor, KnownFloor, Navigator
 from wheelsight.pipeline.navigation_rehearsal import drawn_room, rehearse_navigation
 from wheelsight.simulation import SimulationSettings
 from wheelsight.simulation.simulator import Simulator
@@ -193,6 +193,8 @@ navigator = Navigator(robot, Truth(robot), KnownFloor(drawn_room()), trusts_floo
 navigator.go_to_pose((1.0, 0.3, 0.5))
 for _ in range(80):
     navigator.step()
+growing = GrowingFloor(Truth(robot), robot.calibration, navigator.footprint, trusted_m=1.5)
+growing.update(np.zeros(3), 0.0)
 assert loaded(), "kernels are compiled"
 print(*(loaded() - before), sep="\\n")
 """

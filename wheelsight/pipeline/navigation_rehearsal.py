@@ -17,6 +17,7 @@ from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import (
     Costmap,
     Footprint,
+    GrowingFloor,
     KnownFloor,
     NavigationSettings,
     Navigator,
@@ -33,7 +34,7 @@ _STEPS = {"mppi": 160, "pure_pursuit": 20}
 
 
 def rehearse_navigation(calibration: Calibration) -> None:
-    """Drive with each controller, and plan where there is hardly room."""
+    """Drive with each controller, plan where there is hardly room, and begin a map that grows."""
     for controller, steps in _STEPS.items():
         robot = DrawnRobot(calibration)
         settings = NavigationSettings().model_copy(update={"controller": controller})
@@ -42,6 +43,8 @@ def rehearse_navigation(calibration: Calibration) -> None:
         for _ in range(steps):
             navigator.step()
     footprint = Footprint.rectangle(0.8, 0.3, 0.6)
+    place = ToldPlace(DrawnRobot(calibration))
+    GrowingFloor(place, calibration, footprint, trusted_m=1.0).update(np.array(_START), 0.0)
     corridor = Costmap.of(StaticLayer.of(_corridor()), footprint)
     # Turned round at its end: no straight way is free.
     Planner(footprint).plan(corridor, (1.2, 1.5, 0.0), (1.2, 1.5, np.pi))
