@@ -42,11 +42,7 @@ def drive_picture(record: DriveRecord) -> ByteArray:
     corners = record.footprint.at(figures.apart(known, _ROBOT_EVERY_M))
     lines += [PlanLine(np.vstack([outline, outline[:1]]), (150, 190, 215), width_px=1) for outline in corners]
     lines.append(PlanLine(known[:, :2], _DRIVEN, "driven", 3))
-    marks = [
-        PlanMark(stop.pose[:2], "cross", _STOPPED, "held by the collision monitor")
-        for stop in record.stops
-        if stop.pose is not None
-    ]
+    marks = [PlanMark(stop.pose[:2], "cross", _STOPPED, "held") for stop in record.stops if stop.pose is not None]
     lines += [PlanLine(way, _WALKED, "somebody walked", 2) for way in figures.walked(record.people)]
     marks += [PlanMark(known[0, :2], "circle", _START, "start")] if len(known) else []
     marks += [PlanMark(goal.goal[:2], "square", _GOAL, "goal", goal.name) for goal in record.goals if goal.is_place]
