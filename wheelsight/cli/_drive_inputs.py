@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -94,7 +94,7 @@ def goals_of(options: DriveOptions) -> list[Goal]:
         return []
     words = options.to or ()
     with _opened(options.map_) as folder:
-        poses = poses_of(words, folder)
+        poses = poses_of(words, folder) if words else []
     return [Goal.of(pose, "" if "," in word else word) for word, pose in zip(words, poses, strict=True)]
 
 
@@ -109,16 +109,11 @@ def way_of(options: DriveOptions) -> FloatArray | None:
         return read_way(options.follow, folder.calibration, print_warning)
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[MapFolder]:
+def _opened(path: Path) -> closing[MapFolder]:
     """A map of --map. Raises MapError."""
     from wheelsight.slam.sessions import MapFolder, find_map
 
-    folder = MapFolder.open(find_map(path))
-    try:
-        yield folder
-    finally:
-        folder.close()
+    return closing(MapFolder.open(find_map(path)))
 
 
 def _setting(text: str) -> tuple[str, Any]:

@@ -10,7 +10,7 @@ from wheelsight.errors import MapError
 
 if TYPE_CHECKING:
     from wheelsight.geometry import FloatArray
-    from wheelsight.mapping import MapEdit, OccupancyGrid
+    from wheelsight.mapping import MapEdit, MapEdits, NamedPoses, OccupancyGrid
     from wheelsight.slam.sessions import MapFolder
 
 
@@ -25,18 +25,21 @@ def poses_of(words: Sequence[str], folder: MapFolder) -> list[FloatArray]:
         MapError: a name that the map does not have; tells the nearest and all. An area without free floor.
     """
     from wheelsight.cli._map_export import grid_of
-
-    # Made once, and only where an area is asked for: it takes seconds.
-    grid = cache(partial(grid_of, folder))
-    return [_goal_of(word, folder, grid) for word in words]
-
-
-def _goal_of(word: str, folder: MapFolder, grid: Callable[[], OccupancyGrid]) -> FloatArray:
-    from wheelsight.cli._map_names import names_of, pose_of
-    from wheelsight.mapping.place_names import unknown_name
+    from wheelsight.cli._map_names import names_of
     from wheelsight.slam.sessions.parts import edits_as_known
 
     names, edits = names_of(folder), edits_as_known(folder)
+    # Made once, and only where an area is asked for: it takes seconds.
+    grid = cache(partial(grid_of, folder))
+    return [_goal_of(word, names, edits, folder, grid) for word in words]
+
+
+def _goal_of(
+    word: str, names: NamedPoses, edits: MapEdits, folder: MapFolder, grid: Callable[[], OccupancyGrid]
+) -> FloatArray:
+    from wheelsight.cli._map_names import pose_of
+    from wheelsight.mapping.place_names import unknown_name
+
     if word in names.names:
         return names.named(word).pose_now(folder.store.T_map_keyframe)
     for area in edits.areas:

@@ -161,7 +161,7 @@ class LiveLayer:
     def wipe(self, ends: ArrayLike, radius_m: float) -> None:
         """Forget what is so near to a line from one place to another, (2, 2); what is there is seen again."""
         a, b = np.asarray(ends, float)
-        cells = np.argwhere(self._left.any(axis=2))
+        cells = np.argwhere(kernels.any_left(self._left))
         places = ((cells + self._low)[:, ::-1] + 0.5) * self.settings.resolution_m
         share = np.clip((places - a) @ (b - a) / max(float((b - a) @ (b - a)), 1e-9), 0, 1)
         near = cells[np.hypot(*(places - a - share[:, None] * (b - a)).T) <= radius_m]

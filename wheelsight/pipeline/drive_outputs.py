@@ -13,7 +13,7 @@ from wheelsight._version import __version__
 from wheelsight.files import StrPath, settings_text, write_text
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry.se2 import wrap_angle
-from wheelsight.pipeline.drive_record import DriveRecord, GoalRecord, StopRecord
+from wheelsight.pipeline.drive_record import DriveRecord, GoalRecord, PeriodLengths, StopRecord
 from wheelsight.trajectory import write_tum
 
 DRIVE_FILE, WAY_FILE, SETTINGS_FILE = "drive.json", "trajectory.txt", "config.yaml"
@@ -50,11 +50,7 @@ def drive_dict(record: DriveRecord) -> dict[str, Any]:
         "planned_m": round(record.planned_m, 3),
         "clearance_m": _number(record.clearance_m),
         "people": _people(record.people),
-        "periods": {
-            "count": record.periods.count,
-            "late": record.periods.late,
-            "longest_s": round(record.periods.longest_s, 3),
-        },
+        "periods": _periods(record.periods),
         "stops": [_stop(stop) for stop in record.stops],
         "transitions": transitions,
         "plans": plans,
@@ -92,6 +88,10 @@ def _people(people: FloatArray) -> dict[str, Any] | None:
     stamp_s, x_m, y_m, away_m = people[people[:, 3].argmin()].tolist()
     nearest = {"stamp_s": _number(stamp_s), "x_m": _number(x_m), "y_m": _number(y_m), "away_m": _number(away_m)}
     return {"periods": len(np.unique(people[:, 0])), "nearest": nearest}
+
+
+def _periods(periods: PeriodLengths) -> dict[str, Any]:
+    return {"count": periods.count, "late": periods.late, "longest_s": round(periods.longest_s, 3)}
 
 
 def _stop(stop: StopRecord) -> dict[str, Any]:

@@ -124,11 +124,10 @@ def _tiles(record: DriveRecord) -> list[tuple[str, str, str]]:
         tiles.append(("Off the goal", words.length(max(offs)), "at most, as the robot believes"))
     if record.loops is not None:
         tiles.append(("Loops closed", str(record.loops), "between keyframes of the map that it left"))
-    if record.periods.late:
-        late = (
-            f"{words.count(record.periods.late, 'period')} of {record.periods.count:,} of the control loop took longer"
-        )
-        tiles.append(("Longest period", words.duration(record.periods.longest_s), late))
+    periods = record.periods
+    if periods.late:
+        late = f"{words.count(periods.late, 'period')} of {periods.count:,} of the control loop took longer"
+        tiles.append(("Longest period", words.duration(periods.longest_s), late))
     if record.truth:
         touched = sum(one["by_the_robot"] for one in record.truth["contacts"])
         clear = f"true clearance {words.length(record.truth['clearance_m'])}"
