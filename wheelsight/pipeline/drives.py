@@ -230,9 +230,13 @@ def drive_in_map(
             closing(planning_worker(config, in_step=in_step)) as planning,
         ):
             navigator = Navigator(watched, localization, floor, config.navigation, planning=planning, **how)
-            loops = localizer.loops
-            recognised = None if loops is None else lambda: loops.recognised
-            yield Drive(watched, navigator, lambda: grid, _name_of(folder), recognised)
+            yield Drive(watched, navigator, lambda: grid, _name_of(folder), _recognised_by(localizer))
+
+
+def _recognised_by(localizer: Localizer) -> Callable[[], int] | None:
+    """What tells how often a known place was; nothing does where nothing looks for them."""
+    loops = localizer.loops
+    return None if loops is None else lambda: loops.recognised
 
 
 def planning_worker(config: Config, *, in_step: bool) -> Worker[Planned]:
