@@ -70,6 +70,11 @@ class CountingLocalizer:
         """Of the localizer."""
         return self._localizer.keyframes
 
+    @property
+    def recognised(self) -> int | None:
+        """Of the localizer."""
+        return self._localizer.recognised
+
     def process(self, event: Event) -> Estimate | None:
         """As `Localizer.process`."""
         answer = self._localizer.process(event)

@@ -17,6 +17,7 @@ class Slow:
     """A localizer whose frames take until somebody lets them go."""
 
     keyframes = None
+    recognised = None
 
     def __init__(self) -> None:
         self.may_go, self.begun = threading.Event(), threading.Event()

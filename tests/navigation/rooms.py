@@ -139,6 +139,7 @@ class Told:
     robot: RoomRobot
     says: Callable[[Estimate], Estimate] = lambda estimate: estimate
     keyframes: KeyframeStore | None = None
+    recognised: int | None = None
     closed: list[bool] = field(default_factory=list)
 
     def hear(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:

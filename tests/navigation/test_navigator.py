@@ -22,6 +22,7 @@ from wheelsight.navigation import (
 )
 from wheelsight.navigation.control_values import ControlReason, ControlResult, MotionState
 from wheelsight.navigation.goals import Poses
+from wheelsight.navigation.navigator_settings import HoldSettings
 from wheelsight.navigation.plan_values import Plan
 from wheelsight.navigation.pure_pursuit import PurePursuitController
 
@@ -254,6 +255,30 @@ def test_of_a_place_that_is_known_too_badly_it_looks_about_and_gives_up_as_when_
     assert result.reason is NavigationReason.LOST
     assert any("look for a known place" in change.why for change in result.transitions)
     assert subject.robot.base.stands
+
+
+def test_where_nothing_bears_out_the_start_it_stands_after_some_metres_and_gives_up() -> None:
+    subject = ride(settings=HASTY.model_copy(update={"hold": HoldSettings(unproven_m=0.8)}))
+    subject.told.recognised = 0
+    begin = subject.robot.base.pose[:2].copy()
+    subject.navigator.go_to_pose(GOAL)
+    subject.go(30)
+    result = not_none(subject.navigator.result)
+    assert result.reason is NavigationReason.LOST
+    assert "nothing of the map was recognised in 1." in result.detail
+    assert subject.robot.base.stands
+    assert 0.6 < np.hypot(*(subject.robot.base.pose[:2] - begin)) < 2.0
+
+
+def test_a_start_that_is_borne_out_while_it_looks_about_is_driven_on_from() -> None:
+    subject = ride(settings=HASTY.model_copy(update={"hold": HoldSettings(unproven_m=0.8)}))
+    subject.told.recognised = 0
+    subject.navigator.go_to_pose(GOAL)
+    subject.go(20, until=lambda: subject.navigator.state is NavigationState.RECOVERING)
+    assert subject.navigator.state is NavigationState.RECOVERING
+    subject.told.recognised = 1
+    subject.go(30)
+    assert not_none(subject.navigator.result).has_arrived
 
 
 def test_lost_for_good_it_gives_up() -> None:

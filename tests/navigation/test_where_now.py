@@ -13,6 +13,7 @@ from wheelsight.estimates import Estimate, Status
 from wheelsight.events import WheelTicks
 from wheelsight.geometry import se3
 from wheelsight.navigation.localization import WhereNow
+from wheelsight.navigation.navigator_settings import HoldSettings
 
 SPEED_M_S = 0.5
 PER_M = WHEELS.ticks_per_turn / (2 * np.pi * 0.17)
@@ -57,6 +58,35 @@ def test_where_it_is_not_known_there_is_no_state(status: Status) -> None:
     where.answer(told(0.2, 1.0, status))
     assert where.state is None
     assert where.is_rolling is (status is not Status.LOST)
+
+
+def test_a_start_that_nothing_bears_out_is_believed_for_some_metres() -> None:
+    where = WhereNow(WHEELS, HoldSettings(unproven_m=0.5))
+    steps = iter(range(1000))
+
+    def roll(until_s: float) -> None:
+        while (stamp_s := 0.02 * next(steps)) <= until_s:
+            where.roll(ticks(stamp_s))
+
+    roll(1.0)
+    where.answer(told(1.0, 0.0), recognised=0)
+    roll(1.9)
+    assert where.is_known(1.0)
+    roll(2.1)
+    where.answer(told(2.1, 0.5), recognised=0)
+    assert not where.is_known(1.0)
+    assert "nothing of the map was recognised in 0.6 m of way" in where.why_unknown(1.0)
+    where.answer(told(2.1, 0.5), recognised=1)
+    roll(9.0)
+    assert where.is_known(1.0)
+
+
+def test_where_nobody_looks_for_what_is_known_nothing_needs_to_be() -> None:
+    where = WhereNow(WHEELS, HoldSettings(unproven_m=0.5))
+    where.answer(told(0.0, 0.0))
+    for n in range(200):
+        where.roll(ticks(0.02 * n))
+    assert where.is_known(1.0)
 
 
 def test_a_reading_stamped_right_after_another_is_no_burst_of_speed() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from navigation.rooms import CELL_M, MOUNT, WHEELS, Ride, RoomRobot, Told, Wall, Walls
@@ -85,10 +86,16 @@ def _grid() -> OccupancyGrid:
 
 @contextmanager
 def painted_ride(
-    seed: int, pose: Pose, lost_s: float, start: Pose | None = None, localizers: list[Localizer] | None = None
+    seed: int,
+    pose: Pose,
+    lost_s: float,
+    start: Pose | None = None,
+    localizers: list[Localizer] | None = None,
+    **hold: float,
 ) -> Iterator[Ride]:
-    """A ride in the room with textures of a seed; its map is of the room of seed 0."""
-    overrides = {"odometry": "wheels,dense", "loops.source": "keyframes", "loops.latency_s": 0.3}
+    """A ride in the room with textures of a seed; its map is of the room of seed 0. `hold`: of `HoldSettings`."""
+    overrides: dict[str, Any] = {"odometry": "wheels,dense", "loops.source": "keyframes", "loops.latency_s": 0.3}
+    overrides |= {f"navigation.hold.{name}": value for name, value in hold.items()}
     config = load_config(overrides={**overrides, "navigation.navigator.lost_s": lost_s})
     robot, transitions = PaintedRobot(seed, pose), list[Transition]()
     localizer = Localizer(CALIBRATION, config, known=_known(start), waits=True)

@@ -20,10 +20,10 @@ LOST_S = 8.0
 FAR_OFF: Pose = (-0.6, -0.9, 1.5)
 
 
-def driven(seed: int, start: Pose | None = None, goal: tuple[float, ...] = GOAL) -> Ride:
+def driven(seed: int, start: Pose | None = None, goal: tuple[float, ...] = GOAL, **hold: float) -> Ride:
     """To its end."""
     localizers: list[Localizer] = []
-    with painted_ride(seed, BEGIN, LOST_S, start, localizers) as ride:
+    with painted_ride(seed, BEGIN, LOST_S, start, localizers, **hold) as ride:
         ride.navigator.go_to_pose(goal)
         ride.go(40.0)
     # What tells a start that is borne out from one that is believed alone.
@@ -61,6 +61,14 @@ def test_a_start_that_is_wrong_is_put_right_by_what_is_recognised(start: Pose, g
     assert not_none(ride.navigator.result).has_arrived
     assert np.hypot(*(ride.robot.base.pose[:2] - goal[:2])) < 0.12
     np.testing.assert_allclose(not_none(ride.navigator.feedback.pose), ride.robot.base.pose, atol=0.05)
+
+
+def test_a_start_in_another_room_is_believed_for_some_metres_only() -> None:
+    """Then it stands, looks about, and says that nothing bears out the start."""
+    ride = driven(OTHER_SEED, FAR_OFF, unproven_m=0.5)
+    result = not_none(ride.navigator.result)
+    assert (result.has_arrived, result.reason) == (False, NavigationReason.LOST)
+    assert "nothing of the map was recognised in 0." in result.detail
 
 
 def test_a_start_in_another_room_is_believed_and_yet_nothing_is_touched() -> None:

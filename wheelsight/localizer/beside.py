@@ -40,6 +40,11 @@ class LocalizerBeside:
         """Of the localizer."""
         return self.localizer.keyframes
 
+    @property
+    def recognised(self) -> int | None:
+        """Of the localizer."""
+        return self.localizer.recognised
+
     def hear(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
         """What was answered since the last call. Raises what went wrong in the thread."""
         with self._changed:

@@ -17,6 +17,10 @@ class Answering(Protocol):
     def keyframes(self) -> KeyframeStore | None:
         """What the camera remembers; None of wheels alone."""
 
+    @property
+    def recognised(self) -> int | None:
+        """How often something of a map of before was recognised so far; None where nobody looks for that."""
+
     def process(self, event: Event) -> Estimate | None:
         """The estimate at an event that is answered, None at any other; raises as `Localizer.process`."""
 
@@ -38,6 +42,11 @@ class LocalizerInStep:
     def keyframes(self) -> KeyframeStore | None:
         """Of the localizer."""
         return self.localizer.keyframes
+
+    @property
+    def recognised(self) -> int | None:
+        """Of the localizer."""
+        return self.localizer.recognised
 
     def hear(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
         """Each event with its answer. Raises what `Localizer.process` raises."""

@@ -36,6 +36,10 @@ class Localization(Protocol):
     def keyframes(self) -> KeyframeStore | None:
         """What the camera remembers, and where; None of wheels alone."""
 
+    @property
+    def recognised(self) -> int | None:
+        """How often something of a map of before was recognised so far; None where nobody looks for that."""
+
     def hear(self, events: Sequence[Event]) -> Sequence[Answered]:
         """Take what came, in order; what is answered by now, of this and of earlier calls, in order.
 
@@ -77,6 +81,7 @@ class WhereNow:
         self._track: deque[tuple[float, FloatArray]] = deque()
         self._answer: Estimate | None = None
         self._known_sigma_m = 0.0
+        self._unproven_m: float | None = None
         self._speed = WheelSpeed(-math.inf, 0.0, 0.0)
 
     def roll(self, reading: WheelTicks | WheelSpeeds) -> WheelSpeed | None:
@@ -89,6 +94,8 @@ class WhereNow:
             return None
         T_now = se2.from_parts(*self._wheels.pose)
         way = se2.log(se2.invert(self._track[-1][1]) @ T_now) if self._track else np.zeros(3)
+        if self._unproven_m is not None:
+            self._unproven_m += abs(float(way[0]))
         self._track.append((answer.stamp_s, T_now))
         while len(self._track) > 2 and self._track[1][0] < answer.stamp_s - _TRACK_S:
             self._track.popleft()
@@ -105,9 +112,13 @@ class WhereNow:
         forward, _, turn = se2.log(np.linalg.inv(T_then) @ T_now) / (stamp_s - then_s)
         return WheelSpeed(stamp_s, float(forward), float(turn))
 
-    def answer(self, estimate: Estimate) -> None:
-        """Take what the localization says."""
+    def answer(self, estimate: Estimate, recognised: int | None = None) -> None:
+        """Take what the localization says, and how often it has recognised something of a map of before."""
         self._answer = estimate
+        if recognised != 0:
+            self._unproven_m = None
+        elif self._unproven_m is None:
+            self._unproven_m = 0.0
         if self.status is Status.TRACKING:
             self._known_sigma_m = _sigma_m(estimate)
         if estimate.T_map_body is None or self.status in (Status.LOST, Status.FAILING):
@@ -146,7 +157,20 @@ class WhereNow:
 
     def is_known(self, unsure_m: float) -> bool:
         """Whether it is known where in the map the robot is, at most `unsure_m` less surely than when tracked."""
-        return self.state is not None and self.grown_sigma_m <= unsure_m
+        return not self.why_unknown(unsure_m)
+
+    def why_unknown(self, unsure_m: float) -> str:
+        """Why it is not known where in the map the robot is; empty where it is, as of `is_known`.
+
+        A start that somebody said is believed for a while: of a map of another place nothing is ever recognised.
+        """
+        if self.state is None:
+            return "it is not known where it is"
+        if self.grown_sigma_m > unsure_m:
+            return f"its place is known to {self.grown_sigma_m:.1f} m only"
+        if self._unproven_m is not None and self._unproven_m > self._hold.unproven_m:
+            return f"nothing of the map was recognised in {self._unproven_m:.1f} m of way: is its start right?"
+        return ""
 
     @property
     def odom_pose(self) -> FloatArray | None:

@@ -229,7 +229,7 @@ class Navigator:
     def _plan(self, task: Task, now_s: float) -> VelocityCommand:
         """Plan, and drive; or get out of what makes it impossible."""
         if not self._senses.where.is_known(self.settings.navigator.unsure_m):
-            return self._look_about(task, "it is not known where it is")
+            return self._look_about(task, self._senses.where.why_unknown(self.settings.navigator.unsure_m))
         if not self._planning.is_asked:
             self._planning.ask(task.goals, now_s)
         planned = self._planning.answer(now_s)
@@ -268,10 +268,8 @@ class Navigator:
         """Follow the plan while it holds."""
         s, where = self.settings.navigator, self._senses.where
         state, local, plan = where.state, self._senses.local(), task.plan
-        if state is None or local is None or plan is None:
-            return self._look_about(task, "it is not known any more where it is")
-        if where.grown_sigma_m > s.unsure_m:
-            return self._look_about(task, f"its place is known to {where.grown_sigma_m:.1f} m only")
+        if (why := where.why_unknown(s.unsure_m)) or state is None or local is None or plan is None:
+            return self._look_about(task, why)
         if now_s - task.checked_s >= s.check_s:
             task.checked_s = now_s
             if task.goals.is_met(state.pose, self._senses.floor.layer):
@@ -345,7 +343,7 @@ class Navigator:
             task.is_refused = not self._senses.keeps_clear(command)
             return STOP if task.is_refused else command
         if task.is_lost and not is_known:
-            return self._look_about(task, "it is still not known where it is")
+            return self._look_about(task, f"still {where.why_unknown(self.settings.navigator.unsure_m)}")
         self._senses.clear(only_ahead=task.awaits_way)
         self._become(NavigationState.PLANNING, f"after it has done so: {task.behaviour.name}")
         return STOP

@@ -113,6 +113,11 @@ class Senses:
         """Of the localization."""
         return self._localization.keyframes
 
+    @property
+    def recognised(self) -> int | None:
+        """Of the localization."""
+        return self._localization.recognised
+
     def hear(self, events: Sequence[Event], now_s: float) -> None:
         """All that came in a period, which ends now. Raises what the localization raises.
 
@@ -130,7 +135,7 @@ class Senses:
         for event, estimate in self._localization.hear(events):
             if estimate is None:
                 continue
-            self.where.answer(estimate)
+            self.where.answer(estimate, self._localization.recognised)
             if isinstance(event, RgbdFrame) and estimate.T_odom_body is not None:
                 pose = planar_pose(estimate.T_odom_body)
                 if self._live.is_due(event.stamp_s):

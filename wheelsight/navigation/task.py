@@ -45,7 +45,7 @@ class Task:
     """
 
     def __init__(self, goals: Goals, now_s: float) -> None:
-        self.goals = goals
+        self.goals, self._why_lost = goals, ""
         self.plan: Plan | None = None
         self.planned_s = self.checked_s = -math.inf
         self.T_map_odom: FloatArray = np.zeros(3)
@@ -83,7 +83,8 @@ class Task:
                 self.tries, self.passes_hidden, self._has_awaited_way = 0, False, False
                 self._has_met_people, self._tried_s = False, now_s
                 self.come_on()
-        if where.is_known(settings.unsure_m):
+        self._why_lost = where.why_unknown(settings.unsure_m)
+        if not self._why_lost:
             self.known_s, self.searches = now_s, 0
 
     def come_on(self) -> None:
@@ -140,7 +141,7 @@ class Task:
         if limits.turn_rad_s == 0 and lost_s > settings.behaviours.wait_s:
             return NavigationReason.LOST, "nor can it look about: turn_rad_s is 0"
         most_s = settings.navigator.lost_s
-        return (NavigationReason.LOST, f"for {most_s:g} s") if lost_s > most_s else None
+        return (NavigationReason.LOST, f"for {most_s:g} s: {self._why_lost}") if lost_s > most_s else None
 
     def search(
         self, settings: NavigationSettings, status: Status, checked: MonitorResult, open_way: OpenWay | None

@@ -70,7 +70,6 @@ class Drive:
         navigator: of it.
         grid: of the map, as it is by now.
         map_name: of the map.
-        recognised: how often something of that was recognised so far; None of a map that is made by the drive.
 
     Attributes:
         navigator: as it was given.
@@ -82,10 +81,8 @@ class Drive:
         navigator: Navigator,
         grid: Callable[[], OccupancyGrid],
         map_name: str,
-        recognised: Callable[[], int] | None = None,
     ) -> None:
         self.navigator, self._grid, self._map_name = navigator, grid, map_name
-        self._recognised = recognised
         self._robot, self._recorder = robot, robot.recorder
         self._goals: list[GoalRecord] = []
         self._start: FloatArray | None = None
@@ -162,7 +159,7 @@ class Drive:
             clearance_m=kept.clearance_m,
             images=kept.images,
             people=kept.people,
-            recognised=None if self._recognised is None else self._recognised(),
+            recognised=self.navigator.senses.recognised,
             grid=self._grid(),
             footprint=config.navigation.footprint.outline,
             config=config.to_dict(),
@@ -230,13 +227,7 @@ def drive_in_map(
             closing(planning_worker(config, in_step=in_step)) as planning,
         ):
             navigator = Navigator(watched, localization, floor, config.navigation, planning=planning, **how)
-            yield Drive(watched, navigator, lambda: grid, _name_of(folder), _recognised_by(localizer))
-
-
-def _recognised_by(localizer: Localizer) -> Callable[[], int] | None:
-    """What tells how often a known place was; nothing does where nothing looks for them."""
-    loops = localizer.loops
-    return None if loops is None else lambda: loops.recognised
+            yield Drive(watched, navigator, lambda: grid, _name_of(folder))
 
 
 def planning_worker(config: Config, *, in_step: bool) -> Worker[Planned]:

@@ -49,6 +49,11 @@ class MappingLocalizer:
         """Of the localizer."""
         return self._localizer.keyframes
 
+    @property
+    def recognised(self) -> int | None:
+        """Of the localizer."""
+        return self._localizer.recognised
+
     def process(self, event: Event) -> Estimate | None:
         """As `Localizer.process`."""
         answer = self._localizer.process(event)

@@ -113,6 +113,7 @@ class ToldPlace:
     """A `Localization` that is told where the robot is."""
 
     keyframes: KeyframeStore | None = None
+    recognised: int | None = None
 
     def __init__(self, robot: DrawnRobot) -> None:
         self._robot = robot
