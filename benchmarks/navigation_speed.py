@@ -3,12 +3,13 @@
 A drive through the simulated flat with real sensors is rendered beforehand at 15 images a second, and
 played there and back for so many minutes, as fast as time goes. The navigator of `wheelsight drive`, with MPPI,
 follows the way that was driven, in a map that grows, while the localizer (wheels and camera joined, loops by
-keyframes) works in a thread of its own and leaves out frames that come too fast. The robot does not mind what it is
+keyframes) works in a process of its own and leaves out frames that come too fast. The robot does not mind what it is
 told, so that checks of whether it obeys are off.
 
 "Within 50 ms" are the periods in which all between sensors and command took no longer. "Beside MPPI" is the share of
-periods in which rollouts were reckoned; in the others the navigator plans, waits or recovers. Memory is what the
-process holds at the end of each quarter. "Processor ms" is what the loop's own thread reckoned, median.
+periods in which rollouts were reckoned; in the others the navigator plans, waits or recovers. Memory is what both
+processes hold at the end of each quarter, what they share counted twice. "Processor ms" is what the loop's own thread
+reckoned, median.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from multiprocessing import active_children
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -30,11 +32,12 @@ from benchmarks.navigation_page import write_section
 from benchmarks.played_drive import PlayedDrive, PlayedRobot, rendered
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
-from wheelsight.config import load_config
+from wheelsight.calibration import Calibration
+from wheelsight.config import Config, load_config
 from wheelsight.estimates import Estimate, Status
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.keyframes import KeyframeStore
-from wheelsight.localizer import Localizer, LocalizerBeside
+from wheelsight.localizer import Localizer, LocalizerApart, LocalizerBeside
 from wheelsight.navigation import (
     CostmapSettings,
     GrowingFloor,
@@ -62,7 +65,7 @@ class CountingLocalizer:
         frames, tracked: answered so far, and with `tracking`.
     """
 
-    def __init__(self, localizer: Localizer) -> None:
+    def __init__(self, localizer: LocalizerApart) -> None:
         self._localizer, self.frames, self.tracked = localizer, 0, 0
 
     @property
@@ -157,12 +160,18 @@ def played(drive: PlayedDrive, minutes: float, profile: str | None) -> list[Quar
 @contextmanager
 def _localized(drive: PlayedDrive, profile: str | None) -> Iterator[tuple[LocalizerBeside, CountingLocalizer]]:
     config = load_config(overrides={"odometry": "wheels,dense", "loops.source": "keyframes", "profile": profile})
-    counting = CountingLocalizer(Localizer(drive.calibration, config))
-    localization = LocalizerBeside(counting)
-    try:
+    apart = LocalizerApart(localizer_of, drive.calibration, config, tells_keyframes=True)
+    apart.wait()
+    counting = CountingLocalizer(apart)
+    with closing(LocalizerBeside(counting)) as localization:
         yield localization, counting
-    finally:
-        localization.close()
+
+
+@contextmanager
+def localizer_of(calibration: Calibration, config: Config) -> Iterator[Localizer]:
+    """That answers apart."""
+    with closing(Localizer(calibration, config)) as localizer:
+        yield localizer
 
 
 def _lead(navigator: Navigator, robot: PlayedRobot, drive: PlayedDrive, until_s: float) -> int:
@@ -179,9 +188,10 @@ def _lead(navigator: Navigator, robot: PlayedRobot, drive: PlayedDrive, until_s:
 
 
 def held_mb() -> float:
-    """What this process holds now, megabytes of 10⁶ bytes."""
-    found = re.search(r"^VmRSS:\s*(\d+) kB", Path("/proc/self/status").read_text(encoding="utf-8"), re.MULTILINE)
-    return int(found[1]) * 1024 / 1e6 if found else float("nan")
+    """What this process and those that work for it hold now, megabytes of 10⁶ bytes."""
+    pages = [f"/proc/{pid}/status" for pid in ("self", *(child.pid for child in active_children()))]
+    found = [re.search(r"^VmRSS:\s*(\d+) kB", Path(page).read_text(encoding="utf-8"), re.MULTILINE) for page in pages]
+    return sum(int(one[1]) * 1024 / 1e6 if one else float("nan") for one in found)
 
 
 def sheets_of(quarters: Sequence[Quarter]) -> list[Sheet]:

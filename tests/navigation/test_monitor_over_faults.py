@@ -30,7 +30,7 @@ from wheelsight.navigation.fields import CostField
 from wheelsight.navigation.live_layer import LiveLayer
 from wheelsight.navigation.people_settings import PeopleSettings
 from wheelsight.navigation.plan_values import Plan
-from wheelsight.navigation.planning import Planning
+from wheelsight.navigation.planning import Look, Planning
 from wheelsight.navigation.pure_pursuit import PurePursuitController
 from wheelsight.navigation.senses import Senses
 
@@ -154,7 +154,7 @@ class Faults:
     def plans_through(self) -> None:
         """It plans through the wall, and finds each plan free for ever."""
         self.patch.setattr(CautiousPlanner, "plan", lambda planner, *asked: straight_on(*asked))
-        self.patch.setattr(Planning, "why_anew", lambda planning, *asked: "")
+        self.patch.setattr(Planning, "look", lambda planning, *asked: Look("", is_free=True))
         self.patch.setattr(Planning, "is_free", lambda planning, *asked: True)
 
     def controller(self, controller: Controller) -> None:

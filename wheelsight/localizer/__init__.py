@@ -1,8 +1,9 @@
 """Localizer: events in, poses out, by the odometry that the configuration names."""
 
+from wheelsight.localizer.apart import LocalizerApart
 from wheelsight.localizer.beside import LocalizerBeside
 from wheelsight.localizer.by_places import Places, load_places
 from wheelsight.localizer.in_step import LocalizerInStep
 from wheelsight.localizer.localizer import Localizer
 
-__all__ = ["Localizer", "LocalizerBeside", "LocalizerInStep", "Places", "load_places"]
+__all__ = ["Localizer", "LocalizerApart", "LocalizerBeside", "LocalizerInStep", "Places", "load_places"]

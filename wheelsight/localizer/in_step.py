@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from typing import Protocol
 
 from wheelsight.estimates import Estimate
@@ -26,6 +27,10 @@ class Answering(Protocol):
 
     def close(self) -> None:
         """End the threads that work for it."""
+
+
+Make = Callable[..., AbstractContextManager[Answering]]
+"""Makes what answers, in a `with` block that closes it."""
 
 
 class LocalizerInStep:

@@ -289,16 +289,21 @@ class Navigator:
         return self._follow(task, result, now_s)
 
     def _may_go_on(self, task: Task, plan: Plan, now_s: float) -> bool:
-        """Ask for another plan where one is needed; whether the one that is driven is free until that has come."""
-        s = self.settings.navigator
-        if not self._planning.is_asked:
-            if now_s - task.planned_s < s.anew_s:
-                return True
-            task.why_anew = self._planning.why_anew(plan, task.T_map_odom, now_s)
-            if not task.why_anew:
-                return True
+        """Whether the plan is free; who drives on asks for another a period after the look: both take too long."""
+        if self._planning.is_asked:
+            return self._planning.is_free(plan, self.settings.navigator.onward_m)
+        if task.wants_anew:
+            task.wants_anew = False
             self._planning.ask(task.goals, now_s)
-        return self._planning.is_free(plan, s.onward_m)
+        if self._planning.is_asked or now_s - task.planned_s < self.settings.navigator.anew_s:
+            return True
+        look = self._planning.look(plan, task.T_map_odom, now_s)
+        if not look.is_free:
+            self._planning.ask(task.goals, now_s)
+        elif look.why:
+            task.wants_anew, task.checked_s = True, -math.inf
+        task.why_anew = look.why
+        return look.is_free
 
     def _follow(self, task: Task, result: ControlResult, now_s: float) -> VelocityCommand:
         """What comes of a controller's answer."""

@@ -205,7 +205,7 @@ class HoldSettings(Settings):
     way_m: float = setting(1.0, "longest way", CHOSEN, ge=0, le=20)
     wheels_share: float = setting(0.05, "of a way, by which wheels err: one standard deviation", CHOSEN, ge=0, le=1)
     unproven_m: float = setting(
-        10.0, "way on which a start that somebody said is believed though nothing is recognised", CHOSEN, gt=0, le=1000
+        15.0, "way on which a start that somebody said is believed though nothing is recognised", CHOSEN, gt=0, le=1000
     )
 
 

@@ -16,6 +16,7 @@ from wheelsight.navigation.goals import Goals
 from wheelsight.navigation.navigator_settings import NavigationSettings
 from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
 from wheelsight.navigation.plan_view import PlanView
+from wheelsight.navigation.route_planner import to_go_m
 from wheelsight.navigation.senses import Senses
 from wheelsight.navigation.workers import Worker, WorkerInStep
 
@@ -34,6 +35,19 @@ class Planned:
     found: Plan | PlanFailure | None
     T_map_odom: FloatArray
     passes_hidden: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What a look at a plan that is driven shows.
+
+    Attributes:
+        why: another is needed; empty where none is.
+        is_free: whether it is free as far as it is driven until another is there.
+    """
+
+    why: str
+    is_free: bool
 
 
 class Planning:
@@ -91,8 +105,8 @@ class Planning:
         """Want none any more."""
         self._worker.drop()
 
-    def why_anew(self, plan: Plan, T_map_odom: FloatArray, now_s: float) -> str:
-        """Why another plan is needed than one that was made with (3,); empty where it is not.
+    def look(self, plan: Plan, T_map_odom: FloatArray, now_s: float) -> Look:
+        """At the next metres of a plan that was made with (3,).
 
         Where it is blocked is remembered: the next plans lead elsewhere if they can.
         """
@@ -101,16 +115,26 @@ class Planning:
         now, then = (se2.from_parts(*T) @ se2.from_parts(*where.odom_pose) for T in (where.T_map_odom, T_map_odom))
         x, y, turn = se2.to_parts(se2.invert(then) @ now)
         if np.hypot(x, y) > s.jump_m or abs(turn) > s.jump_rad:
-            return "the map has moved below it"
+            return Look("the map has moved below it", self.is_free(plan, s.onward_m))
         blocked = self._blocked_at(plan, s.check_m)
         if blocked is not None:
             self._blocked = self._blocked.with_place(blocked[:2], now_s)
-            return "something is in the way"
-        return "its camera will not have looked at the floor there" if self._is_blind(plan, s.check_m) else ""
+            is_free = self._is_far(plan, blocked) and self._blind_at(plan, s.onward_m) is None
+            return Look("something is in the way", is_free)
+        blind = self._blind_at(plan, s.check_m)
+        if blind is not None:
+            return Look("its camera will not have looked at the floor there", self._is_far(plan, blind))
+        return Look("", is_free=True)
 
     def is_free(self, plan: Plan, reach_m: float) -> bool:
         """Whether nothing that stands is in the way on so much of a plan, from where the robot is."""
-        return self._blocked_at(plan, reach_m) is None and not self._is_blind(plan, reach_m)
+        return self._blocked_at(plan, reach_m) is None and self._blind_at(plan, reach_m) is None
+
+    def _is_far(self, plan: Plan, at: FloatArray) -> bool:
+        """Whether a pose of a plan comes later than what must be free to drive on."""
+        state = self._senses.where.state
+        assert state is not None
+        return to_go_m(plan, state.pose) - to_go_m(plan, at) > self._settings.navigator.onward_m
 
     def _judged(self, found: Plan | PlanFailure, floor: FloorNow, goal: FloatArray) -> Plan | PlanFailure:
         """What was found for a goal (3,); where the map itself has no room there, no waiting helps, and that is said.
@@ -132,11 +156,11 @@ class Planning:
         local, pose = self._here()
         return self._planner.route.blocked_at(local, plan, pose, reach_m)
 
-    def _is_blind(self, plan: Plan, reach_m: float) -> bool:
+    def _blind_at(self, plan: Plan, reach_m: float) -> FloatArray | None:
         if not self._senses.avoids_hidden:
-            return False
+            return None
         local, pose = self._here()
-        return self._planner.blind_at(local, self._senses.hidden(), plan, pose, reach_m) is not None
+        return self._planner.blind_at(local, self._senses.hidden(), plan, pose, reach_m)
 
     def _here(self) -> tuple[Costmap, FloatArray]:
         """What stands about the robot, and where that is (3,)."""

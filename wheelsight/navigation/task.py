@@ -31,6 +31,7 @@ class Task:
         planned_s, checked_s: when it was made, and when it was last held against the surroundings.
         T_map_odom: (3,) of when it was asked for.
         why_anew: why another was asked for, while it is driven.
+        wants_anew: whether another is yet to be asked for.
         goal_change: of the last goal that was reached.
         behaviour: that is done while it recovers.
         is_lost: whether that is to find out where it is.
@@ -50,6 +51,7 @@ class Task:
         self.planned_s = self.checked_s = -math.inf
         self.T_map_odom: FloatArray = np.zeros(3)
         self.why_anew = self.goal_change = ""
+        self.wants_anew = False
         self.behaviour: Behaviour | None = None
         self.is_lost = self.awaits_way = self.is_refused = False
         self.tries, self.skips, self.searches = 0, 0, 0
@@ -101,7 +103,7 @@ class Task:
         self._plans += 1
         self._planned_m = self._planned_m or plan.length_m
         self.plan, self.planned_s, self.checked_s, self.T_map_odom = plan, now_s, now_s, T_map_odom
-        self.behaviour, self.skips, self._held = None, 0, _Stopwatch()
+        self.behaviour, self.skips, self._held, self.wants_anew = None, 0, _Stopwatch(), False
 
     def recover(self, behaviour: Behaviour, *, is_lost: bool) -> None:
         """Do something to get on."""

@@ -14,10 +14,9 @@ from numpy.typing import ArrayLike
 from wheelsight.calibration import Calibration
 from wheelsight.commands import VelocityCommand
 from wheelsight.config import Config
-from wheelsight.errors import ConfigError, WheelsightError
+from wheelsight.errors import WheelsightError
 from wheelsight.events import Event
 from wheelsight.geometry import FloatArray
-from wheelsight.localizer import Localizer, LocalizerBeside, LocalizerInStep
 from wheelsight.mapping import OccupancyGrid
 from wheelsight.navigation import (
     Feedback,
@@ -34,7 +33,7 @@ from wheelsight.navigation import (
 from wheelsight.navigation.goals import words_of
 from wheelsight.pipeline.drive_record import DriveRecord, GoalRecord
 from wheelsight.pipeline.drive_recorder import DriveRecorder
-from wheelsight.pipeline.known_maps import open_known
+from wheelsight.pipeline.localizing import known_localizer, known_map_path, localization_of
 from wheelsight.robots import Robot
 from wheelsight.slam.sessions import MAP_FOLDER, MapFolder, driven_way, occupancy_of
 from wheelsight.slam.sessions.parts import edits_as_known
@@ -212,22 +211,19 @@ def drive_in_map(
         ConfigError: no known map is named.
         MapError, CalibrationError, ArgumentError: as `open_known` and `Navigator`.
     """
-    opened = open_known(robot.calibration, config)
-    if opened is None:
-        raise ConfigError("there is no map to drive in", fix="--map DIR, of a run with --map surfels")
-    known, folder = opened
-    watched = WatchedRobot(robot, DriveRecorder(config.navigation.footprint.outline), on_events)
-    with closing(folder):
+    calibration, outline = robot.calibration, config.navigation.footprint.outline
+    watched = WatchedRobot(robot, DriveRecorder(outline), on_events)
+    how: dict[str, Any] = {"trusts_floor": trusts_floor, "on_transition": on_transition}
+    path = known_map_path(config)
+    with (
+        localization_of(known_localizer, calibration, config, in_step=in_step) as localization,
+        closing(MapFolder.open(path, settings=config.sessions)) as folder,
+        closing(planning_worker(config, in_step=in_step)) as planning,
+    ):
         grid = occupancy_of(folder, on_keyframe=on_keyframe)
-        floor = _floor_of(folder, grid, config.navigation.footprint.outline)
-        localizer = Localizer(robot.calibration, config, known=known, waits=in_step)
-        how: dict[str, Any] = {"trusts_floor": trusts_floor, "on_transition": on_transition}
-        with (
-            closing(LocalizerInStep(localizer) if in_step else LocalizerBeside(localizer)) as localization,
-            closing(planning_worker(config, in_step=in_step)) as planning,
-        ):
-            navigator = Navigator(watched, localization, floor, config.navigation, planning=planning, **how)
-            yield Drive(watched, navigator, lambda: grid, _name_of(folder))
+        floor = _floor_of(folder, grid, outline)
+        navigator = Navigator(watched, localization, floor, config.navigation, planning=planning, **how)
+        yield Drive(watched, navigator, lambda: grid, _name_of(folder))
 
 
 def planning_worker(config: Config, *, in_step: bool) -> Worker[Planned]:

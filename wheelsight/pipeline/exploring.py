@@ -7,13 +7,14 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
+from wheelsight.calibration import Calibration
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.files import StrPath
 from wheelsight.keyframes import KeyframeStore
-from wheelsight.localizer import Localizer, LocalizerBeside, LocalizerInStep
+from wheelsight.localizer import Localizer
 from wheelsight.navigation import (
     DepthViewer,
     Footprint,
@@ -27,6 +28,7 @@ from wheelsight.navigation import (
 )
 from wheelsight.pipeline.drive_recorder import DriveRecorder
 from wheelsight.pipeline.drives import Drive, OnEvents, WatchedRobot, planning_worker
+from wheelsight.pipeline.localizing import localization_of
 from wheelsight.robots import Robot
 from wheelsight.slam.sessions import MapFolder, MapWriter
 from wheelsight.slam.settings import FROM_KEYFRAMES
@@ -77,6 +79,19 @@ class MappingLocalizer:
 
 
 @contextmanager
+def mapping_localizer(
+    calibration: Calibration, config: Config, path: Path, *, waits: bool = False
+) -> Iterator[MappingLocalizer]:
+    """Of a map that begins, in a folder. Raises OutputError, MapError and CalibrationError."""
+    localizer = Localizer(calibration, config, waits=waits)
+    store = localizer.keyframes
+    assert store is not None
+    folder = MapFolder.create(path, calibration, config.sessions, source="an exploration")
+    with closing(MappingLocalizer(localizer, MapWriter(folder, store, config.recognition))) as mapping:
+        yield mapping
+
+
+@contextmanager
 def exploring(
     robot: Robot,
     config: Config,
@@ -103,19 +118,18 @@ def exploring(
     _check(config)
     footprint, calibration = config.navigation.footprint.outline, robot.calibration
     near_m = _near_m(robot, config, footprint) if trusts_floor else 0.0
-    localizer = Localizer(calibration, config, waits=in_step)
-    store = localizer.keyframes
-    assert store is not None
-    folder = MapFolder.create(path, calibration, config.sessions, source="an exploration")
-    mapping = MappingLocalizer(localizer, MapWriter(folder, store, config.recognition))
-    localization = LocalizerInStep(mapping) if in_step else LocalizerBeside(mapping)
-    planning, growing = planning_worker(config, in_step=in_step), _growing_worker(config, in_step=in_step)
-    how: dict[str, Any] = {"planning": planning, "trusts_floor": trusts_floor, "on_transition": on_transition}
-    # The localization last: others look at its keyframes.
-    with closing(localization), closing(growing), closing(planning):
+    how: dict[str, Any] = {"trusts_floor": trusts_floor, "on_transition": on_transition}
+    # The localization is closed last: others look at its keyframes.
+    with (
+        localization_of(
+            mapping_localizer, calibration, config, Path(path), in_step=in_step, tells_keyframes=True
+        ) as localization,
+        closing(_growing_worker(config, in_step=in_step)) as growing,
+        closing(planning_worker(config, in_step=in_step)) as planning,
+    ):
         floor = GrowingFloor(localization, calibration, footprint, near_m, config.sessions.occupancy, worker=growing)
         watched = WatchedRobot(robot, DriveRecorder(footprint), on_events)
-        navigator = Navigator(watched, localization, floor, config.navigation, **how)
+        navigator = Navigator(watched, localization, floor, config.navigation, planning=planning, **how)
         yield Drive(watched, navigator, lambda: floor.grid, Path(path).parent.name or Path(path).name)
 
 

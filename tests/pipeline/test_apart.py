@@ -1,0 +1,66 @@
+"""Drives whose localization answers apart: the floor grows by what it tells, and the map is whole at the end."""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from narrowing import not_none
+
+from wheelsight.config import Config, load_config
+from wheelsight.navigation import Navigator
+from wheelsight.pipeline.drives import drive_in_map
+from wheelsight.pipeline.exploring import exploring
+from wheelsight.simulation import SimulationSettings, Simulator
+from wheelsight.slam.sessions import MapFolder
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+# Simulated time goes on faster than frames are answered; a robot's does not.
+PACE_S = 0.1
+
+
+def simulator(config: Config) -> Simulator:
+    settings = SimulationSettings("studio", size=(160, 120), rate_hz=5, seed=3, realism="real")
+    return Simulator(settings, limits=config.navigation.limits)
+
+
+def led(navigator: Navigator, steps: int) -> None:
+    for _ in range(steps):
+        if navigator.is_task_complete():
+            return
+        begin_s = time.monotonic()
+        navigator.step()
+        time.sleep(max(PACE_S - (time.monotonic() - begin_s), 0.0))
+
+
+def test_a_map_is_explored_and_driven_in(tmp_path: Path) -> None:
+    config = load_config(overrides={"odometry": "wheels,dense", "loops.source": "keyframes"})
+    folder = tmp_path / "map"
+    with simulator(config) as robot, exploring(robot, config, folder, in_step=False, trusts_floor=True) as drive:
+        drive.navigator.explore()
+        led(drive.navigator, 250)
+        store = not_none(drive.navigator.senses.keyframes)
+        seen, free_m2 = len(store), drive.grid.free_m2()
+        assert drive.navigator.senses.recognised is None
+    assert not multiprocessing.active_children()
+    assert seen > 2
+    assert free_m2 > 2.0
+    with closing(MapFolder.open(folder)) as kept:
+        # What was made last comes with the frame after it, which nobody waited for.
+        assert seen <= len(kept.store) <= seen + 3
+
+    known = load_config(overrides={"odometry": "wheels,dense", "known_map": {"path": str(folder), "start": "0,0,0"}})
+    with simulator(known) as robot, drive_in_map(robot, known, in_step=False, trusts_floor=True) as drive:
+        begin = robot.T_world_base.copy()
+        drive.navigator.go_to_pose((0.4, 0.0))
+        led(drive.navigator, 1200)
+        assert not_none(drive.navigator.result).has_arrived
+        moved_m = np.linalg.norm((robot.T_world_base - begin)[:2, 3])
+        assert moved_m == pytest.approx(0.4, abs=0.2)
+        assert drive.navigator.senses.recognised is not None
+        assert not robot.contacts
+    assert not multiprocessing.active_children()

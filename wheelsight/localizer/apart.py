@@ -1,0 +1,100 @@
+"""LocalizerApart: a localizer in a process of its own, which takes neither time nor Python's lock from control."""
+
+from __future__ import annotations
+
+from multiprocessing import get_context
+from typing import Any
+
+from wheelsight.errors import DeviceError
+from wheelsight.estimates import Estimate
+from wheelsight.events import Event
+from wheelsight.keyframes import KeyframeId, KeyframeStore
+from wheelsight.localizer._apart_process import Answer, KeyframeNews, serve
+from wheelsight.localizer.in_step import Make
+
+_ENDING_S = 5.0
+
+
+class LocalizerApart:
+    """Has another process answer; each call waits for it, so that `LocalizerBeside` is what a robot is led by.
+
+    The process ends where this one does, however that ends; what was made is closed first.
+
+    Args:
+        make: a function of a module, which the process imports: what answers, in a `with` block.
+        arguments: of it.
+        tells_keyframes: whether `keyframes` are kept here, too, of depth alone, as a floor that grows needs them.
+    """
+
+    def __init__(self, make: Make, *arguments: Any, tells_keyframes: bool = False) -> None:
+        self.keyframes: KeyframeStore | None = KeyframeStore() if tells_keyframes else None
+        self.recognised: int | None = None
+        context = get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        what = (theirs, make, arguments, tells_keyframes)
+        self._process = context.Process(target=serve, args=what, name="wheelsight-localizer", daemon=True)
+        self._is_over = False
+        self._process.start()
+        theirs.close()
+
+    def wait(self) -> None:
+        """Until it is ready. Raises what went wrong in making it, and DeviceError where the process has died."""
+        self._take(self._heard())
+
+    def process(self, event: Event) -> Estimate | None:
+        """As `Answering.process`. Raises what that raises, and DeviceError where the process has died."""
+        self._say(event)
+        return self._take(self._heard())
+
+    def close(self) -> None:
+        """Have what was made closed, and wait for that; may be called twice. Raises what went wrong in it."""
+        if not self._is_over:
+            self._say(None)
+            self._heard()
+            self._end()
+
+    def _say(self, event: Event | None) -> None:
+        try:
+            self._connection.send(event)
+        except OSError:
+            raise self._died() from None
+
+    def _heard(self) -> Answer:
+        """The next answer; raises what it tells of instead."""
+        try:
+            answer = self._connection.recv()
+        except (EOFError, OSError):
+            raise self._died() from None
+        if isinstance(answer, BaseException):
+            self._end()
+            raise answer
+        assert isinstance(answer, Answer)
+        return answer
+
+    def _take(self, answer: Answer) -> Estimate | None:
+        self.recognised = answer.recognised
+        if self.keyframes is not None and answer.news is not None:
+            _take_news(self.keyframes, answer.news)
+        return answer.estimate
+
+    def _died(self) -> DeviceError:
+        self._end()
+        code = self._process.exitcode
+        how = f"by signal {-code}" if code is not None and code < 0 else f"with exit code {code}"
+        return DeviceError(f"the process that localizes has ended {how}", fix="see whether memory ran out; begin anew")
+
+    def _end(self) -> None:
+        self._is_over = True
+        self._process.join(_ENDING_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._connection.close()
+
+
+def _take_news(store: KeyframeStore, news: KeyframeNews) -> None:
+    """Keep what is new, and move what has moved."""
+    for keyframe, T_map_keyframe in news.added:
+        store.add(keyframe, T_map_keyframe)
+    if news.T_map_keyframe is not None:
+        store.move([KeyframeId(number) for number in range(len(news.T_map_keyframe))], news.T_map_keyframe)
