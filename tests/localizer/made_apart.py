@@ -21,7 +21,7 @@ from wheelsight.keyframes import Keyframe, KeyframeStore
 from wheelsight.localizer import Localizer
 
 CAMERA = np.array([2.0, 2.0, 0.5, 0.5])
-RAISES, CANNOT_BE_SENT, DIES, MOVES = 13.0, 14.0, 15.0, 16.0
+RAISES, CANNOT_BE_SENT, DIES, MOVES, IS_ENDED = 13.0, 14.0, 15.0, 16.0, 17.0
 
 
 class StrangeError(Exception):
@@ -47,6 +47,8 @@ class Telling:
             raise StrangeError
         if event.stamp_s == DIES:
             os.kill(os.getpid(), signal.SIGKILL)
+        if event.stamp_s == IS_ENDED:
+            os.kill(os.getpid(), signal.SIGTERM)
         T = se3.from_plane(event.stamp_s, 0.0, 0.0)
         if event.stamp_s == MOVES:
             store.move(list(store), T @ store.T_map_keyframe)

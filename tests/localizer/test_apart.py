@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from localizer.made_apart import CANNOT_BE_SENT, DIES, MOVES, RAISES, frame, real, refusing, telling, ticks
+from localizer.made_apart import CANNOT_BE_SENT, DIES, IS_ENDED, MOVES, RAISES, frame, real, refusing, telling, ticks
 from narrowing import not_none
 from navigation.rooms import WHEELS
 
@@ -119,7 +119,14 @@ def test_a_process_that_is_killed_is_told_to_who_leads_the_robot(closed: Path) -
     assert not multiprocessing.active_children()
 
 
-def test_where_the_robots_program_is_killed_what_was_made_is_closed(closed: Path) -> None:
+def test_a_process_that_the_system_ends_closes_what_was_made(subject: LocalizerApart, closed: Path) -> None:
+    with pytest.raises(DeviceError, match="with exit code 143"):
+        subject.process(ticks(IS_ENDED))
+    assert closed.exists()
+
+
+@pytest.mark.parametrize("ending", ["os.kill(os.getpid(), 9)", "sys.exit(0)"], ids=["killed", "exits"])
+def test_where_the_robots_program_ends_what_was_made_is_closed(closed: Path, ending: str) -> None:
     """A map is written to its end, and no process is left."""
     tests = Path(__file__).parent.parent
     script = closed.with_name("script.py")
@@ -131,9 +138,9 @@ def test_where_the_robots_program_is_killed_what_was_made_is_closed(closed: Path
         "if __name__ == '__main__':\n"
         f"    subject = LocalizerApart(telling, pathlib.Path({str(closed)!r}))\n"
         "    subject.wait()\n"
-        "    os.kill(os.getpid(), 9)\n"
+        f"    {ending}\n"
     )
-    assert subprocess.run([sys.executable, script], check=False, timeout=60).returncode == -9
+    assert subprocess.run([sys.executable, script], check=False, timeout=60).returncode in (-9, 0)
     until_s = time.monotonic() + ENDING_S
     while not closed.exists() and time.monotonic() < until_s:
         time.sleep(0.05)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 import traceback
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -51,14 +52,18 @@ class Answer:
 def serve(connection: Connection, make: Make, arguments: tuple[Any, ...], tells_keyframes: bool) -> None:
     """Make, answer, close; each is answered by an `Answer`, or by the error that ends it.
 
-    Ctrl-C reaches all processes of a terminal: who leads the robot stops that first, and closes this one.
+    Ctrl-C reaches all processes of a terminal: who leads the robot stops that first, and closes this one. Who is asked
+    by the system to end closes what was made.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     yield_to_others()  # before there are other threads, which do as this one
     with suppress(OSError):  # nobody may be there to be told
         try:
             with make(*arguments) as localizer:
                 _answer(connection, localizer, tells_keyframes)
+        except SystemExit:
+            raise
         except BaseException as error:
             error.add_note("".join(traceback.format_exception(error)))
             _tell(connection, error)
