@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from wheelsight.mapping import CellKind, OccupancyGrid
-from wheelsight.mapping.occupancy_picture import picture_of
+from wheelsight.mapping.occupancy_picture import PlanLine, picture_of
 
 
 def test_the_picture_has_the_colours_of_its_kinds_and_y_up() -> None:
@@ -34,3 +34,20 @@ def test_nothing_is_drawn_between_two_stretches_of_the_way() -> None:
     assert not row[int(1.2 / 0.05) * px : int(1.8 / 0.05) * px].any()
     assert row[int(2.0 / 0.05) * px : int(2.5 / 0.05) * px].all()
     assert (image[10 * px, 30 * px] != 255).any()  # a keyframe alone is a dot
+
+
+def test_axes_are_at_whole_metres_and_lines_have_their_words() -> None:
+    kinds = np.full((40, 60), CellKind.FREE, np.uint8)
+    grid = OccupancyGrid.of_kinds(kinds, np.ones(kinds.shape, bool), 0.05, (-1.0, -0.5))
+    bare, image = picture_of(grid), picture_of(grid, has_axes=True)
+    a_metre = 20 * (bare.shape[1] // 60)
+    height = 2 * a_metre
+    assert bare.shape == image.shape
+    assert image[height - 3, a_metre, 0] < 60  # the stroke of x = 0 at the lower edge
+    assert image[height - a_metre // 2, 3, 0] < 60  # that of y = 0 at the left one
+    assert image[height - a_metre // 2 - a_metre, 2 * a_metre, 0] < 255  # the cross at (1, 1)
+    assert (image[height - 3 * a_metre // 4, 5 * a_metre // 4] == 255).all()  # between them is nothing
+    square = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (0.0, 0.0)]
+    words, none = (picture_of(grid, lines=[PlanLine(square, (0, 0, 0), text=text)]) for text in ("a room", ""))
+    changed = np.argwhere((words != none).any(axis=-1)).mean(axis=0)
+    np.testing.assert_allclose(changed, [height - a_metre, 1.5 * a_metre], atol=0.1 * a_metre)

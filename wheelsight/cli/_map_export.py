@@ -37,6 +37,8 @@ class Exports:
 
 def export(folder: MapFolder, wanted: Exports, force: bool) -> None:
     """Write a map for other programs; nothing where any of it must not be written."""
+    from wheelsight.cli._map_picture import write_picture
+
     _check(wanted, force)
     if wanted.points is not None:
         _write_points(folder, wanted.points, wanted.everything)
@@ -46,7 +48,7 @@ def export(folder: MapFolder, wanted: Exports, force: bool) -> None:
     if wanted.occupancy is not None:
         _write_occupancy(grid, wanted.occupancy)
     if wanted.picture is not None:
-        _write_picture(grid, folder, wanted.picture)
+        write_picture(grid, folder, wanted.picture)
 
 
 def _check(wanted: Exports, force: bool) -> None:
@@ -103,23 +105,6 @@ def _write_occupancy(grid: OccupancyGrid, out: Path) -> None:
     rows, columns = grid.kind.shape
     size = f"{columns * grid.resolution_m:.1f} × {rows * grid.resolution_m:.1f} m in cells of {grid.resolution_m:g} m"
     typer.echo(f"{size}, {grid.free_m2():.1f} m² free: {about}, {image.name}")
-
-
-def _write_picture(grid: OccupancyGrid, folder: MapFolder, out: Path) -> None:
-    import cv2
-
-    from wheelsight.files import write_bytes
-    from wheelsight.mapping.occupancy_picture import picture_of
-    from wheelsight.slam.sessions import driven_way
-
-    image = picture_of(grid, [stretch[:, :2] for stretch in driven_way(folder)])
-    written, code = cv2.imencode(".png", image[..., ::-1])
-    assert written
-    write_bytes(out, code.tobytes())
-    # By which corners of zones can be read off it.
-    (x, y), (rows, columns) = grid.origin, grid.kind.shape
-    reach = f"x {x:.2f} to {x + columns * grid.resolution_m:.2f} m, y {y:.2f} to {y + rows * grid.resolution_m:.2f} m"
-    typer.echo(f"{image.shape[1]} × {image.shape[0]} pixels: {out}; above its legend {reach}")
 
 
 def _fused(folder: MapFolder) -> SurfelMap:

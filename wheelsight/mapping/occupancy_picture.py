@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, floor
 from typing import Any, Literal
 
 import cv2
@@ -26,6 +26,7 @@ COLOURS = {
     CellKind.KEEP_OUT: (204, 121, 167),
 }
 _WAY, _INK, _PAPER = (0, 114, 178), (40, 40, 40), (255, 255, 255)
+_CROSS, _LEAST_STEP_PX = (170, 170, 170), 70
 _SCALES_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 _STRIP_PX, _GAP_PX = 34, 10
 
@@ -39,12 +40,14 @@ class PlanLine:
         colour: red, green, blue.
         name: for the legend; empty for none.
         width_px: of it.
+        text: in the middle of its points.
     """
 
     points: ArrayLike
     colour: tuple[int, int, int]
     name: str = ""
     width_px: int = 2
+    text: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +74,8 @@ def picture_of(
     stretches: Sequence[ArrayLike] = (),
     lines: Sequence[PlanLine] = (),
     marks: Sequence[PlanMark] = (),
+    *,
+    has_axes: bool = False,
 ) -> ByteArray:
     """The map (h, w, 3) uint8 red, green, blue, y up the page, with a legend below.
 
@@ -79,12 +84,15 @@ def picture_of(
         stretches: of the way, (K, 2) places in `map` each: dots, joined by a line within a stretch. A circle is the
             first of all, a square the last.
         lines, marks: what else is drawn, in this order.
+        has_axes: whether x and y are written at its edges, by which places can be read off.
     """
     rows, columns = grid.kind.shape
     px = min(max(_LONGER_SIDE_PX // max(rows, columns), 1), _MOST_PX_A_CELL)
     colours = np.array([COLOURS[kind] for kind in CellKind], np.uint8)
     image = colours[grid.kind[::-1]].repeat(px, axis=0).repeat(px, axis=1)
     image = np.ascontiguousarray(image)
+    if has_axes:
+        _draw_axes(image, grid, px)
     _draw_way(image, grid, [np.asarray(stretch, float).reshape(-1, 2) for stretch in stretches], px)
     for line in lines:
         _draw_line(image, grid, line, px)
@@ -112,6 +120,26 @@ def _draw_way(image: ByteArray, grid: OccupancyGrid, stretches: list[FloatArray]
     cv2.rectangle(image, (ends[1] - 5).tolist(), (ends[1] + 5).tolist(), _WAY, -1)
 
 
+def _draw_axes(image: ByteArray, grid: OccupancyGrid, px: int) -> None:
+    """Crosses at whole steps of x and y, and what these are along the left and lower edge."""
+    a_metre, (height, width) = px / grid.resolution_m, image.shape[:2]
+    step_m = next((step for step in _SCALES_M if step * a_metre >= _LEAST_STEP_PX), _SCALES_M[-1])
+    x_m, y_m = (
+        step_m * np.arange(ceil(low / step_m), floor((low + size / a_metre) / step_m) + 1)
+        for low, size in zip(grid.origin, (width, height), strict=True)
+    )
+    for at in _pixels(grid, [(x, y) for x in x_m for y in y_m], px).tolist():
+        cv2.drawMarker(image, at, _CROSS, cv2.MARKER_CROSS, 9, 1, cv2.LINE_AA)
+    for x in x_m.tolist():
+        left = int(_pixels(grid, (x, 0.0), px)[0, 0])
+        cv2.line(image, (left, height - 6), (left, height), _INK, 1)
+        _write_beside(image, f"{x:g}", max(left - 4, 0), height - 10)
+    for y in y_m.tolist():
+        bottom = int(_pixels(grid, (0.0, y), px)[0, 1])
+        cv2.line(image, (0, bottom), (6, bottom), _INK, 1)
+        _write_beside(image, f"{y:g}", 10, bottom + 5)
+
+
 def _pixels(grid: OccupancyGrid, xy: ArrayLike, px: int) -> Any:
     """(N, 2) int32 of places (N, 2) in `map`."""
     cells = (np.asarray(xy, float).reshape(-1, 2) - grid.origin) / grid.resolution_m
@@ -122,6 +150,9 @@ def _draw_line(image: ByteArray, grid: OccupancyGrid, line: PlanLine, px: int) -
     at = _pixels(grid, line.points, px)
     if len(at):
         cv2.polylines(image, [at], False, line.colour, line.width_px, cv2.LINE_AA)
+        if line.text:
+            x, y = np.rint(np.unique(at, axis=0).mean(axis=0)).astype(int).tolist()
+            _write_beside(image, line.text, x - 4 * len(line.text), y)
 
 
 def _draw_mark(image: ByteArray, grid: OccupancyGrid, mark: PlanMark, px: int) -> None:
