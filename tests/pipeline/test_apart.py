@@ -12,7 +12,7 @@ import pytest
 from narrowing import not_none
 
 from wheelsight.config import Config, load_config
-from wheelsight.navigation import Navigator
+from wheelsight.navigation import NavigationState, Navigator
 from wheelsight.pipeline.drives import drive_in_map
 from wheelsight.pipeline.exploring import exploring
 from wheelsight.simulation import SimulationSettings, Simulator
@@ -28,9 +28,9 @@ def simulator(config: Config) -> Simulator:
     return Simulator(settings, limits=config.navigation.limits)
 
 
-def led(navigator: Navigator, steps: int) -> None:
+def led(navigator: Navigator, steps: int, until: NavigationState = NavigationState.ARRIVED) -> None:
     for _ in range(steps):
-        if navigator.is_task_complete():
+        if navigator.is_task_complete() or navigator.state is until:
             return
         begin_s = time.monotonic()
         navigator.step()
@@ -55,12 +55,13 @@ def test_a_map_is_explored_and_driven_in(tmp_path: Path) -> None:
 
     known = load_config(overrides={"odometry": "wheels,dense", "known_map": {"path": str(folder), "start": "0,0,0"}})
     with simulator(known) as robot, drive_in_map(robot, known, in_step=False, trusts_floor=True) as drive:
-        begin = robot.T_world_base.copy()
-        drive.navigator.go_to_pose((0.4, 0.0))
-        led(drive.navigator, 1200)
-        assert not_none(drive.navigator.result).has_arrived
-        moved_m = np.linalg.norm((robot.T_world_base - begin)[:2, 3])
-        assert moved_m == pytest.approx(0.4, abs=0.2)
+        T_map_world = np.linalg.inv(robot.T_world_base)
+        drive.navigator.go_to_pose((0.6, 0.0))
+        led(drive.navigator, 600, NavigationState.DRIVING)
+        assert drive.navigator.state is NavigationState.DRIVING
+        led(drive.navigator, 60)
+        off = not_none(drive.navigator.feedback.pose)[:2] - (T_map_world @ robot.T_world_base)[:2, 3]
+        np.testing.assert_allclose(off, 0.0, atol=0.15)
         assert drive.navigator.senses.recognised is not None
         assert not robot.contacts
     assert not multiprocessing.active_children()

@@ -177,7 +177,7 @@ def loaded():
     return {f"{one.py_func.__module__}.{one.py_func.__name__}{sign}" for one in found for sign in one.overloads}
 
 class Truth:
-    keyframes = None
+    keyframes = recognised = None
     def __init__(self, robot):
         self.robot, self.T_map_world = robot, np.linalg.inv(robot.T_world_base)
     def hear(self, events):
