@@ -161,7 +161,6 @@ def played(drive: PlayedDrive, minutes: float, profile: str | None) -> list[Quar
 def _localized(drive: PlayedDrive, profile: str | None) -> Iterator[tuple[LocalizerBeside, CountingLocalizer]]:
     config = load_config(overrides={"odometry": "wheels,dense", "loops.source": "keyframes", "profile": profile})
     apart = LocalizerApart(localizer_of, drive.calibration, config, tells_keyframes=True)
-    apart.wait()
     counting = CountingLocalizer(apart)
     with closing(LocalizerBeside(counting)) as localization:
         yield localization, counting

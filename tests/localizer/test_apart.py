@@ -34,7 +34,6 @@ def closed(tmp_path: Path) -> Path:
 @pytest.fixture
 def subject(closed: Path) -> Iterator[LocalizerApart]:
     made = LocalizerApart(telling, closed, tells_keyframes=True)
-    made.wait()
     yield made
     made.close()
     assert not multiprocessing.active_children()
@@ -43,7 +42,6 @@ def subject(closed: Path) -> Iterator[LocalizerApart]:
 def test_it_answers_as_it_would_here() -> None:
     calibration, config = Calibration(wheels=WHEELS), load_config(overrides={"odometry": "wheels"})
     here, subject = Localizer(calibration, config), LocalizerApart(real, calibration, config)
-    subject.wait()
     for n in range(50):
         answer, expected = subject.process(ticks(0.02 * n)), not_none(here.process(ticks(0.02 * n)))
         assert not_none(answer).status is expected.status
@@ -96,16 +94,14 @@ def test_what_cannot_be_told_is_told_in_words(subject: LocalizerApart, closed: P
     assert closed.exists()
 
 
-def test_where_it_cannot_be_made_waiting_says_why() -> None:
-    subject = LocalizerApart(refusing)
+def test_where_it_cannot_be_made_that_is_said() -> None:
     with pytest.raises(ConfigError, match=r"nobody can make it \(another one\)"):
-        subject.wait()
-    subject.close()
+        LocalizerApart(refusing)
+    assert not multiprocessing.active_children()
 
 
 def test_a_process_that_is_killed_is_told_to_who_leads_the_robot(closed: Path) -> None:
     subject = LocalizerApart(telling, closed)
-    subject.wait()
     beside, until_s = LocalizerBeside(subject), time.monotonic() + ENDING_S
 
     def hear() -> None:
@@ -137,7 +133,6 @@ def test_where_the_robots_program_ends_what_was_made_is_closed(closed: Path, end
         "from wheelsight.localizer import LocalizerApart\n"
         "if __name__ == '__main__':\n"
         f"    subject = LocalizerApart(telling, pathlib.Path({str(closed)!r}))\n"
-        "    subject.wait()\n"
         f"    {ending}\n"
     )
     assert subprocess.run([sys.executable, script], check=False, timeout=60).returncode in (-9, 0)

@@ -77,8 +77,8 @@ def _answer(connection: Connection, localizer: Answering, tells_keyframes: bool)
     connection.send(Answer(None, localizer.recognised))
     while (event := _next(connection)) is not None:
         estimate = localizer.process(event)
-        is_due = watch is not None and isinstance(event, RgbdFrame)
-        connection.send(Answer(estimate, localizer.recognised, watch.news() if watch and is_due else None))
+        news = watch.news() if watch is not None and isinstance(event, RgbdFrame) else None
+        connection.send(Answer(estimate, localizer.recognised, news))
 
 
 def _next(connection: Connection) -> Event | None:

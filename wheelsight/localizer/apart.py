@@ -24,6 +24,8 @@ class LocalizerApart:
         make: a function of a module, which the process imports: what answers, in a `with` block.
         arguments: of it.
         tells_keyframes: whether `keyframes` are kept here, too, of depth alone, as a floor that grows needs them.
+
+    Raises what went wrong in making it, and DeviceError where the process has died.
     """
 
     def __init__(self, make: Make, *arguments: Any, tells_keyframes: bool = False) -> None:
@@ -36,10 +38,7 @@ class LocalizerApart:
         self._is_over = False
         self._process.start()
         theirs.close()
-
-    def wait(self) -> None:
-        """Until it is ready. Raises what went wrong in making it, and DeviceError where the process has died."""
-        self._take(self._heard())
+        self._take(self._heard())  # that it is ready: else the first event would have this for its answer
 
     def process(self, event: Event) -> Estimate | None:
         """As `Answering.process`. Raises what that raises, and DeviceError where the process has died."""

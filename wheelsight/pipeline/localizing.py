@@ -36,7 +36,6 @@ def localization_of(
             yield LocalizerInStep(answering)
         return
     apart = LocalizerApart(make, *arguments, tells_keyframes=tells_keyframes)
-    apart.wait()
     with closing(LocalizerBeside(apart)) as beside:
         yield beside
 
