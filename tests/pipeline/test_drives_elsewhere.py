@@ -27,7 +27,7 @@ def driven(seed: int, start: Pose | None = None, goal: tuple[float, ...] = GOAL,
         ride.navigator.go_to_pose(goal)
         ride.go(40.0)
     # What tells a start that is borne out from one that is believed alone.
-    assert (not_none(localizers[0].loops).recognised > 0) is (seed == SEED_OF_THE_MAP)
+    assert (not_none(localizers[0].recognised) > 0) is (seed == SEED_OF_THE_MAP)
     assert ride.navigator.is_task_complete()
     assert ride.robot.base.stands
     assert ride.clearance_m > 0.04

@@ -15,16 +15,11 @@ if TYPE_CHECKING:
 
 def write_picture(grid: OccupancyGrid, folder: MapFolder, out: Path) -> None:
     """The plan, with axes, the way of its drives, and what people said of it. Raises OutputError."""
-    import cv2
-
-    from wheelsight.files import write_bytes
-    from wheelsight.mapping.occupancy_picture import picture_of
+    from wheelsight.mapping.occupancy_picture import picture_of, save_picture
     from wheelsight.slam.sessions import driven_way
 
     image = picture_of(grid, [stretch[:, :2] for stretch in driven_way(folder)], *_said_of(folder), has_axes=True)
-    written, code = cv2.imencode(".png", image[..., ::-1])
-    assert written
-    write_bytes(out, code.tobytes())
+    save_picture(image, out)
     # By which corners of zones can be read off it.
     (x, y), (rows, columns) = grid.origin, grid.kind.shape
     reach = f"x {x:.2f} to {x + columns * grid.resolution_m:.2f} m, y {y:.2f} to {y + rows * grid.resolution_m:.2f} m"

@@ -271,7 +271,7 @@ class LoopsBeside:
         return np.asarray(place.covariance + Ad @ grown @ Ad.T)
 
     @property
-    def recognised(self) -> int:
+    def recognised(self) -> int | None:
         """As `LiveLoops.recognised`."""
         return self._live.recognised
 

@@ -105,7 +105,6 @@ class Localizer:
         else:
             self._way = ByFrames(calibration, settings, known, waits=waits)
         self.body, self.frame, self.answers = self._way.body, self._way.frame, self._way.answers
-        self._has_known = known is not None
         self.note, self._resting = "", resting_keyframes(self.keyframes, settings.localizer)
         self._clock = SessionClock(settings.clocks)
         self._stamps = StampCheck()
@@ -148,7 +147,7 @@ class Localizer:
     @property
     def recognised(self) -> int | None:
         """How often something of the map of before was recognised so far; None without one. See `LiveLoops`."""
-        return self.loops.recognised if self._has_known and self.loops is not None else None
+        return None if self.loops is None else self.loops.recognised
 
     @property
     def T_odom_map(self) -> FloatArray:

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wheelsight.files import StrPath, write_bytes
 from wheelsight.geometry import ByteArray, FloatArray
 from wheelsight.mapping.occupancy import CellKind, OccupancyGrid
 
@@ -105,6 +106,13 @@ def picture_of(
     named = [one for one in drawn if one.name]
     below = [_named(named, wide.shape[1])] if named else []
     return np.concatenate([wide, *below, _legend(grid, px, wide.shape[1])])
+
+
+def save_picture(image: ByteArray, path: StrPath) -> None:
+    """Write red, green, blue (h, w, 3) as PNG, atomically. Raises OutputError."""
+    written, code = cv2.imencode(".png", image[..., ::-1])
+    assert written
+    write_bytes(path, code.tobytes())
 
 
 def _draw_way(image: ByteArray, grid: OccupancyGrid, stretches: list[FloatArray], px: int) -> None:

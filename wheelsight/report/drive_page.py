@@ -6,13 +6,12 @@ import math
 from html import escape
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from wheelsight._version import __version__
-from wheelsight.files import StrPath, settings_text, write_bytes, write_text
+from wheelsight.files import StrPath, settings_text, write_text
 from wheelsight.geometry import ByteArray
-from wheelsight.mapping.occupancy_picture import PlanLine, PlanMark, picture_of
+from wheelsight.mapping.occupancy_picture import PlanLine, PlanMark, picture_of, save_picture
 from wheelsight.pipeline.drive_record import DriveRecord, FilmImage
 from wheelsight.report import _html as html
 from wheelsight.report import drive_figures as figures
@@ -29,9 +28,7 @@ _FOOTER = "Lengths are in metres, stamps in seconds, poses of the base in the ma
 
 def write_drive_picture(record: DriveRecord, path: StrPath) -> None:
     """drive.png: the map with what was planned and driven, atomically. Raises OutputError."""
-    written, code = cv2.imencode(".png", drive_picture(record)[..., ::-1])
-    assert written
-    write_bytes(path, code.tobytes())
+    save_picture(drive_picture(record), path)
 
 
 def drive_picture(record: DriveRecord) -> ByteArray:

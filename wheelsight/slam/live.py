@@ -104,8 +104,6 @@ class LiveLoops:
 
     Attributes:
         place: of the newest keyframe that an answer was taken of, or of one seen again since; see `Judged`.
-        recognised: how often this drive has seen something of the map of before so far, by its loops that are kept and
-            by keyframes of it that odometry came back to. Where a start was said, that alone bears it out.
     """
 
     def __init__(
@@ -130,7 +128,7 @@ class LiveLoops:
         self._again: list[SeenAgain] = []
         self.place: KeyframePlace | None = None
         self._known = 0 if known is None else len(known.store)
-        self.recognised = 0
+        self._recognised = 0
 
     def add(self, keyframe: LivedKeyframe) -> None:
         """Have the thread look whether a keyframe shows a place seen before."""
@@ -143,7 +141,7 @@ class LiveLoops:
 
     def see_again(self, keyframe: SeenAgain) -> None:
         """Have the thread tell how surely a keyframe that it was handed before is placed; a busy one need not."""
-        self.recognised += keyframe.number < self._known
+        self._recognised += keyframe.number < self._known
         if self._thread is not None and (self._waits or not self._waiting):
             found = self._thread.submit(lambda: Judged(None, self._graph.place(keyframe)))
             self._waiting.append((keyframe.stamp_s, found))
@@ -163,7 +161,7 @@ class LiveLoops:
             newest = newest if found.update is None else found.update
             self.place = found.place
             for tie in found.ties:
-                self.recognised += tie.first < self._known <= tie.second
+                self._recognised += tie.first < self._known <= tie.second
                 self._store.tie(tie.first, tie.second)
         return newest
 
@@ -182,6 +180,15 @@ class LiveLoops:
         begins = np.array([keyframe.begins for keyframe in self._lived], bool)
         judged = is_in_map, begins, np.array(self._judged_s)
         return ClosedLoops(stamps_s, T_odom, *found, max(len(np.unique(pieces)), 1), *judged, tuple(self._again))
+
+    @property
+    def recognised(self) -> int | None:
+        """How often this drive has seen something of the map of before so far; None without such a map.
+
+        By its loops that are kept, and by keyframes of it that odometry came back to. Where a start was said, that
+        alone bears it out.
+        """
+        return self._recognised if self._known else None
 
     @property
     def recognizer(self) -> Recognizer:
