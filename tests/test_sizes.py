@@ -8,7 +8,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parent.parent / "wheelsight"
 SOURCES = sorted(PACKAGE.rglob("*.py"))
-LONGEST_FUNCTION, LONGEST_FILE = 40, 400
+LONGEST_FUNCTION, LONGEST_FILE = 80, 900
 
 
 def too_long(source: str, is_command: bool) -> Iterator[str]:
@@ -41,11 +41,11 @@ def test_functions_and_files_are_short() -> None:
 
 def test_what_is_too_long_is_found() -> None:
     def function(lines: int, docstring: int = 0) -> str:
-        told = '    """Does.\n' + "\n" * (docstring - 2) + '    """\n' if docstring else ""
-        return "def work():\n" + told + "    pass\n" * (lines - docstring - 1)
+        docstring_lines = '    """Does.\n' + "\n" * (docstring - 2) + '    """\n' if docstring else ""
+        return "def work():\n" + docstring_lines + "    pass\n" * (lines - docstring - 1)
 
-    assert list(too_long(function(40), is_command=False)) == []
-    assert list(too_long(function(41), is_command=False)) == ["work"]
-    assert list(too_long(function(41, docstring=5), is_command=False)) == ["work"]
-    assert list(too_long(function(41, docstring=5), is_command=True)) == []
-    assert list(too_long("class Thing:\n    " + function(41).replace("\n", "\n    "), is_command=False)) == ["work"]
+    assert list(too_long(function(80), is_command=False)) == []
+    assert list(too_long(function(81), is_command=False)) == ["work"]
+    assert list(too_long(function(81, docstring=5), is_command=False)) == ["work"]
+    assert list(too_long(function(81, docstring=5), is_command=True)) == []
+    assert list(too_long("class Thing:\n    " + function(81).replace("\n", "\n    "), is_command=False)) == ["work"]
