@@ -118,6 +118,38 @@ def test_what_of_the_floor_is_free_is_exported_and_drawn(wheelsight: Command, tm
     assert wheelsight(*asked, "--force").exit_code == 0
 
 
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_every_command_takes_a_map_of_few_keyframes(wheelsight: Command, tmp_path: Path, count: int) -> None:
+    """Such as one that was saved before the robot moved; without keyframes some have nothing to work on."""
+    drive(tmp_path / "map", WAY[:count]).close()
+    asked = (
+        ("info",),
+        ("name", "kitchen", "--at", "1,0,0"),
+        ("name", "--list"),
+        ("zone", "--keep-out", "1,1", "2,1", "2,2"),
+        ("zone", "--wipe", "1,1", "2,2"),
+        ("zone",),
+        ("zone", "--forget", "1"),
+        ("export", "--occupancy", tmp_path / "plan.yaml", "--picture", tmp_path / "plan.png"),
+        ("export", "--all", "--out", tmp_path / "points.ply"),
+        ("rebuild", "--out", tmp_path / "rebuilt"),
+        ("prune", "--out", tmp_path / "pruned"),
+        ("merge", tmp_path / "map", "--out", tmp_path / "merged"),
+    )
+    for name, *options in asked:
+        result = wheelsight("map", name, tmp_path / "map", *options)
+        said = " ".join(result.stderr.split())
+        if not count and (name in ("rebuild", "prune", "merge") or "--all" in options):
+            assert (result.exit_code, said.endswith("has no keyframes (give a map of a drive that kept some)")) == (
+                2,
+                True,
+            )
+        elif name == "merge":  # the views of these maps show too little to be recognised
+            assert (result.exit_code, "is recognised in it" in said) == (2, True)
+        else:
+            assert result.exit_code == 0, (name, options, result.output)
+
+
 def test_what_cannot_be_exported_is_refused_in_a_line(refusal: Callable[..., str], kept: Path, tmp_path: Path) -> None:
     assert refusal("map", "export", kept).startswith("nothing is asked for (--out points.ply, --occupancy plan.yaml")
     occupancy = ("map", "export", kept, "--occupancy")

@@ -177,6 +177,15 @@ def test_a_map_without_keyframes_has_no_way(tmp_path: Path) -> None:
     assert driven_way(MapFolder.open(tmp_path / "map")) == ()
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_the_way_of_a_map_of_few_keyframes_is_one_stretch(tmp_path: Path, count: int) -> None:
+    """One keyframe is what a map has that was saved before the robot moved."""
+    drive(tmp_path / "map", WAY[:count]).close()
+    (stretch,) = driven_way(MapFolder.open(tmp_path / "map"))
+    T_map_base = np.array(WAY[:count]) @ np.linalg.inv(np.asarray(ROBOT.T_base_camera))
+    np.testing.assert_allclose(stretch[:, :2], T_map_base[:, :2, 3], atol=1e-9)
+
+
 def test_pruning_and_merging_carry_edits(tmp_path: Path) -> None:
     T_monday = write_seen(tmp_path / "monday", RING[:4])
     T_tuesday = write_seen(

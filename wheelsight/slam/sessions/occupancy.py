@@ -96,6 +96,6 @@ def driven_way(folder: MapFolder) -> tuple[FloatArray, ...]:
         for edge in folder.edges
         if not edge.is_loop and is_sure(edge, folder.settings)
     }
-    is_step = [ends in driven for ends in pairwise(numbers.tolist())]
+    is_step = np.array([ends in driven for ends in pairwise(numbers.tolist())], bool)  # empty for one keyframe
     is_step &= np.linalg.norm(np.diff(at[:, :2], axis=0), axis=1) <= _STRAIGHT_M
     return tuple(np.split(at, np.flatnonzero(~is_step) + 1))
