@@ -170,7 +170,7 @@ class VelocityControl:
         ]
         self._last_s: float | None = None
         self._heard_s: float | None = None
-        self._has_ticks = False
+        self._has_ticks = self._is_driven = False
         self.reason = ""
 
     @property
@@ -204,8 +204,9 @@ class VelocityControl:
         since_s = 0.0 if self._last_s is None else max(now_s - self._last_s, 0.0)
         self._last_s = now_s
         if since_s > self._settings.hold_s:
+            # The link has stopped the motors meanwhile; what was asked before the gap is not done after it.
+            self.stop(f"the program stood still for {since_s:.1f} s" if self._is_driven else "")
             since_s = 0.0
-            self.stop()
         self._heard_s = now_s if ticks is not None or self._heard_s is None else self._heard_s
         if ticks is not None:
             self._has_ticks = True
@@ -215,9 +216,12 @@ class VelocityControl:
             self.stop("no wheel readings come")
         elif self.reason and command.is_stop:
             self.reason = ""
+        self._is_driven = False
         if self.reason or not self._has_ticks:
             return Duties(reason=self.reason)
-        return self._duties(command, since_s)
+        duties = self._duties(command, since_s)
+        self._is_driven = duties.left != 0 or duties.right != 0
+        return duties
 
     def _duties(self, command: VelocityCommand, since_s: float) -> Duties:
         velocity = self._velocity.towards(command, since_s)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+import threading
 import traceback
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -49,19 +50,53 @@ class Answer:
     news: KeyframeNews | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Beat:
+    """A sign of life while what was made is closed, once in `_BEAT_S`."""
+
+
+_BEAT_S = 1.0
+
+
+class _Beats:
+    """Sends a `Beat` regularly from `begin` to the end of its `with` block, which shows that closing goes on."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection, self._is_over = connection, threading.Event()
+        self._thread = threading.Thread(target=self._run, name="beats", daemon=True)
+
+    def begin(self) -> None:
+        self._thread.start()
+
+    def __enter__(self) -> _Beats:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._is_over.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+
+    def _run(self) -> None:
+        with suppress(OSError):  # the robot's program may have died
+            while not self._is_over.wait(_BEAT_S):
+                self._connection.send(Beat())
+
+
 def serve(connection: Connection, make: Make, arguments: tuple[Any, ...], tells_keyframes: bool) -> None:
     """Make, answer, close; each is answered by an `Answer`, or by the error that ends it.
 
-    Ctrl-C reaches all processes of a terminal: who leads the robot stops that first, and closes this one. Who is asked
-    by the system to end closes what was made.
+    Ctrl-C and the end of a terminal reach all its processes: the robot's program stops the robot first, and closes
+    this one. SIGTERM closes what was made.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(getattr(signal, "SIGHUP", signal.SIGINT), signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     yield_to_others()  # before there are other threads, which do as this one
     with suppress(OSError):  # nobody may be there to be told
         try:
-            with make(*arguments) as localizer:
+            with _Beats(connection) as beats, make(*arguments) as localizer:
                 _answer(connection, localizer, tells_keyframes)
+                beats.begin()
         except SystemExit:
             raise
         except BaseException as error:

@@ -12,6 +12,9 @@ from wheelsight.keyframes import KeyframeStore
 from wheelsight.localizer.in_step import Answering
 from wheelsight.threads import yield_to_others
 
+# How long the end waits for an event that is being answered, before the localizer is closed beside it.
+_ENDING_S = 5.0
+
 
 class LocalizerBeside:
     """Answers in a thread of its own, which yields to who controls a robot: that one never waits for a frame.
@@ -62,7 +65,7 @@ class LocalizerBeside:
         with self._changed:
             self._is_closed = True
             self._changed.notify()
-        self._thread.join()
+        self._thread.join(_ENDING_S)
         self.localizer.close()
 
     def _put(self, event: Event) -> None:

@@ -25,6 +25,9 @@ from wheelsight.robot_limits import RobotLimits
 
 # Slower than these a base does not move; a command below them is a stop.
 _LEAST_M_S, _LEAST_RAD_S = 0.02, 0.02
+# Without any frame for so long the camera, its cable or its driver has failed: the motors are stopped at once, where
+# an older frame than `frame_age_s` only brakes.
+CAMERA_SILENT_S = 0.5
 _STATUS_TO_STAND = (Status.INITIALIZING, Status.FAILING, Status.LOST)
 
 
@@ -43,6 +46,9 @@ class MonitorReason(StrEnum):
     FROM_AHEAD = "stamps ahead of now"
     NO_FRAME = "no fresh depth frame"
     NO_WHEELS = "no fresh wheel reading"
+    CAMERA_SILENT = "the camera sends no frames"
+    LOCALIZATION_SILENT = "the localization does not answer"
+    PLANNER_SILENT = "the planner does not answer"
     STATUS = "the robot does not know where it is"
     WHEELS_OFF = "the wheels do not do what they were told"
     INSIDE = "something where the robot is"
@@ -147,15 +153,22 @@ class CollisionMonitor:
         """(N, 2) in the base: things within reach that it stops before, though the newest frame does not show them."""
         return self._surroundings.out_of_sight(reach_m)
 
-    def check(self, asked: VelocityCommand, now_s: float, status: Status) -> MonitorResult:
-        """What becomes of a command; called once a period, also where it is a stop.
+    def is_camera_silent(self, now_s: float) -> bool:
+        """Whether no frame at all has come for `CAMERA_SILENT_S`, after the first; a covered lens still sends frames."""
+        return np.isfinite(self._any_frame_s) and now_s - self._any_frame_s > CAMERA_SILENT_S
+
+    def check(
+        self, asked: VelocityCommand, now_s: float, status: Status, silent: MonitorReason | None = None
+    ) -> MonitorResult:
+        """The command that may be driven; called once a period, also where a stop is asked.
 
         Args:
-            asked: by whoever leads the robot.
+            asked: the command of controller or behaviour.
             now_s: by the clock of the stamps.
             status: of the localization.
+            silent: a part that does not answer; the robot stands.
         """
-        reason = self._why_stand(asked, now_s, status)
+        reason = silent or self._why_stand(asked, now_s, status)
         if reason is not None:
             result = MonitorResult(STOP, MonitorState.STOPPED, reason)
         elif asked.is_stop:

@@ -42,13 +42,24 @@ class ControlChain:
         """What the robot is to be told."""
         return self.checked.command
 
-    def ask(self, asked: VelocityCommand, now_s: float, where: WhereNow, *, stands_by_itself: bool) -> None:
-        """Take what is asked for in a period; a robot that stands by itself does not do it."""
+    def ask(
+        self,
+        asked: VelocityCommand,
+        now_s: float,
+        where: WhereNow,
+        *,
+        stands_by_itself: bool,
+        silent: MonitorReason | None = None,
+    ) -> None:
+        """Take the command of a period; a robot that stands by itself does not obey it.
+
+        `silent` is the part that does not answer: the command is a stop.
+        """
         if stands_by_itself:
             # Told less and less while it stands by itself, it would seem not to obey, and would not be told to stand.
             self._ramp.follow(STOP)
         ramped = self._ramp.step(asked.forward_m_s, asked.turn_rad_s, self._period_s)
-        self.checked = self.monitor.check(ramped, now_s, _status_to_drive(where))
+        self.checked = self.monitor.check(ramped, now_s, _status_to_drive(where), silent)
         if self.checked.state is not MonitorState.FREE:
             self._ramp.follow(self.checked.command)
         if self.checked.state is MonitorState.STOPPED:

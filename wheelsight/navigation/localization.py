@@ -25,6 +25,9 @@ from wheelsight.odometry.wheels import WheelOdometry
 Answered = tuple[Event, Estimate | None]
 # How long the wheels' own way is kept: answers to frames come later than that only where nothing goes on.
 _TRACK_S = 3.0
+# Without an answer of the localization for so long wheels lead alone, and the robot goes slower; after `_SILENT_S`, or
+# `_SILENT_M` of way, the robot stops: the wheels' own way is trusted no longer than a frame's age is (monitor_settings).
+_COASTING_S, _SILENT_S, _SILENT_M = 0.2, 0.5, 0.25
 # Speeds are taken over so much time; of the first readings over what there is, and of less than the second over none.
 _SPEED_S, _LEAST_S = 0.04, 0.01
 
@@ -70,6 +73,8 @@ class WheelSpeed:
 class WhereNow:
     """The last answer of the localization, carried on by the wheels' own way since; or one of a moment before.
 
+    The wheels carry it on for a limited time and way: `is_silent` is true where the localization does not answer.
+
     Args:
         wheels: of the calibration.
         hold: for how long a place that was surer is held; or the defaults.
@@ -79,6 +84,8 @@ class WhereNow:
         self._wheels, self._hold = WheelOdometry(wheels), hold or HoldSettings()
         self._held: HeldPlace | None = None
         self._track: deque[tuple[float, FloatArray]] = deque()
+        self._heard_s = self._answered_s = -math.inf
+        self._unanswered_m = 0.0
         self._answer: Estimate | None = None
         self._known_sigma_m = 0.0
         self._unproven_m: float | None = None
@@ -94,6 +101,7 @@ class WhereNow:
             return None
         T_now = se2.from_parts(*self._wheels.pose)
         way = se2.log(se2.invert(self._track[-1][1]) @ T_now) if self._track else np.zeros(3)
+        self._unanswered_m += abs(float(way[0]))
         if self._unproven_m is not None:
             self._unproven_m += abs(float(way[0]))
         self._track.append((answer.stamp_s, T_now))
@@ -112,6 +120,26 @@ class WhereNow:
         forward, _, turn = se2.log(np.linalg.inv(T_then) @ T_now) / (stamp_s - then_s)
         return WheelSpeed(stamp_s, float(forward), float(turn))
 
+    def ask(self, stamp_s: float) -> None:
+        """Note that the localization got an event with this stamp."""
+        self._heard_s = max(self._heard_s, stamp_s)
+
+    def processed(self, stamp_s: float) -> None:
+        """Note that the localization has processed an event with this stamp, with an estimate or without."""
+        if stamp_s > self._answered_s:
+            self._answered_s = stamp_s
+            self._unanswered_m = float(np.hypot(*self._since(stamp_s)[:2, 2]))
+
+    @property
+    def silent_s(self) -> float:
+        """Seconds of events that the localization has not processed; 0 before its first answer."""
+        return max(self._heard_s - self._answered_s, 0.0) if math.isfinite(self._answered_s) else 0.0
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether the localization has not answered for longer, or for more way, than wheels may lead alone."""
+        return self.silent_s > _SILENT_S or (self.silent_s > _COASTING_S and self._unanswered_m > _SILENT_M)
+
     def answer(self, estimate: Estimate, recognised: int | None = None) -> None:
         """Take what the localization says, and how often it has recognised something of a map of before."""
         self._answer = estimate
@@ -119,9 +147,9 @@ class WhereNow:
             self._unproven_m = None
         elif self._unproven_m is None:
             self._unproven_m = 0.0
-        if self.status is Status.TRACKING:
+        if estimate.status is Status.TRACKING:
             self._known_sigma_m = _sigma_m(estimate)
-        if estimate.T_map_body is None or self.status in (Status.LOST, Status.FAILING):
+        if estimate.T_map_body is None or estimate.status in (Status.LOST, Status.FAILING):
             self._held = None
             return
         T_wheels, sigma_m = self._rolled_at(estimate.stamp_s), _sigma_map_m(estimate)
@@ -141,8 +169,13 @@ class WhereNow:
 
     @property
     def status(self) -> Status:
-        """Of the last answer; before any, `INITIALIZING`."""
-        return Status.INITIALIZING if self._answer is None else self._answer.status
+        """Of the last answer; before any, `INITIALIZING`. A late answer is `COASTING` at best, a silent one `FAILING`."""
+        if self._answer is None:
+            return Status.INITIALIZING
+        if self.is_silent:
+            return Status.FAILING
+        is_late = self.silent_s > _COASTING_S and self._answer.status is Status.TRACKING
+        return Status.COASTING if is_late else self._answer.status
 
     @property
     def is_rolling(self) -> bool:
@@ -164,6 +197,8 @@ class WhereNow:
 
         A start that somebody said is believed for a while: of a map of another place nothing is ever recognised.
         """
+        if self.is_silent:
+            return f"the localization has not answered for {self.silent_s:.1f} s"
         if self.state is None:
             return "it is not known where it is"
         if self.grown_sigma_m > unsure_m:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -92,6 +93,7 @@ class Navigator:
         self._task: Task | None = None
         self._predicted: FloatArray = np.empty((0, 3))
         self._result: NavigationResult | None = None
+        self._stepped_s, self._is_halted = -math.inf, False
 
     @property
     def footprint(self) -> Footprint:
@@ -125,7 +127,7 @@ class Navigator:
             self.cancel_task()
         self._result = None
         self._planning.drop()
-        self._task = Task(goals, self._robot.now_s)
+        self._task, self._stepped_s = Task(goals, self._robot.now_s), self._robot.now_s
         self._become(NavigationState.PLANNING, f"to {goals.name}")
         if self._senses.where.is_known(self.settings.navigator.unsure_m):
             # While the next period goes by, and not after it.
@@ -164,16 +166,46 @@ class Navigator:
         return self._result
 
     def step(self) -> Feedback:
-        """One period: obey, sense, decide, and let the monitor check. Raises what the robot raises."""
+        """One period: obey, sense, decide, and let the monitor check. Raises what the robot raises.
+
+        A part that does not answer stops the motors at once. The task goes on where it answers within
+        `navigator.held_s`, and fails after that.
+        """
         events = self._robot.step(self._chain.command)
-        now_s = self._robot.now_s
+        now_s, before_s = self._robot.now_s, self._stepped_s
+        self._stepped_s, most_s = now_s, self.settings.navigator.held_s
+        silent = None
         try:
             self._senses.hear(events, now_s)
         except WheelsightError as error:
+            silent = MonitorReason.LOCALIZATION_SILENT
             self._fail(NavigationReason.LOCALIZATION, str(error))
-        asked = self._decide(now_s)
-        self._chain.ask(asked, now_s, self._senses.where, stands_by_itself=bool(self._robot.stop_reason))
+        if now_s - before_s > most_s and math.isfinite(before_s):
+            self._fail(NavigationReason.SILENT, f"the program stood still for {now_s - before_s:.1f} s")
+        silent = silent or self._silent_part(now_s)
+        if self._task is not None and self._task.silent_for_s(now_s, silent is not None) > most_s:
+            self._fail(NavigationReason.SILENT, f"{silent}, for {most_s:g} s")
+        asked = STOP if silent else self._decide(now_s)
+        self._halt(silent)
+        stands_by_itself = bool(self._robot.stop_reason)
+        self._chain.ask(asked, now_s, self._senses.where, stands_by_itself=stands_by_itself, silent=silent)
         return self.feedback
+
+    def _silent_part(self, now_s: float) -> MonitorReason | None:
+        """The part that has not answered for too long; of planning only while the robot drives by an older plan."""
+        if self._senses.where.is_silent:
+            return MonitorReason.LOCALIZATION_SILENT
+        if self.monitor.is_camera_silent(now_s):
+            return MonitorReason.CAMERA_SILENT
+        is_driving = self.state is NavigationState.DRIVING
+        return MonitorReason.PLANNER_SILENT if is_driving and self._planning.is_silent(now_s) else None
+
+    def _halt(self, silent: MonitorReason | None) -> None:
+        """Stop the motors of a robot that moves, once for each time that a part is silent."""
+        if silent is not None and not self._is_halted and not (self._chain.command.is_stop and self._stands()):
+            with suppress(WheelsightError):  # a controller that does not confirm stops by its own watchdog
+                self._robot.stop()
+        self._is_halted = silent is not None
 
     @property
     def feedback(self) -> Feedback:
@@ -233,6 +265,9 @@ class Navigator:
         if not self._planning.is_asked:
             self._planning.ask(task.goals, now_s)
         planned = self._planning.answer(now_s)
+        if self._planning.is_lost(now_s, self.settings.navigator.held_s):
+            self._planning.drop()
+            return self._fail(NavigationReason.SILENT, MonitorReason.PLANNER_SILENT)
         command = STOP if planned is None else self._take(task, planned, now_s)
         # Not a period later: whoever asked for it waits.
         return self._drive(task, now_s) if self.state is NavigationState.DRIVING else command

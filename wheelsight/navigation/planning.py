@@ -21,6 +21,13 @@ from wheelsight.navigation.senses import Senses
 from wheelsight.navigation.workers import Worker, WorkerInStep
 
 
+# A plan that takes longer than this, and than twice the longest plan before it, does not come: in a flat one takes
+# 0.1 to 0.25 s, over 1000 × 1000 cells 0.8 s.
+_SILENT_S = 0.5
+# The first plan of a map has none before it to compare with; the largest map takes a small computer 4 s.
+_FIRST_S = 30.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Planned:
     """What came of a plan that was asked for.
@@ -66,6 +73,16 @@ class Planning:
         self._planner = CautiousPlanner(footprint, settings, PlanView(footprint, senses.eye))
         self._worker: Worker[Planned] = worker or WorkerInStep(settings.navigator.planning_s)
         self._blocked = BlockedWays(settings.blocked, free_visits=int(senses.floor.is_fixed))
+        self._asked_s, self._longest_s = 0.0, 0.0
+
+    def is_silent(self, now_s: float) -> bool:
+        """Whether a plan was asked for and takes longer than any plan of this map should."""
+        return self.is_asked and now_s - self._asked_s > max(_SILENT_S, 2 * self._longest_s)
+
+    def is_lost(self, now_s: float, most_s: float) -> bool:
+        """Whether a robot that stands for a plan waits for it in vain: longer than `most_s` and than plans take."""
+        longest_s = max(most_s, 2 * self._longest_s) if self._longest_s else _FIRST_S
+        return self.is_asked and now_s - self._asked_s > longest_s
 
     @property
     def is_asked(self) -> bool:
@@ -95,11 +112,15 @@ class Planning:
             made = self._planner.plan(costmap, avoiding, hidden, pose, ahead)
             return Planned(self._judged(made.found, floor, ahead[-1]), floor.T_map_odom, made.is_blind)
 
+        self._asked_s = now_s
         self._worker.ask(plan, now_s)
 
     def answer(self, now_s: float) -> Planned | None:
         """The newest plan, once; None while it is being made."""
-        return self._worker.answer(now_s)
+        planned = self._worker.answer(now_s)
+        if planned is not None:
+            self._longest_s = max(self._longest_s, now_s - self._asked_s)
+        return planned
 
     def drop(self) -> None:
         """Want none any more."""

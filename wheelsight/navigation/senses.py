@@ -132,7 +132,10 @@ class Senses:
             elif event is newest and isinstance(event, RgbdFrame):
                 self._views.append(self._viewer.view(event.depth_m, event.stamp_s))
                 self._monitor.see(self._views[-1])
+        for event in events:
+            self.where.ask(event.stamp_s)
         for event, estimate in self._localization.hear(events):
+            self.where.processed(event.stamp_s)
             if estimate is None:
                 continue
             self.where.answer(estimate, self._localization.recognised)

@@ -63,7 +63,7 @@ class Task:
         self._here = self._from = np.full(2, math.nan)
         self._now_s = self._since_s = now_s
         self._planned_m, self._plans, self._recoveries = 0.0, 0, 0
-        self._held, self._stopped = _Stopwatch(), _Stopwatch()
+        self._held, self._stopped, self._silent = _Stopwatch(), _Stopwatch(), _Stopwatch()
 
     @property
     def doing(self) -> str:
@@ -203,6 +203,10 @@ class Task:
     def stopped_for_s(self, now_s: float, is_stopped: bool) -> float:
         """For how long the robot has stood by itself; 0 where it does not."""
         return self._stopped.for_s(now_s, is_stopped)
+
+    def silent_for_s(self, now_s: float, is_silent: bool) -> float:
+        """For how long a part of the program has not answered; 0 where all do."""
+        return self._silent.for_s(now_s, is_silent)
 
     def result(self, has_arrived: bool, reason: NavigationReason | None, detail: str, now_s: float) -> NavigationResult:
         """What became of it."""

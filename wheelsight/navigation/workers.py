@@ -9,6 +9,8 @@ from typing import Generic, Protocol, TypeVar
 from wheelsight.threads import yield_to_others
 
 _Answer = TypeVar("_Answer")
+# How long the end of a program waits for work that does not end; the thread is a daemon.
+_ENDING_S = 5.0
 
 
 class Worker(Protocol[_Answer]):
@@ -128,7 +130,7 @@ class WorkerBeside(Generic[_Answer]):
         with self._changed:
             self._is_closed = True
             self._changed.notify()
-        self._thread.join()
+        self._thread.join(_ENDING_S)
 
     def _run(self) -> None:
         yield_to_others()
