@@ -10,8 +10,11 @@ from wheelsight.errors import ConfigError
 # By the name that is imported: the library's, and all that its extra brings, by names that install from anywhere.
 _EXTRAS = {
     "av": ("PyAV", "av"),
+    "backports": ("backports.zstd", "rosbags"),
+    "compression": ("compression.zstd", "rosbags"),
     "distributed": ("Dask", "distributed"),
     "gtsam": ("GTSAM", "gtsam"),
+    "lz4": ("lz4", "rosbags"),
     "mujoco": ("MuJoCo", "mujoco matplotlib"),
     "octomap": ("octomap-python", "octomap-python"),
     "plotly": ("plotly", "plotly"),

@@ -1,5 +1,6 @@
 """Files from strangers: what is opened, and how text, YAML, JSON and headers of images are taken."""
 
+from wheelsight.inputs.decompressed import decompress_into, decompressed
 from wheelsight.inputs.gate import Kind, is_there, lines_of, read_bytes, read_text
 from wheelsight.inputs.json_text import parse_json
 from wheelsight.inputs.pictures import picture_size, scan_count
@@ -11,6 +12,8 @@ __all__ = [
     "YAML_FILE",
     "Kind",
     "as_number",
+    "decompress_into",
+    "decompressed",
     "is_there",
     "line_of",
     "lines_of",
