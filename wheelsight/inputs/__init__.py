@@ -1,7 +1,7 @@
 """Files from strangers: what is opened, and how text, YAML, JSON and headers of images are taken."""
 
 from wheelsight.inputs.decompressed import decompress_into, decompressed
-from wheelsight.inputs.gate import Kind, is_there, lines_of, read_bytes, read_text
+from wheelsight.inputs.gate import Kind, is_there, lines_of, open_binary, read_bytes, read_text
 from wheelsight.inputs.json_text import parse_json
 from wheelsight.inputs.pictures import picture_size, scan_count
 from wheelsight.inputs.plain_rows import plain_rows
@@ -18,6 +18,7 @@ __all__ = [
     "line_of",
     "lines_of",
     "numbers_with_commas",
+    "open_binary",
     "parse_json",
     "parse_yaml",
     "picture_size",

@@ -12,6 +12,7 @@ import stat
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import BinaryIO
 
 from wheelsight.errors import InputError
 from wheelsight.files import StrPath
@@ -55,14 +56,26 @@ def read_bytes(path: StrPath, kind: Kind, error: type[InputError]) -> bytes:
     Raises:
         InputError: of the type `error`, naming the file: it is missing, no regular file, or larger than its kind.
     """
+    with open_binary(path, kind, error) as stream:
+        try:
+            return stream.read(min(os.fstat(stream.fileno()).st_size, kind.most_mb * _MEGABYTE))
+        except OSError as problem:
+            raise error(f"cannot be read: {problem.strerror}", path=path, fix=kind.fix) from problem
+
+
+def open_binary(path: StrPath, kind: Kind, error: type[InputError]) -> BinaryIO:
+    """An open stream of a file's bytes, for what is too large to be read at once. Raises as `read_bytes`."""
     path = Path(path)
     try:
         _check(path.stat(), path, kind, error)
         # The entry may have been replaced since it was looked at; a pipe then opens without waiting.
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
-        with os.fdopen(descriptor, "rb") as stream:
-            size = _check(os.fstat(descriptor), path, kind, error)
-            return stream.read(size)
+        stream = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY), "rb")
+        try:
+            _check(os.fstat(stream.fileno()), path, kind, error)
+        except BaseException:
+            stream.close()
+            raise
+        return stream
     except FileNotFoundError as missing:
         raise error(kind.missing, path=path, fix=kind.fix) from missing
     except OSError as problem:
@@ -118,8 +131,8 @@ def is_there(path: StrPath) -> bool:
     return os.path.lexists(path)
 
 
-def _check(status: os.stat_result, path: Path, kind: Kind, error: type[InputError]) -> int:
-    """The size in bytes of what may be read; raises `error` else."""
+def _check(status: os.stat_result, path: Path, kind: Kind, error: type[InputError]) -> None:
+    """Raise `error` for what is no ordinary file, or larger than its kind."""
     for is_odd, problem in _ODD:
         if is_odd(status.st_mode):
             raise error(problem, path=path, fix=_COPY)
@@ -128,7 +141,6 @@ def _check(status: os.stat_result, path: Path, kind: Kind, error: type[InputErro
     if status.st_size > kind.most_mb * _MEGABYTE:
         problem = f"holds {status.st_size / _MEGABYTE:.0f} MB, more than {kind.name} may: {kind.most_mb} MB"
         raise error(problem, path=path, fix="is it the right file?")
-    return status.st_size
 
 
 @cache
