@@ -26,7 +26,7 @@ from drives import square_legs, write_recording
 from floor_plans import rooms_in_colours, two_rooms, write_plan
 from places.made_recording import write_drive
 from shared_folders import shared_folder
-from simulated_controller import SimulatedController
+from benchmarks.simulated_controller import SimulatedController
 from typer.testing import CliRunner
 from written_bags import robot_drive, write_bag
 

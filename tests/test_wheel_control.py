@@ -196,11 +196,17 @@ def test_wheels_that_are_swapped_or_run_away_are_found() -> None:
     assert "runs away" in pushed.control.reason
 
 
-def test_after_a_pause_it_begins_from_a_stand() -> None:
+def test_after_a_pause_it_waits_for_a_stop_and_begins_from_a_stand() -> None:
+    """A program that stood still does not go on by itself with the command that it had before."""
     plant = Plant()
     plant.run(VelocityCommand(0.8), 3.0)
     plant.now_s += 0.5
     plant.speeds_m_s[:] = 0.0
+    duties = plant.step(VelocityCommand(0.8))
+    assert (duties.left, duties.right, duties.reason) == (0.0, 0.0, "the program stood still for 0.5 s")
+    plant.run(VelocityCommand(0.8), 1.0)
+    assert not plant.speeds_m_s.any()
+    plant.step(STOP)
     assert plant.step(VelocityCommand(0.8)).left < 0.05
     assert plant.run(VelocityCommand(0.8), 4.0)[-1] == pytest.approx(0.8, abs=0.01)
 

@@ -15,9 +15,9 @@ import pytest
 from hand_fed_camera import HandFedCamera
 from rehearsed_drive import CALIBRATION
 from sessions.kept_views import write_map
-from simulated_controller import SimulatedController
 from typer.testing import CliRunner, Result
 
+from benchmarks.simulated_controller import SimulatedController
 from wheelsight.calibration import Calibration, save_calibration
 from wheelsight.cli import app
 from wheelsight.devices.cameras import LIVE_CAMERAS

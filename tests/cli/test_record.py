@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 from full_disk import FullDisk
-from simulated_controller import SimulatedController
 from typer.testing import Result
 
+from benchmarks.simulated_controller import SimulatedController
 from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
 from wheelsight.devices import open_wheels
 from wheelsight.recordings import open_recording

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from bag_contents import on_topic, whole_messages_in
 from hand_fed_camera import CALIBRATION, live_frame
-from simulated_controller import SimulatedController
 from typer.testing import Result
 
+from benchmarks.simulated_controller import SimulatedController
 from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
 from wheelsight.errors import CalibrationError, OutputError, RecordingError
 from wheelsight.events import AngularVelocity, RgbdFrame, WheelTicks

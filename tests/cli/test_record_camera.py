@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hand_fed_camera import CALIBRATION, HandFedCamera, live_frame
-from simulated_controller import SimulatedController
 from typer.testing import Result
 
+from benchmarks.simulated_controller import SimulatedController
 from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
 from wheelsight.cli._record_view import line_of
 from wheelsight.devices import LineStatistics, LinkReport, LinkStatus, host_clock

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 from hand_fed_camera import CALIBRATION, HandFedCamera
-from simulated_controller import SimulatedController
 from typer.testing import Result
 
+from benchmarks.simulated_controller import SimulatedController
 from wheelsight.calibration import Calibration, Wheels, save_calibration
 from wheelsight.devices.cameras import LIVE_CAMERAS
 from wheelsight.devices.live_camera import CameraStatus

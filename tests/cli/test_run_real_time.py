@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 from room_drive import make_room_drive
-from simulated_controller import SimulatedController
 from stand_ins import MemoryRecording
 from typer.testing import Result
 
+from benchmarks.simulated_controller import SimulatedController
 from wheelsight.cli._run_progress import played, words
 from wheelsight.pipeline import RealTimeRecording
 from wheelsight.recordings import open_recording

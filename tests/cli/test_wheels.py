@@ -15,9 +15,9 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from simulated_controller import SimulatedController
 from typer.testing import Result
 
+from benchmarks.simulated_controller import SimulatedController
 from wheelsight.calibration import Calibration, Wheels, save_calibration
 from wheelsight.cli._monitor import Meter, live_line
 from wheelsight.devices import WheelLink, open_wheels

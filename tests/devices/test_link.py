@@ -13,8 +13,8 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from simulated_controller import SimulatedController
 
+from benchmarks.simulated_controller import SimulatedController
 from wheelsight.devices import Format, LinkStatus, WheelLink
 from wheelsight.devices.protocol import Command, Counts, drive_body, encode_message
 from wheelsight.errors import DeviceError

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 from hand_fed_camera import CALIBRATION, HandFedCamera, live_frame
-from simulated_controller import SimulatedController
 
+from benchmarks.simulated_controller import SimulatedController
 from wheelsight.devices import WheelLink, host_clock
 from wheelsight.devices.live_camera import CameraStatus
 from wheelsight.devices.recorder import LiveRecorder

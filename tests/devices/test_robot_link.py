@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated_controller import SimulatedController
 
+from benchmarks.simulated_controller import SimulatedController
 from wheelsight.calibration import Calibration, Wheels
 from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.devices import Format, LinkRobot, LinkStatus, WheelLink

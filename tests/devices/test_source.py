@@ -8,8 +8,8 @@ import threading
 from pathlib import Path
 
 import pytest
-from simulated_controller import SimulatedController
 
+from benchmarks.simulated_controller import SimulatedController
 from wheelsight.calibration import Wheels
 from wheelsight.devices import TelemetryPipe, TelemetryReader, TicksFile, WheelLink, open_wheels
 from wheelsight.errors import DeviceError, RecordingError

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hand_fed_camera import CALIBRATION, HandFedCamera, live_frame
-from simulated_controller import SimulatedController
 
+from benchmarks.simulated_controller import SimulatedController
 from wheelsight.calibration import Calibration, Wheels
 from wheelsight.config import Config
 from wheelsight.devices import WheelLink, host_clock

@@ -16,10 +16,10 @@ import pytest
 from narrowing import not_none
 from pipeline.made import WHEELS, frames_at, metrics_in, mixed_recording, wheel_recording
 from room_drive import make_room_drive
-from simulated_controller import SimulatedController
 from stand_ins import MemoryRecording, TrueOdometry, frame
 from virtual_time import VirtualClock
 
+from benchmarks.simulated_controller import SimulatedController
 from wheelsight.calibration import Wheels
 from wheelsight.config import Config, load_config
 from wheelsight.devices import TelemetryPipe

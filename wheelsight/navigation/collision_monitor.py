@@ -154,8 +154,8 @@ class CollisionMonitor:
         return self._surroundings.out_of_sight(reach_m)
 
     def is_camera_silent(self, now_s: float) -> bool:
-        """Whether no frame at all has come for `CAMERA_SILENT_S`, after the first; a covered lens still sends frames."""
-        return np.isfinite(self._any_frame_s) and now_s - self._any_frame_s > CAMERA_SILENT_S
+        """Whether no frame at all has come for `CAMERA_SILENT_S` since the last; a covered lens still sends frames."""
+        return bool(np.isfinite(self._any_frame_s) and now_s - self._any_frame_s > CAMERA_SILENT_S)
 
     def check(
         self, asked: VelocityCommand, now_s: float, status: Status, silent: MonitorReason | None = None

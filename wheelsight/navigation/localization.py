@@ -25,9 +25,9 @@ from wheelsight.odometry.wheels import WheelOdometry
 Answered = tuple[Event, Estimate | None]
 # How long the wheels' own way is kept: answers to frames come later than that only where nothing goes on.
 _TRACK_S = 3.0
-# Without an answer of the localization for so long wheels lead alone, and the robot goes slower; after `_SILENT_S`, or
-# `_SILENT_M` of way, the robot stops: the wheels' own way is trusted no longer than a frame's age is (monitor_settings).
-_COASTING_S, _SILENT_S, _SILENT_M = 0.2, 0.5, 0.25
+# Without an answer of the localization for `_COASTING_S` wheels lead alone, and the robot goes slower. It stops after
+# `_SILENT_S`, or `_SILENT_M` of way: 0.5 s with the control period in which that is noticed.
+_COASTING_S, _SILENT_S, _SILENT_M = 0.2, 0.45, 0.25
 # Speeds are taken over so much time; of the first readings over what there is, and of less than the second over none.
 _SPEED_S, _LEAST_S = 0.04, 0.01
 
@@ -169,7 +169,9 @@ class WhereNow:
 
     @property
     def status(self) -> Status:
-        """Of the last answer; before any, `INITIALIZING`. A late answer is `COASTING` at best, a silent one `FAILING`."""
+        """Of the last answer; before any, `INITIALIZING`. Where answers are late it is `COASTING` at best, where none
+        come `FAILING`.
+        """
         if self._answer is None:
             return Status.INITIALIZING
         if self.is_silent:

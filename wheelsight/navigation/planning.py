@@ -20,7 +20,6 @@ from wheelsight.navigation.route_planner import to_go_m
 from wheelsight.navigation.senses import Senses
 from wheelsight.navigation.workers import Worker, WorkerInStep
 
-
 # A plan that takes longer than this, and than twice the longest plan before it, does not come: in a flat one takes
 # 0.1 to 0.25 s, over 1000 × 1000 cells 0.8 s.
 _SILENT_S = 0.5
