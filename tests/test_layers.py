@@ -43,6 +43,7 @@ LAYERS = (
     "keyframes",
     "estimates",
     "clocks",
+    "interrupts",
     "threads",
     "views",
     "evaluation",

@@ -27,7 +27,8 @@ def serve(connection: Connection, work: Callable[[Any], object], folder: str) ->
         work: what is done with a job.
         folder: what is written meanwhile goes there, stderr too.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for of_terminals in (signal.SIGINT, getattr(signal, "SIGHUP", signal.SIGINT)):
+        signal.signal(of_terminals, signal.SIG_IGN)
     tempfile.tempdir = folder
     _speak_into(os.path.join(folder, "stderr.txt"))  # noqa: PTH118 - before anything else is loaded
     ending = threading.Thread(target=_end_with_parent, args=(folder,), daemon=True)

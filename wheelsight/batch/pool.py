@@ -53,7 +53,7 @@ def run_on_processes(
 ) -> Generator[Outcome]:
     """Outcomes as they come; however the iteration ends, no process is left.
 
-    Ctrl-C reaches this process alone: the others do not hear it, and are ended from here.
+    Ctrl-C and the end of a terminal reach this process alone, which ends the others.
 
     Args:
         jobs: in this order.
@@ -139,13 +139,13 @@ def _start(work: Work, scratch: Path) -> _Worker:
 
 @contextmanager
 def _quiet_and_single() -> Iterator[None]:
-    """A process started here hears no Ctrl-C from its first moment on, and its libraries have one thread each.
+    """A process started here gets no Ctrl-C and no SIGHUP from its first moment on; its libraries have one thread each.
 
-    Ctrl-C that comes meanwhile is heard here right after.
+    What comes meanwhile comes here right after.
     """
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
-    held = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT]) if sys.platform != "win32" else None
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGHUP]) if sys.platform != "win32" else None
     try:
         yield
     finally:

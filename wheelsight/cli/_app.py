@@ -26,9 +26,10 @@ from wheelsight.cli import (
     warm_up,
     wheels,
 )
-from wheelsight.cli._console import INPUT_IS_WRONG, INTERRUPTED, print_error, speak_any_encoding
+from wheelsight.cli._console import INPUT_IS_WRONG, prepare_streams, print_error
 from wheelsight.cli._help import Command, Group
 from wheelsight.errors import WheelsightError
+from wheelsight.interrupts import end_by_signals, exit_code, was_asked
 
 
 class _Commands(Group):
@@ -36,7 +37,6 @@ class _Commands(Group):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """As the panels have them: typer would put all groups last."""
-        del ctx
         return [name for _, commands in _COMMANDS for _, name, _ in commands]
 
     def invoke(self, ctx: Any) -> Any:
@@ -50,9 +50,11 @@ class _Commands(Group):
                 raise
             print_error("no folder can keep the compiled kernels (set NUMBA_CACHE_DIR to one that you may write to)")
             raise typer.Exit(INPUT_IS_WRONG) from error
-        except KeyboardInterrupt as interruption:
+        except (KeyboardInterrupt, typer.Abort) as ending:
+            if isinstance(ending, typer.Abort) and not was_asked():
+                raise  # the answer to a question
             print_error("interrupted")
-            raise typer.Exit(INTERRUPTED) from interruption
+            raise typer.Exit(exit_code()) from ending
 
 
 app = typer.Typer(
@@ -143,5 +145,6 @@ def _about(
 
 def main() -> None:
     """The entry point of the command `wheelsight`."""
-    speak_any_encoding()
+    end_by_signals()
+    prepare_streams()
     app()

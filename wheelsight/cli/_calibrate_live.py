@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from wheelsight.cli._console import INTERRUPTED, console, print_note, print_warning
+from wheelsight.cli._console import console, print_note, print_warning
 from wheelsight.errors import CalibrationError
+from wheelsight.interrupts import exit_code, until_stopped
 
 if TYPE_CHECKING:
     from wheelsight.camera_calibration.live_views import ViewTaker
@@ -38,7 +39,6 @@ def calibrate_live(task: CameraTask, which: str, folder: Path, settings: LiveCam
         Exit: after Ctrl-C; the views stay.
     """
     from wheelsight.camera_calibration.live_views import ViewTaker
-    from wheelsight.cli._signals import until_stopped
     from wheelsight.devices import open_live_camera
     from wheelsight.devices.robot_camera import ANY
 
@@ -55,7 +55,7 @@ def calibrate_live(task: CameraTask, which: str, folder: Path, settings: LiveCam
             why = _take_views(camera, taker, folder, task.depth_factor, is_over)
             if why is _Why.STOPPED:
                 print_note(f"{_counted(len(taker.seen))} in {folder}; the same command goes on with them")
-                raise typer.Exit(INTERRUPTED)
+                raise typer.Exit(exit_code())
             if not taker.seen:
                 problem = f"no view of the board {task.board} came from {camera.name}"
                 raise CalibrationError(problem, fix="check --board, light and focus; hold still for half a second")

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import typer
 
-from wheelsight.cli._console import INTERRUPTED, console, print_note, print_warning
+from wheelsight.cli._console import console, print_note, print_warning
+from wheelsight.interrupts import exit_code
 
 
 def compile_ahead(parts: Sequence[str]) -> int:
@@ -27,7 +28,7 @@ def compile_ahead(parts: Sequence[str]) -> int:
         kernels, seconds = _watched(missing)
     except KeyboardInterrupt as interruption:
         print_note("interrupted while compiling; what is compiled stays, and nothing was run")
-        raise typer.Exit(INTERRUPTED) from interruption
+        raise typer.Exit(exit_code()) from interruption
     # Each run compiles on the way what it calls, and notes no part as whole.
     print_note(
         f"compiled {kernels} kernel{'s' * (kernels > 1)} in {seconds:.0f} s"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import errno
 import io
 import json
 import math
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 
 INPUT_IS_WRONG = 2
-INTERRUPTED = 130
+_STDERR = 2
 _WIDTH_OF_FILES = 200
 _LETTERS = "wheelsight-letters"
 
@@ -26,8 +27,8 @@ _IN_LETTERS = {"σ": "sigma", "α": "alpha", "β": "beta", "γ": "gamma", "≥":
 _IN_LETTERS |= {"×": "x", "°": " deg", "µ": "u", "±": "+-", "·": "-", "…": "...", "✓": "ok", "²": "2", "³": "3"}
 
 
-def speak_any_encoding() -> None:
-    """From now on stdout and stderr take any text; signs that their encoding lacks are told in letters."""
+def _speak_any_encoding() -> None:
+    """Signs that the encoding of stdout and stderr lacks are written in letters."""
     codecs.register_error(_LETTERS, _told_in_letters)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "backslashreplace"):
@@ -39,6 +40,35 @@ def _told_in_letters(error: UnicodeError) -> tuple[str, int]:
         raise error
     missing = error.object[error.start : error.end]
     return "".join(_IN_LETTERS.get(sign, "?") for sign in missing), error.end
+
+
+class _Loseable(io.FileIO):
+    """Drops what it can no longer write: whoever closes a terminal must not break off what its program still does.
+
+    A reader of stderr may go too. One of stdout, such as `head`, ends the program as ever.
+    """
+
+    def write(self, data: Any, /) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:
+            if error.errno != errno.EIO and not (error.errno == errno.EPIPE and self.fileno() == _STDERR):
+                raise
+            return memoryview(data).nbytes
+
+
+def prepare_streams() -> None:
+    """From now on stdout and stderr take any text, and go on without their terminal once that is closed."""
+    _speak_any_encoding()
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if sys.platform == "win32" or not isinstance(stream, io.TextIOWrapper):
+            continue  # on Windows a console that is closed ends its programs
+        stream.flush()
+        raw = _Loseable(stream.fileno(), "wb", closefd=False)
+        buffer: Any = raw if stream.write_through else io.BufferedWriter(raw)
+        how: dict[str, Any] = {"line_buffering": stream.line_buffering, "write_through": stream.write_through}
+        setattr(sys, name, io.TextIOWrapper(buffer, stream.encoding, stream.errors, **how))
 
 
 def console(stderr: bool = False) -> Console:

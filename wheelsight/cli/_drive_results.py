@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from wheelsight.cli._console import INTERRUPTED, print_error, print_note, print_warning
+from wheelsight.cli._console import print_error, print_note, print_warning
+from wheelsight.interrupts import exit_code
 
 if TYPE_CHECKING:
     from wheelsight.pipeline.drive_record import DriveRecord
@@ -70,7 +71,7 @@ def tell(record: DriveRecord, left_out: str = "") -> None:
         )
     if record.is_interrupted:
         print_note("interrupted; the robot was stopped first, and stands")
-        raise typer.Exit(INTERRUPTED)
+        raise typer.Exit(exit_code())
     if left_out:
         print_error(left_out)
     if not record.has_arrived:

@@ -12,7 +12,8 @@ from wheelsight.cli._drive_inputs import check, drive_settings
 from wheelsight.cli._drive_results import Truth, tell, write
 from wheelsight.cli._drive_robots import robot_of, robot_words
 from wheelsight.cli._drive_tasks import do_all, tasks_of, why_no_return
-from wheelsight.cli._signals import until_stopped
+from wheelsight.errors import DeviceError
+from wheelsight.interrupts import until_stopped
 
 if TYPE_CHECKING:
     from wheelsight.cli._drive_options import DriveOptions
@@ -29,11 +30,11 @@ _PARTS = ("wheels", "dense", "joined", "loops", "navigation")
 
 
 class _ToldToStop(Exception):  # noqa: N818 - it is no error
-    """Ctrl-C, or SIGTERM."""
+    """One of the signals that end a program."""
 
 
 def drive_there(options: DriveOptions) -> None:
-    """Drive to all goals; Exit with 1 where one was not reached, with 130 where somebody stopped it.
+    """Drive to all goals; Exit with 1 where one was not reached, with 130, 143 or 129 where a signal stopped it.
 
     Raises what was handed in wrong, before anything moves.
     """
@@ -114,6 +115,11 @@ def _through(drive: Drive, tasks: Sequence[Task], options: DriveOptions, on_step
         try:
             do_all(drive, tasks, options, step)
         except _ToldToStop:
+            return True
+        except DeviceError:
+            # The signal may have ended the process that localizes, too.
+            if not is_over():
+                raise
             return True
     return False
 

@@ -74,8 +74,8 @@ def _opened(asked: LiveRun, settings: Config, out: Path, force: bool) -> Iterato
     from wheelsight.cli._compiling import compile_missing
     from wheelsight.cli._console import print_note
     from wheelsight.cli._record_view import note
-    from wheelsight.cli._signals import until_stopped
     from wheelsight.files import new_output_folder
+    from wheelsight.interrupts import until_stopped
     from wheelsight.pipeline import LiveSource
     from wheelsight.pipeline.kernels import parts_of
 

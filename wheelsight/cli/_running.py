@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from wheelsight.cli._console import INTERRUPTED
 from wheelsight.cli._run_progress import expected, show_progress
+from wheelsight.interrupts import exit_code
 
 if TYPE_CHECKING:
     from wheelsight.config import Config
@@ -74,7 +74,7 @@ def _told_where(out: Path, answered: Sequence[bool]) -> Iterator[None]:
     except KeyboardInterrupt as interruption:
         found = f"what was found until then is in {out}" if answered else "nothing was found until then"
         print_note(f"interrupted; {found}")
-        raise typer.Exit(INTERRUPTED) from interruption
+        raise typer.Exit(exit_code()) from interruption
 
 
 def _watcher(target: str, source: EventSource, settings: Config, force: bool) -> AbstractContextManager[RerunLog]:

@@ -13,8 +13,8 @@ import typer
 from wheelsight.cli._console import print_note, print_warning
 from wheelsight.cli._drive_inputs import check_robot, settings_of
 from wheelsight.cli._drive_robots import robot_of
-from wheelsight.cli._signals import until_stopped
 from wheelsight.errors import ConfigError
+from wheelsight.interrupts import until_stopped
 
 if TYPE_CHECKING:
     from wheelsight.calibration import Calibration
@@ -50,7 +50,7 @@ class Refusals:
 
 
 def serve_there(options: ServeOptions) -> None:
-    """Until Ctrl-C or SIGTERM. Raises what was handed in wrong, before anything moves."""
+    """Until Ctrl-C, SIGTERM or SIGHUP. Raises what was handed in wrong, before anything moves."""
     from wheelsight.cli._compiling import compile_missing
     from wheelsight.cli._outputs import check_rerun
     from wheelsight.extras import needed
@@ -69,8 +69,6 @@ def serve_there(options: ServeOptions) -> None:
         how: dict[str, Any] = {"paces": options.is_simulated, "on_problem": print_warning, "watch": log}
         with Session(robot, maps, config.page, **how) as session:
             _serve(session, config, access, options)
-            # Before what takes its time, such as to write a map.
-            session.stop("the program ends")
             print_note("stopped; ending")
 
 
@@ -129,6 +127,8 @@ def _serve(session: Session, config: Config, access: Access, options: ServeOptio
         waiting = threading.Event()
         while not is_over():
             waiting.wait(_LOOK_S)
+        # Before what takes its time, such as to close pages and to write a map.
+        session.stop("the program ends")
 
 
 def addresses(host: str, port: int, token: str) -> list[str]:

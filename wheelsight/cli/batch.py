@@ -21,7 +21,8 @@ from wheelsight.cli._batch_options import (
     cores,
     share,
 )
-from wheelsight.cli._console import INPUT_IS_WRONG, INTERRUPTED
+from wheelsight.cli._console import INPUT_IS_WRONG
+from wheelsight.interrupts import exit_code
 
 if TYPE_CHECKING:
     from wheelsight.batch import BatchSettings, Row
@@ -70,7 +71,7 @@ def batch(
         rows = run_plan(plan, out, jobs or cores(), scheduler, settings, told_of(plan, seeds))
     except KeyboardInterrupt as interruption:
         print_note(f"interrupted; what is done is kept in {out}, and the same command goes on")
-        raise typer.Exit(INTERRUPTED) from interruption
+        raise typer.Exit(exit_code()) from interruption
     is_broken = _print(rows, out)
     is_worse = before is not None and _is_worse(rows, before, allowed, allowed_cost, settings)
     if is_broken or is_worse:

@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from wheelsight.cli._options import OUTPUT, Topics
-from wheelsight.cli._signals import until_stopped
 from wheelsight.cli.wheels import Baud, Seconds
+from wheelsight.interrupts import until_stopped
 
 _SENSORS = "Sensors"
 
@@ -83,7 +83,7 @@ def record(
     seconds: Seconds = None,
     config: SettingsFile = None,
 ) -> None:
-    """Record a camera, wheels, or both until Ctrl-C, which `wheelsight run DIR` reads.
+    """Record a camera, wheels, or both until Ctrl-C, SIGTERM or SIGHUP, which `wheelsight run DIR` reads.
 
     Everything is on its way to the disk within a second, so whatever ends the recording leaves a valid one; --resume
     goes on with it. A camera or port that vanishes is waited for, and the other sensor goes on. Frames for which the

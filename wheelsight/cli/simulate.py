@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from wheelsight.cli._console import INTERRUPTED
 from wheelsight.cli._simulation_inputs import plan_of, settings_from
 from wheelsight.cli._simulation_options import SimulateOptions
 from wheelsight.cli._takes import takes
 from wheelsight.errors import ConfigError
+from wheelsight.interrupts import exit_code
 
 if TYPE_CHECKING:
     from wheelsight.recordings import RecordingWriter
@@ -70,7 +70,7 @@ def _simulate(settings: SimulationSettings, out: Path, force: bool) -> None:
         except KeyboardInterrupt as interruption:
             frames = _frames_listed(out)
             print_note(f"interrupted; {out} holds the drive up to there, {frames} frames" if frames else "interrupted")
-            raise typer.Exit(INTERRUPTED) from interruption
+            raise typer.Exit(exit_code()) from interruption
     print_note(f"{writer.frames} frames and {writer.readings} wheel readings are in {out}; plan: {out / 'plan.png'}")
 
 

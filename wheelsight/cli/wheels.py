@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from wheelsight.cli._help import Command, Group
-from wheelsight.cli._signals import until_stopped
+from wheelsight.interrupts import until_stopped
 
 if TYPE_CHECKING:
     from wheelsight.calibration import Wheels

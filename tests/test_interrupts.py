@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from wheelsight.pipeline.interrupts import whole_step
+from wheelsight.interrupts import whole_step
 
 
 @pytest.fixture(autouse=True)

@@ -1,0 +1,153 @@
+"""Signals that end a program: Ctrl-C, SIGTERM, and SIGHUP of a terminal that is closed. All three end it alike.
+
+The first begins a tidy end: the step at hand is finished, a robot is stopped, results are written. A second gives up
+what is not finished of that, wherever the program is; the system kills the program if it hangs there. A third kills it.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+ENDING: tuple[signal.Signals, ...] = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
+_SIGHUP = getattr(signal, "SIGHUP", None)
+# A closed terminal sends SIGHUP through its shell and by itself, and systemd SIGTERM and SIGHUP: one wish each time.
+_ONE_WISH_S = 1.0
+# Closing a camera and a serial line takes up to 3 s.
+_FORCED_S = 5
+
+_Handler = Callable[[int, FrameType | None], None]
+
+
+class _Program:
+    """The signals that came, and how far the program has come with its end.
+
+    Args:
+        is_ours: whether the program may be killed; else it belongs to another, which uses this package.
+    """
+
+    def __init__(self, *, is_ours: bool = False) -> None:
+        self.asked: list[int] = []
+        self._is_ours, self._last_s, self._begun = is_ours, 0.0, 0
+
+    def asks(self, number: int) -> bool:
+        """Note a signal; False where it belongs to the wish that came just before."""
+        now_s = time.monotonic()
+        is_close = bool(self.asked) and now_s - self._last_s < _ONE_WISH_S
+        if is_close and (number == _SIGHUP or number not in self.asked):
+            return False
+        self._last_s = now_s
+        self.asked.append(number)
+        return True
+
+    def begin_end(self) -> None:
+        """The tidy end begins; a second time, it is given up within `_FORCED_S`; a third time, at once."""
+        self._begun += 1
+        if not self._is_ours or self._begun == 1:
+            return
+        if self._begun == 2:
+            if hasattr(signal, "alarm"):
+                # The system's own answer ends what is stuck in compiled code, too.
+                signal.signal(signal.SIGALRM, signal.SIG_DFL)
+                signal.alarm(_FORCED_S)
+            return
+        signal.signal(self.asked[0], signal.SIG_DFL)
+        os.kill(os.getpid(), self.asked[0])
+
+
+_program: _Program | None = None
+
+
+def end_by_signals() -> None:
+    """From now on SIGTERM and SIGHUP raise KeyboardInterrupt, as Ctrl-C does. For a program's entry.
+
+    What the program ignores from its beginning on, such as SIGHUP under nohup, stays ignored.
+    """
+    global _program
+    _program = _Program(is_ours=True)
+    for number in ENDING:
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+            signal.signal(number, _interrupt)
+
+
+def exit_code() -> int:
+    """Of a program that a signal ended, as shells have it: 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP."""
+    return 128 + (_program.asked[0] if _program is not None and _program.asked else signal.SIGINT)
+
+
+def was_asked() -> bool:
+    """Whether a signal has asked this program to end, since `end_by_signals`."""
+    return _program is not None and bool(_program.asked)
+
+
+@contextmanager
+def until_stopped(seconds: float | None = None) -> Iterator[Callable[[], bool]]:
+    """A question, "is it over?": yes after one of the signals, or after so many seconds.
+
+    A second signal raises KeyboardInterrupt. A SIGHUP that is ignored stays so.
+    """
+    program = _program or _Program()
+    ends_s = None if seconds is None else time.monotonic() + seconds
+    came: list[int] = []
+
+    def stop(number: int, _: FrameType | None) -> None:
+        if program.asks(number):
+            came.append(number)
+            program.begin_end()
+            if len(came) > 1:
+                raise KeyboardInterrupt
+
+    ignored = [number for number in ENDING if number == _SIGHUP and signal.getsignal(number) is signal.SIG_IGN]
+    with _handled([number for number in ENDING if number not in ignored], stop):
+        yield lambda: bool(came) or (ends_s is not None and time.monotonic() >= ends_s)
+
+
+@contextmanager
+def whole_step() -> Iterator[None]:
+    """A first signal in the block raises KeyboardInterrupt at its end, so that nothing is half built; a second at once.
+
+    Only signals that would raise it anyway: a program's own handlers stay, and other threads are left alone.
+    """
+    raising = [number for number in ENDING if signal.getsignal(number) in (signal.default_int_handler, _interrupt)]
+    if not raising or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    program = _program or _Program()
+    came: list[int] = []
+
+    def wait(number: int, _: FrameType | None) -> None:
+        if program.asks(number):
+            came.append(number)
+            if len(came) > 1:
+                program.begin_end()
+                raise KeyboardInterrupt
+
+    with _handled(raising, wait):
+        yield
+    if came:
+        program.begin_end()
+        raise KeyboardInterrupt
+
+
+def _interrupt(number: int, _: FrameType | None) -> None:
+    assert _program is not None
+    if _program.asks(number):
+        _program.begin_end()
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def _handled(numbers: list[signal.Signals], handler: _Handler) -> Iterator[None]:
+    before = {number: signal.signal(number, handler) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler_before in before.items():
+            signal.signal(number, handler_before)
