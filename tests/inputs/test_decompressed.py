@@ -10,6 +10,7 @@ import sys
 import tracemalloc
 import zlib
 from collections.abc import Callable
+from functools import partial
 
 import lz4.frame
 import numpy as np
@@ -26,7 +27,7 @@ MEGABYTE = 1 << 20
 COMPRESS: dict[str, Callable[[bytes], bytes]] = {
     "bz2": bz2.compress,
     "lz4": lz4.frame.compress,
-    "xz": lzma.compress,
+    "xz": partial(lzma.compress, preset=0),
     "zlib": zlib.compress,
     "zstd": zstd.compress,
 }
@@ -38,7 +39,7 @@ def content(rng: np.random.Generator, size: int) -> bytes:
 
 
 @ways
-@pytest.mark.parametrize("size", [0, 1, 100, MEGABYTE, MEGABYTE + 1, 3 * MEGABYTE])
+@pytest.mark.parametrize("size", [0, 100, MEGABYTE, MEGABYTE + 1])
 def test_content_comes_out_as_it_went_in(way: str, size: int, rng: np.random.Generator) -> None:
     raw = content(rng, size)
     packed = COMPRESS[way](raw)
@@ -63,9 +64,11 @@ def test_another_size_than_stated_is_refused(way: str) -> None:
         decompressed(packed, way, MEGABYTE, 999)
     with pytest.raises(ValueError, match=f"states 1001 bytes of {way} content and holds 1000"):
         decompressed(packed, way, MEGABYTE, 1001)
-    with pytest.raises(ValueError, match="beyond the 999 bytes that are allowed"):
+    # zstd's own header states it, too.
+    told = "states 1,000 bytes of zstd content, more than the 999" if way == "zstd" else "beyond the 999 bytes that are"
+    with pytest.raises(ValueError, match=told):
         decompressed(packed, way, 999)
-    with pytest.raises(ValueError, match="beyond the 999 bytes that are allowed"):
+    with pytest.raises(ValueError, match=told):
         decompress_into(io.BytesIO(packed), io.BytesIO(), way, 999)
 
 
@@ -92,14 +95,14 @@ def test_a_bomb_takes_no_more_memory_than_is_allowed(way: str) -> None:
     tracemalloc.start()
     try:
         for stated in (None, MEGABYTE):
-            with pytest.raises(ValueError, match="beyond"):
+            with pytest.raises(ValueError, match=r"beyond|more than the 1 MB allowed"):
                 decompressed(bomb, way, MEGABYTE, stated)
         _, most = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
     assert most < 24 * MEGABYTE  # xz has a dictionary of 8 MB
     sink = io.BytesIO()
-    with pytest.raises(ValueError, match="beyond"):
+    with pytest.raises(ValueError, match=r"beyond|more than the 1 MB allowed"):
         decompress_into(io.BytesIO(bomb), sink, way, MEGABYTE)
     assert sink.tell() <= MEGABYTE
 

@@ -7,6 +7,7 @@ import lzma
 import sys
 import zlib
 from collections.abc import Callable, Iterable, Iterator
+from itertools import chain
 from typing import Any, BinaryIO
 
 from wheelsight.extras import needed
@@ -17,6 +18,7 @@ _STEP_BYTES = 1 << 20
 _MOST_STREAMS = 10_000
 # Of an xz stream's dictionary: 64 MB is that of xz -9.
 _MOST_XZ_MEMORY = 96 << 20
+_ZSTD_HEAD = 18  # bytes, of a frame at most
 
 
 def decompressed(data: bytes | memoryview, way: str, most_bytes: int, stated_bytes: int | None = None) -> bytes:
@@ -33,8 +35,7 @@ def decompressed(data: bytes | memoryview, way: str, most_bytes: int, stated_byt
             text continues a sentence that begins with the name of the file.
         ConfigError: the library for this way is not installed.
     """
-    if stated_bytes is not None and stated_bytes > most_bytes:
-        raise ValueError(f"states {_mb(stated_bytes)} of {way} content, more than the {_mb(most_bytes)} allowed")
+    _refuse_beyond(way, most_bytes, stated_bytes if stated_bytes is not None else _stated_by(way, data))
     limit = most_bytes if stated_bytes is None else stated_bytes
     parts: list[bytes] = []
     made = 0
@@ -50,8 +51,9 @@ def decompressed(data: bytes | memoryview, way: str, most_bytes: int, stated_byt
 
 def decompress_into(source: BinaryIO, target: BinaryIO, way: str, most_bytes: int) -> int:
     """Copy the content of a compressed file into another one; its size. Raises as `decompressed`, and OSError."""
-    made = 0
-    for part in _parts(way, iter(lambda: source.read(_STEP_BYTES), b""), most_bytes):
+    made, first = 0, source.read(_STEP_BYTES)
+    _refuse_beyond(way, most_bytes, _stated_by(way, first))
+    for part in _parts(way, chain((first,), iter(lambda: source.read(_STEP_BYTES), b"")), most_bytes):
         made += len(part)
         if made > most_bytes:
             raise ValueError(_beyond(way, most_bytes, is_stated=False))
@@ -117,9 +119,30 @@ def _decompressors(way: str) -> tuple[Callable[[], Any], tuple[type[Exception], 
     if way == "lz4":
         return needed("lz4.frame").LZ4FrameDecompressor, (RuntimeError, EOFError)
     if way == "zstd":
-        zstd = needed("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
+        zstd = _zstd()
         return zstd.ZstdDecompressor, (zstd.ZstdError, EOFError)
     raise ValueError(f"is compressed by {way!r}, which is not read")
+
+
+def _zstd() -> Any:
+    return needed("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
+
+
+def _stated_by(way: str, data: bytes | memoryview) -> int | None:
+    """The size that the data themselves state, as most of zstd's do; None where they do not."""
+    if way != "zstd":
+        return None
+    zstd = _zstd()
+    try:
+        stated: int | None = zstd.get_frame_info(data[:_ZSTD_HEAD]).decompressed_size
+    except zstd.ZstdError:
+        return None
+    return stated
+
+
+def _refuse_beyond(way: str, most_bytes: int, stated_bytes: int | None) -> None:
+    if stated_bytes is not None and stated_bytes > most_bytes:
+        raise ValueError(f"states {_mb(stated_bytes)} of {way} content, more than the {_mb(most_bytes)} allowed")
 
 
 def _beyond(way: str, limit: int, is_stated: bool) -> str:

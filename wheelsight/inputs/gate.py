@@ -43,7 +43,7 @@ class Kind:
     """
 
     name: str
-    most_mb: int
+    most_mb: float
     most_lines: int = 1_500_000
     longest_line: int = 1 << 16
     missing: str = "cannot be read: No such file or directory"
@@ -58,7 +58,7 @@ def read_bytes(path: StrPath, kind: Kind, error: type[InputError]) -> bytes:
     """
     with open_binary(path, kind, error) as stream:
         try:
-            return stream.read(min(os.fstat(stream.fileno()).st_size, kind.most_mb * _MEGABYTE))
+            return stream.read(min(os.fstat(stream.fileno()).st_size, int(kind.most_mb * _MEGABYTE)))
         except OSError as problem:
             raise error(f"cannot be read: {problem.strerror}", path=path, fix=kind.fix) from problem
 
@@ -139,8 +139,13 @@ def _check(status: os.stat_result, path: Path, kind: Kind, error: type[InputErro
     if status.st_dev in _kernel_devices():
         raise error("is no file on a disk, but made by the system", path=path, fix=_COPY)
     if status.st_size > kind.most_mb * _MEGABYTE:
-        problem = f"holds {status.st_size / _MEGABYTE:.0f} MB, more than {kind.name} may: {kind.most_mb} MB"
+        holds, may = _size(status.st_size), _size(kind.most_mb * _MEGABYTE)
+        problem = f"holds {holds}, more than {kind.name} may: {may}"
         raise error(problem, path=path, fix="is it the right file?")
+
+
+def _size(size_bytes: float) -> str:
+    return f"{size_bytes / _MEGABYTE:.0f} MB" if size_bytes >= _MEGABYTE else f"{size_bytes / 1024:.0f} kB"
 
 
 @cache

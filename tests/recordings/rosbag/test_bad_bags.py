@@ -27,7 +27,6 @@ from wheelsight.events import RgbdFrame, SkippedFrame, WheelSpeeds
 from wheelsight.recordings import open_recording
 from wheelsight.recordings.clocks import FRAMES as FRAME_STAMPS
 from wheelsight.recordings.clocks import WHEELS, listed_stamps, refuse_if_apart
-from wheelsight.recordings.rosbag.cut_mcap import McapFile
 from wheelsight.recordings.rosbag.images import depth_of
 from wheelsight.recordings.rosbag.storage import OpenBag
 from wheelsight.recordings.rosbag.writing import new_bag
@@ -37,7 +36,7 @@ def test_metadata_of_gigabytes_is_not_read(tmp_path: Path) -> None:
     folder = write_bag(tmp_path / "drive", odometry_drive(), storage="sqlite3")
     os.truncate(folder / "metadata.yaml", 10 << 30)
     with pytest.raises(
-        RecordingError, match=r"metadata\.yaml: holds 10240 MB, more than metadata\.yaml of a bag may: 8 MB"
+        RecordingError, match=r"metadata\.yaml: holds 10240 MB, more than metadata\.yaml of a bag may: 256 kB"
     ):
         open_recording(folder)
 
@@ -91,7 +90,7 @@ def test_an_mcap_that_is_cut_in_a_chunk_keeps_the_chunks_before(tmp_path: Path) 
     assert 20 < len(list(recording.events())) < 150
 
 
-def test_messages_of_a_cut_mcap_that_are_not_in_order_are_refused(tmp_path: Path) -> None:
+def test_messages_of_a_cut_mcap_are_put_in_order(tmp_path: Path) -> None:
     drive = camera_drive()
     ordered = sorted(drive.messages, key=lambda item: item[0])
     path = tmp_path / "drive.mcap"
@@ -99,8 +98,8 @@ def test_messages_of_a_cut_mcap_that_are_not_in_order_are_refused(tmp_path: Path
         for at_s, topic, message in (*ordered[3:], *ordered[:3]):
             bag.add(topic, message, START_S + at_s)
     path.write_bytes(path.read_bytes()[:-9])
-    with pytest.raises(RecordingError, match=r"not in order of receipt .mcap recover drive\.mcap"):
-        list(open_recording(path).events())
+    stamps_s = [event.stamp_s for event in open_recording(path).events()]
+    np.testing.assert_allclose(stamps_s, START_S + 0.1 + np.arange(FRAMES) / 30, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["text.bag", "text.mcap", "text.db3"])
@@ -274,14 +273,6 @@ def test_the_last_message_of_a_topic_that_ends_early_is_found(opened) -> None:
     stamps = listed_stamps(opened(drive))
     assert stamps[FRAME_STAMPS][-1] == pytest.approx(START_S + 0.1 + 5 / 30, abs=1e-5)
     assert stamps[WHEELS][-1] == pytest.approx(START_S + 59.8)
-
-
-def test_no_more_of_an_mcap_is_asked_for_than_there_is(tmp_path: Path) -> None:
-    """Damaged records say that they are as long as may be, and no computer has room for so much."""
-    path = file_of(tmp_path)
-    with McapFile(path).open() as stream:
-        stream.seek(8)
-        assert stream.read(1 << 62) == path.read_bytes()[8:]
 
 
 @pytest.mark.parametrize(("is_ros1", "fix"), [(True, "rosbag reindex drive.bag"), (False, "mcap recover")])

@@ -7,7 +7,6 @@ import numpy as np
 from wheelsight.geometry import FloatArray
 from wheelsight.recordings.rosbag.robot import Robot
 from wheelsight.recordings.rosbag.settings import BagSettings
-from wheelsight.recordings.rosbag.stamps import header_of
 from wheelsight.recordings.rosbag.storage import OpenBag
 from wheelsight.recordings.rosbag.topics import Roles
 
@@ -22,7 +21,7 @@ def up_of_gyro(bag: OpenBag, roles: Roles, robot: Robot, settings: BagSettings) 
     """
     if roles.gyro is None:
         return _UP, []
-    frame = header_of(bag.first(roles.gyro)[0].data, bag.is_ros1).frame
+    frame = bag.header(bag.first(roles.gyro)[0]).frame
     T = None if robot.base is None else robot.transforms.between(robot.base, frame)
     told = None if T is None else T[2, :3]
     felt = _felt(bag, roles.gyro, settings)

@@ -23,7 +23,7 @@ from wheelsight.recordings.rosbag.files import parts_of
 from wheelsight.recordings.rosbag.gravity import up_of_gyro
 from wheelsight.recordings.rosbag.recording import BagPlan, BagRecording
 from wheelsight.recordings.rosbag.robot import Robot, read_robot
-from wheelsight.recordings.rosbag.stamps import TopicClock, clocks_of, header_of
+from wheelsight.recordings.rosbag.stamps import TopicClock, clocks_of
 from wheelsight.recordings.rosbag.storage import OpenBag, open_bag
 from wheelsight.recordings.rosbag.topics import CALIBRATION, TEXT, Choices, Roles, lacks, roles_of
 from wheelsight.recordings.rosbag.wheels import JointSpeeds, JointTicks, OdometrySpeeds, SpeedReader, told_by_twist
@@ -62,7 +62,9 @@ class BagReader:
 def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
     settings = options.bag
     used = [name for role, name in roles.used.items() if role in ("color", "depth", "wheels", "gyro")]
-    clocks, warnings = clocks_of({topic: bag.first(topic)[0] for topic in used}, bag.is_ros1, settings.most_apart_s)
+    firsts = {topic: bag.first(topic)[0] for topic in used}
+    stamps_s = {topic: (bag.header(message).stamp_s, message.receipt_s) for topic, message in firsts.items()}
+    clocks, warnings = clocks_of(stamps_s, settings.most_apart_s)
     robot = read_robot(bag, roles, settings)
     up, of_gravity = up_of_gyro(bag, roles, robot, settings)
     calibration = _calibrated(bag, roles, robot, options)
@@ -165,7 +167,7 @@ def _variances(bag: OpenBag, topic: str, first: Any) -> SpeedVariances | None:
     stated = np.asarray(first.twist.covariance, float).reshape(6, 6).diagonal()[[0, 1, 5]]
     if not (np.isfinite(stated).all() and (stated >= 0).all() and stated[0] > 0 and stated[2] > 0):
         return None
-    stamp_s = header_of(bag.first(topic)[0].data, bag.is_ros1).stamp_s
+    stamp_s = bag.header(bag.first(topic)[0]).stamp_s
     return SpeedVariances(np.array([stamp_s]), stated[None, :])
 
 
@@ -187,7 +189,7 @@ def _ends(bag: OpenBag, roles: Roles, clocks: dict[str, TopicClock]) -> dict[str
         if topic is None:
             continue
         messages = [*bag.first(topic, _FIRST_MESSAGES), bag.last(topic)]
-        headers = [header_of(message.data, bag.is_ros1).stamp_s for message in messages]
+        headers = [bag.header(message).stamp_s for message in messages]
         stamps_s = [clocks[topic].anew().stamp_s(h, m.receipt_s) for h, m in zip(headers, messages, strict=True)]
         ends[what] = np.array(stamps_s)
     return ends

@@ -23,7 +23,7 @@ from wheelsight.recordings._read_ahead import read_ahead
 from wheelsight.recordings.protocol import AssociationReport, ListedFrame, OpenOptions, RecordedTopic
 from wheelsight.recordings.rosbag.images import color_of, depth_of
 from wheelsight.recordings.rosbag.order import Arrival, Pairing, RawFrame, in_order
-from wheelsight.recordings.rosbag.stamps import TopicClock, header_of
+from wheelsight.recordings.rosbag.stamps import TopicClock
 from wheelsight.recordings.rosbag.storage import Message, OpenBag, open_bag
 from wheelsight.recordings.rosbag.topics import Roles
 from wheelsight.recordings.rosbag.wheels import SpeedReader
@@ -101,7 +101,7 @@ class _Pass:
         """A reading; None where there is none yet, and for an image, which waits to be paired."""
         roles, topic = self.plan.roles, message.topic
         try:
-            header_s = header_of(message.data, self.bag.is_ros1).stamp_s
+            header_s = self.bag.header(message).stamp_s
             stamp_s = self.clocks[topic].stamp_s(header_s, message.receipt_s)
             for kind, image in (("color", roles.color), ("depth", roles.depth)):
                 if image is not None and topic == image.name:

@@ -2,31 +2,7 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
-
-from wheelsight.recordings.rosbag.storage import Message
-
-
-@dataclass(frozen=True, slots=True)
-class Header:
-    """The stamp, 0 where none was given, and the frame that a message begins with."""
-
-    stamp_s: float
-    frame: str
-
-
-def header_of(data: bytes, is_ros1: bool) -> Header:
-    """The header of a message of a type that begins with one, without decoding the rest.
-
-    Raises struct.error or UnicodeDecodeError where there is none.
-    """
-    order = "<" if is_ros1 or data[1:2] == b"\x01" else ">"
-    # ROS 1 has a number of the message first; CDR has four bytes of how it is encoded, and ends strings by a zero.
-    seconds, nanoseconds, length = struct.unpack_from(f"{order}{'I' if is_ros1 else 'i'}II", data, 4)
-    frame = data[16 : 16 + length].rstrip(b"\0").decode()
-    return Header(seconds + 1e-9 * nanoseconds, frame.lstrip("/"))
 
 
 class TopicClock:
@@ -57,14 +33,14 @@ class TopicClock:
 
 
 def clocks_of(
-    firsts: Mapping[str, Message], is_ros1: bool, most_apart_s: float
+    firsts: Mapping[str, tuple[float, float]], most_apart_s: float
 ) -> tuple[dict[str, TopicClock], tuple[str, ...]]:
-    """A clock for each topic by its first message, and sentences on headers that are not believed.
+    """A clock for each topic by its first message's header and receipt, and sentences on headers that are not believed.
 
     Headers that all are off by the same, as in a bag that was recorded from another one's replay, are believed.
     """
-    headers = {topic: header_of(message.data, is_ros1).stamp_s for topic, message in firsts.items()}
-    offsets = {topic: message.receipt_s - headers[topic] for topic, message in firsts.items()}
+    headers = {topic: header_s for topic, (header_s, _) in firsts.items()}
+    offsets = {topic: receipt_s - header_s for topic, (header_s, receipt_s) in firsts.items()}
     alike = max(offsets.values(), default=0.0) - min(offsets.values(), default=0.0) <= most_apart_s
     clocks, warnings = {}, []
     for topic, offset_s in offsets.items():

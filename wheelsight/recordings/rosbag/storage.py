@@ -1,45 +1,32 @@
-"""Messages of a bag's files, in order of receipt; the one place that knows the package rosbags."""
+"""Bags as they are stored: topics, messages and their types; one interface over ROS 1, MCAP and sqlite3."""
 
 from __future__ import annotations
 
-import sys
+import struct
+import tempfile
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from wheelsight.errors import RecordingError
-from wheelsight.extras import needed
-from wheelsight.inputs import Kind, read_bytes
-from wheelsight.recordings.rosbag.cut_mcap import CutMcap, McapFile, cut_mcap
-from wheelsight.recordings.rosbag.files import METADATA, parts_of
+from wheelsight.errors import RecordingError, WheelsightError
+from wheelsight.inputs import decompress_into, open_binary
+from wheelsight.recordings.rosbag.chunks import BAG, Allowance, ChunkedReader
+from wheelsight.recordings.rosbag.definitions import Connection, store_of
+from wheelsight.recordings.rosbag.files import is_packed, named_parts, parts_of
+from wheelsight.recordings.rosbag.mcap import McapReader
 from wheelsight.recordings.rosbag.ros1 import Ros1Reader
+from wheelsight.recordings.rosbag.sqlite import SqliteReader
 
 _ZSTD = b"\x28\xb5\x2f\xfd"  # begins what is compressed message by message; plain CDR begins with a zero
 _FIRST_S, _LAST_S = 2.0, 2.0
-# A split bag has a paragraph of it for each of its files.
-_METADATA = Kind("metadata.yaml of a bag", 8)
-_IDL_RULE = "=" * 80 + "\n"
-# What rosbags says, and what to do about it; in order: the first that is found in its words.
-_FIXES = (
-    ("files are missing", "files that metadata.yaml names are missing", "remove metadata.yaml to read those there are"),
-    ("not indexed", "has no index: its recorder did not end it", "rosbag reindex FILE"),
-    ("index looks damaged", "is cut off: its index is not where it should be", "rosbag reindex FILE"),
-    ("File end magic", "is cut off: it has no end", "mcap recover FILE -o whole.mcap"),
-    ("Unindexed", "is cut off, and its messages are not in order of receipt", "mcap recover FILE -o whole.mcap"),
-    ("Profile is not ros2", "is an MCAP file, but not of ROS 2", "record it with ros2 bag, or convert it"),
-    ("type definitions", "does not say what its messages hold", "record with ROS 2 Iron or later, or as MCAP"),
-    ("database", "is no sqlite3 database, or a damaged one", "sqlite3 FILE .recover"),
-    ("malformed", "is a damaged sqlite3 database", "sqlite3 FILE .recover"),
-    ("metadata", "metadata.yaml does not fit", "remove metadata.yaml: the files beside it are read without it"),
-    ("seems to be empty", "is empty", "record again"),
-    ("magic is invalid", "is no bag", "check what wrote it"),
-    ("encryption", "is encrypted", "decrypt it first"),
-)
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+# Of a message that is no image: transforms of a large robot have 100 kB, a calibration 4 kB.
+_LARGEST_MESSAGE = 1 << 20
+_Reader = ChunkedReader | SqliteReader
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +52,14 @@ class Message:
         return self.receipt_ns * 1e-9
 
 
+@dataclass(frozen=True, slots=True)
+class Header:
+    """The stamp, 0 where none was given, and the frame that a message begins with."""
+
+    stamp_s: float
+    frame: str
+
+
 class OpenBag:
     """A bag whose files are open. Its topics come from its index; no message is read before it is asked for.
 
@@ -76,12 +71,12 @@ class OpenBag:
         warnings: one sentence each on files that lack their end.
     """
 
-    def __init__(self, path: Path, readers: Sequence[Any], is_ros1: bool, warnings: tuple[str, ...] = ()) -> None:
+    def __init__(self, path: Path, readers: Sequence[_Reader], is_ros1: bool, warnings: tuple[str, ...] = ()) -> None:
         self.path, self.is_ros1, self.warnings = path, is_ros1, warnings
         self._readers = sorted(readers, key=lambda reader: reader.start_time)
         self._stores: dict[str, Any] = {}
         self._firsts: dict[str, Message] = {}
-        connections = [connection for reader in readers for connection in reader.connections]
+        connections: list[Connection] = [connection for reader in readers for connection in reader.connections]
         counts: dict[str, int] = {}
         for connection in connections:
             counts[connection.topic] = counts.get(connection.topic, 0) + connection.msgcount
@@ -103,9 +98,19 @@ class OpenBag:
                 wanted = [connection for connection in reader.connections if connection.topic in topics]
                 if wanted:
                     for connection, receipt_ns, data in reader.messages(wanted, start_ns, stop_ns):
-                        yield Message(connection.topic, receipt_ns, _plain(data))
-        except Exception as error:  # rosbags lets through what zlib, lz4, sqlite, struct and its own asserts raise
+                        yield Message(connection.topic, receipt_ns, self._plain(data, connection.topic, reader))
+        except Exception as error:
             raise _refusal(self.path, error) from error
+
+    def _plain(self, data: bytes, topic: str, reader: _Reader) -> bytes:
+        """A message without its own compression, which it may have without a metadata.yaml that says so."""
+        if data[:4] != _ZSTD:
+            return data
+        try:
+            return reader.allowance.unpacked(data, "zstd")
+        except ValueError as error:
+            problem = f"a message of {topic} {error}"
+            raise RecordingError(problem, path=self.path, fix="check what wrote it, and copy it again") from error
 
     def first(self, topic: str, count: int = 1) -> list[Message]:
         """The first messages of a topic that has any, fewer where there are fewer. Raises RecordingError."""
@@ -140,42 +145,35 @@ class OpenBag:
             f"is damaged: its index tells of messages of {topic}, and none is there", path=self.path, fix=fix
         )
 
+    def header(self, message: Message) -> Header:
+        """The header of a message of a type that begins with one, without decoding the rest. Raises RecordingError."""
+        data = message.data
+        order = "<" if self.is_ros1 or data[1:2] == b"\x01" else ">"
+        try:
+            # ROS 1 has the message's number first. CDR has four bytes on its encoding, and ends strings by a zero.
+            seconds, ns, length = struct.unpack_from(f"{order}{'I' if self.is_ros1 else 'i'}II", data, 4)
+            frame = data[16 : 16 + length].rstrip(b"\0").decode()
+        except (struct.error, UnicodeDecodeError) as error:
+            problem = f"a message of {message.topic} has no header that can be read: {error}"
+            raise RecordingError(problem, path=self.path, fix="leave the topic out with --topic") from error
+        return Header(seconds + 1e-9 * ns, frame.lstrip("/"))
+
     def decode(self, message: Message) -> Any:
         """A message's fields as attributes. Raises RecordingError."""
-        type_ = self._of_topic[message.topic].msgtype
+        connection = self._of_topic[message.topic]
+        type_ = connection.msgtype
         try:
-            store = self._stores.get(type_) or self._learn(message.topic, type_)
-            read = store.deserialize_ros1 if self.is_ros1 else store.deserialize_cdr
-            return read(message.data, type_)
-        except Exception as error:
-            problem = f"a message of {message.topic} is no {type_}: {type(error).__name__} {error}"
+            if type_ not in (IMAGE, COMPRESSED) and len(message.data) > _LARGEST_MESSAGE:
+                raise ValueError(f"it has {len(message.data):,} bytes")
+            store = self._stores.get(type_)
+            if store is None:
+                store = store_of(type_, connection.language, connection.definition, self.is_ros1)
+                self._stores[type_] = store
+            return (store.deserialize_ros1 if self.is_ros1 else store.deserialize_cdr)(message.data, type_)
+        except Exception as error:  # rosbags lets through what struct, numpy, its parser and its own asserts raise
+            why = error.problem if isinstance(error, RecordingError) else f"{type(error).__name__} {error}"
+            problem = f"a message of {message.topic} is no {type_}: {why}"
             raise RecordingError(problem, path=self.path, fix="leave the topic out with --topic") from error
-
-    def _learn(self, topic: str, type_: str) -> Any:
-        """A store that knows a type: as the bag defines it, else as ROS does."""
-        definition = self._of_topic[topic].msgdef
-        store = _store_of(type_, definition.format.name, definition.data, self.is_ros1)
-        self._stores[type_] = store
-        return store
-
-
-# A store makes a program for each type: bags of one robot, which define theirs alike, share them.
-@lru_cache(maxsize=128)
-def _store_of(type_: str, language: str, definition: str, is_ros1: bool) -> Any:
-    typesys = needed("rosbags.typesys")
-    if language == "NONE":
-        return typesys.get_typestore(typesys.Stores.ROS1_NOETIC if is_ros1 else typesys.Stores.LATEST)
-    store = typesys.get_typestore(typesys.Stores.EMPTY)
-    store.register(_defined(type_, language, definition, typesys))
-    return store
-
-
-def _defined(type_: str, language: str, definition: str, typesys: Any) -> dict[str, Any]:
-    """The types of a definition in ROS's own language, or in one or several of IDL."""
-    if language == "MSG":
-        return dict(typesys.get_types_from_msg(definition, type_))
-    parts = [part.partition("\n")[2] for part in definition.split(_IDL_RULE) if part.startswith("IDL: ")]
-    return {name: of for part in parts or [definition] for name, of in typesys.get_types_from_idl(part).items()}
 
 
 @contextmanager
@@ -187,46 +185,48 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
         ConfigError: rosbags is not installed.
     """
     parts = parts_of(path)
-    is_ros1 = parts[0].suffix == ".bag"
-    reader: Any = Ros1Reader if is_ros1 else needed("rosbags.rosbag2").Reader
+    is_ros1 = bool(parts) and parts[0].suffix == ".bag"
     with ExitStack() as stack:
         try:
             if path.is_dir() and parts == (path,):
-                read_bytes(path / METADATA, _METADATA, RecordingError)  # rosbags reads it however large it is
-            cut = {part: found for part in parts if part.suffix == ".mcap" and (found := cut_mcap(part)) is not None}
-            readers = [stack.enter_context(reader(cut.get(part) or _standing_for(part))) for part in parts]
-            bag = OpenBag(path, readers, is_ros1, tuple(map(_without_end, cut.values())))
+                parts = named_parts(path)
+            readers = [_reader_of(_whole(part, stack)) for part in parts]
+            for reader in readers:
+                stack.enter_context(reader)
+            bag = OpenBag(path, readers, is_ros1, tuple(told for reader in readers for told in reader.warnings))
         except Exception as error:
             raise _refusal(path, error) from error
         yield bag
 
 
-def _standing_for(part: Path) -> Path | McapFile:
-    return McapFile(part) if part.suffix == ".mcap" else part
+def _reader_of(part: Path) -> _Reader:
+    if part.suffix == ".bag":
+        return Ros1Reader(part)
+    return McapReader(part) if part.suffix == ".mcap" else SqliteReader(part)
 
 
-def _without_end(cut: CutMcap) -> str:
-    lost = f"; {cut.lost_bytes:,} bytes after them are no whole record" if cut.lost_bytes else ""
-    told = f"{cut.name} has no end, as where its recorder was killed. All messages are read that are whole"
-    return f"{told}{lost}. Without an index that takes longer: mcap recover makes one."
+def _whole(part: Path, stack: ExitStack) -> Path:
+    """A file as it is to be opened: one that is compressed as a whole is unpacked into a temporary folder."""
+    if not is_packed(part):
+        return part
+    folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="wheelsight-bag-")))
+    target = folder / part.stem
+    with open_binary(part, BAG, RecordingError) as source, target.open("wb") as unpacked:
+        allowed = Allowance(part, source.seek(0, 2)).bytes_left
+        source.seek(0)
+        try:
+            decompress_into(source, unpacked, "zstd", allowed)
+        except ValueError as error:
+            raise RecordingError(str(error), path=part, fix="check what wrote it, and copy it again") from error
+        except OSError as error:
+            problem = f"cannot be unpacked into {folder}: {error.strerror}"
+            raise RecordingError(problem, path=part, fix="set TMPDIR to a folder with more room") from error
+    return target
 
 
-def _plain(data: bytes) -> bytes:
-    """A message without the compression that metadata.yaml would have told of, had it come along."""
-    if data[:4] != _ZSTD:
-        return data
-    if sys.version_info >= (3, 14):
-        from compression import zstd
-    else:
-        from backports import zstd
-    return bytes(zstd.decompress(data))
-
-
-def _refusal(path: Path, error: Exception) -> RecordingError:
-    if isinstance(error, RecordingError):
+def _refusal(path: Path, error: Exception) -> Exception:
+    """An error of wheelsight's as it is; any other, of rosbags or what it stands on, as RecordingError."""
+    if isinstance(error, WheelsightError):
         return error
     told = f"{type(error).__name__}: {error}"
-    for words, problem, fix in _FIXES:
-        if words in told:
-            return RecordingError(problem, path=path, fix=fix.replace("FILE", path.name))
     return RecordingError(f"is damaged, or no bag ({told})", path=path, fix="check what wrote it, and copy it again")

@@ -9,11 +9,9 @@ from pathlib import Path
 
 from wheelsight.errors import ConfigError, RecordingError
 from wheelsight.recordings.rosbag.images import is_depth
-from wheelsight.recordings.rosbag.stamps import header_of
-from wheelsight.recordings.rosbag.storage import OpenBag, Topic
+from wheelsight.recordings.rosbag.storage import COMPRESSED, IMAGE, OpenBag, Topic
 from wheelsight.recordings.rosbag.wheels import Joints, wheel_joints
 
-IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 INFO, IMU = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/Imu"
 ODOMETRY, JOINTS = "nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState"
 TEXT = "std_msgs/msg/String"
@@ -122,7 +120,7 @@ def roles_of(bag: OpenBag, choices: Choices) -> Roles:
     warnings: list[str] = []
     color, depth = _cameras(bag, filled, chosen, warnings)
     infos = [topic.name for topic in filled if topic.type == INFO]
-    frames = {name: header_of(bag.first(name)[0].data, bag.is_ros1).frame for name in infos}
+    frames = {name: bag.header(bag.first(name)[0]).frame for name in infos}
     color_info = None if color is None else chosen.get("color_info") or _info_of(color, frames)
     # Registered depth has the colour camera's pixels.
     own_depth = None if depth is None or depth.says_registered else depth
