@@ -1,5 +1,6 @@
 """Files from strangers: what is opened, and how text, YAML, JSON and headers of images are taken."""
 
+from wheelsight.inputs.arrays import ArrayFile, ArrayHeader
 from wheelsight.inputs.decompressed import decompress_into, decompressed
 from wheelsight.inputs.gate import Kind, is_there, lines_of, open_binary, read_bytes, read_text
 from wheelsight.inputs.json_text import parse_json
@@ -10,6 +11,8 @@ from wheelsight.inputs.yaml_files import YAML_FILE, line_of, parse_yaml, read_ya
 
 __all__ = [
     "YAML_FILE",
+    "ArrayFile",
+    "ArrayHeader",
     "Kind",
     "as_number",
     "decompress_into",

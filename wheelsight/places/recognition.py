@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from wheelsight.errors import ArgumentError, MapError
 from wheelsight.files import StrPath, write_bytes
 from wheelsight.geometry import Float32Array
 from wheelsight.geometry.arrays import UInt64Array
-from wheelsight.inputs import Kind, read_bytes
+from wheelsight.inputs import ArrayFile, Kind, parse_json, read_bytes
 from wheelsight.keyframes import Keyframe, KeyframeId
 from wheelsight.places import _likeness_kernels, kept_words
+from wheelsight.places._word_kernels import BLOCK
 from wheelsight.places.ferns import Ferns
 from wheelsight.places.kept_words import Descriptors
 from wheelsight.places.views import NO_FEATURES, SeenView
@@ -31,6 +30,10 @@ FORMAT = "wheelsight-recognition-2"
 _FIRST_FORMAT = "wheelsight-recognition-1"
 _FILE = Kind("codes of keyframes", most_mb=4096, fix="give a file that `Recognizer.save` wrote")
 _REBUILD = "build the map anew"
+# Settings take 1.5 kB; sizes and checksums less than the other.
+_LONGEST_TEXT, _SMALL_BYTES = 1 << 16, 64
+# Of a file by itself, whose map says nothing: 80 000 keyframes.
+_MOST_BYTES = 1 << 30
 
 
 def _nothing(keyframe: KeyframeId) -> UInt64Array:
@@ -122,24 +125,39 @@ class Recognizer:
         write_bytes(path, buffer.getvalue())
 
     @classmethod
-    def load(cls, path: StrPath, on_disk: Descriptors = _nothing) -> Self:
-        """Read what `save` wrote. Raises MapError, naming the file, where that or what is `on_disk` is another."""
+    def load(
+        cls,
+        path: StrPath,
+        on_disk: Descriptors = _nothing,
+        *,
+        settings: RecognitionSettings | None = None,
+        most_keyframes: int | None = None,
+    ) -> Self:
+        """Read what `save` wrote.
+
+        Args:
+            path: of the file.
+            on_disk: what `save` was given.
+            settings: that it must be of; None: of any.
+            most_keyframes: that it may know, as many as its map has; None: as 1 GB holds.
+
+        Raises:
+            MapError: naming the file: it or what is `on_disk` is another, it is of other settings, or it states arrays
+                that are larger than its keyframes need. Of such a file nothing is unpacked.
+        """
         path = Path(path)
         data = read_bytes(path, _FILE, MapError)
         try:
-            with np.load(io.BytesIO(data), allow_pickle=False) as file:
-                return cls._of({name: file[name] for name in file.files}, on_disk)
+            return cls._of(_Stated(ArrayFile(data), settings, most_keyframes), on_disk)
         except MapError as error:
             raise MapError(error.problem, path=path, fix=error.fix) from error
-        except (KeyError, ValueError, OSError, EOFError, TypeError, zipfile.BadZipFile, ValidationError) as error:
-            raise MapError(f"is damaged: {type(error).__name__}", path=path, fix=_REBUILD) from error
+        except (KeyError, ValueError, TypeError) as error:
+            why = f"it {error}" if type(error) is ValueError else type(error).__name__
+            raise MapError(f"is damaged: {why}", path=path, fix=_REBUILD) from error
 
     @classmethod
-    def _of(cls, arrays: dict[str, NDArray[Any]], on_disk: Descriptors) -> Self:
-        found = arrays["format"].tobytes().decode(errors="replace")
-        if found not in (FORMAT, _FIRST_FORMAT):
-            raise MapError(f"is of format {found!r}, not {FORMAT!r}", fix=_REBUILD)
-        made = cls(RecognitionSettings.model_validate(json.loads(arrays["settings"].tobytes())))
+    def _of(cls, stated: _Stated, on_disk: Descriptors) -> Self:
+        made, arrays = cls(stated.settings), stated.arrays()
         keyframes, codes, settings = arrays["keyframes"], arrays["codes"], made._settings.ferns
         shapes = {"pixel": (settings.ferns,), "grey": (settings.ferns, 2), "depth_m": (settings.ferns, 2)}
         is_whole = codes.shape == (len(keyframes), settings.ferns // 16) and codes.dtype == np.uint64
@@ -151,11 +169,13 @@ class Recognizer:
         made._ferns = Ferns(size, settings.blur_px, *(arrays[name] for name in shapes))
         words = {name.removeprefix("words_"): array for name, array in arrays.items() if name.startswith("words_")}
         made._keyframes = [KeyframeId(int(number)) for number in keyframes]
-        if found != _FIRST_FORMAT:
+        made._rows = {number: row for row, number in enumerate(made._keyframes)}
+        if len(made._rows) < len(keyframes):
+            raise MapError("it knows a keyframe twice", fix=_REBUILD)
+        if stated.format != _FIRST_FORMAT:
             words = kept_words.unpacked(words, made._keyframes, on_disk)
         made._words = Vocabulary.from_arrays(words, made._settings.words, len(keyframes))
         made._codes = np.concatenate([codes, np.zeros((16, codes.shape[1]), np.uint64)])
-        made._rows = {number: row for row, number in enumerate(made._keyframes)}
         return made
 
     def _texts(self) -> dict[str, str]:
@@ -179,3 +199,48 @@ class Recognizer:
             for place, row in enumerate(order[:found].tolist()):
                 scores[row] = scores.get(row, 0.0) + 0.5 * (rank + 1) / (rank + 1 + place)
         return sorted(scores.items(), key=lambda item: (-item[1], item[0]))
+
+
+class _Stated:
+    """What the headers of a file say, before more than its settings are unpacked.
+
+    Raises:
+        MapError: it is of another format, of other settings, or larger than its keyframes need.
+        ValueError, KeyError: it is damaged.
+    """
+
+    def __init__(self, file: ArrayFile, expected: RecognitionSettings | None, most_keyframes: int | None) -> None:
+        self._file = file
+        self.format = file.read("format", _LONGEST_TEXT).tobytes().decode(errors="replace")
+        if self.format not in (FORMAT, _FIRST_FORMAT):
+            raise MapError(f"is of format {self.format!r}, not {FORMAT!r}", fix=_REBUILD)
+        told = parse_json(file.read("settings", _LONGEST_TEXT).tobytes())
+        self.settings = RecognitionSettings.model_validate(told)
+        if expected is not None and self.settings != expected:
+            raise MapError("is of other settings", fix=_REBUILD)
+        (self._keyframes,) = file.headers["keyframes"].shape
+        if most_keyframes is not None and self._keyframes > most_keyframes:
+            problem = f"knows {self._keyframes:,} keyframes, and its map has {most_keyframes:,}"
+            raise MapError(problem, fix=_REBUILD)
+        if most_keyframes is None and sum(header.nbytes for header in file.headers.values()) > _MOST_BYTES:
+            raise MapError(f"states more than {_MOST_BYTES >> 20:,} MB of codes", fix=_REBUILD)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All, each no larger than so many keyframes need."""
+        words, ferns = self.settings.words, self.settings.ferns.ferns
+        postings = self._keyframes * words.descriptors
+        # A node is made with a descriptor of its own, and each inner one has two children at least.
+        nodes = min(words.most_nodes, 2 * postings + 1)
+        # Of the first format blocks are stated, those in use and those to be used again.
+        blocks = 2 * (postings // BLOCK + nodes + words.branching)
+        most = {"codes": self._keyframes * ferns // 2, "words_centre": 32 * nodes, "words_own": 32 * postings}
+        most |= dict.fromkeys(("pixel", "grey", "depth_m"), 16 * ferns)
+        most |= {"keyframes": 8 * self._keyframes, "words_place": 2 * postings}
+        if self.format == _FIRST_FORMAT:
+            most |= {"words_row": 4 * BLOCK * blocks, "words_descriptor": 32 * BLOCK * blocks}
+            most |= {"words_following": 4 * blocks}
+        else:
+            most |= {"words_row": 4 * postings}
+        known = {"format": _LONGEST_TEXT, "settings": _LONGEST_TEXT, **most}
+        rest = max(4 * nodes, _SMALL_BYTES)
+        return {name: self._file.read(name, known.get(name, rest)) for name in self._file.headers}

@@ -69,7 +69,7 @@ class Vocabulary:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], settings: WordSettings, rows: int) -> Self:
         """As `arrays` has told it, of so many keyframes. Raises MapError for what contradicts itself."""
-        kept = _checked(kernels.Tree(**{name: np.array(arrays[name]) for name in kernels.Tree._fields}), rows)
+        kept = _checked(kernels.Tree(**{name: np.array(arrays[name]) for name in kernels.Tree._fields}), rows, settings)
         made = cls(settings)
         made._tree = kept
         return made
@@ -104,8 +104,8 @@ def _grown(tree: kernels.Tree, nodes: int, blocks: int) -> kernels.Tree:
     return tree._replace(**grown)
 
 
-def _checked(tree: kernels.Tree, rows: int) -> kernels.Tree:
-    """A tree whose numbers stay within it, so that kernels do. Raises MapError."""
+def _checked(tree: kernels.Tree, rows: int, settings: WordSettings) -> kernels.Tree:
+    """A tree whose numbers stay within it, so that kernels do, and as deep and wide as it grows. Raises MapError."""
     expected = _empty(1)
     nodes, blocks = len(tree.centre), len(tree.row)
     for name in kernels.Tree._fields:
@@ -119,7 +119,10 @@ def _checked(tree: kernels.Tree, rows: int) -> kernels.Tree:
         (tree.sizes[: kernels.FREE] == (nodes, blocks)).all()
         and nodes > 0
         and (tree.children >= 0).all()
+        and (tree.children <= settings.branching).all()
         and ((first > inner) & (last <= nodes)).all()
+        and _is_within(tree.level, 0, settings.depth + 1)
+        and (np.repeat(tree.level[inner] + 1, tree.children[inner]) == tree.level[_ranges(first, last)]).all()
         and all(_is_within(array, -1, blocks) for array in (tree.head, tree.tail, tree.following, tree.sizes[2:3]))
         and _is_within(tree.row, 0, max(rows, 1))
         and _is_within(tree.used, 0, kernels.BLOCK + 1)
@@ -128,6 +131,12 @@ def _checked(tree: kernels.Tree, rows: int) -> kernels.Tree:
     if not within:
         raise MapError("its words contradict themselves", fix="build the map anew")
     return tree
+
+
+def _ranges(first: NDArray[Any], end: NDArray[Any]) -> NDArray[np.int64]:
+    """From each first to before its end, one range after the other."""
+    lengths = (end - first).astype(np.int64)
+    return np.asarray(np.arange(lengths.sum()) + np.repeat(first - np.cumsum(lengths) + lengths, lengths), np.int64)
 
 
 def _is_within(array: NDArray[Any], least: int, end: int) -> bool:

@@ -132,3 +132,29 @@ def test_what_was_appended_is_in_the_file_before_it_is_flushed(tmp_path: Path) -
     assert keys_in(tmp_path / "a.journal") == [2]
     journal.close()
     assert (tmp_path / "a.journal").stat().st_size == FIRST_RECORD + HEAD_BYTES + 7
+
+
+def test_sound_heads_of_overlapping_records_are_not_all_gone_through(tmp_path: Path) -> None:
+    """Each names nearly all of the file as its content: to checksum them all would take the square of their number."""
+    heads, apart, path = 200, 10_000, tmp_path / "a.journal"
+    data = bytearray(written(path)[:FIRST_RECORD])
+    for number in range(heads):
+        head = struct.pack("<4sHHQII", b"\xf5WSR", 6, 0, number, (heads - number - 1) * apart + 100, 1)
+        data += (head + struct.pack("<I", zlib.crc32(head))).ljust(apart, b"\0")
+    path.write_bytes(data)
+    with pytest.raises(MapError, match="is damaged in more places than a disk damages"):
+        read_journal(path)
+
+
+def test_marks_alone_are_not_all_gone_through(tmp_path: Path) -> None:
+    path = tmp_path / "a.journal"
+    path.write_bytes(written(path)[:FIRST_RECORD] + b"\xf5WSR" * 50_000)
+    with pytest.raises(MapError, match="is damaged in more places than a disk damages"):
+        read_journal(path)
+
+
+def test_more_records_than_a_writer_leaves_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written(tmp_path / "a.journal")
+    monkeypatch.setattr("wheelsight.slam.sessions.journal._MOST_RECORDS", len(CONTENTS) - 1)
+    with pytest.raises(MapError, match="holds more than 3 records"):
+        read_journal(tmp_path / "a.journal")

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import math
 import shutil
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -235,14 +237,87 @@ def test_a_pose_that_is_none_is_refused_before_anything_is_written(copied: Path)
 
 
 def test_numbers_beyond_reason_ask_for_no_memory(copied: Path) -> None:
-    journal = JournalWriter(copied / "graph-00001.journal")
-    journal.append(Kind.PLACE, 1 << 60, records.pack_place(Place(1.0, pose(0))))
-    journal.close()
-    with pytest.raises(MapError, match=r"graph-00001\.journal: its record at byte 16 is of number 1152921504606846976"):
-        MapFolder.open(copied)
-    (copied / "graph-00001.journal").unlink()
-    journal = JournalWriter(copied / "keyframes-00009.journal")
-    journal.append(Kind.KEYFRAME, 1 << 60, b"")
-    journal.close()
+    """Of a keyframe that is whole, of a place alone, of images alone, and of edges."""
+    number = 4_999_999
+    graph, keyframes = JournalWriter(copied / "graph-00001.journal"), JournalWriter(copied / "keyframes-00009.journal")
+    _, old = read_journal(copied / "keyframes-00000.journal").records[0]
+    keyframes.append(Kind.KEYFRAME, number, bytes(old))
+    keyframes.append(Kind.KEYFRAME, 1 << 60, b"")
+    for key in (number, 1 << 61):
+        graph.append(Kind.PLACE, key, records.pack_place(Place(1.0, pose(0))))
+    graph.append(Kind.POSES, 0, records.pack_poses([number], pose(0)[None]))
+    graph.close()
+    keyframes.close()
     found = MapFolder.open(copied)
-    assert (len(found.store), found.contents.health.dropped) == (COUNT, 1)
+    health = found.contents.health
+    assert (len(found.store), found.contents.T_map_keyframe.shape) == (COUNT, (COUNT, 4, 4))
+    assert (health.dropped, health.missing, health.beyond, health.is_whole) == (2, (), (number,), False)
+    assert health.notes[-1] == f"Keyframes of impossible numbers are left out: {number}."
+    graph = JournalWriter(copied / "graph-00002.journal")
+    graph.append(Kind.EDGES, 1 << 40, records.pack_edges([edge(0, 1)]))
+    graph.close()
+    with pytest.raises(MapError, match=r"graph-00002\.journal: its record at byte 16 holds edge 1099511627776"):
+        MapFolder.open(copied)
+
+
+def test_edges_of_high_numbers_take_the_room_of_few(copied: Path) -> None:
+    """A table as long as the highest number, made again for each record, would take an hour."""
+    graph = JournalWriter(copied / "graph-00001.journal")
+    for _ in range(100):
+        for first in (4_000_000, 0):
+            graph.append(Kind.EDGES, first, records.pack_edges([edge(0, 1)]))
+    graph.append(Kind.WITHDRAWN, 0, records.pack_numbers([4_000_000, -1]))
+    graph.close()
+    found = MapFolder.open(copied).contents
+    assert (len(found.edges), found.edge_count) == (COUNT - 1, 4_000_001)
+
+
+def test_keyframes_that_damage_took_leave_gaps(tmp_path: Path) -> None:
+    """Of a drive of an hour, of which the first part is left and the last."""
+    folder = MapFolder.create(tmp_path / "map", CALIBRATION)
+    for number in (0, 1, 5000):
+        folder.append_keyframe(number, keyframe(number), pose(number))
+    folder.close()
+    found = MapFolder.open(tmp_path / "map")
+    assert list(found.store) == [0, 1, 5000]
+    assert len(found.contents.health.missing) == 4998
+
+
+@pytest.mark.parametrize("digits", ["²", "٣", "1" * 12, "-1", "x", ""])
+def test_other_files_with_names_like_a_journal_are_none(copied: Path, digits: str) -> None:
+    shutil.copy(copied / "graph-00000.journal", copied / f"graph-{digits}.journal")
+    folder = MapFolder.open(copied, read_only=False)
+    folder.append_edges([edge(0, 2)])
+    folder.close()
+    assert (copied / "graph-00001.journal").exists()
+    assert len(MapFolder.open(copied).edges) == COUNT
+
+
+def test_a_long_graph_goes_into_several_journals(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wheelsight.slam.sessions.map_folder._GRAPH_RECORDS", 2)
+    folder = MapFolder.open(copied, read_only=False)
+    for number in range(5):
+        folder.append_edges([edge(number, number + 2)])
+    folder.close()
+    assert len(list(copied.glob("graph-*.journal"))) == 1 + 3
+    assert len(MapFolder.open(copied).edges) == COUNT - 1 + 5
+
+
+def test_a_recognition_that_unpacks_to_more_than_its_map_needs_is_made_again(copied: Path) -> None:
+    """Each of its arrays in turn as a gigabyte of zeros, which take a megabyte packed."""
+    path, settings = copied / "recognition.npz", RecognitionSettings(ferns=FernSettings(ferns=64))
+    folder = MapFolder.open(copied, read_only=False)
+    folder.save_recognition(folder.recognizer(settings))
+    folder.close()
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files}
+    for name, array in arrays.items():
+        shape = (64_000_000 // array.dtype.itemsize // max(math.prod(array.shape[1:]), 1), *array.shape[1:])
+        # Unpacked it would be a thousand times as much as packed.
+        np.savez_compressed(path, **(arrays | {name: np.zeros(shape, array.dtype)}))
+        tracemalloc.start()
+        with pytest.raises(MapError, match=r"(is damaged: it states|knows) [0-9,]+ (bytes of|keyframes)"):
+            Recognizer.load(path, settings=settings, most_keyframes=COUNT)
+        assert tracemalloc.get_traced_memory()[1] < 16_000_000
+        tracemalloc.stop()
+    assert len(MapFolder.open(copied).recognizer(settings)) == COUNT

@@ -15,7 +15,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 from wheelsight.errors import MapError
 from wheelsight.files import StrPath, output_error
@@ -32,10 +32,15 @@ HEAD_BYTES = _HEAD.size + _CRC.size
 FIRST_RECORD = _FILE_HEAD.size + _CRC.size
 _JOURNAL = Kind("a journal of a map", most_mb=2048, fix="give a folder that `wheelsight run` left as its map")
 _NEWER = "read it with the wheelsight that wrote it, or a newer one"
+_DAMAGED = "use another copy of the map"
+# Of a journal that is read: a writer begins another one long before, and to go through so many takes 2 s and 150 MB.
+_MOST_RECORDS = 300_000
+# Bytes that are checksummed in vain, in a journal twice as long at most and 64 MB besides: where a disk damages a
+# journal that is each of its bytes once. To look at a head takes as long as to checksum 4 kB.
+_VAIN_SHARE, _VAIN_BYTES, _BYTES_A_HEAD = 2, 64 << 20, 4096
 
 
-@dataclass(frozen=True, slots=True)
-class Record:
+class Record(NamedTuple):
     """Where a record is in its journal.
 
     Attributes:
@@ -137,14 +142,17 @@ def read_journal(path: StrPath) -> JournalContents:
     """All records of a journal that are whole.
 
     Raises:
-        MapError: naming the file: it cannot be read, is no journal, or is of a newer version.
+        MapError: naming the file: it cannot be read, is no journal, is of a newer version, holds too many records, or
+            is damaged in more places than a disk damages.
     """
     path = Path(path)
     data = memoryview(read_bytes(path, _JOURNAL, MapError))
     begin = _first_record(data, path)
-    records, damages = [], []
+    records, damages = list[tuple[Record, memoryview]](), list[Damage]()
     end = begin
-    for record in _whole_records(data, begin):
+    for record in _whole_records(data, begin, path):
+        if len(records) == _MOST_RECORDS:
+            raise MapError(f"holds more than {_MOST_RECORDS:,} records", path=path, fix="is it the right file?")
         if record.offset > end:
             damages.append(Damage(path, end, record.offset - end))
         end = record.offset + HEAD_BYTES + record.length
@@ -164,7 +172,7 @@ def read_record(path: StrPath, record: Record) -> bytes:
     except OSError as error:
         raise MapError(f"cannot be read: {error.strerror}", path=path, fix="copy the whole folder") from error
     if len(content) != record.length or zlib.crc32(content) != record.crc:
-        raise MapError(f"its record at byte {record.offset:,} is damaged", path=path, fix="use another copy of the map")
+        raise MapError(f"its record at byte {record.offset:,} is damaged", path=path, fix=_DAMAGED)
     return content
 
 
@@ -180,28 +188,33 @@ def _first_record(data: memoryview, path: Path) -> int:
     return FIRST_RECORD
 
 
-def _whole_records(data: memoryview, begin: int) -> Iterator[Record]:
-    """One after the other; behind what is damaged, on from the next mark that a whole record begins with."""
-    raw, at = data.obj, begin
+def _whole_records(data: memoryview, begin: int, path: Path) -> Iterator[Record]:
+    """One after the other; behind what is damaged, on from the next mark that a whole record begins with.
+
+    A mark may stand within what a sound head names its content: to checksum each such content would take time that
+    grows with the square of their number. Raises MapError where more is checksummed in vain than damage explains.
+    """
+    raw, at, vain = data.obj, begin, 0
     assert isinstance(raw, bytes)
     while 0 <= at <= len(data) - HEAD_BYTES:
-        record = _record_at(data, at)
-        if record is not None:
+        record = _head_at(data, at)
+        end = at + HEAD_BYTES + (0 if record is None else record.length)
+        if record is not None and end <= len(data) and zlib.crc32(data[at + HEAD_BYTES : end]) == record.crc:
             yield record
-            at += HEAD_BYTES + record.length
-        else:
-            at = raw.find(_MARK, at + 1)
+            at = end
+            continue
+        vain += _BYTES_A_HEAD + (end - at if end <= len(data) else 0)
+        if vain > _VAIN_SHARE * len(data) + _VAIN_BYTES:
+            raise MapError("is damaged in more places than a disk damages", path=path, fix=_DAMAGED)
+        at = raw.find(_MARK, at + 1)
 
 
-def _record_at(data: memoryview, at: int) -> Record | None:
-    """The record whose head begins there, if it is whole."""
+def _head_at(data: memoryview, at: int) -> Record | None:
+    """The record that a sound head names, whether or not its content is whole."""
     if not _is_sound(data[at : at + HEAD_BYTES]):
         return None
     mark, kind, _, key, length, crc = _HEAD.unpack_from(data, at)
-    begin = at + HEAD_BYTES
-    if mark != _MARK or begin + length > len(data) or zlib.crc32(data[begin : begin + length]) != crc:
-        return None
-    return Record(kind, key, at, length, crc)
+    return Record(kind, key, at, length, crc) if mark == _MARK else None
 
 
 def _with_crc(head: bytes) -> bytes:

@@ -51,4 +51,4 @@ class MapLock:
 
     def _holder(self) -> str:
         told = os.pread(self._descriptor, _LONGEST, 0).decode("ascii", "replace").strip()
-        return told if told.isdigit() else "unknown number"
+        return told if told.isdecimal() else "unknown number"

@@ -40,6 +40,8 @@ CALIBRATION_FILE, RECOGNITION_FILE, SURFELS_FILE = "calibration.yaml", "recognit
 OCCUPANCY_FILE, OCCUPANCY_IMAGE, EDITS_FILE = "occupancy.yaml", "occupancy.pgm", "edits.json"
 PLACES_FILE = "places.json"
 _READ_ONLY = "open it with read_only=False"
+# Of a journal that is not of keyframes; three times as many are read.
+_GRAPH_RECORDS = 100_000
 NEW_FOLDER = "choose a folder that is empty or not there yet: no map is written over"
 
 
@@ -277,11 +279,9 @@ class MapFolder:
         path = self.path / RECOGNITION_FILE
         if is_there(path):
             try:
-                found = Recognizer.load(path, self._descriptors)
+                return Recognizer.load(path, self._descriptors, settings=settings, most_keyframes=len(self.store))
             except MapError:  # all that it holds can be made again
-                return Recognizer(settings)
-            if found.settings == settings:
-                return found
+                pass
         return Recognizer(settings)
 
     def _descriptors(self, number: KeyframeId) -> UInt64Array:
@@ -303,7 +303,7 @@ class _Pieces:
         self._folder, self._most = folder, most_keyframes
         self._keyframes: JournalWriter | None = None
         self._graph: JournalWriter | None = None
-        self._count = 0
+        self._count = self._graph_count = 0
 
     def of_keyframes(self) -> JournalWriter:
         """Where the next keyframe goes."""
@@ -317,8 +317,12 @@ class _Pieces:
 
     def graph(self) -> JournalWriter:
         """Where all else goes."""
+        if self._graph is not None and self._graph_count >= _GRAPH_RECORDS:
+            full, self._graph = self._graph, None
+            full.close()
         if self._graph is None:
-            self._graph = self._begun(GRAPH)
+            self._graph, self._graph_count = self._begun(GRAPH), 0
+        self._graph_count += 1
         return self._graph
 
     def flush(self) -> None:

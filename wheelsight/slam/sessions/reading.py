@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,8 +18,13 @@ from wheelsight.slam.sessions.records import Kind, Place
 
 KEYFRAMES, GRAPH = "keyframes", "graph"
 _SUFFIX = ".journal"
-# A thousand hours of driving; a number beyond would ask for a table that fits into no memory.
-_MOST_NUMBER = 5_000_000
+# More edges than a thousand hours of driving leave.
+_MOST_EDGES = 5_000_000
+# Tables are as long as the largest number of a keyframe, which grows by one with each. Half of all keyframes may be
+# lost, and of a short map several journals; a number beyond that would ask for memory that no keyframe explains.
+_LOST_SHARE, _LOST_KEYFRAMES = 2, 10_000
+# Ten digits would be of more journals than a folder has files.
+_JOURNAL_NAME = re.compile(r"[0-9]{1,9}")
 _DAMAGED = "use another copy of the map"
 
 
@@ -31,17 +37,19 @@ class Health:
         dropped: keyframes at the end of which not all was written any more.
         damages: bytes between whole records that are no record.
         missing: keyframes that damage took.
+        beyond: keyframes that are left out, since their numbers are beyond what the others explain.
     """
 
     torn_bytes: int = 0
     dropped: int = 0
     damages: tuple[Damage, ...] = ()
     missing: tuple[int, ...] = ()
+    beyond: tuple[int, ...] = ()
 
     @property
     def is_whole(self) -> bool:
         """Whether nothing but the torn end is wrong."""
-        return not self.damages and not self.missing
+        return not self.damages and not self.missing and not self.beyond
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -52,8 +60,9 @@ class Health:
             told.append(f"The drive was cut off: {what} were not whole and are left out.")
         told += [f"{damage}." for damage in self.damages]
         if self.missing:
-            shown = ", ".join(map(str, self.missing[:5])) + (" and more" if len(self.missing) > 5 else "")
-            told.append(f"{len(self.missing)} keyframes are lost: {shown}.")
+            told.append(f"{len(self.missing)} keyframes are lost: {_shown(self.missing)}.")
+        if self.beyond:
+            told.append(f"Keyframes of impossible numbers are left out: {_shown(self.beyond)}.")
         return tuple(told)
 
 
@@ -84,23 +93,24 @@ class _Graph:
 
     places: dict[int, Place] = field(default_factory=dict)
     T: dict[int, FloatArray] = field(default_factory=dict)
-    edges: list[RelativePose | None] = field(default_factory=list)
+    edges: dict[int, RelativePose] = field(default_factory=dict)
+    edge_count: int = 0
 
     def take(self, record: Record, content: bytes) -> None:
         """Raises MapError for a record that contradicts itself."""
-        if record.key > _MOST_NUMBER:
-            raise MapError(f"is of number {record.key}", fix=_DAMAGED)
         if record.kind == Kind.PLACE:
             place = records.unpack_place(content)
             self.places[record.key], self.T[record.key] = place, place.T_map_keyframe
         elif record.kind == Kind.EDGES:
+            if record.key > _MOST_EDGES:
+                raise MapError(f"holds edge {record.key}", fix=_DAMAGED)
             # By the number of the first: damage before it must not shift those that are withdrawn.
-            self.edges += [None] * (record.key - len(self.edges))
-            self.edges[record.key :] = records.unpack_edges(content)
+            found = records.unpack_edges(content)
+            self.edges |= dict(enumerate(found, start=record.key))
+            self.edge_count = max(self.edge_count, record.key + len(found))
         elif record.kind == Kind.WITHDRAWN:
             for number in records.unpack_numbers(content):
-                if 0 <= number < len(self.edges):
-                    self.edges[number] = None
+                self.edges.pop(number, None)
         elif record.kind == Kind.POSES:
             numbers, T = records.unpack_poses(content)
             self.T.update(zip(numbers.tolist(), T, strict=True))
@@ -113,12 +123,20 @@ def journal_name(kind: str, number: int) -> str:
 
 def journals_of(folder: Path, kind: str) -> list[Path]:
     """The journals of a kind, in the order in which they were written."""
-    return sorted(path for path in folder.glob(f"{kind}-*{_SUFFIX}") if path.stem.rpartition("-")[2].isdigit())
+    return [path for _, path in sorted(_numbered(folder, kind))]
 
 
 def next_number(folder: Path, kind: str) -> int:
     """Of the journal that is written next."""
-    return max((int(path.stem.rpartition("-")[2]) + 1 for path in journals_of(folder, kind)), default=0)
+    return 1 + max((number for number, _ in _numbered(folder, kind)), default=-1)
+
+
+def _numbered(folder: Path, kind: str) -> Iterator[tuple[int, Path]]:
+    """Journals with their numbers; other files may have names that are alike."""
+    for path in folder.glob(f"{kind}-*{_SUFFIX}"):
+        digits = path.stem.removeprefix(f"{kind}-")
+        if _JOURNAL_NAME.fullmatch(digits):
+            yield int(digits), path
 
 
 def read_contents(folder: Path) -> FolderContents:
@@ -129,25 +147,31 @@ def read_contents(folder: Path) -> FolderContents:
         torn_bytes += journal.torn_bytes
         damages += journal.damages
         found = (record for record, _ in journal.records if record.kind in (Kind.KEYFRAME, Kind.FIRST_KEYFRAME))
-        # Of a number beyond all there is no place either: it is dropped with those at the end.
         where |= {record.key: (journal.path, record) for record in found}
     graph = _Graph()
     for journal in _read(folder, GRAPH):
         torn_bytes += journal.torn_bytes
         damages += journal.damages
         _take_all(graph, journal)
-    count = 1 + max(where.keys() & graph.places.keys(), default=-1)
-    missing = tuple(number for number in range(count) if number not in where or number not in graph.places)
-    dropped = sum(number >= count for number in where.keys() | graph.places.keys())
+    known = where.keys() & graph.places.keys()
+    end = _LOST_SHARE * len(known) + _LOST_KEYFRAMES
+    beyond = tuple(sorted(number for number in known if number >= end))
+    count = 1 + max(known.difference(beyond), default=-1)
+    missing = tuple(number for number in range(count) if number not in known)
+    dropped = sum(number >= count for number in where.keys() | graph.places.keys()) - len(beyond)
     T_map_keyframe = np.full((count, 4, 4), np.nan)
     for number, T in graph.T.items():
         if 0 <= number < count:
             T_map_keyframe[number] = T
-    held = {number: found for number, found in where.items() if number < count and number not in missing}
-    edges = tuple(edge for edge in graph.edges if edge is not None and max(edge.first, edge.second) < count)
-    health = Health(torn_bytes, dropped, tuple(damages), missing)
+    held = {number: where[number] for number in sorted(known) if number < count}
+    edges = tuple(edge for _, edge in sorted(graph.edges.items()) if max(edge.first, edge.second) < count)
+    health = Health(torn_bytes, dropped, tuple(damages), missing, beyond)
     places = {number: place for number, place in graph.places.items() if number < count}
-    return FolderContents(held, places, T_map_keyframe, edges, len(graph.edges), health)
+    return FolderContents(held, places, T_map_keyframe, edges, graph.edge_count, health)
+
+
+def _shown(numbers: tuple[int, ...]) -> str:
+    return ", ".join(map(str, numbers[:5])) + (" and more" if len(numbers) > 5 else "")
 
 
 def _read(folder: Path, kind: str) -> Iterator[JournalContents]:

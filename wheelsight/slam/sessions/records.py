@@ -64,6 +64,8 @@ def unpack_place(content: bytes) -> Place:
     if len(content) != _PLACE.size:
         raise MapError("is no place of a keyframe", fix=_DAMAGED)
     stamp_s, has_odom, *numbers = _PLACE.unpack(content)
+    if not np.isfinite(stamp_s):
+        raise MapError("is a keyframe of no time", fix=_DAMAGED)
     T_odom = _motions(np.array(numbers[_MOTION:]))[0] if has_odom else None
     return Place(stamp_s, _motions(np.array(numbers[:_MOTION]))[0], T_odom)
 
