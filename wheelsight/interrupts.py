@@ -36,6 +36,31 @@ class _Program:
     def __init__(self, *, is_ours: bool = False) -> None:
         self.asked: list[int] = []
         self._is_ours, self._last_s, self._begun = is_ours, 0.0, 0
+        self._is_in_step, self._is_due = False, False
+
+    def interrupt(self, number: int, _: FrameType | None) -> None:
+        """The handler of a signal: raises KeyboardInterrupt, in a step at its end."""
+        if not self.asks(number):
+            return
+        if self._is_in_step and not self._is_due:
+            self._is_due = True
+            return
+        self._is_due = False
+        self.begin_end()
+        raise KeyboardInterrupt
+
+    @contextmanager
+    def whole_step(self) -> Iterator[None]:
+        """See the function."""
+        self._is_in_step = True
+        try:
+            yield
+        finally:
+            self._is_in_step = False
+        if self._is_due:
+            self._is_due = False
+            self.begin_end()
+            raise KeyboardInterrupt
 
     def asks(self, number: int) -> bool:
         """Note a signal; False where it belongs to the wish that came just before."""
@@ -74,7 +99,7 @@ def end_by_signals() -> None:
     _program = _Program(is_ours=True)
     for number in ENDING:
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
-            signal.signal(number, _interrupt)
+            signal.signal(number, _program.interrupt)
 
 
 def exit_code() -> int:
@@ -115,32 +140,17 @@ def whole_step() -> Iterator[None]:
 
     Only signals that would raise it anyway: a program's own handlers stay, and other threads are left alone.
     """
-    raising = [number for number in ENDING if signal.getsignal(number) in (signal.default_int_handler, _interrupt)]
-    if not raising or threading.current_thread() is not threading.main_thread():
+    if threading.current_thread() is not threading.main_thread():
         yield
-        return
-    program = _program or _Program()
-    came: list[int] = []
-
-    def wait(number: int, _: FrameType | None) -> None:
-        if program.asks(number):
-            came.append(number)
-            if len(came) > 1:
-                program.begin_end()
-                raise KeyboardInterrupt
-
-    with _handled(raising, wait):
+    elif _program is not None:
+        with _program.whole_step():
+            yield
+    elif signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        program = _Program()
+        with _handled([signal.SIGINT], program.interrupt), program.whole_step():
+            yield
+    else:
         yield
-    if came:
-        program.begin_end()
-        raise KeyboardInterrupt
-
-
-def _interrupt(number: int, _: FrameType | None) -> None:
-    assert _program is not None
-    if _program.asks(number):
-        _program.begin_end()
-        raise KeyboardInterrupt
 
 
 @contextmanager
