@@ -17,7 +17,7 @@ App = Callable[[_Scope, _Receive, _Send], Awaitable[None]]
 
 _COOKIE, _MOST_FIELDS = "wheelsight", 10
 # Nothing of the page comes from elsewhere, goes elsewhere, or is shown within another page.
-_HEADERS = (
+HEADERS = (
     (b"cache-control", b"no-store"),
     (b"content-security-policy", b"default-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"),
     (b"cross-origin-resource-policy", b"same-origin"),
@@ -100,13 +100,14 @@ class Guarded:
             await receive()
             await send({"type": "websocket.close", "code": 1008, "reason": why})
             return
-        headers = [(b"content-type", b"text/plain; charset=utf-8"), *_HEADERS]
+        headers = [(b"content-type", b"text/plain; charset=utf-8"), *HEADERS]
         await send({"type": "http.response.start", "status": status, "headers": headers})
         await send({"type": "http.response.body", "body": f"{why}\n".encode()})
 
 
 def _with_headers(send: _Send, cookie: str) -> _Send:
-    more = [*_HEADERS, *([(b"set-cookie", cookie.encode())] if cookie else [])]
+    # Each request comes by the door, which counts them; a connection that stayed would pass it once.
+    more = [*HEADERS, (b"connection", b"close"), *([(b"set-cookie", cookie.encode())] if cookie else [])]
 
     async def sent(message: MutableMapping[str, Any]) -> None:
         if message["type"] == "http.response.start":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from importlib.resources import files
@@ -14,12 +15,13 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from wheelsight.live_page.access import Access, App, Guarded
+from wheelsight.live_page.access import Access, Guarded
 from wheelsight.live_page.session import Session
 from wheelsight.live_page.viewers import SentAwayError, Viewer, Viewers
 from wheelsight.settings import LivePageSettings
 
-_TOO_LARGE = 1009
+_log = logging.getLogger("uvicorn.page")
+_TOO_LARGE, _PULSE_S = 1009, 0.05
 # To send to a page that has gone by then raises the one or the other.
 _GONE = (WebSocketDisconnect, RuntimeError)
 _FILES = {"/": "page.html", "/page.css": "page.css", "/page.js": "page.js"}
@@ -27,19 +29,33 @@ _KINDS = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
 _PICTURES = {"plan.png": "image/png", "costmap.png": "image/png", "camera.jpg": "image/jpeg"}
 
 
+class PageApp(Guarded):
+    """The application, with what its server needs to know of it.
+
+    Attributes:
+        session: that pages see and ask.
+        access: what is asked of each request.
+        on_refusal: called with a line, from several threads, for each request that is refused.
+    """
+
+    def __init__(self, app: Starlette, session: Session, access: Access, on_refusal: Callable[[str], None]) -> None:
+        super().__init__(app, access, on_refusal)
+        self.session, self.access, self.on_refusal = session, access, on_refusal
+
+
 def page_app(
     session: Session,
     settings: LivePageSettings,
     access: Access,
     on_refusal: Callable[[str], None] = lambda line: None,
-) -> App:
+) -> PageApp:
     """An ASGI application.
 
     Args:
         session: that pages see and ask.
         settings: of the page.
         access: what is asked of each request.
-        on_refusal: told in a line who was refused, and why.
+        on_refusal: called with a line, from several threads, for each request that is refused.
     """
     viewers = Viewers(session, settings, on_refusal)
     routes = [
@@ -52,23 +68,37 @@ def page_app(
 
     @asynccontextmanager
     async def telling(app: Starlette) -> AsyncIterator[None]:
-        task = asyncio.create_task(_tell(viewers, settings))
+        tasks = [asyncio.create_task(one) for one in (_tell(viewers, settings), _pulse(session))]
         try:
             yield
         finally:
-            task.cancel()
+            for task in tasks:
+                task.cancel()
+            await asyncio.wait(tasks)
 
-    return Guarded(Starlette(routes=routes, lifespan=telling), access, on_refusal)
+    return PageApp(Starlette(routes=routes, lifespan=telling), session, access, on_refusal)
 
 
 async def _tell(viewers: Viewers, settings: LivePageSettings) -> None:
+    """Send the newest state to all pages, period by period."""
     loop, period_s = asyncio.get_running_loop(), 1 / settings.updates_hz
     due_s = loop.time()
     while True:
-        viewers.tell_all()
-        # By the clock, so that what it takes to tell slows nothing down; what is missed is not made up for.
+        try:
+            viewers.tell_all()
+        except Exception:
+            _log.exception("no update was sent")
+        # By the clock: what sending takes is no delay, and what is missed is not made up for.
         due_s = max(due_s + period_s, loop.time())
         await asyncio.sleep(due_s - loop.time())
+
+
+async def _pulse(session: Session) -> None:
+    """Show the session that this event loop goes on."""
+    with session.watched("the page") as beat:
+        while True:
+            beat()
+            await asyncio.sleep(_PULSE_S)
 
 
 def _file(name: str) -> Callable[[Request], Any]:

@@ -5,11 +5,16 @@ Pages see snapshots, and ask by messages that the thread takes between two perio
 
 from __future__ import annotations
 
+import json
+import logging
+import math
 import queue
 import threading
+import traceback
 from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from itertools import count
 from typing import Any
 
@@ -20,7 +25,7 @@ from wheelsight.live_page.driven import Driven, Maps, Watch
 from wheelsight.live_page.messages import Explore, GoToName, GoToPose, NamePlace, SaveMap, StartMap, Task
 from wheelsight.live_page.pace import Pace
 from wheelsight.live_page.snapshot import Snapshot, Telling
-from wheelsight.live_page.stop_switch import StoppableRobot, StopSwitch
+from wheelsight.live_page.stop_switch import StoppableRobot, StopSwitch, Watchdog
 from wheelsight.navigation import Feedback, NavigationResult, NavigationState, Transition
 from wheelsight.robots import Robot
 from wheelsight.settings import LivePageSettings
@@ -28,6 +33,16 @@ from wheelsight.settings import LivePageSettings
 _WAITING, _SAID = 16, 6
 _WAIT_S = 0.2
 _STANDING_M_S, _STANDING_RAD_S = 0.02, 0.05
+# How long a part may be silent while the robot moves. A robot whose time stands still between steps goes nowhere
+# meanwhile, and its steps, which render and localize, take longer on a slow computer.
+_SILENT_S, _SILENT_IN_STEP_S = 0.5, 2.0
+# While it stands with a task: a task goes on by itself after no longer than this (`navigator.held_s`).
+_HELD_S = 4.0
+# Periods one after another that fail before the map is given up.
+_MOST_FAILURES, _STEP_S = 5, 0.05
+_MOST_TRACED = 20
+_DRIVING = "the thread that drives"
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +68,11 @@ class Session:
         settings: of the page.
         paces: whether the robot's time stands still between steps, and is to go as the wall's.
         on_problem: told in a line what went wrong, as pages are.
-        watch: sees all of the drives, in the session's thread; nobody, where it is None.
+        watch: sees all of the drives, in the session's thread; or None.
 
     Attributes:
         switch: stops the robot.
+        silent_s: how long a part of the program may be silent while the robot moves.
         wants_costmap: whether any page shows the costmap.
     """
 
@@ -80,8 +96,12 @@ class Session:
         self._cancelled = self.switch.presses
         self._told: NavigationResult | None = None
         self.wants_costmap = False
+        self.silent_s = _SILENT_IN_STEP_S if paces else _SILENT_S
+        self._is_driving = self._has_task = False
+        self._traced = set[str]()
         self._telling = Telling(self._robot, settings, lambda: self.wants_costmap)
         self._latest = self._telling.of_words(self._facts("opening"))
+        self._watchdog = Watchdog(self._may_be_silent_s, self.part_fails, self.say)
         self._thread = threading.Thread(target=self._run, name="wheelsight-drive", daemon=True)
 
     def __enter__(self) -> Session:
@@ -115,9 +135,26 @@ class Session:
         """Stop the robot now, whatever hangs; it stands until somebody gives it another task."""
         self.switch.press(reason)
 
+    @contextmanager
+    def watched(self, part: str) -> Iterator[Callable[[], None]]:
+        """Stop the robot where a part that it needs hangs: within, call what this gives each 0.2 s or more often."""
+        yield self._watchdog.watch(part)
+        self._watchdog.forget(part)
+
+    def part_fails(self, reason: str) -> None:
+        """Stop the robot because a part of the program does not go on, and say so, where it moves or has a task."""
+        if self._may_be_silent_s() == math.inf:
+            return
+        self.stop(reason)
+        self.say(f"{reason}: the robot is stopped; give it its task again", is_problem=True)
+        # The thread that drives may be what hangs: it shows nothing then.
+        shown = json.loads(self._latest.text) | self._words()
+        self._latest = replace(self._latest, text=json.dumps(shown))
+
     def close(self, seconds: float = 60.0) -> None:
-        """Stop the robot, let go of the map, and end; waits so long for what hangs. May be called twice."""
+        """Stop the robot, close the map, and end; waits so long for what hangs. May be called twice."""
         self.switch.press("the program ends")
+        self._watchdog.close()
         self._over.set()
         if self._thread.ident is not None:
             self._thread.join(seconds)
@@ -129,31 +166,53 @@ class Session:
         if is_problem:
             self._on_problem(text)
 
+    def _may_be_silent_s(self) -> float:
+        """How long a part may be silent now."""
+        if not self._is_driving or self.switch.reason:
+            return math.inf
+        if self._robot.is_commanded:
+            return self.silent_s
+        return _HELD_S if self._has_task else math.inf
+
     def _run(self) -> None:
         following: _Next | None = _Next(self._maps.first)
         try:
-            while following is not None and not self._over.is_set():
-                following = self._in_map(following)
+            with self.watched(_DRIVING) as beat:
+                while not self._over.is_set():
+                    try:
+                        following = self._wait_for_choice() if following is None else self._in_map(following, beat)
+                    except Exception as error:
+                        # Of what a page is shown, or of a stop: nothing else is left to do.
+                        self._fail("something went wrong", error)
+                        following = None
+                        self._over.wait(_WAIT_S)
         finally:
             if not self._over.is_set():
                 self.stop("the program that drives has ended")
                 self.say("nothing is driven any more: begin wheelsight serve again", is_problem=True)
             self._latest = self._telling.of_words(self._facts("ended"))
 
-    def _in_map(self, chosen: _Next) -> _Next | None:
-        """Drive in a map, until another is to be driven in; None at the end of all."""
+    def _in_map(self, chosen: _Next, beat: Callable[[], None]) -> _Next | None:
+        """Drive in a map, until another is to be driven in; None where one has to be chosen, and at the end of all."""
         self._name, self._told = chosen.name, None
         self._telling.begin()
         self._latest = self._telling.of_words(self._facts("opening"))
-        following: _Next | None = None
+        following, doing, has_driven = None, "the map is not opened", False
         try:
             with self._maps.opened(chosen.name, self._robot, chosen.pose, self._note) as driven:
-                following = self._drive(driven)
+                doing = "the map is given up"
+                try:
+                    following = self._drive(driven, beat)
+                finally:
+                    has_driven, self._is_driving = self._is_driving, False
+                doing = "the map is not saved" if driven.is_new else "the map is not closed"
                 self._latest = self._telling.of_words(self._facts("saving" if driven.is_new else "closing"))
-        except WheelsightError as error:
-            self.stop("something went wrong")
-            self.say(str(error), is_problem=True)
-            return self._wait_for_choice()
+        except Exception as error:
+            self._fail(doing, error)
+            if isinstance(error, WheelsightError) or not has_driven:
+                return None
+            # An error of the program, and not of the robot or of the disk: the robot is led on in the same map.
+            return following if following is not None and following.name else _Next(chosen.name)
         if following is not None and not following.name:
             self.say("the map is saved")
             return _Next(self._maps.last_saved(), following.pose)
@@ -172,34 +231,61 @@ class Session:
             self.say("choose a map first", is_problem=True)
         return None
 
-    def _drive(self, driven: Driven) -> _Next | None:
-        """Period by period."""
+    def _drive(self, driven: Driven, beat: Callable[[], None]) -> _Next | None:
+        """Period by period. Raises what several of them raise, one after another."""
         pace = Pace(lambda: self._robot.now_s) if self._paces else None
         every = max(1, round(1 / (self._settings.updates_hz * driven.navigator.settings.follow.period_s)))
-        feedback = driven.navigator.feedback
+        feedback, failures = driven.navigator.feedback, 0
         for period in count():
             if self._over.is_set():
                 return None
-            self._cancel_if_stopped(driven)
-            following = self._take(driven, feedback)
-            if following is not None:
-                return following
-            feedback = driven.navigator.step()
-            if self._watch is not None:
-                self._watch.step(feedback, driven.navigator)
-            self._tell_result(driven)
-            if period % every == 0:
-                self._latest = self._telling.of(driven, feedback, self._facts("driving", driven))
+            beat()
+            try:
+                self._cancel_if_stopped(driven)
+                # What is asked for after a failure waits until a period has passed by which the robot stands.
+                following = self._take(driven, feedback) if failures == 0 else None
+                if following is not None:
+                    return following
+                feedback = driven.navigator.step()
+                self._has_task = not driven.navigator.is_task_complete()
+                if self._watch is not None:
+                    self._watch.step(feedback, driven.navigator)
+                self._tell_result(driven)
+                if period % every == 0:
+                    self._latest = self._telling.of(driven, feedback, self._facts("driving", driven))
+            except Exception as error:
+                failures += 1
+                self._fail("the robot is stopped; give it its task again", error)
+                if failures == _MOST_FAILURES:
+                    raise
+                self._over.wait(_STEP_S)
+            else:
+                # Only now there is something that can hang.
+                failures, self._is_driving = 0, True
             if pace is not None:
                 pace.wait()
                 self._share = pace.share
         return None
 
+    def _fail(self, doing: str, error: Exception) -> None:
+        """Stop the robot, and say in a line why; the log has the traceback of the first error of a kind."""
+        self.stop("something went wrong")
+        what = str(error) if isinstance(error, WheelsightError) else f"{type(error).__name__}: {error}"
+        line = what.partition("\n")[0]
+        if not isinstance(error, WheelsightError):
+            line = f"{doing}: {line}"
+            kind = f"{type(error)} {traceback.extract_tb(error.__traceback__)[-1:]}"
+            if kind not in self._traced and len(self._traced) < _MOST_TRACED:
+                self._traced.add(kind)
+                _log.error("%s", line, exc_info=error)
+        if not self._said or self._said[-1]["text"] != line:
+            self.say(line, is_problem=True)
+
     def _cancel_if_stopped(self, driven: Driven) -> None:
         presses = self.switch.presses
         if presses != self._cancelled:
-            self._cancelled = presses
             driven.navigator.cancel_task()
+            self._cancelled = presses
 
     def _take(self, driven: Driven, feedback: Feedback) -> _Next | None:
         """Do what was asked; the map to go on in, where that is another."""
@@ -214,6 +300,9 @@ class Session:
             return self._do(asked, driven, feedback)
         except WheelsightError as error:
             self.say(str(error), is_problem=True)
+            return None
+        except Exception as error:
+            self._fail("not done", error)
             return None
 
     def _do(self, asked: _Asked, driven: Driven, feedback: Feedback) -> _Next | None:
@@ -266,16 +355,18 @@ class Session:
             why = self.switch.reason or f"{result.reason} ({result.detail})"
             self.say(f"not arrived: {why}", is_problem=True)
 
+    def _words(self) -> dict[str, Any]:
+        """What holds of the switch, and what was said."""
+        return {"stopped": self.switch.reason, "problem": self.switch.problem, "said": list(self._said)}
+
     def _facts(self, phase: str, driven: Driven | None = None) -> dict[str, Any]:
-        """What is told of any moment."""
+        """What is shown of any moment."""
         return {
+            **self._words(),
             "phase": phase,
             "map": self._name,
             "is_new": driven is not None and driven.is_new,
             "maps": list(self._maps.names()),
-            "stopped": self.switch.reason,
-            "problem": self.switch.problem,
-            "said": list(self._said),
             "share": round(self._share, 2),
         }
 
