@@ -222,3 +222,47 @@ def test_images_of_one_time_are_one_frame(sound: bytes, tmp_path: Path) -> None:
     stamps_s = [frame.stamp_s for frame in frames]
     assert len(frames) == 3
     assert stamps_s == sorted(set(stamps_s))
+
+
+@pytest.mark.parametrize("codec", [b"V_MJPEG", b"V_MS/VFW/FOURCC"])
+def test_a_codec_that_is_not_known_is_named(sound: bytes, tmp_path: Path, codec: bytes) -> None:
+    path = tmp_path / "a.mkv"
+    assert codec in sound
+    path.write_bytes(sound.replace(codec, b"V_" + b"X" * (len(codec) - 2)))
+    with pytest.raises(RecordingError, match=r"a\.mkv: its stream (COLOR|DEPTH) is of an unknown codec"):
+        open_recording(path)
+
+
+def test_a_list_of_other_files_is_not_followed(tmp_path: Path) -> None:
+    path = tmp_path / "a.mkv"
+    path.write_text("ffconcat version 1.0\nfile /dev/zero\n")
+    with pytest.raises(RecordingError, match="is no Matroska file"):
+        open_recording(path)
+
+
+def test_an_image_larger_than_any_camera_has_is_not_decoded(sound: bytes, tmp_path: Path) -> None:
+    """Its JPEG says another size than its stream does."""
+    path = tmp_path / "a.mkv"
+    frame_header = b"\xff\xc0\x00\x11\x08" + (720).to_bytes(2) + (1280).to_bytes(2)
+    assert sound.count(frame_header) == 3
+    path.write_bytes(sound.replace(frame_header, frame_header[:5] + b"\xff\xdc\xff\xdc"))
+    skipped = list(open_recording(path).events())
+    assert [getattr(event, "reason", None) for event in skipped] == ["colour image is damaged"] * 3
+
+
+@pytest.mark.parametrize("value", [0, -1, "x", None, 1e300, [], {}])
+@pytest.mark.parametrize("field", ["SensorHeight", "MetricRadius", "Intrinsics", "Rt"])
+def test_any_other_value_in_a_calibration_is_refused_or_read(document: Any, field: str, value: Any) -> None:
+    document["CalibrationInformation"]["Cameras"][0][field] = value
+    if field == "MetricRadius" and value in (0, 1e300):  # no limit
+        assert read_lenses(document, "NFOV_UNBINNED", (1280, 720))[1].reach > 1e200
+        return
+    with pytest.raises(CalibrationError, match="the calibration in it cannot be read"):
+        read_lenses(document, "NFOV_UNBINNED", (1280, 720))
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e300, -0.5])
+def test_focal_lengths_that_are_none_are_refused(document: Any, value: float) -> None:
+    document["CalibrationInformation"]["Cameras"][0]["Intrinsics"]["ModelParameters"][2] = value
+    with pytest.raises(CalibrationError, match="numbers that are no lens's"):
+        read_lenses(document, "NFOV_UNBINNED", (1280, 720))

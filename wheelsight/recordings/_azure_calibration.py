@@ -49,6 +49,8 @@ _COLOR_MODES = {
 }
 _MODEL, _PARAMETERS = "CALIBRATION_LensDistortionModelBrownConrady", 14
 _UNDISTORT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-9)
+# Focal lengths are in widths of the image, 0.2 to 1; coefficients of the camera's lenses are below 100.
+_MOST_PARAMETER, _LEAST_FOCAL = 1e4, 0.01
 # Beyond what a lens shows, undistorting finds nothing; where it does, it is right to far less than this.
 _CONVERGED_PX = 0.05
 _FAR_M = 100.0
@@ -81,15 +83,17 @@ def read_lenses(document: Any, depth_mode: str, color_size: tuple[int, int]) -> 
         by_place = {camera["Location"]: camera for camera in cameras}
         color = _lens(by_place["CALIBRATION_CameraLocationPV0"], _COLOR_MODES[color_size])
         return color, _lens(by_place["CALIBRATION_CameraLocationD0"], _DEPTH_MODES[depth_mode])
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, ArithmeticError) as error:
         raise CalibrationError(f"the calibration in it cannot be read: {error!r}") from error
 
 
 def _lens(camera: Any, mode: _Mode) -> Lens:
     intrinsics = camera["Intrinsics"]
     parameters = np.array(intrinsics["ModelParameters"], float)
-    if intrinsics["ModelType"] != _MODEL or len(parameters) != _PARAMETERS or not np.isfinite(parameters).all():
-        raise ValueError(f"lens model {intrinsics['ModelType']} of {len(parameters)} numbers")
+    if intrinsics["ModelType"] != _MODEL or parameters.shape != (_PARAMETERS,):
+        raise ValueError(f"lens model {intrinsics['ModelType']} of {parameters.size} numbers")
+    if not (np.abs(parameters) <= _MOST_PARAMETER).all() or parameters[2:4].min() <= _LEAST_FOCAL:
+        raise ValueError("numbers that are no lens's")
     aspect = camera["SensorWidth"] / camera["SensorHeight"]
     if abs(aspect - mode.sensor[0] / mode.sensor[1]) > 1e-3:
         raise ValueError(f"a sensor of {camera['SensorWidth']}×{camera['SensorHeight']}")
@@ -104,6 +108,8 @@ def _lens(camera: Any, mode: _Mode) -> Lens:
         raise ValueError(wrong[0])
     K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     reach = float(camera["MetricRadius"]) or np.inf
+    if not reach > 0:
+        raise ValueError(f"a lens that reaches {reach}")
     return Lens(K, np.array([k1, k2, p1, p2, k3, k4, k5, k6]), mode.size, reach, T_camera_device)
 
 

@@ -15,9 +15,9 @@ from wheelsight.calibration import Calibration
 from wheelsight.errors import CalibrationError, RecordingError
 from wheelsight.events import Event, RgbdFrame, SkippedFrame
 from wheelsight.extras import needed
-from wheelsight.geometry import ByteArray
+from wheelsight.geometry import MOST_PIXELS, ByteArray
 from wheelsight.geometry.arrays import UInt16Array
-from wheelsight.inputs import parse_json
+from wheelsight.inputs import Kind, open_binary, parse_json
 from wheelsight.recordings._azure_calibration import Registration, read_lenses
 from wheelsight.recordings._calibrated import corrected_depth
 from wheelsight.recordings._cameras import choose_calibration
@@ -27,6 +27,8 @@ from wheelsight.trajectory import Trajectory
 _COLOR, _DEPTH = "COLOR", "DEPTH"
 _SEGMENT, _HEAD = b"\x18\x53\x80\x67", 4096
 _MOST_ATTACHED = 1 << 20  # bytes; a calibration has 4 000
+_MKV = Kind("an .mkv", 1 << 40)
+_COPY = "copy the file again"
 
 
 class AzureKinectReader:
@@ -163,13 +165,19 @@ class _Listed:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """The file's container, and its faults as RecordingError."""
+    """The file's container, and its faults as RecordingError.
+
+    It is opened as Matroska alone, from a file that is open: FFmpeg also reads lists of other files, and opens devices
+    and addresses by their names.
+    """
     av = needed("av")
-    try:
-        with av.open(str(path)) as container:
-            yield container
-    except (av.error.FFmpegError, OSError, ValueError) as error:
-        raise RecordingError(f"is no Matroska file that can be read: {error}", path=path) from error
+    with open_binary(path, _MKV, RecordingError) as stream:
+        try:
+            with av.open(stream, format="matroska") as container:
+                yield container
+        # PyAV has no attributes, or None, where a file lacks what they are made of.
+        except (av.error.FFmpegError, OSError, ValueError, TypeError, AttributeError, ArithmeticError) as error:
+            raise RecordingError(f"is no Matroska file that can be read: {error}", path=path, fix=_COPY) from error
 
 
 def _streams(container: Any, path: Path) -> dict[str, Any]:
@@ -180,7 +188,19 @@ def _streams(container: Any, path: Path) -> dict[str, Any]:
             there = ", ".join(sorted(found)) or "none"
             fix = "record colour and depth with k4arecorder"
             raise RecordingError(f"no stream is called {name}; there are: {there}", path=path, fix=fix)
+        _check(found[name], name, path)
     return found
+
+
+def _check(stream: Any, name: str, path: Path) -> None:
+    """Raises RecordingError for a stream of which FFmpeg knows no codec, size or clock."""
+    if stream.codec_context is None:
+        raise RecordingError(f"its stream {name} is of an unknown codec", path=path, fix=_COPY)
+    if not stream.time_base or not 0 < stream.width * stream.height <= MOST_PIXELS:
+        problem = f"its stream {name} is of {stream.width}×{stream.height} pixels, in units of {stream.time_base} s"
+        raise RecordingError(problem, path=path, fix=_COPY)
+    # An image says its own size, which may be another than its stream's.
+    stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
 
 
 def _list(path: Path) -> _Listed:
@@ -222,7 +242,7 @@ def _list_packets(container: Any, streams: tuple[Any, Any], stamps: dict[int, li
 
 def _ends_early(path: Path) -> bool:
     """Whether a file ends before its segment does, by the sizes that it states (RFC 8794, sections 4 and 6)."""
-    with path.open("rb") as stream:
+    with open_binary(path, _MKV, RecordingError) as stream:
         head = stream.read(_HEAD)
     length, at = _size_at(head, 4)
     at += length or 0
@@ -305,6 +325,6 @@ def _color_of(packet: Any) -> ByteArray | None:
     av = needed("av")
     try:
         frames = packet.decode()
-    except av.error.FFmpegError:
+        return np.asarray(frames[0].to_ndarray(format="rgb24"), np.uint8) if frames else None
+    except (av.error.FFmpegError, OSError, ValueError):
         return None
-    return np.asarray(frames[0].to_ndarray(format="rgb24"), np.uint8) if frames else None
