@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from wheelsight.inputs import picture_size, scan_count
+from wheelsight.inputs import picture_size, picture_within, scan_count
 
 SIZE = (37, 21)
 
@@ -80,3 +80,30 @@ def test_a_tile_larger_than_its_image_counts() -> None:
 )
 def test_what_has_no_such_header_has_no_size(data: bytes) -> None:
     assert picture_size(data) is None
+
+
+@pytest.mark.parametrize("suffix", [".png", ".webp", ".pgm", ".bmp", ".tiff"])
+def test_images_are_decoded_within_a_size_alone(rng: np.random.Generator, suffix: str) -> None:
+    image = rng.integers(0, 256, (30, 40, 3) if suffix == ".webp" else (30, 40)).astype(np.uint8)
+    data = cv2.imencode(suffix, image, [cv2.IMWRITE_WEBP_QUALITY, 101])[1].tobytes()
+    found = picture_within(data, (40, 30))
+    assert found is not None
+    assert (found == image).all()
+    for most_px in ((39, 30), (40, 29), (0, 0)):
+        assert picture_within(data, most_px) is None
+    assert picture_within(data[: len(data) // 2], (40, 30)) is None or suffix not in (".png", ".webp")
+
+
+def test_depth_that_says_to_be_huge_is_not_decoded() -> None:
+    """16 bits of 30000 x 30000 pixels are 1.8 GB."""
+    data = bytearray(cv2.imencode(".png", np.ones((4, 4), np.uint16))[1].tobytes())
+    data[16:24] = struct.pack(">II", 30_000, 30_000)
+    data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+    assert picture_size(bytes(data)) == (30_000, 30_000)
+    assert picture_within(bytes(data), (4096, 4096)) is None
+
+
+def test_images_with_loss_or_in_motion_have_no_size() -> None:
+    lossy = cv2.imencode(".webp", np.zeros((8, 8, 3), np.uint8), [cv2.IMWRITE_WEBP_QUALITY, 80])[1].tobytes()
+    for data in (lossy, b"", b"RIFF", lossy[:12] + b"VP8X" + lossy[16:]):
+        assert picture_within(data, (100, 100)) is None

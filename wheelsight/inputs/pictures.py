@@ -1,9 +1,13 @@
-"""How large an image is, told by its first bytes, before anything of it is decoded."""
+"""How large an image is, by its first bytes, and images that are decoded only where that is within a limit."""
 
 from __future__ import annotations
 
 import re
 import struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 _PNG_BITS, _PNG_COLORS = (1, 2, 4, 8, 16), (0, 2, 3, 4, 6)
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
@@ -15,6 +19,8 @@ _TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_SAMPLES, _TIFF_TILE_WIDTH, _TIFF_TILE_HEIGHT = 
 _TIFF_MOST_FIELDS = 512
 # Of an image of 33 million pixels whose program writes chunks of 8 kB, 12 000; what has more takes long to go through.
 _MOST_PARTS = 100_000
+# RIFF, its length, WEBP, VP8L, its length; a signature, and 14 bits each of width and height less one.
+_WEBP = struct.Struct("<4sI4s4sIBI")
 
 
 def picture_size(data: bytes) -> tuple[int, int] | None:
@@ -39,6 +45,33 @@ def picture_size(data: bytes) -> tuple[int, int] | None:
 def scan_count(data: bytes) -> int:
     """How often decoding goes over the whole image: a progressive JPEG names its scans, all others have one."""
     return max(data.count(b"\xff\xda"), 1) if data.startswith(b"\xff\xd8") else 1
+
+
+def lossless_webp_size(data: bytes) -> tuple[int, int] | None:
+    """Width and height in pixels of a single lossless WebP image; None for any other."""
+    if len(data) < _WEBP.size:
+        return None
+    riff, _, webp, lossless, _, signature, bits = _WEBP.unpack_from(data)
+    is_one = (riff, webp, lossless, signature) == (b"RIFF", b"WEBP", b"VP8L", 0x2F)
+    return (1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)) if is_one else None
+
+
+def picture_within(data: bytes, most_px: tuple[int, int]) -> NDArray[Any] | None:
+    """An image as it stands, (h, w) or (h, w, C), blue before red.
+
+    None for what is no image of the kinds that `picture_size` and `lossless_webp_size` know, is damaged, or is wider or
+    higher in pixels than `most_px` by its header; then nothing of it is decoded.
+    """
+    import cv2
+
+    size = picture_size(data) or lossless_webp_size(data)
+    if size is None or not all(0 < side <= most for side, most in zip(size, most_px, strict=True)):
+        return None
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None
+    return None if image is None or image.shape[1::-1] != size else np.asarray(image)
 
 
 def _pair(form: str, data: bytes, begin: int) -> tuple[int, int]:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,6 +36,17 @@ def test_another_depth_factor_is_told(tmp_path: Path) -> None:
     folder.check_camera(CALIBRATION)  # nobody says
     with pytest.raises(MapError, match="its depth factor is 5000, here 1000"):
         folder.check_camera(CALIBRATION, 1000.0)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"width": 0}, {"height": -1}, {"width": 1 << 20}, {"fx": 1e999}, {"depth_factor": 0}]
+)
+def test_a_camera_that_is_none_is_refused(copied: Path, wrong: dict[str, Any]) -> None:
+    """Such as one of a million pixels' width, which would allow keyframes of any size."""
+    header = MapFolder.open(copied).header
+    replace(header, camera=replace(header.camera, **wrong)).save(copied)
+    with pytest.raises(MapError, match=r"map\.json: is damaged"):
+        MapFolder.open(copied)
 
 
 def test_a_newer_map_is_refused_and_an_edited_one(copied: Path) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from sessions.kept_views import COUNT, keyframe, pose
+from sessions.old_keyframes import write_old
 
 from wheelsight.errors import ArgumentError, MapError
 from wheelsight.keyframes import KeyframeId
@@ -61,3 +62,21 @@ def test_a_damaged_place_leaves_no_pose_that_looks_good(copied: Path) -> None:
     assert found.store.missing == (2,)
     assert np.isnan(found.store.pose(KeyframeId(2))).all()
     assert np.isfinite(np.delete(found.store.T_map_keyframe, 2, axis=0)).all()
+
+
+@pytest.mark.parametrize("is_old", [False, True])
+def test_images_larger_than_the_cameras_are_not_decoded(copied: Path, is_old: bool) -> None:
+    """A keyframe of 300 bytes may say that it is of 16 million pixels, which take a second to read."""
+    folder = MapFolder.open(copied, read_only=False, settings=SessionSettings(width_px=4096))
+    folder.append_keyframe(COUNT, keyframe(3, size=(96, 128)), pose(COUNT))
+    folder.close()
+    if is_old:
+        large = MapFolder.open(copied)
+        large.store.rest(KeyframeId(COUNT), lambda: keyframe(3, size=(96, 128)))
+        write_old(copied, large)
+    found = MapFolder.open(copied)
+    assert found.store[KeyframeId(0)].depth_m.shape == (48, 64)
+    where = found.contents.where[COUNT]
+    with pytest.raises(MapError, match=rf"{where[0].name}: .* an image of it cannot be read, or is larger") as refused:
+        found.store[KeyframeId(COUNT)]
+    assert f"its record at byte {where[1].offset:,}" in str(refused.value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import zlib
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -13,6 +14,7 @@ from wheelsight._version import __version__
 from wheelsight.calibration import Calibration
 from wheelsight.errors import MapError
 from wheelsight.files import StrPath, write_text
+from wheelsight.geometry import MOST_PIXELS
 from wheelsight.inputs import Kind, parse_json, read_text
 
 FORMAT, VERSION = "wheelsight-map-folder", 1
@@ -43,6 +45,11 @@ class MapCamera:
     cy: float
     is_registered: bool
     depth_factor: float | None = None
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of depth images; keyframes have none that are larger."""
+        return self.width, self.height
 
     @classmethod
     def of(cls, calibration: Calibration, depth_factor: float | None = None) -> MapCamera:
@@ -133,7 +140,11 @@ def _header(document: dict[str, Any]) -> MapHeader:
     camera, factor = document["camera"], document["camera"]["depth_factor"]
     width, height = (int(camera[name]) for name in _SIZE)
     fx, fy, cx, cy = (float(camera[name]) for name in _LENS)
+    if min(width, height) < 1 or width * height > MOST_PIXELS or not all(map(math.isfinite, (fx, fy, cx, cy))):
+        raise ValueError("no camera has such images")
     depth_factor = None if factor is None else float(factor)
+    if depth_factor is not None and not 0 < depth_factor < math.inf:
+        raise ValueError("no camera has such units")
     of_camera = MapCamera(width, height, fx, fy, cx, cy, bool(camera["is_registered"]), depth_factor)
     made_by, made, source = (str(document[name]) for name in ("made_by", "made", "source"))
     return MapHeader(of_camera, made_by, made, source, document["version"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from wheelsight.calibration import DepthNoise
 from wheelsight.errors import MapError
 from wheelsight.geometry import Float32Array
-from wheelsight.inputs import picture_size
+from wheelsight.inputs import picture_within
 from wheelsight.keyframes import Keyframe
 from wheelsight.odometry.dense.grid import Level, coarser
 from wheelsight.odometry.dense.settings import DenseSettings
@@ -25,11 +24,12 @@ _DAMAGED = "use another copy of the map"
 _FINEST_M, _LEAST_QUADRATIC = 0.0004, 1e-9
 _BRIGHTEST = 255
 _HALVED, _ROWS = DenseSettings(levels=1), Rows(1)
-_MOST_PIXELS = 4096 * 4096
+# As `SessionSettings.width_px` allows.
+LARGEST_PX = 4096, 4096
 # Beyond 100 WebP is lossless: smaller by 22 to 27 % than PNG (docs/decisions/0102).
 _LOSSLESS = (cv2.IMWRITE_WEBP_QUALITY, 101)
-# RIFF, its length, WEBP, VP8L, its length; a signature, and 14 bits each of width and height less one.
-_WEBP = struct.Struct("<4sI4s4sIBI")
+Size = tuple[int, int]
+"""Width and height of an image, pixels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,10 +98,13 @@ def packed_depth(numbers: NDArray[np.uint16]) -> bytes:
     return _webp(np.dstack([told >> 16, told & 255, told >> 8 & 255]).astype(np.uint8))
 
 
-def unpacked_depth(code: bytes) -> NDArray[np.uint16]:
-    """What `packed_depth` made bytes of. Raises MapError for what is none."""
-    high, low, middle = np.moveaxis(_of_webp(code).astype(np.int32), 2, 0)
-    told = high << 16 | middle << 8 | low
+def unpacked_depth(code: bytes, most_px: Size = LARGEST_PX) -> NDArray[np.uint16]:
+    """What `packed_depth` made bytes of. Raises MapError for what is none, or wider or higher than `most_px`."""
+    planes = _decoded(code, most_px, 3, np.uint8)
+    told = planes[..., 0].astype(np.int32)
+    for plane in (2, 1):  # in place: of a large image each copy is 67 MB
+        told <<= 8
+        told |= planes[..., plane]
     is_known = told > 0
     steps = told[is_known] - 1
     depth = np.cumsum(steps >> 1 ^ -(steps & 1), dtype=np.int64)
@@ -117,14 +120,14 @@ def packed_grey(numbers: NDArray[np.uint8]) -> bytes:
     return _webp(numbers)
 
 
-def unpacked_grey(code: bytes) -> NDArray[np.uint8]:
-    """What `packed_grey` made bytes of. Raises MapError for what is none."""
-    return np.ascontiguousarray(_of_webp(code)[..., 0])
+def unpacked_grey(code: bytes, most_px: Size = LARGEST_PX) -> NDArray[np.uint8]:
+    """What `packed_grey` made bytes of. Raises as `unpacked_depth`."""
+    return np.ascontiguousarray(_decoded(code, most_px, 3, np.uint8)[..., 0])
 
 
-def unpacked_png(code: bytes, dtype: type) -> NDArray[Any]:
-    """The image of numbers (h, w) of a PNG. Raises MapError for what is none."""
-    return _decoded(code, picture_size(code), 2, dtype)
+def unpacked_png(code: bytes, dtype: type, most_px: Size = LARGEST_PX) -> NDArray[Any]:
+    """The image of numbers (h, w) of a PNG. Raises as `unpacked_depth`."""
+    return _decoded(code, most_px, 2, dtype)
 
 
 def _webp(image: NDArray[np.uint8]) -> bytes:
@@ -133,22 +136,9 @@ def _webp(image: NDArray[np.uint8]) -> bytes:
     return code.tobytes()
 
 
-def _of_webp(code: bytes) -> NDArray[np.uint8]:
-    """(h, w, 3) of a single lossless image."""
-    size = None
-    if len(code) >= _WEBP.size:
-        riff, _, webp, lossless, _, signature, bits = _WEBP.unpack_from(code)
-        if (riff, webp, lossless, signature) == (b"RIFF", b"WEBP", b"VP8L", 0x2F):
-            size = 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
-    return _decoded(code, size, 3, np.uint8)
-
-
-def _decoded(code: bytes, size: tuple[int, int] | None, dimensions: int, dtype: type) -> NDArray[Any]:
-    """An image whose header told its size. Raises MapError."""
-    width, height = size or (0, 0)
-    image = None
-    if 0 < width * height <= _MOST_PIXELS:
-        image = cv2.imdecode(np.frombuffer(code, np.uint8), cv2.IMREAD_UNCHANGED)
+def _decoded(code: bytes, most_px: Size, dimensions: int, dtype: type) -> NDArray[Any]:
+    """An image whose header states at most such a width and height. Raises MapError."""
+    image = picture_within(code, (min(most_px[0], LARGEST_PX[0]), min(most_px[1], LARGEST_PX[1])))
     if image is None or image.ndim != dimensions or image.dtype != dtype:
-        raise MapError("an image of it cannot be read", fix=_DAMAGED)
-    return np.asarray(image)
+        raise MapError("an image of it cannot be read, or is larger than its camera's", fix=_DAMAGED)
+    return image

@@ -13,6 +13,7 @@ from wheelsight.geometry import FloatArray
 from wheelsight.geometry.arrays import UInt64Array
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.slam.sessions import old_records
+from wheelsight.slam.sessions.images import Size
 from wheelsight.slam.sessions.journal import Record, read_record
 from wheelsight.slam.sessions.keyframe_records import unpack_descriptors, unpack_keyframe
 from wheelsight.slam.sessions.records import Kind
@@ -30,17 +31,22 @@ class KeptKeyframes(KeyframeStore):
         where: journal and record of each keyframe, by number.
         T_map_keyframe: (N, 4, 4) of all; NaN where damage took the pose too.
         memory_keyframes: how many are held in memory, at most.
+        camera_px: width and height of the map's camera; larger images are none of its keyframes.
     """
 
     def __init__(
-        self, where: Mapping[int, tuple[Path, Record]], T_map_keyframe: FloatArray, memory_keyframes: int
+        self,
+        where: Mapping[int, tuple[Path, Record]],
+        T_map_keyframe: FloatArray,
+        memory_keyframes: int,
+        camera_px: Size,
     ) -> None:
         super().__init__()
         count = len(T_map_keyframe)
         self.hold(memory_keyframes)
         self._lost = frozenset(range(count)) - where.keys()
         self._keyframes = [None] * count
-        self._readers = {number: partial(read_keyframe, *found) for number, found in where.items()}
+        self._readers = {number: partial(read_keyframe, *found, camera_px) for number, found in where.items()}
         room = np.zeros((max(16, count), 4, 4))
         room[:count] = T_map_keyframe
         self._T_map_keyframe = room
@@ -60,11 +66,11 @@ class KeptKeyframes(KeyframeStore):
         return super().__getitem__(number)
 
 
-def read_keyframe(path: Path, record: Record) -> Keyframe:
-    """The keyframe of a record. Raises MapError, naming file and place."""
+def read_keyframe(path: Path, record: Record, camera_px: Size) -> Keyframe:
+    """The keyframe of a record, of images as large as its camera's at most. Raises MapError, naming file and place."""
+    unpack = old_records.unpack_keyframe if record.kind == Kind.FIRST_KEYFRAME else unpack_keyframe
     try:
-        content = read_record(path, record)
-        return old_records.unpack_keyframe(content) if record.kind == Kind.FIRST_KEYFRAME else unpack_keyframe(content)
+        return unpack(read_record(path, record), camera_px)
     except MapError as error:
         problem = error.problem if error.path is not None else f"its record at byte {record.offset:,} {error.problem}"
         raise MapError(problem, path=path, fix=error.fix) from error

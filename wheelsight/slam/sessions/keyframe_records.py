@@ -41,15 +41,15 @@ def pack_keyframe(keyframe: Keyframe, steps: DepthSteps, settings: SessionSettin
     return b"".join([head, depth, grey, code, places, descriptors])
 
 
-def unpack_keyframe(content: bytes) -> Keyframe:
-    """What `pack_keyframe` made. Raises MapError for what is none."""
+def unpack_keyframe(content: bytes, most_px: images.Size = images.LARGEST_PX) -> Keyframe:
+    """What `pack_keyframe` made. Raises MapError for what is none, or has images wider or higher than `most_px`."""
     numbers, lengths, count = _told(content)
     stamp_s, *intrinsics, step_m, growth, grey_step = numbers
     parts, at = [], _HEAD.size
     for length in lengths:
         parts.append(content[at : at + length])
         at += length
-    depth, grey = images.unpacked_depth(parts[0]), images.unpacked_grey(parts[1])
+    depth, grey = images.unpacked_depth(parts[0], most_px), images.unpacked_grey(parts[1], most_px)
     if depth.shape != grey.shape:
         raise MapError("its images are of two sizes", fix=_DAMAGED)
     features = None

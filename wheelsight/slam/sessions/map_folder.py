@@ -73,7 +73,9 @@ class MapFolder:
     ) -> None:
         self.path, self.header, self.calibration, self.settings = path, header, calibration, settings
         self.contents, self._lock = contents, lock
-        self.store = KeptKeyframes(contents.where, contents.T_map_keyframe, settings.memory_keyframes)
+        self.store = KeptKeyframes(
+            contents.where, contents.T_map_keyframe, settings.memory_keyframes, header.camera.size_px
+        )
         self._steps = DepthSteps.of_noise(calibration.depth_noise, settings.depth_sigmas)
         self._pieces = _Pieces(path, settings.piece_keyframes)
         self._edge_count = contents.edge_count

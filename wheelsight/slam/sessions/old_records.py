@@ -21,8 +21,8 @@ _ORB_BYTES, _KEYPOINT_BYTES = 32, 5 * 4
 _MOST_KEYPOINTS = 100_000
 
 
-def unpack_keyframe(content: bytes) -> Keyframe:
-    """What such a map holds of a keyframe. Raises MapError for what is none."""
+def unpack_keyframe(content: bytes, most_px: images.Size = images.LARGEST_PX) -> Keyframe:
+    """What such a map holds of a keyframe. Raises MapError for what is none, or of images larger than `most_px`."""
     try:
         stamp_s, fx, fy, cx, cy, step_m, growth, *sizes = _KEYFRAME.unpack_from(content)
     except struct.error as error:
@@ -38,8 +38,8 @@ def unpack_keyframe(content: bytes) -> Keyframe:
     for length in lengths:
         parts.append(content[at : at + length])
         at += length
-    depth = images.unpacked_png(parts[0], np.uint16)
-    grey = images.unpacked_png(parts[1], np.uint8)
+    depth = images.unpacked_png(parts[0], np.uint16, most_px)
+    grey = images.unpacked_png(parts[1], np.uint8, most_px)
     if depth.shape != grey.shape:
         raise MapError("its images are of two sizes", fix=_DAMAGED)
     features = None if count < 0 else _features(count, parts[3], parts[4])

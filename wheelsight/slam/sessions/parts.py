@@ -16,6 +16,7 @@ from wheelsight.mapping import MapEdits, NamedPoses, SurfelMap
 from wheelsight.places.recognition import Recognizer
 from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.graph import RelativePose
+from wheelsight.slam.sessions.images import Size
 from wheelsight.slam.sessions.journal import Record
 from wheelsight.slam.sessions.kept import KeptKeyframes
 from wheelsight.slam.sessions.map_folder import MapFolder
@@ -33,12 +34,14 @@ class MapParts:
         places: where each was when it was kept.
         T_map_keyframe: (N, 4, 4) by now.
         edges: that hold.
+        camera_px: width and height of their camera.
     """
 
     where: tuple[tuple[Path, Record], ...]
     places: tuple[Place, ...]
     T_map_keyframe: FloatArray
     edges: tuple[RelativePose, ...]
+    camera_px: Size
 
     @classmethod
     def of(cls, folder: MapFolder) -> Self:
@@ -47,7 +50,8 @@ class MapParts:
         where, places = folder.contents.where, folder.contents.places
         records, at = [where[number] for number in kept.tolist()], [places[number] for number in kept.tolist()]
         numbers = new_numbers(kept, len(folder.store))
-        return cls(tuple(records), tuple(at), folder.store.T_map_keyframe[kept], renumbered(folder.edges, numbers))
+        T, edges = folder.store.T_map_keyframe[kept], renumbered(folder.edges, numbers)
+        return cls(tuple(records), tuple(at), T, edges, folder.header.camera.size_px)
 
     def __len__(self) -> int:
         return len(self.where)
@@ -57,18 +61,18 @@ class MapParts:
         shift = np.arange(len(other)) + len(self)
         T = np.concatenate([self.T_map_keyframe, other.T_map_keyframe])
         edges = (*self.edges, *renumbered(other.edges, shift))
-        return MapParts((*self.where, *other.where), (*self.places, *other.places), T, edges)
+        return MapParts((*self.where, *other.where), (*self.places, *other.places), T, edges, self.camera_px)
 
     def some(self, kept: Sequence[int] | IntArray) -> MapParts:
         """These keyframes alone, in ascending order, and edges between them."""
         rows = np.asarray(kept, np.int64)
         where, places = [self.where[row] for row in rows.tolist()], [self.places[row] for row in rows.tolist()]
         edges = renumbered(self.edges, new_numbers(rows, len(self)))
-        return MapParts(tuple(where), tuple(places), self.T_map_keyframe[rows], edges)
+        return MapParts(tuple(where), tuple(places), self.T_map_keyframe[rows], edges, self.camera_px)
 
     def store(self, memory_keyframes: int) -> KeptKeyframes:
         """The keyframes, read when one asks for them."""
-        return KeptKeyframes(dict(enumerate(self.where)), self.T_map_keyframe, memory_keyframes)
+        return KeptKeyframes(dict(enumerate(self.where)), self.T_map_keyframe, memory_keyframes, self.camera_px)
 
 
 def are_there(folder: MapFolder) -> BoolArray:

@@ -249,7 +249,7 @@ class _Written:
         """What is on the disk by then need not stay in memory."""
         self._folder.flush()
         for number, where in self._unflushed:
-            self._store.rest(number, partial(read_keyframe, *where))
+            self._store.rest(number, partial(read_keyframe, *where, self._folder.header.camera.size_px))
         self._unflushed.clear()
 
     def _add(self, new: _NewKeyframe) -> None:
