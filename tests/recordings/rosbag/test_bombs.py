@@ -14,7 +14,7 @@ from pathlib import Path
 
 import lz4.frame
 import pytest
-from written_bags import camera_drive, odometry_drive, write_bag
+from written_bags import ROS1, ROS2, camera_drive, odometry_drive, write_bag
 
 from wheelsight.errors import RecordingError
 from wheelsight.recordings import open_recording
@@ -265,6 +265,40 @@ def test_definitions_are_bounded(name: str) -> None:
     text, problem = DEFINITIONS[name]
     with pytest.raises(Exception, match=problem):
         store_of("nav_msgs/msg/Odometry", "MSG", text, True)
+
+
+@pytest.mark.parametrize(
+    ("definition", "field"),
+    [
+        ("string data\n", ""),
+        ("string data\nint8 more\n", ""),
+        ("string date\n", "data"),
+        ("int8 data\n", "data"),
+        ("string[] data\n", "data"),
+        (f"X data\n{'=' * 80}\nMSG: std_msgs/X\nint8 x\n", "data"),
+    ],
+)
+def test_a_type_of_ros_that_a_bag_defines_otherwise_is_refused(definition: str, field: str) -> None:
+    if not field:
+        assert store_of("std_msgs/msg/String", "MSG", definition, False).types["std_msgs/msg/String"]
+        return
+    with pytest.raises(RecordingError, match=f"of std_msgs/msg/String does not have ROS's field {field}"):
+        store_of("std_msgs/msg/String", "MSG", definition, False)
+
+
+@pytest.mark.parametrize("is_ros1", [True, False])
+def test_a_field_of_a_field_that_is_otherwise_is_refused(is_ros1: bool) -> None:
+    store = ROS1 if is_ros1 else ROS2
+    text, _ = store.generate_msgdef("nav_msgs/msg/Odometry", ros_version=1 if is_ros1 else 2)
+    assert store_of("nav_msgs/msg/Odometry", "MSG", text, is_ros1)
+    for sound, odd, where in (
+        ("float64 z", "float64 zz", "geometry_msgs/msg/"),
+        ("float64[36] covariance", "float64[35] covariance", "geometry_msgs/msg/PoseWithCovariance"),
+        ("string frame_id", "int64 frame_id", "std_msgs/msg/Header"),
+    ):
+        assert sound in text
+        with pytest.raises(RecordingError, match=f"its definition of {where}.*does not have ROS's field"):
+            store_of("nav_msgs/msg/Odometry", "MSG", text.replace(sound, odd), is_ros1)
 
 
 def test_a_sound_bag_stays_far_below_what_is_allowed(tmp_path: Path) -> None:

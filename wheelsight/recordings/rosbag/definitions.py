@@ -17,6 +17,8 @@ LONGEST_DEFINITION = 1 << 16
 # Fields of fields are counted: an Odometry has 90, 72 of them in covariances.
 _MOST_FIELDS = 4096
 _IDL_RULE = "=" * 80 + "\n"
+TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+_TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
 MOST_CONNECTIONS = 10_000  # a robot's bag has some hundred
 
 
@@ -51,7 +53,13 @@ def store_of(type_: str, language: str, definition: str, is_ros1: bool) -> Any:
         raise RecordingError(f"its definition is longer than {LONGEST_DEFINITION >> 10} kB")
     store = typesys.get_typestore(typesys.Stores.EMPTY)
     types = _defined(type_, language, definition, typesys)
-    _check(type_, {**store.fielddefs, **types})
+    known = {**store.fielddefs, **types}
+    _check(type_, known)
+    standard = dict(typesys.get_typestore(typesys.Stores.ROS1_NOETIC if is_ros1 else typesys.Stores.LATEST).fielddefs)
+    for name in TF:
+        standard.setdefault(name, typesys.get_types_from_msg(_TRANSFORMS, name)[name])
+    if type_ in standard:
+        _compare(type_, known, type_, standard)
     store.register(types)
     return store
 
@@ -93,3 +101,29 @@ def _check(type_: str, types: Mapping[str, Any]) -> None:
         return count * size if kind.name == "ARRAY" else count
 
     fields_of(type_)
+
+
+def _compare(type_: str, types: Mapping[str, Any], name: str, standard: Mapping[str, Any]) -> None:
+    """Raise RecordingError for a type that lacks a field of ROS's, or has it otherwise; it may have more fields."""
+    found = dict(types[type_][1]) if type_ in types else {}
+    for field, wanted in standard[name][1]:
+        if field not in found or not _is_alike(found[field], wanted):
+            raise RecordingError(f"its definition of {type_} does not have ROS's field {field}")
+        (kind, what), (_, of_ros) = _element(found[field]), _element(wanted)
+        if kind.name == "NAME":
+            _compare(what, types, of_ros, standard)
+
+
+def _is_alike(found: Any, wanted: Any) -> bool:
+    """Whether both are numbers, text or messages, or as many of them."""
+    if found[0].name not in (wanted[0].name, *(("ARRAY",) if wanted[0].name == "SEQUENCE" else ())):
+        return False
+    if wanted[0].name == "ARRAY" and found[1][1] != wanted[1][1]:
+        return False
+    (kind, what), (kind_of_ros, of_ros) = _element(found), _element(wanted)
+    is_text = kind.name == "BASE" and ("string" in what[0]) != ("string" in of_ros[0])
+    return bool(kind is kind_of_ros and not is_text)
+
+
+def _element(field: Any) -> Any:
+    return field[1][0] if field[0].name in ("ARRAY", "SEQUENCE") else field

@@ -12,9 +12,10 @@ from wheelsight.errors import CalibrationError
 from wheelsight.geometry import FloatArray, PinholeCamera
 from wheelsight.recordings._wheel_recording import shipped_robot
 from wheelsight.recordings.rosbag.cameras import camera_of
+from wheelsight.recordings.rosbag.definitions import TF
 from wheelsight.recordings.rosbag.settings import BagSettings
 from wheelsight.recordings.rosbag.storage import OpenBag
-from wheelsight.recordings.rosbag.topics import TF, ImageTopic, Roles
+from wheelsight.recordings.rosbag.topics import ImageTopic, Roles
 from wheelsight.recordings.rosbag.transforms import Transforms
 
 # REP 105's names; the first that tf joins with the camera is the base. What stands on the ground comes first.

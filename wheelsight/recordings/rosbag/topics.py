@@ -15,7 +15,6 @@ from wheelsight.recordings.rosbag.wheels import Joints, wheel_joints
 INFO, IMU = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/Imu"
 ODOMETRY, JOINTS = "nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState"
 TEXT = "std_msgs/msg/String"
-TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 # Text of a calibration.yaml, which wheelsight's own bags carry; an Odometry beside it is its estimate.
 CALIBRATION = "/wheelsight/calibration"
 NONE = "none"
