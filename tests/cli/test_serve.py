@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -82,10 +83,33 @@ def test_the_address_that_is_printed_holds_the_token() -> None:
 
 
 def test_a_flood_of_refusals_is_counted_and_not_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    refusals = Refusals()
-    for number in range(500):
-        refusals.tell(f"refused {number}")
-    assert len(capsys.readouterr().err.splitlines()) <= 12
+    with Refusals() as refusals:
+        for number in range(500):
+            refusals.tell(f"refused {number}")
+            refusals.tell("refused 10.0.0.7: no token")
+        refusals.tell("refused 10.0.0.8: no HTTP (70 times)")
+        refusals.tell("the port is gone", is_problem=True)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) <= 14
+    assert "warning: the port is gone" in lines, "a problem is not among the others"
+    counts = [re.search(r"\((\d+) times\)", line) for line in lines]
+    assert sum(1 if count is None else int(count[1]) for count in counts) == 1071, "each is counted"
+
+
+def test_a_terminal_that_takes_nothing_holds_up_no_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    goes_on, printed = threading.Event(), list[str]()
+
+    def hangs(line: str) -> None:
+        goes_on.wait(20)
+        printed.append(line)
+
+    monkeypatch.setattr("wheelsight.cli._serving.print_warning", hangs)
+    with Refusals() as refusals:
+        for _ in range(1000):
+            refusals.tell("refused 10.0.0.7: no token")
+        assert not printed
+        goes_on.set()
+    assert printed
 
 
 @pytest.mark.slow

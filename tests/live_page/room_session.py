@@ -76,10 +76,11 @@ class RoomPlaces:
 
 @dataclass
 class RoomMaps:
-    """The room under several names; "broken" cannot be opened."""
+    """The room under several names; "broken" cannot be opened, and one is closed wrongly where that is asked for."""
 
     robot: ObedientRobot
     first: str = "today"
+    closes_wrongly: bool = False
     opened_with: list[tuple[str, FloatArray | None]] = field(default_factory=list)
     places: dict[str, RoomPlaces] = field(default_factory=dict)
 
@@ -100,6 +101,9 @@ class RoomMaps:
         told = Told(self.robot)
         navigator = Navigator(robot, told, floor, settings, trusts_floor=True, on_transition=on_transition)
         yield Driven(navigator, self.places.setdefault(name, RoomPlaces()), is_new=name == "new")
+        if self.closes_wrongly:
+            self.closes_wrongly = False
+            raise TypeError("a list where an array was needed")
 
 
 @dataclass
@@ -137,12 +141,17 @@ SETTINGS = LivePageSettings()
 
 @contextmanager
 def room_session(
-    first: str = "today", *, paces: bool = True, watch: Watch | None = None, **settings: Any
+    first: str = "today",
+    *,
+    paces: bool = True,
+    watch: Watch | None = None,
+    on_problem: Callable[[str], None] = lambda line: None,
+    **settings: Any,
 ) -> Iterator[Served]:
     """One that drives; in real time, or as fast as it can."""
     robot = ObedientRobot()
     maps = RoomMaps(robot, first)
-    with Session(robot, maps, replaced(settings), paces=paces, watch=watch) as session:
+    with Session(robot, maps, replaced(settings), paces=paces, on_problem=on_problem, watch=watch) as session:
         served = Served(session, robot, maps)
         served.until(lambda told: told["phase"] in ("driving", "choose"))
         try:

@@ -7,13 +7,16 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from live_page.room_session import BEGIN, is_near, room_session
+from live_page.room_session import BEGIN, ObedientRobot, RoomMaps, RoomPlaces, Served, is_near, room_session
 from narrowing import not_none
+from navigation.rooms import Told
 
 from wheelsight.commands import STOP
 from wheelsight.errors import DeviceError
 from wheelsight.events import Event
-from wheelsight.live_page.messages import Explore, GoToName, GoToPose, NamePlace, SaveMap, StartMap
+from wheelsight.live_page import StopSwitch
+from wheelsight.live_page.messages import Explore, GoToName, GoToPose, NamePlace, SaveMap, StartMap, Task
+from wheelsight.live_page.snapshot import Telling
 from wheelsight.navigation import Feedback, Navigator, Transition
 
 THERE = GoToPose(type="goal", x_m=5.0, y_m=3.0, yaw_rad=0.0)
@@ -130,6 +133,140 @@ def test_a_robot_that_is_gone_ends_in_words(monkeypatch: pytest.MonkeyPatch) -> 
         told = served.until(lambda told: told["phase"] == "choose")
         assert has_said("the port is gone")(told)
         served.until_stopped()
+
+
+def wrong(*_: object, **__: object) -> None:
+    raise TypeError("a list where an array was needed\nand more")
+
+
+LINE = "TypeError: a list where an array was needed"
+
+
+def goes_on(served: Served) -> None:
+    """The robot stands, the error is on the page in one line, and the next goal is driven to."""
+    told = served.until(has_said(LINE))
+    assert all("\n" not in one["text"] for one in told["said"])
+    assert told["stopped"]
+    served.until_stopped()
+    assert not served.session.is_over
+    served.until(lambda told: told["phase"] == "driving" and told["speed_m_s"] == 0)
+    served.session.ask(NEAR)
+    served.until(lambda told: told["state"] == "driving" and told["speed_m_s"] > 0.1)
+
+
+@pytest.mark.parametrize(
+    ("owner", "name"),
+    [
+        (ObedientRobot, "step"),
+        (Told, "hear"),
+        (Navigator, "_decide"),
+        (Telling, "of"),
+        (StopSwitch, "release"),
+    ],
+)
+def test_any_error_while_it_drives_stops_the_robot_and_it_can_drive_again(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, owner: type, name: str
+) -> None:
+    with room_session(paces=False) as served:
+        served.session.ask(THERE)
+        if name != "release":
+            served.until(lambda told: told["speed_m_s"] > 0.3)
+        with monkeypatch.context() as patched:
+            patched.setattr(owner, name, wrong)
+            if name == "release":
+                served.session.ask(THERE)
+            served.until_stopped()
+            served.until(has_said(LINE)) if name != "of" else time.sleep(0.5)
+        goes_on(served)
+    assert sum(record.exc_info is not None for record in caplog.records) == 1, "the log has one traceback"
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "task"),
+    [
+        (Navigator, "go_to_pose", THERE),
+        (Navigator, "explore", Explore(type="explore")),
+        (RoomPlaces, "name", NamePlace(type="name", name="door")),
+        (RoomMaps, "names", StartMap(type="start", map="yesterday")),
+    ],
+)
+def test_any_error_of_a_task_stops_the_robot_and_the_next_is_done(
+    monkeypatch: pytest.MonkeyPatch, owner: type, name: str, task: Task
+) -> None:
+    with room_session("new", paces=False) as served:
+        with monkeypatch.context() as patched:
+            patched.setattr(owner, name, wrong)
+            served.session.ask(task)
+            served.until_stopped()
+        goes_on(served)
+
+
+@pytest.mark.parametrize(
+    ("task", "map_"), [(SaveMap(type="save"), "new"), (StartMap(type="start", map="today"), "today")]
+)
+def test_an_error_while_a_map_is_saved_or_closed_leaves_one_to_drive_in(
+    monkeypatch: pytest.MonkeyPatch, task: Task, map_: str
+) -> None:
+    with room_session("new", paces=False) as served:
+        served.maps.closes_wrongly = True
+        served.session.ask(task)
+        served.until(has_said(LINE))
+        assert has_said("the map is not saved")(served.until(has_said(LINE)))
+        goes_on(served)
+        assert served.until(lambda told: told["phase"] == "driving")["map"] == map_
+
+
+def test_an_error_while_a_map_is_opened_leaves_others_to_choose(monkeypatch: pytest.MonkeyPatch) -> None:
+    with room_session() as served:
+        with monkeypatch.context() as patched:
+            patched.setattr(RoomMaps, "opened", wrong)
+            served.session.ask(StartMap(type="start", map="yesterday"))
+            assert has_said(f"the map is not opened: {LINE}")(served.until(lambda told: told["phase"] == "choose"))
+        served.session.ask(StartMap(type="start", map="today"))
+        goes_on(served)
+
+
+def test_an_error_while_it_is_stopped_is_shown_and_it_is_stopped_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    with room_session() as served:
+        served.session.ask(THERE)
+        served.until(lambda told: told["speed_m_s"] > 0.2)
+        with monkeypatch.context() as patched:
+            patched.setattr(ObedientRobot, "stop", wrong)
+            patched.setattr(Navigator, "_decide", wrong)
+            told = served.until(lambda told: told["problem"] == LINE)
+            assert told["stopped"]
+        served.until_stopped()
+        served.until(lambda told: told["problem"] == "")
+        goes_on(served)
+
+
+def test_a_thread_that_hangs_is_noticed_and_its_task_is_over() -> None:
+    problems: list[str] = []
+    with room_session(paces=False, on_problem=problems.append) as served:
+        served.session.ask(THERE)
+        served.until(lambda told: told["speed_m_s"] > 0.3)
+        served.robot.goes_on.clear()
+        told = served.until(lambda told: told["stopped"])
+        assert told["stopped"] == "the thread that drives does not answer"
+        assert has_said("does not answer: the robot is stopped; give it its task again")(told)
+        assert any("does not answer" in line for line in problems)
+        served.until_stopped()
+        served.robot.goes_on.set()
+        told = served.until(has_said("the thread that drives answers again after"))
+        told = served.until(lambda told: told["state"] == "failed" and told["speed_m_s"] == 0)
+        stood_at = served.robot.base.pose.copy()
+        time.sleep(0.2)
+        np.testing.assert_allclose(served.robot.base.pose, stood_at, atol=1e-3)
+        served.session.ask(NEAR)
+        served.until(lambda told: told["speed_m_s"] > 0.1)
+
+
+def test_a_robot_that_stands_without_a_task_may_be_kept_waiting() -> None:
+    with room_session(paces=False) as served:
+        served.robot.goes_on.clear()
+        time.sleep(0.8)
+        served.robot.goes_on.set()
+        assert not served.session.switch.presses
 
 
 def test_too_much_at_once_is_refused() -> None:

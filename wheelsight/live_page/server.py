@@ -50,6 +50,7 @@ class PageServer:
 
     Attributes:
         port: where it is served.
+        loop: that answers; None before it is there.
 
     Raises:
         ConfigError: nothing can be served there.
@@ -77,7 +78,7 @@ class PageServer:
         self._requests_a_s = settings.most_viewers * (_IMAGES * settings.images_hz + _FILES_A_S)
         self._server, self._switch_s = uvicorn.Server(self._config), settings.switch_s
         self._switch_before_s = sys.getswitchinterval()
-        self._loop: asyncio.AbstractEventLoop | None = None
+        self.loop: asyncio.AbstractEventLoop | None = None
         self._adopted = set[asyncio.Task[None]]()
         self._is_over = threading.Event()
         self._door: _DoorProcess | None = None
@@ -93,7 +94,7 @@ class PageServer:
         self._thread.start()
         self._keeper.start()
         until_s = time.monotonic() + _STARTS_S
-        while self._loop is None or self._door is None or not self._server.started:
+        while self.loop is None or self._door is None or not self._server.started:
             if not self._thread.is_alive() or time.monotonic() > until_s:
                 self.__exit__(None, None, None)
                 raise ConfigError("the page's server did not start")
@@ -128,7 +129,7 @@ class PageServer:
         asyncio.run(self._serve())
 
     async def _serve(self) -> None:
-        self._loop = asyncio.get_running_loop()
+        self.loop = asyncio.get_running_loop()
         # It listens at no port: connections come by the door.
         await self._server.serve([])
 
@@ -141,8 +142,8 @@ class PageServer:
         except OSError:
             head, descriptors = b"", []
         if not head:
-            assert self._loop is not None
-            self._loop.remove_reader(handed)
+            assert self.loop is not None
+            self.loop.remove_reader(handed)
             handed.close()
             return
         # Where this program has no descriptor left there is none: the page asks again.
@@ -153,14 +154,14 @@ class PageServer:
 
     async def _answer(self, connection: socket.socket, head: bytes) -> None:
         """Serve a connection, of which the door has read so much."""
-        assert self._loop is not None
+        assert self.loop is not None
         connection.setblocking(False)
         state = self._server.server_state
         inner = self._config.http_protocol_class(  # type: ignore[call-arg]
             config=self._config, server_state=state, app_state=self._server.lifespan.state
         )
         try:
-            transport, _ = await self._loop.connect_accepted_socket(lambda: _Begun(inner, head), connection)
+            transport, _ = await self.loop.connect_accepted_socket(lambda: _Begun(inner, head), connection)
         except OSError:
             connection.close()
             return
@@ -195,9 +196,9 @@ class PageServer:
         session, is_adopted = self._app.session, False
         asked_s, silent_s = -math.inf, 0.0
         while not self._is_over.is_set():
-            if not is_adopted and self._loop is not None and self._server.started:
+            if not is_adopted and self.loop is not None and self._server.started:
                 is_adopted = True
-                self._loop.call_soon_threadsafe(self._loop.add_reader, door.handed, self._adopt, door.handed)
+                self.loop.call_soon_threadsafe(self.loop.add_reader, door.handed, self._adopt, door.handed)
             if time.monotonic() - asked_s >= _PULSE_S:
                 asked_s = time.monotonic()
                 door.say(PULSE)
