@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from synthetic import undistorted_by_opencv
 
 from benchmarks.fuzz_recordings import azure_kinect
 from wheelsight.errors import CalibrationError, InputError, RecordingError
@@ -66,12 +67,8 @@ def test_depth_falls_where_opencv_projects_it(rng: np.random.Generator) -> None:
         depth_mm = np.zeros((288, 320), np.uint16)
         depth_mm[row, column] = 1500
         seen = subject.registered(depth_mm)
-        xy = cv2.undistortPoints(
-            np.array([[[column, row]]], float),
-            depth_camera.K,
-            np.array(coefficients),
-            criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-12),
-        ).reshape(2)
+        px = np.array([[[column, row]]], float)
+        xy = undistorted_by_opencv(px, depth_camera.K, np.array(coefficients)).reshape(2)
         p_depth = 1.5 * np.array([*xy, 1.0])
         expected = cv2.projectPoints(p_depth[None], cv2.Rodrigues(T[:3, :3])[0], T[:3, 3], color_camera.K, None)[0]
         v, u = np.nonzero(seen)

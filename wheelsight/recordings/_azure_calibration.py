@@ -167,7 +167,10 @@ def _quarter_rays(depth: Lens) -> FloatArray:
     width, height = depth.size
     u, v = np.meshgrid(np.arange(2 * width) / 2 - 0.25, np.arange(2 * height) / 2 - 0.25)
     px = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
-    undistorted = cv2.undistortPoints(px, depth.K, depth.coefficients, criteria=_UNDISTORT)
+    if hasattr(cv2, "undistortPointsIter"):  # before OpenCV 5
+        undistorted = cv2.undistortPointsIter(px, depth.K, depth.coefficients, None, None, _UNDISTORT)
+    else:
+        undistorted = cv2.undistortPoints(px, depth.K, depth.coefficients, criteria=_UNDISTORT)
     xy: FloatArray = np.asarray(undistorted, float).reshape(-1, 2)
     focal_px, middle = depth.K[[0, 1], [0, 1]], depth.K[:2, 2]
     off_px = np.abs(_distorted(xy, depth.coefficients) * focal_px + middle - px.reshape(-1, 2)).max(axis=1)
