@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -195,8 +196,8 @@ def _header(text: str, path: Path, columns: Sequence[str]) -> _Header:
         bare = line.lstrip("# \t").lower()
         names, per_second = _with_stamps(_split(bare if between else _UNIT_APART.sub(r"\1", bare), between))
         if all(column in names for column in columns):
-            for name in names:
-                if names.count(name) > 1:
+            for name, count in Counter(names).items():
+                if count > 1:
                     raise RecordingError(f"has column {name!r} twice", path=path, line=number, fix="name each once")
             return _Header(number, between, tuple(names), per_second)
         if not is_comment:

@@ -295,3 +295,51 @@ def test_depth_that_is_no_number_is_not_measured(tmp_path: Path) -> None:
     assert (depth_m[0, :4] == 0).all()
     assert (depth_m[1, :2] == 0).all()
     assert (depth_m[2:] == 4.0).all()
+
+
+@pytest.mark.parametrize("value", [1e200, float("nan"), float("inf"), -1e300])
+def test_numbers_that_nothing_measures_are_counted_and_left_out(opened, value: float) -> None:
+    drive = odometry_drive()
+    drive.messages += camera_drive().messages
+    for at_s in np.arange(0, 3, 0.1).tolist():
+        rate = value if at_s == 1.0 else 0.3
+        drive.add(at_s, "/imu", drive.make.imu(at_s, "base_link", (0, 0, rate), (0, 0, 9.81)))
+    odometry = [message for _, topic, message in drive.messages if topic == "/odom"]
+    odometry[20].pose.pose.orientation.z = value
+    odometry[30].pose.pose.position.x = value
+    odometry[40].twist.twist.linear.x = value
+    drive.add(0.0, "/tf", drive.make.tf(("base_link", "odd", (0, 0, 0), (0, 0, 0, value))))
+    recording = opened(drive)
+    assert sum(isinstance(event, WheelSpeeds) for event in recording.events()) == 57
+    assert any("4 messages hold no numbers of wheels or gyroscope" in warning for warning in recording.warnings)
+    assert any("from base_link to odd is no rigid motion" in warning for warning in recording.warnings)
+
+
+@pytest.mark.parametrize("field", ["d", "k", "p"])
+def test_a_camera_of_impossible_numbers_is_refused(opened, field: str) -> None:
+    drive = camera_drive()
+    for _, topic, message in drive.messages:
+        if topic.endswith("camera_info"):
+            setattr(message, field, np.full({"d": 5, "k": 9, "p": 12}[field], 1e300))
+    with pytest.raises(InputError, match="CameraInfo holds what is no number of a camera"):
+        opened(drive)
+
+
+@pytest.mark.parametrize("way", ["ROS 1", "mcap", "sqlite3"])
+@pytest.mark.parametrize("topic", [COLOR, "/camera/color/camera_info", "/odom", "/imu"])
+def test_a_frame_that_is_no_text_is_refused(tmp_path: Path, way: str, topic: str) -> None:
+    is_ros1 = way == "ROS 1"
+    drive = camera_drive(is_ros1)
+    drive.messages += odometry_drive(is_ros1).messages
+    for at_s in np.arange(0, 3, 0.1).tolist():
+        drive.add(at_s, "/imu", drive.make.imu(at_s, "imu_frame", (0, 0, 0.3), (0, 0, 9.81)))
+    for _, name, message in drive.messages:
+        if name == topic:
+            message.header.frame_id = "f" * 33
+    written = write_bag(tmp_path / ("drive.bag" if is_ros1 else "drive"), drive, **{} if is_ros1 else {"storage": way})
+    path = written if is_ros1 else next(file for file in written.iterdir() if file.suffix != ".yaml")
+    data = path.read_bytes()
+    assert b"f" * 33 in data
+    path.write_bytes(data.replace(b"f" * 33, b"\xf0" * 33))
+    with pytest.raises(RecordingError, match=f"a message of {topic} "):
+        list(open_recording(path).events())

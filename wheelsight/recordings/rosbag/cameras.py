@@ -8,6 +8,7 @@ import numpy as np
 
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry import FloatArray, PinholeCamera
+from wheelsight.recordings.rosbag.definitions import are_measured
 
 _BROWN = ("plumb_bob", "radtan", "")
 _RATIONAL = "rational_polynomial"
@@ -27,6 +28,8 @@ def camera_of(info: Any, is_rectified: bool, lens_px: float) -> tuple[PinholeCam
     """
     names = {name.lower(): name for name in ("D", "K", "P")} if hasattr(info, "K") else {n: n for n in "dkp"}
     D, K, P = (np.asarray(getattr(info, names[name]), float) for name in "dkp")
+    if not are_measured((*D, *K, *P)):
+        raise CalibrationError("its CameraInfo holds what is no number of a camera", fix="give one with --camera")
     known = P.reshape(3, 4)[:, :3] if is_rectified and P.any() else K.reshape(3, 3)
     if not known[0, 0] > 0:
         raise CalibrationError("its CameraInfo is all zero: it was not calibrated", fix="give one with --camera")
@@ -53,6 +56,7 @@ def _pixels(info: Any, K: FloatArray) -> tuple[tuple[int, int], tuple[float, flo
     return (width // across, height // down), (float(K[0, 0] / across), float(K[1, 1] / down), float(cx), float(cy))
 
 
+@np.errstate(all="ignore")  # of numbers that describe no lens
 def _nearest(camera: PinholeCamera, D: FloatArray, lens_px: float) -> tuple[PinholeCamera, str | None]:
     """Brown's five coefficients nearest to OpenCV's eight over the image; they are linear in where a point goes."""
     k1, k2, p1, p2, k3, k4, k5, k6 = np.pad(D, (0, max(0, 8 - len(D))))[:8]
@@ -66,6 +70,8 @@ def _nearest(camera: PinholeCamera, D: FloatArray, lens_px: float) -> tuple[Pinh
     columns_y = (y * r2, y * r2**2, r2 + 2 * y**2, 2 * x * y, y * r2**3)
     A = np.stack([np.concatenate([a, b]).ravel() for a, b in zip(columns_x, columns_y, strict=True)], axis=1)
     wanted = np.concatenate([wanted_x, wanted_y]).ravel()
+    if not (np.isfinite(A).all() and np.isfinite(wanted).all()):
+        raise CalibrationError("its CameraInfo describes no lens", fix="give one with --camera")
     found = np.linalg.lstsq(A, wanted, rcond=None)[0]
     worst_px = float(np.abs(A @ found - wanted).max() * max(camera.fx, camera.fy))
     lens = (camera.fx, camera.fy, camera.cx, camera.cy)

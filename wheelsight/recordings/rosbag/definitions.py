@@ -5,7 +5,7 @@ A definition is text from a stranger that becomes a program: its length, its fie
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -20,6 +20,15 @@ _IDL_RULE = "=" * 80 + "\n"
 TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
 MOST_CONNECTIONS = 10_000  # a robot's bag has some hundred
+
+
+# Metres, radians, their rates, or pixels: beyond, squares and products of damaged numbers overflow.
+_LARGEST = 1e9
+
+
+def are_measured(values: Iterable[float]) -> bool:
+    """Whether all of a message's numbers can have been measured: none is NaN, infinite or beyond 1e9."""
+    return all(abs(value) <= _LARGEST for value in values)
 
 
 class Connection(NamedTuple):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,6 +20,7 @@ from wheelsight.matches import Match, SpeedVariances
 from wheelsight.recordings._calibrated import corrected_depth
 from wheelsight.recordings._read_ahead import read_ahead
 from wheelsight.recordings.protocol import AssociationReport, ListedFrame, OpenOptions, RecordedTopic
+from wheelsight.recordings.rosbag.definitions import are_measured
 from wheelsight.recordings.rosbag.images import color_of, depth_of
 from wheelsight.recordings.rosbag.order import Arrival, Pairing, RawFrame, in_order
 from wheelsight.recordings.rosbag.stamps import TopicClock
@@ -108,16 +108,15 @@ class _Pass:
                     self.pairing.add(kind, stamp_s, message)
                     return None
             return self._reading(topic, stamp_s, self.bag.decode(message))
-        except (RecordingError, ValueError, struct.error):  # one damaged message; the rest goes on
+        except RecordingError:  # one damaged message; the rest goes on
             self.unusable += 1
             return None
 
     def _reading(self, topic: str, stamp_s: float, decoded: Any) -> Event | None:
         if topic == self.plan.roles.gyro:
             rate = decoded.angular_velocity
-            yaw_rate_rad_s = float(np.dot(self.plan.up, (rate.x, rate.y, rate.z)))
-            if math.isfinite(yaw_rate_rad_s):
-                return YawRate(stamp_s, yaw_rate_rad_s)
+            if are_measured((rate.x, rate.y, rate.z)):
+                return YawRate(stamp_s, float(np.dot(self.plan.up, (rate.x, rate.y, rate.z))))
             self.unusable += 1
             return None
         return None if self.speeds is None else self.speeds.add(stamp_s, decoded)

@@ -74,7 +74,8 @@ def _transforms(bag: OpenBag, settings: BagSettings) -> Transforms:
     for topic in sorted(topics, key=lambda topic: "static" not in topic.name):
         is_static = "static" in topic.name
         for message in bag.first(topic.name, min(topic.count, settings.tf_messages)):
-            transforms.add(bag.decode(message).transforms, is_static)
+            if not transforms.add(bag.decode(message).transforms, is_static):
+                return transforms
     return transforms
 
 

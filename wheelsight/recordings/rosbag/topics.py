@@ -38,6 +38,8 @@ _NO_WHEELS = re.compile(
     r"filter|ekf|ukf|visual|vio|vo\b|rtabmap|slam|icp|gps|truth|fused|lidar|laser|camera|t265", re.IGNORECASE
 )
 _MOST_SAMPLES = 20
+# Of each is read; a robot with many cameras has some twenty.
+_MOST_IMAGES = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +164,11 @@ def _chosen(bag: OpenBag, choices: Choices) -> dict[str, str]:
 def _cameras(
     bag: OpenBag, filled: Sequence[Topic], chosen: Mapping[str, str], warnings: list[str]
 ) -> tuple[ImageTopic | None, ImageTopic | None]:
-    images = [_image(bag, topic) for topic in filled if topic.type in (IMAGE, COMPRESSED)]
+    topics = [topic for topic in filled if topic.type in (IMAGE, COMPRESSED)]
+    if len(topics) > _MOST_IMAGES:
+        warnings.append(f"Of {len(topics)} topics of images, the first {_MOST_IMAGES} by name are looked at.")
+        topics = [topic for topic in topics if topic.name in chosen.values()] + topics[:_MOST_IMAGES]
+    images = [_image(bag, topic) for topic in topics]
     by_name = {image.name: image for image in images}
     if chosen.get("color") == NONE or chosen.get("depth") == NONE:
         return None, None

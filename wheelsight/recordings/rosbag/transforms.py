@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from wheelsight.geometry import FloatArray, se3, so3
+from wheelsight.recordings.rosbag.definitions import are_measured
 
 _LONGEST_QUATERNION_OFF = 0.1
+# A humanoid has 200 frames. Of messages, 400 are read with up to 200 transforms each.
+_MOST_FRAMES, _MOST_READ, _MOST_WARNINGS = 1000, 100_000, 20
 
 
 class Transforms:
@@ -25,16 +28,24 @@ class Transforms:
         self.moving: set[tuple[str, str]] = set()
         self._T: dict[tuple[str, str], FloatArray] = {}
         self._static: set[tuple[str, str]] = set()
+        self._parents: dict[str, str] = {}
+        self._left = _MOST_READ
         self._apart_m, self._apart_rad = apart_m, apart_rad
 
     def __bool__(self) -> bool:
         return bool(self._T)
 
-    def add(self, transforms: Iterable[Any], is_static: bool) -> None:
-        """Count in what a TFMessage holds."""
+    def add(self, transforms: Sequence[Any], is_static: bool) -> bool:
+        """Count in what a TFMessage holds; whether there is room for more."""
+        self._left -= len(transforms)
+        if self._left < 0 or len(self._T) > _MOST_FRAMES:
+            self._warn(f"tf has more than {_MOST_FRAMES:,} frames or {_MOST_READ:,} transforms; others are left out.")
+            return False
         for stamped in transforms:
             parent, child = stamped.header.frame_id.lstrip("/"), stamped.child_frame_id.lstrip("/")
             T = _motion(stamped.transform)
+            if len(self._T) > _MOST_FRAMES:
+                return False
             if T is None:
                 self._warn(f"tf: the transform from {parent} to {child} is no rigid motion; it is left out.")
             elif (parent, child) not in self._T:
@@ -44,6 +55,7 @@ class Transforms:
                 self._contradict(parent, child, is_static)
             if is_static:
                 self._static.add((parent, child))
+        return True
 
     def between(self, a: str, b: str) -> FloatArray | None:
         """T_a_b (4, 4); None where no transforms that stand still lead from one to the other."""
@@ -62,11 +74,9 @@ class Transforms:
         return reached.get(b)
 
     def _check_parent(self, parent: str, child: str) -> None:
-        others = [known for known, of in self._T if of == child]
-        if others:
-            self._warn(
-                f"tf contradicts itself: {child} hangs on {others[0]} and on {parent}; the first is believed first."
-            )
+        first = self._parents.setdefault(child, parent)
+        if first != parent:
+            self._warn(f"tf contradicts itself: {child} hangs on {first} and on {parent}; the first is believed first.")
 
     def _contradict(self, parent: str, child: str, is_static: bool) -> None:
         if is_static or (parent, child) in self._static:
@@ -80,16 +90,16 @@ class Transforms:
         return bool(is_far or so3.angle(apart[:3, :3]) > self._apart_rad)
 
     def _warn(self, sentence: str) -> None:
-        if sentence not in self.warnings:
+        if sentence not in self.warnings and len(self.warnings) < _MOST_WARNINGS:
             self.warnings.append(sentence)
 
 
 def _motion(transform: Any) -> FloatArray | None:
     """T_parent_child of a Transform, or None where its numbers are none."""
     t, q = transform.translation, transform.rotation
-    quaternion = np.array([q.x, q.y, q.z, q.w])
-    if not np.isfinite([t.x, t.y, t.z, *quaternion]).all():
+    if not are_measured((t.x, t.y, t.z, q.x, q.y, q.z, q.w)):
         return None
+    quaternion = np.array([q.x, q.y, q.z, q.w])
     if abs(np.linalg.norm(quaternion) - 1) > _LONGEST_QUATERNION_OFF:
         return None
     return se3.from_quaternion([t.x, t.y, t.z], quaternion / np.linalg.norm(quaternion))

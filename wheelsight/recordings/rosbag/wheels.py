@@ -9,12 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
-import numpy as np
-
 from wheelsight.calibration import Wheels
 from wheelsight.events import WheelSpeeds, WheelTicks
 from wheelsight.geometry import se2
 from wheelsight.recordings._wheel_recording import speeds_of_wheels
+from wheelsight.recordings.rosbag.definitions import are_measured
 
 _WHEEL = re.compile(r"wheel|drive|whl", re.IGNORECASE)
 _CASTER = re.compile(r"cast[eo]r|steer|swivel|arm|gripper", re.IGNORECASE)
@@ -63,11 +62,12 @@ class JointTicks:
     def add(self, stamp_s: float, message: Any) -> WheelTicks | None:
         """See `SpeedReader`."""
         angles = dict(zip(message.name, message.position, strict=False))
-        told = [float(angles.get(name, math.nan)) * self._per_rad for name in self._names]
-        if not all(map(math.isfinite, told)):
+        told = [float(angles.get(name, math.nan)) for name in self._names]
+        if not are_measured(told):
             self.unusable += 1
             return None
-        return WheelTicks(stamp_s, round(told[0]), round(told[1]))
+        left, right = (round(angle_rad * self._per_rad) for angle_rad in told)
+        return WheelTicks(stamp_s, left, right)
 
     def end(self) -> None:
         """See `SpeedReader`."""
@@ -160,7 +160,7 @@ class JointSpeeds(_HeldSpeeds[_AnglesAndSpeeds]):
             [float(values[place]) for place in wanted if place is not None] if len(values) == len(places) else []
             for values in (message.position, message.velocity)
         )
-        if not (angles or speeds) or not np.isfinite([*angles, *speeds]).all():
+        if not (angles or speeds) or not are_measured([*angles, *speeds]):
             return None
         self._farthest_rad = max(self._farthest_rad, *map(abs, angles or [0.0]))
         return angles, speeds
@@ -196,8 +196,8 @@ def told_by_twist(messages: Sequence[Any]) -> bool:
 def _planar(message: Any) -> _PoseAndTwist | None:
     """Pose x, y, yaw and twist v, ω of an Odometry; None where they are no numbers, or no rotation."""
     position, q, twist = message.pose.pose.position, message.pose.pose.orientation, message.twist.twist
-    yaw_rad = math.atan2(2 * (q.w * q.z + q.x * q.y), q.w**2 + q.x**2 - q.y**2 - q.z**2)
-    pose, speeds = (position.x, position.y, yaw_rad), (twist.linear.x, twist.angular.z)
-    if not all(map(math.isfinite, (*pose, *speeds))):
+    speeds = (twist.linear.x, twist.angular.z)
+    if not are_measured((position.x, position.y, q.w, q.x, q.y, q.z, *speeds)):
         return None
-    return pose, speeds
+    yaw_rad = math.atan2(2 * (q.w * q.z + q.x * q.y), q.w**2 + q.x**2 - q.y**2 - q.z**2)
+    return (position.x, position.y, yaw_rad), speeds
