@@ -174,3 +174,13 @@ def test_an_area_is_looked_up_by_name():
     assert floor().index_of("c") == 2
     with pytest.raises(AreaError, match="no area is called 'attic'"):
         floor().index_of("attic")
+
+
+def test_many_areas_are_compared_with_their_neighbours_alone():
+    """Each with all others would take minutes."""
+    tiles = [box(f"{x},{y}", x, y, x + 1, y + 1) for x in range(40) for y in range(40)]
+    assert len(AreaMap(tuple(tiles))) == 1600
+    with pytest.raises(AreaError, match=r"area '7,9' overlaps area 'odd' by 0\.04 m²"):
+        AreaMap((*tiles, box("odd", 7.2, 9.2, 7.4, 9.4)))
+    with pytest.raises(AreaError, match="there are more than 2,000 areas"):
+        AreaMap((tiles[0],) * 2001)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,8 @@ _TOP_FIELDS = ("format", "areas")
 # Corners drawn from one plan rarely meet to the last digit; a square centimetre of overlap is no contradiction.
 _LARGEST_OVERLAP_M2 = 1e-4
 _SMALLEST_AREA_M2 = 1e-4
+# More than a building has; which of them are neighbours is a table of all pairs.
+_MOST_AREAS = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +85,7 @@ class AreaMap:
     """Areas that do not overlap; together they may leave floor uncovered.
 
     Raises:
-        AreaError: two areas of one name, or two that share more than a border.
+        AreaError: two areas of one name, two that share more than a border, or over 2000.
     """
 
     areas: tuple[Area, ...] = ()
@@ -91,9 +93,15 @@ class AreaMap:
     def __post_init__(self) -> None:
         import shapely
 
-        for one, other in combinations(self.areas, 2):
-            if one.name == other.name:
-                raise _area_error(one.name, "is there twice", "every area needs a name of its own")
+        if len(self.areas) > _MOST_AREAS:
+            raise AreaError(f"there are more than {_MOST_AREAS:,} areas", fix="is it the right file?")
+        for name, count in Counter(self.names).items():
+            if count > 1:
+                raise _area_error(name, "is there twice", "every area needs a name of its own")
+        shapes = np.array([area.shape for area in self.areas], object)
+        pairs = np.sort(shapely.STRtree(shapes).query(shapes, predicate="intersects"), axis=0).T
+        for first, second in np.unique(pairs[pairs[:, 0] < pairs[:, 1]], axis=0).tolist():
+            one, other = self.areas[first], self.areas[second]
             shared_m2 = shapely.intersection(one.shape, other.shape).area
             if shared_m2 > _LARGEST_OVERLAP_M2:
                 problem = f"overlaps area {other.name!r} by {shared_m2:.3g} m²"

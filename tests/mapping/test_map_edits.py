@@ -255,3 +255,13 @@ def test_an_anchor_without_its_pose_is_refused() -> None:
         MapEdits((zone,)).applied(grid_of())
     with pytest.raises(ArgumentError, match="there is no pose of keyframe 3"):
         zone.polygon_now(np.full((5, 4, 4), np.nan))
+
+
+def test_more_edits_than_anyone_draws_are_refused(tmp_path: Path) -> None:
+    path, one = tmp_path / "edits.json", {"kind": "wiped", "polygon": [[0, 0], [1, 0], [1, 1]]}
+    path.write_text(json.dumps({"format": "wheelsight-map-edits", "version": 1, "edits": [one] * 20_000}, indent=1))
+    with pytest.raises(MapError, match=r"edits\.json: holds 20,000 edits, more than 10,000"):
+        MapEdits.load(path)
+    edit = MapEdit(EditKind.WIPED, np.array([[0, 0], [1, 0], [1, 1]], float))
+    with pytest.raises(MapError, match="there are more than 10,000 edits"):
+        MapEdits((edit,) * 10_001)

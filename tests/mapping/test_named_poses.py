@@ -114,3 +114,31 @@ def test_a_file_that_is_wrong_is_told_by_its_path(change: dict[str, Any], proble
     path.write_text("{")
     with pytest.raises(MapError, match="is no JSON"):
         NamedPoses.load(path)
+
+
+def test_as_many_names_as_are_allowed_are_read_and_no_more(tmp_path: Path) -> None:
+    """To count each name among all others would take a minute of 100 000."""
+    path, places = tmp_path / "places.json", [{"name": f"shelf {k}", "pose": [0.0, 0.0]} for k in range(40_000)]
+    document = {"format": "wheelsight-named-poses", "version": 1}
+    path.write_text(json.dumps(document | {"places": places}, indent=1))
+    with pytest.raises(MapError, match=r"places\.json: holds 40,000 names, more than 10,000"):
+        NamedPoses.load(path)
+    path.write_text(json.dumps(document | {"places": places[:2000]}, indent=1))
+    found = NamedPoses.load(path)
+    assert len(found) == 2000
+    with pytest.raises(MapError, match=r"known: shelf 0, .* and 1,950 more"):
+        found.named("desk")
+    path.write_text(json.dumps(document | {"places": [*places[:2000], places[7]]}, indent=1))
+    with pytest.raises(MapError, match="the name 'shelf 7' is given twice"):
+        NamedPoses.load(path)
+    with pytest.raises(MapError, match="there are more than 10,000 names"):
+        NamedPoses((KITCHEN,) * 10_001)
+
+
+def test_many_names_that_both_maps_have_get_numbers(tmp_path: Path) -> None:
+    long = "a" * 58
+    first = NamedPoses(tuple(NamedPose(name, np.zeros(2)) for name in ("a", "a 2", "b", f"{long}1", f"{long}2")))
+    both = first.beside(NamedPoses(first.poses))
+    assert both.names[:6] == ("a", "a 2", "a 2 2", "a 3", f"{'a' * 54} 2", f"{'a' * 54} 3")
+    shelves = NamedPoses(tuple(NamedPose(f"{'x' * 55}{k}", np.zeros(2)) for k in range(1000)))
+    assert len(shelves.beside(shelves)) == 2000

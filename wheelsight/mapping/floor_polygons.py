@@ -14,6 +14,8 @@ from wheelsight.ros_map import FREE
 
 _SMALLEST_AREA_M2 = 1e-6
 _FARTHEST_M = 1e6
+# Of a generous zone each cell is a shape of some hundred bytes.
+_CELLS_AT_ONCE = 100_000
 
 
 def checked_corners(polygon: ArrayLike) -> FloatArray:
@@ -30,24 +32,30 @@ def checked_corners(polygon: ArrayLike) -> FloatArray:
     return corners
 
 
-def cells_in(grid: OccupancyGrid, polygon: FloatArray, *, is_generous: bool = False) -> BoolArray:
-    """(H, W) cells whose middles lie in a polygon (N, 2); with `is_generous`, those that it touches."""
-    inside = np.zeros(grid.kind.shape, bool)
-    low = np.maximum(grid.cells_at(polygon.min(axis=0)), 0)
-    high = np.minimum(grid.cells_at(polygon.max(axis=0)) + 1, grid.kind.shape)
-    if (low >= high).any():
-        return inside
-    rows, columns = (np.arange(a, b) for a, b in zip(low.tolist(), high.tolist(), strict=True))
-    cells = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1)
-    shape, (x, y) = shapely.Polygon(polygon), np.moveaxis(grid.middle_of(cells), -1, 0)
+def cells_in(
+    grid: OccupancyGrid, polygon: FloatArray, *, is_generous: bool = False
+) -> tuple[tuple[slice, slice], BoolArray]:
+    """Cells whose middles lie in a polygon (N, 2); with `is_generous`, those that it touches.
+
+    Returns the rows and columns of the grid that the polygon reaches, and (h, w) which of these cells it has.
+    """
+    shape = shapely.Polygon(polygon)
     shapely.prepare(shape)
-    if is_generous:
-        half = 0.5 * grid.resolution_m
-        found = shapely.intersects(shape, shapely.box(x - half, y - half, x + half, y + half))
-    else:
-        found = shapely.contains_xy(shape, x, y)
-    inside[low[0] : high[0], low[1] : high[1]] = found
-    return inside
+    low = np.clip(grid.cells_at(polygon.min(axis=0)), 0, grid.kind.shape)
+    high = np.clip(grid.cells_at(polygon.max(axis=0)) + 1, low, grid.kind.shape)
+    window = slice(*(int(end[0]) for end in (low, high))), slice(*(int(end[1]) for end in (low, high)))
+    inside = np.zeros(high - low, bool)
+    columns, half = np.arange(window[1].start, window[1].stop), 0.5 * grid.resolution_m
+    at_once = max(_CELLS_AT_ONCE // max(len(columns), 1), 1)
+    for begin in range(0, len(inside) if len(columns) else 0, at_once):
+        rows = window[0].start + np.arange(begin, min(begin + at_once, len(inside)))
+        x, y = np.moveaxis(grid.middle_of(np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1)), -1, 0)
+        if is_generous:
+            found = shapely.intersects(shape, shapely.box(x - half, y - half, x + half, y + half))
+        else:
+            found = shapely.contains_xy(shape, x, y)
+        inside[begin : begin + at_once] = found
+    return window, inside
 
 
 def roomiest_place(grid: OccupancyGrid, polygon: FloatArray) -> FloatArray | None:
@@ -62,13 +70,14 @@ def roomiest_place(grid: OccupancyGrid, polygon: FloatArray) -> FloatArray | Non
 
     Returns (2,) x and y in `map`, the middle of a cell; None where the polygon has no free cell.
     """
-    is_free = cells_in(grid, polygon) & (grid.occupancy == FREE)
+    (rows, columns), inside = cells_in(grid, polygon)
+    is_free = inside & (grid.occupancy[rows, columns] == FREE)
     if not is_free.any():
         return None
-    # Beyond the grid nothing is known.
+    # Beyond the polygon, and so beyond the grid, no room counts.
     padded = np.pad(is_free, 1).astype(np.uint8)
     room = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-    middles = grid.middle_of(np.argwhere(is_free & (room > room.max() - 1)))
+    middles = grid.middle_of(np.argwhere(is_free & (room > room.max() - 1)) + [rows.start, columns.start])
     centroid = shapely.Polygon(polygon).centroid
     off_m = np.linalg.norm(middles - [centroid.x, centroid.y], axis=1)
     return np.asarray(middles[np.argmin(off_m)])

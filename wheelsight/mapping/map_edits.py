@@ -10,7 +10,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +24,14 @@ from wheelsight.keyframes import KeyframeId
 from wheelsight.mapping.floor_polygons import cells_in, checked_corners
 from wheelsight.mapping.json_lists import read_list
 from wheelsight.mapping.occupancy import CellKind, OccupancyGrid
-from wheelsight.mapping.place_names import checked_name, free_name
+from wheelsight.mapping.place_names import checked_name, free_names, name_given_twice
+from wheelsight.ros_map import FREE, OCCUPIED
 
 # Programs that know no areas read version 1: they refuse what has any, and read all else.
 FORMAT, VERSION, VERSION_WITHOUT_AREAS = "wheelsight-map-edits", 2, 1
 _FILE = Kind("edits of a map", most_mb=16, fix="give a file that MapEdits.save wrote")
+# Far more than people draw: to apply so many to a floor of 20 × 20 m takes some seconds.
+_MOST_EDITS = 10_000
 _FIELDS = ("kind", "polygon", "limit_m_s", "keyframe", "T_map_keyframe", "name")
 
 
@@ -117,18 +119,20 @@ class MapEdit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapEdits:
-    """All edits of a map, in the order in which they were made: where they overlap, the last one counts.
+    """All edits of a map, 10 000 at most, in the order in which they were made: of those that overlap the last counts.
 
     Raises:
-        MapError: two areas of one name.
+        MapError: two areas of one name, or too many edits.
     """
 
     edits: tuple[MapEdit, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, following in pairwise(self.area_names):
-            if name == following:
-                raise MapError(f"two areas are called {name!r}", fix="each name once")
+        if len(self.edits) > _MOST_EDITS:
+            raise MapError(f"there are more than {_MOST_EDITS:,} edits", fix="remove some")
+        twice = name_given_twice(self.area_names)
+        if twice is not None:
+            raise MapError(f"two areas are called {twice!r}", fix="each name once")
 
     def __len__(self) -> int:
         return len(self.edits)
@@ -150,11 +154,9 @@ class MapEdits:
 
     def beside(self, other: MapEdits) -> MapEdits:
         """Both; where both have an area of a name, this one's keeps it, and the other's gets a number behind it."""
-        found = self
-        for edit in other.edits:
-            named = edit if edit.name is None else replace(edit, name=free_name(edit.name, found.area_names))
-            found = found.with_edit(named)
-        return found
+        names = free_names((edit.name for edit in other.edits), self.area_names)
+        renamed = [replace(edit, name=name) for edit, name in zip(other.edits, names, strict=True)]
+        return MapEdits((*self.edits, *renamed))
 
     def applied(self, grid: OccupancyGrid, T_map_keyframe: ArrayLike = ()) -> OccupancyGrid:
         """A grid with what they say of its cells; speed zones and areas say nothing of these.
@@ -169,20 +171,24 @@ class MapEdits:
         Raises:
             ArgumentError: the pose of an anchor is missing.
         """
+        kind, occupancy = grid.kind.copy(), grid.occupancy.copy()
         for edit in self.edits:
-            polygon = edit.polygon_now(T_map_keyframe)
             if edit.kind == EditKind.KEEP_OUT:
-                grid = grid.changed(cells_in(grid, polygon, is_generous=True), CellKind.KEEP_OUT)
+                window, inside = cells_in(grid, edit.polygon_now(T_map_keyframe), is_generous=True)
+                kind[window][inside], occupancy[window][inside] = CellKind.KEEP_OUT, OCCUPIED
             elif edit.kind == EditKind.WIPED:
-                grid = grid.changed(cells_in(grid, polygon) & (grid.kind >= CellKind.OBSTACLE), CellKind.FREE)
-        return grid
+                window, inside = cells_in(grid, edit.polygon_now(T_map_keyframe))
+                inside &= kind[window] >= CellKind.OBSTACLE
+                kind[window][inside], occupancy[window][inside] = CellKind.FREE, FREE
+        return replace(grid, kind=kind, occupancy=occupancy)
 
     def limits_m_s(self, grid: OccupancyGrid, T_map_keyframe: ArrayLike = ()) -> Float32Array:
         """(H, W) how fast one may drive in each cell of a grid; infinite where no zone says. Raises as `applied`."""
         limits = np.full(grid.kind.shape, np.inf, np.float32)
         for edit in self.edits:
             if edit.limit_m_s is not None:
-                limits[cells_in(grid, edit.polygon_now(T_map_keyframe), is_generous=True)] = edit.limit_m_s
+                window, inside = cells_in(grid, edit.polygon_now(T_map_keyframe), is_generous=True)
+                limits[window][inside] = edit.limit_m_s
         return limits
 
     def carried(self, T_map_keyframe: ArrayLike, numbers: IntArray, *, is_same_frame: bool = True) -> MapEdits:
@@ -223,6 +229,9 @@ class MapEdits:
         """Read what `save` wrote. Raises MapError: it is missing, no such file, newer, or an edit is wrong."""
         path = Path(path)
         listed = read_list(path, _FILE, (FORMAT, VERSION), "edits")
+        if len(listed) > _MOST_EDITS:
+            problem = f"holds {len(listed):,} edits, more than {_MOST_EDITS:,}"
+            raise MapError(problem, path=path, fix="is it the right file?")
         edits = []
         for number, fields in enumerate(listed):
             try:

@@ -17,12 +17,14 @@ from wheelsight.geometry import FloatArray, IntArray, se3
 from wheelsight.inputs import Kind
 from wheelsight.keyframes import KeyframeId
 from wheelsight.mapping.json_lists import read_list
-from wheelsight.mapping.place_names import checked_name, free_name, unknown_name
+from wheelsight.mapping.place_names import checked_name, free_names, name_given_twice, unknown_name
 
 FORMAT, VERSION = "wheelsight-named-poses", 1
 _FILE = Kind("named poses of a map", most_mb=4, fix="give a file that NamedPoses.save wrote")
 _FIELDS = ("name", "pose", "keyframe", "T_map_keyframe")
 _FARTHEST_M = 1e6
+# A name for each shelf of a large store; to read so many takes half a second.
+_MOST_NAMES = 10_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,19 +81,20 @@ class NamedPose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NamedPoses:
-    """All named poses of a map, by name; each name once.
+    """All named poses of a map, by name; each name once, and 10 000 at most.
 
     Raises:
-        MapError: a name twice.
+        MapError: a name twice, or too many.
     """
 
     poses: tuple[NamedPose, ...] = ()
 
     def __post_init__(self) -> None:
-        names = [one.name for one in self.poses]
-        for name in names:
-            if names.count(name) > 1:
-                raise MapError(f"the name {name!r} is given twice", fix="each name once")
+        if len(self.poses) > _MOST_NAMES:
+            raise MapError(f"there are more than {_MOST_NAMES:,} names", fix="remove some")
+        twice = name_given_twice(one.name for one in self.poses)
+        if twice is not None:
+            raise MapError(f"the name {twice!r} is given twice", fix="each name once")
         object.__setattr__(self, "poses", tuple(sorted(self.poses, key=lambda one: one.name)))
 
     def __len__(self) -> int:
@@ -142,10 +145,9 @@ class NamedPoses:
 
     def beside(self, other: NamedPoses) -> NamedPoses:
         """Both; where both have a name, this one's counts, and the other's gets a number behind it."""
-        found = self
-        for one in other.poses:
-            found = found.with_pose(replace(one, name=free_name(one.name, found.names)))
-        return found
+        names = free_names(other.names, self.names)
+        renamed = [replace(one, name=name) for one, name in zip(other.poses, names, strict=True) if name is not None]
+        return NamedPoses((*self.poses, *renamed))
 
     def save(self, path: StrPath) -> None:
         """Write them as JSON, atomically. Raises OutputError."""
@@ -158,6 +160,8 @@ class NamedPoses:
         path = Path(path)
         listed = read_list(path, _FILE, (FORMAT, VERSION), "places")
         try:
+            if len(listed) > _MOST_NAMES:
+                raise MapError(f"holds {len(listed):,} names, more than {_MOST_NAMES:,}", fix="is it the right file?")
             return cls(tuple(_pose(fields) for fields in listed))
         except MapError as error:
             raise MapError(error.problem, path=path, fix=error.fix) from error
