@@ -4,8 +4,8 @@ A connection is a stranger's until its request's head is whole and `Access` lets
 to the robot's program. A process of its own shares neither Python's lock nor file descriptors with that program:
 strangers delay no control period, and STOP waits for none of them.
 
-A newcomer is never refused for want of room: the oldest stranger goes instead. Newcomers are read first, so that STOP
-is taken before the strangers that came earlier.
+A newcomer is never refused for want of room: the oldest stranger goes instead. All that come are read at once, and STOP
+is judged before all else; of what is left, the newest first. What cannot be judged in time is cut off unanswered.
 
 It speaks by two Unix sockets of packets: `control` carries STOP, the pulse and what was refused; `handed` carries
 connections. It ends where `control` does, and imports no part of wheelsight but `access`.
@@ -38,9 +38,9 @@ MOST_HEAD_BYTES = 16_384
 _MOST_OF_ADDRESS = 32
 # Younger strangers stay beyond that: their heads are on the way, unless all strangers together are too many.
 _YOUNG_S = 0.25
-_MOST_STRANGERS = 512
-# So many are accepted at a time, and so many of them read, before others are accepted: the newest is never far behind.
-_ACCEPTED, _READ = 256, 32
+_MOST_STRANGERS = 2048
+# So many are accepted at a time, and so many judged, before others are accepted: the newest is never far behind.
+_ACCEPTED, _JUDGED = 128, 32
 # For the answer of the robot's program to STOP; the page says so then, rather than to leave somebody in doubt.
 _STOP_S = 1.0
 _FLUSH_S, _MOST_LINES, _TICK_S, _IDLE_S = 0.5, 20, 0.02, 0.5
@@ -49,6 +49,9 @@ _EXHAUSTED = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
 _END = b"\r\n\r\n"
 _REQUEST = re.compile(rb"([A-Z]{1,20}) (\S+) HTTP/1\.[01]")
 _BEGINNING = re.compile(rb"[A-Z]{1,20}( |$)")
+_STOPPING = re.compile(rb"POST /stop[? ]")
+# A head without any of these words holds no token.
+_CREDENTIALS = re.compile(rb"token=|\nauthorization:|\ncookie:", re.IGNORECASE)
 _SILENT = "the robot's program does not answer: use the stop button on the robot"
 
 
@@ -154,9 +157,11 @@ class Door:
         self._selector.register(listening, selectors.EVENT_READ)
         self._selector.register(control, selectors.EVENT_READ)
         limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-        most = max(4, min(_MOST_STRANGERS, (limit - _SPARE_DESCRIPTORS) // 2))
-        self._strangers, self._fresh = Strangers(most), list[Stranger]()
-        self._most = most
+        left = max(32, limit - _SPARE_DESCRIPTORS)
+        self._batch = min(_ACCEPTED, left // 8)
+        self._strangers = Strangers(min(_MOST_STRANGERS, left - 4 * self._batch))
+        # Whose heads are whole, and not judged yet: those that ask for STOP, and others.
+        self._urgent, self._whole = list[Stranger](), list[Stranger]()
         self._budget = Budget(requests_a_s)
         self._asked, self._waiting = list[Stranger](), list[Stranger]()
         self._asked_s = self._flushed_s = 0.0
@@ -170,8 +175,9 @@ class Door:
             self._turn()
 
     def _turn(self) -> None:
-        is_busy = self._fresh or self._refused or len(self._strangers) or self._asked
-        ready = self._selector.select(0 if self._fresh else _TICK_S if is_busy else _IDLE_S)
+        waits = self._urgent or self._whole
+        is_busy = self._refused or len(self._strangers) or self._asked
+        ready = self._selector.select(0 if waits else _TICK_S if is_busy else _IDLE_S)
         now_s = time.monotonic()
         comes, readable = False, []
         for key, _ in ready:
@@ -183,12 +189,15 @@ class Door:
                 readable.append(key.data)
         if comes:
             self._accept(now_s)
-        for _ in range(min(_READ, len(self._fresh))):
-            self._read(self._fresh.pop(), now_s)
         for stranger in readable:
             # One that went meanwhile, to make room, has no number any more.
             if stranger.socket.fileno() >= 0:
                 self._read(stranger, now_s)
+        for heads in (self._urgent, self._whole):
+            while len(heads) > 2 * self._batch:
+                self._crowd_out(heads.pop(0))
+            for _ in range(min(_JUDGED, len(heads))):
+                self._judge(heads.pop(), now_s)
         self._look_after(now_s)
 
     def _look_after(self, now_s: float) -> None:
@@ -228,7 +237,7 @@ class Door:
                     self._ask_to_stop(now_s)
 
     def _accept(self, now_s: float) -> None:
-        for _ in range(_ACCEPTED):
+        for _ in range(self._batch):
             try:
                 accepted, address = self._listening.accept()
             except BlockingIOError:
@@ -239,13 +248,16 @@ class Door:
                     return
                 continue
             accepted.setblocking(False)
-            self._fresh.append(Stranger(accepted, _host(address), now_s))
-            if len(self._fresh) > self._most:
-                self._crowd_out(self._fresh.pop(0))
+            self._read(Stranger(accepted, _host(address), now_s), now_s)
 
     def _make_room(self, now_s: float) -> None:
         """File descriptors ran out, in the whole computer perhaps: give back what strangers hold."""
-        self._count("file descriptors ran out: the oldest strangers are turned away")
+        self._count("file descriptors ran out: the oldest strangers are cut off")
+        for _ in range(self._batch):
+            oldest = self._strangers.oldest() or (self._whole.pop(0) if self._whole else None)
+            if oldest is None:
+                break
+            self._leave(oldest)
         if self._reserve is not None:
             os.close(self._reserve)
             self._reserve = None
@@ -253,22 +265,17 @@ class Door:
                 accepted, address = self._listening.accept()
                 accepted.setblocking(False)
                 self._read(Stranger(accepted, _host(address), now_s), now_s)
-        for _ in range(_ACCEPTED):
-            oldest = self._strangers.oldest() or (self._fresh.pop(0) if self._fresh else None)
-            if oldest is None:
-                break
-            self._leave(oldest)
         with suppress(OSError):
             self._reserve = os.open(os.devnull, os.O_RDONLY)
-        # Where others hold them, waiting is all there is.
+        # Where other programs hold them, waiting is all there is.
         time.sleep(_TICK_S if self._reserve is None else 0)
 
     def _crowd_out(self, stranger: Stranger) -> None:
-        self._count(f"refused {stranger.address}: too many connections without a whole request")
+        self._count(f"refused {stranger.address}: too many connections at once")
         self._leave(stranger)
 
     def _read(self, stranger: Stranger, now_s: float) -> None:
-        """Take what a stranger has sent, and judge it once it is whole."""
+        """Take what a stranger has sent; once its head is whole it waits to be judged."""
         try:
             came = stranger.socket.recv(MOST_HEAD_BYTES + 1)
         except BlockingIOError:
@@ -279,12 +286,11 @@ class Door:
         if not came:
             self._leave(stranger)
             return
-        stranger.head = (stranger.head + came).lstrip(b"\r\n") if not stranger.head else stranger.head + came
-        end = stranger.head.find(_END)
-        if end >= 0 and end + len(_END) <= MOST_HEAD_BYTES:
-            self._judge(stranger, end, now_s)
-        elif len(stranger.head) > MOST_HEAD_BYTES:
-            self._refuse(stranger, 400, f"a request's head of more than {MOST_HEAD_BYTES} bytes")
+        stranger.head = (stranger.head + came).lstrip(b"\r\n")
+        if _END in stranger.head or len(stranger.head) > MOST_HEAD_BYTES:
+            self._forget(stranger)
+            heads = self._urgent if _STOPPING.match(stranger.head) else self._whole
+            heads.append(stranger)
         elif stranger.head and not _BEGINNING.match(stranger.head[:21]):
             self._refuse(stranger, 400, "no HTTP")
         else:
@@ -303,8 +309,16 @@ class Door:
         while (gone := self._strangers.too_many(stranger.address, now_s)) is not None:
             self._crowd_out(gone)
 
-    def _judge(self, stranger: Stranger, end: int, now_s: float) -> None:
-        """A head is whole: take STOP, pass it on, or refuse it."""
+    def _judge(self, stranger: Stranger, now_s: float) -> None:
+        """Take STOP, pass a request on, or refuse it."""
+        end = stranger.head.find(_END)
+        if not 0 <= end <= MOST_HEAD_BYTES - len(_END):
+            self._refuse(stranger, 400, f"a request's head of more than {MOST_HEAD_BYTES} bytes")
+            return
+        is_crowded = len(self._urgent) + len(self._whole) > self._batch
+        if is_crowded and self._access.token and not _CREDENTIALS.search(stranger.head, 0, end):
+            self._crowd_out(stranger)
+            return
         scope = _scope_of(stranger.head[:end])
         if scope is None:
             self._refuse(stranger, 400, "no HTTP")
@@ -321,10 +335,9 @@ class Door:
             self._hand_on(stranger)
 
     def _take_stop(self, stranger: Stranger, now_s: float) -> None:
-        self._forget(stranger)
         if self._asked:
             self._waiting.append(stranger)
-            if len(self._waiting) > self._most:
+            if len(self._waiting) > self._batch:
                 self._answer(self._waiting.pop(0), 503, "STOP was asked for too often")
             return
         self._asked = [stranger]
@@ -341,7 +354,6 @@ class Door:
             self._asked = []
 
     def _hand_on(self, stranger: Stranger) -> None:
-        self._forget(stranger)
         try:
             socket.send_fds(self._handed, [stranger.head], [stranger.socket.fileno()])
         except OSError:
@@ -420,7 +432,7 @@ def serve(listening: int, control: int, handed: int) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = min(hard, 4 * _MOST_STRANGERS) if hard != resource.RLIM_INFINITY else 4 * _MOST_STRANGERS
+    wanted = 2 * _MOST_STRANGERS if hard == resource.RLIM_INFINITY else min(hard, 2 * _MOST_STRANGERS)
     with suppress(ValueError, OSError):
         resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, wanted), hard))
     sockets = [socket.socket(fileno=number) for number in (listening, control, handed)]
