@@ -16,8 +16,12 @@ Opener = Callable[[str | None, LiveCameraSettings, Calibration | None], LiveCame
 
 
 def _openni2(where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> LiveCamera:
-    from wheelsight.devices.openni2 import OpenNI2Driver
+    from wheelsight.devices.openni2 import OpenNI2Driver, is_file
 
+    if where is not None and is_file(where):
+        from wheelsight.devices.oni_player import OniPlayer
+
+        return StreamingCamera(OniPlayer(where, settings), settings, calibration)
     return StreamingCamera(OpenNI2Driver(where, settings), settings, calibration)
 
 

@@ -104,7 +104,7 @@ class OpenNI2Driver:
 
     def _found(self) -> _Where:
         asked = self._asked
-        if asked is not None and (Path(asked).suffix == ".oni" or Path(asked).is_file()):
+        if asked is not None and is_file(asked):
             if not Path(asked).is_file():
                 raise DeviceError("there is no such file", path=asked, fix="check the path")
             return _Where(asked, is_file=True, is_listed=False)
@@ -211,6 +211,11 @@ class OpenNI2Driver:
                 raise PlaybackEndedError("the file is over", path=self._where.uri)
         elif self._where.is_listed and self._where.uri not in {device.uri for device in listed_devices()}:
             raise DeviceError("the camera was unplugged", fix="plug it in again")
+
+
+def is_file(where: str) -> bool:
+    """Whether a file is meant, be it there or not; else a serial number or a URI of OpenNI2."""
+    return Path(where).suffix == ".oni" or Path(where).is_file()
 
 
 def why_unusable(driver: str) -> tuple[str, str] | None:
