@@ -51,6 +51,8 @@ def _facts(found: MapInfo) -> Iterator[tuple[str, str]]:
 
 
 def _how_whole(health: Health) -> str:
+    if health.incomplete:
+        return f"{health.incomplete}; run it again"
     if not health.is_whole:
         return "damaged, see below"
     return "whole but for its end, see below" if health.notes else "whole"

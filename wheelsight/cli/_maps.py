@@ -19,7 +19,7 @@ def info(source: Path, as_json: bool) -> None:
     """Print the figures of a map."""
     from wheelsight.cli._map_info import print_info
 
-    print_info(_opened(source), as_json)
+    print_info(_opened(source, is_incomplete_read=True), as_json)
 
 
 def name(source: Path, called: str | None, at: str | None, *, show_list: bool, remove: bool) -> None:
@@ -101,10 +101,10 @@ def prune(source: Path, out: Path) -> None:
     typer.echo(f"{len(made.folder.store):,} keyframes, {made.left_out:,} left out: {out}")
 
 
-def _opened(source: Path) -> MapFolder:
+def _opened(source: Path, *, is_incomplete_read: bool = False) -> MapFolder:
     from wheelsight.slam.sessions import MapFolder, find_map
 
-    return MapFolder.open(find_map(source))
+    return MapFolder.open(find_map(source), is_incomplete_read=is_incomplete_read)
 
 
 def _compile() -> None:

@@ -30,7 +30,7 @@ from wheelsight.pipeline.drive_recorder import DriveRecorder
 from wheelsight.pipeline.drives import Drive, OnEvents, WatchedRobot, planning_worker
 from wheelsight.pipeline.localizing import localization_of
 from wheelsight.robots import Robot
-from wheelsight.slam.sessions import MapFolder, MapWriter
+from wheelsight.slam.sessions import DRIVE, MapFolder, MapWriter
 from wheelsight.slam.settings import FROM_KEYFRAMES
 
 
@@ -86,7 +86,7 @@ def mapping_localizer(
     localizer = Localizer(calibration, config, waits=waits)
     store = localizer.keyframes
     assert store is not None
-    folder = MapFolder.create(path, calibration, config.sessions, source="an exploration")
+    folder = MapFolder.create(path, calibration, config.sessions, source="an exploration", unfinished=DRIVE)
     with closing(MappingLocalizer(localizer, MapWriter(folder, store, config.recognition))) as mapping:
         yield mapping
 

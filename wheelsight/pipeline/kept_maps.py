@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from wheelsight.config import Config
 from wheelsight.pipeline.kept_map_record import KeptMapRecord
 from wheelsight.pipeline.track import Passage, Track, has_map
 from wheelsight.slam.live import ClosedLoops
-from wheelsight.slam.sessions import MAP_FOLDER, MapFolder, MapWriter, discard_map
+from wheelsight.slam.sessions import DRIVE, MAP_FOLDER, MapFolder, MapWriter, discard_map
 from wheelsight.slam.sessions.map_folder import SURFELS_FILE
 from wheelsight.sources import EventSource
 
@@ -52,7 +53,8 @@ def _begin(track: Track, source: EventSource, config: Config, path: Path) -> Non
     assert store is not None
     discard_map(path)
     factor = config.recording.depth_factor
-    kept = MapFolder.create(path, source.calibration, config.sessions, source=source.name, depth_factor=factor)
+    how: dict[str, Any] = {"source": source.name, "depth_factor": factor, "unfinished": DRIVE}
+    kept = MapFolder.create(path, source.calibration, config.sessions, **how)
     # Who closes loops knows by what keyframes are recognised: once is enough, 13 kB a keyframe.
     recognition = config.recognition if track.localizer.loops is None else None
     track.map_writer, track.map_path = MapWriter(kept, store, recognition), path

@@ -5,7 +5,7 @@ Written while driving so that a kill at any moment loses the last seconds at mos
 
 from wheelsight.slam.sessions.edges import SeenKeyframe, odometry_edge
 from wheelsight.slam.sessions.hanging import lie_together
-from wheelsight.slam.sessions.header import MapCamera, MapHeader
+from wheelsight.slam.sessions.header import DRIVE, MapCamera, MapHeader
 from wheelsight.slam.sessions.info import MAP_FOLDER, MapInfo, find_map, info_of, is_map
 from wheelsight.slam.sessions.kept import KeptKeyframes
 from wheelsight.slam.sessions.map_folder import MapFolder, discard_map
@@ -19,6 +19,7 @@ from wheelsight.slam.sessions.settings import PruneSettings, SessionSettings
 from wheelsight.slam.sessions.writer import MapWriter
 
 __all__ = [
+    "DRIVE",
     "MAP_FOLDER",
     "FolderContents",
     "Health",

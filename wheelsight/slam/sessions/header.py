@@ -19,6 +19,8 @@ from wheelsight.inputs import Kind, parse_json, read_text
 
 FORMAT, VERSION = "wheelsight-map-folder", 1
 HEADER_FILE = "map.json"
+DRIVE, REBUILD, MERGE, PRUNE, REMOVAL = MAKERS = ("drive", "rebuild", "merge", "prune", "removal")
+"""What changes maps for long: drives, commands that write another one, and what removes one."""
 _NO_MAP = "give a folder that `wheelsight run` left as its map"
 _DAMAGED = "use another copy of the map"
 _FILE = Kind("what a map says of itself", most_mb=1, fix=_NO_MAP, missing="is no map: map.json is missing")
@@ -88,6 +90,7 @@ class MapHeader:
         made_by: the program and its version.
         made: when, as ISO 8601 in UTC.
         source: the recording's name, or the live source's.
+        unfinished: what makes the map, or has made it when it was ended: one of `MAKERS`; "" of a finished one.
         version: of the format.
     """
 
@@ -95,18 +98,27 @@ class MapHeader:
     made_by: str
     made: str
     source: str = ""
+    unfinished: str = ""
     version: int = VERSION
 
     @classmethod
-    def new(cls, camera: MapCamera, source: str = "") -> MapHeader:
+    def new(cls, camera: MapCamera, source: str = "", unfinished: str = "") -> MapHeader:
         """Of a map that begins now."""
-        return cls(camera, f"wheelsight {__version__}", datetime.now(UTC).isoformat(timespec="seconds"), source)
+        made = datetime.now(UTC).isoformat(timespec="seconds")
+        return cls(camera, f"wheelsight {__version__}", made, source, unfinished)
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether it is finished, or of a drive, each part of which is a map; a part of a merged map is none."""
+        return self.unfinished in ("", DRIVE)
 
     def save(self, folder: StrPath) -> None:
         """Write map.json. Raises OutputError."""
         camera = {name: getattr(self.camera, name) for name in (*_SIZE, *_LENS, "is_registered", "depth_factor")}
         told = {"made_by": self.made_by, "made": self.made, "source": self.source, "camera": camera}
         document: dict[str, Any] = {"format": FORMAT, "version": self.version, **told}
+        if self.unfinished:
+            document["unfinished"] = self.unfinished
         document["crc32"] = _crc(document)
         write_text(Path(folder) / HEADER_FILE, json.dumps(document, indent=2) + "\n")
 
@@ -147,7 +159,10 @@ def _header(document: dict[str, Any]) -> MapHeader:
         raise ValueError("no camera has such units")
     of_camera = MapCamera(width, height, fx, fy, cx, cy, bool(camera["is_registered"]), depth_factor)
     made_by, made, source = (str(document[name]) for name in ("made_by", "made", "source"))
-    return MapHeader(of_camera, made_by, made, source, document["version"])
+    unfinished = document.get("unfinished", "")
+    if unfinished not in ("", *MAKERS):
+        raise ValueError("nothing makes maps so")
+    return MapHeader(of_camera, made_by, made, source, unfinished, document["version"])
 
 
 def _crc(document: dict[str, Any]) -> int:

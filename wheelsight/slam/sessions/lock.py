@@ -43,6 +43,21 @@ class MapLock:
             os.close(self._descriptor)
             raise output_error(error, path) from error
 
+    @staticmethod
+    def is_held(folder: StrPath) -> bool:
+        """Whether somebody writes a map at the moment."""
+        try:
+            descriptor = os.open(Path(folder) / LOCK_FILE, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
+        except OSError:
+            return False
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except OSError:
+            return True
+        finally:
+            os.close(descriptor)
+        return False
+
     def release(self) -> None:
         """Let others write; the file stays."""
         descriptor, self._descriptor = self._descriptor, -1

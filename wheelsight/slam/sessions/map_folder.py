@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from wheelsight.calibration import Calibration, load_calibration, save_calibration
-from wheelsight.errors import ArgumentError, MapError, OutputError
+from wheelsight.errors import ArgumentError, InputError, MapError, OutputError
 from wheelsight.files import StrPath, make_output_folder, output_error, refuse_full
 from wheelsight.geometry import FloatArray, IntArray, se3
 from wheelsight.geometry.arrays import UInt64Array
@@ -19,7 +22,7 @@ from wheelsight.places.views import NO_FEATURES
 from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.sessions import keyframe_records, records
-from wheelsight.slam.sessions.header import HEADER_FILE, MapCamera, MapHeader, read_header
+from wheelsight.slam.sessions.header import HEADER_FILE, REMOVAL, MapCamera, MapHeader, read_header
 from wheelsight.slam.sessions.images import DepthSteps
 from wheelsight.slam.sessions.journal import JournalWriter, Record
 from wheelsight.slam.sessions.kept import KeptKeyframes, read_descriptors
@@ -27,7 +30,9 @@ from wheelsight.slam.sessions.lock import LOCK_FILE, MapLock
 from wheelsight.slam.sessions.reading import (
     GRAPH,
     KEYFRAMES,
+    RUN_AGAIN,
     FolderContents,
+    Health,
     journal_name,
     journals_of,
     next_number,
@@ -39,6 +44,9 @@ from wheelsight.slam.sessions.settings import SessionSettings
 CALIBRATION_FILE, RECOGNITION_FILE, SURFELS_FILE = "calibration.yaml", "recognition.npz", "map.surfels"
 OCCUPANCY_FILE, OCCUPANCY_IMAGE, EDITS_FILE = "occupancy.yaml", "occupancy.pgm", "edits.json"
 PLACES_FILE = "places.json"
+_MADE = (RECOGNITION_FILE, SURFELS_FILE, OCCUPANCY_FILE, OCCUPANCY_IMAGE, EDITS_FILE, PLACES_FILE)
+_FILES = (HEADER_FILE, CALIBRATION_FILE, *_MADE)
+_TEMPORARY = re.compile(rf"\.({'|'.join(map(re.escape, _FILES))})\.[0-9a-f]{{8}}")
 _READ_ONLY = "open it with read_only=False"
 # Of a journal that is not of keyframes; three times as many are read.
 _GRAPH_RECORDS = 100_000
@@ -90,6 +98,7 @@ class MapFolder:
         *,
         source: str = "",
         depth_factor: float | None = None,
+        unfinished: str = "",
     ) -> Self:
         """Begin a map in a folder that is empty or not there.
 
@@ -99,13 +108,14 @@ class MapFolder:
             settings: or the defaults.
             source: name of the recording or live source.
             depth_factor: depth units a metre, where they are not those of the recording's format.
+            unfinished: what makes it until `finish`, one of `header.MAKERS`; "": it is finished at any time.
 
         Raises:
             OutputError: the folder holds something, or cannot be made or written.
             CalibrationError: there is no camera.
         """
         settings, path = settings or SessionSettings(), Path(path)
-        header = MapHeader.new(MapCamera.of(calibration, depth_factor), source)
+        header = MapHeader.new(MapCamera.of(calibration, depth_factor), source, unfinished)
         refuse_full(path, NEW_FOLDER)
         make_output_folder(path, force=True)
         lock = MapLock(path)
@@ -118,20 +128,43 @@ class MapFolder:
             raise
 
     @classmethod
-    def open(cls, path: StrPath, *, read_only: bool = True, settings: SessionSettings | None = None) -> Self:
+    def open(
+        cls,
+        path: StrPath,
+        *,
+        read_only: bool = True,
+        settings: SessionSettings | None = None,
+        is_incomplete_read: bool = False,
+    ) -> Self:
         """Read a map.
 
+        Args:
+            path: the folder.
+            read_only: whether nothing is to be appended.
+            settings: or the defaults.
+            is_incomplete_read: whether what rebuild, merge or prune left when they were ended is read, too.
+
         Raises:
-            MapError: it is none, of a newer version, damaged beyond what can be left out, or written by another run.
+            MapError: it is none, of a newer version, incomplete, damaged beyond what can be left out, or written by
+                another run.
             CalibrationError: its calibration is damaged.
             OutputError: it is to be written and cannot be.
         """
         path, settings = Path(path), settings or SessionSettings()
         header = read_header(path)
+        state: dict[str, Any] = {"unfinished": header.unfinished}
+        state["is_being_made"] = bool(header.unfinished) and MapLock.is_held(path)
+        incomplete = Health(**state).incomplete
+        if incomplete and not is_incomplete_read:
+            raise MapError(f"is {incomplete}", path=path, fix=RUN_AGAIN)
         lock = None if read_only else MapLock(path)
         try:
+            contents = read_contents(path)
+            contents = replace(contents, health=replace(contents.health, **state))
+            if lock is not None:
+                _remove(_temporaries(path))
             calibration = load_calibration(path / CALIBRATION_FILE)
-            return cls(path, header, calibration, read_contents(path), settings, lock)
+            return cls(path, header, calibration, contents, settings, lock)
         except BaseException:
             if lock is not None:
                 lock.release()
@@ -231,6 +264,18 @@ class MapFolder:
         """Keep names of poses, in place of what it has. Raises OutputError."""
         self._need_lock()
         poses.save(self.path / PLACES_FILE)
+
+    def begin(self, unfinished: str) -> None:
+        """Mark the map as one that is being made by one of `header.MAKERS`, until `finish`. Raises OutputError."""
+        self._need_lock()
+        if self.header.unfinished != unfinished:
+            self.header = replace(self.header, unfinished=unfinished)
+            self.header.save(self.path)
+
+    def finish(self) -> None:
+        """Mark the map as finished, once all of it is on the disk. Raises OutputError."""
+        self.flush()
+        self.begin("")
 
     def close(self) -> None:
         """Flush, and let others write. Raises OutputError."""
@@ -348,6 +393,77 @@ class _Pieces:
         return JournalWriter(self._folder / journal_name(kind, next_number(self._folder, kind)))
 
 
+@contextmanager
+def map_being_made(out: StrPath, maker: str, like: MapFolder, source: str | None = None) -> Iterator[MapFolder]:
+    """A new map of the calibration and settings of another, to be written within the block.
+
+    At its end the map is finished. Where the block fails nothing of it stays; where the process is killed the map says
+    that it is incomplete, and the next one in its place begins again.
+
+    Args:
+        out: a folder that is empty or not there, or that such a map was left in.
+        maker: one of `header.MAKERS`.
+        like: of which calibration and settings it is.
+        source: its name; else as `like` has it.
+
+    Raises OutputError, and MapError where another process makes a map there.
+    """
+    make_room(out)
+    name, factor = like.header.source if source is None else source, like.header.camera.depth_factor
+    new = MapFolder.create(out, like.calibration, like.settings, source=name, depth_factor=factor, unfinished=maker)
+    try:
+        yield new
+        new.finish()
+        new.close()
+    except BaseException:
+        with suppress(InputError):
+            new.close()
+        with suppress(InputError):
+            discard_map(out)
+        raise
+
+
+def make_room(out: StrPath) -> None:
+    """Remove what a rebuild, merge or prune left that was ended; raises OutputError where there is anything else.
+
+    Raises MapError where another process makes a map there.
+    """
+    out = Path(out)
+    if _is_left_over(out):
+        discard_map(out)
+    refuse_full(out, NEW_FOLDER)
+
+
+def _is_left_over(path: Path) -> bool:
+    """Whether a folder holds a map that is of no use, or what such a map begins or ends with."""
+    if not is_there(path / HEADER_FILE):
+        return _is_bare(path)
+    try:
+        return not read_header(path).is_usable
+    except MapError:
+        return False
+
+
+def _is_bare(path: Path) -> bool:
+    """Whether a folder holds no more than what a map begins with, before anything says that it is one."""
+    try:
+        files = list(path.iterdir())
+    except OSError:
+        return False
+    return (path / LOCK_FILE) in files and {*files} <= {path / LOCK_FILE, path / CALIBRATION_FILE, *_temporaries(path)}
+
+
+def _temporaries(path: Path) -> list[Path]:
+    """Files that were being written when a process was killed, see `files.atomic_write`."""
+    return [file for file in path.iterdir() if _TEMPORARY.fullmatch(file.name)]
+
+
+def _remove(files: Iterable[Path]) -> None:
+    """Raises OSError."""
+    for file in files:
+        file.unlink(missing_ok=True)
+
+
 def discard_map(path: StrPath) -> None:
     """Remove a map that an earlier run left; other files in its folder stay.
 
@@ -356,16 +472,17 @@ def discard_map(path: StrPath) -> None:
         OutputError: it cannot be removed.
     """
     path = Path(path)
-    if not is_there(path / HEADER_FILE):
+    if not is_there(path / HEADER_FILE) and not _is_bare(path):
         return
     lock = MapLock(path)
-    made = (RECOGNITION_FILE, SURFELS_FILE, OCCUPANCY_FILE, OCCUPANCY_IMAGE, EDITS_FILE, PLACES_FILE)
-    names = (HEADER_FILE, CALIBRATION_FILE, *made)
     try:
-        # What says that it is a map goes first: a kill in between leaves no map that lacks a part.
-        for file in (*(path / name for name in names), *journals_of(path, KEYFRAMES), *journals_of(path, GRAPH)):
-            file.unlink(missing_ok=True)
-        (path / LOCK_FILE).unlink(missing_ok=True)
+        # A kill in between leaves no map that lacks a part, but one of which `make_room` knows that it is to go.
+        try:
+            replace(read_header(path), unfinished=REMOVAL).save(path)
+        except InputError:  # it is damaged, or the disk is full
+            _remove([path / HEADER_FILE])
+        _remove([*journals_of(path, KEYFRAMES), *journals_of(path, GRAPH), *_temporaries(path)])
+        _remove(path / name for name in (*_MADE, CALIBRATION_FILE, HEADER_FILE, LOCK_FILE))
         if not any(path.iterdir()):
             path.rmdir()
     except OSError as error:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wheelsight.errors import MapError
-from wheelsight.files import StrPath, refuse_full
+from wheelsight.files import StrPath
 from wheelsight.geometry import IntArray
 from wheelsight.keyframes import KeyframeId
 from wheelsight.mapping import SurfelSettings
@@ -18,9 +18,10 @@ from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.piece_graph import PieceGraph
 from wheelsight.slam.recognised import PlaceWatcher
 from wheelsight.slam.sessions.hanging import pieces_of
-from wheelsight.slam.sessions.map_folder import NEW_FOLDER, MapFolder
-from wheelsight.slam.sessions.occupancy import with_occupancy
-from wheelsight.slam.sessions.parts import MapParts, Progress, SaidOfMap, carried, recognizer_of, write_map
+from wheelsight.slam.sessions.header import MERGE
+from wheelsight.slam.sessions.map_folder import MapFolder, make_room, map_being_made
+from wheelsight.slam.sessions.occupancy import add_occupancy
+from wheelsight.slam.sessions.parts import MapParts, Progress, SaidOfMap, carried, recognizer_of, write_parts
 from wheelsight.slam.sessions.rebuilding import fused_of
 from wheelsight.slam.settings import LoopSettings
 from wheelsight.slam.steps import anchor
@@ -61,7 +62,7 @@ def merge(
 
     Args:
         first, second: open maps of one camera.
-        out: a folder that is empty or not there.
+        out: a folder that is empty or not there, or that a merge, rebuild or prune left when it was ended.
         loops, recognition, surfels: or the defaults.
         on_keyframe: called with what is being done, how many keyframes are done, and of how many.
 
@@ -71,7 +72,7 @@ def merge(
         OutputError: it cannot be written.
     """
     _refuse_unlike(first, second)
-    refuse_full(out, NEW_FOLDER)
+    make_room(out)
     pair, settings = _Pair(MapParts.of(first), MapParts.of(second)), loops or LoopSettings()
     watcher = _watcher(first, pair, settings, recognition, on_keyframe)
     graph = _begun(pair, first, settings)
@@ -83,8 +84,10 @@ def merge(
     surfel_map = fused_of(parts, first, surfels, lambda done, total: on_keyframe("fusing", done, total))
     source = " and ".join(filter(None, (first.header.source, second.header.source)))
     made = _knows_all(parts, pair, watcher, recognition, on_keyframe), surfel_map, _said(first, second, kept, pair)
-    folder = with_occupancy(write_map(parts, out, first, made, on_keyframe, source), on_keyframe)
-    return _told(folder, pair, kept, graph)
+    with map_being_made(out, MERGE, first, source) as new:
+        write_parts(parts, new, made, on_keyframe)
+        add_occupancy(new, on_keyframe)
+    return _told(MapFolder.open(out, settings=first.settings), pair, kept, graph)
 
 
 def _said(first: MapFolder, second: MapFolder, kept: IntArray, pair: _Pair) -> SaidOfMap:

@@ -68,14 +68,14 @@ def save_occupancy(
     return grid
 
 
-def with_occupancy(folder: MapFolder, on_keyframe: Callable[[str, int, int], None]) -> MapFolder:
-    """A new map, whose occupancy map is written by now, if it can be made: a map is whole without it.
+def add_occupancy(new: MapFolder, on_keyframe: Callable[[str, int, int], None]) -> None:
+    """Write the occupancy map of one that is being made, if it can be made: a map is whole without it.
 
     Why there is none `occupancy_of` says. Raises OutputError.
     """
     with suppress(MapError):
-        save_occupancy(folder, lambda done, total: on_keyframe("occupancy", done, total))
-    return folder
+        so_far = MapFolder.open(new.path, settings=new.settings, is_incomplete_read=True)
+        save_occupancy(so_far, lambda done, total: on_keyframe("occupancy", done, total))
 
 
 def driven_way(folder: MapFolder) -> tuple[FloatArray, ...]:

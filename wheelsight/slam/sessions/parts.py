@@ -9,7 +9,6 @@ from typing import Self
 
 import numpy as np
 
-from wheelsight.files import StrPath
 from wheelsight.geometry import BoolArray, FloatArray, IntArray
 from wheelsight.keyframes import KeyframeId
 from wheelsight.mapping import MapEdits, NamedPoses, SurfelMap
@@ -148,42 +147,29 @@ def renumbered(edges: Sequence[RelativePose], numbers: IntArray) -> tuple[Relati
     )
 
 
-def write_map(
-    parts: MapParts,
-    out: StrPath,
-    like: MapFolder,
-    made: tuple[Recognizer, SurfelMap | None, SaidOfMap],
-    on_keyframe: Progress,
-    source: str | None = None,
-) -> MapFolder:
-    """Write parts into a new folder.
+def write_parts(
+    parts: MapParts, new: MapFolder, made: tuple[Recognizer, SurfelMap | None, SaidOfMap], on_keyframe: Progress
+) -> None:
+    """Write parts into a map that has nothing yet.
 
     Args:
         parts: what to write.
-        out: a folder that is empty or not there.
-        like: of which calibration and settings it is.
+        new: see `map_being_made`.
         made: of the keyframes: what recognises them, surfels that hang on them, and what people said.
         on_keyframe: called with what is being done, how many keyframes are done, and of how many.
-        source: its name; else as `like` has it.
 
-    Returns the new map, open to read. Raises MapError and OutputError as `rebuild` does.
+    Raises MapError where a keyframe cannot be read, and OutputError.
     """
-    name, factor = like.header.source if source is None else source, like.header.camera.depth_factor
-    new = MapFolder.create(out, like.calibration, like.settings, source=name, depth_factor=factor)
     recognizer, surfel_map, said = made
-    try:
-        store = parts.store(like.settings.memory_keyframes)
-        for number, place in enumerate(parts.places):
-            new.append_keyframe(number, store[KeyframeId(number)], parts.T_map_keyframe[number], place.T_odom_keyframe)
-            on_keyframe("writing", number + 1, len(parts))
-        new.append_edges(parts.edges)
-        new.save_recognition(recognizer)
-        if surfel_map is not None:
-            new.save_surfels(surfel_map)
-        said.save(new)
-    finally:
-        new.close()
-    return MapFolder.open(out, settings=like.settings)
+    store = parts.store(new.settings.memory_keyframes)
+    for number, place in enumerate(parts.places):
+        new.append_keyframe(number, store[KeyframeId(number)], parts.T_map_keyframe[number], place.T_odom_keyframe)
+        on_keyframe("writing", number + 1, len(parts))
+    new.append_edges(parts.edges)
+    new.save_recognition(recognizer)
+    if surfel_map is not None:
+        new.save_surfels(surfel_map)
+    said.save(new)
 
 
 def recognizer_of(parts: MapParts, settings: RecognitionSettings | None, on_keyframe: Progress) -> Recognizer:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from wheelsight.errors import MapError
-from wheelsight.files import StrPath, refuse_full
+from wheelsight.files import StrPath
 from wheelsight.geometry import IntArray, se3, so3
 from wheelsight.keyframes import KeyframeId
 from wheelsight.mapping import SurfelMap
@@ -19,8 +19,9 @@ from wheelsight.places.views import ViewMaker
 from wheelsight.settings import PlaceVerificationSettings, RecognitionSettings
 from wheelsight.slam.contraction import without
 from wheelsight.slam.sessions.hanging import pieces_of
-from wheelsight.slam.sessions.map_folder import NEW_FOLDER, MapFolder
-from wheelsight.slam.sessions.occupancy import with_occupancy
+from wheelsight.slam.sessions.header import PRUNE
+from wheelsight.slam.sessions.map_folder import MapFolder, make_room, map_being_made
+from wheelsight.slam.sessions.occupancy import add_occupancy
 from wheelsight.slam.sessions.parts import (
     MapParts,
     Progress,
@@ -28,7 +29,7 @@ from wheelsight.slam.sessions.parts import (
     carried,
     new_numbers,
     recognizer_of,
-    write_map,
+    write_parts,
 )
 
 
@@ -58,7 +59,7 @@ def prune(
 
     Args:
         folder: an open map; it stays as it is.
-        out: a folder that is empty or not there.
+        out: a folder that is empty or not there, or that a merge, rebuild or prune left when it was ended.
         recognition: or the defaults.
         on_keyframe: called with what is being done, how many keyframes are done, and of how many.
 
@@ -66,7 +67,7 @@ def prune(
         MapError: there are no keyframes, or one cannot be read.
         OutputError: it cannot be written.
     """
-    refuse_full(out, NEW_FOLDER)
+    make_room(out)
     parts = MapParts.of(folder)
     if not len(parts):
         raise MapError("has no keyframes", path=folder.path, fix="give a map of a drive that kept some")
@@ -78,8 +79,10 @@ def prune(
     recognizer = recognizer_of(left, recognition, on_keyframe)
     hangs_on = new_numbers(kept, len(parts))[shown_by]
     made = recognizer, _rehung(folder, left, hangs_on), carried(folder, kept)
-    new = with_occupancy(write_map(left, out, folder, made, on_keyframe), on_keyframe)
-    return PrunedMap(new, len(parts) - len(left))
+    with map_being_made(out, PRUNE, folder) as new:
+        write_parts(left, new, made, on_keyframe)
+        add_occupancy(new, on_keyframe)
+    return PrunedMap(MapFolder.open(out, settings=folder.settings), len(parts) - len(left))
 
 
 def _shown_by(parts: MapParts, folder: MapFolder, on_keyframe: Callable[[int, int], None]) -> IntArray:

@@ -13,6 +13,7 @@ from wheelsight.errors import MapError
 from wheelsight.geometry import FloatArray
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.sessions import records
+from wheelsight.slam.sessions.header import DRIVE
 from wheelsight.slam.sessions.journal import Damage, JournalContents, Record, read_journal
 from wheelsight.slam.sessions.records import Kind, Place
 
@@ -25,6 +26,8 @@ _MOST_EDGES = 5_000_000
 _LOST_SHARE, _LOST_KEYFRAMES = 2, 10_000
 # Ten digits would be of more journals than a folder has files.
 _JOURNAL_NAME = re.compile(r"[0-9]{1,9}")
+RUN_AGAIN = "run it again"
+_CUT_OFF = "The drive was ended before its map was finished: what it saw last may be missing."
 _DAMAGED = "use another copy of the map"
 
 
@@ -38,6 +41,8 @@ class Health:
         damages: bytes between whole records that are no record.
         missing: keyframes that damage took.
         beyond: keyframes that are left out, since their numbers are beyond what the others explain.
+        unfinished: what made the map when it was ended, see `MapHeader`; "" where it was finished.
+        is_being_made: whether that still makes it.
     """
 
     torn_bytes: int = 0
@@ -45,16 +50,28 @@ class Health:
     damages: tuple[Damage, ...] = ()
     missing: tuple[int, ...] = ()
     beyond: tuple[int, ...] = ()
+    unfinished: str = ""
+    is_being_made: bool = False
 
     @property
     def is_whole(self) -> bool:
         """Whether nothing but the torn end is wrong."""
-        return not self.damages and not self.missing and not self.beyond
+        return not self.damages and not self.missing and not self.beyond and not self.incomplete
+
+    @property
+    def incomplete(self) -> str:
+        """Why a map of less than all keyframes is no map of a drive either; "" where nothing is wrong so."""
+        if self.unfinished in ("", DRIVE):
+            return ""
+        why = f"{self.unfinished} is still making it" if self.is_being_made else f"{self.unfinished} was ended"
+        return f"incomplete: {why}"
 
     @property
     def notes(self) -> tuple[str, ...]:
         """A sentence about each thing that is wrong."""
-        told = []
+        told = [f"The map is {self.incomplete}; {RUN_AGAIN}."] if self.incomplete else []
+        if self.unfinished == DRIVE:
+            told.append("A drive still writes it." if self.is_being_made else _CUT_OFF)
         if self.torn_bytes or self.dropped:
             what = f"{self.torn_bytes:,} bytes and {self.dropped} keyframes at the end"
             told.append(f"The drive was cut off: {what} were not whole and are left out.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from wheelsight.errors import MapError
-from wheelsight.files import StrPath, refuse_full
+from wheelsight.files import StrPath
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.mapping import SurfelMap, SurfelSettings
 from wheelsight.odometry.dense.grid import Level
@@ -13,8 +13,9 @@ from wheelsight.odometry.dense.reference import ReferenceMaker
 from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.places.views import known_grey
 from wheelsight.settings import RecognitionSettings
-from wheelsight.slam.sessions.map_folder import NEW_FOLDER, MapFolder
-from wheelsight.slam.sessions.occupancy import with_occupancy
+from wheelsight.slam.sessions.header import REBUILD
+from wheelsight.slam.sessions.map_folder import MapFolder, make_room, map_being_made
+from wheelsight.slam.sessions.occupancy import add_occupancy
 from wheelsight.slam.sessions.parts import MapParts, Progress, SaidOfMap, edits_as_known, names_as_known
 from wheelsight.threads import Rows
 from wheelsight.views import Surface
@@ -34,7 +35,7 @@ def rebuild(
 
     Args:
         folder: an open map; it stays as it is.
-        out: a folder that is empty or not there.
+        out: a folder that is empty or not there, or that a merge, rebuild or prune left when it was ended.
         surfels, recognition: or the defaults.
         on_keyframe: called with what is being done, how many keyframes are done, and of how many.
 
@@ -44,21 +45,18 @@ def rebuild(
         MapError: there are no keyframes, or one cannot be read.
         OutputError: it cannot be written.
     """
-    refuse_full(out, NEW_FOLDER)
+    make_room(out)
     said = SaidOfMap(edits_as_known(folder), names_as_known(folder))
     surfel_map = fused_anew(folder, surfels, lambda done, total: on_keyframe("fusing", done, total))
-    source, factor = folder.header.source, folder.header.camera.depth_factor
-    new = MapFolder.create(out, folder.calibration, folder.settings, source=source, depth_factor=factor)
-    try:
+    with map_being_made(out, REBUILD, folder) as new:
         _copy_keyframes(folder, new, lambda done, total: on_keyframe("writing", done, total))
         new.append_edges(folder.edges)
         found = folder.recognizer(recognition, lambda done, total: on_keyframe("recognition", done, total))
         new.save_recognition(found)
         new.save_surfels(surfel_map)
         said.save(new)
-    finally:
-        new.close()
-    return with_occupancy(MapFolder.open(out, settings=folder.settings), on_keyframe)
+        add_occupancy(new, on_keyframe)
+    return MapFolder.open(out, settings=folder.settings)
 
 
 def _copy_keyframes(folder: MapFolder, new: MapFolder, on_keyframe: Callable[[int, int], None]) -> None:

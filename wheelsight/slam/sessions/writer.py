@@ -24,6 +24,7 @@ from wheelsight.settings import RecognitionSettings
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.sessions import keyframe_records
 from wheelsight.slam.sessions.edges import SeenKeyframe, odometry_edge
+from wheelsight.slam.sessions.header import DRIVE
 from wheelsight.slam.sessions.images import DepthSteps
 from wheelsight.slam.sessions.journal import Record
 from wheelsight.slam.sessions.kept import read_keyframe
@@ -207,6 +208,7 @@ class _Written:
         self._is_over = self._is_dirty = False
         is_mounted = folder.calibration.T_base_camera is not None
         self._mapper = OccupancyMapper(folder.calibration, folder.settings.occupancy) if is_mounted else None
+        self._do(lambda: folder.begin(DRIVE))
 
     def take(self, work: _Work) -> None:
         """Append it."""
@@ -225,18 +227,19 @@ class _Written:
             self._is_dirty = False
 
     def finish(self, surfel_map: SurfelMap | None, recognizer: Recognizer | None) -> None:
-        """Write what was made of the keyframes, close the folder, and write its occupancy map."""
+        """Write what was made of the keyframes, and their occupancy map, and close the folder."""
         found = self._recognizer if recognizer is None else recognizer
         if found is not None:
             self._do(lambda: self._folder.save_recognition(found))
         if surfel_map is not None:
             self._do(lambda: self._folder.save_surfels(surfel_map))
+        if self._mapper is not None and self.keyframes and not self._is_over:
+            self._save_occupancy(self._mapper)
+        self._do(self._folder.finish)
         try:
             self._folder.close()
         except OutputError as error:
             self._end(error)
-        if self._mapper is not None and self.keyframes and not self._is_over:
-            self._save_occupancy(self._mapper)
 
     def _save_occupancy(self, mapper: OccupancyMapper) -> None:
         """Of all keyframes, of earlier drives too. It can be made of them at any time: a map without it is whole."""
