@@ -20,6 +20,7 @@ from wheelsight.cli._batch_options import share
 from wheelsight.cli._batch_view import BatchProgress, batch_table
 from wheelsight.cli._console import console
 from wheelsight.errors import ConfigError
+from wheelsight.interrupts import ENDING
 
 Command = Callable[..., Result]
 
@@ -92,22 +93,23 @@ def test_what_is_worse_than_the_baseline_is_named_with_code_1(wheelsight: Comman
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ended_by", [signal.SIGKILL, signal.SIGINT], ids=["kill", "ctrl-c"])
+@pytest.mark.parametrize("ended_by", [signal.SIGKILL, *ENDING])
 def test_a_batch_that_was_ended_goes_on(ended_by: signal.Signals, wheelsight: Command, data: Path) -> None:
     for number in range(9):
         write_wheels(data / f"drive{number}", 3000 + number)  # some tenths of a second each
     words, done = arguments(data, "arc"), data.parent / "out" / "jobs"
 
     def listening() -> None:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        for number in ENDING:
+            signal.signal(number, signal.SIG_DFL)
 
     command = [sys.executable, "-m", "wheelsight", *words]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ, preexec_fn=listening) as process:
         until(lambda: done.is_dir() and any(done.glob("*.json")))
         process.send_signal(ended_by)
         _, told = process.communicate()
-    assert process.returncode == (130 if ended_by is signal.SIGINT else -signal.SIGKILL)
-    assert ("interrupted; what is done is kept" in told) is (ended_by is signal.SIGINT)
+    assert process.returncode == (128 + ended_by if ended_by in ENDING else -signal.SIGKILL)
+    assert ("interrupted; what is done is kept" in told) is (ended_by in ENDING)
     kept = {path: path.stat().st_mtime_ns for path in done.glob("*.json")}
     assert 0 < len(kept) < 11
     assert not (data.parent / "out" / "table.csv").exists()

@@ -69,7 +69,7 @@ def check(out: Path) -> int:
     return len(ticks)
 
 
-@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_whatever_ends_it_leaves_a_valid_recording(
     controller: SimulatedController, calibration: Path, tmp_path: Path, by: signal.Signals
 ) -> None:

@@ -19,6 +19,7 @@ from synthetic import make_tum_recording
 
 from benchmarks.simulated_controller import SimulatedController
 from wheelsight.devices import open_wheels
+from wheelsight.devices.protocol import Command
 from wheelsight.interrupts import ENDING
 from wheelsight.recordings import open_recording
 from wheelsight.trajectory import read_tum
@@ -89,10 +90,14 @@ class Terminal:
             for number in ENDING:
                 signal.signal(number, signal.SIG_DFL)
 
-        command, ends = [sys.executable, *map(str, words)], {"stdin": self.theirs, "stdout": self.theirs}
-        environment = {**os.environ, "TERM": "xterm-256color"}
         process = subprocess.Popen(
-            command, stderr=self.theirs, **ends, start_new_session=True, preexec_fn=controlled, env=environment
+            [sys.executable, *map(str, words)],
+            stdin=self.theirs,
+            stdout=self.theirs,
+            stderr=self.theirs,
+            start_new_session=True,
+            preexec_fn=controlled,
+            env={**os.environ, "TERM": "xterm-256color"},
         )
         os.close(self.theirs)
         return process
@@ -238,13 +243,37 @@ def test_a_drive_stops_its_robot_and_leaves_its_record(tmp_path: Path, number: s
     words = ["-m", "wheelsight", "drive", "--sim", "studio", "--size", "160x120", "--rate", "5", "--explore"]
     with begun([*words, "--out", out]) as process:
         assert process.stderr is not None
-        begins = [process.stderr.readline()]
-        while "exploring" not in begins[-1] and begins[-1]:
-            begins.append(process.stderr.readline())
-        time.sleep(3)
+        said = [process.stderr.readline()]
+        while said[-1] and "state: driving" not in said[-1]:
+            said.append(process.stderr.readline())
         process.send_signal(number)
-        _, said = process.communicate(timeout=600)
-    assert process.returncode == 128 + number, (begins, said)
-    assert said.splitlines()[-1] == "interrupted; the robot was stopped first, and stands"
+        said += process.communicate(timeout=600)[1].splitlines()
+    assert process.returncode == 128 + number, said
+    assert said[-1] == "interrupted; the robot was stopped first, and stands"
     assert json.loads((out / "drive.json").read_text())["interrupted"] is True
     assert (out / "map" / "map.json").is_file()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_real_robot_stands_once_the_terminal_of_its_program_is_closed(
+    controller: SimulatedController, tmp_path: Path
+) -> None:
+    pytest.importorskip("mujoco", reason="MuJoCo is not installed")
+    day, out, terminal = tmp_path / "day", tmp_path / "out", Terminal()
+    small = ["--size", "160x120", "--rate", "10", "--duration", "40", "--out", day]
+    with begun(["-m", "wheelsight", "simulate", "square", *small]) as simulating:
+        assert simulating.wait(600) == 0
+    controller.motors = lambda duties, seconds: (int(8 * duties[0] * seconds), int(8 * duties[1] * seconds))
+    words = ["drive", "--robot", controller.port, "--calibration", day / "calibration.yaml", "--yes", "--explore"]
+    process = terminal.begin(["-m", "wheelsight", *words, "--camera", f"recording:{day}", "--out", out])
+    until(lambda: bool(terminal.read()) or controller.duties != (0, 0), process)
+    until(lambda: terminal.read() == b"" and controller.duties != (0, 0), process)
+    before = len(controller.commands)
+    terminal.close()
+    assert process.wait(600) == 128 + signal.SIGHUP
+    after = controller.commands[before:]
+    stopped = [kind for kind, _ in after].index(Command.STOP)
+    assert stopped <= 20  # a period of the drive's loop is 50 ms, and a reply is waited for
+    assert not any(int.from_bytes(body, "little") for kind, body in after[stopped:] if kind == Command.DRIVE)
+    assert json.loads((out / "drive.json").read_text())["interrupted"] is True
