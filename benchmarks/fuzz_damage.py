@@ -1,4 +1,4 @@
-"""What strangers' files have been seen to be, and worse: changes to sound files, each by random numbers of its seed."""
+"""Changes to sound files by random numbers: of bytes, text, YAML, JSON, images, archives, and which files there are."""
 
 from __future__ import annotations
 
@@ -9,13 +9,16 @@ import re
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks import fuzz_records
+
 Rng = np.random.Generator
+Change = Callable[[bytes, Rng], bytes]
 _WORDS = (
     *(
         "nan",
@@ -115,11 +118,14 @@ _LAUGHS = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
 )
 _INTEGER = b"\x00\x00\xff\xff\x7f\x80\x01"
 _LARGE = 30_000
+_MOST_BYTES = 8_000_000
 
 
 def damaged(name: str, data: bytes, rng: Rng) -> bytes:
     """A file's bytes after one to three changes that suit its kind."""
     for _ in range(int(rng.integers(1, 4))):
+        if len(data) > _MOST_BYTES:  # further changes would take longer to make than to read
+            break
         data = _pick(_changes_of(name, data), rng)(data, rng)
     return data
 
@@ -143,18 +149,54 @@ def replace_with_no_file(path: Path, rng: Rng) -> None:
         path.symlink_to(("/dev/zero", "/proc/self/mem", path.name, "nowhere")[what - 3])
 
 
+def changed_files(files: Mapping[str, bytes], rng: Rng) -> dict[str, bytes]:
+    """The files with one of them gone, under another name, in another's place, there twice, or beside a strange one."""
+    changed = dict(files)
+    name, other = (str(found) for found in rng.choice(sorted(files), 2))
+    what = int(rng.integers(5))
+    if what == 0:
+        del changed[name]
+    elif what == 1:
+        changed[name], changed[other] = files[other], files[name]
+    elif what == 2:
+        changed[other] = files[name]
+    else:
+        folder, _, last = name.rpartition("/")
+        stem, dot, suffix = last.rpartition(".")
+        digits = re.sub(r"[0-9](?=[^0-9]*$)", "\u00b2", stem)
+        number = re.sub(r"[0-9]+(?=[^0-9]*$)", "9" * 30, stem)
+        names = (digits, number, stem + "\n", stem + "\udcff", "-" + stem, "." + stem, "9" + stem, stem.upper())
+        called = f"{_pick(names, rng)}{dot}{suffix}"
+        data = changed.pop(name) if what == 3 else files[name]
+        changed[f"{folder}/{called}" if folder else called] = data
+    return changed
+
+
 def _changes_of(name: str, data: bytes) -> tuple[Callable[[bytes, Rng], bytes], ...]:
-    if name.endswith((".png", ".jpg")):
+    suffix = name.rpartition(".")[2]
+    if suffix in ("png", "jpg"):
         return (*_BYTES, _large_image, _header_of_another)
     if data.startswith(b"PK"):
         return (*_BYTES, *_ARCHIVE * 3)
-    if name.endswith(".surfels"):
+    if suffix == "surfels":
         return (*_BYTES, *_MAP * 3)
-    if name.endswith((".sens", ".bag", ".mcap")):
-        return _BYTES
-    if name.endswith(".yaml"):
+    if suffix in _OF_RECORDS:
+        return (*_BYTES, *(_of_records(_OF_RECORDS[suffix]),) * (2 * len(_BYTES)))
+    if suffix == "yaml":
         return (*_BYTES, *_TEXT, *_YAML * 4)
+    if suffix == "json":
+        return (*_BYTES, *_TEXT, *(_json, _many) * 6)
     return (*_BYTES, *_TEXT * 4)
+
+
+def _of_records(change: Callable[[bytes, Rng, Change], bytes]) -> Change:
+    def changed(data: bytes, rng: Rng) -> bytes:
+        try:
+            return change(data, rng, _pick(_BYTES, rng))
+        except Exception:  # an earlier change has damaged it
+            return data
+
+    return changed
 
 
 def _pick(choices: tuple[Any, ...], rng: Rng) -> Any:
@@ -229,6 +271,21 @@ def _lines(text: str, rng: Rng) -> str:
         lines[at] = f"#{lines[at]}"
     else:
         lines += [""] * int(_pick((1, 3, 1000), rng)) + [" "]
+    return "\n".join(lines)
+
+
+@_text
+def _many_lines(text: str, rng: Rng) -> str:
+    """One line very often; of some, its first number counts on."""
+    lines = text.split("\n")
+    at = int(rng.integers(len(lines)))
+    found = re.search(r"[0-9]+(?=\.|,|\s)", lines[at]) if rng.random() < 0.7 else None
+    count = min(int(_pick((100, 20_000, 200_000), rng)), _MOST_BYTES // (len(lines[at]) + 1))
+    if found is None:
+        lines[at:at] = [lines[at]] * count
+    else:
+        first, (begin, end), line = int(found[0][:12]), found.span(), lines[at]
+        lines[at + 1 : at + 1] = [f"{line[:begin]}{first + i}{line[end:]}" for i in range(1, count)]
     return "\n".join(lines)
 
 
@@ -353,6 +410,44 @@ def _bomb(data: bytes, rng: Rng) -> bytes:
     return _repacked(data, change)
 
 
+_HUGE = 3 << 29  # bytes: more than one input may take
+
+
+def _huge(data: bytes, rng: Rng) -> bytes:
+    """An array of an archive that says it has very many numbers and has them, all of them zero."""
+
+    def change(parts: dict[str, bytes]) -> None:
+        names = sorted(name for name in parts if name.endswith(".npy") and parts[name].startswith(b"\x93NUMPY"))
+        name = names[int(rng.integers(len(names)))]
+        told = re.sub(rb"'shape': \((\d+)", rb"'shape': (%d" % (_HUGE // 64), parts[name][10:128])
+        parts[name] = parts[name][:8] + struct.pack("<H", len(told)) + told
+        huge.append(name)
+
+    huge: list[str] = []
+    packed = _repacked(data, change)
+    return _with_zeros(packed, huge[0].encode()) if huge else packed
+
+
+def _with_zeros(packed: bytes, name: bytes) -> bytes:
+    """An archive in which one file has gigabytes of zeros behind what it holds; sizes and checksum fit."""
+    with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+        parts = [(info.filename.encode(), archive.read(info)) for info in archive.infolist()]
+    whole, listed = b"", b""
+    for called, content in parts:
+        packer = zlib.compressobj(1, zlib.DEFLATED, -15)
+        body, size, crc = packer.compress(content), len(content), zlib.crc32(content)
+        if called == name:
+            body += packer.flush(zlib.Z_FULL_FLUSH) + fuzz_records.bomb("zlib", _HUGE >> 20)[2:-4]
+            size, crc = size + _HUGE, fuzz_records.crc_of_zeros(_HUGE, crc)
+        else:
+            body += packer.flush()
+        about = struct.pack("<HHHHHIIIHH", 20, 0, 8, 0, 33, crc, len(body), size, len(called), 0)
+        listed += b"PK\1\2" + struct.pack("<H", 20) + about + struct.pack("<HHHII", 0, 0, 0, 0, len(whole)) + called
+        whole += b"PK\3\4" + about + called + body
+    end = struct.pack("<HHHHIIH", 0, 0, len(parts), len(parts), len(listed), len(whole), 0)
+    return whole + listed + b"PK\5\6" + end
+
+
 def _schema(data: bytes, rng: Rng) -> bytes:
     def change(parts: dict[str, bytes]) -> None:
         parts["schema.json"] = _json(parts["schema.json"], rng)
@@ -402,6 +497,34 @@ def _json(text: bytes, rng: Rng) -> bytes:
     return made.replace(b": ", b": " + b'{"a": ' * deep, 1) if deep else made
 
 
+def _many(text: bytes, rng: Rng) -> bytes:
+    """A JSON text in which one list, or object, has very many members: texts in them are all different."""
+    try:
+        document = json.loads(text)
+    except (ValueError, RecursionError):  # an earlier change has damaged it
+        return text
+    spots, waiting = [], [document]
+    while waiting:
+        node = waiting.pop()
+        inside = list(node.values()) if isinstance(node, dict) else node if isinstance(node, list) else []
+        waiting += inside
+        if inside:
+            spots.append(node)
+    if not spots:
+        return text
+    node = spots[int(rng.integers(len(spots)))]
+    key = sorted(node)[0] if isinstance(node, dict) else 0
+    member = json.dumps(node[key])
+    count = min(int(_pick((50, 5000, 200_000), rng)), _MOST_BYTES // (len(member) + 8))
+    if isinstance(node, dict):
+        node.update({f"{key}{i}": node[key] for i in range(count)})
+    else:
+        places = [found.end() - 1 for found in re.finditer(r'"name": "[^"]*"', member)]
+        at = places[0] if places else member.rfind('"')
+        node += [json.loads(f"{member[:at]}{i}{member[at:]}" if at > 0 else member) for i in range(count)]
+    return json.dumps(document).encode()
+
+
 def _map_header(data: bytes, rng: Rng) -> bytes:
     first, _, rest = data.partition(b"\n")
     header, _, body = rest.partition(b"\n")
@@ -424,8 +547,19 @@ def _map_body(data: bytes, rng: Rng) -> bytes:
     return first + b"\n" + header + b"\n" + body
 
 
-_BYTES = (_flip, _overwrite, _cut, _repeat, _noise)
-_TEXT = (_word, _word, _lines, _dialect, _encoding)
+_BYTES: tuple[Change, ...] = (_flip, _overwrite, _cut, _repeat, _noise, fuzz_records.numbers_changed)
+_TEXT = (_word, _word, _lines, _many_lines, _dialect, _encoding)
 _YAML = (_node, _node, _key, _laughing)
-_ARCHIVE = (_array, _bomb, _schema)
+_ARCHIVE = (_array, _bomb, _huge, _schema)
 _MAP = (_map_header, _map_body)
+_OF_RECORDS: dict[str, Callable[[bytes, Rng, Change], bytes]] = {
+    "bag": fuzz_records.ros1_changed,
+    "mcap": fuzz_records.mcap_changed,
+    "db3": fuzz_records.sqlite_changed,
+    "zstd": fuzz_records.zstd_changed,
+    "mkv": fuzz_records.matroska_changed,
+    "journal": fuzz_records.journal_changed,
+    "sens": fuzz_records.sens_changed,
+    "oni": fuzz_records.numbers_or_bytes_changed,
+    "serial": fuzz_records.serial_changed,
+}

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import json
+import struct
+import subprocess
+import sys
 from collections.abc import Iterator
 from fractions import Fraction
+from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import av
 import cv2
 import numpy as np
-from rosbags.rosbag2 import StoragePlugin, Writer
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
 
 from wheelsight.calibration import Calibration
 from wheelsight.events import Event, RgbdFrame, WheelTicks, YawRate
@@ -33,12 +41,62 @@ def bag(name: str, robot: Calibration) -> bytes:
         return path.read_bytes()
 
 
-def sqlite3_bag(robot: Calibration) -> dict[str, bytes]:
-    """The same as a folder with metadata.yaml and an sqlite3 database, as older robots record."""
+def packed_bag(robot: Calibration, way: str) -> bytes:
+    """The same in a bag of ROS 1 whose chunks are packed by bz2 or lz4."""
+    make = Messages(is_ros1=True)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "a.bag"
+        writer = Writer1(path)
+        writer.set_compression(Writer1.CompressionFormat[way.upper()])
+        with writer:
+            connections = {}
+            for one in _sent(make, robot):
+                type_ = one.message.__msgtype__
+                if one.topic not in connections:
+                    connections[one.topic] = writer.add_connection(one.topic, type_, typestore=make.types)
+                writer.write(connections[one.topic], nanoseconds(one.stamp_s), make.bytes_of(one.message))
+        return path.read_bytes()
+
+
+def packed_mcap(robot: Calibration, way: str) -> bytes:
+    """The same as one MCAP file by mcap's own writer, its chunks packed in a way of its `CompressionType`."""
+    make, buffer = Messages(is_ros1=False), BytesIO()
+    writer = McapWriter(buffer, compression=CompressionType[way])
+    writer.start(profile="ros2")
+    channels: dict[str, int] = {}
+    for one in _sent(make, robot):
+        type_ = one.message.__msgtype__
+        if one.topic not in channels:
+            definition = make.types.generate_msgdef(type_, ros_version=2)[0].encode()
+            schema = writer.register_schema(type_, "ros2msg", definition)
+            channels[one.topic] = writer.register_channel(one.topic, "cdr", schema, {"offered_qos_profiles": ""})
+        stamp_ns = nanoseconds(one.stamp_s)
+        writer.add_message(channels[one.topic], stamp_ns, bytes(make.bytes_of(one.message)), stamp_ns)
+    writer.finish()
+    return buffer.getvalue()
+
+
+def sqlite3_bag(robot: Calibration, mode: str = "") -> dict[str, bytes]:
+    """The same as a folder with metadata.yaml and an sqlite3 database, as older robots record.
+
+    `mode` is "message" where each message is packed by zstd, and "file" where the database is.
+    """
+    return _folder_bag(robot, StoragePlugin.SQLITE3, mode)
+
+
+def mcap_folder(robot: Calibration) -> dict[str, bytes]:
+    """The same as a folder with metadata.yaml and an MCAP file, as `ros2 bag record` writes it."""
+    return _folder_bag(robot, StoragePlugin.MCAP, "")
+
+
+def _folder_bag(robot: Calibration, storage: StoragePlugin, mode: str) -> dict[str, bytes]:
     make = Messages(is_ros1=False)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "bag"
-        with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        writer = Writer2(path, version=9, storage_plugin=storage)
+        if mode:
+            writer.set_compression(CompressionMode[mode.upper()], CompressionFormat.ZSTD)
+        with writer:
             connections = {}
             for one in _sent(make, robot):
                 type_ = one.message.__msgtype__
@@ -46,6 +104,50 @@ def sqlite3_bag(robot: Calibration) -> dict[str, bytes]:
                     connections[one.topic] = writer.add_connection(one.topic, type_, typestore=make.types)
                 writer.write(connections[one.topic], nanoseconds(one.stamp_s), make.bytes_of(one.message))
         return {found.name: found.read_bytes() for found in path.iterdir()}
+
+
+def oni_file() -> bytes:
+    """Half a second that OpenNI2's recorder makes of the library's own dummy camera."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "a.oni"
+        subprocess.run([sys.executable, "-c", _RECORDED, str(path)], check=True, timeout=60)
+        return _with_cropping(path.read_bytes())
+
+
+# In a program of its own, since the dummy camera survives no closing.
+_RECORDED = """
+import ctypes as c, os, sys, time
+lib = c.CDLL("libOpenNI2.so.0")
+device, recorder, streams = c.c_void_p(), c.c_void_p(), [c.c_void_p(), c.c_void_p()]
+assert lib.oniInitialize(2002) == lib.oniDeviceOpen(b"Dummy", c.byref(device)) == 0
+assert lib.oniCreateRecorder(sys.argv[1].encode(), c.byref(recorder)) == 0
+for sensor, stream in zip((2, 3), streams):
+    assert lib.oniDeviceCreateStream(device, sensor, c.byref(stream)) == 0
+    assert lib.oniRecorderAttachStream(recorder, stream, 0) == 0
+for stream in streams:
+    assert lib.oniStreamStart(stream) == 0
+assert lib.oniRecorderStart(recorder) == 0
+time.sleep(0.5)
+lib.oniRecorderStop(recorder)
+assert lib.oniRecorderDestroy(c.byref(recorder)) == 0
+os._exit(0)
+"""
+
+
+def _with_cropping(data: bytes) -> bytes:
+    """The file with a cropping that is off in place of the output modes: the player gives no frame without one."""
+    passed_over, length = b"xnSupportedMapOutputModes\0", 12
+    told, at = passed_over + struct.pack("<I", length), 0
+    while (at := data.find(told, at)) >= 0:
+        begin = at + len(told)
+        data = (
+            data[:at]
+            + b"xnCropping\0".ljust(len(passed_over), b"\0")
+            + data[begin - 4 : begin]
+            + bytes(length)
+            + (data[begin + length :])
+        )
+    return data
 
 
 def azure_kinect() -> bytes:

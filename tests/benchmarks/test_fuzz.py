@@ -1,37 +1,65 @@
-"""No input ends in a traceback, without end, in a gigabyte, or in a message longer than a screen.
+"""No input ends in a traceback, a crash, without end, in a gigabyte, or in a message longer than a screen.
 
-`python -m benchmarks.fuzz --count 200000` does it for longer, and holds each input to five seconds.
+`python -m benchmarks.fuzz --inputs 10000` does it for longer, and holds each input to five seconds.
 """
 
 from __future__ import annotations
 
+import bz2
+import sys
+import zlib
 from pathlib import Path
+from typing import Any
 
+import lz4.frame
 import pytest
 
-from benchmarks import fuzz
-from benchmarks.fuzz_files import targets
+from benchmarks import fuzz, fuzz_records
+from benchmarks.fuzz_files import controls, targets
+
+READERS = tuple(target.name for target in targets())
 
 
 def test_every_reader_takes_its_sound_files(tmp_path: Path) -> None:
-    for number, target in enumerate(targets()):
-        folder = tmp_path / str(number)
+    for target in targets():
+        folder = tmp_path / target.name
         fuzz.write_sound(target, folder)
         target.read(folder)
 
 
 @pytest.mark.slow
-def test_readers_that_fail_hang_die_or_fill_memory_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_readers_that_fail_hang_crash_or_fill_memory_or_disk_are_found(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr(fuzz, "LONGEST_S", 4.0)
-    outcome = fuzz.fuzz(6, are_controls=True)
-    found = [(fault.number, fault.reader, fault.kind) for fault in outcome.faults]
-    assert found == [
-        (0, "traceback", "traceback"),
-        (1, "memory", "memory"),
-        (2, "hang", "hang"),
-        (3, "end", "traceback"),
-    ]
-    assert (outcome.read, outcome.refused) == (0, 2)
+    names = tuple(control.name for control in controls())
+    tallies = fuzz.fuzz(fuzz.Plan(names, are_controls=True, keep=tmp_path))
+    kinds = {name: [fault.kind for fault in tally.faults] for name, tally in tallies.items()}
+    assert kinds == {
+        "traceback": ["traceback"],
+        "memory": ["memory"],
+        "disk": ["disk"],
+        "hang": ["time"],
+        "crash": ["crash"],
+        "end": ["crash"],
+        "long_message": [],
+        "escape": [],
+    }
+    assert tallies["long_message"].refused == tallies["escape"].refused == 1
+    (crash,) = tallies["crash"].faults
+    assert "Segmentation fault" in crash.what
+    for tally in tallies.values():
+        assert all(fault.kept is not None and fault.kept.is_dir() for fault in tally.faults)
+
+
+@pytest.mark.slow
+def test_an_input_that_was_kept_fails_again_where_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "map-edits" / "0-0"
+    target = next(target for target in targets() if target.name == "map-edits")
+    fuzz.write_sound(target, folder)
+    assert fuzz.main(["--replay", str(folder)]) == 0
+    assert "accepted" in capsys.readouterr().out
+    assert (folder / "edits.json").exists()
 
 
 def test_equal_numbers_make_equal_inputs(tmp_path: Path) -> None:
@@ -42,13 +70,45 @@ def test_equal_numbers_make_equal_inputs(tmp_path: Path) -> None:
         {path.relative_to(tmp_path / name): path.read_bytes() for path in (tmp_path / name).rglob("*.png")}
         for name in ("one", "other")
     )
+    assert one
     assert one == other
 
 
-@pytest.mark.parametrize("count", [40, pytest.param(300, marks=pytest.mark.slow)])
-def test_hostile_files_are_read_or_refused(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+def test_each_reader_gets_each_number_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fuzz, "_BLOCK", 4)
+    plan = fuzz.Plan(("a", "b", "c"), inputs=10, begin=5)
+    jobs = [plan.at(job) for job in range(plan.count)]
+    assert sorted(jobs) == [(reader, number) for reader in "abc" for number in range(5, 15)]
+    assert jobs[:5] == [("a", 5), ("a", 6), ("a", 7), ("a", 8), ("b", 5)]
+
+
+def unpacked(way: str, data: bytes) -> Any:
+    if sys.version_info >= (3, 14):
+        from compression import zstd
+    else:
+        from backports import zstd
+    ways = {
+        "bz2": bz2.decompress,
+        "lz4": lz4.frame.decompress,
+        "zlib": lambda data: zlib.decompressobj().decompress(data),
+    }
+    return ways.get(way, zstd.decompress)(data)
+
+
+@pytest.mark.parametrize("way", ["bz2", "lz4", "zlib", "zstd", "zstd-mute"])
+def test_bombs_unpack_to_what_they_say(way: str) -> None:
+    packed = fuzz_records.bomb(way, 32)
+    assert len(packed) < 200_000
+    found = unpacked(way, packed)
+    assert not found.strip(b"\0")
+    assert len(found) == pytest.approx(32 << 20, rel=0.25 if way == "bz2" else 0)  # whole blocks of bz2
+
+
+@pytest.mark.parametrize("count", [2, pytest.param(20, marks=pytest.mark.slow)])
+def test_damaged_files_are_read_or_refused(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
     monkeypatch.setattr(fuzz, "LONGEST_S", 60.0)  # on a busy computer it is a hang that takes as long
-    outcome = fuzz.fuzz(count, seed=1)
-    assert outcome.faults == []
-    assert outcome.count == count
-    assert min(outcome.read, outcome.refused) > count / 10
+    tallies = fuzz.fuzz(fuzz.Plan(READERS, inputs=count, seed=1))
+    assert [fault for tally in tallies.values() for fault in tally.faults] == []
+    assert {name: tally.count for name, tally in tallies.items()} == dict.fromkeys(READERS, count)
+    accepted, refused = (sum(getattr(tally, name) for tally in tallies.values()) for name in ("accepted", "refused"))
+    assert min(accepted, refused) > count * len(READERS) / 10
