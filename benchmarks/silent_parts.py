@@ -135,6 +135,7 @@ class ProcessDriver:
         self.process = context.Process(target=send_frames, args=(theirs, self._where), daemon=True)
         self.process.start()
         theirs.close()
+        self._connection.poll(_START_S)  # a camera that sends nothing at its begin is opened again
         return OpenedDevice("a drawn hall", _CALIBRATION)
 
     def read(self, timeout_s: float) -> DeviceImages | None:
@@ -204,7 +205,15 @@ def program(port: str) -> None:
             time.sleep(0.05)
         children = {process.name: process.pid for process in get_context("spawn").active_children()}
         floor = KnownFloor(hall())
-        navigator = Navigator(robot, localization, floor, config.navigation, planning=planner, trusts_floor=True)
+        navigator = Navigator(
+            robot,
+            localization,
+            floor,
+            config.navigation,
+            planning=planner,
+            trusts_floor=True,
+            on_transition=lambda transition: say("state", transition),
+        )
         say("ready", children["wheelsight-localizer"], driver.process.pid)
         navigator.go_to_pose(_GOAL)
         try:

@@ -206,6 +206,8 @@ class VelocityControl:
         if since_s > self._settings.hold_s:
             # The link has stopped the motors meanwhile; what was asked before the gap is not done after it.
             self.stop(f"the program stood still for {since_s:.1f} s" if self._is_driven else "")
+            for loop in self._loops:
+                loop.forget()
             since_s = 0.0
         self._heard_s = now_s if ticks is not None or self._heard_s is None else self._heard_s
         if ticks is not None:
@@ -248,6 +250,10 @@ class _WheelLoop:
     def rest(self) -> None:
         self._sum = self._doubted_s = self._expected_m_s = 0.0
         self.reason = ""
+
+    def forget(self) -> None:
+        """Drop the readings so far: a speed over a gap in the readings is no speed of now."""
+        self._counts.clear()
 
     def count(self, stamp_s: float, count: int) -> None:
         if self._counts and stamp_s <= self._counts[-1][0]:

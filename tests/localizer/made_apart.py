@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
@@ -69,6 +70,14 @@ def telling(closed: Path) -> Iterator[Telling]:
         yield Telling()
     finally:
         closed.write_text("closed")
+
+
+@contextmanager
+def slow_to_close(closed: Path, seconds: float) -> Iterator[Telling]:
+    """Writes for so long at its end."""
+    yield Telling()
+    time.sleep(seconds)
+    closed.write_text("closed")
 
 
 def refusing() -> AbstractContextManager[Telling]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+import signal
 import subprocess
 import sys
 import time
@@ -11,7 +13,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from localizer.made_apart import CANNOT_BE_SENT, DIES, IS_ENDED, MOVES, RAISES, frame, real, refusing, telling, ticks
+from localizer.made_apart import (
+    CANNOT_BE_SENT,
+    DIES,
+    IS_ENDED,
+    MOVES,
+    RAISES,
+    frame,
+    real,
+    refusing,
+    slow_to_close,
+    telling,
+    ticks,
+)
 from narrowing import not_none
 from navigation.rooms import WHEELS
 
@@ -113,6 +127,39 @@ def test_a_process_that_is_killed_is_told_to_who_leads_the_robot(closed: Path) -
         hear()
     beside.close()
     assert not multiprocessing.active_children()
+
+
+def test_a_process_that_hangs_is_killed_at_the_end(closed: Path) -> None:
+    """Nothing waits for it for ever: neither the end of the program nor the call that it does not answer."""
+    subject = LocalizerApart(telling, closed)
+    beside, until_s = LocalizerBeside(subject), time.monotonic() + ENDING_S
+    beside.hear([ticks(1.0)])
+    while not beside.hear([]):
+        assert time.monotonic() < until_s
+        time.sleep(0.01)
+    (process,) = multiprocessing.active_children()
+    os.kill(not_none(process.pid), signal.SIGSTOP)
+    for n in range(2, 20):
+        assert beside.hear([ticks(float(n))]) == []
+        time.sleep(0.05)  # until the thread waits for an answer
+    beside.close()
+    assert not multiprocessing.active_children()
+    assert not closed.exists()
+
+
+def test_a_process_that_hangs_while_it_closes_is_said(closed: Path) -> None:
+    subject = LocalizerApart(telling, closed)
+    (process,) = multiprocessing.active_children()
+    os.kill(not_none(process.pid), signal.SIGSTOP)
+    with pytest.raises(DeviceError, match="hung and was killed"):
+        subject.close()
+    assert not multiprocessing.active_children()
+
+
+def test_a_process_that_closes_slowly_is_waited_for(closed: Path) -> None:
+    """Longer than a process is that gives no sign of life: a map is written."""
+    LocalizerApart(slow_to_close, closed, 7.0).close()
+    assert closed.read_text() == "closed"
 
 
 def test_a_process_that_the_system_ends_closes_what_was_made(subject: LocalizerApart, closed: Path) -> None:

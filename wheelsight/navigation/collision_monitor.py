@@ -27,7 +27,7 @@ from wheelsight.robot_limits import RobotLimits
 _LEAST_M_S, _LEAST_RAD_S = 0.02, 0.02
 # Without any frame for so long the camera, its cable or its driver has failed: the motors are stopped at once, where
 # an older frame than `frame_age_s` only brakes.
-CAMERA_SILENT_S = 0.5
+CAMERA_SILENT_S = 0.4
 _STATUS_TO_STAND = (Status.INITIALIZING, Status.FAILING, Status.LOST)
 
 

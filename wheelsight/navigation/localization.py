@@ -26,8 +26,8 @@ Answered = tuple[Event, Estimate | None]
 # How long the wheels' own way is kept: answers to frames come later than that only where nothing goes on.
 _TRACK_S = 3.0
 # Without an answer of the localization for `_COASTING_S` wheels lead alone, and the robot goes slower. It stops after
-# `_SILENT_S`, or `_SILENT_M` of way: 0.5 s with the control period in which that is noticed.
-_COASTING_S, _SILENT_S, _SILENT_M = 0.2, 0.45, 0.25
+# `_SILENT_S`, or `_SILENT_M` of way: 0.5 s with the control period in which that shows.
+_COASTING_S, _SILENT_S, _SILENT_M = 0.2, 0.4, 0.25
 # Speeds are taken over so much time; of the first readings over what there is, and of less than the second over none.
 _SPEED_S, _LEAST_S = 0.04, 0.01
 

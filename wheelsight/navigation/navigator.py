@@ -201,11 +201,12 @@ class Navigator:
         return MonitorReason.PLANNER_SILENT if is_driving and self._planning.is_silent(now_s) else None
 
     def _halt(self, silent: MonitorReason | None) -> None:
-        """Stop the motors of a robot that moves, once for each time that a part is silent."""
-        if silent is not None and not self._is_halted and not (self._chain.command.is_stop and self._stands()):
+        """Keep the motors of a robot without a voltage from when it moved until the part answers again."""
+        is_moving = not (self._chain.command.is_stop and self._stands())
+        self._is_halted = silent is not None and (self._is_halted or is_moving)
+        if self._is_halted:
             with suppress(WheelsightError):  # a controller that does not confirm stops by its own watchdog
                 self._robot.stop()
-        self._is_halted = silent is not None
 
     @property
     def feedback(self) -> Feedback:

@@ -32,7 +32,7 @@ class NavigationReason(StrEnum):
     DISOBEYS = "the wheels do not do what they are told"
     ROBOT_STOPPED = "the robot stopped by itself"
     LOCALIZATION = "the localization failed"
-    SILENT = "a part of the program does not answer"
+    SILENT = "a part of the program hangs"
     CANCELED = "it was called off"
 
 

@@ -22,7 +22,7 @@ from wheelsight.navigation.workers import Worker, WorkerInStep
 
 # A plan that takes longer than this, and than twice the longest plan before it, does not come: in a flat one takes
 # 0.1 to 0.25 s, over 1000 × 1000 cells 0.8 s.
-_SILENT_S = 0.5
+_SILENT_S = 0.4
 # The first plan of a map has none before it to compare with; the largest map takes a small computer 4 s.
 _FIRST_S = 30.0
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from types import TracebackType
+from typing import Self
 
 import numpy as np
 
@@ -100,7 +101,7 @@ class DrawnRobot:
     def close(self) -> None:
         """As `Robot` has it; nothing is open."""
 
-    def __enter__(self) -> DrawnRobot:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
