@@ -7,7 +7,6 @@ uint64), then the two images. Only sizes are read when a file is opened: it has 
 from __future__ import annotations
 
 import struct
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from wheelsight.errors import RecordingError
 from wheelsight.geometry import MOST_PIXELS, FloatArray
+from wheelsight.inputs import Kind, decompressed, open_binary
 
 _VERSION = 4
 _MATRIX, _SIZES, _FRAME = struct.Struct("<16f"), struct.Struct("<iiIIIIfQ"), struct.Struct("<16fQQQQ")
@@ -26,6 +26,7 @@ _LARGEST_IMAGE = 1 << 27  # bytes, as an image's file
 _COLOR_KINDS = {1: "PNG", 2: "JPEG"}
 _RAW, _ZLIB = 0, 1
 _COPY = "copy the file again"
+_FILE = Kind("a .sens", 1 << 40)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,8 +68,9 @@ class SensFile:
 def read_sens(path: Path) -> SensFile:
     """Header and frames, no image. Raises RecordingError naming the file and the field."""
     try:
-        size = path.stat().st_size
-        with path.open("rb") as stream:
+        with open_binary(path, _FILE, RecordingError) as stream:
+            size = stream.seek(0, 2)
+            stream.seek(0)
             header = _read_header(stream, path)
             frames = _read_frames(stream, header, size, path)
     except OSError as error:
@@ -92,9 +94,9 @@ def depth_units_of(path: Path, frame: SensFrame, header: SensHeader) -> NDArray[
     expected = 2 * width * height
     if header.depth_kind == _ZLIB:
         try:
-            data = zlib.decompressobj().decompress(data, expected + 1)
-        except zlib.error as error:
-            raise RecordingError("depth image is damaged", path=path, fix=_COPY) from error
+            data = decompressed(data, "zlib", expected)
+        except ValueError as error:
+            raise RecordingError(f"depth image {error}", path=path, fix=_COPY) from error
     if len(data) != expected:
         problem = f"depth image holds {len(data)} bytes where {width}×{height} pixels have {expected}"
         raise RecordingError(problem, path=path, fix=_COPY)
@@ -160,7 +162,7 @@ def _exactly(stream: BinaryIO, count: int, path: Path) -> bytes:
 def _read_at(path: Path, at: int, count: int) -> bytes:
     """Bytes of the file, maybe fewer where it was cut off since; raises RecordingError where it cannot be read."""
     try:
-        with path.open("rb") as stream:
+        with open_binary(path, _FILE, RecordingError) as stream:
             stream.seek(at)
             return stream.read(count)
     except OSError as error:
