@@ -23,6 +23,7 @@ import signal
 import socket
 import struct
 import time
+from collections import deque
 from contextlib import suppress
 from http import HTTPStatus
 from typing import Any
@@ -41,8 +42,11 @@ _YOUNG_S = 0.25
 _MOST_STRANGERS = 2048
 # So many are accepted at a time, and so many judged, before others are accepted: the newest is never far behind.
 _ACCEPTED, _JUDGED = 128, 32
-# For the answer of the robot's program to STOP; the page says so then, rather than to leave somebody in doubt.
-_STOP_S = 1.0
+# STOP waits so long for the robot's program to confirm it; then it is answered without, where that program has given a
+# sign of life lately, and not before it has confirmed where not. After a second it is answered that it is in vain.
+_CONFIRMED_S, _LIVELY_S, _STOP_S = 0.015, 0.2, 1.0
+# Presses within so long are passed on together.
+_STOP_TICK_S = 0.005
 _FLUSH_S, _MOST_LINES, _TICK_S, _IDLE_S = 0.5, 20, 0.02, 0.5
 _SPARE_DESCRIPTORS = 24
 _EXHAUSTED = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
@@ -163,8 +167,11 @@ class Door:
         # Whose heads are whole, and not judged yet: those that ask for STOP, and others.
         self._urgent, self._whole = list[Stranger](), list[Stranger]()
         self._budget = Budget(requests_a_s)
-        self._asked, self._waiting = list[Stranger](), list[Stranger]()
-        self._asked_s = self._flushed_s = 0.0
+        # Presses of STOP: not passed on yet, and passed on together, the packet's number and time with them.
+        self._pressing = list[Stranger]()
+        self._asked = deque[tuple[int, float, list[Stranger]]]()
+        self._stops_sent = self._stops_confirmed = 0
+        self._sent_s = self._flushed_s = self._lively_s = 0.0
         self._refused: dict[str, int] = {}
         self._reserve: int | None = os.open(os.devnull, os.O_RDONLY)
         self._is_over = False
@@ -176,8 +183,9 @@ class Door:
 
     def _turn(self) -> None:
         waits = self._urgent or self._whole
-        is_busy = self._refused or len(self._strangers) or self._asked
-        ready = self._selector.select(0 if waits else _TICK_S if is_busy else _IDLE_S)
+        is_busy = self._refused or len(self._strangers)
+        tick_s = _STOP_TICK_S if self._asked or self._pressing else _TICK_S if is_busy else _IDLE_S
+        ready = self._selector.select(0 if waits else tick_s)
         now_s = time.monotonic()
         comes, readable = False, []
         for key, _ in ready:
@@ -193,21 +201,29 @@ class Door:
             # One that went meanwhile, to make room, has no number any more.
             if stranger.socket.fileno() >= 0:
                 self._read(stranger, now_s)
-        for heads in (self._urgent, self._whole):
-            while len(heads) > 2 * self._batch:
-                self._crowd_out(heads.pop(0))
-            for _ in range(min(_JUDGED, len(heads))):
-                self._judge(heads.pop(), now_s)
+        while self._urgent:
+            self._judge(self._urgent.pop(), now_s)
+        while len(self._whole) > 2 * self._batch:
+            self._crowd_out(self._whole.pop(0))
+        for _ in range(min(_JUDGED, len(self._whole))):
+            self._judge(self._whole.pop(), now_s)
         self._look_after(now_s)
 
     def _look_after(self, now_s: float) -> None:
         for stranger in self._strangers.late(now_s):
             self._count(f"refused {stranger.address}: no whole request after {HEAD_S:.0f} s")
             self._leave(stranger)
-        if self._asked and now_s - self._asked_s > _STOP_S:
-            for stranger in self._asked + self._waiting:
-                self._answer(stranger, 503, _SILENT)
-            self._asked, self._waiting = [], []
+        if self._pressing and now_s - self._sent_s >= _STOP_TICK_S:
+            self._ask_to_stop(now_s)
+        while self._asked:
+            _, asked_s, those = self._asked[0]
+            if now_s - asked_s > _CONFIRMED_S and asked_s - self._lively_s < _LIVELY_S:
+                self._answer_all(those, 200, "STOP is on its way to the robot, and not confirmed yet")
+            elif now_s - asked_s > _STOP_S or sum(len(those) for *_, those in self._asked) > 2 * self._batch:
+                self._answer_all(those, 503, _SILENT)
+            else:
+                break
+            self._asked.popleft()
         if self._refused and now_s - self._flushed_s > _FLUSH_S:
             self._flushed_s = now_s
             with suppress(OSError):
@@ -226,15 +242,14 @@ class Door:
             if not message:
                 self._is_over = True
                 return
+            self._lively_s = now_s
             if message == PULSE:
                 with suppress(OSError):
                     self._control.send(PULSE)
             elif message == STOP:
-                for stranger in self._asked:
-                    self._answer(stranger, 200, "stopped")
-                self._asked, self._waiting = self._waiting, []
-                if self._asked:
-                    self._ask_to_stop(now_s)
+                self._stops_confirmed += 1
+                while self._asked and self._asked[0][0] <= self._stops_confirmed:
+                    self._answer_all(self._asked.popleft()[2], 200, "stopped")
 
     def _accept(self, now_s: float) -> None:
         for _ in range(self._batch):
@@ -289,8 +304,10 @@ class Door:
         stranger.head = (stranger.head + came).lstrip(b"\r\n")
         if _END in stranger.head or len(stranger.head) > MOST_HEAD_BYTES:
             self._forget(stranger)
-            heads = self._urgent if _STOPPING.match(stranger.head) else self._whole
-            heads.append(stranger)
+            # The head of STOP is judged at once, unless it holds no token where one is asked for.
+            may_stop = not self._access.token or _CREDENTIALS.search(stranger.head)
+            is_urgent = may_stop and _STOPPING.match(stranger.head)
+            (self._urgent if is_urgent else self._whole).append(stranger)
         elif stranger.head and not _BEGINNING.match(stranger.head[:21]):
             self._refuse(stranger, 400, "no HTTP")
         else:
@@ -315,7 +332,7 @@ class Door:
         if not 0 <= end <= MOST_HEAD_BYTES - len(_END):
             self._refuse(stranger, 400, f"a request's head of more than {MOST_HEAD_BYTES} bytes")
             return
-        is_crowded = len(self._urgent) + len(self._whole) > self._batch
+        is_crowded = len(self._whole) > self._batch
         if is_crowded and self._access.token and not _CREDENTIALS.search(stranger.head, 0, end):
             self._crowd_out(stranger)
             return
@@ -328,30 +345,27 @@ class Door:
             status, why = refusal
             self._refuse(stranger, 403 if scope["is_socket"] else status, why)
         elif scope["method"] == b"POST" and scope["path"] == b"/stop":
-            self._take_stop(stranger, now_s)
+            self._pressing.append(stranger)
         elif not self._budget.takes(now_s):
             self._refuse(stranger, 503, "too many requests: try again")
         else:
             self._hand_on(stranger)
 
-    def _take_stop(self, stranger: Stranger, now_s: float) -> None:
-        if self._asked:
-            self._waiting.append(stranger)
-            if len(self._waiting) > self._batch:
-                self._answer(self._waiting.pop(0), 503, "STOP was asked for too often")
-            return
-        self._asked = [stranger]
-        self._ask_to_stop(now_s)
-
     def _ask_to_stop(self, now_s: float) -> None:
-        self._asked_s = now_s
+        """Pass STOP on, of all that press it now."""
+        those, self._pressing, self._sent_s = self._pressing, [], now_s
         try:
             self._control.send(STOP)
         except OSError:
             # Its buffer is full: it has not read for a long time.
-            for stranger in self._asked:
-                self._answer(stranger, 503, _SILENT)
-            self._asked = []
+            self._answer_all(those, 503, _SILENT)
+        else:
+            self._stops_sent += 1
+            self._asked.append((self._stops_sent, now_s, those))
+
+    def _answer_all(self, those: list[Stranger], status: int, text: str) -> None:
+        for stranger in those:
+            self._answer(stranger, status, text)
 
     def _hand_on(self, stranger: Stranger) -> None:
         try:

@@ -3,6 +3,7 @@
 
 const ALIVE_MS = 500;
 const RETRY_MS = 1000;
+const STOP_TRIES = 3;
 const DRAG_PX = 16;
 const STEP_M = 0.25;
 const TURN_RAD = Math.PI / 12;
@@ -48,9 +49,17 @@ function stop() {
   send({ type: "stop" });
   at("stop").classList.add("pressed");
   setTimeout(() => at("stop").classList.remove("pressed"), 300);
+  postStop(STOP_TRIES);
+}
+
+function postStop(tries) {
   fetch(address("/stop"), { method: "POST", keepalive: true }).then(
     (answer) => { if (!answer.ok) refuse("STOP was not taken: use the stop button on the robot"); },
-    () => refuse("STOP did not get through: use the stop button on the robot"));
+    () => {
+      // Cut off, as where strangers crowd the door.
+      if (tries > 1) postStop(tries - 1);
+      else refuse("STOP did not get through: use the stop button on the robot");
+    });
 }
 
 function hear(message) {
