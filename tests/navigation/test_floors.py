@@ -10,7 +10,7 @@ from numpy.testing import assert_array_equal
 
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
-from wheelsight.navigation import Footprint, GrowingFloor, KnownFloor, StaticLayer
+from wheelsight.navigation import Footprint, GrowingFloor, KnownFloor, SeenFloor, StaticLayer, WorkerInStep
 from wheelsight.navigation.costmap import CellState
 
 CHAIR = Footprint.rectangle(0.8, 0.3, 0.6)
@@ -131,3 +131,22 @@ def test_it_holds_a_goal_that_nobody_has_seen() -> None:
     assert (far > (12.0, 0.0)).all()
     assert state_at(layer, 12.0, -7.0) is CellState.UNKNOWN
     assert state_at(layer, 2.0, 0.0) is CellState.FREE
+
+
+class Hangs(WorkerInStep[SeenFloor]):
+    """Is asked for a floor, and does not make it."""
+
+    def answer(self, now_s: float) -> SeenFloor | None:
+        return None
+
+
+def test_a_floor_that_is_not_made_is_noticed() -> None:
+    seen = Seen()
+    floor = GrowingFloor(seen, CALIBRATION, CHAIR, worker=Hangs())  # type: ignore[arg-type]
+    floor.update(np.zeros(3), 0.0)
+    assert not floor.is_silent(100.0)
+    seen.look((0.0, 0.0, 0.0))
+    floor.update(np.zeros(3), 100.0)
+    assert not floor.is_silent(109.0)
+    assert floor.is_silent(111.0)
+    assert not floor_at((0.0, 0.0, 0.0))[1].is_silent(1e3)

@@ -18,7 +18,8 @@ from wheelsight.events import Event, RgbdFrame, WheelTicks
 from wheelsight.geometry import PinholeCamera
 from wheelsight.navigation import KnownFloor, NavigationReason, NavigationState, Navigator, Planned, WorkerInStep
 from wheelsight.navigation.collision_monitor import CAMERA_SILENT_S, MonitorReason, MonitorState
-from wheelsight.pipeline.navigation_rehearsal import WHEELS, DrawnRobot, ToldPlace, drawn_room
+from wheelsight.pipeline.navigation_rehearsal import DrawnRobot, ToldPlace, drawn_room
+from wheelsight.pipeline.rehearsal import WHEELS
 from wheelsight.robots import STOPPED
 
 THERE, BACK = (0.9, 0.5), (-1.3, -0.4)

@@ -49,6 +49,7 @@ class MonitorReason(StrEnum):
     CAMERA_SILENT = "the camera sends no frames"
     LOCALIZATION_SILENT = "the localization does not answer"
     PLANNER_SILENT = "the planner does not answer"
+    FLOOR_SILENT = "the map of the floor is not made"
     STATUS = "the robot does not know where it is"
     WHEELS_OFF = "the wheels do not do what they were told"
     INSIDE = "something where the robot is"

@@ -23,6 +23,8 @@ from wheelsight.navigation.workers import Worker, WorkerInStep
 
 # Half a cell: keyframes that moved by less show the same cells.
 _LEAST_SHIFT_M = 0.025
+# A grid of an hour's keyframes takes a second to make; longer than this its worker hangs.
+_SILENT_S = 10.0
 # From one outline to the next where a robot drove.
 _STAMP_M, _STAMP_RAD = 0.05, 0.1
 
@@ -48,6 +50,9 @@ class Floor(Protocol):
 
     def update(self, pose: FloatArray | None, now_s: float) -> None:
         """Look whether more is known, of a robot at (3,) in the map; called once a period, and quick."""
+
+    def is_silent(self, now_s: float) -> bool:
+        """Whether what makes it does not answer."""
 
 
 class KnownFloor:
@@ -82,6 +87,10 @@ class KnownFloor:
 
     def update(self, pose: FloatArray | None, now_s: float) -> None:
         """Nothing changes."""
+
+    def is_silent(self, now_s: float) -> bool:
+        """See `Floor`: nothing makes it."""
+        return False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,7 +144,7 @@ class GrowingFloor:
         self._stamped = 0
         self._marked: tuple[BoolArray, tuple[float, float]] | None = None
         self._trusted: tuple[tuple[StaticLayer, tuple[float, float], tuple[int, ...]], BoolArray] | None = None
-        self._count, self._store_revision = 0, -1
+        self._count, self._store_revision, self._asked_s = 0, -1, 0.0
         self.revision = 0
         self.grid = self._mapper.grid()
         self._seen = self.layer = StaticLayer.of(self.grid)
@@ -155,6 +164,10 @@ class GrowingFloor:
         self.layer = self._seen if not self._stood else self._with_stood(self._seen.grown(self._bounds()))
         self.revision += 1
 
+    def is_silent(self, now_s: float) -> bool:
+        """See `Floor`."""
+        return self._worker.is_asked and now_s - self._asked_s > _SILENT_S
+
     def _look(self, now_s: float) -> None:
         """Have the grid made anew where there are other keyframes, one time after another."""
         store = self._localization.keyframes
@@ -162,7 +175,7 @@ class GrowingFloor:
             return
         if len(store) == self._count and store.revision == self._store_revision:
             return
-        self._count, self._store_revision = len(store), store.revision
+        self._count, self._store_revision, self._asked_s = len(store), store.revision, now_s
         self._worker.ask(lambda: self._made_of(store), now_s)
 
     def _made_of(self, store: KeyframeStore) -> SeenFloor:

@@ -197,6 +197,8 @@ class Navigator:
             return MonitorReason.LOCALIZATION_SILENT
         if self.monitor.is_camera_silent(now_s):
             return MonitorReason.CAMERA_SILENT
+        if self._senses.floor.is_silent(now_s):
+            return MonitorReason.FLOOR_SILENT
         is_driving = self.state is NavigationState.DRIVING
         return MonitorReason.PLANNER_SILENT if is_driving and self._planning.is_silent(now_s) else None
 
