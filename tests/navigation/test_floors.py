@@ -143,7 +143,6 @@ class Hangs(WorkerInStep[SeenFloor]):
 def test_a_floor_that_is_not_made_is_noticed() -> None:
     seen = Seen()
     floor = GrowingFloor(seen, CALIBRATION, CHAIR, worker=Hangs())  # type: ignore[arg-type]
-    floor.update(np.zeros(3), 0.0)
     assert not floor.is_silent(100.0)
     seen.look((0.0, 0.0, 0.0))
     floor.update(np.zeros(3), 100.0)
