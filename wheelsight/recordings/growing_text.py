@@ -8,7 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from wheelsight.errors import RecordingError
 from wheelsight.files import check_name, output_error
+from wheelsight.inputs import Kind, is_there, read_bytes
+
+_LIST = Kind("a list that a recording goes on with", 1 << 10)  # ten hours of readings at 300 Hz have 300 MB
 
 
 class GrowingText:
@@ -26,6 +30,7 @@ class GrowingText:
 
     Raises:
         OutputError: the file cannot be made.
+        RecordingError: what is to be resumed is no ordinary file.
     """
 
     def __init__(self, path: Path, header: str, resume: bool = False) -> None:
@@ -78,9 +83,8 @@ def seconds(stamp_s: float) -> str:
 
 def _whole_lines(path: Path) -> bytes:
     """What a file has up to its last line end, and up to the first zero: a power cut leaves such where lines were."""
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
+    if not is_there(path):
         return b""
+    data = read_bytes(path, _LIST, RecordingError)
     data = data[: data.find(b"\0")] if b"\0" in data else data
     return data[: data.rfind(b"\n") + 1]

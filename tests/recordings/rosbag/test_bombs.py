@@ -9,6 +9,7 @@ import sqlite3
 import struct
 import sys
 import tracemalloc
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,10 +19,12 @@ from written_bags import ROS1, ROS2, camera_drive, odometry_drive, write_bag
 
 from wheelsight.errors import RecordingError
 from wheelsight.recordings import open_recording
-from wheelsight.recordings.rosbag import chunks
+from wheelsight.recordings.rosbag import chunks, order
 from wheelsight.recordings.rosbag.chunks import Allowance
 from wheelsight.recordings.rosbag.definitions import store_of
 from wheelsight.recordings.rosbag.mcap import MAGIC
+from wheelsight.recordings.rosbag.order import Arrival, Pairing, RawFrame, in_order
+from wheelsight.recordings.rosbag.storage import Message
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -299,6 +302,44 @@ def test_a_field_of_a_field_that_is_otherwise_is_refused(is_ros1: bool) -> None:
         assert sound in text
         with pytest.raises(RecordingError, match=f"its definition of {where}.*does not have ROS's field"):
             store_of("nav_msgs/msg/Odometry", "MSG", text.replace(sound, odd), is_ros1)
+
+
+def messages_of_one_receipt(count: int) -> list[Message]:
+    return [Message("/image", 0, bytes(MEGABYTE)) for _ in range(count)]
+
+
+def test_images_that_wait_for_a_partner_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their times of receipt do not grow, so that none has waited long."""
+    monkeypatch.setattr(order, "_MOST_ALONE_BYTES", 4 * MEGABYTE)
+    pairing = Pairing(0.02, 0.25)
+    messages = messages_of_one_receipt(20)
+    for number, message in enumerate(messages):
+        pairing.add("color", float(number), message)
+    assert not list(pairing.settled(0.0))
+    for number in range(20):
+        pairing.add("depth", float(number), messages[number])
+    # The five that are still there, of either kind, are the last.
+    assert [frame.stamp_s for frame in pairing.settled(float("inf"))] == [15, 16, 17, 18, 19]
+
+
+def test_frames_that_wait_for_older_events_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(order, "_MOST_BYTES", 8 * MEGABYTE)
+    alive = 0
+    most = 0
+
+    def arrivals():
+        nonlocal alive, most
+        for number, message in enumerate(messages_of_one_receipt(20)):
+            alive += 1
+            most = max(most, alive)
+            yield Arrival(0.0, RawFrame(float(number), message, message, 0.0))
+
+    stamps_s = []
+    for item in in_order(arrivals(), 0.5, Counter()):
+        alive -= 1
+        stamps_s.append(item.stamp_s)
+    assert stamps_s == list(range(20))
+    assert most == 5
 
 
 def test_a_sound_bag_stays_far_below_what_is_allowed(tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ _RECORD_BYTES = 512
 # Messages of one pass: each takes more than 8 bytes of a file, however well it is packed.
 _FREE_MESSAGES, _LEAST_MESSAGE_BYTES = 50_000, 8
 # Of messages that wait for older ones from chunks that overlap in time.
-_MOST_WAITING = 512 << 20
+_MOST_WAITING = 256 << 20
 _DAMAGED = "check what wrote it, and copy it again"
 
 

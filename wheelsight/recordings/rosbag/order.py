@@ -13,6 +13,11 @@ from wheelsight.association import associate
 from wheelsight.events import Event
 from wheelsight.recordings.rosbag.storage import Message
 
+# Frames that wait: 5 s of raw 640×480 have 230 MB. Damaged times of receipt would make them wait for ever.
+_MOST_BYTES = 384 << 20
+# Images that wait for a partner: a quarter of a second of them.
+_MOST_ALONE, _MOST_ALONE_BYTES = 200, 128 << 20
+
 
 @dataclass(frozen=True, slots=True)
 class RawFrame:
@@ -23,6 +28,11 @@ class RawFrame:
     depth: Message
     depth_late_s: float
     index: int = 0
+
+    @property
+    def size_bytes(self) -> int:
+        """Of both messages."""
+        return len(self.color.data) + len(self.depth.data)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,12 +53,13 @@ def in_order(arrivals: Iterable[Arrival], wait_s: float, late: Counter[str]) -> 
     """
     waiting: list[tuple[float, int, Arrival]] = []
     last_s: dict[str, float] = {}
-    frames = 0
+    frames = waiting_bytes = 0
 
     def released(until_s: float) -> Iterator[Event | RawFrame]:
-        nonlocal frames
-        while waiting and waiting[0][2].receipt_s <= until_s:
+        nonlocal frames, waiting_bytes
+        while waiting and (waiting[0][2].receipt_s <= until_s or waiting_bytes > _MOST_BYTES):
             item = heapq.heappop(waiting)[2].item
+            waiting_bytes -= _size_bytes(item)
             kind = type(item).__name__
             if item.stamp_s < max(last_s.values(), default=-np.inf) or item.stamp_s <= last_s.get(kind, -np.inf):
                 late[kind] += 1
@@ -60,8 +71,13 @@ def in_order(arrivals: Iterable[Arrival], wait_s: float, late: Counter[str]) -> 
 
     for number, arrival in enumerate(arrivals):
         heapq.heappush(waiting, (arrival.item.stamp_s, number, arrival))
+        waiting_bytes += _size_bytes(arrival.item)
         yield from released(arrival.receipt_s - wait_s)
     yield from released(np.inf)
+
+
+def _size_bytes(item: Event | RawFrame) -> int:
+    return item.size_bytes if isinstance(item, RawFrame) else 0
 
 
 class Pairing:
@@ -81,8 +97,11 @@ class Pairing:
         self._depth: list[_Waiting] = []
 
     def add(self, kind: str, stamp_s: float, message: Message) -> None:
-        """Count in an image, "color" or "depth"."""
-        (self._color if kind == "color" else self._depth).append((stamp_s, message))
+        """Count in an image, "color" or "depth"; of very many that wait, the first is left out."""
+        images = self._color if kind == "color" else self._depth
+        images.append((stamp_s, message))
+        while len(images) > _MOST_ALONE or sum(len(other.data) for _, other in images[:-1]) > _MOST_ALONE_BYTES:
+            del images[0]
 
     def settled(self, now_s: float) -> Iterator[RawFrame]:
         """Frames that are complete at a time of receipt, infinite for the end; what stayed alone is let go of."""
