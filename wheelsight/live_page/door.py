@@ -44,7 +44,7 @@ _MOST_STRANGERS = 2048
 _ACCEPTED, _JUDGED = 128, 32
 # STOP waits so long for the robot's program to confirm it; then it is answered without, where that program has given a
 # sign of life lately, and not before it has confirmed where not. After a second it is answered that it is in vain.
-_CONFIRMED_S, _LIVELY_S, _STOP_S = 0.015, 0.2, 1.0
+_CONFIRMED_S, _LIVELY_S, _STOP_S = 0.01, 0.2, 1.0
 # Presses within so long are passed on together.
 _STOP_TICK_S = 0.005
 _FLUSH_S, _MOST_LINES, _TICK_S, _IDLE_S = 0.5, 20, 0.02, 0.5
