@@ -261,7 +261,12 @@ def pose_entry(at: int, value: float) -> Callable[[bytes], bytes]:
         (lambda data: b"wheelsight-map-3\n{}\n", "header"),
         (lambda data: rewritten(data, header_entry("surfels", -1)), "fields"),
         (lambda data: rewritten(data, header_entry("surfels", 10**12)), "counts"),
-        (lambda data: rewritten(data, header_entry("surfels", 20_000_000)), "fewer than it says"),
+        (lambda data: rewritten(data, header_entry("surfels", 90_000)), "fewer than it says"),
+        (
+            lambda data: rewritten(data, header_entry("surfels", 20_000_000)),
+            r"states 20,000,000 surfels in [0-9,]+ bytes",
+        ),
+        (lambda data: rewritten(data, header_entry("keyframes", 9_000_000)), "states 9,000,000 keyframes in"),
         (lambda data: rewritten(data, header_entry("surfels", 5)), "more than it says"),
         (lambda data: rewritten(data, header_entry("columns", [])), "fields"),
         (lambda data: rewritten(data, header_entry("frame", "odom")), "frame"),

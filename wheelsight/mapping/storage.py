@@ -46,6 +46,9 @@ _RETIRED = ("beyond_share",)
 _COUNTS, _POSE_BYTES = ("surfels", "keyframes"), 16 * 8
 # More than the largest file of version 2 held, lest a few damaged bytes ask for all memory.
 _MOST = {"surfels": 30_000_000, "keyframes": 10_000_000}
+# Of each compressed byte, and of a small map besides. A surfel takes 6 bytes and a pose 100, but a byte of zeros unpacks
+# to 7000.
+_MOST_PER_BYTE, _MOST_BESIDES = {"surfels": 2.0, "keyframes": 0.1}, {"surfels": 100_000, "keyframes": 10_000}
 # Columns are mostly noise, in which a longer search finds hardly more: preset 6 takes eight times as long for 1 %.
 _COMPRESSION = {
     "id": lzma.FILTER_LZMA2,
@@ -188,6 +191,9 @@ def _contents(
         raise MapError(f"holds {len(body)} bytes of surfels and keyframes, not {header['bytes']}", fix=_DAMAGED)
     if zlib.crc32(body) != header["crc32"]:
         raise MapError("its checksum is wrong", fix=_DAMAGED)
+    for name in _COUNTS:
+        if header[name] > _MOST_BESIDES[name] + _MOST_PER_BYTE[name] * len(body):
+            raise MapError(f"states {header[name]:,} {name} in {len(body):,} bytes", fix=_DAMAGED)
     lengths = [header["surfels"] * np.dtype(dtype).itemsize for _, dtype in COLUMNS]
     *columns, poses = _decompressed(body, [*lengths, header["keyframes"] * _POSE_BYTES])
     found = {name: unpacked(column, dtype) for (name, dtype), column in zip(COLUMNS, columns, strict=True)}
