@@ -12,8 +12,8 @@ from run_example import empty_run, example_map
 from wheelsight.estimates import Status
 from wheelsight.evaluation import THREE_SIGMA_RADIUS, consistency, position_covariances_m2
 from wheelsight.geometry import se3
-from wheelsight.pipeline import best_alone_of, facts_of
-from wheelsight.report import overlay_figure, overlay_of, summarise, trust_figure, words
+from wheelsight.pipeline import best_alone_of, facts_of, words
+from wheelsight.report import overlay_figure, overlay_of, summarise, trust_figure
 from wheelsight.report._joined import judge
 from wheelsight.report.comparison import render_comparison
 from wheelsight.report.figures import STATUS_COLOURS

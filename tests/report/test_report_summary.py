@@ -9,9 +9,9 @@ from run_example import START_S, empty_run, example_run
 
 from wheelsight.estimates import Reason, Status
 from wheelsight.pipeline import FrameRecord, RealTimeRecord, RunRecord
+from wheelsight.pipeline.verdict import judge, notes
 from wheelsight.recordings import AssociationReport
 from wheelsight.report import summarise
-from wheelsight.report.verdict import judge, notes
 
 
 def _with_statuses(*statuses: str) -> RunRecord:

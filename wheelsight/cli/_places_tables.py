@@ -9,8 +9,8 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from wheelsight.cli._console import facts_table
+from wheelsight.pipeline import words
 from wheelsight.places import LabelledDrive, PlaceModel, PlaceTrial
-from wheelsight.report import words
 from wheelsight.report.places_tables import (
     AREA_HEAD,
     CURVE_HEAD,

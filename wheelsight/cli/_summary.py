@@ -91,8 +91,7 @@ def _joint_table(records: Sequence[RunRecord]) -> Table:
 def _joined_facts(records: Sequence[RunRecord]) -> Iterator[tuple[str, str]]:
     """What joining came to."""
     from wheelsight.cli._console import percent
-    from wheelsight.pipeline import best_alone_of, facts_of, joined_of
-    from wheelsight.report import words
+    from wheelsight.pipeline import best_alone_of, facts_of, joined_of, words
 
     joined, best_alone = joined_of(records), best_alone_of(records)
     assert joined is not None

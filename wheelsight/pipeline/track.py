@@ -15,11 +15,11 @@ from wheelsight.estimates import Estimate
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, YawRate
 from wheelsight.fusion import RectifiedEstimate
 from wheelsight.geometry import ByteArray, FloatArray
+from wheelsight.interrupts import whole_step
 from wheelsight.localizer import Localizer, Places
 from wheelsight.mapping import SurfelMap
 from wheelsight.pipeline.choice import unused_of
 from wheelsight.pipeline.free_memory import give_back
-from wheelsight.interrupts import whole_step
 from wheelsight.pipeline.lived_poses import LivedPoses
 from wheelsight.pipeline.maps import Stops
 from wheelsight.pipeline.origin import frame_count_of, spread, wheel_count_of

@@ -1,5 +1,6 @@
 """The report of a run: figures of its records, and the page that shows them."""
 
+from wheelsight.pipeline.summary import Summary, summarise
 from wheelsight.report._rectification import ERROR_HEAD, error_rows
 from wheelsight.report.comparison import comparison_rows, write_comparison
 from wheelsight.report.comparison_figures import bands_figure, errors_figure, overlay_figure
@@ -21,7 +22,6 @@ from wheelsight.report.page import write_report
 from wheelsight.report.pages import why_no_page, write_page
 from wheelsight.report.pictures import draw_matches
 from wheelsight.report.rectification_figures import area_map_figure, area_time_figure, map_error_figure
-from wheelsight.report.summary import Summary, summarise
 
 __all__ = [
     "ERROR_HEAD",

@@ -9,10 +9,10 @@ import numpy as np
 
 from wheelsight.geometry import FloatArray
 from wheelsight.mapping.cloud import MapCloud
+from wheelsight.pipeline import words
 from wheelsight.pipeline.map_record import MapRecord
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _series as series
-from wheelsight.report import words
 from wheelsight.report._packing import packed
 from wheelsight.report.cloud_view import View, draw_cloud
 from wheelsight.report.pictures import webp_uri

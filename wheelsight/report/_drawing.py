@@ -9,9 +9,9 @@ import numpy as np
 from wheelsight.geometry import FloatArray
 from wheelsight.pipeline.label_runs import runs
 from wheelsight.pipeline.run_record import FrameRecord, RunRecord
+from wheelsight.pipeline.summary import cold_frames
 from wheelsight.report import _plotly as go
 from wheelsight.report import _series as series
-from wheelsight.report.summary import cold_frames
 
 # Okabe and Ito's colours; these four also stand out from white and from near black.
 BLUE, GREEN, VERMILLION, GREY = "#0072B2", "#009E73", "#D55E00", "#808080"

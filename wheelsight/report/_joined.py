@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from wheelsight.estimates import Status
+from wheelsight.pipeline import words
 from wheelsight.pipeline.joined import BestAlone, JoinedFacts
 from wheelsight.pipeline.run_record import RunRecord
+from wheelsight.pipeline.summary import Summary
+from wheelsight.pipeline.verdict import Tone, Verdict, accuracy_sentence, speed_sentence, tracking_phrase
 from wheelsight.report import _html as html
 from wheelsight.report import _sections as sections
-from wheelsight.report import figures, words
+from wheelsight.report import figures
 from wheelsight.report.joined_figures import trust_figure
-from wheelsight.report.summary import Summary
-from wheelsight.report.verdict import Tone, Verdict, accuracy_sentence, speed_sentence, tracking_phrase
 
 # Joining sensors is to err at most so many times what the better one does, and to stay within 3σ at least so often.
 _NO_WORSE, _MOSTLY_WITHIN = 1.2, 0.95

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from wheelsight.pipeline import words
 from wheelsight.pipeline.map_record import MapPicture, MapRecord
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _cloud as points
 from wheelsight.report import _drawing as drawing
 from wheelsight.report import _html as html
 from wheelsight.report import map_figures as figures
-from wheelsight.report import words
 
 
 def section(record: RunRecord, of: str = "") -> str:

@@ -7,11 +7,11 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from wheelsight.pipeline import words
 from wheelsight.pipeline.rectification_record import RectificationRecord
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _html as html
 from wheelsight.report import rectification_figures as figures
-from wheelsight.report import words
 
 ERROR_HEAD = ("Path", "mean", "RMSE", "median", "maximum", "at the end", "of the wheels' mean")
 _DOUBT = 0.5

@@ -8,12 +8,13 @@ from __future__ import annotations
 import numpy as np
 
 from wheelsight.evaluation import Statistics
+from wheelsight.pipeline import words
 from wheelsight.pipeline.run_record import MatchPicture, RunRecord
+from wheelsight.pipeline.summary import Summary, cold_frames
 from wheelsight.report import _drawing as drawing
 from wheelsight.report import _html as html
-from wheelsight.report import figures, words
+from wheelsight.report import figures
 from wheelsight.report.pictures import data_uri
-from wheelsight.report.summary import Summary, cold_frames
 
 MOST_PICTURES = 12
 _VIEW_NAMES = {"xy": "x–y", "xz": "x–z", "yz": "y–z"}

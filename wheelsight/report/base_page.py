@@ -11,9 +11,9 @@ import numpy as np
 from wheelsight._version import __version__
 from wheelsight.files import StrPath, write_text
 from wheelsight.odometry.extrinsics import BaseCalibration
+from wheelsight.pipeline import words
 from wheelsight.report import _html as html
 from wheelsight.report import base_figures as figures
-from wheelsight.report import words
 from wheelsight.report.base_tables import mount_rows, told
 from wheelsight.report.page import fill_template
 from wheelsight.report.wheel_tables import HEAD

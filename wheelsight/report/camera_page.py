@@ -11,9 +11,9 @@ import numpy as np
 from wheelsight._version import __version__
 from wheelsight.camera_calibration.result import CameraCalibration
 from wheelsight.files import StrPath, write_text
+from wheelsight.pipeline import words
 from wheelsight.report import _html as html
 from wheelsight.report import camera_figures as figures
-from wheelsight.report import words
 from wheelsight.report.camera_tables import HEAD, distance_rows, lens_rows, view_rows
 from wheelsight.report.page import fill_template
 

@@ -9,8 +9,11 @@ from pathlib import Path
 
 from wheelsight._version import __version__
 from wheelsight.files import StrPath, write_text
+from wheelsight.pipeline import words
 from wheelsight.pipeline.joined import JOINED, BestAlone, JoinedFacts, best_alone_of, facts_of, joined_of
 from wheelsight.pipeline.run_record import RunRecord
+from wheelsight.pipeline.summary import Summary, summarise
+from wheelsight.pipeline.verdict import Tone, Verdict, judge, notes
 from wheelsight.report import _files as files
 from wheelsight.report import _html as html
 from wheelsight.report import _joined as fusion
@@ -18,11 +21,9 @@ from wheelsight.report import _map as surfels
 from wheelsight.report import _rectification as rectification
 from wheelsight.report import _sections as sections
 from wheelsight.report import comparison_figures as figures
-from wheelsight.report import loop_figures, words
+from wheelsight.report import loop_figures
 from wheelsight.report.overlay import Overlay, overlay_of
 from wheelsight.report.page import fill_template, settings
-from wheelsight.report.summary import Summary, summarise
-from wheelsight.report.verdict import Tone, Verdict, judge, notes
 
 _MOST_OF_THE_TIME = 0.95
 _MOST_LINES = 3

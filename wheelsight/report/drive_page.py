@@ -12,10 +12,10 @@ from wheelsight._version import __version__
 from wheelsight.files import StrPath, settings_text, write_text
 from wheelsight.geometry import ByteArray
 from wheelsight.mapping.occupancy_picture import PlanLine, PlanMark, picture_of, save_picture
+from wheelsight.pipeline import words
 from wheelsight.pipeline.drive_record import DriveRecord, FilmImage
 from wheelsight.report import _html as html
 from wheelsight.report import drive_figures as figures
-from wheelsight.report import words
 from wheelsight.report.drive_tables import GOALS_HEAD, STOPS_HEAD, goal_rows, stop_rows, transition_rows
 from wheelsight.report.page import fill_template
 from wheelsight.report.places_sheet import jpeg_uri

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from wheelsight.geometry import FloatArray
+from wheelsight.pipeline import words
 from wheelsight.pipeline.drive_record import DriveRecord
-from wheelsight.report import words
 
 GOALS_HEAD = (
     "Goal",

@@ -13,15 +13,15 @@ from wheelsight.errors import EvaluationError
 from wheelsight.estimates import Status
 from wheelsight.evaluation import Evaluation, position_covariances_m2
 from wheelsight.geometry import FloatArray
+from wheelsight.pipeline import words
 from wheelsight.pipeline.label_runs import runs
 from wheelsight.pipeline.run_record import RunRecord
+from wheelsight.pipeline.summary import SKIPPED, summarise
 from wheelsight.report import _drawing as drawing
 from wheelsight.report import _plotly as go
 from wheelsight.report import _series as series
-from wheelsight.report import words
 from wheelsight.report._drawing import BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, YELLOW
 from wheelsight.report._plotly import make_subplots
-from wheelsight.report.summary import SKIPPED, summarise
 from wheelsight.trajectory import Trajectory
 
 STATUS_COLOURS = {

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from wheelsight.geometry import BoolArray, FloatArray, se3
+from wheelsight.pipeline import words
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _drawing as drawing
 from wheelsight.report import _html as html
 from wheelsight.report import _plotly as go
 from wheelsight.report import _series as series
-from wheelsight.report import words
 from wheelsight.report._drawing import BLUE, GREEN, GREY, ORANGE, VERMILLION
 from wheelsight.report.figures import truth_path_m
 

@@ -10,15 +10,16 @@ from string import Template
 
 from wheelsight._version import __version__
 from wheelsight.files import StrPath, settings_text, write_text
+from wheelsight.pipeline import words
 from wheelsight.pipeline.run_record import RunRecord
+from wheelsight.pipeline.summary import Summary, summarise
+from wheelsight.pipeline.verdict import judge, notes
 from wheelsight.report import _files as files
 from wheelsight.report import _html as html
 from wheelsight.report import _map as surfels
 from wheelsight.report import _sections as sections
-from wheelsight.report import loop_figures, words
+from wheelsight.report import loop_figures
 from wheelsight.report._packing import packed
-from wheelsight.report.summary import Summary, summarise
-from wheelsight.report.verdict import judge, notes
 
 _BODIES = {
     "camera": "poses of the camera's optical frame (x right, y down, z forward)",

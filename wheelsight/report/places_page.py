@@ -7,10 +7,10 @@ from pathlib import Path
 
 from wheelsight._version import __version__
 from wheelsight.files import StrPath, write_text
+from wheelsight.pipeline import words
 from wheelsight.places import PlaceModel, PlaceTrial
 from wheelsight.report import _html as html
 from wheelsight.report import places_figures as figures
-from wheelsight.report import words
 from wheelsight.report.page import fill_template
 from wheelsight.report.places_sheet import jpeg_uri
 from wheelsight.report.places_tables import AREA_HEAD, CURVE_HEAD, area_rows, confusion_rows, curve_rows

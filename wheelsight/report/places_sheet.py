@@ -17,8 +17,8 @@ import numpy as np
 from wheelsight._version import __version__
 from wheelsight.files import StrPath, write_text
 from wheelsight.geometry import ByteArray
+from wheelsight.pipeline import words
 from wheelsight.places.contact_sheet import ContactSheet
-from wheelsight.report import words
 
 # Told apart by number and name too; the first eight are neighbours on the colour circle as little as can be.
 AREA_COLOURS = (

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from wheelsight.pipeline import words
 from wheelsight.places import CalibrationCurve, LabelledDrive, PlaceModel, PlaceTrial
-from wheelsight.report import words
 
 AREA_HEAD = ("area", "frames", "right", "named", "right where named", "precision", "mostly taken for")
 TRAINING_HEAD = ("area", "frames", "held-out accuracy")

@@ -13,9 +13,9 @@ from wheelsight.files import StrPath, write_text
 from wheelsight.geometry import FloatArray
 from wheelsight.odometry.wheels.trial import WheelTrial
 from wheelsight.odometry.wheels.umbmark import Umbmark
+from wheelsight.pipeline import words
 from wheelsight.report import _html as html
 from wheelsight.report import wheel_figures as figures
-from wheelsight.report import words
 from wheelsight.report.page import fill_template
 from wheelsight.report.wheel_tables import HEAD, error_rows, fit_rows, square_rows
 

@@ -6,7 +6,7 @@ from wheelsight.calibration import Wheels
 from wheelsight.odometry.wheels.fit import WheelFit
 from wheelsight.odometry.wheels.trial import WheelTrial
 from wheelsight.odometry.wheels.umbmark import Umbmark
-from wheelsight.report import words
+from wheelsight.pipeline import words
 
 HEAD = ("", "nominal", "calibrated", "± σ", "change")
 _LENGTHS = {"left_radius_m": "left radius", "right_radius_m": "right radius", "track_width_m": "track width"}

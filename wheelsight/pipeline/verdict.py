@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from wheelsight.pipeline import words
 from wheelsight.pipeline.run_record import RunRecord
-from wheelsight.report import words
-from wheelsight.report.summary import Summary
+from wheelsight.pipeline.summary import Summary
 
 Tone = Literal["good", "fair", "poor"]
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.report import words
+from wheelsight.pipeline import words
 
 
 @pytest.mark.parametrize(
