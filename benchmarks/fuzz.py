@@ -318,6 +318,8 @@ def _work(pipe: Connection, plan: Plan, folder: Path, job: int, deadline: float)
             known[reader] = _kept_files(known[reader], folder / f"{reader}.pickle")
             _warm_up(known[reader], folder / "sound", plan)
             ready.add(reader)
+            gc.collect()
+            gc.freeze()  # what stays need not be looked at after each input
             least = max(least, _resident_bytes())
         target = known[reader]
         place = plan.replayed or folder / "inputs" / str(one)

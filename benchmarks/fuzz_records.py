@@ -118,13 +118,24 @@ def bomb(way: str, megabytes: int = _BOMB_MB) -> bytes:
     return b"\x28\xb5\x2f\xfd" + head + block * (blocks - 1) + last
 
 
-@cache
 def crc_of_zeros(count: int, begin: int) -> int:
-    """The CRC-32 of so many zeros behind what has the CRC `begin`; a multiple of a megabyte."""
-    zeros = bytes(1 << 20)
+    """The CRC-32 of so many zeros, a multiple of a megabyte, behind what has the CRC `begin`."""
+    constant, columns = _crc_of_a_megabyte()
     for _ in range(count >> 20):
-        begin = zlib.crc32(zeros, begin)
+        crc = constant
+        for bit, column in enumerate(columns):
+            if begin >> bit & 1:
+                crc ^= column
+        begin = crc
     return begin
+
+
+@cache
+def _crc_of_a_megabyte() -> tuple[int, tuple[int, ...]]:
+    """Over a megabyte of zeros a CRC changes linearly: its value behind 0, and by how much each bit changes that."""
+    zeros = bytes(1 << 20)
+    constant = zlib.crc32(zeros, 0)
+    return constant, tuple(zlib.crc32(zeros, 1 << bit) ^ constant for bit in range(32))
 
 
 def _bz2_bomb(megabytes: int) -> bytes:
