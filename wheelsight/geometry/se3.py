@@ -126,6 +126,8 @@ def is_valid(T: ArrayLike, tolerance: float = 1e-6) -> bool:
     if T.shape[-2:] != (4, 4) or not np.isfinite(T).all():
         return False
     R = T[..., :3, :3]
+    if (np.abs(R) > 2 + tolerance).any():  # squares of huge numbers would overflow
+        return False
     orthonormal = np.allclose(R @ np.swapaxes(R, -1, -2), np.eye(3), atol=tolerance)
     bottom = np.allclose(T[..., 3, :], _BOTTOM, atol=tolerance)
     return bool(orthonormal and bottom and (np.linalg.det(R) > 0).all())

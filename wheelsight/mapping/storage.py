@@ -46,8 +46,7 @@ _RETIRED = ("beyond_share",)
 _COUNTS, _POSE_BYTES = ("surfels", "keyframes"), 16 * 8
 # More than the largest file of version 2 held, lest a few damaged bytes ask for all memory.
 _MOST = {"surfels": 30_000_000, "keyframes": 10_000_000}
-# Of each compressed byte, and of a small map besides. A surfel takes 6 bytes and a pose 100, but a byte of zeros unpacks
-# to 7000.
+# Of each compressed byte, and of a small map besides. A surfel takes 6 bytes and a pose 100; a byte of zeros is 7000.
 _MOST_PER_BYTE, _MOST_BESIDES = {"surfels": 2.0, "keyframes": 0.1}, {"surfels": 100_000, "keyframes": 10_000}
 # Columns are mostly noise, in which a longer search finds hardly more: preset 6 takes eight times as long for 1 %.
 _COMPRESSION = {

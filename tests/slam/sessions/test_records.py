@@ -153,6 +153,21 @@ def test_what_contradicts_itself_is_refused() -> None:
         records.unpack_edges(records.pack_edges([edge(1, 1)]))
     with pytest.raises(MapError, match="holds 7 bytes, which are no numbers"):
         records.unpack_numbers(bytes(7))
+    for number in (np.nan, np.inf, 1e300):
+        far = pose(1)
+        far[0, 3] = number
+        with pytest.raises(MapError, match="no rigid motions"):
+            records.unpack_poses(records.pack_poses([0], far[None]))
+        vague = replace(edge(0, 1), covariance=np.diag([1e-4] * 5 + [number]))
+        with pytest.raises(MapError, match="an edge that is none"):
+            records.unpack_edges(records.pack_edges([vague]))
+        turned = pose(1)
+        turned[0, 0] = number
+        with pytest.raises(MapError, match="no rigid motions"):
+            records.unpack_place(records.pack_place(Place(1.0, turned)))
+    for stamp_s in (np.nan, np.inf):
+        with pytest.raises(MapError, match="is a keyframe of no time"):
+            records.unpack_place(records.pack_place(Place(stamp_s, pose(1))))
     with pytest.raises(MapError, match="is no place"):
         records.unpack_place(b"short")
 

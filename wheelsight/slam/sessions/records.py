@@ -23,6 +23,8 @@ _PLACE = struct.Struct("<d?7x12d12d")
 _MOTION, _COVARIANCE = 12, 36
 _EDGE = np.dtype([("ends", "<i8", 2), ("is_loop", "<i8"), ("T", "<f8", _MOTION), ("C", "<f8", _COVARIANCE)])
 _POSE = np.dtype([("number", "<i8"), ("T", "<f8", _MOTION)])
+# Beyond these, and where a number is none, sums of squares overflow: no robot drives 1000 km within a map.
+_FARTHEST_M, _LARGEST_VARIANCE = 1e6, 1e18
 _UNKNOWN = np.full((4, 4), np.nan)
 
 
@@ -87,7 +89,8 @@ def unpack_edges(content: bytes) -> tuple[RelativePose, ...]:
     for row, T_first_second in zip(table, T, strict=True):
         first, second = (KeyframeId(int(end)) for end in row["ends"])
         C = np.array(row["C"], float).reshape(6, 6)
-        if first == second or min(first, second) < 0 or not is_definite(C):
+        is_sound = first != second and min(first, second) >= 0 and bool((np.abs(C) < _LARGEST_VARIANCE).all())
+        if not is_sound or not is_definite(C):
             raise MapError("holds an edge that is none", fix=_DAMAGED)
         edges.append(RelativePose(first, second, T_first_second, C, bool(row["is_loop"])))
     return tuple(edges)
@@ -130,6 +133,6 @@ def _motions(rows: FloatArray) -> FloatArray:
     """(K, 4, 4) of their upper three rows, flat. Raises MapError for what are no rigid motions."""
     T = np.zeros((rows.size // _MOTION, 4, 4))
     T[:, :3], T[:, 3, 3] = rows.reshape(-1, 3, 4), 1.0
-    if len(T) and not np.all(se3.is_valid(T, tolerance=1e-4)):
+    if not (np.abs(rows) < _FARTHEST_M).all() or (len(T) and not se3.is_valid(T, tolerance=1e-4)):
         raise MapError("holds poses that are no rigid motions", fix=_DAMAGED)
     return T
