@@ -135,7 +135,7 @@ def serving(limit: int, token: str) -> Iterator[tuple[int, Path]]:
             assert running.stdout is not None
             found = re.search(r":(\d+)/", running.stdout.readline())
             if found is None:
-                raise RuntimeError("wheelsight serve does not begin")
+                raise RuntimeError(f"wheelsight serve does not begin: {Path(log.name).read_text()[-500:]}")
             time.sleep(10)  # what is loaded at first use has been
             yield int(found[1]), Path(log.name)
         finally:
@@ -167,8 +167,10 @@ def measured(port: int, log: Path, limit: int, token: str, kind: str, presses: i
     page = threading.Thread(target=_watch, args=(port, token, is_over, seen))
     page.start()
     strangers.start()
-    ends_s = time.monotonic() + _WAIT_S
-    while opened.value < STRANGERS and time.monotonic() < ends_s:
+    ends_s = time.monotonic() + _BEGINS_S
+    while opened.value < STRANGERS:
+        if time.monotonic() > ends_s:
+            raise RuntimeError(f"the strangers do not come: {opened.value} of {STRANGERS}")
         time.sleep(0.05)
     began_s, opened_before, seen_before = time.monotonic(), opened.value, seen[0]
     found = []

@@ -35,7 +35,7 @@ _WAIT_S = 0.2
 _STANDING_M_S, _STANDING_RAD_S = 0.02, 0.05
 # How long a part may be silent while the robot moves. A robot whose time stands still between steps goes nowhere
 # meanwhile, and its steps, which render and localize, take longer on a slow computer.
-_SILENT_S, _SILENT_IN_STEP_S = 0.5, 2.0
+_SILENT_S, _SILENT_IN_STEP_S = 0.4, 2.0
 # While it stands with a task: a task goes on by itself after no longer than this (`navigator.held_s`).
 _HELD_S = 4.0
 # Periods one after another that fail before the map is given up.
