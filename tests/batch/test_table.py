@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 from batch_jobs import FIGURES
 
 from wheelsight.batch import Case, Outcome, Row, Spread, compare, read_rows
+from wheelsight.batch.kept import KeptOutcomes
 from wheelsight.batch.table import csv_text, markdown_text, rows_of
 from wheelsight.errors import ConfigError
 
@@ -62,6 +64,7 @@ def test_a_page_shows_the_worst_of_several_and_each_reason() -> None:
         ("", "is no table of a batch"),
         (csv_text(ROWS).replace("0.3", "zero", 1), ":2: holds no numbers"),
         (csv_text(ROWS).replace("0.3", "nan", 1), ":2: holds no numbers"),
+        (csv_text(ROWS).replace("0.3", "1e300", 1), ":2: holds no numbers"),
     ],
 )
 def test_what_is_no_table_is_refused(text: str, told: str, tmp_path: Path) -> None:
@@ -74,8 +77,16 @@ def test_a_table_that_is_missing_or_binary_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be read"):
         read_rows(tmp_path / "none.csv")
     (tmp_path / "table.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ConfigError, match="is no table"):
+    with pytest.raises(ConfigError, match="is not a text file"):
         read_rows(tmp_path / "table.csv")
+
+
+def test_a_table_that_is_no_ordinary_file_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.csv")
+    (tmp_path / "zeros.csv").symlink_to("/dev/zero")
+    for name, problem in (("pipe.csv", "is a pipe"), ("zeros.csv", "is a device")):
+        with pytest.raises(ConfigError, match=problem):
+            read_rows(tmp_path / name)
 
 
 def row(**figures: float | Spread) -> Row:
@@ -119,3 +130,21 @@ def test_what_is_gone_is_worse_and_what_is_new_or_missing_is_told() -> None:
     found = compare([row(), replace(row(), config="new")], [row(), replace(row(), recording="old")], 0.1)
     assert found.unmatched == ("drive, new: not in the baseline", "old, dense: in the baseline alone")
     assert found.compared == 1
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"a": ' * 20_000,
+        '{"version": 1, "outcome": {"job": "1", "figures": [1]}}',
+        '{"version": 1, "outcome": {"job": "1", "figures": {"ate_m": "x"}}}',
+        '{"version": 1, "outcome": 5}',
+        "[]",
+    ],
+)
+def test_a_kept_outcome_that_is_none_is_run_again(text: str, tmp_path: Path) -> None:
+    kept = KeptOutcomes(tmp_path)
+    (tmp_path / "jobs" / "1.json").write_text(text)
+    os.mkfifo(tmp_path / "jobs" / "2.json")
+    (tmp_path / "jobs" / "3.json").write_text('{"version": 1, "outcome": {"job": "3", "figures": {"ate_m": 0.5}}}')
+    assert {job: found.figures for job, found in kept.found(["1", "2", "3"]).items()} == {"3": {"ate_m": 0.5}}

@@ -6,13 +6,17 @@ import json
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from wheelsight.batch.jobs import Job
 from wheelsight.batch.outcome import Outcome
+from wheelsight.errors import OutputError
 from wheelsight.files import StrPath, make_output_folder, write_text
+from wheelsight.inputs import Kind, read_text
 
 JOBS_FOLDER = "jobs"
 _VERSION = 1
+_FILE = Kind("the outcome of a job", most_mb=64)
 
 
 class KeptOutcomes:
@@ -37,12 +41,23 @@ class KeptOutcomes:
         found = dict[str, Outcome]()
         for job in jobs:
             try:
-                document = json.loads(self._path(job).read_text(encoding="utf-8"))
-                if document["version"] == _VERSION and document["outcome"]["job"] == job:
-                    found[job] = Outcome(**document["outcome"])
-            except (OSError, ValueError, KeyError, TypeError):
+                document = json.loads(read_text(self._path(job), _FILE, OutputError))
+                outcome = _outcome(document["outcome"])
+                if document["version"] == _VERSION and outcome.job == job:
+                    found[job] = outcome
+            except (OutputError, ValueError, KeyError, TypeError, RecursionError):
                 continue
         return found
 
     def _path(self, job: str) -> Path:
         return self._folder / f"{job}.json"
+
+
+def _outcome(told: Any) -> Outcome:
+    """One of a job that ended well. Raises TypeError or ValueError for what is none."""
+    outcome = Outcome(**told)
+    figures, numbers = outcome.figures, (int, float, type(None))
+    is_sound = isinstance(figures, dict) and isinstance(outcome.metrics, dict) and outcome.problem is None
+    if not is_sound or not all(isinstance(value, numbers) for value in (*figures.values(), outcome.elapsed_s)):
+        raise ValueError(outcome.job)
+    return outcome

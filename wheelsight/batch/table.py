@@ -15,6 +15,7 @@ from wheelsight.batch.jobs import Case
 from wheelsight.batch.outcome import Outcome
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath
+from wheelsight.inputs import Kind, read_text
 
 BROKEN, DONE = "broken", "ok"
 
@@ -48,6 +49,9 @@ FIGURES = (
     Figure("frame_ms", "ms", digits=2, is_cost=True),
     Figure("memory_mb", "MB", digits=0, is_cost=True),
 )
+# A thousand recordings by a thousand configurations; and a figure that can still be scaled, rounded and compared.
+_FILE = Kind("a table of a batch", most_mb=256, fix="give the table.csv of an earlier --out")
+_LARGEST = 1e15
 _HEAD = ("recording", "config", "odometry", "seeds", "status", "problem")
 
 
@@ -145,16 +149,13 @@ def _in_brackets(figure: Figure, row: Row) -> str:
 def read_rows(path: StrPath) -> tuple[Row, ...]:
     """Rows of an earlier table.csv. Raises ConfigError, with the line, for a file that is none."""
     path = Path(path)
+    reader = csv.DictReader(io.StringIO(read_text(path, _FILE, ConfigError), newline=""))
     try:
-        with path.open(encoding="utf-8", newline="") as stream:
-            reader = csv.DictReader(stream)
-            if not {*_HEAD} <= {*(reader.fieldnames or ())}:
-                raise ConfigError("is no table of a batch", path=path, fix="give the table.csv of an earlier --out")
-            return tuple(_read(path, reader))
-    except OSError as error:
-        raise ConfigError(f"cannot be read: {error.strerror}", path=path, fix="check the path") from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError("is no table of a batch", path=path, fix="give the table.csv of an earlier --out") from error
+        if not {*_HEAD} <= {*(reader.fieldnames or ())}:
+            raise ConfigError("is no table of a batch", path=path, fix=_FILE.fix)
+        return tuple(_read(path, reader))
+    except csv.Error as error:
+        raise ConfigError("is no table of a batch", path=path, fix=_FILE.fix) from error
 
 
 def _read(path: Path, reader: csv.DictReader[str]) -> Iterator[Row]:
@@ -171,6 +172,6 @@ def _read(path: Path, reader: csv.DictReader[str]) -> Iterator[Row]:
 def _spread_in(cells: Mapping[str, str], name: str) -> Spread | None:
     values = [cells.get(f"{name}_{of}") or None for of in Spread._fields]
     told = [float(value) for value in values if value is not None]
-    if not all(math.isfinite(value) for value in told):
+    if not all(abs(value) < _LARGEST for value in told):
         raise ValueError(name)
     return Spread(*told) if len(told) == len(values) else None
