@@ -138,8 +138,10 @@ class Session:
     @contextmanager
     def watched(self, part: str) -> Iterator[Callable[[], None]]:
         """Stop the robot where a part that it needs hangs: within, call what this gives each 0.2 s or more often."""
-        yield self._watchdog.watch(part)
-        self._watchdog.forget(part)
+        try:
+            yield self._watchdog.watch(part)
+        finally:
+            self._watchdog.forget(part)
 
     def part_fails(self, reason: str) -> None:
         """Stop the robot because a part of the program does not go on, and say so, where it moves or has a task."""
