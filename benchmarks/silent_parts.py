@@ -37,13 +37,13 @@ from rich.console import Console
 
 from benchmarks import machine
 from benchmarks.navigation_page import write_section
-from benchmarks.simulated_controller import SimulatedController
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
 from wheelsight.calibration import Calibration, Wheels
 from wheelsight.config import load_config
 from wheelsight.devices import LinkRobot, LinkStatus, WheelLink
 from wheelsight.devices.camera_driver import DeviceImages, OpenedDevice
+from wheelsight.devices.simulated_controller import SimulatedController
 from wheelsight.devices.streaming import StreamingCamera
 from wheelsight.errors import DeviceError, WheelsightError
 from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera, se3

@@ -26,12 +26,12 @@ from drives import square_legs, write_recording
 from floor_plans import rooms_in_colours, two_rooms, write_plan
 from places.made_recording import write_drive
 from shared_folders import shared_folder
-from benchmarks.simulated_controller import SimulatedController
 from typer.testing import CliRunner
 from written_bags import robot_drive, write_bag
 
 from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
 from wheelsight.cli import app
+from wheelsight.devices.simulated_controller import SimulatedController
 from wheelsight.recordings import open_recording
 from wheelsight.simulation import SimulationSettings, simulate, write_simulation
 from wheelsight.trajectory import read_tum

@@ -17,12 +17,12 @@ from rehearsed_drive import CALIBRATION
 from sessions.kept_views import write_map
 from typer.testing import CliRunner, Result
 
-from benchmarks.simulated_controller import SimulatedController
 from wheelsight.calibration import Calibration, save_calibration
 from wheelsight.cli import app
 from wheelsight.devices.cameras import LIVE_CAMERAS
 from wheelsight.devices.protocol import Command as Commanded
 from wheelsight.devices.robot_camera import ANY, open_robot_camera
+from wheelsight.devices.simulated_controller import SimulatedController
 from wheelsight.errors import DeviceError
 from wheelsight.settings import LiveCameraSettings
 from wheelsight.trajectory import read_tum

@@ -14,9 +14,9 @@ import pytest
 from full_disk import FullDisk
 from typer.testing import Result
 
-from benchmarks.simulated_controller import SimulatedController
 from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
 from wheelsight.devices import open_wheels
+from wheelsight.devices.simulated_controller import SimulatedController
 from wheelsight.recordings import open_recording
 
 Command = Callable[..., Result]

@@ -19,8 +19,8 @@ from bag_contents import on_topic, whole_messages_in
 from hand_fed_camera import CALIBRATION, live_frame
 from typer.testing import Result
 
-from benchmarks.simulated_controller import SimulatedController
 from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
+from wheelsight.devices.simulated_controller import SimulatedController
 from wheelsight.errors import CalibrationError, OutputError, RecordingError
 from wheelsight.events import AngularVelocity, RgbdFrame, WheelTicks
 from wheelsight.recordings import open_recording

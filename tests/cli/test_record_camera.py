@@ -19,7 +19,6 @@ import pytest
 from hand_fed_camera import CALIBRATION, HandFedCamera, live_frame
 from typer.testing import Result
 
-from benchmarks.simulated_controller import SimulatedController
 from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
 from wheelsight.cli._record_view import line_of
 from wheelsight.devices import LineStatistics, LinkReport, LinkStatus, host_clock
@@ -27,6 +26,7 @@ from wheelsight.devices.cameras import LIVE_CAMERAS
 from wheelsight.devices.live_camera import CameraReport, CameraStatus
 from wheelsight.devices.recorder import RecorderReport
 from wheelsight.devices.recording_session import SessionLook
+from wheelsight.devices.simulated_controller import SimulatedController
 from wheelsight.errors import OutputError
 from wheelsight.events import AngularVelocity, RgbdFrame
 from wheelsight.files import write_text

@@ -10,10 +10,10 @@ import pytest
 from hand_fed_camera import CALIBRATION, HandFedCamera
 from typer.testing import Result
 
-from benchmarks.simulated_controller import SimulatedController
 from wheelsight.calibration import Calibration, Wheels, save_calibration
 from wheelsight.devices.cameras import LIVE_CAMERAS
 from wheelsight.devices.live_camera import CameraStatus
+from wheelsight.devices.simulated_controller import SimulatedController
 from wheelsight.recordings import open_recording
 
 Command = Callable[..., Result]

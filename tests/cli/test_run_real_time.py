@@ -12,8 +12,8 @@ from room_drive import make_room_drive
 from stand_ins import MemoryRecording
 from typer.testing import Result
 
-from benchmarks.simulated_controller import SimulatedController
 from wheelsight.cli._run_progress import played, words
+from wheelsight.devices.simulated_controller import SimulatedController
 from wheelsight.pipeline import RealTimeRecording
 from wheelsight.recordings import open_recording
 from wheelsight.settings import RealTimeSettings

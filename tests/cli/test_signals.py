@@ -17,9 +17,9 @@ from pathlib import Path
 import pytest
 from synthetic import make_tum_recording
 
-from benchmarks.simulated_controller import SimulatedController
 from wheelsight.devices import open_wheels
 from wheelsight.devices.protocol import Command
+from wheelsight.devices.simulated_controller import SimulatedController
 from wheelsight.interrupts import ENDING
 from wheelsight.recordings import open_recording
 from wheelsight.trajectory import read_tum

@@ -17,10 +17,10 @@ from pathlib import Path
 import pytest
 from typer.testing import Result
 
-from benchmarks.simulated_controller import SimulatedController
 from wheelsight.calibration import Calibration, Wheels, save_calibration
 from wheelsight.cli._monitor import Meter, live_line
 from wheelsight.devices import WheelLink, open_wheels
+from wheelsight.devices.simulated_controller import SimulatedController
 from wheelsight.events import WheelTicks
 
 Command = Callable[..., Result]

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.simulated_controller import SimulatedController
 from wheelsight.devices import Format, LinkStatus, WheelLink
 from wheelsight.devices.protocol import Command, Counts, drive_body, encode_message
+from wheelsight.devices.simulated_controller import SimulatedController
 from wheelsight.errors import DeviceError
 from wheelsight.events import WheelTicks
 

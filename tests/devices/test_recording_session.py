@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 from hand_fed_camera import CALIBRATION, HandFedCamera, live_frame
 
-from benchmarks.simulated_controller import SimulatedController
 from wheelsight.devices import WheelLink, host_clock
 from wheelsight.devices.live_camera import CameraStatus
 from wheelsight.devices.recorder import LiveRecorder
 from wheelsight.devices.recording_session import RecordingSession, SessionLook
+from wheelsight.devices.simulated_controller import SimulatedController
 from wheelsight.errors import OutputError
 from wheelsight.recordings import RecordingWriter, open_recording
 from wheelsight.settings import RecorderSettings

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.simulated_controller import SimulatedController
 from wheelsight.calibration import Calibration, Wheels
 from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.devices import Format, LinkRobot, LinkStatus, WheelLink
 from wheelsight.devices.protocol import Command, drive_body
+from wheelsight.devices.simulated_controller import SimulatedController
 from wheelsight.errors import ArgumentError, DeviceError
 from wheelsight.events import AngularVelocity, Event, RgbdFrame, WheelTicks, YawRate
 from wheelsight.robots import Robot

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.simulated_controller import SimulatedController
 from wheelsight.calibration import Wheels
 from wheelsight.devices import TelemetryPipe, TelemetryReader, TicksFile, WheelLink, open_wheels
+from wheelsight.devices.simulated_controller import SimulatedController
 from wheelsight.errors import DeviceError, RecordingError
 from wheelsight.events import WheelTicks
 from wheelsight.recordings import RecordingWriter

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from hand_fed_camera import CALIBRATION, HandFedCamera, live_frame
 
-from benchmarks.simulated_controller import SimulatedController
 from wheelsight.calibration import Calibration, Wheels
 from wheelsight.config import Config
 from wheelsight.devices import WheelLink, host_clock
 from wheelsight.devices.live_camera import CameraStatus
 from wheelsight.devices.recorder import LiveRecorder
+from wheelsight.devices.simulated_controller import SimulatedController
 from wheelsight.errors import ConfigError
 from wheelsight.events import AngularVelocity, Event, RgbdFrame, WheelTicks, YawRate
 from wheelsight.pipeline import Choice, InRealTime, LiveSensors, LiveSource, default_odometry

@@ -19,10 +19,10 @@ from room_drive import make_room_drive
 from stand_ins import MemoryRecording, TrueOdometry, frame
 from virtual_time import VirtualClock
 
-from benchmarks.simulated_controller import SimulatedController
 from wheelsight.calibration import Wheels
 from wheelsight.config import Config, load_config
 from wheelsight.devices import TelemetryPipe
+from wheelsight.devices.simulated_controller import SimulatedController
 from wheelsight.errors import ConfigError, DeviceError, RecordingError
 from wheelsight.events import RgbdFrame, WheelTicks
 from wheelsight.pipeline import FrameRecord, RealTimeRecording, RunRecord, in_real_time
