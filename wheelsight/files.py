@@ -93,6 +93,15 @@ def write_bytes(path: StrPath, data: bytes) -> None:
         stream.write(data)
 
 
+def remove_file(path: StrPath) -> None:
+    """Remove a file, if it is there. Raises OutputError."""
+    path = Path(path)
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise output_error(error, path) from error
+
+
 def make_output_folder(folder: StrPath, force: bool = False) -> Path:
     """Make `folder` (and its parents) for new results.
 

@@ -20,6 +20,7 @@ from typer.testing import CliRunner, Result
 
 from wheelsight.cli import app
 from wheelsight.config import Config, save_config
+from wheelsight.errors import OutputError
 from wheelsight.events import RgbdFrame
 from wheelsight.exports import BagParts, export_bag, exported_at
 from wheelsight.exports.map_points import ColoredPoints, thinned
@@ -225,6 +226,28 @@ def test_a_map_alone_gives_its_grey_keyframes(export: Command, kept_map: Path, t
     again = export(kept_map, "--format", "nerfstudio", "--out", tmp_path / "nerf")
     assert again.exit_code == 2
     assert "is not empty" in again.stderr
+
+
+@pytest.mark.parametrize(
+    ("form", "index"),
+    [("nerfstudio", "transforms.json"), ("colmap", "sparse/0/cameras.txt")],
+    ids=["nerfstudio", "colmap"],
+)
+def test_an_export_that_is_ended_over_another_has_no_index(
+    export: Command, kept_map: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str, index: str
+) -> None:
+    """That of the earlier one would name images of both."""
+    asked = (kept_map, "--format", form, "--out", tmp_path / "out")
+    assert export(*asked).exit_code == 0
+    assert (tmp_path / "out" / index).exists()
+
+    def full(path: Path, data: bytes) -> None:
+        raise OutputError("no space left on the disk", path=path)
+
+    monkeypatch.setattr("wheelsight.exports.views.write_bytes", full)
+    assert export(*asked, "--force").exit_code == 2
+    assert (tmp_path / "out" / "images" / "000000.png").exists()
+    assert not (tmp_path / "out" / index).exists()
 
 
 def test_a_map_in_a_bag_has_its_occupancy_and_the_way_between_keyframes(kept_map: Path, tmp_path: Path) -> None:

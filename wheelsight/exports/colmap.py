@@ -8,7 +8,7 @@ from wheelsight.exports.map_points import ColoredPoints, points_of
 from wheelsight.exports.nerfstudio import HALF_PX
 from wheelsight.exports.sources import Exported
 from wheelsight.exports.views import KeyframeView, OnView, write_views
-from wheelsight.files import StrPath, make_output_folder, new_output_folder, write_text
+from wheelsight.files import StrPath, make_output_folder, new_output_folder, remove_file, write_text
 from wheelsight.geometry import PinholeCamera, se3, so3
 
 MODEL = "sparse/0"
@@ -26,6 +26,7 @@ def export_colmap(
     Raises InputError where there is no map, or it cannot be read; OutputError where it cannot be written.
     """
     with new_output_folder(Path(out), force) as folder:
+        remove_file(folder / MODEL / "cameras.txt")  # without it there is no model until all is written
         views = write_views(source, folder, on_view)
         model = make_output_folder(folder / MODEL, force=True)
         numbers: dict[PinholeCamera, int] = {}

@@ -12,7 +12,7 @@ from wheelsight.exports.map_points import ColoredPoints, points_of
 from wheelsight.exports.ros_axes import upright_points
 from wheelsight.exports.sources import Exported
 from wheelsight.exports.views import DEPTHS, IMAGES, KeyframeView, OnView, write_views
-from wheelsight.files import StrPath, atomic_write, new_output_folder, write_text
+from wheelsight.files import StrPath, atomic_write, new_output_folder, remove_file, write_text
 from wheelsight.geometry import FloatArray
 from wheelsight.recordings.rosbag.robot_topics import T_LINK_OPTICAL
 
@@ -33,6 +33,7 @@ def export_nerfstudio(
     Raises InputError where there is no map, or it cannot be read; OutputError where it cannot be written.
     """
     with new_output_folder(Path(out), force) as folder:
+        remove_file(folder / TRANSFORMS_FILE)  # of an earlier export it would name images that change now
         views = write_views(source, folder, on_view)
         is_of_base = source.need_map().calibration.T_base_camera is not None
         turn = np.eye(4) if is_of_base else T_LINK_OPTICAL
