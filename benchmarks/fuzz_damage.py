@@ -174,7 +174,7 @@ def changed_files(files: Mapping[str, bytes], rng: Rng) -> dict[str, bytes]:
 
 def _changes_of(name: str, data: bytes) -> tuple[Callable[[bytes, Rng], bytes], ...]:
     suffix = name.rpartition(".")[2]
-    if suffix in ("png", "jpg"):
+    if suffix in ("png", "jpg", "bmp", "tif", "pgm"):
         return (*_BYTES, _large_image, _header_of_another)
     if data.startswith(b"PK"):
         return (*_BYTES, *_ARCHIVE * 3)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Thread
 
 import cv2
 import numpy as np
@@ -40,7 +41,7 @@ from wheelsight.config import Config, load_config, save_config
 from wheelsight.devices.cameras import open_live_camera
 from wheelsight.devices.protocol import Ack, Counts, Version, encode_message
 from wheelsight.devices.recognition import LineDecoder
-from wheelsight.devices.source import TicksFile
+from wheelsight.devices.source import TelemetryReader, TicksFile
 from wheelsight.errors import DeviceError, EvaluationError, RecordingError, WheelsightError
 from wheelsight.evaluation import evaluate
 from wheelsight.events import WheelTicks
@@ -261,6 +262,7 @@ def _single_files() -> list[Target]:
         ("serial-frames", "a.serial", _serial_frames, _decode),
         ("serial-text", "a.serial", _serial_text, _decode),
         ("serial-pairs", "a.serial", lambda: bytes(range(1, 90)) * 3, _decode),
+        ("telemetry", "a.json", _telemetry, _hear),
         ("page-messages", "a.json", lambda: _MESSAGE, _page_message),
     )
     return [Target(name, _named(file, make), _reads(file, read)) for name, file, make, read in files]
@@ -518,6 +520,33 @@ def _decode(path: Path) -> None:
             decoder.feed(b"", 0.004 * number + 0.003)
 
 
+def _telemetry() -> bytes:
+    line = '{"ticks_stamp_s": %d.5, "left_ticks": %d, "right_ticks": 7}\n'
+    return "".join(line % (i, 9 * i) for i in range(5)).encode()
+
+
+def _hear(path: Path) -> None:
+    """As `wheelsight run` reads the pipe of `wheelsight wheels serve`."""
+    data = read_bytes(path, _SERIAL, DeviceError)
+    with TemporaryDirectory() as folder:
+        pipe = Path(folder) / "pipe"
+        os.mkfifo(pipe)
+        reader = TelemetryReader(pipe)
+        writer = Thread(target=_write_into, args=(pipe, data))
+        writer.start()
+        try:
+            for _ in reader.ticks():
+                pass
+        finally:
+            reader.close()
+            writer.join()
+
+
+def _write_into(pipe: Path, data: bytes) -> None:
+    with suppress(BrokenPipeError), pipe.open("wb", buffering=0) as stream:
+        stream.write(data)
+
+
 def _page_message(path: Path) -> None:
     text = read_bytes(path, _SERIAL, DeviceError)[:1_000_000].decode(errors="surrogateescape")
     says_stop(text)
@@ -617,8 +646,11 @@ def _board_views() -> Files:
     board = np.kron(np.indices((6, 7)).sum(axis=0) % 2, np.ones((20, 20)))
     image = np.pad((255 * board).astype(np.uint8), 30, constant_values=255)
     depth = np.full(image.shape, 1000, np.uint16)
-    png = {name: cv2.imencode(".png", data)[1].tobytes() for name, data in (("c", image), ("d", depth))}
-    return {f"{i}-color.png": png["c"] for i in range(2)} | {f"{i}-depth.png": png["d"] for i in range(2)}
+    made = {}
+    for number, (suffix, of_depth) in enumerate((("png", "png"), ("bmp", "tif"), ("tif", "pgm"))):
+        made[f"{number}-color.{suffix}"] = cv2.imencode(f".{suffix}", image)[1].tobytes()
+        made[f"{number}-depth.{of_depth}"] = cv2.imencode(f".{of_depth}", depth)[1].tobytes()
+    return made
 
 
 def _read_board_views(folder: Path) -> None:

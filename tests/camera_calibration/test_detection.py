@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import cv2
@@ -109,6 +110,8 @@ def test_each_image_that_cannot_be_used_has_its_reason(tmp_path: Path) -> None:
     write(tmp_path / "lone-depth.png", depth)
     write(tmp_path / "bytes-color.png", good)
     write(tmp_path / "bytes-depth.png", depth.astype(np.uint8))
+    large = b"BM" + bytes(12) + struct.pack("<Iiihh", 40, 30_000, 30_000, 1, 24) + bytes(40)
+    (tmp_path / "large-color.bmp").write_bytes(large)
     (tmp_path / "corrupt-color.png").write_bytes((tmp_path / "good0-color.png").read_bytes()[:200])
     seen = read_views([tmp_path], CHECKERS, SETTINGS)
     assert [view.name for view in seen.views] == ["good0", "good1", "good2"]
@@ -118,6 +121,7 @@ def test_each_image_that_cannot_be_used_has_its_reason(tmp_path: Path) -> None:
     assert reasons["lone"] == "has no colour image"
     assert "no 16-bit image" in reasons["bytes"]
     assert reasons["corrupt"] == "corrupt-color.png: is damaged, or no image"
+    assert reasons["large"] == "large-color.bmp: says it is 30000×30000 pixels"
     assert not seen.is_disparity
     reading = seen.views[0].reading
     assert reading is not None

@@ -18,7 +18,8 @@ from wheelsight.camera_calibration.views import View, ViewSet
 from wheelsight.depth_error import NO_DISPARITY
 from wheelsight.errors import RecordingError
 from wheelsight.files import StrPath
-from wheelsight.inputs import Kind, picture_size, read_bytes
+from wheelsight.geometry import MOST_PIXELS
+from wheelsight.inputs import Kind, picture_size, read_bytes, scan_count
 
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".bmp", ".tif", ".tiff"}
 _WORDS = {
@@ -31,6 +32,8 @@ _NAMED = re.compile(
     rf"^(?:(?P<a>.*?)[-_ .])?(?P<kind>{'|'.join(sorted(_KIND_OF, key=len, reverse=True))})(?:[-_ .]?(?P<b>\d.*))?$",
     re.IGNORECASE,
 )
+# Pixels over all scans of a progressive JPEG, as of recordings.
+_MOST_DECODED = 8 * MOST_PIXELS
 _IMAGE = Kind("an image", most_mb=128)
 _FIX = "name images VIEW-color.png, VIEW-ir.png, VIEW-depth.png, or put them into folders color, ir and depth"
 _OTHERS_TRIED = 3
@@ -147,10 +150,13 @@ def _read_view(name: str, files: dict[str, Path], board: Board, settings: Detect
 
 def _read_image(path: Path) -> Any:
     data = read_bytes(path, _IMAGE, RecordingError)
-    if path.suffix.lower() in (".png", ".jpg", ".jpeg") and picture_size(data) is None:
+    size = picture_size(data)
+    if size is None:
         raise RecordingError("is damaged, or no image", path=path)
+    if size[0] * size[1] > MOST_PIXELS or size[0] * size[1] * scan_count(data) > _MOST_DECODED:
+        raise RecordingError(f"says it is {size[0]}×{size[1]} pixels", path=path)
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         image = None
     if image is None:
