@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wheelsight.errors import ArgumentError, MapError
 from wheelsight.geometry import Float32Array, FloatArray, IntArray, se3
+from wheelsight.threads import OneCaller, one_at_a_time
 
 KeyframeId = NewType("KeyframeId", int)
 """Names a keyframe: its number in the store, for good."""
@@ -85,7 +86,7 @@ class Keyframe:
         return _image(self.grey_png).astype(np.float32)
 
 
-class KeyframeStore:
+class KeyframeStore(OneCaller):
     """All keyframes, and the only table of where they are.
 
     To compress a keyframe's images takes as long as to track a frame: a thread of the store does it beside the next.
@@ -164,6 +165,7 @@ class KeyframeStore:
         self._check([number])
         return np.array(self._T_map_keyframe[number])
 
+    @one_at_a_time
     def add(self, keyframe: Keyframe | Callable[[], Keyframe], T_map_keyframe: ArrayLike) -> KeyframeId:
         """Keep a keyframe, or one that is yet to be made, at a pose (4, 4) by what is known now.
 
@@ -177,6 +179,7 @@ class KeyframeStore:
         self._release()
         return KeyframeId(number)
 
+    @one_at_a_time
     def replace(self, number: KeyframeId, keyframe: Keyframe | Callable[[], Keyframe]) -> None:
         """Keep better images of the same frame in a keyframe's place.
 
@@ -195,6 +198,7 @@ class KeyframeStore:
             thread.shutdown()
         self._finish()
 
+    @one_at_a_time
     def move(self, numbers: Sequence[KeyframeId], T_map_keyframe: ArrayLike) -> None:
         """Put keyframes to new poses (K, 4, 4); all that follows them is told. Raises ArgumentError."""
         self._check(numbers)

@@ -10,14 +10,14 @@ from wheelsight.estimates import Estimate
 from wheelsight.events import Event, RgbdFrame
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.localizer.in_step import Answering
-from wheelsight.threads import yield_to_others
+from wheelsight.threads import OneCaller, one_at_a_time, yield_to_others
 
 # How long the end waits for an event that is being answered, before the localizer is closed beside it.
 _ENDING_S = 5.0
 
 
-class LocalizerBeside:
-    """Answers in a thread of its own, which yields to who controls a robot: that one never waits for a frame.
+class LocalizerBeside(OneCaller):
+    """Answers in a thread of its own, which yields to the thread that controls a robot and never waits for a frame.
 
     Frames that come faster than they are answered are left out but for the newest; wheel readings never are.
 
@@ -48,6 +48,7 @@ class LocalizerBeside:
         """Of the localizer."""
         return self.localizer.recognised
 
+    @one_at_a_time
     def hear(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
         """What was answered since the last call. Raises what went wrong in the thread."""
         with self._changed:
@@ -62,6 +63,7 @@ class LocalizerBeside:
 
     def close(self) -> None:
         """End the thread, then the localizer's; may be called twice."""
+        self._is_over = True
         with self._changed:
             self._is_closed = True
             self._changed.notify()

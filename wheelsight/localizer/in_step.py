@@ -9,6 +9,7 @@ from typing import Protocol
 from wheelsight.estimates import Estimate
 from wheelsight.events import Event
 from wheelsight.keyframes import KeyframeStore
+from wheelsight.threads import OneCaller, ends, one_at_a_time
 
 
 class Answering(Protocol):
@@ -33,8 +34,8 @@ Make = Callable[..., AbstractContextManager[Answering]]
 """Makes what answers, in a `with` block that closes it."""
 
 
-class LocalizerInStep:
-    """Answers all that it is told before it goes on: equal events, equal answers. For simulators.
+class LocalizerInStep(OneCaller):
+    """Answers all events that it is given before it returns: equal events, equal answers. For simulators.
 
     Args:
         localizer: that answers; closed with this.
@@ -53,10 +54,12 @@ class LocalizerInStep:
         """Of the localizer."""
         return self.localizer.recognised
 
+    @one_at_a_time
     def hear(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
         """Each event with its answer. Raises what `Localizer.process` raises."""
         return [(event, self.localizer.process(event)) for event in events]
 
+    @ends
     def close(self) -> None:
-        """End the localizer's threads."""
+        """End the localizer's threads; may be called twice."""
         self.localizer.close()

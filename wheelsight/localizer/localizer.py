@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import TracebackType
 
 import numpy as np
 
@@ -31,11 +32,12 @@ from wheelsight.places import PlaceMatch
 from wheelsight.slam.known import KnownMap
 from wheelsight.slam.settings import FROM_KEYFRAMES
 from wheelsight.stamps import StampCheck
+from wheelsight.threads import OneCaller, ends, one_at_a_time
 
 _CONFIG_FIX = 'load_config(PATH), or load_config(overrides={"odometry": "dense"})'
 
 
-class Localizer:
+class Localizer(OneCaller):
     """Answers each frame or wheel reading with the pose of the body at its stamp, or with the reason why there is none.
 
     It goes by one odometry, by places where the configuration names a model of them, or by wheels and a camera joined.
@@ -50,6 +52,8 @@ class Localizer:
     With `places` beside wheels, both are answered: wheels lead from frame to frame, each frame corrects them by the
     area it shows; the map is that of the areas. Beside joined wheels and camera the area is one more measurement of
     the default filter.
+
+    One thread calls it at a time, in the process that made it; several may take turns.
 
     Args:
         calibration: of the sensors.
@@ -169,16 +173,26 @@ class Localizer:
         """How long each stage of the last frame took; none of a wheel reading."""
         return self._way.stage_seconds
 
+    @ends
     def close(self) -> None:
-        """End the threads that work for it, at the end of a run. What it knows stays, and it may go on all the same.
+        """End the threads that work for it, at the end of a run; may be called twice. What it knows stays.
 
-        Raises what went wrong in them.
+        Raises what went wrong in them, and ArgumentError while an event is processed in another thread.
         """
         if self.keyframes is not None:
             self.keyframes.close()
         if self.loops is not None:
             self.loops.close()
 
+    def __enter__(self) -> Localizer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @one_at_a_time
     def process(self, event: Event) -> Estimate | None:
         """The estimate at an event that is answered, None at any other.
 
@@ -195,7 +209,7 @@ class Localizer:
 
         Raises:
             ArgumentError: no event, stamps that are no seconds, images of another shape or type than the calibration's,
-                or depth that is not in metres.
+                or depth that is not in metres. A call beside another one, in a forked process, or after `close`.
             PlaceError: a frame of another size than the model of places was trained on.
         """
         check_event(event)

@@ -41,13 +41,14 @@ from wheelsight.navigation.senses import Senses
 from wheelsight.navigation.task import Task
 from wheelsight.navigation.workers import Worker
 from wheelsight.robots import Robot
+from wheelsight.threads import OneCaller, one_at_a_time
 
 _STOPPING_S = 5.0
 # So many goals are left out one after another before it is the robot that has to get out of something.
 _SKIPS = 2
 
 
-class Navigator:
+class Navigator(OneCaller):
     """Leads one robot; `step` once a period, or `run`.
 
     Args:
@@ -121,6 +122,7 @@ class Navigator:
         """Begin to look at all floor that can be reached, of a map that grows."""
         self.begin(Exploration(self._footprint, self.settings, self._senses.near_m, self._senses.half_view_rad))
 
+    @one_at_a_time
     def begin(self, goals: Goals) -> None:
         """Begin a task; one that goes on is called off."""
         if not self.is_task_complete():
@@ -165,6 +167,7 @@ class Navigator:
         assert self._result is not None
         return self._result
 
+    @one_at_a_time
     def step(self) -> Feedback:
         """One period: obey, sense, decide, and let the monitor check. Raises what the robot raises.
 

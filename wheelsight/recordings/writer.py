@@ -27,6 +27,7 @@ from wheelsight.recordings.protocol import Recording
 from wheelsight.recordings.resuming import check_resumable, last_stamp_s, remove_leftovers
 from wheelsight.recordings.tum import DEPTH_FACTOR
 from wheelsight.stamps import StampCheck
+from wheelsight.threads import OneCaller, one_at_a_time
 from wheelsight.trajectory import Trajectory, tum_header, tum_lines, write_tum
 
 _IMAGE_HEADERS = {
@@ -93,7 +94,7 @@ class LiveWriter(Protocol):
         """End. Raises OutputError."""
 
 
-class RecordingWriter:
+class RecordingWriter(OneCaller):
     """Writes events into a folder as they come; use it in a `with` block, and `open_recording` reads them again.
 
     Colour is kept exactly, unless as JPEG, depth to 0.1 mm: 5000 units a metre in 16 bits, as in the TUM benchmark,
@@ -173,6 +174,7 @@ class RecordingWriter:
         """The newest of all sensors; -∞ before the first."""
         return max(self._last_stamp_s.values(), default=-np.inf)
 
+    @one_at_a_time
     def add(self, event: Event) -> None:
         """Write one event; frames that were skipped when they were read leave no trace.
 
@@ -261,6 +263,7 @@ class RecordingWriter:
             self._lists[name] = GrowingText(self.folder / name, header, self._resumes)
         return self._lists[name]
 
+    @one_at_a_time
     def add_ground_truth(self, truth: Trajectory) -> None:
         """Write the true trajectory of the camera or the base; if the calibration joins the two, both.
 
@@ -292,6 +295,7 @@ class RecordingWriter:
         self._check_stamps(name, float(truth.stamps_s[0]), float(truth.stamps_s[-1]))
         self._list(name, tum_header(truth)).append("".join(tum_lines(truth)))
 
+    @one_at_a_time
     def add_label(self, stamp_s: float, area: str | None) -> None:
         """Say in which area the robot was at a frame's time, None for no area; they land in labels.csv.
 

@@ -29,6 +29,7 @@ from wheelsight.simulation.settings import SimulationSettings
 from wheelsight.simulation.simulated_recording import as_owned
 from wheelsight.simulation.stepping import TRUTH_PERIOD_S, Reading, SteppedRobot, floor_of, ticks_of
 from wheelsight.simulation.world import World
+from wheelsight.threads import OneCaller, one_at_a_time
 from wheelsight.wheel_control import Duties, VelocityControl, WheelControlSettings
 
 PERIOD_S = 0.05
@@ -37,7 +38,7 @@ LONGEST_S = 4 * 3600.0
 _FALLEN = 0.7  # cosine of the lean from which on a chair does not come back
 
 
-class Simulator:
+class Simulator(OneCaller):
     """A `Robot`: each step obeys a command for one control period, and answers what the sensors said in it.
 
     Time stands still between steps. Wheels are held at their speeds by the loop that a real robot has, over encoders
@@ -150,6 +151,7 @@ class Simulator:
         """The last of them."""
         return self._live.contacts[-1] if self._live.contacts else None
 
+    @one_at_a_time
     def step(self, command: VelocityCommand) -> list[Event]:
         """Obey a command for one control period; what the sensors said, in the order of stamps.
 

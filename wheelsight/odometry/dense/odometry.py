@@ -31,11 +31,11 @@ from wheelsight.odometry.state import START_VARIANCE, TrackingState
 from wheelsight.odometry.stopwatch import Stopwatch
 from wheelsight.odometry.velocity import LONGEST_STEP_S, twist_between
 from wheelsight.stamps import StampCheck
-from wheelsight.threads import Rows
+from wheelsight.threads import OneCaller, Rows, one_at_a_time
 from wheelsight.views import ReferenceModel, Surface
 
 
-class DenseOdometry:
+class DenseOdometry(OneCaller):
     """Aligns each frame with a keyframe, with the previous frame, or with what a map predicts.
 
     The first frame with depth starts the map. A frame's way: predict where it is, align it with what is known from
@@ -106,6 +106,7 @@ class DenseOdometry:
         color = self._gridder.color_on_grid(frame, tracked) if with_color else None
         return Surface(finest.depth_m, self._maker.normals(finest), finest.grey, color)
 
+    @one_at_a_time
     def process(
         self,
         frame: RgbdFrame,
@@ -140,15 +141,18 @@ class DenseOdometry:
             found = self._find(frame, features, last, replace(prior, T_last_frame=None))
         return self._accept(found) if isinstance(found, Tracked) else self._fail(frame.stamp_s, found)
 
+    @one_at_a_time
     def begin_at(self, T_map_camera: FloatArray) -> None:
         """Say before the first frame with depth where the camera (4, 4) is then. Raises ArgumentError for no motion."""
         self._T_map_first = need_motion("T_map_first", T_map_camera)
 
+    @one_at_a_time
     def miss(self, stamp_s: float) -> DenseEstimate:
         """Count a frame that came to nothing before it reached odometry, as a failed one."""
         self._start_frame()
         return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
 
+    @one_at_a_time
     def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> DenseEstimate:
         """Go on at a frame that shows nothing known, at a pose (4, 4) that others tell; what was known is kept."""
         check_frame(frame, self._calibration, T_map_camera=T_map_camera, covariance=covariance)
@@ -156,6 +160,7 @@ class DenseOdometry:
         self._verifier.faults.unseen_s = 0.0
         return self._begin(frame, self._keypoints.look(frame), T_map_camera, covariance)
 
+    @one_at_a_time
     def refer_to(self, model: ReferenceModel | None) -> None:
         """Align frames from now on with what a model predicts that stands in this map, or with keyframes alone."""
         self._views.refer_to(model)

@@ -24,9 +24,10 @@ from wheelsight.odometry.state import START_VARIANCE, TrackingState
 from wheelsight.odometry.stopwatch import Stopwatch
 from wheelsight.odometry.velocity import twist_between
 from wheelsight.stamps import StampCheck
+from wheelsight.threads import OneCaller, one_at_a_time
 
 
-class FeatureOdometry:
+class FeatureOdometry(OneCaller):
     """ORB + 3D–3D alignment with the state machine of Zhang's Fig. 3, and recovery.
 
     The first frame with enough keypoints starts the map. Each later frame is aligned with the frame tracked last
@@ -78,6 +79,7 @@ class FeatureOdometry:
         """Seconds the last frame spent in each stage."""
         return self._watch.seconds
 
+    @one_at_a_time
     def process(
         self,
         frame: RgbdFrame,
@@ -118,16 +120,19 @@ class FeatureOdometry:
             fix = self._begin_again(self._first_raw, raw, fix)
         return self._succeed(frame, fix) if isinstance(fix, Fix) else self._fail(raw.stamp_s, fix)
 
+    @one_at_a_time
     def begin_at(self, T_map_camera: FloatArray) -> None:
         """Say before the first tracked frame where the camera is then, (4, 4). Raises ArgumentError for no motion."""
         T_map_camera = need_motion("T_map_first", T_map_camera)
         self._T_map_first: FloatArray = T_map_camera @ se3.invert(self._T_color_camera)
 
+    @one_at_a_time
     def miss(self, stamp_s: float) -> FeatureEstimate:
         """Count a frame that came to nothing before it reached odometry, as a failed one."""
         self._watch.restart()
         return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
 
+    @one_at_a_time
     def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> FeatureEstimate:
         """Go on at a frame that shows nothing known, at a pose (4, 4) that others tell; what was known is given up."""
         check_frame(frame, self._calibration, T_map_camera=T_map_camera, covariance=covariance)

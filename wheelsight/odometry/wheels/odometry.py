@@ -11,7 +11,6 @@ whether it contradicts the wheels says `GyroCheck`.
 from __future__ import annotations
 
 import math
-from copy import copy
 from dataclasses import dataclass
 from typing import Literal
 
@@ -29,6 +28,7 @@ from wheelsight.odometry.wheels import _kernels as kernels
 from wheelsight.odometry.wheels import _state_kernels as at
 from wheelsight.odometry.wheels._gyro_kernels import likelier
 from wheelsight.stamps import StampCheck
+from wheelsight.threads import OneCaller, one_at_a_time
 from wheelsight.trajectory import Trajectory
 
 Integration = Literal["arc", "midpoint", "euler"]
@@ -39,7 +39,7 @@ _WIDE = 2**53  # beyond, a roll-over as a float has lost counts
 _PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
 
 
-class WheelOdometry:
+class WheelOdometry(OneCaller):
     """Where the base is in the frame `odom`, which is where it was at the first reading.
 
     A reading is refused when its stamp does not come after the last one's, when it comes too late (`max_gap_s`), when
@@ -113,7 +113,8 @@ class WheelOdometry:
 
     def copy(self) -> WheelOdometry:
         """Another that goes on from here by itself."""
-        other = copy(self)
+        other = WheelOdometry.__new__(WheelOdometry)
+        other.__dict__.update({name: value for name, value in vars(self).items() if name not in vars(other)})
         other._parameters, other._states = self._parameters.copy(), self._states.copy()
         other._T_odom_base, other._covariance = self._T_odom_base.copy(), self._covariance.copy()
         return other
@@ -128,6 +129,7 @@ class WheelOdometry:
         """How far off that may be, as a standard deviation."""
         return math.sqrt(self._state[at.BIAS_VARIANCE])
 
+    @one_at_a_time
     def pause(self, seconds: float) -> None:
         """Before the next reading, so long may have passed, whatever stamps say: as while a host slept, or a bus hung.
 
@@ -135,6 +137,7 @@ class WheelOdometry:
         """
         self._paused_s = seconds
 
+    @one_at_a_time
     def process(self, reading: WheelTicks | WheelSpeeds, yaw_rate_rad_s: float | None = None) -> WheelEstimate:
         """The pose at a reading, and the step there from the one before.
 
