@@ -6,6 +6,7 @@
 #   make demo RECORDING=folder     the same of a recording you have; ODOMETRY=wheels where it has no images
 #   make test [SLOW=1] [WORKERS=n] all tests that take seconds; with SLOW=1 (or CI=true) the slow ones too
 #   make check                     ruff, mypy --strict, import layers, documentation
+#   make lowest                    the tests that touch each library, by the lowest versions that pyproject.toml allows
 #   make bench                     side by side with OpenCV and Open3D on the real recordings; kept in BENCHMARKS.md
 #   make firmware                  the wheel controllers' programs, for the ATmega8 and the STM32F4, and their sizes
 #   make docs | wheel | clean
@@ -21,7 +22,17 @@ VENV := .venv
 BIN := $(VENV)/bin
 QUICK := $(if $(filter-out false 0,$(CI) $(SLOW)),,-m "not slow")
 
-.PHONY: demo test check style types bench docs firmware wheel clean
+# Which library each of them is about: typer and rich, numba and scipy, shapely, OpenCV, pyserial and cobs, plotly,
+# scikit-learn and skops, MuJoCo and matplotlib, scikit-image, rosbags, PyAV, Starlette with uvicorn and websockets, Dask, GTSAM.
+LOWEST := .venv-lowest
+LOWEST_TESTS := tests/test_package.py tests/cli/test_app.py tests/cli/test_run.py tests/cli/test_run_wheels.py \
+	tests/geometry tests/test_areas.py tests/camera_calibration/test_detection.py tests/devices/test_link.py \
+	tests/devices/test_realsense.py tests/report/test_report_page.py tests/places/test_storage.py tests/simulation/test_scene.py \
+	tests/cli/test_simulate.py tests/mapping/test_export.py tests/recordings/rosbag/test_formats.py \
+	tests/recordings/test_azure_kinect.py tests/live_page/test_server.py tests/live_page/test_access.py \
+	tests/batch/test_fleet.py tests/slam/test_solvers.py tests/localizer/test_by_fusion.py
+
+.PHONY: demo test lowest check style types bench docs firmware wheel clean
 
 ifeq ($(RECORDING),)
 # A lap of a square of 4 m at 320×240 by a wheelchair whose wheels are not quite what its owner measured, as wheels never
@@ -54,6 +65,13 @@ test: export PYTHONDONTWRITEBYTECODE :=
 test: $(VENV)/.installed-dev
 	$(if $(QUICK),,$(BIN)/python tests/warm_up.py)
 	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal $(QUICK) $(ARGS)
+
+# Old libraries warn of what newer companions of theirs deprecate; what counts is that they work.
+lowest: export NUMBA_CACHE_DIR := $(CURDIR)/$(LOWEST)/kernels
+lowest: $(LOWEST)/.installed
+	$(LOWEST)/bin/wheelsight --help >$(LOWEST)/help.txt
+	$(LOWEST)/bin/python -m pytest --numprocesses $(WORKERS) --dist worksteal -m "not slow" -p no:cacheprovider \
+		-W ignore::DeprecationWarning $(LOWEST_TESTS)
 
 check: style types docs
 
@@ -88,6 +106,17 @@ clean:
 # What is imported is compiled then: of 17 000 files that is a part.
 $(VENV)/.installed-%: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.$(if $(filter core,$*),,[$*])'
+	@touch $@
+
+# There are wheels of all of them for Python 3.11 and 3.12.
+$(LOWEST)/.installed: pyproject.toml tests/lowest_versions.py
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 13))' || { \
+	  echo 'The lowest versions are of Python 3.11 and 3.12; name one: make lowest PYTHON=python3.11' >&2; exit 1; }
+	$(PYTHON) -m venv --clear $(LOWEST)
+	$(LOWEST)/bin/python tests/lowest_versions.py >$(LOWEST)/lowest.txt
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --requirement $(LOWEST)/lowest.txt
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --no-deps --editable .
+	$(LOWEST)/bin/python -m pip check --quiet
 	@touch $@
 
 $(BIN)/python:
