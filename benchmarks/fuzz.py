@@ -201,7 +201,8 @@ class _Watch:
             _end_group(process)
 
     def _follow(self, here: Connection, process: Any) -> None:
-        until_s, is_reading = _own_s(process.pid) + _START_S, False
+        clock = _OwnClock(process.pid)
+        until_s, is_reading = clock.now_s() + _START_S, False
         while True:
             if here.poll(_LOOK_S):
                 try:
@@ -209,9 +210,9 @@ class _Watch:
                 except EOFError:
                     break
                 is_reading = message[0] == "begin"
-                until_s = _own_s(process.pid) + _allowed_s(message[0])
+                until_s = clock.now_s() + _allowed_s(message[0])
                 self._take(message)
-            elif _own_s(process.pid) > until_s:
+            elif clock.now_s() > until_s:
                 if not is_reading:
                     raise RuntimeError(f"a worker could not make its next input in time: {self._next}")
                 self._count(False, ("time", f"over {LONGEST_S:g} s"), Cost(LONGEST_S, 0, self._disk))
@@ -280,12 +281,21 @@ def _end_group(process: Any) -> None:
     process.join()
 
 
-def _own_s(pid: int | None) -> float:
-    """The time, in seconds, without that for which a process was ready and had to wait: a busy computer is no hang."""
-    waited_ns = 0
-    with suppress(OSError, IndexError):  # kernels without it: all time counts
-        waited_ns = int(Path(f"/proc/{pid}/schedstat").read_text().split()[1])
-    return time.monotonic() - 1e-9 * waited_ns
+class _OwnClock:
+    """Time without that for which a process and its children were ready and had to wait: a busy computer is no hang."""
+
+    def __init__(self, pid: int | None) -> None:
+        self._pid, self._waited_ns, self._last_ns = pid, 0, dict[str, int]()
+
+    def now_s(self) -> float:
+        """Seconds."""
+        with suppress(OSError, IndexError):  # kernels without these files: all time counts
+            children = Path(f"/proc/{self._pid}/task/{self._pid}/children").read_text().split()
+            for pid in (str(self._pid), *children):
+                waited_ns = int(Path(f"/proc/{pid}/schedstat").read_text().split()[1])
+                self._waited_ns += waited_ns - self._last_ns.get(pid, 0)
+                self._last_ns[pid] = waited_ns
+        return time.monotonic() - 1e-9 * self._waited_ns
 
 
 def _bytes_in(folder: Path) -> int:
@@ -356,11 +366,12 @@ def _measured(target: Target, place: Path, scratch: Path) -> tuple[bool, tuple[s
     """Whether an input was accepted, what was wrong with the answer, and what it took."""
     written = _bytes_in(place)
     Path("/proc/self/clear_refs").write_text("5")  # sets the peak back to what is held now
-    held, of_others, began_s = _resident_bytes(), _peak_of_children(), _own_s(os.getpid())
+    clock = _OwnClock(os.getpid())
+    held, of_others, began_s = _resident_bytes(), _peak_of_children(), clock.now_s()
     resource.setrlimit(resource.RLIMIT_FSIZE, (2 * MOST_BYTES, resource.RLIM_INFINITY))
     is_accepted, fault = _answer(target, place)
     resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-    took_s = _own_s(os.getpid()) - began_s
+    took_s = clock.now_s() - began_s
     peak, others = _status_bytes("VmHWM"), _peak_of_children()
     memory = max(peak - held, others if others > of_others else 0)
     cost = Cost(took_s, memory, _bytes_in(scratch) + max(_bytes_in(place) - written, 0))

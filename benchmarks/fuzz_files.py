@@ -460,10 +460,11 @@ def _play_only_file(folder: Path) -> None:
 
 
 def _play_oni(folder: Path) -> None:
-    """As fast as its own clock has it."""
+    """For two seconds at most: it plays in the time of its own clock."""
     path = next(iter(sorted(folder.iterdir())), folder)
     with open_live_camera(f"openni2:{path}", LiveCameraSettings(width_px=320, height_px=240)) as camera:
-        while camera.read(3.0) is not None:
+        until_s = time.monotonic() + 2.0
+        while camera.read(0.5) is not None and time.monotonic() < until_s:
             pass
 
 
