@@ -21,7 +21,7 @@ from wheelsight.errors import DeviceError, InputError, RecordingError
 from wheelsight.settings import LiveCameraSettings
 
 SMALL = LiveCameraSettings(width_px=320, height_px=240, kept_frames=100)
-# Stands in for OpenNI2, which cannot be made to hang at will: it answers as the player does, as long as it is told to.
+# Stands in for OpenNI2, which cannot be made to hang at will: it answers as the player does, as long as a test wants.
 STAND_IN = """
 import json, os, struct, sys, time
 def say(answer, data=b""):
@@ -86,12 +86,12 @@ def test_answers_become_images(player) -> None:
         ("os.kill(os.getpid(), 11)", "OpenNI2 crashed by SIGSEGV on this file"),
         ("sys.exit(3)", "OpenNI2 ended with exit code 3 on this file"),
         ("time.sleep(60)", "OpenNI2 hung on this file and was ended"),
-        ("os.write(1, b'\\xff' * 64)", "OpenNI2 answers what is none: a text of 4294967295 bytes"),
-        ("os.write(1, struct.pack('<I', 2) + b'[]')\ntime.sleep(60)", "answers what is none: no answer"),
-        ("say({'images': {'color': [-1, 4]}})\ntime.sleep(60)", "answers what is none: an image of -1 rows"),
+        ("os.write(1, b'\\xff' * 64)", "OpenNI2 gives no sound answer: a text of 4294967295 bytes"),
+        ("os.write(1, struct.pack('<I', 2) + b'[]')\ntime.sleep(60)", "gives no sound answer: no answer"),
+        ("say({'images': {'color': [-1, 4]}})\ntime.sleep(60)", "gives no sound answer: an image of -1 rows"),
         ("say({'images': {'color': [99999, 99999]}})\ntime.sleep(60)", "an image of 99999×99999 pixels"),
-        ("say({'images': {'color': 'x'}})\ntime.sleep(60)", "answers what is none"),
-        ("say({'images': {'color': [0, 0]}})\ntime.sleep(60)", "answers what is none"),
+        ("say({'images': {'color': 'x'}})\ntime.sleep(60)", "gives no sound answer"),
+        ("say({'images': {'color': [0, 0]}})\ntime.sleep(60)", "gives no sound answer"),
         ("say({'error': 'reads no frame', 'fix': ''})\ntime.sleep(60)", "reads no frame"),
     ],
 )

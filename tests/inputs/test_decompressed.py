@@ -65,10 +65,10 @@ def test_another_size_than_stated_is_refused(way: str) -> None:
     with pytest.raises(ValueError, match=f"states 1001 bytes of {way} content and holds 1000"):
         decompressed(packed, way, MEGABYTE, 1001)
     # zstd's own header states it, too.
-    told = "states 1,000 bytes of zstd content, more than the 999" if way == "zstd" else "beyond the 999 bytes that are"
-    with pytest.raises(ValueError, match=told):
+    said = "states 1,000 bytes of zstd content, more than the 999" if way == "zstd" else "beyond the 999 bytes that are"
+    with pytest.raises(ValueError, match=said):
         decompressed(packed, way, 999)
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=said):
         decompress_into(io.BytesIO(packed), io.BytesIO(), way, 999)
 
 

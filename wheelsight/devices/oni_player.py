@@ -80,7 +80,7 @@ class OniPlayer:
             self.close()
             if isinstance(error, DeviceError):
                 raise
-            problem = error.problem if isinstance(error, InputError) else f"OpenNI2 answers what is none: {error}"
+            problem = error.problem if isinstance(error, InputError) else f"OpenNI2 gives no sound answer: {error}"
             raise DeviceError(problem, path=self._path, fix=_COPY) from error
 
     def read(self, timeout_s: float) -> DeviceImages | None:
@@ -98,7 +98,7 @@ class OniPlayer:
         except DeviceError as error:
             raise RecordingError(error.problem, path=self._path, fix=error.fix) from error
         except (ValueError, TypeError, LookupError) as error:
-            raise RecordingError(f"OpenNI2 answers what is none: {error}", path=self._path, fix=_COPY) from error
+            raise RecordingError(f"OpenNI2 gives no sound answer: {error}", path=self._path, fix=_COPY) from error
         return None
 
     def close(self) -> None:
@@ -150,7 +150,7 @@ class OniPlayer:
         return (None, bytearray()) if found is None else found
 
     def _taken(self) -> tuple[dict[str, Any], bytearray] | None:
-        """An answer that has come whole. Raises ValueError for what is none."""
+        """An answer that has come whole. Raises ValueError where it is damaged."""
         if len(self._got) < max(self._wanted, _LENGTH.size):
             return None
         (length,) = _LENGTH.unpack_from(self._got)

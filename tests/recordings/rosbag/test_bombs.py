@@ -138,19 +138,19 @@ def test_gigabytes_are_refused_by_the_chunks_header_alone(tmp_path: Path, way: s
 
 def test_zeros_are_no_records(tmp_path: Path) -> None:
     """They would be walked over nine bytes at a time."""
-    refused(mcap_bag(tmp_path / "a.mcap", ("zstd", bytes(MEGABYTE), None)), "holds what is no record")
+    refused(mcap_bag(tmp_path / "a.mcap", ("zstd", bytes(MEGABYTE), None)), "holds bytes that are no record")
     refused(ros1_bag(tmp_path / "a.bag", "bz2", bytes(MEGABYTE)), "its chunk at byte 4,109")
 
 
 def test_a_chunk_in_a_chunk_is_refused(tmp_path: Path) -> None:
-    refused(mcap_bag(tmp_path / "a.mcap", ("zstd", mcap_record(6, bytes(100)), None)), "holds what is no record")
+    refused(mcap_bag(tmp_path / "a.mcap", ("zstd", mcap_record(6, bytes(100)), None)), "holds bytes that are no record")
 
 
 def test_many_chunks_are_refused_by_their_sum(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(chunks, "_FREE_BYTES", 8 * MEGABYTE)
     content = mcap_record(9, bytes(2 * MEGABYTE))
-    path = mcap_bag(tmp_path / "a.mcap", *[("zstd", content, None)] * 9)
-    refused(path, r"holds more than 8 MB and 256 times its size once it is unpacked|more than the .* allowed")
+    path = mcap_bag(tmp_path / "a.mcap", *[("zstd", content, None)] * 30)
+    refused(path, r"holds more than 8 MB and 512 times its size once it is unpacked")
 
 
 def test_very_many_records_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -217,7 +217,7 @@ def test_a_file_of_gigabytes_does_not_fill_the_temporary_folder(
     (tmp_path / "room").mkdir()
     packed = db3_of(tmp_path, mode="file")
     packed.write_bytes(zstd.compress(bytes(100 * MEGABYTE)))
-    refused(packed.parent, r"drive\.db3\.zstd: states 100 MB of zstd content, more than the 9 MB allowed")
+    refused(packed.parent, r"drive\.db3\.zstd: states 100 MB of zstd content, more than the 10 MB allowed")
     assert not list((tmp_path / "room").iterdir())
 
 

@@ -23,7 +23,7 @@ _STORAGES = ("mcap", "sqlite3")
 
 
 def parts_of(path: Path) -> tuple[Path, ...]:
-    """What is to be opened for the bag at `path`, in order of time; empty where there is none, by names alone.
+    """The paths to open for the bag at `path`, in order of time; empty where there is none, by names alone.
 
     A folder with metadata.yaml is opened as such. Without one, its files are parts of one bag where they are called
     alike but for a last number; two bags in one folder are no bag.

@@ -60,7 +60,7 @@ class McapReader(ChunkedReader):
         return chunks
 
     def _check_head(self) -> int:
-        """Where the data begin. Raises RecordingError for what is no MCAP file of ROS 2."""
+        """Where the data begin. Raises RecordingError for another kind of file."""
         magic = self._file.read(len(MAGIC))
         if not magic:
             raise RecordingError("is empty", path=self.path, fix="record again")
@@ -204,7 +204,7 @@ class McapReader(ChunkedReader):
             begin, at = at + _HEAD.size, at + _HEAD.size + size
             count += 1
             if at > len(content) or kind in (0, _CHUNK):
-                raise ValueError("holds what is no record")
+                raise ValueError("holds bytes that are no record")
             if count > most:
                 raise ValueError(f"holds more than {most:,} records")
             if kind == _MESSAGE:
@@ -216,8 +216,10 @@ class McapReader(ChunkedReader):
 
     def _say_without_end(self, lost_bytes: int) -> None:
         lost = f"; {lost_bytes:,} bytes after them are no whole record" if lost_bytes else ""
-        told = f"{self.path.name} has no end, as where its recorder was killed. All messages are read that are whole"
-        self.warnings = (f"{told}{lost}. Without an index that takes longer: mcap recover makes one.",)
+        sentence = (
+            f"{self.path.name} has no end, as where its recorder was killed. All messages are read that are whole"
+        )
+        self.warnings = (f"{sentence}{lost}. Without an index that takes longer: mcap recover makes one.",)
 
 
 class _Run:

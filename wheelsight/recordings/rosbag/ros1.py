@@ -117,7 +117,7 @@ class Ros1Reader(ChunkedReader):
 
 
 def _chunk_infos(data: bytes, count: int) -> Iterator[Chunk]:
-    """The records of an index that tell of chunks. Raises struct.error, LookupError or ValueError where they do not."""
+    """The chunks that an index describes. Raises struct.error, LookupError or ValueError where it is damaged."""
     places = _Places(_INFO_FIELDS)
     at = 0
     for _ in range(count):
@@ -126,7 +126,7 @@ def _chunk_infos(data: bytes, count: int) -> Iterator[Chunk]:
         op, start, end, place = places.of(header)
         (size,) = _U32.unpack_from(data, at)
         if min(start, end, place) < 0 or header[op] != _CHUNK_INFO or at + 4 + size > len(data):
-            raise ValueError(f"a record of the index at {at} tells of no chunk")
+            raise ValueError(f"a record of the index at {at} describes no chunk")
         start_s, start_ns = _TIME.unpack_from(header, start)
         end_s, end_ns = _TIME.unpack_from(header, end)
         words = struct.unpack_from(f"<{size // 8 * 2}I", data, at + 4)

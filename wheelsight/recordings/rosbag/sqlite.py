@@ -86,7 +86,7 @@ class SqliteReader:
             for number, (row, topic, time_ns) in enumerate(rows):
                 if number >= self.allowance.most_messages:
                     raise self._refusal(f"more messages than {self._size:,} bytes can hold")
-                # Apart from what is sorted, which sqlite keeps in a file where it is large.
+                # Sorted rows without data stay small: sqlite keeps them in memory or in a temporary file.
                 (data,) = self._database.execute("SELECT data FROM messages WHERE rowid = ?", (row,)).fetchone()
                 if not isinstance(time_ns, int) or not isinstance(data, bytes):
                     raise self._refusal("a message whose time is no number, or whose data are no bytes")
@@ -112,7 +112,7 @@ class SqliteReader:
         return self._database.execute(asked, values)
 
     def _check_tables(self) -> None:
-        """Raises RecordingError for what is no plain table, or where one is missing."""
+        """Raises RecordingError where a table is missing or no plain one."""
         found: dict[str, str] = {}
         for name, text in self._rows("SELECT name, sql FROM sqlite_master WHERE type = 'table'"):
             found[name] = str(text)
