@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from grids import mostly_slow
 from sessions.kept_views import write_map
 from sessions.mounted_maps import WAY, drive
 from sessions.seen_maps import RING, aside, write_seen
@@ -118,7 +119,7 @@ def test_what_of_the_floor_is_free_is_exported_and_drawn(wheelsight: Command, tm
     assert wheelsight(*asked, "--force").exit_code == 0
 
 
-@pytest.mark.parametrize("count", [0, 1, 2])
+@pytest.mark.parametrize("count", mostly_slow([0, 1, 2], [1]))
 def test_every_command_takes_a_map_of_few_keyframes(wheelsight: Command, tmp_path: Path, count: int) -> None:
     """Such as one that was saved before the robot moved; without keyframes some have nothing to work on."""
     drive(tmp_path / "map", WAY[:count]).close()

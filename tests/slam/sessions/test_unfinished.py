@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from grids import mostly_slow
 from sessions.kept_views import CALIBRATION, COUNT, write_map
 from sessions.mounted_maps import WAY, drive
 from sessions.seen_maps import RING, aside, write_seen
@@ -84,7 +85,7 @@ COMMANDS: dict[str, Callable[[MapFolder, MapFolder, Path], object]] = {
 }
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", mostly_slow(COMMANDS, ["prune"]))
 def test_at_each_moment_of_a_command_its_map_says_that_it_is_incomplete(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
@@ -148,7 +149,7 @@ def test_a_drive_that_extends_a_map_marks_it_until_it_is_over(tmp_path: Path) ->
     assert MapFolder.open(tmp_path / "map").contents.health.notes == ()
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", mostly_slow(COMMANDS, ["prune"]))
 def test_a_command_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str) -> None:
     """Ctrl-C, or a full disk, in the midst of writing."""
     first, second = two_maps(tmp_path)
