@@ -40,8 +40,9 @@ _MOST_OF_ADDRESS = 32
 # Younger strangers stay beyond that: their heads are on the way, unless all strangers together are too many.
 _YOUNG_S = 0.25
 _MOST_STRANGERS = 2048
-# So many are accepted at a time, and so many judged, before others are accepted: the newest is never far behind.
-_ACCEPTED, _JUDGED = 128, 32
+# So many are accepted at a time, and so many judged before others are accepted: those may ask for STOP. Fewer are
+# judged where more wait to be accepted.
+_ACCEPTED, _JUDGED, _JUDGED_IN_A_CROWD = 128, 32, 4
 # STOP waits so long for the robot's program to confirm it; then it is answered without, where that program has given a
 # sign of life lately, and not before it has confirmed where not. After a second it is answered that it is in vain.
 _CONFIRMED_S, _LIVELY_S, _STOP_S = 0.01, 0.2, 1.0
@@ -55,7 +56,7 @@ _REQUEST = re.compile(rb"([A-Z]{1,20}) (\S+) HTTP/1\.[01]")
 _BEGINNING = re.compile(rb"[A-Z]{1,20}( |$)")
 _STOPPING = re.compile(rb"POST /stop[? ]")
 # A head without any of these words holds no token.
-_CREDENTIALS = re.compile(rb"token=|\nauthorization:|\ncookie:", re.IGNORECASE)
+_CREDENTIALS = b"token=", b"\nauthorization:", b"\ncookie:"
 _SILENT = "the robot's program does not answer: use the stop button on the robot"
 
 
@@ -195,8 +196,7 @@ class Door:
                 comes = True
             else:
                 readable.append(key.data)
-        if comes:
-            self._accept(now_s)
+        is_crowded = comes and self._accept(now_s)
         for stranger in readable:
             # One that went meanwhile, to make room, has no number any more.
             if stranger.socket.fileno() >= 0:
@@ -205,7 +205,7 @@ class Door:
             self._judge(self._urgent.pop(), now_s)
         while len(self._whole) > 2 * self._batch:
             self._crowd_out(self._whole.pop(0))
-        for _ in range(min(_JUDGED, len(self._whole))):
+        for _ in range(min(_JUDGED_IN_A_CROWD if is_crowded else _JUDGED, len(self._whole))):
             self._judge(self._whole.pop(), now_s)
         self._look_after(now_s)
 
@@ -251,19 +251,21 @@ class Door:
                 while self._asked and self._asked[0][0] <= self._stops_confirmed:
                     self._answer_all(self._asked.popleft()[2], 200, "stopped")
 
-    def _accept(self, now_s: float) -> None:
+    def _accept(self, now_s: float) -> bool:
+        """Take newcomers in; whether there may be more."""
         for _ in range(self._batch):
             try:
                 accepted, address = self._listening.accept()
             except BlockingIOError:
-                return
+                return False
             except OSError as error:
                 if error.errno in _EXHAUSTED:
                     self._make_room(now_s)
-                    return
+                    return False
                 continue
             accepted.setblocking(False)
             self._read(Stranger(accepted, _host(address), now_s), now_s)
+        return True
 
     def _make_room(self, now_s: float) -> None:
         """File descriptors ran out, in the whole computer perhaps: give back what strangers hold."""
@@ -305,8 +307,7 @@ class Door:
         if _END in stranger.head or len(stranger.head) > MOST_HEAD_BYTES:
             self._forget(stranger)
             # The head of STOP is judged at once, unless it holds no token where one is asked for.
-            may_stop = not self._access.token or _CREDENTIALS.search(stranger.head)
-            is_urgent = may_stop and _STOPPING.match(stranger.head)
+            is_urgent = _STOPPING.match(stranger.head) and self._may_hold_token(stranger)
             (self._urgent if is_urgent else self._whole).append(stranger)
         elif stranger.head and not _BEGINNING.match(stranger.head[:21]):
             self._refuse(stranger, 400, "no HTTP")
@@ -328,13 +329,13 @@ class Door:
 
     def _judge(self, stranger: Stranger, now_s: float) -> None:
         """Take STOP, pass a request on, or refuse it."""
+        # Where many wait, those that certainly get no answer but a refusal are cut off, which costs less.
+        if len(self._whole) > self._batch and not self._may_hold_token(stranger):
+            self._crowd_out(stranger)
+            return
         end = stranger.head.find(_END)
         if not 0 <= end <= MOST_HEAD_BYTES - len(_END):
             self._refuse(stranger, 400, f"a request's head of more than {MOST_HEAD_BYTES} bytes")
-            return
-        is_crowded = len(self._whole) > self._batch
-        if is_crowded and self._access.token and not _CREDENTIALS.search(stranger.head, 0, end):
-            self._crowd_out(stranger)
             return
         scope = _scope_of(stranger.head[:end])
         if scope is None:
@@ -350,6 +351,11 @@ class Door:
             self._refuse(stranger, 503, "too many requests: try again")
         else:
             self._hand_on(stranger)
+
+    def _may_hold_token(self, stranger: Stranger) -> bool:
+        """Whether a head may hold the token, as far as a quick look shows; true where none is asked for."""
+        head = stranger.head.lower()
+        return not self._access.token or any(word in head for word in _CREDENTIALS)
 
     def _ask_to_stop(self, now_s: float) -> None:
         """Pass STOP on, of all that press it now."""
