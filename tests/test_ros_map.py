@@ -301,3 +301,157 @@ def test_a_map_that_cannot_be_written_is_refused_and_leaves_the_old_one(tmp_path
     with pytest.raises(OutputError, match="does not exist"):
         write_ros_map(plan, tmp_path / "nowhere" / "a.yaml")
     assert list(tmp_path.iterdir()) == []
+
+
+def warned(path: Path) -> tuple[RosMap, list[str]]:
+    """A map, and what is said about it."""
+    said: list[str] = []
+    return read_ros_map(path, warn=said.append), said
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [
+        "/home/somebody/maps/a.pgm",
+        "maps/a.pgm",
+        "../maps/a.pgm",
+        "~/.ros/a.pgm",
+        "$(find nav)/maps/a.pgm",
+        "file:///srv/maps/a.pgm",
+        "'C:\\Users\\me\\maps\\a.pgm'",
+        "maps\\a.pgm",
+        "A.PGM",
+        "/somewhere/A.Pgm",
+    ],
+)
+def test_an_image_that_was_left_behind_is_the_one_of_that_name_beside_the_map(tmp_path: Path, stated: str) -> None:
+    plain = read_ros_map(written(tmp_path)).occupancy
+    (tmp_path / "b.pgm").write_bytes((tmp_path / "a.pgm").read_bytes()[:-8] + bytes(8))
+    plan, said = warned(written(tmp_path, YAML.replace("image: a.pgm", f"image: {stated}")))
+    np.testing.assert_array_equal(plan.occupancy, plain)
+    assert len(said) == 1
+    assert "is missing" in said[0]
+    assert said[0].endswith(f"{tmp_path / 'a.pgm'} is taken")
+
+
+def test_separators_of_windows_lead_into_a_folder_beside_the_map(tmp_path: Path) -> None:
+    (tmp_path / "maps").mkdir()
+    plain = read_ros_map(written(tmp_path)).occupancy
+    (tmp_path / "a.pgm").rename(tmp_path / "maps" / "a.pgm")
+    (tmp_path / "map.yaml").write_text(YAML.replace("a.pgm", "maps\\a.pgm"))
+    plan, said = warned(tmp_path / "map.yaml")
+    np.testing.assert_array_equal(plan.occupancy, plain)
+    assert str(tmp_path / "maps" / "a.pgm") in said[0]
+
+
+def test_an_image_that_is_where_the_file_says_is_taken_without_a_word(tmp_path: Path) -> None:
+    (tmp_path / "maps").mkdir()
+    path = written(tmp_path, YAML.replace("a.pgm", "maps/a.pgm"), 255 - PIXELS)
+    cv2.imwrite(str(tmp_path / "maps" / "a.pgm"), PIXELS)
+    plan, said = warned(path)
+    assert not said
+    assert plan.occupancy[1, 0] == OCCUPIED
+
+
+@pytest.mark.parametrize("stated", ["/home/somebody/maps/other.pgm", "maps/", "..", "/", "a\\"])
+def test_an_image_that_is_nowhere_is_still_refused(tmp_path: Path, stated: str) -> None:
+    with pytest.raises(MapError):
+        warned(written(tmp_path, YAML.replace("a.pgm", stated)))
+
+
+@pytest.mark.parametrize("yaw", ["-nan", "nan", ".nan", "-.NaN", "NaN", "-nan(ind)", "1.#QNAN", "-1.#IND"])
+def test_a_yaw_that_is_no_number_is_0_with_a_warning(tmp_path: Path, yaw: str) -> None:
+    plan, said = warned(written(tmp_path, YAML.replace("[1, 2, 0]", f"[1, 2, {yaw}]")))
+    assert plan.origin == (1.0, 2.0, 0.0)
+    assert len(said) == 1
+    assert "map.yaml:3: the origin's yaw is" in said[0]
+
+
+@pytest.mark.parametrize("place", ["[nan, 2, 0]", "[1, -nan, 0]", "[1, 2, left]", "[1, 2, null]", "[1, 2, -.inf]"])
+def test_a_place_that_is_no_number_is_refused(tmp_path: Path, place: str) -> None:
+    with pytest.raises(MapError, match=r":3: origin is"):
+        read_ros_map(written(tmp_path, YAML.replace("[1, 2, 0]", place)))
+
+
+@pytest.mark.parametrize("free_thresh", ["0.25", "0.2", "0.6"])
+def test_map_savers_grey_stays_unknown_where_thresholds_make_it_free(tmp_path: Path, free_thresh: str) -> None:
+    plain = read_ros_map(written(tmp_path)).occupancy
+    plan, said = warned(written(tmp_path, YAML.replace("0.196", free_thresh)))
+    assert plan.occupancy[1].tolist() == plain[1].tolist() == [OCCUPIED, UNKNOWN, FREE, FREE]
+    problem = f"1 cells are of map_saver's grey for unknown, and free by free_thresh {free_thresh}"
+    assert said == [f"{tmp_path / 'map.yaml'}: {problem}: they are taken as unknown; set free_thresh to 0.196"]
+    assert plan.occupancy[0, 2] == FREE  # 206 is no grey of map_saver
+
+
+def test_where_the_floor_itself_is_of_that_grey_it_is_free(tmp_path: Path) -> None:
+    """No cell is whiter: then the threshold was set for it."""
+    drawn = np.where(PIXELS > 205, 205, PIXELS).astype(np.uint8)
+    plan, said = warned(written(tmp_path, YAML.replace("0.196", "0.25"), drawn))
+    assert plan.occupancy[1].tolist() == [OCCUPIED, FREE, FREE, FREE]
+    assert not said
+
+
+@pytest.mark.parametrize("fields", ["mode: scale\n", "negate: 1\n"])
+def test_of_other_maps_no_grey_is_unknown_by_itself(tmp_path: Path, fields: str) -> None:
+    text = YAML.replace("negate: 0\n", "").replace("0.196", "0.25") + fields
+    said = warned(written(tmp_path, text))[1]
+    assert not said
+
+
+@pytest.mark.parametrize("is_binary", [True, False], ids=["binary", "text"])
+@pytest.mark.parametrize("white", [1, 3, 15, 100, 254, 255, 256, 1000, 65535])
+def test_white_of_a_pgm_is_what_its_header_says(tmp_path: Path, white: int, is_binary: bool) -> None:
+    """Black, white, white less a tenth and half, and a value beyond white as damaged files have it."""
+    values = np.array([0, white, round(0.9 * white), white // 2, min(white + 1, 255 if white < 256 else 65535)])
+    header = f"{'P5' if is_binary else 'P2'}\n# by hand\n5 1\n# white:\n{white}\n".encode()
+    body = values.astype(">u2" if white > 255 else "u1").tobytes() if is_binary else " ".join(map(str, values)).encode()
+    (tmp_path / "map.yaml").write_text(YAML)
+    (tmp_path / "a.pgm").write_bytes(header + body)
+    occupied = 1 - np.minimum(values / white, 1)
+    expected = np.where(occupied >= 0.65, OCCUPIED, np.where(occupied <= 0.196, FREE, UNKNOWN))
+    for plan in (read_ros_map(tmp_path / "map.yaml"), read_ros_map(tmp_path / "a.pgm", 0.05)):
+        assert plan.occupancy[0].tolist() == expected.tolist()
+    (tmp_path / "map.yaml").write_text(YAML + "mode: scale\n")
+    shares = read_ros_map(tmp_path / "map.yaml").occupancy[0]
+    between = np.floor(100 * (occupied - 0.196) / (0.65 - 0.196) + 0.5)
+    assert shares.tolist() == np.where(expected == UNKNOWN, between, expected).tolist()
+
+
+def test_raw_values_of_a_pgm_are_those_of_255(tmp_path: Path) -> None:
+    (tmp_path / "map.yaml").write_text(YAML + "mode: raw\n")
+    (tmp_path / "a.pgm").write_bytes(b"P5 4 1 51\n" + bytes([0, 10, 20, 51]))
+    assert read_ros_map(tmp_path / "map.yaml").occupancy.tolist() == [[0, 50, 100, UNKNOWN]]
+
+
+@pytest.mark.parametrize("has_alpha", [False, True])
+def test_an_image_of_16_bits_is_read_by_its_white(tmp_path: Path, has_alpha: bool) -> None:
+    plain = read_ros_map(written(tmp_path)).occupancy
+    deep = PIXELS.astype(np.uint16) * 257
+    alpha = np.full_like(deep, 65535)
+    alpha[0, 2] = 65534
+    image = np.dstack([deep, deep, deep, alpha]) if has_alpha else deep
+    plan = read_ros_map(written(tmp_path, YAML.replace("a.pgm", "a.png"), image, "a.png"))
+    expected = plain.copy()
+    expected[1, 2] = UNKNOWN if has_alpha else plain[1, 2]
+    np.testing.assert_array_equal(plan.occupancy, expected)
+
+
+@pytest.mark.parametrize("white", [0, 65536, 99999])
+def test_a_pgm_without_a_white_that_can_be_is_refused(tmp_path: Path, white: int) -> None:
+    path = written(tmp_path)
+    (tmp_path / "a.pgm").write_bytes(b"P5 2 1 %d\n" % white + bytes(4))
+    with pytest.raises(MapError, match=rf"a\.pgm: says that {white} is white"):
+        read_ros_map(path)
+
+
+@pytest.mark.parametrize("left_out", ["negate: 0\n", "occupied_thresh: 0.65\n", "free_thresh: 0.196\n"])
+def test_fields_that_may_be_missing_are_what_map_server_takes(tmp_path: Path, left_out: str) -> None:
+    plain = read_ros_map(written(tmp_path)).occupancy
+    np.testing.assert_array_equal(read_ros_map(written(tmp_path, YAML.replace(left_out, ""))).occupancy, plain)
+
+
+@pytest.mark.parametrize("missing", ["image", "resolution", "origin"])
+def test_fields_that_may_not_be_missing_are_named(tmp_path: Path, missing: str) -> None:
+    text = "".join(line + "\n" for line in YAML.splitlines() if not line.startswith(missing))
+    with pytest.raises(MapError, match=f"field {missing} is missing"):
+        read_ros_map(written(tmp_path, text))

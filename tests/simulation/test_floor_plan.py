@@ -249,3 +249,40 @@ def test_rooms_of_real_buildings_become_areas(data_folder: Path, name: str, room
     world = built(folder / f"{name}.png", resolution_m=0.05, areas=areas)
     assert abs(len(world.areas) - rooms) <= 1
     assert (world.areas.index_at(world.route) >= 0).mean() > 0.8
+
+
+@pytest.mark.slow
+def test_furniture_keeps_clear_of_a_robot_that_begins_beside_the_route(house: Path, world: World) -> None:
+    """Wherever a thing would stand a robot that turns there touches none, and all else is where it was."""
+    robot = Robot()
+    turning_m = math.hypot(robot.length_m - 0.3, robot.width_m / 2)
+    usual = {thing.name: thing for thing in footprints(world) if thing.is_in_the_way}
+    things = [
+        name for name in usual if not name.startswith(("wall", "leaf", "lintel", "door", "floor", "jamb", "frame"))
+    ]
+    cleared = 0
+    for name in things[::3]:
+        place = usual[name].polygon.centroid
+        turns = place.buffer(turning_m)
+        if any(turns.intersects(thing.polygon) for thing in usual.values() if thing.name not in things):
+            continue  # a wall or a door is there
+        begun = build_floor_plan(FloorPlan(house), 0, robot, begin=(place.x, place.y, 0.0))
+        found = {thing.name: thing for thing in footprints(begun) if thing.is_in_the_way}
+        assert name not in found
+        assert not any(turns.intersects(thing.polygon) for thing in found.values())
+        assert all(found[one].polygon.equals(usual[one].polygon) for one in found)
+        assert all(usual[one].polygon.distance(place) < turning_m + 2.5 for one in usual.keys() - found.keys())
+        np.testing.assert_array_equal(begun.route, world.route)
+        cleared += 1
+    assert cleared >= 2
+
+
+@pytest.mark.slow
+def test_what_is_said_about_a_plan_is_said_of_its_world(tmp_path: Path, world: World) -> None:
+    path = write_plan(tmp_path, two_rooms())
+    path.write_text(path.read_text().replace("plan.pgm", "/home/somebody/plan.pgm").replace("0.0]", "-nan]"))
+    found = built(path)
+    assert found.mjcf == world.mjcf
+    assert len(found.warnings) == 2
+    assert any(warning.endswith(f"{tmp_path / 'plan.pgm'} is taken") for warning in found.warnings)
+    assert any("the origin's yaw is -nan" in warning for warning in found.warnings)

@@ -62,7 +62,10 @@ def _simulator(options: RobotOptions, config: Config) -> Robot:
     how |= {"realism": options.realism, "rate_hz": options.rate, "camera": camera}
     settings = SimulationSettings(**where, **how, size=size_of(options.size, camera))
     start = _start_of(options.start)
-    return Simulator(settings, start=start, limits=config.navigation.limits)
+    robot = Simulator(settings, start=start, limits=config.navigation.limits)
+    for warning in robot.world.warnings:
+        print_warning(warning)
+    return robot
 
 
 def _plan_of(sim: str, resolution: float | None) -> FloorPlan | None:

@@ -47,7 +47,7 @@ class LiveWorld:
         world: World | None = None,
         people: LivePeopleSettings | None = None,
     ) -> None:
-        self.world = world or world_of(settings)
+        self.world = world or world_of(settings, start)
         self.T_world_start = _start(self.world, start)
         seed, robot = settings.day_seed, settings.robot
         outline = outline_at(robot, self.T_world_start)

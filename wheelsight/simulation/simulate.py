@@ -95,11 +95,15 @@ def _driven(
     )
 
 
-def world_of(settings: SimulationSettings) -> World:
-    """The world that the settings name, or that of their floor plan. Raises InputError where it cannot be built."""
+def world_of(settings: SimulationSettings, begin: tuple[float, float, float] | None = None) -> World:
+    """The world that the settings name, or that of their floor plan. Raises InputError where it cannot be built.
+
+    Furniture of a floor plan keeps clear of where a robot begins: x, y, yaw in `map`; None: at the route's start.
+    """
     if settings.plan is not None:
         least_m = 0.0 if settings.duration_s is None else settings.duration_s * settings.speed_m_s
-        return build_floor_plan(settings.plan, settings.seed, settings.robot, least_m, day=settings.day)
+        of = settings.plan, settings.seed, settings.robot, least_m
+        return build_floor_plan(*of, day=settings.day, begin=begin)
     return build_world(settings.world, settings.seed, settings.day, has_leaves=settings.doors > 0)
 
 

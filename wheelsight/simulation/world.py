@@ -70,6 +70,7 @@ class World:
         is_loop: whether a lap ends where it began.
         size_m: (x_min, y_min, x_max, y_max) of the floor.
         leaves: of doors, those that can swing.
+        warnings: sentences on what was not taken as its files state it.
     """
 
     name: str
@@ -81,3 +82,4 @@ class World:
     is_loop: bool
     size_m: tuple[float, float, float, float]
     leaves: tuple[Leaf, ...] = ()
+    warnings: tuple[str, ...] = ()

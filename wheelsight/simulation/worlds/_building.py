@@ -288,6 +288,16 @@ class Building:
         half = (radius_m, radius_m, (top_m - bottom_m) / 2)
         self._add(name, "ellipsoid", material, centre, half, is_solid=True)
 
+    @property
+    def geom_count(self) -> int:
+        """How many there are by now."""
+        return len(self._geoms)
+
+    def remove_since(self, count: int) -> None:
+        """Remove all but the first `count` geoms, none of which a door's leaf may be."""
+        for name in list(self._geoms)[count:]:
+            del self._geoms[name]
+
     def world(self, description: str, areas: Sequence[Area], route: ArrayLike, *, is_loop: bool) -> World:
         """What was built."""
         waypoints: FloatArray = np.array(route, float)

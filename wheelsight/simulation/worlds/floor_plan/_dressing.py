@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -112,12 +113,19 @@ class Dresser:
         floor: that is free, in `map`, metres.
         kept_free: what nothing may stand in.
         doorways: what nothing may hang in: the gaps, with what is beside them.
+        left_out: what would stand in it is not built. Its place is taken all the same, so that all else stands where
+            it does without.
     """
 
     def __init__(
-        self, building: Building, floor: shapely.Geometry, kept_free: shapely.Geometry, doorways: shapely.Geometry
+        self,
+        building: Building,
+        floor: shapely.Geometry,
+        kept_free: shapely.Geometry,
+        doorways: shapely.Geometry,
+        left_out: shapely.Geometry,
     ) -> None:
-        self._building, self._doorways = building, doorways
+        self._building, self._doorways, self._left_out = building, doorways, left_out
         self._room = shapely.difference(floor.buffer(_INTO_WALL_M), shapely.union(kept_free, doorways))
         self._floor = floor
         self._taken: list[shapely.Geometry] = []
@@ -142,14 +150,16 @@ class Dresser:
         rng = self._building.rng
         for x_m, y_m in places:
             yaw_rad = float(rng.choice((0.0, np.pi / 2))) + rng.uniform(-0.1, 0.1)
-            if not self._take(shapely.Point(x_m, y_m).buffer(_TABLE_ROOM_M)):
+            room = shapely.Point(x_m, y_m).buffer(_TABLE_ROOM_M)
+            if not self._take(room):
                 continue
             name, spot = self._name("group"), Spot(x_m, y_m, yaw_rad)
-            four_legged_table(self._building, name, spot, (1.4, 0.8), 0.74)
-            for side, turn in ((-1, 0.0), (1, np.pi)):
-                place = spot.offset(self._building.loose(-0.3, 0.3), side * 0.68)
-                turned = Spot(place.x_m, place.y_m, yaw_rad + turn + self._building.loose(-0.3, 0.3))
-                chair(self._building, f"{name}_chair", turned, _FABRICS[rng.integers(len(_FABRICS))])
+            with self._unless_left_out(room):
+                four_legged_table(self._building, name, spot, (1.4, 0.8), 0.74)
+                for side, turn in ((-1, 0.0), (1, np.pi)):
+                    place = spot.offset(self._building.loose(-0.3, 0.3), side * 0.68)
+                    turned = Spot(place.x_m, place.y_m, yaw_rad + turn + self._building.loose(-0.3, 0.3))
+                    chair(self._building, f"{name}_chair", turned, _FABRICS[rng.integers(len(_FABRICS))])
 
     def table_places(self, count: int) -> list[tuple[float, float]]:
         """Places (x, y) for tables, by seed, where there is room for one; the floor decides how many."""
@@ -182,9 +192,11 @@ class Dresser:
         if at_m + piece.width_m > face.length_m - 0.05:
             return 0.0
         spot = face.spot(at_m + piece.width_m / 2)
-        if not self._take(_rectangle(spot, piece.width_m, piece.depth_m)):
+        room = _rectangle(spot, piece.width_m, piece.depth_m)
+        if not self._take(room):
             return 0.0
-        piece.build(self._building, self._name(kind), spot)
+        with self._unless_left_out(room):
+            piece.build(self._building, self._name(kind), spot)
         return piece.width_m
 
     def _hang(self, face: Face, at_m: float, is_corridor: bool) -> float:
@@ -220,6 +232,14 @@ class Dresser:
             return False
         self._taken.append(shape)
         return True
+
+    @contextmanager
+    def _unless_left_out(self, room: shapely.Geometry) -> Iterator[None]:
+        """Things that are built meanwhile are removed where their room is left out; random numbers go on as ever."""
+        before = self._building.geom_count
+        yield
+        if shapely.intersects(self._left_out, room):
+            self._building.remove_since(before)
 
     def _name(self, kind: str) -> str:
         self._count += 1

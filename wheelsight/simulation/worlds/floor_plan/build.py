@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,15 @@ _STREAM = 0x100
 _FURNISHED_M = 10.0  # from the route: a depth camera sees no farther
 
 
-def build_floor_plan(plan: FloorPlan, seed: int, robot: Robot, least_m: float = 0.0, *, day: int = 0) -> World:
+def build_floor_plan(
+    plan: FloorPlan,
+    seed: int,
+    robot: Robot,
+    least_m: float = 0.0,
+    *,
+    day: int = 0,
+    begin: tuple[float, float, float] | None = None,
+) -> World:
     """The world of a floor plan.
 
     Walls stand where free floor ends, be it at occupied cells or at unknown ones, and reach to the ceiling. Far from
@@ -39,26 +48,39 @@ def build_floor_plan(plan: FloorPlan, seed: int, robot: Robot, least_m: float = 
         robot: that is to drive there.
         least_m: how far the route leads at least: a tour that is shorter is driven again.
         day: another one has chairs elsewhere.
+        begin: x, y, yaw in `map` where a robot begins that does not drive the route. Furniture that would stand where
+            it turns there is left out, and all else stands where it does without it.
 
     Raises:
         MapError, AreaError: a file that cannot be read or does not fit.
         ConfigError: a plan in which the robot fits nowhere, or a start where it does not fit.
     """
-    read = read_ros_map(plan.path, plan.resolution_m)
+    warnings: list[str] = []
+    read = read_ros_map(plan.path, plan.resolution_m, warnings.append)
     areas = [] if plan.areas is None else read_room_areas(Path(plan.areas), read)
     space = free_space_of(read, robot.width_m + 2 * SIDE_MARGIN_M)
     rooms = find_rooms(space)
     route = plan_route(space, rooms.doorways, robot, seed, Wishes(plan.way_m, least_m, plan.start))
     building = Building(plan.name, seed, day)
-    _furnish(building, space, rooms, route, robot, seed)
+    _furnish(building, space, rooms, route, robot, seed, begin)
     lap = "a lap" if route.is_loop else "a way"
     description = f"{space.shape.area:.0f} m² of {Path(plan.path).name}, {lap} of {route.length_m:.0f} m"
-    return building.world(description, areas, route.all_waypoints, is_loop=route.is_loop)
+    world = building.world(description, areas, route.all_waypoints, is_loop=route.is_loop)
+    return replace(world, warnings=tuple(warnings))
 
 
-def _furnish(building: Building, space: FreeSpace, rooms: Rooms, route: Route, robot: Robot, seed: int) -> None:
+def _furnish(
+    building: Building,
+    space: FreeSpace,
+    rooms: Rooms,
+    route: Route,
+    robot: Robot,
+    seed: int,
+    begin: tuple[float, float, float] | None,
+) -> None:
     """Walls, doors and furniture, out of the robot's way."""
-    swept = swept_by(Body.of(robot), route, _FURNITURE_MARGIN_M)
+    body = Body.of(robot)
+    swept = swept_by(body, route, _FURNITURE_MARGIN_M)
     looks = Looks(np.random.default_rng([seed, _STREAM]))
     faces = build_shell(building, space, rooms, looks)
     material = str(building.rng.choice(doors.MATERIALS))
@@ -70,7 +92,9 @@ def _furnish(building: Building, space: FreeSpace, rooms: Rooms, route: Route, r
         gaps.append(gap.buffer(doorway.thickness_m / 2 + _BESIDE_DOOR_M, cap_style="square"))
         kept_free += [door.footprint.buffer(_OFF_LEAF_M), shapely.Point(doorway.middle).buffer(_BEFORE_DOOR_M)]
     floor = shapely.intersection(space.shape, route.around(_FURNISHED_M))
-    dresser = Dresser(building, floor, shapely.union_all(kept_free), shapely.union_all(gaps))
+    turning = body.turning_m + _FURNITURE_MARGIN_M
+    left_out = shapely.Point() if begin is None else shapely.Point(begin[:2]).buffer(turning)
+    dresser = Dresser(building, floor, shapely.union_all(kept_free), shapely.union_all(gaps), left_out)
     for face in faces:
         dresser.face(face)
     dresser.tables(dresser.table_places(table_count(floor.area)))
