@@ -369,7 +369,7 @@ def _measured(target: Target, place: Path, scratch: Path) -> tuple[bool, tuple[s
     clock = _OwnClock(os.getpid())
     held, of_others, began_s = _resident_bytes(), _peak_of_children(), clock.now_s()
     resource.setrlimit(resource.RLIMIT_FSIZE, (2 * MOST_BYTES, resource.RLIM_INFINITY))
-    is_accepted, fault = _answer(target, place)
+    is_accepted, fault = answer(target, place)
     resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     took_s = clock.now_s() - began_s
     peak, others = _status_bytes("VmHWM"), _peak_of_children()
@@ -426,7 +426,7 @@ def _write(files: Any, place: Path) -> None:
         path.write_bytes(data)
 
 
-def _answer(target: Target, place: Path) -> tuple[bool, tuple[str, str] | None]:
+def answer(target: Target, place: Path) -> tuple[bool, tuple[str, str] | None]:
     """Whether an input was accepted, and what was wrong with the answer."""
     try:
         target.read(place)
