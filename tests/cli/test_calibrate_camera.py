@@ -228,6 +228,17 @@ def test_a_live_camera_without_a_board_and_options_that_mean_nothing_are_refused
     assert "error: no view of the board 9x6:35mm came from fake 1" in answer.stderr
 
 
+def test_what_a_ruler_measured_is_not_missing(wheelsight: Command, tmp_path: Path) -> None:
+    out = tmp_path / "robot.yaml"
+    begin = "format: wheelsight-calibration-1\nsource: a ruler\n"
+    sizes = "{left_radius_m: 0.17, right_radius_m: 0.17, track_width_m: 0.58, ticks_per_turn: 3200}"
+    out.write_text(f"{begin}wheels: {sizes}\n")
+    rows = {line.split()[0]: line for line in wheelsight("calibrate", "robot", out).stdout.splitlines() if line.strip()}
+    assert rows["wheels"].split()[1:] == "not measured by a data sheet or a ruler".split()
+    assert rows["mount"].split()[1:] == ["missing", "none"]
+    assert rows["camera"].split()[1] == "missing"
+
+
 def test_a_robot_is_led_through_all_steps(wheelsight: Command, views: Path, tmp_path: Path) -> None:
     out = tmp_path / "robot.yaml"
     first = wheelsight("calibrate", "robot", out)

@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -159,6 +160,32 @@ def test_monitor_draws_a_table_for_a_terminal(
     for fact in ("status", "format", "left", "right", "frames", "lost", "controller", "port"):
         assert fact in result.stdout
     assert "\x1b[" in result.stdout
+
+
+def test_a_simulated_controller_is_there_until_it_ends(
+    wheelsight: Command, refusal: Refusal, tmp_path: Path, calibration: Path
+) -> None:
+    port, came = tmp_path / "ttyWHEELS", []
+
+    def listen() -> None:
+        ends_s = time.monotonic() + 60
+        while not port.exists() and time.monotonic() < ends_s:
+            time.sleep(0.01)
+        with WheelLink(str(port)) as link:
+            came.append(next(link.ticks()))
+
+    listener = threading.Thread(target=listen)
+    listener.start()
+    result = wheelsight("wheels", "simulate", port, "--motion", "turns", "--calibration", calibration, "--seconds", 3)
+    listener.join()
+    assert result.exit_code == 0, result.output
+    first, second = result.stderr.splitlines()
+    assert first == f"{port}: a simulated controller, the framed protocol, until Ctrl-C; in another terminal:"
+    assert second == f"wheelsight wheels monitor {port}"
+    assert isinstance(came[0], WheelTicks)
+    assert not port.is_symlink()
+    assert "--motion is 'dance' (lap, turns or none)" in refusal("wheels", "simulate", port, "--motion", "dance")
+    assert "is there already" in refusal("wheels", "simulate", calibration)
 
 
 def test_monitor_tells_a_wrong_baud_rate(wheelsight: Command, controller: SimulatedController) -> None:

@@ -82,7 +82,7 @@ _COMMANDS: tuple[tuple[str, tuple[tuple[Any, str, str], ...]], ...] = (
         (
             (devices.devices, "devices", "Cameras and serial ports that are plugged in"),
             (record.record, "record", "A camera and wheels as a recording"),
-            (wheels.app, "wheels", "A wheel controller, live: monitor, serve"),
+            (wheels.app, "wheels", "A wheel controller: monitor, serve, simulate"),
         ),
     ),
     (

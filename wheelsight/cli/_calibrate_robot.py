@@ -42,7 +42,7 @@ def robot(file: Robot, check: Check = None, topic: Topics = None) -> None:
 
     stdout = console()
     steps, history = steps_of(file)
-    rows = [(step.name, "there" if step.is_done else "missing", step.told) for step in steps]
+    rows = [(step.name, step.state, step.told) for step in steps]
     stdout.print(table(str(file) if is_there(file) else f"{file} (not there yet)", ("", "", "what"), rows))
     if history:
         stdout.print(table("measured so far", HEAD, history_rows(history)))

@@ -22,13 +22,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One part of a robot's calibration: whether it is there, what it is, how to get it and by which commands."""
+    """One part of a robot's calibration: whether it was measured, what is known of it, how to measure it.
+
+    Attributes:
+        is_done: whether a calibration of ours measured it.
+        is_known: whether the file has values of it, a ruler's or the maker's at least.
+        told: what those values are.
+    """
 
     name: str
     is_done: bool
+    is_known: bool
     told: str
     how: str
     commands: tuple[str, ...]
+
+    @property
+    def state(self) -> str:
+        """In a word or two."""
+        return "measured" if self.is_done else "not measured" if self.is_known else "missing"
 
 
 def steps_of(file: Path) -> tuple[list[Step], tuple[Measured, ...]]:
@@ -46,7 +58,8 @@ def steps_of(file: Path) -> tuple[list[Step], tuple[Measured, ...]]:
 
 def _camera(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
     is_done = "calibrate camera" in by and "color" in known
-    told = "lenses, T_color_depth and depth_error, by a board" if is_done else "lenses as the maker has them or none"
+    is_known = "color" in known
+    told = "lenses, T_color_depth and depth_error, by a board" if is_done else "lenses as the maker has them"
     how = (
         "Print the board, measure the line on it, glue it to something flat. 20 to 40 views with all still: near and "
         "far, tilted each way, in every corner of the image."
@@ -55,32 +68,38 @@ def _camera(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step
         "wheelsight board --out board.pdf",
         f"wheelsight calibrate camera --camera any --board 9x6:25mm --plate --out {file}{force}",
     )
-    return Step("camera", is_done, told, how, commands)
+    return Step("camera", is_done, is_known, told if is_known else "a live camera's maker says them", how, commands)
 
 
 def _mount(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
     is_done = "calibrate base" in by and "T_base_camera" in known
-    told = "T_base_camera, found on a drive" if is_done else "by a ruler" if "T_base_camera" in known else "none"
+    is_known = "T_base_camera" in known
+    told = "T_base_camera, found on a drive" if is_done else "T_base_camera, by a ruler" if is_known else "none"
     how = (
         "Drive two minutes over a flat floor that the camera sees: straight, turns both ways, some on the spot, stops "
         "between. Wheels by a ruler will do."
     )
     given = f" --calibration {file}" if known else ""
-    if not ("wheels" in known or "wheels" in known.get(NOMINAL, {})):
+    if not _has_wheels(known):
         given += " --calibration nominal.yaml"
-    return Step("mount", is_done, told, how, (f"wheelsight calibrate base DRIVE{given} --out {file}{force}",))
+    return Step("mount", is_done, is_known, told, how, (f"wheelsight calibrate base DRIVE{given} --out {file}{force}",))
 
 
 def _wheels(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
     is_done = bool({"calibrate wheels", "calibrate umbmark"} & by) and "wheels" in known
-    told = "radii, track width, delay" if is_done else "by a data sheet or a ruler, or none"
+    is_known = _has_wheels(known)
+    told = "radii, track width, delay" if is_done else "by a data sheet or a ruler" if is_known else "none"
     # The camera's way tells of the wheels once it is known where on the robot the camera sits.
     how = "The same drive, or another of some minutes: straight, turns both ways, some on the spot, stops between."
     commands = (
         f"wheelsight run DRIVE --odometry dense --calibration {file} --out visual",
         f"wheelsight calibrate wheels DRIVE --reference visual/trajectory.txt --calibration {file} --out {file}{force}",
     )
-    return Step("wheels", is_done, told, how, commands)
+    return Step("wheels", is_done, is_known, told, how, commands)
+
+
+def _has_wheels(known: dict[str, Any]) -> bool:
+    return "wheels" in known or "wheels" in known.get(NOMINAL, {})
 
 
 def loop_check(folder: Path, file: Path, topics: Sequence[str] | None) -> tuple[tuple[str, ...], bool]:
@@ -127,7 +146,7 @@ def _loop_against(found: LoopCheck, is_stated: bool) -> str:
 
 
 def _loop_advice(found: LoopCheck) -> str:
-    """What to do."""
+    """The next thing to do."""
     if found.is_as_stated:
         return "" if found.is_good else "Those σ are large: calibrate the wheels, on a longer drive."
     if not found.causes:

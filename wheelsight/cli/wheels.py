@@ -1,4 +1,4 @@
-"""`wheelsight wheels`: the wheel controller on a serial port, to look at and to serve to other programs."""
+"""`wheelsight wheels`: the wheel controller on a serial port, to look at, to serve, and a simulated one to practise."""
 
 from __future__ import annotations
 
@@ -106,6 +106,61 @@ def serve(
     ):
         tell(link, telemetry, telling, is_over)
     print_note(f"{telling.sent} lines sent, {telling.dropped} dropped for slow readers")
+
+
+@app.command(cls=Command)
+def simulate(
+    port: Annotated[Path, typer.Argument(metavar="PORT", help="The port to make: a link to a pseudo-terminal.")] = Path(
+        "ttyWHEELS"
+    ),
+    plain: Annotated[
+        bool, typer.Option("--plain", help="Print the lines of an Arduino, time,left,right, and take no commands.")
+    ] = False,
+    motion: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="What it does until it is commanded: lap (2 m ahead, about, back, about), turns (each wheel one turn "
+            "and back), or none.",
+        ),
+    ] = "lap",
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="calibration.yaml with its wheels.", show_default="the wheelchair of the tutorial"
+        ),
+    ] = None,
+    seconds: Seconds = None,
+) -> None:
+    """Simulate a wheel controller on a port of its own, to practise without hardware, until Ctrl-C.
+
+    It speaks the real protocol: monitor, record, run --live and drive take it for a controller. It moves by
+    itself, again and again, until a program drives it.
+
+    [bold]Examples[/bold]
+
+    wheelsight wheels simulate
+
+    wheelsight wheels simulate ttyARDUINO --plain --motion turns
+    """
+    from wheelsight.calibration import Wheels
+    from wheelsight.cli._console import print_note
+    from wheelsight.devices.simulated_controller import Practice, SimulatedController, lap, turns
+    from wheelsight.errors import ConfigError
+
+    if motion not in ("lap", "turns", "none"):
+        raise ConfigError(f"--motion is {motion!r}", fix="lap, turns or none")
+    wheels = Wheels(0.17, 0.17, 0.58, 3200.0) if calibration is None else _wheels_of(calibration)
+    legs = lap(wheels) if motion == "lap" else turns(wheels) if motion == "turns" else ()
+    with (
+        until_stopped(seconds) as is_over,
+        SimulatedController(port.parent, port.name, is_plain=plain, motors=Practice(wheels, legs)),
+    ):
+        what = "plain text" if plain else "the framed protocol"
+        print_note(f"{port}: a simulated controller, {what}, until Ctrl-C; in another terminal:")
+        print_note(f"wheelsight wheels monitor {port}")
+        while not is_over():
+            time.sleep(_wait_s(_TABLES_PER_S, seconds))
 
 
 def note_status(port: str) -> Callable[[LinkStatus], None]:

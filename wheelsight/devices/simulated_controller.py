@@ -23,6 +23,8 @@ from wheelsight.calibration import Wheels
 from wheelsight.devices.protocol import FULL_DUTY, Ack, Command, Counts, Version, encode_frame, encode_message
 from wheelsight.errors import DeviceError
 
+Motors = Callable[[tuple[int, int], float], tuple[int, int]]
+
 PERIOD_S = 0.02
 WATCHDOG_S = 0.25
 PORT_NAME = "ttyWHEELS"
@@ -140,11 +142,13 @@ class SimulatedController:
         DeviceError: there are no pseudo-terminals here, or the link cannot be made; says why.
     """
 
-    def __init__(self, folder: Path, name: str = PORT_NAME, *, is_plain: bool = False) -> None:
+    def __init__(
+        self, folder: Path, name: str = PORT_NAME, *, is_plain: bool = False, motors: Motors | None = None
+    ) -> None:
         self.port = folder / name
         self.left = self.right = 0
         self.speeds = (0, 0)
-        self.motors: Callable[[tuple[int, int], float], tuple[int, int]] | None = None
+        self.motors = motors
         self.duties = (0, 0)
         self.commands: list[tuple[int, bytes]] = []
         self.is_muted, self.is_noisy, self.answers, self.is_paper = False, False, True, False
