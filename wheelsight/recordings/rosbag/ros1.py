@@ -141,12 +141,16 @@ class _Places:
     def __init__(self, names: tuple[bytes, ...]) -> None:
         self._names = names
         self._found: tuple[int, ...] = ()
+        self._expected: list[tuple[bytes, int]] = []
 
     def of(self, header: bytes) -> tuple[int, ...]:
         """The places in the order of the names, -1 for one that is missing. Raises LookupError without the first."""
-        known = self._found
-        if known and all(header.startswith(name, at - len(name)) for name, at in zip(self._names, known, strict=True)):
-            return known
+        for name, at in self._expected:
+            if not header.startswith(name, at):
+                break
+        else:
+            if self._expected:
+                return self._found
         found, at = {}, 0
         while at < len(header):
             (size,) = _U32.unpack_from(header, at)
@@ -156,4 +160,5 @@ class _Places:
         places = (found[self._names[0]], *(found.get(name, -1) for name in self._names[1:]))
         if -1 not in places:
             self._found = places
+            self._expected = [(name, at - len(name)) for name, at in zip(self._names, places, strict=True)]
         return places
