@@ -37,12 +37,12 @@ def test_the_page_tells_where_it_went_what_held_it_and_what_it_saw(record: Drive
 
 
 def test_the_verdict_is_of_the_goals(record: DriveRecord) -> None:
-    assert verdict(record)[::2] == ("Arrived", "good")
-    assert verdict(replace(record, asked=2))[::2] == ("1 of 2 goals reached", "poor")
-    assert verdict(replace(record, asked=2, is_interrupted=True))[::2] == ("Interrupted", "fair")
+    assert verdict(record)[::2] == ("Arrived", "green")
+    assert verdict(replace(record, asked=2))[::2] == ("1 of 2 goals reached", "red")
+    assert verdict(replace(record, asked=2, is_interrupted=True))[::2] == ("Interrupted", "amber")
     helped = replace(record.goals[0], result=replace(record.goals[0].result, recoveries=2))
     phrase, sentences, tone = verdict(replace(record, goals=(helped,)))
-    assert (phrase, tone) == ("Arrived", "fair")
+    assert (phrase, tone) == ("Arrived", "amber")
     assert "2 times it had to get itself out" in sentences
 
 

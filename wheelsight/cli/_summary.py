@@ -9,38 +9,61 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from wheelsight.pipeline import RectificationRecord, RunRecord
+    from wheelsight.pipeline import RectificationRecord, RunRecord, Verdict
 
-_ON_THE_PAGE_ONLY = ("ATE, max", "of the way", "turn a metre", "95 % within")  # a terminal is 80 signs wide
+_ON_THE_PAGE_ONLY = ("ATE, max", "of the way", "turn a metre", "95 % within", "time covered")  # 80 signs wide
 
 
 def print_summary(records: Sequence[RunRecord], out: Path) -> None:
-    """Figures of the only odometry, or a table of several with one row each; warnings and files."""
+    """Whether a known map was recognised; figures, a row for each odometry; warnings, the verdict, files."""
     from wheelsight.cli._console import console, facts_table, print_warning
     from wheelsight.cli.evaluate import evaluation_table
+    from wheelsight.pipeline import verdict_of_run
     from wheelsight.report import why_no_page
 
     stdout = console()
     first = records[0]
+    for known in (record.known_map for record in records if record.known_map is not None):
+        stdout.print(f"{known.sentence}.")
     if len(records) > 1:
         stdout.print(_joint_table(records))
-        for record in records:
-            if record.rectification is not None and record.rectification.errors is not None:
-                stdout.print(_map_error_table(record.rectification))
-        if any(record.is_joined for record in records):
-            stdout.print(facts_table("what joining came to", _joined_facts(records)))
+        for areas in (record.rectification for record in records if record.rectification is not None):
+            if areas.errors is not None:
+                stdout.print(_map_error_table(areas))
     else:
         stdout.print(facts_table(f"{first.recording}: T_{first.estimate.frame}_{first.estimate.body}", _facts(first)))
         if first.evaluation is not None:
             stdout.print(evaluation_table(first.evaluation))
-    for shown in (*_corrections(records), *([] if first.realtime is None else [first.realtime.sentence])):
+    for shown in _corrections(records):
         stdout.print(shown, markup=False)
     for warning in dict.fromkeys(w for record in records for w in record.warnings):
         print_warning(warning)
+    _print_verdict(verdict_of_run(records))
     for line in _maps(records, out):
         stdout.print(line)
     if why_no_page() is None:
         stdout.print(f"report: {out / 'report.html'}")
+
+
+def _print_verdict(verdict: Verdict) -> None:
+    """In a line; below, what it rests on, the worst first, each with what to do."""
+    from rich.text import Text
+
+    from wheelsight.cli._console import console
+    from wheelsight.pipeline import Tone
+
+    styles = {Tone.GREEN: "green", Tone.AMBER: "yellow", Tone.RED: "bold red"}
+    stdout = console()
+    stdout.print(Text.assemble("verdict: ", (str(verdict.tone), styles[verdict.tone]), f", {verdict.phrase}"))
+    for found in verdict.concerns:
+        if found.about not in ("map", "sensors"):  # printed above: the first line, and the warnings
+            stdout.print(Text.assemble((f"  {found.tone:<6}", styles[found.tone]), found.line))
+    sound = [found for found in verdict.findings if found.tone is Tone.GREEN and found.about != "map"]
+    if sound:
+        shorts = "; ".join(found.short for found in sound)
+        stdout.print(Text.assemble((f"  {Tone.GREEN:<6}", styles[Tone.GREEN]), f"{shorts}."))
+    for fact in verdict.facts:
+        stdout.print(Text(f"        {fact}"))
 
 
 def _corrections(records: Sequence[RunRecord]) -> Iterator[Table | str]:
@@ -80,7 +103,7 @@ def _joint_table(records: Sequence[RunRecord]) -> Table:
         caption_justify="left",
         caption_style="",
     )
-    shown = [index for index, name in enumerate(head) if name not in _ON_THE_PAGE_ONLY]
+    shown = [index for index, name in enumerate(head) if not name.startswith(_ON_THE_PAGE_ONLY)]
     for index in shown:
         table.add_column(head[index], justify="right" if index else "left")
     for record, row in zip(records, rows, strict=True):
@@ -88,40 +111,18 @@ def _joint_table(records: Sequence[RunRecord]) -> Table:
     return table
 
 
-def _joined_facts(records: Sequence[RunRecord]) -> Iterator[tuple[str, str]]:
-    """What joining came to."""
-    from wheelsight.cli._console import percent
-    from wheelsight.pipeline import best_alone_of, facts_of, joined_of, words
-
-    joined, best_alone = joined_of(records), best_alone_of(records)
-    assert joined is not None
-    facts = facts_of(joined)
-    if best_alone is not None:
-        yield "error", f"{words.number(best_alone.ratio, 2)} times that of {best_alone.odometry} alone"
-    for status, seconds in facts.seconds.items():
-        episodes = len(facts.coasting_s)
-        times = "once" if episodes == 1 else f"{episodes} times"
-        yield status, f"{seconds:.2f} s, {times}" if status == "coasting" else f"{seconds:.2f} s"
-    for flag, share in facts.flag_shares.items():
-        if share:
-            yield flag, f"{percent(share)} of the time"
-    found = facts.consistency
-    if found is not None:
-        yield "end", f"{found.drift_m:.3f} m off after {found.way_m:.2f} m ({100 * found.drift_share:.2f} %)"
-        yield "stated 3σ", f"holds {percent(found.share)} of the time"
-
-
 def _map_error_table(found: RectificationRecord) -> Table:
     """What areas leave of the wheels' error."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from wheelsight.report import ERROR_HEAD, error_rows
+    from wheelsight.report import error_rows
 
     table = Table(title="distance from the truth, nothing aligned", box=SIMPLE_HEAD, title_justify="left")
-    for index, name in enumerate(ERROR_HEAD):
+    head, rows = error_rows(found)
+    for index, name in enumerate(head):
         table.add_column(name, justify="right" if index else "left")
-    for row in error_rows(found):
+    for row in rows:
         table.add_row(*row)
     return table
 
@@ -133,6 +134,8 @@ def _facts(record: RunRecord) -> Iterator[tuple[str, str]]:
     summary = summarise(record)
     digits = ".1f" if summary.unit == "frame" else ".4f"
     yield f"{summary.unit}s", f"{summary.posed} of {summary.frames} with a pose ({percent(summary.pose_share)})"
+    if record.drops is not None and record.drops.total:
+        yield "dropped", record.drops.sentence
     for why, count in summary.skips:
         yield "skipped", f"{count} × {why}"
     for why, count in summary.failures:

@@ -11,8 +11,9 @@ from wheelsight.pipeline.realtime import RealTimeRecording, in_real_time
 from wheelsight.pipeline.realtime_record import RealTimeRecord
 from wheelsight.pipeline.rectification_record import Look, MapErrors, RectificationRecord
 from wheelsight.pipeline.rehearses import InRealTime
-from wheelsight.pipeline.run_record import FrameRecord, MatchPicture, RunRecord
+from wheelsight.pipeline.run_record import FrameDrops, FrameRecord, MatchPicture, RunRecord
 from wheelsight.pipeline.runs import run_each
+from wheelsight.pipeline.verdict import Evidence, Finding, Tone, Verdict, evidence_of, judge, verdict_of, verdict_of_run
 
 __all__ = [
     "CORRECTED_FILE",
@@ -22,6 +23,9 @@ __all__ = [
     "BestAlone",
     "Choice",
     "CorrectionRecord",
+    "Evidence",
+    "Finding",
+    "FrameDrops",
     "FrameRecord",
     "InRealTime",
     "JoinedFacts",
@@ -36,10 +40,16 @@ __all__ = [
     "RealTimeRecording",
     "RectificationRecord",
     "RunRecord",
+    "Tone",
+    "Verdict",
     "best_alone_of",
     "default_odometry",
+    "evidence_of",
     "facts_of",
     "in_real_time",
     "joined_of",
+    "judge",
     "run_each",
+    "verdict_of",
+    "verdict_of_run",
 ]

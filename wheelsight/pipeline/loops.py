@@ -20,7 +20,6 @@ from wheelsight.matches import Match, SpeedVariances
 from wheelsight.odometry.wheels import WheelOdometry
 from wheelsight.recordings import MATCHES_FILE, GivesMatches, Recording, matches_of, read_matches
 from wheelsight.slam.correction import Correction, correct, corrected_by
-from wheelsight.slam.live import ClosedLoops
 from wheelsight.slam.settings import FROM_KEYFRAMES, FROM_MATCHES, FROM_NOWHERE, LoopSettings
 from wheelsight.sources import EventSource
 from wheelsight.trajectory import Trajectory
@@ -59,7 +58,8 @@ class CorrectionRecord:
         seconds: that it took.
         evaluation: of the corrected trajectory, or None without truth.
         refused: how many keyframes that looked alike were no place seen again, by reason.
-        unseen: keyframes that nobody had time to compare.
+        unseen: keyframes that there was no time to compare.
+        is_joined: whether it is known where the drive's end lies in its own map.
     """
 
     found: Correction
@@ -69,6 +69,7 @@ class CorrectionRecord:
     evaluation: Evaluation | None
     refused: Mapping[str, int] = field(default_factory=dict)
     unseen: int = 0
+    is_joined: bool = True
 
     def to_dict(self) -> dict[str, Any]:
         """For metrics.json."""
@@ -81,6 +82,7 @@ class CorrectionRecord:
             "not_judged": dict(self.found.unused),
             "not_verified": dict(self.refused),
             "not_compared": self.unseen,
+            "joined": self.is_joined,
             "reviews": loops.reviews,
             "overturned": loops.overturned,
             "keyframes": len(self.found.rows),
@@ -137,29 +139,12 @@ def correction_of(
     closed = localizer.loops.finish()
     if not (len(lived) and len(closed.stamps_s)):
         return None, ("Loops were not closed: no keyframe has a pose.",)
-    unsure = _not_recognised(closed)
     if closed.known and not closed.is_in_map.any():
-        return None, unsure
+        return None, ()
     found = corrected_by(closed, lived)
     seconds, count = time.perf_counter() - started, len(closed.loops.judged)
-    told = (found, closed.stamps_s, count, seconds, judge(found.corrected), closed.refused, closed.unseen)
-    return CorrectionRecord(*told), unsure
-
-
-def _not_recognised(closed: ClosedLoops) -> tuple[str, ...]:
-    """A warning where nobody knows, or nothing but the user says, where the drive lies in the map."""
-    told = "The place was not recognised in the map"
-    unknown = int(np.count_nonzero(~closed.is_in_map))
-    if not closed.known:
-        since = "After the camera was lost, its place was not recognised again: the way from there on lies in the map"
-        return () if closed.is_joined else (f"{since} where odometry has it.",)
-    if unknown == len(closed.is_in_map):
-        return (f"{told}: there are no poses in it.",)
-    if unknown:
-        return (f"{told} at {unknown} of {len(closed.is_in_map)} keyframes: near them there are no poses in it.",)
-    if any(loop.first < closed.known <= loop.second for loop in closed.loops.kept):
-        return ()
-    return (f"{told}: poses in it rest on the start that was given alone.",)
+    judged = judge(found.corrected), closed.refused, closed.unseen, bool(closed.known) or closed.is_joined
+    return CorrectionRecord(found, closed.stamps_s, count, seconds, *judged), ()
 
 
 def _by_matches(

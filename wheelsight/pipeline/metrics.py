@@ -16,17 +16,20 @@ from wheelsight.pipeline.origin import format_of, frame_count_of, path_of, wheel
 from wheelsight.pipeline.rectification_record import RectificationRecord
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.pipeline.track import Passage
+from wheelsight.pipeline.verdict import verdict_of, verdict_of_run
 from wheelsight.sources import EventSource
 
 
-def metrics_of(record: RunRecord, passage: Passage, source: EventSource) -> dict[str, Any]:
-    """The figures of one odometry, and of the pass it was part of."""
+def metrics_of(
+    record: RunRecord, passage: Passage, source: EventSource, records: Sequence[RunRecord] = ()
+) -> dict[str, Any]:
+    """The figures of one odometry, and of the pass it was part of; `records` are those of all odometries."""
     return {
         "recording": _recording(source),
         "frame": f"T_{record.estimate.frame}_{record.estimate.body}",
         "interrupted": passage.interruption is not None,
         **_real_time(record),
-        **_of_odometry(record, passage, source),
+        **_of_odometry(record, passage, source, records),
         "peak_memory_mb": record.peak_memory_mb,
         "warnings": list(record.warnings),
         "versions": _versions(),
@@ -39,7 +42,7 @@ def joint_metrics(records: Sequence[RunRecord], passage: Passage, source: EventS
     of_each = {
         record.odometry: {
             "frame": f"T_{record.estimate.frame}_{record.estimate.body}",
-            **_of_odometry(record, passage, source),
+            **_of_odometry(record, passage, source, records),
             "warnings": [warning for warning in record.warnings if warning not in shared],
         }
         for record in records
@@ -47,6 +50,7 @@ def joint_metrics(records: Sequence[RunRecord], passage: Passage, source: EventS
     return {
         "recording": _recording(source),
         "interrupted": passage.interruption is not None,
+        "verdict": verdict_of_run(records).to_dict(),
         "elapsed_s": passage.elapsed_s,
         **_real_time(records[0]),
         "odometry": of_each,
@@ -67,8 +71,11 @@ def _real_time(record: RunRecord) -> dict[str, Any]:
     return {} if record.realtime is None else {"realtime": record.realtime.to_dict()}
 
 
-def _of_odometry(record: RunRecord, passage: Passage, source: EventSource) -> dict[str, Any]:
+def _of_odometry(
+    record: RunRecord, passage: Passage, source: EventSource, records: Sequence[RunRecord]
+) -> dict[str, Any]:
     return {
+        "verdict": verdict_of(record, records).to_dict(),
         "frames" if record.unit == "frame" else "wheel_readings": _frame_counts(record, source),
         "timing": _timing(record, passage),
         "trajectory": {"length_m": record.estimate.length_m, "duration_s": record.estimate.duration_s},
@@ -77,6 +84,7 @@ def _of_odometry(record: RunRecord, passage: Passage, source: EventSource) -> di
         **({} if record.map is None else {"map": _map(record.map)}),
         **({} if record.rectification is None else {"rectification": _rectification(record.rectification)}),
         **({} if record.correction is None else {"loops": record.correction.to_dict()}),
+        **({} if record.known_map is None else {"known_map": record.known_map.to_dict()}),
         **({} if record.kept_map is None else {"kept_map": record.kept_map.to_dict()}),
         **({"joined": _joined(facts_of(record))} if record.is_joined else {}),
     }
@@ -157,6 +165,7 @@ def _frame_counts(record: RunRecord, source: EventSource) -> dict[str, Any]:
         "with_pose_share": record.posed / len(frames) if frames else 0.0,
         "skipped": sum(frame.is_skipped for frame in frames),
         "repeated_images": len(record.frames) - len(frames),
+        "dropped": None if record.drops is None else record.drops.to_dict(),
         "dropped_color_images": None if paired is None else paired.dropped_color,
         "dropped_depth_images": None if paired is None else paired.dropped_depth,
         "status": {status: statuses.count(status) for status in sorted(set(statuses))},

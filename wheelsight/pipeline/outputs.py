@@ -64,7 +64,7 @@ def write_results(
         _write_one(records[0], passage, source, folder)
     else:
         for record in records:
-            _write_one(record, passage, source, make_output_folder(folder / record.odometry, force=True))
+            _write_one(record, passage, source, make_output_folder(folder / record.odometry, force=True), records)
         _write_json(joint_metrics(records, passage, source), folder / METRICS_FILE)
     if draw is None:
         _forget(folder / PAGE_FILE)
@@ -86,8 +86,10 @@ def _forget_others(records: Sequence[RunRecord], folder: Path) -> None:
             raise output_error(error, place) from error
 
 
-def _write_one(record: RunRecord, passage: Passage, source: EventSource, folder: Path) -> None:
-    _forget(folder / COVARIANCES_FILE)  # first: no table tells of another run's poses
+def _write_one(
+    record: RunRecord, passage: Passage, source: EventSource, folder: Path, records: Sequence[RunRecord] = ()
+) -> None:
+    _forget(folder / COVARIANCES_FILE)  # first: no table is left of another run's poses
     write_tum(record.estimate, folder / TRAJECTORY_FILE)
     if record.odom is None:
         _forget(folder / ODOM_FILE)
@@ -100,7 +102,7 @@ def _write_one(record: RunRecord, passage: Passage, source: EventSource, folder:
         write_text(folder / "areas.csv", looks_csv(record.rectification))
     _write_correction(record, folder)
     _write_map(record, passage, folder / MAP_FILE)
-    _write_json(metrics_of(record, passage, source), folder / METRICS_FILE)
+    _write_json(metrics_of(record, passage, source, records), folder / METRICS_FILE)
 
 
 def _write_correction(record: RunRecord, folder: Path) -> None:
@@ -139,10 +141,13 @@ def _write_json(figures: dict[str, Any], path: Path) -> None:
 def _status_csv(record: RunRecord) -> str:
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["stamp_s", "status", "reason", "matches", "inliers", "time_ms", "flags", "note"])
-    for frame in record.frames:
+    rows.writerow(["stamp_s", "status", "reason", "matches", "inliers", "time_ms", "flags", "note", "dropped"])
+    dropped = [frame.overtaken + frame.is_unread for frame in record.frames]
+    if dropped and record.drops is not None:
+        dropped[-1] += record.drops.total - sum(dropped)  # those after it, and those that never became a frame
+    for frame, lost in zip(record.frames, dropped, strict=True):
         counts = (frame.matches, frame.inliers, f"{1e3 * frame.seconds:.3f}")
         # as in trajectory.txt, so that rows can be joined
         stamp = np.format_float_positional(frame.stamp_s, min_digits=6)
-        rows.writerow([stamp, frame.status, frame.reason or "", *counts, ";".join(frame.flags), frame.note])
+        rows.writerow([stamp, frame.status, frame.reason or "", *counts, ";".join(frame.flags), frame.note, lost])
     return text.getvalue()

@@ -114,9 +114,9 @@ class RealTimeRecording:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """The recording's and the wheels', and what to do where many frames were dropped."""
+        """The recording's and the wheels'."""
         of_wheels = () if self.wheels is None else self.wheels.warnings
-        return (*self._recording.warnings, *of_wheels, *_advice(self.report(), self.settings.dropped_share))
+        return (*self._recording.warnings, *of_wheels)
 
     def events(self, *, images: bool = True) -> Generator[Event]:
         """The events, each when its time comes, from the start at each call."""
@@ -234,16 +234,3 @@ def _check_times(recording: Recording, wheels: RecordedWheels) -> None:
         problem = f"{wheels.where}: its readings are of {first_s:.3f} s to {last_s:.3f} s"
         images = f"the images of {recording.path} of {frames_s[0]:.3f} s to {frames_s[-1]:.3f} s"
         raise ConfigError(f"{problem}, {images}", fix="both must be stamped by one clock")
-
-
-def _advice(played: RealTimeRecord, dropped_share: float) -> tuple[str, ...]:
-    """What to do where many frames were dropped."""
-    if played.dropped_share <= dropped_share:
-        return ()
-    text = (
-        f"In real time {played.dropped} of {played.frames} frames ({100 * played.dropped_share:.0f} %) were dropped: "
-        f"this computer answers {played.answered_per_s:.1f} a second."
-    )
-    if played.unread > played.dropped / 2:
-        return (f"{text} Most were not even decoded in time: the disk or the decoding of images is too slow.",)
-    return (f"{text} End other programs, let the camera send fewer images, or take a faster computer.",)

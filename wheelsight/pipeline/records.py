@@ -10,7 +10,8 @@ import numpy as np
 from wheelsight.config import Config
 from wheelsight.errors import CalibrationError, EvaluationError
 from wheelsight.evaluation import Evaluation, evaluate
-from wheelsight.pipeline.kept_map_record import KeptMapRecord
+from wheelsight.geometry import se3
+from wheelsight.pipeline.kept_map_record import KeptMapRecord, KnownMapRecord
 from wheelsight.pipeline.kept_maps import finish_map, kept_surfels
 from wheelsight.pipeline.loops import MatchesOfRun, correction_of
 from wheelsight.pipeline.map_record import MapRecord
@@ -101,6 +102,45 @@ def _record_of(track: Track, passage: Passage, source: EventSource, config: Conf
         map=surfels,
         kept_map=kept,
         realtime=source.report() if isinstance(source, InRealTime) else None,
+        faults=tuple(track.localizer.warnings),
+        known_map=_known_map(track, passage, config),
+        is_interrupted=passage.interruption is not None,
+    )
+
+
+def _known_map(track: Track, passage: Passage, config: Config) -> KnownMapRecord | None:
+    """Whether and where it found itself in the map of an earlier drive; None where it was not to."""
+    localizer, given = track.localizer, config.known_map
+    if localizer.recognised is None or localizer.loops is None or given.path is None or passage.is_torn:
+        return None
+    closed = localizer.loops.finish()
+    kept = sum(loop.first < closed.known <= loop.second for loop in closed.loops.kept)
+    record = KnownMapRecord(
+        given.path,
+        views=max(localizer.recognised, kept),
+        keyframes=len(closed.is_in_map),
+        keyframes_placed=int(np.count_nonzero(closed.is_in_map)),
+        has_start=given.start is not None,
+    )
+    found = track.found
+    if found is None or found.T_odom_body is None or not track.frames:
+        return record
+    T_odom_map = np.eye(4) if found.T_map_odom is None else found.T_map_odom
+    T, C = T_odom_map @ found.T_odom_body, found.covariance_map
+    x_m, y_m, z_m = T[:3, 3].tolist()
+    sigma_m = sigma_rad = None
+    if C is not None:
+        blocks = se3.position_covariance(T, C), C[3:, 3:]
+        sigma_m, sigma_rad = (float(np.sqrt(max(np.linalg.eigvalsh(block)[-1], 0.0))) for block in blocks)
+    return replace(
+        record,
+        after_s=max(float(found.stamp_s - track.frames[0].stamp_s), 0.0),
+        x_m=x_m,
+        y_m=y_m,
+        z_m=z_m,
+        yaw_rad=float(np.arctan2(T[1, 0], T[0, 0])) if localizer.body == "base" else None,
+        sigma_m=sigma_m,
+        sigma_rad=sigma_rad,
     )
 
 
@@ -157,8 +197,8 @@ def _repeats(track: Track) -> tuple[str, ...]:
     count = sum(frame.is_repeat for frame in track.frames)
     if not count:
         return ()
-    told = f"{count} of {len(track.frames)} listed frames show the same image as the frame before and were skipped"
-    return (f"{told}: fewer images a second were taken than were recorded.",)
+    repeats = f"{count} of {len(track.frames)} listed frames show the same image as the frame before and were skipped"
+    return (f"{repeats}: fewer images a second were taken than were recorded.",)
 
 
 def _truth(source: EventSource, body: str) -> tuple[Trajectory | None, str | None]:

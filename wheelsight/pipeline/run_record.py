@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from typing import Any, Literal
 
@@ -12,7 +12,8 @@ import numpy as np
 from wheelsight.estimates import Reason, Status
 from wheelsight.evaluation import Evaluation
 from wheelsight.geometry import BoolArray, ByteArray, FloatArray
-from wheelsight.pipeline.kept_map_record import KeptMapRecord
+from wheelsight.pipeline import words
+from wheelsight.pipeline.kept_map_record import KeptMapRecord, KnownMapRecord
 from wheelsight.pipeline.loops import CorrectionRecord
 from wheelsight.pipeline.map_record import MapRecord
 from wheelsight.pipeline.realtime_record import RealTimeRecord
@@ -27,9 +28,16 @@ _POSED = (Status.TRACKING, Status.COASTING)
 class FrameRecord:
     """One frame or wheel reading of a run: what was answered, and how long it took (image decoding not included).
 
-    Of a run that builds a map also how many surfels it had then, and how many it had given up for want of room; of
-    joined sensors `flags`, words such as "slip" that say more than the status, and `told_s`, the stamp of the pose it
-    was answered with: later than the frame's where newer readings were known by then.
+    Attributes:
+        index, stamp_s: of the frame or reading.
+        status, reason, matches, inliers: of the answer.
+        seconds: that it took.
+        note: what was wrong with it.
+        surfels, surfels_dropped: of a run that builds a map, how many it had then, and had given up for want of room.
+        flags: of joined sensors, words such as "slip" that say more than the status.
+        told_s: the stamp of the pose it was answered with; later than the frame's where newer readings were known.
+        overtaken: frames since the row before that were dropped in real time.
+        is_unread: whether it was listed and could not be read.
     """
 
     index: int
@@ -44,6 +52,8 @@ class FrameRecord:
     surfels_dropped: int = 0
     flags: tuple[str, ...] = ()
     told_s: float | None = None
+    overtaken: int = 0
+    is_unread: bool = False
 
     @property
     def has_pose(self) -> bool:
@@ -67,6 +77,57 @@ class FrameRecord:
     def is_repeat(self) -> bool:
         """Whether its image had come before, so that it is no frame but one listed twice."""
         return self.reason is Reason.REPEATED
+
+    @property
+    def why(self) -> str:
+        """Why it gave no motion, as exactly as that is known; "" where it gave one."""
+        if self.reason is None:
+            return ""
+        is_said = self.is_skipped or self.reason is Reason.TOO_LITTLE_DEPTH
+        return self.note if self.note and is_said else str(self.reason)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameDrops:
+    """Frames that were taken and not used: the one count that info, terminal, status.csv, metrics.json and report show.
+
+    An image that is listed twice counts once.
+
+    Attributes:
+        came: how many frames there were, dropped ones included.
+        unpaired: colour without depth, or depth without colour, whichever is less.
+        unreadable: listed frames that could not be read.
+        overtaken: in real time, those for which a newer one came first, and those that the live camera lost.
+        undecoded: how many of the overtaken ones were not even decoded.
+    """
+
+    came: int = 0
+    unpaired: int = 0
+    unreadable: int = 0
+    overtaken: int = 0
+    undecoded: int = 0
+
+    @property
+    def total(self) -> int:
+        """How many were dropped."""
+        return self.unpaired + self.unreadable + self.overtaken
+
+    @property
+    def share(self) -> float:
+        """Of all that came, 0 to 1."""
+        return self.total / self.came if self.came else 0.0
+
+    @property
+    def sentence(self) -> str:
+        """Such as "25 of 36 frames dropped (69.4 %): 25 without a partner"."""
+        counts = ("without a partner", self.unpaired), ("unreadable", self.unreadable), ("overtaken", self.overtaken)
+        causes = ", ".join(f"{count:,} {cause}" for cause, count in counts if count)
+        text = f"{self.total:,} of {words.count(self.came, 'frame')} dropped"
+        return f"{text} ({words.percent(self.share)}): {causes}" if causes else text
+
+    def to_dict(self) -> dict[str, Any]:
+        """For metrics.json, and for `info --json`."""
+        return {**asdict(self), "total": self.total, "share": self.share}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,6 +181,9 @@ class RunRecord:
         correction: what matches from outside made of the trajectory, or None.
         realtime: how it went, if the recording was played in real time, or None.
         kept_map: the map folder that it leaves for the next drive, or None.
+        faults: what was found wrong with sensors and their clocks on the way, one sentence each; also in `warnings`.
+        known_map: whether and where it found itself in the map of an earlier drive, or None without one.
+        is_interrupted: whether it ended before its recording.
     """
 
     recording: str
@@ -144,6 +208,20 @@ class RunRecord:
     correction: CorrectionRecord | None = None
     kept_map: KeptMapRecord | None = None
     odom: Trajectory | None = None
+    faults: tuple[str, ...] = ()
+    known_map: KnownMapRecord | None = None
+    is_interrupted: bool = False
+
+    @property
+    def drops(self) -> FrameDrops | None:
+        """Frames that were not used, as far as the run came; None of wheel readings."""
+        if self.unit == "reading":
+            return None
+        unpaired = 0 if self.association is None or self.is_interrupted else self.association.unpaired
+        overtaken, undecoded = (0, 0) if self.realtime is None else (self.realtime.dropped, self.realtime.unread)
+        listed = sum(not frame.is_repeat for frame in self.frames)
+        unreadable = sum(frame.is_unread for frame in self.frames)
+        return FrameDrops(listed + unpaired + overtaken, unpaired, unreadable, overtaken, undecoded)
 
     @property
     def posed(self) -> int:
@@ -169,5 +247,5 @@ class RunRecord:
 
     @property
     def is_joined(self) -> bool:
-        """Whether wheels and a camera tell it together, so that a frame that tells nothing may have a pose."""
+        """Whether it is by wheels and a camera together, so that a frame without a motion may have a pose."""
         return self.odometry == "joined"

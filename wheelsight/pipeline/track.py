@@ -9,9 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
+import numpy as np
+
 from wheelsight.config import Config, TrackName
 from wheelsight.errors import WheelsightError
-from wheelsight.estimates import Estimate
+from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, YawRate
 from wheelsight.fusion import RectifiedEstimate
 from wheelsight.geometry import ByteArray, FloatArray
@@ -41,6 +43,12 @@ UNITS: dict[TrackName, Literal["frame", "reading"]] = {
     "joined": "frame",
 }
 _FLAGS = ("slip", "degenerate", "doubtful")
+# Shares of an image's pixels. Dense odometry needs 5 % after lens and mount are taken out (`min_depth_share`): an image
+# that has three times that, and leaves too little, is not what the calibration says. A covered sensor still has specks.
+_ENOUGH_DEPTH, _ANY_DEPTH = 0.15, 0.005
+DEPTH_MISPLACED = "the calibration puts the depth of the image out of its view"
+DEPTH_MISSING = "no depth: the camera is covered, too near or too far"
+DEPTH_SCARCE = "too little depth: most of the view is too near, too far, black, or glass"
 
 
 class Photographer:
@@ -85,6 +93,7 @@ class Track:
         map_writer, map_path: what writes a map folder for the next drive, and where, if anything does.
         extends: whether that is the known map, to which nothing is added before it is known where in it the robot is.
         last: what it answered last, or None.
+        found: its first answer by which it is known where in the map of an earlier drive it lies, or None.
     """
 
     odometry: TrackName
@@ -101,6 +110,7 @@ class Track:
     map_path: Path | None = None
     extends: bool = False
     last: Estimate | None = None
+    found: Estimate | None = None
 
     @classmethod
     def begin(
@@ -124,8 +134,8 @@ class Track:
         """Whether it answers frames."""
         return RgbdFrame in self.localizer.answers
 
-    def step(self, event: Event) -> FrameRecord | None:
-        """Answer one event; None of one that is not its business."""
+    def step(self, event: Event, overtaken: int = 0) -> FrameRecord | None:
+        """Answer one event; None of a kind that it does not use. `overtaken` frames were dropped just before it."""
         localizer = self.localizer
         started = time.perf_counter()
         estimate = localizer.process(event)
@@ -133,6 +143,8 @@ class Track:
         if estimate is None:
             return None
         self.last = estimate
+        if self.found is None and localizer.recognised and _is_in_map(estimate):
+            self.found = estimate
         is_joined = self.odometry == "joined"  # which knows the pose though the event told it nothing
         if estimate.T_odom_body is not None and (estimate.reason is None or is_joined):
             self.poses.add(estimate)
@@ -145,8 +157,9 @@ class Track:
         flags = tuple(flag for flag in _FLAGS if getattr(estimate, flag, False))
         stamp_s = event.stamp_s if isinstance(event, RgbdFrame | SkippedFrame) else estimate.stamp_s
         told_s = None if estimate.T_odom_body is None else estimate.stamp_s
-        answer = FrameRecord(index, stamp_s, *outcome, seconds, localizer.note, *_size(localizer.map), flags, told_s)
         is_frame = isinstance(event, RgbdFrame | SkippedFrame)
+        note, dropped = localizer.note or _why_no_depth(event, estimate), (overtaken, isinstance(event, SkippedFrame))
+        answer = FrameRecord(index, stamp_s, *outcome, seconds, note, *_size(localizer.map), flags, told_s, *dropped)
         if is_frame:
             self._keep(estimate)
         if is_frame or UNITS[self.odometry] == "reading":
@@ -170,6 +183,21 @@ class Track:
             self.stage_seconds = {stage: self.stage_seconds.get(stage, array("d")) for stage in seconds}
         for stage, spent in seconds.items():
             self.stage_seconds.setdefault(stage, array("d")).append(spent)
+
+
+def _is_in_map(estimate: Estimate) -> bool:
+    """Whether it has a pose in the map, which is known from when the place is recognised on."""
+    return estimate.T_odom_body is not None and estimate.status is not Status.INITIALIZING
+
+
+def _why_no_depth(event: Event, estimate: Estimate) -> str:
+    """What "too little depth" comes from: the image has none, or its calibration puts it elsewhere."""
+    if not isinstance(event, RgbdFrame) or estimate.reason is not Reason.TOO_LITTLE_DEPTH:
+        return ""
+    share = np.count_nonzero(event.depth_m > 0) / event.depth_m.size
+    if share >= _ENOUGH_DEPTH:
+        return DEPTH_MISPLACED
+    return DEPTH_MISSING if share < _ANY_DEPTH else DEPTH_SCARCE
 
 
 def _size(surfel_map: SurfelMap | None) -> tuple[int | None, int]:
@@ -255,7 +283,7 @@ def follow(
 
     Ends with the source, at the first event `duration_s` after the first, or by Ctrl-C; then localizers are closed.
     """
-    passage, yaw_rates = Passage(tracks), 0
+    passage, yaw_rates, dropped = Passage(tracks), 0, 0
     events = source.events(images=any(track.needs_images for track in tracks))
     started = time.perf_counter()
     try:
@@ -265,7 +293,9 @@ def follow(
             started = time.perf_counter()
         for event in _until(events, duration_s):
             yaw_rates += isinstance(event, YawRate)
-            answers = _answers(passage, event)
+            overtaken = _overtaken(source, event, dropped)
+            dropped += overtaken
+            answers = _answers(passage, event, overtaken)
             if answers and watcher is not None:
                 watcher.step(event, answers, tracks)
             if answers and on_event is not None:
@@ -283,11 +313,18 @@ def follow(
     return passage
 
 
-def _answers(passage: Passage, event: Event) -> dict[str, FrameRecord]:
+def _overtaken(source: EventSource, event: Event, before: int) -> int:
+    """Frames that were dropped in real time before this one, in addition to those before."""
+    if not (isinstance(event, RgbdFrame | SkippedFrame) and isinstance(source, InRealTime)):
+        return 0
+    return max(source.frames_so_far[1] - before, 0)
+
+
+def _answers(passage: Passage, event: Event, overtaken: int) -> dict[str, FrameRecord]:
     """Of each track that answers it."""
     with whole_step():
         passage.is_torn = True
-        given = [(track.odometry, track.step(event)) for track in passage.tracks]
+        given = [(track.odometry, track.step(event, overtaken)) for track in passage.tracks]
         passage.is_torn = False
     return {odometry: answer for odometry, answer in given if answer is not None}
 

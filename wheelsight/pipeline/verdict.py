@@ -1,100 +1,501 @@
-"""The run in words: whether to trust it, and what a reader should know before doing so."""
+"""What a run is worth, judged from its evidence: the one verdict that report, terminal and metrics.json give."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from enum import StrEnum
+from typing import Any
 
+import numpy as np
+
+from wheelsight.estimates import Reason, Status
 from wheelsight.pipeline import words
-from wheelsight.pipeline.run_record import RunRecord
-from wheelsight.pipeline.summary import Summary
+from wheelsight.pipeline.joined import best_alone_of, facts_of, joined_of
+from wheelsight.pipeline.kept_map_record import KnownMapRecord
+from wheelsight.pipeline.run_record import FrameDrops, RunRecord
+from wheelsight.pipeline.summary import summarise
 
-Tone = Literal["good", "fair", "poor"]
 
-_ALMOST_ALL = 0.95
-_MOST_REASONS = 8
-_MOST_LINES = 3
+class Tone(StrEnum):
+    """How far to trust a run, the best first."""
+
+    GREEN = "green"
+    AMBER = "amber"
+    RED = "red"
+
+
+_BADNESS = {tone: number for number, tone in enumerate(Tone)}
+_CARE = {Tone.AMBER: "Use with care", Tone.RED: "Do not rely on it"}
+
+# Shares beyond which a finding is amber, and red. Of frames without a pose: dropped images and short blur cost a few in
+# a hundred on good recordings; with more gaps than poses there is no path.
+_WITHOUT_POSE = (0.05, 0.5)
+# Of time with slip: a door sill or a wet patch is seconds in a minute. A third of a drive is no floor, but wheels and
+# camera that differ all along, by calibration.
+_SLIP = (0.1, 0.3)
+# Of time in which wheels and camera contradict each other and it is not known which is right: either may lead.
+_DOUBTFUL = (0.05, 0.2)
+# Of time in which an image does not show all directions; corridors do that, and wheels bridge it, so it is never red.
+_DEGENERATE = (0.5, 1.0)
+# Of time by the wheels alone: 5 s of 45 under a covered lens cost a few centimetres; over half, no camera checks the
+# drive.
+_COASTING = (0.15, 0.5)
+# Of time with the true position beyond the stated 3σ, which is 0.3 % where errors are stated honestly.
+_BEYOND_3_SIGMA = (0.05, 0.2)
+# Of frames: `info` warns at the same share of images without a partner.
+_DROPPED = (0.02, 0.3)
+# Of frames overtaken in real time: at 30 a second one in ten changes no pose.
+_OVERTAKEN = (0.1, 0.3)
+# Of wheel readings that were refused: damaged lines are one in thousands. Never red: a camera alone may do well.
+_REFUSED = (0.01, 1.0)
+# RMSE over the true way: wheels by the data sheet err by some per cent of it.
+_OFF_THE_WAY = (0.05, 0.15)
+# Metres below which no error is called amber, or red: truth of a Kinect's tracker is good to 2 cm.
+_LEAST_OFF_M = (0.02, 0.1)
+# Times the error of the better sensor alone, and metres by which it must be more: joining is to help.
+_WORSE_THAN_ALONE, _WORSE_M = (1.2, 3.0), (0.01, 0.1)
+# Of loops that contradict the rest: a few look alike anywhere, more do in a building of equal rooms.
+_REFUSED_LOOPS = (0.5, 1.0)
+# Metres after which drift wants loops: dense odometry and calibrated wheels drift by about 1 % of the way, 20 cm there.
+_LONG_WAY_M = 20.0
+# Metres one standard deviation, where a known map was recognised: beyond a robot's length it may be another door.
+_SIGMA_IN_MAP_M = (0.5, 2.0)
+
+_CALIBRATE = "calibrate wheels and mount (wheelsight calibrate wheels, wheelsight calibrate base)"
+_SLOWER = "drive and turn more slowly, or take more images a second"
+_BY_TEXTURE = "give it more light, or turn the camera to where there is more to see; --odometry dense goes by surfaces"
+_STAMPS = "stamp all sensors by one clock (wheelsight info shows their times)"
+_READINGS = "check ticks a turn, counter_bits and max_speed_m_s of the wheels' calibration, and the line"
+_REMEDIES: Mapping[Reason, str] = {
+    Reason.FRAME_UNUSABLE: "see the notes for what was wrong with the images, and record them again",
+    Reason.TOO_FEW_KEYPOINTS: _BY_TEXTURE,
+    Reason.TOO_FEW_MATCHES: _SLOWER,
+    Reason.TOO_FEW_INLIERS: _SLOWER,
+    Reason.DEGENERATE: "let the camera see more than one wall or floor, or join wheels",
+    Reason.TOO_LITTLE_DEPTH: "uncover the camera, and keep it as far from things as it can measure",
+    Reason.TOO_LITTLE_OVERLAP: _SLOWER,
+    Reason.POOR_FIT: "check the lens (wheelsight calibrate camera), and keep people out of most of the view",
+    Reason.NOT_RECOGNISED: "drive to a place seen before, looking the same way as then",
+    Reason.SURFACES_CONTRADICTED: _SLOWER,
+    Reason.IMPLAUSIBLE_MOTION: _READINGS,
+    Reason.CLOCK_BACKWARDS: _STAMPS,
+    Reason.GAP: "read the wheels at 20 a second or more, without pauses",
+    Reason.COUNTER_AMBIGUOUS: "set max_speed_m_s of the wheels to what the robot does, or read them more often",
+    Reason.INVALID: _READINGS,
+    Reason.TOO_LATE: _STAMPS,
+    Reason.CLOCKS_APART: _STAMPS,
+    Reason.CONTRADICTION: "find what is wrong by wheelsight calibrate base: mount, wheels, or depth factor",
+}
+_MISPLACED = "calibrate the camera (wheelsight calibrate camera): lens, or depth beside colour, is not what it says"
+_CORRECT = "correct what the warning about the sensors names, and run again"
+_SEE_ROWS = "see status.csv for the reason of each frame"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that a run's figures show.
+
+    Attributes:
+        about: what it is about, such as "slip".
+        tone: how far it lets the run be trusted.
+        short: it in a few words.
+        sentence: it with its numbers.
+        remedy: what to do; "" of a green one.
+    """
+
+    about: str
+    tone: Tone
+    short: str
+    sentence: str
+    remedy: str = ""
+
+    @property
+    def line(self) -> str:
+        """The sentence, and what to do."""
+        return self.sentence if not self.remedy else f"{self.sentence} To do: {self.remedy}."
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """A run in a phrase, the sentences that bear it out, and how it sounds; `chief` are those that stand at the top."""
+    """What a run is worth.
+
+    Attributes:
+        phrase: in a few words.
+        tone: the worst of the findings'.
+        findings: the worst first.
+        facts: sentences that are no judgement: accuracy, speed.
+    """
 
     phrase: str
-    sentences: tuple[str, ...]
     tone: Tone
-    chief: tuple[str, ...] = ()
+    findings: tuple[Finding, ...]
+    facts: tuple[str, ...] = ()
 
     @property
-    def lines(self) -> tuple[str, ...]:
-        """Three at most, for the top of a page."""
-        return (self.chief or self.sentences)[:_MOST_LINES]
+    def concerns(self) -> tuple[Finding, ...]:
+        """The red and the amber ones."""
+        return tuple(found for found in self.findings if found.tone is not Tone.GREEN)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """All of it."""
+        return (*(found.line for found in self.findings), *self.facts)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For metrics.json."""
+        return {"tone": str(self.tone), "phrase": self.phrase, "findings": [asdict(found) for found in self.findings]}
 
 
-def judge(record: RunRecord, summary: Summary) -> Verdict:
-    """What `record` shows, in words. Only tracking is judged; how much error is too much is the reader's to say."""
-    phrase, tone = tracking_phrase(summary)
-    tracked = _tracking_sentence(summary, by_camera=summary.unit == "frame" and record.rectification is None)
-    sentences = (tracked, accuracy_sentence(record, summary), speed_sentence(summary))
-    return Verdict(phrase, tuple(filter(None, sentences)), tone)
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """The figures by which a run is judged. Each default is that of a run with which nothing is wrong.
+
+    Attributes:
+        unit, is_joined: as the record has them.
+        frames, posed, lost_episodes, lost_s: as `Summary` has them.
+        failures: (reason, why, count) of frames without a motion of their own, most frequent first.
+        drops: frames that were not used.
+        most_overtaken: share of frames overtaken in real time beyond which that is amber.
+        slip, doubtful, degenerate: shares of the time, 0 to 1; None where the filter knows no such flag.
+        coasting: share of the time by the wheels alone; `coasting_s` the stretches.
+        refused: share of wheel readings that were refused, and `refused_why` the chief reason.
+        beyond_3_sigma: share of the time with the true position beyond the stated 3σ; None without a truth.
+        off_m, worst_m, way_m: RMSE and maximum from the truth, and the true way; None without a truth.
+        alone: (name, RMSE in metres) of the better sensor alone, or None.
+        areas_left: error that areas leave of the wheels', as a share; None without areas.
+        loops: (kept, refused, whether all pieces are joined) where loops were asked for, else None.
+        known_map: whether the map of an earlier drive was recognised; None without one.
+        faults: what was found wrong with sensors on the way.
+        length_m: of the estimate.
+    """
+
+    unit: str = "frame"
+    is_joined: bool = False
+    frames: int = 1
+    posed: int = 1
+    lost_episodes: int = 0
+    lost_s: float = 0.0
+    failures: tuple[tuple[Reason, str, int], ...] = ()
+    drops: FrameDrops = field(default_factory=FrameDrops)
+    most_overtaken: float = _OVERTAKEN[0]
+    slip: float | None = None
+    doubtful: float | None = None
+    degenerate: float | None = None
+    coasting: float = 0.0
+    coasting_s: tuple[float, ...] = ()
+    refused: float = 0.0
+    refused_why: Reason | None = None
+    beyond_3_sigma: float | None = None
+    off_m: float | None = None
+    worst_m: float = 0.0
+    way_m: float = 0.0
+    alone: tuple[str, float] | None = None
+    areas_left: float | None = None
+    loops: tuple[int, int, bool] | None = None
+    known_map: KnownMapRecord | None = None
+    faults: tuple[str, ...] = ()
+    length_m: float = 0.0
 
 
-def notes(record: RunRecord, summary: Summary) -> list[str]:
-    """What was dropped, skipped, not covered or doubtful, one sentence each."""
-    found = [*record.warnings]
-    if summary.skipped:
-        found.append(f"{words.count(summary.skipped, summary.unit)} could not be used: {_counted(summary.skips)}.")
-    if summary.failures:
-        failed = sum(n for _, n in summary.failures)
-        which, why = words.count(failed, f"used {summary.unit}"), _counted(summary.failures)
-        found.append(
-            f"{which} told nothing that was believed, and the wheels led there: {why}."
-            if record.is_joined
-            else f"{which} gave no pose: {why}."
-        )
-    if summary.failures and record.unit == "reading":
-        found.append(
-            "After a reading without a pose the path goes on from where it was: what lies between is not known."
-        )
-    if record.realtime is not None:
-        found.append(f"{record.realtime.sentence[0].upper()}{record.realtime.sentence[1:]}.")
-    found += _association_notes(record)
-    found += _evaluation_notes(record, summary)
-    return found
+def evidence_of(record: RunRecord, records: Sequence[RunRecord] = ()) -> Evidence:
+    """The evidence about `record`; `records` are all of the same run, itself included."""
+    summary, found = summarise(record), record.evaluation
+    by_reason = Counter((f.reason, f.why) for f in record.frames if f.reason is not None and not f.is_repeat)
+    evidence: dict[str, Any] = {
+        "unit": record.unit,
+        "is_joined": record.is_joined,
+        "frames": summary.frames,
+        "posed": summary.posed,
+        "lost_episodes": summary.lost_episodes,
+        "lost_s": summary.lost_s,
+        "failures": tuple((reason, why, count) for (reason, why), count in by_reason.most_common()),
+        "drops": record.drops or FrameDrops(),
+        "most_overtaken": record.config.get("realtime", {}).get("dropped_share", _OVERTAKEN[0]),
+        "known_map": record.known_map,
+        "faults": record.faults,
+        "length_m": record.estimate.length_m,
+    }
+    if found is not None:
+        evidence |= {"off_m": found.ate.translation.rmse, "worst_m": found.ate.translation.max}
+        evidence["way_m"] = true_way_m(record)
+    if record.rectification is not None and record.rectification.errors is not None:
+        evidence["areas_left"] = float(record.rectification.errors.left)
+    if record.correction is not None:
+        loops = record.correction.found.loops
+        evidence["loops"] = len(loops.kept), len(loops.refused), record.correction.is_joined
+    return Evidence(**evidence, **(_of_joined(record, records) if record.is_joined else {}))
 
 
-def tracking_phrase(summary: Summary) -> tuple[str, Tone]:
-    """How much of the run has a pose, and how that sounds."""
-    share = summary.pose_share
-    if not summary.posed:
-        return "No pose was found", "poor"
-    if summary.frames == 1:
-        return f"A single {summary.unit}, so nothing to follow", "fair"
-    if share == 1:
-        return f"Followed in every {summary.unit}", "good"
-    if share >= _ALMOST_ALL and not summary.lost_episodes:
-        return "Followed almost throughout", "good"
-    if share >= 0.5:
-        return "Followed, with gaps", "fair"
-    return "Without a pose most of the time", "poor"
+def _of_joined(record: RunRecord, records: Sequence[RunRecord]) -> dict[str, Any]:
+    """What only joined sensors have."""
+    facts, best_alone = facts_of(record), best_alone_of(records)
+    evidence: dict[str, Any] = dict(facts.flag_shares)
+    evidence |= {"coasting": facts.share_of(Status.COASTING), "coasting_s": facts.coasting_s}
+    if facts.consistency is not None and np.isfinite(facts.consistency.share):
+        evidence["beyond_3_sigma"] = 1 - facts.consistency.share
+    if best_alone is not None and record.evaluation is not None:
+        evidence["alone"] = best_alone.odometry, record.evaluation.ate.translation.rmse / best_alone.ratio
+    wheels = next((one for one in records if one.odometry == "wheels"), None)
+    if wheels is not None and wheels.frames:
+        refused = Counter(frame.reason for frame in wheels.frames if frame.reason is not None)
+        evidence["refused"] = refused.total() / len(wheels.frames)
+        evidence["refused_why"] = next((reason for reason, _ in refused.most_common(1)), None)
+    return evidence
 
 
-def _tracking_sentence(summary: Summary, by_camera: bool) -> str:
-    if not summary.frames:
-        return f"The recording holds no {summary.unit}s."
-    share = words.percent(summary.pose_share)
-    text = f"{summary.posed:,} of {words.count(summary.frames, summary.unit)} ({share}) have a pose"
-    if not by_camera:
-        return text + "."
-    if not summary.lost_episodes:
-        return text + ("; the camera was never lost." if summary.posed else ".")
-    times = "once" if summary.lost_episodes == 1 else f"{summary.lost_episodes} times"
-    return text + f"; the camera was lost {times}, for {words.duration(summary.lost_s)} in all."
+def true_way_m(record: RunRecord) -> float:
+    """The true way while the odometry had poses; an estimate's own grows with its noise. 0 without a truth."""
+    if record.ground_truth is None or not len(record.estimate):
+        return 0.0
+    return record.ground_truth.between(*record.estimate.stamps_s[[0, -1]].tolist()).length_m
 
 
-def accuracy_sentence(record: RunRecord, summary: Summary) -> str:
+def judge(evidence: Evidence) -> Verdict:
+    """What evidence comes to. More of what is bad never gives a better tone."""
+    found = sorted(_findings(evidence), key=lambda one: -_BADNESS[one.tone])
+    tone = found[0].tone
+    if evidence.faults:  # what the rest comes from stands first
+        tone = max(tone, Tone.AMBER, key=_BADNESS.__getitem__)
+        found = [*(_fault(sentence, tone) for sentence in evidence.faults), *found]
+    return Verdict(_phrase(evidence, found[0]), tone, tuple(found))
+
+
+def verdict_of(record: RunRecord, records: Sequence[RunRecord] = ()) -> Verdict:
+    """What a run of one odometry is worth, with its accuracy and speed; `records` as for `evidence_of`."""
+    verdict = judge(evidence_of(record, records))
+    facts = accuracy_sentence(record), _drift_sentence(record), speed_sentence(record)
+    return Verdict(verdict.phrase, verdict.tone, verdict.findings, tuple(filter(None, facts)))
+
+
+def verdict_of_run(records: Sequence[RunRecord]) -> Verdict:
+    """What a run is worth: as its joined sensors or its only odometry; of several side by side, as all of them."""
+    main = joined_of(records) or (records[0] if len(records) == 1 else None)
+    if main is not None:
+        return verdict_of(main, records)
+    of_each = [(record.odometry, verdict_of(record, records)) for record in records]
+    tones = {verdict.tone for _, verdict in of_each}
+    tone = tones.pop() if len(tones) == 1 else Tone.AMBER  # one of them may serve
+    named = [
+        Finding(one.about, one.tone, f"{name}: {one.short}", f"{name.capitalize()}: {one.sentence}", one.remedy)
+        for name, verdict in of_each
+        for one in verdict.findings
+    ]
+    named.sort(key=lambda one: -_BADNESS[one.tone])
+    phrase = "Each was followed" if tone is Tone.GREEN else f"{_CARE[tone]}: {named[0].short}"
+    return Verdict(phrase, tone, tuple(named))
+
+
+def _findings(e: Evidence) -> Iterator[Finding]:
+    if e.known_map is not None:
+        yield _in_map(e.known_map)
+    yield _poses(e)
+    yield from _drops(e)
+    if e.is_joined:
+        yield from _of_sensors(e)
+    yield from _accuracy(e)
+    if e.loops is not None:
+        yield _loops(*e.loops, is_drift_long=e.length_m > _LONG_WAY_M and e.known_map is None)
+
+
+def _poses(e: Evidence) -> Finding:
+    if not e.frames:
+        text = f"The recording holds no {e.unit}s."
+        return Finding("poses", Tone.RED, text[:-1].lower(), text, "check it by wheelsight info")
+    share = e.posed / e.frames
+    sentence = f"{e.posed:,} of {words.count(e.frames, e.unit)} ({words.percent(share)}) have a pose"
+    tone = _graded(1 - share, _WITHOUT_POSE) if e.posed else Tone.RED
+    if e.lost_episodes:
+        tone = max(tone, Tone.AMBER, key=_BADNESS.__getitem__)
+        sentence += f"; it was lost {_times(e.lost_episodes)}, for {words.duration(e.lost_s)} in all"
+    if e.frames == 1 and e.posed:
+        sentence, remedy = f"There is a single {e.unit}, and nothing to follow.", "take a longer recording"
+        return Finding("poses", Tone.AMBER, f"a single {e.unit}", sentence, remedy)
+    without = f"a pose in every {e.unit}" if share == 1 else f"{words.percent(1 - share)} of {e.unit}s have no pose"
+    short = without if e.posed else "no pose was found"
+    short = f"it was lost {_times(e.lost_episodes)}" if e.posed and e.lost_episodes and share > 0.5 else short
+    why = _chief_failures(e) if tone is not Tone.GREEN else ""
+    return Finding("poses", tone, short, f"{sentence}{why}.", "" if tone is Tone.GREEN else _remedy(e))
+
+
+def _drops(e: Evidence) -> Iterator[Finding]:
+    drops = e.drops
+    if not drops.total:
+        return
+    lost = (drops.unpaired + drops.unreadable) / drops.came
+    limits = (e.most_overtaken, max(_OVERTAKEN[1], e.most_overtaken))
+    tone = max(_graded(lost, _DROPPED), _graded(drops.overtaken / drops.came, limits), key=_BADNESS.__getitem__)
+    tone = max(tone, _graded(drops.share, (1.0, _DROPPED[1])), key=_BADNESS.__getitem__)
+    if drops.overtaken >= max(drops.unpaired, drops.unreadable):
+        slow = "disk or decoding of images is" if drops.undecoded > drops.overtaken / 2 else "computer is"
+        remedy = f"lower the camera's rate or size, or end other programs: the {slow} too slow"
+    elif drops.unpaired >= drops.unreadable:
+        remedy = "see in wheelsight info how far apart the stamps of colour and depth are, or which images are missing"
+    else:
+        remedy = "record again, or copy the recording again: the notes say what is wrong with the images"
+    short = f"{words.percent(drops.share)} of frames were dropped"
+    yield Finding("drops", tone, short, f"{drops.sentence}.", "" if tone is Tone.GREEN else remedy)
+
+
+def _of_sensors(e: Evidence) -> Iterator[Finding]:
+    """Slip, doubt, degenerate views, coasting, refused readings."""
+    if e.slip is not None:
+        sentence = "The wheels were held to slip in {} of the time."
+        remedy = f"if that was all along, {_CALIBRATE}; if at one place, drive slowly over it"
+        yield _share_finding("slip", e.slip, _SLIP, sentence if e.slip else "The wheels never slipped.", remedy)
+    if e.doubtful is not None:
+        sentence = "Wheels and camera contradicted each other in {} of the time, and it was not known which was right."
+        sentence = sentence if e.doubtful else "Wheels and camera never contradicted each other."
+        yield _share_finding("doubtful", e.doubtful, _DOUBTFUL, sentence, _CORRECT if e.faults else _CALIBRATE)
+    if e.degenerate is not None:
+        sentence = "The images did not show all directions of motion in {} of the time: the wheels filled in."
+        sentence = sentence if e.degenerate else "The images showed all directions of motion."
+        remedy = "turn the camera so that it sees more than one wall or floor"
+        yield _share_finding("degenerate", e.degenerate, _DEGENERATE, sentence, remedy)
+    yield _coasting(e)
+    if e.refused:
+        why = "" if e.refused_why is None else f": {e.refused_why}"
+        remedy = _READINGS if e.refused_why is None else _REMEDIES.get(e.refused_why, _READINGS)
+        found = _share_finding("wheels", e.refused, _REFUSED, "{} of wheel readings were refused" + why + ".", remedy)
+        yield replace(found, short=f"{words.percent(e.refused)} of wheel readings were refused")
+
+
+def _coasting(e: Evidence) -> Finding:
+    tone = _graded(e.coasting, _COASTING)
+    if not e.coasting:
+        return Finding("coasting", tone, "never coasting", "The camera led throughout.")
+    share, whole = words.percent(e.coasting), words.duration(sum(e.coasting_s))
+    sentence = f"It coasted on the wheels {_times(len(e.coasting_s))}, for {whole} in all ({share} of the time)"
+    sentence += f", {words.duration(max(e.coasting_s))} at most" if len(e.coasting_s) > 1 else ""
+    if tone is Tone.GREEN:
+        return Finding("coasting", tone, f"coasting {share}", f"{sentence}.")
+    return Finding("coasting", tone, f"coasting {share} of the time", f"{sentence}{_chief_failures(e)}.", _remedy(e))
+
+
+def _accuracy(e: Evidence) -> Iterator[Finding]:
+    """By the truth, if there is one."""
+    if e.beyond_3_sigma is not None:
+        within = words.percent(1 - e.beyond_3_sigma)
+        tone = _graded(e.beyond_3_sigma, _BEYOND_3_SIGMA)
+        sentence = f"The position is within its stated 3σ in {within} of the time."
+        remedy = "" if tone is Tone.GREEN else f"do not rely on its covariances; {_CALIBRATE}"
+        only = "" if tone is Tone.GREEN else " of the time only"
+        yield Finding("3σ", tone, f"within the stated 3σ {within}{only}", sentence, remedy)
+    if e.off_m is not None and e.way_m > 0:
+        tone = _graded(e.off_m / e.way_m, _OFF_THE_WAY, e.off_m, _LEAST_OFF_M)
+        share = words.percent(e.off_m / e.way_m)
+        sentence = f"The error (RMSE) is {words.length(e.off_m)}, {share} of the way."
+        remedy = f"{_CALIBRATE}, or close loops (--loops keyframes)" if e.is_joined else _alone_remedy(e)
+        short = f"{words.length(e.off_m)} off on {words.length(e.way_m)}"
+        yield Finding("error", tone, short, sentence, "" if tone is Tone.GREEN else remedy)
+    if e.off_m is not None and e.alone is not None and e.alone[1] > 0:
+        name, alone_m = e.alone
+        ratio = e.off_m / alone_m
+        tone = _graded(ratio, _WORSE_THAN_ALONE, e.off_m - alone_m, _WORSE_M)
+        sentence = f"Joined, the error is {words.number(ratio, 2)} times that of {name} alone."
+        remedy = "" if tone is Tone.GREEN else _CALIBRATE
+        yield Finding("joining", tone, f"{words.number(ratio, 2)} times the error of {name} alone", sentence, remedy)
+    if e.areas_left is not None and np.isfinite(e.areas_left):
+        tone = Tone.AMBER if e.areas_left > 1 else Tone.GREEN
+        sentence = f"Areas leave {words.percent(e.areas_left)} of the wheels' error."
+        remedy = "" if tone is Tone.GREEN else "train the areas on drives of this building (wheelsight places train)"
+        yield Finding("areas", tone, f"areas leave {words.percent(e.areas_left)} of the error", sentence, remedy)
+
+
+def _loops(kept: int, refused: int, is_joined: bool, *, is_drift_long: bool) -> Finding:
+    sentence = f"{words.count(kept, 'loop')} kept, {refused:,} refused"
+    back = "drive back through places seen before, looking the same way as then"
+    if not is_joined:
+        sentence += "; after the camera was lost, its place was not recognised again"
+        return Finding("loops", Tone.AMBER, "its place was not recognised again", f"{sentence}.", back)
+    if not kept and is_drift_long:
+        return Finding("loops", Tone.AMBER, "no loop was closed", f"{sentence}: nothing corrects the drift.", back)
+    if not kept + refused:
+        return Finding("loops", Tone.GREEN, "no loop was closed", f"{sentence}.")
+    tone = _graded(refused / (kept + refused), _REFUSED_LOOPS)
+    remedy = "" if tone is Tone.GREEN else "see the plan of the loops: places look alike, or the path is wrong"
+    return Finding("loops", tone, f"{refused:,} of {kept + refused:,} loops were refused", f"{sentence}.", remedy)
+
+
+def _in_map(found: KnownMapRecord) -> Finding:
+    short, tone = "recognised in the map", Tone.GREEN
+    remedy = "drive slowly past what the map shows, looking the same way, or say where it begins (--start X,Y,YAW)"
+    if not found.is_recognised:
+        tone = Tone.AMBER if found.has_start else Tone.RED
+        short = "the place was not recognised in the map"
+    elif found.after_s is None:
+        short, tone = "recognised in the map only after the drive", Tone.AMBER
+    elif found.sigma_m is not None and found.sigma_m > _SIGMA_IN_MAP_M[0]:
+        short, tone = "hardly known where in the map", _graded(found.sigma_m, _SIGMA_IN_MAP_M)
+    elif found.keyframes_placed < found.keyframes:
+        short, tone = "not all of the drive lies in the map", Tone.AMBER
+    unplaced = found.keyframes - found.keyframes_placed
+    more = f"; where {unplaced:,} of {found.keyframes:,} keyframes lie in it is not known" if unplaced else ""
+    return Finding("map", tone, short, f"{found.sentence}{more}.", "" if tone is Tone.GREEN else remedy)
+
+
+def _fault(sentence: str, tone: Tone) -> Finding:
+    short = sentence.split(":")[0].rstrip(".")
+    return Finding(
+        "sensors", tone, f"{short[0].lower()}{short[1:]}", sentence, "correct what this names, and run again"
+    )
+
+
+def _share_finding(about: str, share: float, limits: tuple[float, float], sentence: str, remedy: str) -> Finding:
+    tone, said = _graded(share, limits), words.percent(share)
+    text = sentence.format(said)
+    return Finding(about, tone, f"{about} {said}", text, "" if tone is Tone.GREEN else remedy)
+
+
+def _graded(
+    value: float,
+    limits: tuple[float, float],
+    also: float = float("inf"),
+    also_over: tuple[float, float] = (0.0, 0.0),
+) -> Tone:
+    """By limits for amber and red; where another value is given, it must be over its own limit, too."""
+    amber, red = (value > limit and also > least for limit, least in zip(limits, also_over, strict=True))
+    return Tone.RED if red else Tone.AMBER if amber else Tone.GREEN
+
+
+def _chief_failures(e: Evidence) -> str:
+    """Why frames gave no motion, most frequent first."""
+    return "".join(f", {why} ({count:,})" for _, why, count in e.failures[:2]).replace(", ", ": ", 1)
+
+
+def _remedy(e: Evidence) -> str:
+    if e.faults or not e.failures:
+        return _CORRECT if e.faults else _SEE_ROWS
+    reason, why, _ = e.failures[0]
+    return _MISPLACED if why.startswith("the calibration puts") else _REMEDIES.get(reason, _SEE_ROWS)
+
+
+def _alone_remedy(e: Evidence) -> str:
+    if e.unit == "reading":
+        return "calibrate the wheels (wheelsight calibrate wheels), or join a camera"
+    return "close loops (--loops keyframes), join wheels, or check the lens (wheelsight calibrate camera)"
+
+
+def _phrase(e: Evidence, worst: Finding) -> str:
+    if worst.tone is not Tone.GREEN:
+        return f"{_CARE[worst.tone]}: {worst.short}"
+    followed = f"followed in every {e.unit}" if e.posed == e.frames else "followed almost throughout"
+    if not e.is_joined:
+        return f"{followed[0].upper()}{followed[1:]}"
+    if e.off_m is None:
+        return f"Joined: {followed}, without a truth to compare with"
+    phrase = f"Joined: {words.length(e.off_m)} off (RMSE)"
+    if e.alone is None or not e.alone[1] > 0:
+        return phrase
+    ratio = e.off_m / e.alone[1]
+    better = ", which did better" if ratio > 1 else ""
+    return f"{phrase}, {words.number(ratio, 2)} times the error of {e.alone[0]} alone{better}"
+
+
+def accuracy_sentence(record: RunRecord) -> str:
     """How far the path is off, or why that cannot be said; nothing without a pose."""
-    if not summary.posed:
+    if not record.posed:
         return ""
     if record.evaluation is None:
         why = record.evaluation_problem or "there is no ground truth"
@@ -102,29 +503,63 @@ def accuracy_sentence(record: RunRecord, summary: Summary) -> str:
     error = record.evaluation.ate.translation
     text = f"Laid upon the ground truth, the path errs by {words.length(error.rmse)} (RMSE) "
     text += f"and by {words.length(error.max)} at worst"
-    if summary.length_m > 0:
-        text += f", on {words.length(summary.length_m)} travelled"
+    if record.estimate.length_m > 0:
+        text += f", on {words.length(record.estimate.length_m)} travelled"
     return text + "."
 
 
-def speed_sentence(summary: Summary) -> str:
+def _drift_sentence(record: RunRecord) -> str:
+    """Of joined sensors, how far off they end from the true start; nothing without a truth."""
+    found = facts_of(record).consistency if record.is_joined else None
+    if found is None:
+        return ""
+    share = words.percent(found.drift_share)
+    return f"Begun at the true start, it ends {words.length(found.drift_m)} off, {share} of the way."
+
+
+def speed_sentence(record: RunRecord) -> str:
     """Whether it keeps up with its sensor; nothing where no time is known."""
+    if record.realtime is not None:
+        return f"{record.realtime.sentence[0].upper()}{record.realtime.sentence[1:]}."
+    summary = summarise(record)
     if not summary.median_s > 0:
         return ""
     text = f"A {summary.unit} takes {words.duration(summary.median_s)} at the median"
     source = "camera delivers" if summary.unit == "frame" else "wheels deliver"
-    ratio = summary.frame_period_s / summary.median_s
+    kept = 1.0 if record.drops is None else 1 - record.drops.share  # frames that were dropped came as well
+    ratio = kept * summary.frame_period_s / summary.median_s
     if not ratio > 0:
         return text + "."
     if ratio >= 1:
         return f"{text}, {words.number(ratio, 2)} times as fast as the {source} them."
-    return f"{text}; the {source} {words.number(1 / ratio, 2)} in that time."
+    return f"{text}; the {source} {words.number(1 / ratio, 2)} in that time: in real time, frames would be dropped."
+
+
+_MOST_REASONS = 8
+
+
+def notes(record: RunRecord) -> list[str]:
+    """What was skipped, not covered or unknown, one sentence each, beside what the verdict finds."""
+    summary = summarise(record)
+    found = [warning for warning in record.warnings if warning not in record.faults]
+    if summary.skipped:
+        found.append(f"{words.count(summary.skipped, summary.unit)} could not be used: {_counted(summary.skips)}.")
+    if summary.failures:
+        failed = sum(n for _, n in summary.failures)
+        which, why = words.count(failed, f"used {summary.unit}"), _counted(summary.failures)
+        without = "gave no motion, so that the wheels led there" if record.is_joined else "gave no pose"
+        found.append(f"{which} {without}: {why}.")
+    if summary.failures and record.unit == "reading":
+        found.append(
+            "After a reading without a pose the path goes on from where it was: the motion between is not known."
+        )
+    return [*found, *_association_notes(record), *_evaluation_notes(record)]
 
 
 def _counted(reasons: tuple[tuple[str, int], ...]) -> str:
     text = ", ".join(f"{why} ({n:,})" for why, n in reasons[:_MOST_REASONS])
-    left = sum(n for _, n in reasons[_MOST_REASONS:])
-    return f"{text}, other reasons ({left:,})" if left else text
+    others = sum(n for _, n in reasons[_MOST_REASONS:])
+    return f"{text}, other reasons ({others:,})" if others else text
 
 
 def _association_notes(record: RunRecord) -> list[str]:
@@ -138,16 +573,20 @@ def _association_notes(record: RunRecord) -> list[str]:
     ]
 
 
-def _evaluation_notes(record: RunRecord, summary: Summary) -> list[str]:
-    if record.evaluation is None:
-        return []
+def _evaluation_notes(record: RunRecord) -> list[str]:
     evaluation = record.evaluation
+    if evaluation is None:
+        return []
     found = []
-    if evaluation.pairs < summary.posed:
+    if evaluation.pairs < record.posed:
         found.append(
-            f"Only {evaluation.pairs:,} of {words.count(summary.posed, 'pose')} have a true pose beside them; "
+            f"Only {evaluation.pairs:,} of {words.count(record.posed, 'pose')} have a true pose beside them; "
             "errors speak of these alone."
         )
     if evaluation.scale is not None:
         found.append(f"Positions were multiplied by {evaluation.scale:.5f} to fit the ground truth.")
     return found
+
+
+def _times(n: int) -> str:
+    return "once" if n == 1 else f"{n} times"

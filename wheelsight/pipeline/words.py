@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 UNKNOWN = "unknown"
+_MOST_PLACES = 4
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -29,6 +31,29 @@ def length(metres: float | None) -> str:
         if abs(metres) < limit:
             return f"{number(metres * factor)} {unit}"
     return f"{number(metres / 1e3)} km"
+
+
+def column(name: str, values: Sequence[float | None], unit: str = "", digits: int = 3) -> tuple[str, list[str]]:
+    """Head and cells of a column in one unit, which the head names: of lengths ("m") and times ("s") the one that fits.
+
+    The unit goes by the largest value, the places after the point by the smallest, four at most. None is a dash.
+    """
+    known = [abs(value) for value in values if value is not None and math.isfinite(value)]
+    factor, unit = _unit_of(max(known), unit) if known else (1.0, "")
+    scaled = [None if value is None else value * factor for value in values]
+    least = min((value * factor for value in known if value > 0), default=1.0)
+    places = min(max(digits - 1 - math.floor(math.log10(least)), 0), _MOST_PLACES)
+    cells = ["–" if v is None else UNKNOWN if not math.isfinite(v) else f"{v:,.{places}f}" for v in scaled]
+    return f"{name} [{unit}]" if unit else name, cells
+
+
+def _unit_of(largest: float, unit: str) -> tuple[float, str]:
+    """By what to multiply, and what that is called."""
+    steps = {
+        "m": ((0.1, 1e3, "mm"), (1.0, 1e2, "cm"), (1e4, 1.0, "m"), (math.inf, 1e-3, "km")),
+        "s": ((1e-3, 1e6, "µs"), (1.0, 1e3, "ms"), (math.inf, 1.0, "s")),
+    }
+    return next(((factor, name) for limit, factor, name in steps.get(unit, ()) if largest < limit), (1.0, unit))
 
 
 def duration(seconds: float | None) -> str:

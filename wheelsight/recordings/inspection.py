@@ -61,6 +61,7 @@ class Inspection:
         warnings: one sentence each.
         topics: of a bag, all of them and what each is used as; else none.
         clock: how the clock of the live camera that it is from was mapped; None where that is not known.
+        repeated: how many frames show the image of the frame before.
     """
 
     name: str
@@ -84,6 +85,7 @@ class Inspection:
     warnings: tuple[str, ...]
     topics: tuple[RecordedTopic, ...] = ()
     clock: ClockMapping | None = None
+    repeated: int = 0
 
     def to_dict(self) -> dict[str, Any]:
         """All of it as plain nested values; may hold NaN."""
@@ -127,6 +129,7 @@ def inspect_recording(recording: Recording, on_event: Callable[[], None] | None 
         warnings=(*recording.warnings, *_warnings(tally, offset, recording)),
         topics=tuple(recording.topics) if isinstance(recording, ListsTopics) else (),
         clock=clock_mapping(read_frame_clocks(recording.path)) if recording.path.is_dir() else None,
+        repeated=tally.repeated,
     )
 
 

@@ -40,6 +40,11 @@ class AssociationReport:
         """Depth images without a colour image near enough."""
         return self.depth_images - self.pairs
 
+    @property
+    def unpaired(self) -> int:
+        """Frames that are lost because their images found no partner: of the sensor that gave fewer images."""
+        return max(min(self.color_images, self.depth_images) - self.pairs, 0)
+
 
 @runtime_checkable
 class Recording(EventSource, Protocol):

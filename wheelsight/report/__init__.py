@@ -1,7 +1,7 @@
 """The report of a run: figures of its records, and the page that shows them."""
 
 from wheelsight.pipeline.summary import Summary, summarise
-from wheelsight.report._rectification import ERROR_HEAD, error_rows
+from wheelsight.report._rectification import error_rows
 from wheelsight.report.comparison import comparison_rows, write_comparison
 from wheelsight.report.comparison_figures import bands_figure, errors_figure, overlay_figure
 from wheelsight.report.drive_page import write_drive_page, write_drive_picture
@@ -24,7 +24,6 @@ from wheelsight.report.pictures import draw_matches
 from wheelsight.report.rectification_figures import area_map_figure, area_time_figure, map_error_figure
 
 __all__ = [
-    "ERROR_HEAD",
     "Overlay",
     "Summary",
     "area_map_figure",

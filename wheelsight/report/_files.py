@@ -15,8 +15,8 @@ _FILES = {
     "odom.txt": "the same way without leaps, as a controller follows it",
     "trajectory_corrected.txt": "likewise, as known at the end, with loops closed",
     "loops_judged.csv": "loops, and whether they were kept",
-    "status.csv": "a row a frame: status, reason, matches, time",
-    "areas.csv": "what each frame said of the area",
+    "status.csv": "a row a frame: status, reason, matches, time, frames dropped",
+    "areas.csv": "the area by each frame",
     "metrics.json": "all key figures",
     "config.yaml": "all settings, to run it again",
     "map.surfels": "the map; wheelsight export makes points or a mesh of it",
@@ -26,7 +26,6 @@ _FILES = {
     "run.rrd": "the run for Rerun's viewer",
     "run.log": "what was said on the way",
 }
-_UNITS = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 
 
 def section(folder: Path | None, odometries: Sequence[str] = ()) -> str:
@@ -37,7 +36,7 @@ def section(folder: Path | None, odometries: Sequence[str] = ()) -> str:
     if not rows:
         return ""
     intro = "Beside this page, as long as they lie where the run left them."
-    head = "<thead><tr>" + "".join(f'<th scope="col">{name}</th>' for name in ("File", "Size", "What it is"))
+    head = "<thead><tr>" + "".join(f'<th scope="col">{name}</th>' for name in ("File", "Size [kB]", "What it is"))
     table = f'<div class="scroll"><table class="files">\n{head}</tr></thead>\n<tbody>\n' + "\n".join(rows)
     return html.section("files", "Files", intro, table + "\n</tbody>\n</table></div>")
 
@@ -50,11 +49,4 @@ def _rows(folder: Path, place: str) -> Iterator[str]:
             is_folder = path.is_dir()
             link = f'<a href="{quote(shown)}{"/" if is_folder else ""}">{escape(shown)}{"/" if is_folder else ""}</a>'
             size = sum(part.stat().st_size for part in path.iterdir()) if is_folder else path.stat().st_size
-            yield f'<tr><th scope="row">{link}</th><td>{_size(size)}</td><td>{escape(sentence)}</td></tr>'
-
-
-def _size(count: int) -> str:
-    for factor, unit in _UNITS:
-        if count >= factor:
-            return f"{count / factor:.3g} {unit}"
-    return f"{count} bytes"
+            yield f'<tr><th scope="row">{link}</th><td>{size / 1e3:,.1f}</td><td>{escape(sentence)}</td></tr>'

@@ -6,12 +6,15 @@ import re
 from collections.abc import Iterable, Sequence
 from html import escape
 
+from wheelsight.pipeline.verdict import Finding, Tone
 from wheelsight.report import _plotly as go
 from wheelsight.report._packing import lean_json
 
 # As `section` writes it.
 _HEADING = re.compile('<h2 id="([^"]+)">([^<]*)</h2>')
 _FEWEST_LINKED = 3
+# Colours are not all that tells them apart.
+_TONES = {Tone.GREEN: "Good:", Tone.AMBER: "Care:", Tone.RED: "Bad:"}
 
 
 def section(key: str, title: str, intro: str, *parts: str) -> str:
@@ -77,6 +80,17 @@ def table(caption: str, head: Sequence[str], rows: Sequence[Sequence[str]], main
 def lines(sentences: Iterable[str]) -> str:
     """One short sentence a line."""
     return "<br>\n".join(escape(sentence) for sentence in sentences)
+
+
+def findings(found: Iterable[Finding]) -> str:
+    """Findings of a verdict, one a line: how bad in a word, the sentence, and what to do."""
+    items = "\n".join(
+        f'<li class="{one.tone}"><b>{_TONES[one.tone]}</b> {escape(one.sentence)}'
+        + (f" <b>To do:</b> {escape(one.remedy)}." if one.remedy else "")
+        + "</li>"
+        for one in found
+    )
+    return f'<ul class="findings">\n{items}\n</ul>\n' if items else ""
 
 
 def folded(title: str, text: str) -> str:

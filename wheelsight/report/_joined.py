@@ -1,4 +1,4 @@
-"""The page's part about joined sensors: what it comes to in words, key figures, and whether it knew its errors."""
+"""The page's part about joined sensors: key figures, and whether it knew its errors."""
 
 from __future__ import annotations
 
@@ -8,36 +8,10 @@ from wheelsight.estimates import Status
 from wheelsight.pipeline import words
 from wheelsight.pipeline.joined import BestAlone, JoinedFacts
 from wheelsight.pipeline.run_record import RunRecord
-from wheelsight.pipeline.summary import Summary
-from wheelsight.pipeline.verdict import Tone, Verdict, accuracy_sentence, speed_sentence, tracking_phrase
 from wheelsight.report import _html as html
 from wheelsight.report import _sections as sections
 from wheelsight.report import figures
 from wheelsight.report.joined_figures import trust_figure
-
-# Joining sensors is to err at most so many times what the better one does, and to stay within 3σ at least so often.
-_NO_WORSE, _MOSTLY_WITHIN = 1.2, 0.95
-
-
-def judge(record: RunRecord, summary: Summary, facts: JoinedFacts, best_alone: BestAlone | None) -> Verdict:
-    """What joining came to, in words, with the sensors alone beside it."""
-    phrase, tone = tracking_phrase(summary)
-    if tone == "good":
-        tone = _tone(facts, best_alone)
-    if summary.posed and record.evaluation is not None:
-        error = words.length(record.evaluation.ate.translation.rmse)
-        phrase = f"Joined: {error} off (RMSE){_beside(best_alone)}"
-    elif summary.posed:
-        phrase = f"Joined: {phrase[0].lower()}{phrase[1:]}, without a truth to judge it by"
-    led, accuracy, speed = (
-        _leading_sentence(summary, facts),
-        accuracy_sentence(record, summary),
-        speed_sentence(summary),
-    )
-    consistency = _consistency_sentence(facts)
-    sentences = filter(None, (led, _flags_sentence(facts), accuracy, consistency, speed))
-    chief = filter(None, (led, consistency or accuracy, speed))
-    return Verdict(phrase, tuple(sentences), tone, tuple(chief))
 
 
 def tiles(record: RunRecord, facts: JoinedFacts, best_alone: BestAlone | None) -> Iterable[tuple[str, str, str]]:
@@ -77,8 +51,8 @@ def section(record: RunRecord, facts: JoinedFacts) -> str:
     found = facts.consistency
     intro = (
         "Tracking is when the camera was believed, coasting when the wheels alone led. Flagged is slip, when the "
-        "wheels were not believed; doubtful, when camera and wheels contradicted each other and nobody knew who was "
-        "right; degenerate, when an image did not show all directions."
+        "wheels were not believed; doubtful, when camera and wheels contradicted each other and it was not known which "
+        "was right; degenerate, when an image did not show all directions."
     )
     sentence = (
         "The band is ±3σ as the filter stated it. Without a truth, whether that is honest cannot be said."
@@ -87,26 +61,13 @@ def section(record: RunRecord, facts: JoinedFacts) -> str:
         "band is ±3σ as the filter stated it; red is where the true position lies beyond it. (Both directions are "
         "judged together, by the 3σ ellipse.)"
     )
-    alt = f"{_leading_sentence(None, facts)} {_consistency_sentence(facts)}".strip()
+    alt = f"{_leading_sentence(facts)} {_consistency_sentence(facts)}".strip()
     plot = html.plot(key, trust_figure(record, found), "Error, stated error, status", sentence, alt)
     return html.section(key, title, intro, plot, sections.matches(record, record.odometry))
 
 
-def _beside(best_alone: BestAlone | None) -> str:
-    if best_alone is None:
-        return ""
-    better = ", which did better" if best_alone.ratio > 1 else ""
-    return f", {words.number(best_alone.ratio, 2)} times the error of {best_alone.odometry} alone{better}"
-
-
-def _tone(facts: JoinedFacts, best_alone: BestAlone | None) -> Tone:
-    is_worse = best_alone is not None and best_alone.ratio > _NO_WORSE
-    is_boasting = facts.consistency is not None and facts.consistency.share < _MOSTLY_WITHIN
-    return "fair" if is_worse or is_boasting else "good"
-
-
-def _leading_sentence(summary: Summary | None, facts: JoinedFacts) -> str:
-    """How many frames have a pose, and who led."""
+def _leading_sentence(facts: JoinedFacts) -> str:
+    """Which sensor led."""
     led = "the camera led throughout"
     if facts.coasting_s:
         share = words.percent(facts.share_of(Status.COASTING))
@@ -117,19 +78,7 @@ def _leading_sentence(summary: Summary | None, facts: JoinedFacts) -> str:
         led = "it never tracked"
     lost_s = facts.seconds.get(Status.LOST, 0.0)
     led += f", and was lost for {words.duration(lost_s)}" if lost_s else ""
-    if summary is None:
-        return f"{led[0].upper()}{led[1:]}."
-    share = words.percent(summary.pose_share)
-    return f"{summary.posed:,} of {words.count(summary.frames, summary.unit)} ({share}) have a pose; {led}."
-
-
-def _flags_sentence(facts: JoinedFacts) -> str:
-    if not facts.flag_shares:
-        return ""
-    if not any(facts.flag_shares.values()):
-        return "Nothing was flagged: no slip, no doubt, no degenerate view."
-    flagged = ", ".join(f"{flag} {_share(share)}" for flag, share in facts.flag_shares.items())
-    return f"Flagged, in shares of the time: {flagged}."
+    return f"{led[0].upper()}{led[1:]}."
 
 
 def _consistency_sentence(facts: JoinedFacts) -> str:

@@ -13,7 +13,6 @@ from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.report import _html as html
 from wheelsight.report import rectification_figures as figures
 
-ERROR_HEAD = ("Path", "mean", "RMSE", "median", "maximum", "at the end", "of the wheels' mean")
 _DOUBT = 0.5
 _WAYS = {"probabilistic": "probabilities, filtered", "paper": "eq. 5 of Trinh et al."}
 
@@ -61,20 +60,25 @@ def notes(record: RunRecord) -> list[str]:
     return said
 
 
-def error_rows(found: RectificationRecord) -> list[tuple[str, ...]]:
-    """One row for the wheels alone, one for the rectified path, as `ERROR_HEAD` names columns; none without truth."""
+def error_rows(found: RectificationRecord) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Column names with units, and a row for the wheels alone and one for the rectified path; none without truth."""
     errors = found.errors
     if errors is None:
-        return []
-    rows = []
-    for name, statistics, each_m in (
-        ("wheels", errors.wheels, errors.wheels_m),
-        ("rectified", errors.rectified, errors.rectified_m),
-    ):
-        lengths = (statistics.mean, statistics.rmse, statistics.median, statistics.max, float(each_m[-1]))
-        share = words.percent(statistics.mean / errors.wheels.mean) if errors.wheels.mean > 0 else words.UNKNOWN
-        rows.append((name, *(words.length(metres) for metres in lengths), share))
-    return rows
+        return (), []
+    both = ("wheels", errors.wheels, errors.wheels_m), ("rectified", errors.rectified, errors.rectified_m)
+    columns = [
+        ("Path", [name for name, _, _ in both]),
+        words.column("mean", [one.mean for _, one, _ in both], "m"),
+        words.column("RMSE", [one.rmse for _, one, _ in both], "m"),
+        words.column("median", [one.median for _, one, _ in both], "m"),
+        words.column("maximum", [one.max for _, one, _ in both], "m"),
+        words.column("at the end", [float(each_m[-1]) for _, _, each_m in both], "m"),
+        (
+            "of the wheels' mean",
+            [words.percent(one.mean / errors.wheels.mean if errors.wheels.mean > 0 else None) for _, one, _ in both],
+        ),
+    ]
+    return tuple(head for head, _ in columns), list(zip(*(cells for _, cells in columns), strict=True))
 
 
 def section(records: Sequence[RunRecord]) -> str:
@@ -105,13 +109,20 @@ def _map(record: RunRecord) -> str:
 def _errors(record: RunRecord, found: RectificationRecord) -> str:
     if found.errors is None:
         return html.paragraph("Without a ground truth, how far off either is cannot be said.", "missing")
-    rows = error_rows(found)
+    head, rows = error_rows(found)
     frames = words.count(len(found.errors.stamps_s), "frame")
     caption = f"Distance from the true base in x and y, nothing aligned, over {frames}."
-    alt = "Distances from the truth over time, " + "; ".join(f"{row[0]} {row[1]} in the mean" for row in rows) + "."
+    alt = (
+        "Distances from the truth over time, "
+        + "; ".join(
+            f"{name} {words.length(one.mean)} in the mean"
+            for name, one in (("wheels", found.errors.wheels), ("rectified", found.errors.rectified))
+        )
+        + "."
+    )
     sentence = "Wheels drift away for good; what is rectified is brought back at each change of area."
     plot = html.plot("map-error", figures.map_error_figure(record), "Error in the map over time", sentence, alt)
-    return html.table(caption, ERROR_HEAD, rows) + "\n" + plot
+    return html.table(caption, head, rows) + "\n" + plot
 
 
 def _time(record: RunRecord) -> str:

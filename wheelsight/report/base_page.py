@@ -33,7 +33,7 @@ def write_base_page(found: BaseCalibration, path: StrPath) -> None:
         kicker="wheelsight camera mount",
         title=escape(found.recording),
         facts=" · ".join(escape(fact) for fact in facts),
-        tone="good",
+        tone="green",
         phrase=escape(_phrase(found)),
         sentences=escape(_sentences(found)),
         tiles="\n".join(html.tile(*tile) for tile in _tiles(found)),

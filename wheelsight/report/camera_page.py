@@ -31,7 +31,7 @@ def write_camera_page(found: CameraCalibration, path: StrPath) -> None:
         kicker="wheelsight camera calibration",
         title=escape("Cameras by a board"),
         facts=" · ".join(escape(fact) for fact in facts),
-        tone="good" if rms_px < _GOOD_PX else "fair" if rms_px < _FAIR_PX else "poor",
+        tone="green" if rms_px < _GOOD_PX else "amber" if rms_px < _FAIR_PX else "red",
         phrase=escape(f"Corners are explained to {rms_px:.2f} px"),
         sentences=escape(_sentences(found)),
         tiles="\n".join(html.tile(*tile) for tile in _tiles(found)),

@@ -13,7 +13,7 @@ from wheelsight.pipeline import words
 from wheelsight.pipeline.joined import JOINED, BestAlone, JoinedFacts, best_alone_of, facts_of, joined_of
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.pipeline.summary import Summary, summarise
-from wheelsight.pipeline.verdict import Tone, Verdict, judge, notes
+from wheelsight.pipeline.verdict import Tone, Verdict, notes, true_way_m, verdict_of, verdict_of_run
 from wheelsight.report import _files as files
 from wheelsight.report import _html as html
 from wheelsight.report import _joined as fusion
@@ -23,23 +23,11 @@ from wheelsight.report import _sections as sections
 from wheelsight.report import comparison_figures as figures
 from wheelsight.report import loop_figures
 from wheelsight.report.overlay import Overlay, overlay_of
-from wheelsight.report.page import fill_template, settings
+from wheelsight.report.page import fill_template, settings, shown_findings
 
 _MOST_OF_THE_TIME = 0.95
+_STEPS = ("second", "metre")
 _MOST_LINES = 3
-_HEAD = (
-    "Odometry",
-    "ATE, RMSE",
-    "ATE, max",
-    "of the way",
-    "RPE a second",
-    "RPE a metre",
-    "turn a metre",
-    "with a pose",
-    "time covered",
-    "median time",
-    "95 % within",
-)
 Judged = tuple[RunRecord, Summary, Verdict]
 
 
@@ -61,22 +49,19 @@ def write_comparison(records: Sequence[RunRecord], path: StrPath) -> None:
 
 def render_comparison(records: Sequence[RunRecord], folder: Path | None = None) -> str:
     """The page about several odometries as HTML that needs nothing outside; it links results that lie in `folder`."""
-    joined, judged = _joined_of(records), []
-    for record in records:
-        summary = summarise(record)
-        if joined is not None and record is joined.record:
-            judged.append((record, summary, fusion.judge(record, summary, joined.facts, joined.best_alone)))
-        else:
-            judged.append((record, summary, judge(record, summary)))
+    joined, verdict = _joined_of(records), verdict_of_run(records)
+    judged = [(record, summarise(record), verdict_of(record, records)) for record in records]
     judged.sort(key=lambda found: not found[0].is_joined)  # the main answer comes first
+    is_side_by_side = joined is None and verdict.tone is Tone.GREEN
     paths = overlay_of(records)
     return fill_template(
         kicker="wheelsight run report",
         title=escape(records[0].recording),
         facts=" · ".join(escape(fact) for fact in _facts(records)),
-        tone=_tone(judged),
-        phrase=escape(_phrase(records) if joined is None else judged[0][2].phrase),
-        sentences=html.lines(_lines(judged) if joined is None else judged[0][2].lines),
+        tone=verdict.tone,
+        phrase=escape(_phrase(records) if is_side_by_side else verdict.phrase),
+        findings=html.findings(shown_findings(verdict)),
+        sentences=html.lines(_lines(judged) if joined is None else judged[0][2].facts),
         more=html.fold("Each in words", f"<p>{html.lines(_sentences(judged))}</p>"),
         tiles="\n".join(html.tile(*tile) for tile in _tiles(judged, joined)),
         notes=_notes(judged, paths),
@@ -109,36 +94,30 @@ def _joined_of(records: Sequence[RunRecord]) -> _Joined | None:
 
 
 def comparison_rows(records: Sequence[RunRecord]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Column names, and one row an odometry in words: errors, coverage, time. For the page and for the terminal."""
-    return _HEAD, [_row(record, summarise(record)) for record in records]
-
-
-def _row(record: RunRecord, summary: Summary) -> tuple[str, ...]:
-    cost = (words.duration(summary.median_s), words.duration(summary.p95_s))
-    share = words.percent(summary.pose_share)
-    evaluation = record.evaluation
-    if evaluation is None or record.ground_truth is None:
-        return (record.odometry, *["–"] * 6, share, "–", *cost)
-    ate, second, metre = evaluation.ate.translation, evaluation.rpe_per_second, evaluation.rpe_per_metre
-    return (
-        record.odometry,
-        words.length(ate.rmse),
-        words.length(ate.max),
-        words.percent(_share_of_the_way(record)),
-        "–" if second is None else words.length(second.translation.rmse),
-        "–" if metre is None else words.length(metre.translation.rmse),
-        "–" if metre is None else words.angle(metre.rotation.in_degrees().rmse),
-        share,
-        words.percent(evaluation.truth_time_covered),
-        *cost,
-    )
+    """Column names with units, and one row an odometry: errors, coverage, time. For the page and for the terminal."""
+    found = [record.evaluation if record.ground_truth is not None else None for record in records]
+    summaries = [summarise(record) for record in records]
+    seconds, metres = ([None if one is None else getattr(one, f"rpe_per_{name}") for one in found] for name in _STEPS)
+    columns = [
+        ("Odometry", [record.odometry for record in records]),
+        words.column("ATE, RMSE", [None if one is None else one.ate.translation.rmse for one in found], "m"),
+        words.column("ATE, max", [None if one is None else one.ate.translation.max for one in found], "m"),
+        ("of the way", ["–" if r.evaluation is None else words.percent(_share_of_the_way(r)) for r in records]),
+        words.column("RPE a second", [None if one is None else one.translation.rmse for one in seconds], "m"),
+        words.column("RPE a metre", [None if one is None else one.translation.rmse for one in metres], "m"),
+        words.column("turn a metre", [None if o is None else o.rotation.in_degrees().rmse for o in metres], "°"),
+        ("with a pose", [words.percent(summary.pose_share) for summary in summaries]),
+        ("time covered", ["–" if one is None else words.percent(one.truth_time_covered) for one in found]),
+        words.column("median time", [summary.median_s for summary in summaries], "s"),
+        words.column("95 % within", [summary.p95_s for summary in summaries], "s"),
+    ]
+    return tuple(head for head, _ in columns), list(zip(*(cells for _, cells in columns), strict=True))
 
 
 def _share_of_the_way(record: RunRecord) -> float:
-    """ATE over the true way while the odometry had a pose: the estimate's own grows with its noise."""
+    """ATE over the true way."""
     assert record.evaluation is not None
-    assert record.ground_truth is not None
-    way_m = record.ground_truth.between(*record.estimate.stamps_s[[0, -1]].tolist()).length_m
+    way_m = true_way_m(record)
     return record.evaluation.ate.translation.rmse / way_m if way_m > 0 else float("nan")
 
 
@@ -148,15 +127,8 @@ def _facts(records: Sequence[RunRecord]) -> list[str]:
     return [f"format {records[0].format}", frames, when, f"wheelsight {__version__}"]
 
 
-def _tone(judged: Sequence[Judged]) -> Tone:
-    if judged[0][0].is_joined:
-        return judged[0][2].tone
-    tones = {verdict.tone for _, _, verdict in judged}
-    return tones.pop() if len(tones) == 1 else "fair"
-
-
 def _phrase(records: Sequence[RunRecord]) -> str:
-    """What areas did, or which came nearest to the truth, of those that can be asked: who is silent errs less."""
+    """What areas did, or which came nearest to the truth, of those with poses throughout: few poses err less."""
     of_areas = [rectification.phrase(r.rectification) for r in records if r.rectification is not None]
     if of_areas and of_areas[0] is not None:
         return of_areas[0]
@@ -201,7 +173,7 @@ def _tiles(judged: Sequence[Judged], joined: _Joined | None) -> Iterable[tuple[s
 
 def _notes(judged: Sequence[Judged], paths: Overlay) -> str:
     """What holds for all once, and what holds for one under its name."""
-    of_each = {r.odometry: [*notes(r, summary), *rectification.notes(r)] for r, summary, _ in judged}
+    of_each = {r.odometry: [*notes(r), *rectification.notes(r)] for r, _, _ in judged}
     shared = [note for note in next(iter(of_each.values())) if all(note in found for found in of_each.values())]
     own = [f"{name.capitalize()}: {note}" for name, found in of_each.items() for note in found if note not in shared]
     out = [

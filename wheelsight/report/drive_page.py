@@ -16,7 +16,7 @@ from wheelsight.pipeline import words
 from wheelsight.pipeline.drive_record import DriveRecord, FilmImage
 from wheelsight.report import _html as html
 from wheelsight.report import drive_figures as figures
-from wheelsight.report.drive_tables import GOALS_HEAD, STOPS_HEAD, goal_rows, stop_rows, transition_rows
+from wheelsight.report.drive_tables import goal_rows, stop_rows, transition_rows
 from wheelsight.report.page import fill_template
 from wheelsight.report.places_sheet import jpeg_uri
 
@@ -85,19 +85,19 @@ def verdict(record: DriveRecord) -> tuple[str, str, str]:
         return (
             "Interrupted",
             f"{reached} of {words.count(record.asked, 'goal')} reached; the robot was stopped.",
-            "fair",
+            "amber",
         )
     if not record.has_arrived:
         last = record.goals[-1] if record.goals else None
         why = "" if last is None else f"{last.name}: {last.result.reason} ({last.result.detail})."
-        return of_all, why, "poor"
+        return of_all, why, "red"
     told = [f"{goal.name}: {goal.result.goal_change}." for goal in record.goals if goal.result.goal_change]
     if record.rests_on_start:
         told.append("Nothing of the map was recognised: all of it rests on the start that was said.")
     helped = sum(goal.result.recoveries for goal in record.goals)
     if helped:
         told.append(f"{words.count(helped, 'time')} it had to get itself out or find out where it was.")
-    return "Arrived", " ".join(told) or "At every goal, by its own localization.", "fair" if told else "good"
+    return "Arrived", " ".join(told) or "At every goal, by its own localization.", "amber" if told else "green"
 
 
 def _names(record: DriveRecord) -> str:
@@ -172,7 +172,7 @@ def _picture(image: FilmImage, after_s: float) -> str:
 
 
 def _goals(record: DriveRecord) -> str:
-    body = html.table("Off the goal is as the robot believes.", GOALS_HEAD, goal_rows(record))
+    body = html.table("Off the goal is as the robot believes.", *goal_rows(record))
     return html.section("goals", "Its goals", "", body)
 
 
@@ -180,7 +180,7 @@ def _stops(record: DriveRecord) -> str:
     if not record.stops:
         return html.section("stops", "What held it", "Nothing held it.")
     body = html.table(
-        "Each time that the collision monitor held the robot, or it stopped by itself.", STOPS_HEAD, stop_rows(record)
+        "Each time that the collision monitor held the robot, or it stopped by itself.", *stop_rows(record)
     )
     return html.section("stops", "What held it", "", body)
 

@@ -8,47 +8,43 @@ from wheelsight.geometry import FloatArray
 from wheelsight.pipeline import words
 from wheelsight.pipeline.drive_record import DriveRecord
 
-GOALS_HEAD = (
-    "Goal",
-    "Asked",
-    "Became of it",
-    "Off",
-    "Heading off",
-    "Time",
-    "Driven",
-    "First plan",
-    "Plans",
-    "Recovered",
-)
-STOPS_HEAD = ("Why", "Seconds", "For", "Where")
+Columns = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
 
-def goal_rows(record: DriveRecord) -> list[list[str]]:
-    """One a goal."""
-    rows = []
-    for goal in record.goals:
-        result = goal.result
-        became = result.goal_change or "arrived" if result.has_arrived else f"{result.reason}: {result.detail}"
-        heading = words.angle(goal.off_deg) if math.isfinite(goal.off_deg) else "any"
-        numbers = (words.duration(result.time_s), words.length(result.way_m), words.length(result.planned_m))
-        counts = (str(result.plans), str(result.recoveries))
-        where = place(goal.goal) if goal.is_place else "—"
-        off = words.length(goal.off_m) if goal.is_place else "—"
-        rows.append([goal.name, where, became, off, heading if goal.is_place else "—", *numbers, *counts])
-    return rows
+def goal_rows(record: DriveRecord) -> Columns:
+    """Column names with units, and one row a goal."""
+    goals = record.goals
+    results = [goal.result for goal in goals]
+    headings = [words.angle(goal.off_deg) if math.isfinite(goal.off_deg) else "any" for goal in goals]
+    return _table(
+        ("Goal", [goal.name for goal in goals]),
+        ("Asked", [place(goal.goal) if goal.is_place else "–" for goal in goals]),
+        (
+            "Became of it",
+            [r.goal_change or "arrived" if r.has_arrived else f"{r.reason}: {r.detail}" for r in results],
+        ),
+        words.column("Off", [goal.off_m if goal.is_place else None for goal in goals], "m"),
+        ("Heading off", [text if goal.is_place else "–" for goal, text in zip(goals, headings, strict=True)]),
+        words.column("Time", [result.time_s for result in results], "s"),
+        words.column("Driven", [result.way_m for result in results], "m"),
+        words.column("First plan", [result.planned_m for result in results], "m"),
+        ("Plans", [str(result.plans) for result in results]),
+        ("Recovered", [str(result.recoveries) for result in results]),
+    )
 
 
-def stop_rows(record: DriveRecord) -> list[list[str]]:
-    """One a stop."""
-    return [
-        [
-            stop.reason,
-            f"{stop.begin_s - record.begin_s:.1f}",
-            words.duration(stop.end_s - stop.begin_s),
-            words.UNKNOWN if stop.pose is None else place(stop.pose),
-        ]
-        for stop in record.stops
-    ]
+def stop_rows(record: DriveRecord) -> Columns:
+    """Column names with units, and one row a stop."""
+    return _table(
+        ("Why", [stop.reason for stop in record.stops]),
+        ("After [s]", [f"{stop.begin_s - record.begin_s:.1f}" for stop in record.stops]),
+        words.column("For", [stop.end_s - stop.begin_s for stop in record.stops], "s"),
+        ("Where", [words.UNKNOWN if stop.pose is None else place(stop.pose) for stop in record.stops]),
+    )
+
+
+def _table(*columns: tuple[str, list[str]]) -> Columns:
+    return tuple(head for head, _ in columns), list(zip(*(cells for _, cells in columns), strict=True))
 
 
 def transition_rows(record: DriveRecord) -> list[list[str]]:

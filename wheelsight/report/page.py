@@ -13,7 +13,7 @@ from wheelsight.files import StrPath, settings_text, write_text
 from wheelsight.pipeline import words
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.pipeline.summary import Summary, summarise
-from wheelsight.pipeline.verdict import judge, notes
+from wheelsight.pipeline.verdict import Finding, Verdict, notes, verdict_of_run
 from wheelsight.report import _files as files
 from wheelsight.report import _html as html
 from wheelsight.report import _map as surfels
@@ -37,16 +37,17 @@ def write_report(record: RunRecord, path: StrPath) -> None:
 def render(record: RunRecord, folder: Path | None = None) -> str:
     """The page about `record` as HTML that needs nothing outside itself; it links results that lie in `folder`."""
     summary = summarise(record)
-    verdict = judge(record, summary)
+    verdict = verdict_of_run([record])
     return fill_template(
         kicker="wheelsight run report",
         title=escape(record.recording),
         facts=" · ".join(escape(fact) for fact in _facts(record)),
         tone=verdict.tone,
         phrase=escape(verdict.phrase),
-        sentences=html.lines(verdict.lines),
+        findings=html.findings(shown_findings(verdict)),
+        sentences=html.lines(verdict.facts),
         tiles="\n".join(html.tile(*tile) for tile in _tiles(record, summary)),
-        notes=_notes(record, summary),
+        notes=_notes(record),
         sections="\n".join(part for part in (*_sections(record, summary), files.section(folder)) if part),
         footer=escape(_footer(record)),
     )
@@ -55,13 +56,13 @@ def render(record: RunRecord, folder: Path | None = None) -> str:
 def fill_template(**parts: str) -> str:
     """A whole page of parts in HTML: kicker, title, facts, tone, phrase, sentences, tiles, notes, sections, footer.
 
-    And `more`, below the sentences, if there is more to say.
+    And `findings` above the sentences, and `more` below them, if there are any.
     """
     plotly = packed(_asset("plotly-cartesian.min.js").encode())
     script = _asset("page.js") + (_asset("cloud.js") if 'class="cloud"' in parts["sections"] else "")
     assets = {"style": _asset("style.css"), "plotly": plotly, "script": script}
     assets["contents"] = html.contents(parts["notes"] + parts["sections"])
-    return Template(_asset("template.html")).substitute({"more": "", **parts}, **assets)
+    return Template(_asset("template.html")).substitute({"findings": "", "more": "", **parts}, **assets)
 
 
 def _asset(name: str) -> str:
@@ -114,10 +115,20 @@ def _error_tiles(record: RunRecord, summary: Summary) -> list[tuple[str, str, st
     return tiles
 
 
-def _notes(record: RunRecord, summary: Summary) -> str:
-    found = notes(record, summary)
-    listed = "image" if summary.unit == "frame" else "reading"
-    intro = "" if found else f"Nothing: every listed {listed} was used, and every {summary.unit} has a pose."
+def shown_findings(verdict: Verdict) -> list[Finding]:
+    """What the verdict names at the top of a page: whether a known map was recognised, then all that is not green.
+
+    Where all is green, how many frames have a pose.
+    """
+    in_map = [one for one in verdict.findings if one.about == "map"]
+    concerns = [one for one in verdict.concerns if one.about != "map"]
+    return [*in_map, *concerns] if concerns else [*in_map, *(one for one in verdict.findings if one.about == "poses")]
+
+
+def _notes(record: RunRecord) -> str:
+    found = notes(record)
+    listed = "image" if record.unit == "frame" else "reading"
+    intro = "" if found else f"Nothing: every listed {listed} was used, and every {record.unit} has a pose."
     body = html.bullets(found, "notes") if found else ""
     return html.section("notes", "What to know before trusting it", intro, body)
 

@@ -46,10 +46,10 @@ def _render(trial: PlaceTrial, model: PlaceModel, recording: str) -> str:
 
 def _verdict(trial: PlaceTrial) -> tuple[str, str]:
     if trial.accuracy >= _GOOD:
-        return "good", "It knows where it is"
+        return "green", "It knows where it is"
     if trial.accuracy >= _FAIR:
-        return "fair", "It mostly knows where it is"
-    return "poor", "It often takes one area for another"
+        return "amber", "It mostly knows where it is"
+    return "red", "It often takes one area for another"
 
 
 def _sentences(trial: PlaceTrial) -> str:

@@ -64,7 +64,7 @@ def write_squares_page(result: Umbmark, after_m: tuple[FloatArray, FloatArray], 
         kicker="wheelsight wheel calibration",
         title=escape(name),
         facts=_facts("UMBmark, Borenstein & Feng 1996"),
-        tone="good" if left_m < _BETTER * before_m else "fair",
+        tone="green" if left_m < _BETTER * before_m else "amber",
         phrase=escape(f"Systematic error {words.length(before_m)} before, {words.length(left_m)} after"),
         sentences=escape(
             f"From {runs} squares of {result.side_m:.3g} m. The mean wheel radius cannot be seen from it."
@@ -90,10 +90,10 @@ def _facts(method: str) -> str:
 def _verdict(trial: WheelTrial) -> tuple[str, str]:
     path, drift = _changes(trial)
     if path < _BETTER and drift < _WORSE:
-        return f"{1 / path:.1f} times nearer to the reference where it was not fitted", "good"
+        return f"{1 / path:.1f} times nearer to the reference where it was not fitted", "green"
     if path > _WORSE and drift > _BETTER:
-        return "No better than the nominal wheels where it was not fitted", "poor"
-    return "Little changes where it was not fitted", "fair"
+        return "No better than the nominal wheels where it was not fitted", "red"
+    return "Little changes where it was not fitted", "amber"
 
 
 def _changes(trial: WheelTrial) -> tuple[float, float]:

@@ -40,13 +40,16 @@ def square_rows(result: Umbmark) -> list[tuple[str, ...]]:
 def error_rows(trial: WheelTrial) -> list[tuple[str, ...]]:
     """Errors of nominal and of calibrated wheels on the part not calibrated on, one row each kind."""
     both = (trial.before, trial.after)
-    rows: list[tuple[str, ...]] = [("ATE, position", *(words.length(x.evaluation.ate.translation.rmse) for x in both))]
+    found: list[tuple[str, str, list[float]]] = [
+        ("ATE, position", "m", [x.evaluation.ate.translation.rmse for x in both])
+    ]
     for name in ("second", "metre"):
         errors = [getattr(x.evaluation, f"rpe_per_{name}") for x in both]
         if None not in errors:
-            rows.append((f"RPE a {name}, position", *(words.length(e.translation.rmse) for e in errors)))
-            rows.append((f"RPE a {name}, heading", *(words.angle(e.rotation.in_degrees().rmse) for e in errors)))
-    return [*rows, ("off at the end", *(words.length(x.end_error_m) for x in both))]
+            found.append((f"RPE a {name}, position", "m", [e.translation.rmse for e in errors]))
+            found.append((f"RPE a {name}, heading", "°", [e.rotation.in_degrees().rmse for e in errors]))
+    found.append(("off at the end", "m", [x.end_error_m for x in both]))
+    return [(head, *cells) for head, cells in (words.column(name, values, unit) for name, unit, values in found)]
 
 
 def _length_rows(nominal: Wheels, wheels: Wheels, sigmas: dict[str, float]) -> list[tuple[str, ...]]:
