@@ -282,20 +282,31 @@ def _end_group(process: Any) -> None:
 
 
 class _OwnClock:
-    """Time without that for which a process and its children were ready and had to wait: a busy computer is no hang."""
+    """Time without that for which a process, with its threads and children, had to wait for a processor.
+
+    From look to look the longest wait of any thread counts, since the others may wait for it: a busy computer is no
+    hang, and threads that wait for each other are one.
+    """
 
     def __init__(self, pid: int | None) -> None:
-        self._pid, self._waited_ns, self._last_ns = pid, 0, dict[str, int]()
+        self._pid, self._waited_ns, self._last_ns = pid, 0, dict[Path, int]()
 
     def now_s(self) -> float:
         """Seconds."""
         with suppress(OSError, IndexError):  # kernels without these files: all time counts
             children = Path(f"/proc/{self._pid}/task/{self._pid}/children").read_text().split()
-            for pid in (str(self._pid), *children):
-                waited_ns = int(Path(f"/proc/{pid}/schedstat").read_text().split()[1])
-                self._waited_ns += waited_ns - self._last_ns.get(pid, 0)
-                self._last_ns[pid] = waited_ns
+            threads = [thread for pid in (self._pid, *children) for thread in Path(f"/proc/{pid}/task").iterdir()]
+            waits_ns = [self._waited(thread) for thread in threads]
+            self._waited_ns += max(waits_ns, default=0)
         return time.monotonic() - 1e-9 * self._waited_ns
+
+    def _waited(self, thread: Path) -> int:
+        """For how long, in nanoseconds, since the last look."""
+        waited_ns = 0
+        with suppress(OSError, IndexError):  # it has ended
+            waited_ns = int((thread / "schedstat").read_text().split()[1])
+        before_ns, self._last_ns[thread] = self._last_ns.get(thread, 0), waited_ns
+        return max(waited_ns - before_ns, 0)
 
 
 def _bytes_in(folder: Path) -> int:
