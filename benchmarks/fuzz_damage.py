@@ -118,7 +118,7 @@ _LAUGHS = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
 )
 _INTEGER = b"\x00\x00\xff\xff\x7f\x80\x01"
 _LARGE = 30_000
-_MOST_BYTES = 8_000_000
+_MOST_BYTES, _MOST_UNPACKED = 8_000_000, 1 << 27
 
 
 def damaged(name: str, data: bytes, rng: Rng) -> bytes:
@@ -364,6 +364,8 @@ def _repacked(data: bytes, change: Callable[[dict[str, bytes]], None]) -> bytes:
     """An archive with its files changed; as it is where it can no longer be read."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            if sum(info.file_size for info in archive.infolist()) > _MOST_UNPACKED:  # by an earlier change
+                return data
             parts = {name: archive.read(name) for name in archive.namelist()}
         change(parts)
     except Exception:  # an earlier change has damaged it
