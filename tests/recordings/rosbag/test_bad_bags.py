@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -343,3 +344,17 @@ def test_a_frame_that_is_no_text_is_refused(tmp_path: Path, way: str, topic: str
     path.write_bytes(data.replace(b"f" * 33, b"\xf0" * 33))
     with pytest.raises(RecordingError, match=f"a message of {topic} "):
         list(open_recording(path).events())
+
+
+def test_an_index_whose_times_are_wrong_leaves_gravity_unknown(opened, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The gyroscope's chunks seem to begin after the messages in them, so that none lies in the first seconds."""
+    drive = odometry_drive()
+    for at_s in np.arange(0, 3, 0.1).tolist():
+        drive.add(at_s, "/imu", drive.make.imu(at_s, "imu_frame", (0, 0, 0.3), (0, 0, 9.81)))
+    whole = OpenBag.messages
+
+    def messages(bag: OpenBag, topics: Sequence[str], start_ns: int | None = None, stop_ns: int | None = None):
+        return iter(()) if list(topics) == ["/imu"] and stop_ns is not None else whole(bag, topics, start_ns, stop_ns)
+
+    monkeypatch.setattr(OpenBag, "messages", messages)
+    assert any("neither tf nor gravity tells which way is up" in warning for warning in opened(drive).warnings)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wheelsight.geometry import FloatArray
+from wheelsight.recordings.rosbag.definitions import are_measured
 from wheelsight.recordings.rosbag.robot import Robot
 from wheelsight.recordings.rosbag.settings import BagSettings
 from wheelsight.recordings.rosbag.storage import OpenBag
@@ -42,9 +43,11 @@ def _felt(bag: OpenBag, topic: str, settings: BagSettings) -> FloatArray | None:
     """The mean acceleration's direction over the first seconds, where it is gravity's."""
     stop_ns = bag.first(topic)[0].receipt_ns + round(1e9 * settings.gravity_s)
     read = [bag.decode(message).linear_acceleration for message in bag.messages([topic], stop_ns=stop_ns)]
-    with np.errstate(over="ignore", invalid="ignore"):  # damaged messages hold numbers that no sensor tells
-        mean = np.mean([(a.x, a.y, a.z) for a in read], axis=0)
-        size = float(np.linalg.norm(mean))
+    measured = [(a.x, a.y, a.z) for a in read if are_measured((a.x, a.y, a.z))]
+    if not measured:  # a damaged index may say that the messages come later than they do
+        return None
+    mean = np.mean(measured, axis=0)
+    size = float(np.linalg.norm(mean))
     if not abs(size - _G_M_S2) <= settings.gravity_share * _G_M_S2:
         return None
     return np.asarray(mean / size)
