@@ -179,11 +179,11 @@ def test_it_drives_on_while_its_next_plan_is_made() -> None:
     subject.go(2.5)
     planning.is_held = True
     moved_by(subject, 0.15)
-    subject.go(1.0)
+    subject.go(1.0, until=lambda: planning.is_asked)
     assert planning.asked == 2
-    assert planning.is_asked
     before = subject.robot.base.pose.copy()
-    subject.go(0.5)
+    subject.go(0.35)  # a planner that takes much longer than ever before is one that hangs
+    assert planning.is_asked
     assert subject.navigator.state is NavigationState.DRIVING
     assert np.hypot(*(subject.robot.base.pose - before)[:2]) > 0.1
     planning.is_held = False
@@ -271,3 +271,20 @@ def test_a_plan_is_asked_for_with_the_goal_and_driven_in_the_period_in_which_it_
     assert subject.navigator.state is NavigationState.DRIVING
     assert not_none(subject.navigator.feedback.monitor).command.forward_m_s > 0
     assert held.asked == asked + 1
+
+
+def test_what_work_raises_is_raised_once_and_the_next_is_done() -> None:
+    def failing() -> int:
+        raise ValueError("no plan")
+
+    with closing(WorkerBeside[int]("planning")) as worker:
+        worker.ask(failing, 0.0)
+        while worker.is_busy:
+            pass
+        with pytest.raises(ValueError, match="no plan"):
+            worker.answer(0.0)
+        assert not worker.is_asked
+        worker.ask(lambda: 7, 0.0)
+        while (answer := worker.answer(0.0)) is None:
+            assert worker.is_asked
+        assert answer == 7

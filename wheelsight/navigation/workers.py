@@ -28,7 +28,7 @@ class Worker(Protocol[_Answer]):
         """Have something done that uses nothing which anybody else changes until then."""
 
     def answer(self, now_s: float) -> _Answer | None:
-        """What came of it, once; None while that is not known. Raises what it raised."""
+        """What came of it, once; None while that is not known. Raises what it raised, once."""
 
     def drop(self) -> None:
         """Want no answer any more."""
@@ -105,7 +105,7 @@ class WorkerBeside(Generic[_Answer]):
     def ask(self, work: Callable[[], _Answer], now_s: float) -> None:
         """See `Worker`."""
         with self._changed:
-            self._work, self._is_asked = work, True
+            self._work, self._is_asked, self._error = work, True, None
             self._answers.clear()
             self._changed.notify()
 
@@ -113,7 +113,8 @@ class WorkerBeside(Generic[_Answer]):
         """See `Worker`."""
         with self._changed:
             if self._error is not None:
-                raise self._error
+                error, self._error, self._is_asked = self._error, None, False
+                raise error
             if not self._answers:
                 return None
             self._is_asked = False
@@ -134,19 +135,19 @@ class WorkerBeside(Generic[_Answer]):
 
     def _run(self) -> None:
         yield_to_others()
-        try:
-            while True:
-                with self._changed:
-                    self._changed.wait_for(lambda: self._is_closed or self._work is not None)
-                    if self._is_closed:
-                        return
-                    assert self._work is not None
-                    work, self._work, self._is_busy = self._work, None, True
-                answer = work()
-                with self._changed:
-                    self._is_busy = False
-                    if self._is_asked and self._work is None:
-                        self._answers.append(answer)
-        except BaseException as error:  # told to whoever asks next
+        while True:
             with self._changed:
-                self._error, self._is_busy = error, False
+                self._changed.wait_for(lambda: self._is_closed or self._work is not None)
+                if self._is_closed:
+                    return
+                assert self._work is not None
+                work, self._work, self._is_busy = self._work, None, True
+            error, answers = None, list[_Answer]()
+            try:
+                answers.append(work())
+            except BaseException as raised:
+                error = raised
+            with self._changed:
+                self._is_busy = False
+                if self._is_asked and self._work is None:
+                    self._answers, self._error = answers, error
