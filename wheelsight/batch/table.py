@@ -49,8 +49,8 @@ FIGURES = (
     Figure("frame_ms", "ms", digits=2, is_cost=True),
     Figure("memory_mb", "MB", digits=0, is_cost=True),
 )
-# A thousand recordings by a thousand configurations; and a figure that can still be scaled, rounded and compared.
-_FILE = Kind("a table of a batch", most_mb=256, fix="give the table.csv of an earlier --out")
+# 100 000 rows; and a figure that can still be scaled, rounded and compared.
+_FILE = Kind("a table of a batch", most_mb=16, fix="give the table.csv of an earlier --out")
 _LARGEST = 1e15
 _HEAD = ("recording", "config", "odometry", "seeds", "status", "problem")
 

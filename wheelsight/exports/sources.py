@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
@@ -23,6 +25,7 @@ from wheelsight.trajectory import Trajectory, read_tum
 # Where a run of several odometries has its best trajectory, first the one that knows most.
 _TRACKS = ("", "joined", "dense", "features", "rectified", "wheels")
 _SETTINGS_FILE = "config.yaml"
+_DETAILS = ("matches", "inliers", "time_ms", "flags", "note")
 _STATUS = Kind("a run's status", most_mb=192)
 _METRICS = Kind("a run's figures", most_mb=64)
 
@@ -82,11 +85,13 @@ class Exported:
             return None if self.map is not None else open_recording(self.path)
         path = self.path / METRICS_FILE
         try:
-            told = parse_json(read_text(path, _METRICS, OutputError))["recording"]["path"]
+            told: Any = parse_json(read_text(path, _METRICS, OutputError))["recording"]["path"]
         except (KeyError, TypeError, ValueError) as error:
             raise OutputError("does not tell of a run's recording", path=path, fix="run again") from error
         if told is None:
             return None
+        if not isinstance(told, str) or "\0" in told:
+            raise OutputError("does not tell of a run's recording", path=path, fix="run again")
         # A run in another folder told it from there, which is mostly a folder that the run lies in, too.
         found = next(
             (path for path in (told, *(up / told for up in self.path.absolute().parents)) if is_there(path)), None
@@ -130,17 +135,27 @@ class Exported:
         if self.track is None:
             return
         path = self.track / STATUS_FILE
-        for row in csv.DictReader(lines_of(read_text(path, _STATUS, OutputError))):
-            try:
-                details = [(name, row[name]) for name in ("matches", "inliers", "time_ms", "flags", "note")]
-                told = StatusRow(float(row["stamp_s"]), row["status"], row["reason"], tuple(details))
-            except (KeyError, TypeError, ValueError) as error:
-                raise OutputError("is no status of a run", path=path, fix="run again") from error
-            yield told
+        try:
+            for row in csv.DictReader(lines_of(read_text(path, _STATUS, OutputError))):
+                yield _status_row(row)
+        except (KeyError, TypeError, ValueError, csv.Error) as error:
+            raise OutputError("is no status of a run", path=path, fix="run again") from error
 
     def need_map(self) -> MapFolder:
         """The map. Raises MapError, with how to make one."""
         return self.map if self.map is not None else MapFolder.open(find_map(self.path))
+
+
+def _status_row(row: Mapping[str, str | None]) -> StatusRow:
+    """Raises KeyError, TypeError or ValueError for what is none: csv leaves None where a line is short."""
+    stamp, status, reason, *cells = (row[name] for name in ("stamp_s", "status", "reason", *_DETAILS))
+    details = tuple((name, cell) for name, cell in zip(_DETAILS, cells, strict=True) if cell is not None)
+    if stamp is None or status is None or reason is None or len(details) < len(_DETAILS):
+        raise ValueError("a short line")
+    stamp_s = float(stamp)
+    if not math.isfinite(stamp_s):
+        raise ValueError(stamp)
+    return StatusRow(stamp_s, status, reason, details)
 
 
 def exported_at(path: StrPath) -> Exported:
