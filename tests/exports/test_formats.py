@@ -301,3 +301,22 @@ def test_without_octomap_that_is_said(
     assert answer.exit_code == 2
     assert answer.stderr == "error: octomap-python is missing (pip install octomap-python)\n"
     assert not (tmp_path / "map.bt").exists()
+
+
+@pytest.mark.parametrize(
+    "line", ["1.0,tracking,,10,9", "nan,tracking,,10,9,3.5,,", "x,tracking,,,,,,", '1.0,"' + "a\n" * 90_000]
+)
+def test_a_status_that_is_none_is_refused(line: str, way: Trajectory, tmp_path: Path) -> None:
+    run = leave_run(tmp_path / "run", way)
+    with (run / "status.csv").open("a") as stream:
+        stream.write(line)
+    with pytest.raises(OutputError, match="is no status of a run"):
+        list(exported_at(run).status())
+
+
+@pytest.mark.parametrize("path", [5, ["a"], "a\0b"])
+def test_a_recording_that_is_no_path_is_refused(path: object, way: Trajectory, tmp_path: Path) -> None:
+    run = leave_run(tmp_path / "run", way)
+    (run / "metrics.json").write_text(json.dumps({"recording": {"path": path}}))
+    with pytest.raises(OutputError, match="does not tell of a run's recording"):
+        _ = exported_at(run).recording

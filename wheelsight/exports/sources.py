@@ -94,7 +94,7 @@ class Exported:
             raise OutputError("does not tell of a run's recording", path=path, fix="run again")
         # A run in another folder told it from there, which is mostly a folder that the run lies in, too.
         found = next(
-            (path for path in (told, *(up / told for up in self.path.absolute().parents)) if is_there(path)), None
+            (path for path in (Path(told), *(up / told for up in self.path.absolute().parents)) if is_there(path)), None
         )
         if found is None:
             raise RecordingError("the run's recording is not there any more", path=told, fix="put it where it was")
