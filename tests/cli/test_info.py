@@ -68,3 +68,24 @@ def test_one_frame_has_no_rate(wheelsight: Command, room: Path) -> None:
     assert result.exit_code == 0
     assert "1 in 0.00 s" in result.stdout
     assert "nan" not in result.output
+
+
+def test_the_sample_comes_along(wheelsight: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = wheelsight("info", "sample")
+    assert result.exit_code == 0, result.output
+    assert "151 in 38.50 s" in result.stdout
+    assert result.stderr == ""
+
+
+def test_a_folder_named_sample_wins_with_a_note(
+    wheelsight: Command, wheels: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    wheels.rename(tmp_path / "sample")
+    result = wheelsight("info", "sample")
+    assert result.exit_code == 0, result.output
+    assert "151 in" not in result.stdout
+    assert result.stderr.splitlines()[0] == (
+        "sample is the one in the current folder, not the recording that comes with wheelsight"
+    )

@@ -16,7 +16,12 @@ if TYPE_CHECKING:
 INPUT, OUTPUT, SETTINGS = "Input", "Output", "Settings"
 
 RecordingPath = Annotated[
-    Path, typer.Argument(metavar="RECORDING", help="Folder of the recording, or a ROS bag.", show_default=False)
+    Path,
+    typer.Argument(
+        metavar="RECORDING",
+        help="Folder of the recording, or a ROS bag; [bold]sample[/bold] is one that comes along.",
+        show_default=False,
+    ),
 ]
 Camera = Annotated[
     str | None,
@@ -124,8 +129,12 @@ def settings_from(options: Mapping[str, object], file: Path | None = None) -> Co
 
 
 def open_source(folder: Path, settings: Config) -> Recording:
-    """The recording in a folder, read as the settings say. Raises InputError."""
-    from wheelsight.recordings import open_recording
+    """The recording in a folder, or the sample, read as the settings say. Raises InputError."""
+    from wheelsight.cli._console import print_note
+    from wheelsight.recordings import SAMPLE_NAME, open_recording
+
+    if folder == Path(SAMPLE_NAME) and folder.exists():
+        print_note(f"{folder} is the one in the current folder, not the recording that comes with wheelsight")
 
     return open_recording(folder, settings.recording.open_options())
 

@@ -14,7 +14,9 @@ _REAL_TIME, _LIVE = "In real time", "Live, in place of a recording"
 LiveRecording = Annotated[
     Path | None,
     typer.Argument(
-        metavar="RECORDING", help="Folder of the recording, or a ROS bag; none with --live.", show_default=False
+        metavar="RECORDING",
+        help="Folder of the recording, or a ROS bag; [bold]sample[/bold] is one that comes along; none with --live.",
+        show_default=False,
     ),
 ]
 LiveCamera = Annotated[

@@ -15,11 +15,13 @@ from wheelsight.recordings.protocol import (
     Recording,
     TellsEnds,
 )
-from wheelsight.recordings.registry import find_recordings, open_recording, reader_names
+from wheelsight.recordings.registry import SAMPLE, SAMPLE_NAME, find_recordings, open_recording, reader_names
 from wheelsight.recordings.writer import TRUTH_FILES, RecordingWriter, write_recording
 
 __all__ = [
     "MATCHES_FILE",
+    "SAMPLE",
+    "SAMPLE_NAME",
     "TRUTH_FILES",
     "AssociationReport",
     "GivesMatches",

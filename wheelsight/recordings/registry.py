@@ -8,6 +8,7 @@ from pathlib import Path
 
 from wheelsight.errors import RecordingError
 from wheelsight.files import StrPath
+from wheelsight.inputs import is_there
 from wheelsight.recordings._wheel_recording import WheelRecording
 from wheelsight.recordings.azure_kinect import AzureKinectReader
 from wheelsight.recordings.bonn import BonnReader
@@ -48,6 +49,9 @@ _READERS: tuple[Reader, ...] = (
     AzureKinectReader(),
     ScanNetReader(),
 )
+# The recording that comes along, made by benchmarks/sample.py, and its name in place of a path.
+SAMPLE_NAME = "sample"
+SAMPLE = Path(__file__).parent / "sample"
 _LEAST = f"the least is tum's: {TumReader.needs}"
 _MOST_NEAR = 3
 _SEARCH_DEPTH = 3
@@ -63,13 +67,16 @@ def open_recording(path: StrPath, options: OpenOptions | None = None) -> Recordi
     """The recording at a path, by the first reader that recognises it.
 
     Args:
-        path: a folder, or for bags, an .mkv and a .sens a file, of one of the formats in `reader_names()`.
+        path: a folder, or for bags, an .mkv and a .sens a file, of one of the formats in `reader_names()`; "sample" is
+            the recording that comes with the package, unless the current folder has something of that name.
         options: what the files do not say; None for the defaults.
 
     Raises:
         InputError: the folder is missing, is of no known format, or cannot be read; one line with file and fix.
     """
     folder = Path(path)
+    if is_sample(folder):
+        folder = SAMPLE
     try:
         return _open(folder, options or OpenOptions())
     except OSError as error:  # a folder that may not be looked into, a name that is too long
@@ -78,6 +85,11 @@ def open_recording(path: StrPath, options: OpenOptions | None = None) -> Recordi
         if "null byte" not in str(error):
             raise
         raise RecordingError("is no name of a folder", path=str(folder), fix="check the path") from error
+
+
+def is_sample(path: Path) -> bool:
+    """Whether a path names the recording that comes with the package: `sample`, where there is nothing of that name."""
+    return path == Path(SAMPLE_NAME) and not is_there(path)
 
 
 def _open(folder: Path, options: OpenOptions) -> Recording:
