@@ -91,6 +91,7 @@ def test_the_next_drive_is_found_and_another_room_is_told_of(
     found = wheelsight("run", tmp_path / "tuesday", *asked, "--out", tmp_path / "found")
     assert found.exit_code == 0, found.output
     assert "warning" not in found.stderr
+    assert found.stdout.startswith(f"Recognised in the map {monday} ")
     corrected = read_tum(tmp_path / "found" / "trajectory_corrected.txt")
     first = read_tum(monday / "trajectory.txt").T_frame_body[0]
     T_map_room = first @ np.linalg.inv(truth.T_frame_body[0])
@@ -100,7 +101,8 @@ def test_the_next_drive_is_found_and_another_room_is_told_of(
     make_tum_recording(tmp_path / "elsewhere", 15, trajectory=way.select(slice(0, 15)), seed=3)
     lost = wheelsight("run", tmp_path / "elsewhere", *asked, "--out", tmp_path / "lost")
     assert lost.exit_code == 0, lost.output
-    assert "warning: The place was not recognised in the map: there are no poses in it." in lost.stderr
+    assert lost.stdout.startswith(f"The place was not recognised in the map {monday}: there are no poses in it.\n")
+    assert "verdict: red, Do not rely on it: the place was not recognised in the map\n" in lost.stdout
     assert json.loads((tmp_path / "lost" / "metrics.json").read_text())["frames"]["with_pose"] == 0
     assert not (tmp_path / "lost" / "trajectory_corrected.txt").exists()
     assert {path.name: path.read_bytes() for path in (monday / "map").iterdir()} == kept

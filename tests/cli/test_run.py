@@ -26,6 +26,7 @@ def test_results_are_written_and_summed_up(wheelsight: Command, room: Path, tmp_
     assert result.exit_code == 0, result.output
     assert "10 of 10 with a pose (100 %)" in result.stdout
     assert "ATE, position" in result.stdout
+    assert "\nverdict: green, Followed in every frame\n" in result.stdout
     assert result.stdout.splitlines()[-1] == f"report: {out / 'report.html'}"
     assert "\x1b" not in result.output
     assert len(read_tum(out / "trajectory.txt")) == 10
@@ -84,6 +85,29 @@ def test_damaged_and_absent_images_are_skipped_and_counted(wheelsight: Command, 
     assert (frames["skipped"], frames["with_pose"]) == (2, 8)
 
 
+@pytest.mark.usefixtures("drawn_pages")
+def test_dropped_frames_are_one_number_everywhere(wheelsight: Command, room: Path, tmp_path: Path) -> None:
+    depth = sorted((room / "depth").iterdir())
+    depth[3].write_bytes(depth[3].read_bytes()[:2000])
+    lines = (room / "depth.txt").read_text().splitlines()
+    stamp_s, path = lines[-1].split()
+    (room / "depth.txt").write_text("\n".join([*lines[:-1], f"{float(stamp_s) + 0.4:.6f} {path}"]) + "\n")
+    said = "2 of 10 frames dropped (20 %): 1 without a partner, 1 unreadable"
+    assert re.search(rf"^dropped +{re.escape(said)} *$", wheelsight("info", room).stdout, re.MULTILINE)
+    informed = json.loads(wheelsight("info", room, "--json").stdout)["dropped"]
+    result = wheelsight("run", room, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    with (tmp_path / "out" / "status.csv").open() as stream:
+        rows = sum(int(row["dropped"]) for row in csv.DictReader(stream))
+    assert metrics["frames"]["dropped"] == informed
+    assert (informed["total"], rows) == (2, 2)
+    assert re.search(rf"^dropped +{re.escape(said)} *$", result.stdout, re.MULTILINE)
+    assert metrics["verdict"]["tone"] == "amber"
+    assert f"  amber {said}. To do: " in result.stdout
+    assert f"{said}. <b>To do:</b>" in (tmp_path / "out" / "report.html").read_text()
+
+
 def test_windows_line_ends_and_comments_are_no_matter(wheelsight: Command, room: Path, tmp_path: Path) -> None:
     for path in room.glob("*.txt"):
         text = "# first\n" + path.read_text().replace("\n", "\n# between\n", 3)
@@ -118,6 +142,8 @@ def test_a_blank_wall_gives_no_pose_and_says_why(wheelsight: Command, tmp_path: 
     assert result.exit_code == 0, result.output
     assert "0 of 6 with a pose" in result.stdout
     assert "6 × too few keypoints" in result.stdout
+    assert "verdict: red, Do not rely on it: no pose was found" in result.stdout
+    assert "(6). To do: give it more light" in result.stdout
 
 
 @pytest.mark.slow

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -69,12 +71,20 @@ def test_unknown_and_doubled_names_are_one_line(refusal: Callable[..., str], dri
 def test_what_joining_came_to_is_said(wheelsight: Command, drive: Path, tmp_path: Path) -> None:
     result = wheelsight("run", drive, "--odometry", "wheels,features", "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
-    rows = {words[0]: words[1:] for words in map(str.split, result.stdout.splitlines()) if words}
-    assert rows["error"][1:] in (["times", "that", "of", of, "alone"] for of in ("wheels", "features"))
-    assert rows["end"][1:3] == ["m", "off"]
-    assert "joined" in rows
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    verdict = metrics["verdict"]
+    assert metrics["odometry"]["joined"]["verdict"] == verdict
+    assert f"\nverdict: {verdict['tone']}, {verdict['phrase']}\n" in result.stdout
+    for found in verdict["findings"]:
+        said = found["short"] if found["tone"] == "green" else f"{found['sentence']} To do: {found['remedy']}."
+        assert said in result.stdout
+    assert {"poses", "slip", "doubtful", "degenerate", "coasting", "3σ"} <= {
+        one["about"] for one in verdict["findings"]
+    }
+    assert "Begun at the true start, it ends " in result.stdout
+    assert re.search(r"ATE, RMSE \[[mc]?m\]", result.stdout)
     result = wheelsight("run", drive, "--odometry", "wheels,features", "--fusion", "none", "--out", tmp_path / "none")
-    assert "what joining came to" not in result.stdout
+    assert "slip" not in result.stdout
 
 
 def test_without_a_name_all_sensors_are_joined(wheelsight: Command, drive: Path, tmp_path: Path) -> None:

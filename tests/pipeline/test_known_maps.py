@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from grids import mostly_slow
+from narrowing import not_none
 from pipeline.made import FILES, metrics_in, names_in, status_in
 from pipeline.two_days import CALIBRATION, FIRST_DAY, OTHER_ROOM, SECOND_DAY, covered, frames_of, recorded
 from stand_ins import MemoryRecording
@@ -19,7 +20,7 @@ from wheelsight.calibration import Calibration
 from wheelsight.config import Config, load_config
 from wheelsight.errors import MapError
 from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
-from wheelsight.pipeline import RunRecord
+from wheelsight.pipeline import RunRecord, Tone, verdict_of
 from wheelsight.runs import run
 from wheelsight.slam.sessions import MapFolder, lie_together
 from wheelsight.trajectory import read_tum
@@ -86,7 +87,18 @@ def test_the_second_day_is_found_and_the_map_stays_as_it_is(first_day: Path, tmp
     check_near(tmp_path / "found", SECOND_DAY)
     assert read_tum(tmp_path / "found" / "trajectory.txt").frame == "odom"
     assert metrics_in(tmp_path / "found")["loops"]["kept"] >= 2
-    assert not [warning for warning in record.warnings if "map" in warning]
+    known = not_none(record.known_map)
+    assert known.is_recognised
+    assert known.after_s == pytest.approx(not_none(record.frames[joined].told_s) - record.frames[0].stamp_s)
+    T_map_camera = np.eye(4)
+    T_map_camera[:3, 3] = known.x_m, known.y_m, known.z_m
+    T_map_room = se3.invert(FIRST_DAY[0])
+    assert np.linalg.norm(T_map_camera[:3, 3] - (T_map_room @ SECOND_DAY[joined])[:3, 3]) < 0.05
+    assert 0 < not_none(known.sigma_m) < 0.2
+    assert known.views >= 2
+    assert known.keyframes_placed == known.keyframes
+    assert metrics_in(tmp_path / "found")["known_map"] == known.to_dict()
+    assert verdict_of(record).findings[-1].tone is Tone.GREEN
     assert record.correction is not None
     assert metrics_in(tmp_path / "found")["loops"]["evaluation"]["ate_m"]["rmse"] < 0.03
 
@@ -137,9 +149,12 @@ def test_another_room_is_not_recognised_and_told_so(monday: Path, tmp_path: Path
     record = find(monday, tmp_path / "found", source, known_map__extend=extends)
     assert set(statuses_in(tmp_path / "found")) == {"initializing"}
     assert names_in(tmp_path / "found") == FILES
-    warning = f"{UNKNOWN}: there are no poses in it."
-    assert warning in record.warnings
-    assert warning in metrics_in(tmp_path / "found")["warnings"]
+    known = not_none(record.known_map)
+    assert (known.is_recognised, known.after_s, known.keyframes_placed) == (False, None, 0)
+    assert known.sentence == f"{UNKNOWN} {monday}: there are no poses in it"
+    assert metrics_in(tmp_path / "found")["known_map"] == known.to_dict()
+    assert verdict_of(record).tone is Tone.RED
+    assert "the place was not recognised" in verdict_of(record).phrase
     found = MapFolder.open(monday / "map")
     assert len(found.store) == count
     assert max(edge.second for edge in found.edges) < count
@@ -169,8 +184,11 @@ def test_who_leaves_the_map_has_no_poses_in_it_from_there(monday: Path, tmp_path
     statuses = statuses_in(tmp_path / "found")
     assert statuses[len(here) - 1] == "tracking"
     assert statuses[-1] == "coasting"
-    (warning,) = [warning for warning in record.warnings if warning.startswith(UNKNOWN)]
-    assert warning.endswith("keyframes: near them there are no poses in it.")
+    known, verdict = not_none(record.known_map), verdict_of(record)
+    assert known.is_recognised
+    assert 0 < known.keyframes_placed < known.keyframes
+    (found,) = (found for found in verdict.concerns if found.about == "map")
+    assert f"where {known.keyframes - known.keyframes_placed} of {known.keyframes} keyframes lie" in found.sentence
     corrected = read_tum(tmp_path / "found" / "trajectory_corrected.txt")
     assert len(read_tum(tmp_path / "found" / "trajectory.txt")) > len(corrected) >= len(here)
     assert corrected.stamps_s[-1] < 15.0
@@ -196,12 +214,14 @@ def test_a_start_is_believed_but_told_where_nothing_bears_it_out(tmp_path: Path)
     second = recorded(SECOND_DAY, calibration=calibration)
     record = find(tmp_path / "monday", found, second, known_map__start=start)
     assert set(statuses_in(found)) == {"tracking"}
-    assert not [warning for warning in record.warnings if warning.startswith(UNKNOWN)]
+    known = not_none(record.known_map)
+    assert (known.is_recognised, known.has_start) == (True, True)
     last = read_tum(found / "trajectory_corrected.txt").T_frame_body[-1] @ FIRST_DAY[0]
     assert np.linalg.norm((last @ se3.invert(SECOND_DAY[-1]))[:2, 3]) < 0.6
     other = recorded(SECOND_DAY, seed=OTHER_ROOM, calibration=calibration)
     record = find(tmp_path / "monday", elsewhere, other, known_map__start=start)
-    assert f"{UNKNOWN}: poses in it rest on the start that was given alone." in record.warnings
+    assert not_none(record.known_map).sentence.endswith("poses rest on --start alone")
+    assert "the place was not recognised" in verdict_of(record).phrase
 
 
 def test_a_map_of_another_camera_is_refused_before_anything_is_written(first_day: Path, tmp_path: Path) -> None:

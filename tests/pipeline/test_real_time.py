@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from narrowing import not_none
-from pipeline.made import WHEELS, frames_at, metrics_in, mixed_recording, wheel_recording
+from pipeline.made import WHEELS, frames_at, metrics_in, mixed_recording, status_in, wheel_recording
 from room_drive import make_room_drive
 from stand_ins import MemoryRecording, TrueOdometry, frame
 from virtual_time import VirtualClock
@@ -76,7 +76,16 @@ def test_a_slow_tracker_costs_frames_not_delay_and_the_run_says_so(
     assert figures["realtime"]["dropped"] == played.dropped
     assert figures["frames"]["listed"] == 20
     assert figures["frames"]["processed"] == len(answered)
-    assert any("were dropped: this computer answers" in warning for warning in record.warnings)
+    dropped = played.dropped + 1  # one image of the recording has no partner
+    assert figures["frames"]["dropped"]["total"] == dropped
+    (found,) = (one for one in figures["verdict"]["findings"] if one["about"] == "drops")
+    assert found["tone"] == "red"
+    assert f"{dropped} of 21 frames dropped" in found["sentence"]
+    assert "lower the camera's rate or size, or end other programs: the computer is too slow" in found["remedy"]
+    before = [after - one - 1 for one, after in zip([-1, *answered], answered, strict=False)]
+    rows = [int(row["dropped"]) for row in status_in(tmp_path)]
+    assert rows == [*before[:-1], before[-1] + 1]
+    assert sum(rows) == dropped
 
 
 def test_a_fast_one_answers_as_a_run_that_takes_its_time(
@@ -111,8 +120,8 @@ def test_decoding_that_is_too_slow_is_told_apart_from_tracking(clock: VirtualClo
     live = RealTimeRecording(Listed([frame(0, 0.0)]), clock=clock)
     assert not live.warnings
     assert len(list(live.events())) < 20
-    (said,) = live.warnings
-    assert "Most were not even decoded in time" in said
+    played = live.report()
+    assert played.unread > played.dropped / 2  # which the verdict goes by
     lately = live.lately()
     assert lately is not None
     assert lately[0] == pytest.approx(4.0, rel=0.25)

@@ -143,7 +143,8 @@ def test_the_table_has_a_row_each() -> None:
     way_m = not_none(wheels.ground_truth).between(*wheels.estimate.stamps_s[[0, -1]]).length_m
     of_the_way = float(rows[0][head.index("of the way")].removesuffix(" %"))
     assert of_the_way == pytest.approx(100 * not_none(wheels.evaluation).ate.translation.rmse / way_m, abs=0.05)
-    assert rows[1][head.index("ATE, RMSE")] == "–"
+    column = next(i for i, name in enumerate(head) if name.startswith("ATE, RMSE"))
+    assert rows[1][column] == "–"
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from narrowing import not_none
 from run_example import example_run
 
 from wheelsight.areas import Area, AreaMap
+from wheelsight.pipeline import words
 from wheelsight.report import area_map_figure, area_time_figure, error_rows, map_error_figure, write_comparison
 from wheelsight.report.comparison import render_comparison
 from wheelsight.report.places_sheet import area_colour
@@ -111,10 +112,11 @@ def test_errors_are_those_of_the_record() -> None:
     figure = map_error_figure(record)
     np.testing.assert_array_equal(traces(figure, "rectified")[0].y, not_none(found.errors).rectified_m)
     assert not_none(found.errors).rectified.mean == pytest.approx(0.5)
-    rows = error_rows(found)
+    head, rows = error_rows(found)
     assert [row[0] for row in rows] == ["wheels", "rectified"]
-    assert rows[1][1] == rows[1][4] == "50.0 cm"
-    assert error_rows(not_none(area_runs(with_truth=False)[1].rectification)) == []
+    assert (head[1], rows[1][1]) == ("mean [m]", "0.500")  # the wheels err by metres: one unit a column
+    assert float(rows[0][1]) == pytest.approx(not_none(found.errors).wheels.mean, abs=5e-4)
+    assert error_rows(not_none(area_runs(with_truth=False)[1].rectification)) == ((), [])
 
 
 def test_accuracy_counts_frames_that_say_something_and_have_a_true_area() -> None:
@@ -146,7 +148,9 @@ def test_areas_that_do_harm_are_not_praised() -> None:
         rectified_m=not_none(found.errors).wheels_m,
     )
     page = Page(render_comparison([wheels, replace(record, rectification=replace(found, errors=swapped))]))
-    assert "Areas do the wheels no good" in page.text
+    left = words.percent(not_none(found.errors).wheels.mean / not_none(found.errors).rectified.mean)
+    assert f"rectified: areas leave {left} of the error" in page.text
+    assert "wheelsight places train" in page.text
 
 
 def test_without_truth_the_page_says_so_and_draws_the_rest() -> None:

@@ -18,13 +18,11 @@ _WAYS = {"probabilistic": "probabilities, filtered", "paper": "eq. 5 of Trinh et
 
 
 def phrase(found: RectificationRecord) -> str | None:
-    """What areas leave of the wheels' error, or None where that cannot be said."""
-    if found.errors is None or not np.isfinite(found.errors.left):
+    """What areas leave of the wheels' error, or None where that is not less."""
+    if found.errors is None or not found.errors.left < 1:
         return None
     before, after = (words.length(s.mean) for s in (found.errors.wheels, found.errors.rectified))
-    if found.errors.left < 1:
-        return f"Areas bring the wheels from {before} to {after} off (mean)"
-    return f"Areas do the wheels no good: {after} off (mean), {before} without"
+    return f"Areas bring the wheels from {before} to {after} off (mean)"
 
 
 def tiles(record: RunRecord) -> Iterable[tuple[str, str, str]]:
