@@ -85,7 +85,7 @@ def test_answers_become_images(player) -> None:
     [
         ("os.kill(os.getpid(), 11)", "OpenNI2 crashed by SIGSEGV on this file"),
         ("sys.exit(3)", "OpenNI2 ended with exit code 3 on this file"),
-        ("time.sleep(60)", "OpenNI2 hung on this file and was ended"),
+        pytest.param("time.sleep(60)", "OpenNI2 hung on this file and was ended", marks=pytest.mark.slow),
         ("os.write(1, b'\\xff' * 64)", "OpenNI2 gives no sound answer: a text of 4294967295 bytes"),
         ("os.write(1, struct.pack('<I', 2) + b'[]')\ntime.sleep(60)", "gives no sound answer: no answer"),
         ("say({'images': {'color': [-1, 4]}})\ntime.sleep(60)", "gives no sound answer: an image of -1 rows"),
@@ -157,6 +157,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @needs_openni2
+@pytest.mark.slow
 def test_the_process_ends_with_the_camera(recorded: Path) -> None:
     with open_live_camera(f"openni2:{recorded}", SMALL) as camera:
         assert camera.read(10.0) is not None
@@ -165,6 +166,7 @@ def test_the_process_ends_with_the_camera(recorded: Path) -> None:
 
 
 @needs_openni2
+@pytest.mark.slow
 def test_the_process_ends_with_a_program_that_is_killed(recorded: Path) -> None:
     script = f"""
 from wheelsight.devices.cameras import open_live_camera

@@ -39,7 +39,7 @@ def content(rng: np.random.Generator, size: int) -> bytes:
 
 
 @ways
-@pytest.mark.parametrize("size", [0, 100, MEGABYTE, MEGABYTE + 1])
+@pytest.mark.parametrize("size", [0, 100, MEGABYTE + 1])
 def test_content_comes_out_as_it_went_in(way: str, size: int, rng: np.random.Generator) -> None:
     raw = content(rng, size)
     packed = COMPRESS[way](raw)
@@ -90,7 +90,7 @@ def test_what_is_cut_off_or_damaged_is_refused(way: str, rng: np.random.Generato
 
 @ways
 def test_a_bomb_takes_no_more_memory_than_is_allowed(way: str) -> None:
-    bomb = COMPRESS[way](bytes(64 * MEGABYTE))
+    bomb = COMPRESS[way](bytes(32 * MEGABYTE))
     assert len(bomb) < MEGABYTE
     tracemalloc.start()
     try:
