@@ -125,6 +125,64 @@ def test_buttons_are_large_named_and_within_the_window(chromium: str, width: int
         assert bottom == pytest.approx(844, abs=1)
 
 
+ABOVE_STOP = """((id) => { const box = at(id).getBoundingClientRect();
+return box.height > 0 && box.bottom <= at('stop').getBoundingClientRect().top; })('%s')"""
+
+
+def test_a_phone_shows_why_it_stands_the_plan_and_its_signs_without_scrolling(chromium: str) -> None:
+    with opened(chromium, 390, 844) as one:
+        one.page.click(*one.pixel(3.5, 3.0))
+        one.page.until("at('state').textContent === 'has arrived'")
+        one.page.until("at('why').textContent === 'arrived: (3.50, 3.00) m'")
+        one.page.click(*one.pixel(6.0, 3.0))
+        one.served.until(lambda told: told["speed_m_s"] > 0.2)
+        assert one.page.value("at('why').textContent") == ""
+        one.page.key("Escape")
+        one.page.until("at('why').textContent === 'not arrived: somebody pressed STOP'")
+        for element in ("state", "why", "plan", "legend", "costmap", "speed"):
+            assert one.page.value(ABOVE_STOP % element), element
+        # What was said has a heading of its own, and no fact is called safety.
+        assert one.page.value("at('said').previousElementSibling.textContent") == "What happened"
+        assert "Safety" not in one.page.value("document.body.textContent")
+
+
+def test_what_holds_the_robot_is_said_above_the_plan(chromium: str) -> None:
+    with opened(chromium, 390, 844) as one:
+        held = "holds it: something in the way"
+        one.page.value(f"socket.onmessage = null; last.robot.held = {held!r}; heardMs = performance.now(); show()")
+        assert one.page.value("at('why').textContent") == f"collision monitor {held}"
+        one.page.value("last.robot.problem = 'the port is gone'; show()")
+        assert one.page.value("at('why').textContent") == "STOP failed: the port is gone"
+
+
+def test_the_first_place_that_is_asked_for_brings_a_hint(chromium: str) -> None:
+    with opened(chromium, 390, 844) as one:
+        assert one.page.value("at('hint').hidden")
+        one.page.click(*one.pixel(3.5, 3.0))
+        one.page.until("!at('hint').hidden && at('hint').textContent.includes('Drag from a place')")
+        one.page.value("hintMs -= HINT_MS + 1; show()")
+        assert one.page.value("at('hint').hidden")
+        one.page.click(*one.pixel(4.5, 3.0))
+        one.served.until(lambda told: told["goal"] and told["goal"][0] > 4.4)
+        assert one.page.value("at('hint').hidden")
+
+
+def test_the_plan_has_a_scale_and_signs(chromium: str) -> None:
+    with opened(chromium, 390, 844) as one:
+        signs = one.page.value("[...document.querySelectorAll('#legend li')].map((line) => line.textContent)")
+        assert {"free", "in the way", "not seen yet", "robot", "driven", "planned"} <= set(signs)
+        # The bar is drawn where it is said to be, as long as two metres of the plan.
+        drawn = "(() => { const ratio = canvas.width / canvas.clientWidth, w = 2 * view().scale;"
+        drawn += " return [12 + w / 2, 12 + w + 9].map((x) => [...pen.getImageData(Math.round(ratio * x),"
+        drawn += " Math.round(ratio * (canvas.clientHeight - 12)), 1, 1).data]); })()"
+        inside, outside = one.page.value(drawn)
+        assert inside[3] == 255
+        assert max(inside[:3]) < 90
+        assert outside[3] == 0 or min(outside[:3]) > 150
+        one.page.value("at('costmap').click()")
+        one.page.until("at('legend').textContent.includes('forbidden')")
+
+
 def test_it_says_when_it_is_alone_and_comes_back(chromium: str) -> None:
     with opened(chromium) as one:
         app = page_app(one.served.session, replaced({}), Access(True))

@@ -142,6 +142,7 @@ def _task(feedback: Feedback) -> dict[str, Any]:
         "doing": feedback.doing,
         "status": STATUS_WORDS[feedback.status],
         "monitor": monitor_words(feedback),
+        "held": "" if feedback.monitor is None or feedback.monitor.reason is None else monitor_words(feedback),
         "speed_m_s": round(feedback.forward_m_s, 2),
         "turn_rad_s": round(feedback.turn_rad_s, 2),
         "to_go_m": None if feedback.to_go_m is None else round(feedback.to_go_m, 1),

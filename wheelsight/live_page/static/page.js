@@ -7,6 +7,11 @@ const STOP_TRIES = 3;
 const DRAG_PX = 16;
 const STEP_M = 0.25;
 const TURN_RAD = Math.PI / 12;
+const HINT_MS = 9000;
+// As live_page/pictures.py draws the plan.
+const SIGNS = [["#ffffff", "free"], ["#282828", "in the way"], ["#c9cfd6", "not seen yet"], ["#009e73", "robot"],
+  ["#56b4e9", "where it may be (2σ)"], ["#0072b2", "driven", "line"], ["#d55e00", "planned", "line"], ["#aa3377", "goal, place"]];
+const COSTMAP_SIGNS = [["#d55e00", "forbidden"], ["#e69f00", "avoided"]];
 const COLOURS = { way: "#0072b2", path: "#d55e00", robot: "#009e73", front: "#004d38", goal: "#aa3377", ellipse: "#56b4e9" };
 const STATES = { idle: "stands", planning: "plans", driving: "drives", recovering: "gets itself out", arrived: "has arrived",
   failed: "stands, and did not arrive" };
@@ -18,7 +23,7 @@ const canvas = at("plan");
 const pen = canvas.getContext("2d");
 const pictures = {};
 let socket = null, me = null, oldS = 1, heardMs = -Infinity, last = null, zoom = 1;
-let wantsHeading = false, marked = null, dragged = null, cross = null, showsCostmap = false, shown = "", refusedMs = 0;
+let wantsHeading = false, marked = null, dragged = null, cross = null, showsCostmap = false, shown = "", refusedMs = 0, hintMs = null;
 
 function address(path) {
   return path + location.search;
@@ -92,6 +97,7 @@ function fetchPicture(name, told) {
 function refuse(text) {
   at("refused").textContent = text;
   at("refused").hidden = false;
+  at("hint").hidden = true;
   refusedMs = performance.now();
 }
 
@@ -107,10 +113,12 @@ function show() {
   at("lost").hidden = lost === "";
   if (at("lost").textContent !== lost) at("lost").textContent = lost;
   if (performance.now() - refusedMs > 6000) at("refused").hidden = true;
+  if (hintMs !== null && performance.now() - hintMs > HINT_MS) at("hint").hidden = true;
   if (last === null) return;
   const robot = last.robot, drives = me !== null && last.driver === me;
   const isFree = lost === "" && (last.driver === null || drives);
   at("state").textContent = lost || stateWords(robot);
+  put("why", lost ? "" : whyWords(robot));
   at("map-name").textContent = robot.map;
   at("who").textContent = (last.driver === null ? "nobody drives" : drives ? "you drive" : "somebody else drives")
     + (last.viewers > 1 ? `, ${last.viewers} watch` : "");
@@ -129,6 +137,20 @@ function stateWords(robot) {
   return robot.doing && robot.state === "recovering" ? robot.doing : STATES[robot.state] || robot.state;
 }
 
+function put(id, text) {
+  // Only what is new: screen readers read it out.
+  if (at(id).textContent !== text) at(id).textContent = text;
+}
+
+function whyWords(robot) {
+  // Why it stands or is slow: what holds it now, else how its last task ended.
+  if (robot.problem) return `STOP failed: ${robot.problem}`;
+  if (robot.phase !== "driving") return "";
+  if (robot.held) return `collision monitor ${robot.held}`;
+  const last = robot.said[robot.said.length - 1];
+  return last && !["driving", "planning"].includes(robot.state) ? last.text : "";
+}
+
 function showFacts(robot) {
   const isDriving = robot.phase === "driving";
   at("speed").textContent = isDriving ? `${Math.abs(robot.speed_m_s).toFixed(2)} m/s` : "–";
@@ -144,6 +166,7 @@ function showLists(robot, isFree) {
   const now = JSON.stringify([places.map((one) => one.name), maps, robot.said, isFree, robot.phase]);
   if (now === shown) return;
   shown = now;
+  at("said-title").hidden = robot.said.length === 0;
   at("said").replaceChildren(...robot.said.slice(-4).reverse().map((one) => {
     const line = document.createElement("li");
     line.textContent = one.text;
@@ -212,6 +235,11 @@ function draw() {
   const seen = view();
   drawPicture(pictures.plan, seen);
   if (showsCostmap) drawPicture(pictures.costmap, seen);
+  drawTask(seen);
+  if (pictures.plan && pictures.plan.place) drawScale(seen.scale, height);
+}
+
+function drawTask(seen) {
   if (last === null || last.robot.phase !== "driving") return;
   const robot = last.robot;
   drawLine(robot.way, seen, COLOURS.way, 2.5);
@@ -220,6 +248,30 @@ function draw() {
   if (robot.goal) drawGoal(robot.goal, seen, COLOURS.goal);
   if (robot.pose) drawRobot(robot, seen);
   for (const mark of [marked, dragged && dragged.goal, cross]) if (mark) drawGoal(mark, seen, "#0057c2");
+}
+
+function drawScale(scale, height) {
+  // The longest of these lengths that is at most 110 pixels long.
+  const length = [10, 5, 2, 1, 0.5, 0.2, 0.1].find((metres) => metres * scale <= 110) || 0.1;
+  const [x, y, w] = [12, height - 12, length * scale];
+  pen.fillStyle = "rgb(255 255 255 / 85%)";
+  pen.fillRect(x - 6, y - 26, Math.max(w, 44) + 12, 32);
+  Object.assign(pen, { strokeStyle: "#1a1a1a", lineWidth: 2.5, lineJoin: "miter", lineCap: "butt" });
+  pen.beginPath();
+  pen.moveTo(x, y - 7); pen.lineTo(x, y); pen.lineTo(x + w, y); pen.lineTo(x + w, y - 7);
+  pen.stroke();
+  Object.assign(pen, { font: "600 14px system-ui, sans-serif", fillStyle: "#1a1a1a" });
+  pen.fillText(`${length} m`, x, y - 10);
+}
+
+function showLegend() {
+  at("legend").replaceChildren(...[...SIGNS, ...(showsCostmap ? COSTMAP_SIGNS : [])].map(([colour, text, kind]) => {
+    const line = document.createElement("li"), swatch = document.createElement("i");
+    swatch.style.background = colour;
+    swatch.className = kind || "";
+    line.append(swatch, text);
+    return line;
+  }));
 }
 
 function drawPicture(picture, seen) {
@@ -302,7 +354,17 @@ function drive([x, y, yaw]) {
   marked = cross = null;
   const heading = yaw === undefined || yaw === null ? null : Math.atan2(Math.sin(yaw), Math.cos(yaw));
   if (lostWords() !== "" || !send({ type: "goal", x_m: x, y_m: y, yaw_rad: heading })) refuse("no connection: nothing was asked");
+  else hint(heading === null);
   draw();
+}
+
+function hint(isAnyHeading) {
+  // Once, after the first place that was asked for: what was understood, and how to ask for more.
+  if (hintMs !== null) { at("hint").hidden = true; return; }
+  hintMs = performance.now();
+  at("hint").textContent = isAnyHeading
+    ? "It goes there. Drag from a place to say where it looks at the end." : "It goes there, and looks at the end as you dragged.";
+  at("hint").hidden = false;
 }
 
 function towards([x, y], [a, b]) {
@@ -371,8 +433,9 @@ at("name-form").onsubmit = (event) => {
   if (name && send({ type: "name", name })) at("name").value = "";
 };
 toggle("heading", (isOn) => { wantsHeading = isOn; marked = null; });
-toggle("costmap", (isOn) => { showsCostmap = isOn; send({ type: "costmap", shown: isOn }); });
+toggle("costmap", (isOn) => { showsCostmap = isOn; showLegend(); send({ type: "costmap", shown: isOn }); });
 window.addEventListener("resize", draw);
+showLegend();
 setInterval(() => send({ type: "alive" }), ALIVE_MS);
 setInterval(show, 250);
 connect();
