@@ -69,3 +69,9 @@ def test_stated_variances_are_those_of_the_lines(tmp_path: Path) -> None:
     (tmp_path / "A_Input.txt").write_text(LINES.replace("0.3\nloop", "-0.3\nloop"))
     with pytest.raises(RecordingError, match=r"A_Input\.txt:2: a variance is negative"):
         open_recording(tmp_path, OpenOptions())
+
+
+def test_more_matches_than_any_drive_has_are_refused_before_they_are_read(tmp_path: Path) -> None:
+    path = written(tmp_path, "stamp_a_s,stamp_b_s\n" + "1,2\n" * 100_001)
+    with pytest.raises(RecordingError, match="more lines than a list of matches may have"):
+        read_matches(path)

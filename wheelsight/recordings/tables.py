@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from wheelsight.errors import RecordingError
-from wheelsight.inputs import as_number, plain_rows, unquoted
-from wheelsight.recordings.text import COMMENT, LARGEST_STAMP, parse_stamp, read_list
+from wheelsight.inputs import Kind, as_number, plain_rows, unquoted
+from wheelsight.recordings.text import COMMENT, LARGEST_STAMP, LIST, parse_stamp, read_list
 from wheelsight.stamps import column_unit
 
 _FIX = "correct or remove the line"
@@ -98,12 +98,12 @@ def read_columns(path: Path, numbers: Sequence[str] = (), counts: Sequence[str] 
     return Columns(stamps_s, values, lines), warnings
 
 
-def column_names(path: Path, columns: Sequence[str]) -> tuple[str, ...]:
+def column_names(path: Path, columns: Sequence[str], kind: Kind = LIST) -> tuple[str, ...]:
     """All columns that the first line of a table names; `columns` must be among them. Raises RecordingError."""
-    return _header(read_list(path), path, columns).names
+    return _header(read_list(path, kind), path, columns).names
 
 
-def read_table(path: Path, columns: Sequence[str]) -> tuple[list[Row], list[str]]:
+def read_table(path: Path, columns: Sequence[str], kind: Kind = LIST) -> tuple[list[Row], list[str]]:
     """The rows of a table whose first line names its columns, of which `columns` are read; and warnings.
 
     Its first line says what parts the columns: semicolons (numbers may then have decimal commas), tabs, commas or
@@ -114,7 +114,7 @@ def read_table(path: Path, columns: Sequence[str]) -> tuple[list[Row], list[str]
     Raises:
         RecordingError: naming file and line, for a column that is missing, or a line of too few or too many words.
     """
-    text, warnings = read_list(path), list[str]()
+    text, warnings = read_list(path, kind), list[str]()
     return list(_rows(text, _header(text, path, columns), path, warnings)), warnings
 
 
