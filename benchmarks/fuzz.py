@@ -209,9 +209,9 @@ class _Watch:
                     message = here.recv()
                 except EOFError:
                     break
-                is_reading = message[0] == "begin"
-                until_s = clock.now_s() + _allowed_s(message[0])
-                self._take(message)
+                now_s, is_reading = clock.now_s(), message[0] == "begin"
+                self._take(message, now_s - until_s + LONGEST_S)
+                until_s = now_s + _allowed_s(message[0])
             elif clock.now_s() > until_s:
                 if not is_reading:
                     raise RuntimeError(f"a worker could not make its next input in time: {self._next}")
@@ -225,11 +225,13 @@ class _Watch:
         elif process.exitcode not in (0, _STARTS_AGAIN):
             raise RuntimeError(f"a worker ended before {self._next}\n{self._last_words()}")
 
-    def _take(self, message: tuple[Any, ...]) -> None:
+    def _take(self, message: tuple[Any, ...], took_s: float) -> None:
         if message[0] == "begin":
             self._disk = 0
         elif message[0] == "end":
-            self._count(*message[1:])
+            is_accepted, fault, cost = message[1:]
+            # The worker does not see for how long its own processes waited, and looked here is only now and again.
+            self._count(is_accepted, fault, cost._replace(seconds=min(cost.seconds, took_s)))
 
     def _count(self, is_accepted: bool, fault: tuple[str, str] | None, cost: Cost) -> None:
         reader, number = self._plan.at(self.job)
