@@ -11,12 +11,13 @@ from wheelsight.cli._exporting import Asked
 
 
 def export_to_bag(asked: Asked, to: Path) -> None:
-    """Write a bag, and tell what is in it. Raises InputError."""
+    """Write a bag with its layouts, and say what is in it. Raises InputError."""
     from wheelsight.cli._console import print_warning
     from wheelsight.cli._outputs import check_out
     from wheelsight.cli._progress import FrameProgress
     from wheelsight.errors import ConfigError
     from wheelsight.exports import DEFAULT_VOXEL_M, BagParts, export_bag, exported_at
+    from wheelsight.exports.layouts import layout_paths
     from wheelsight.recordings.rosbag.robot_topics import ImageForm
     from wheelsight.recordings.rosbag.writing import check_bag_name, check_library
 
@@ -26,7 +27,8 @@ def export_to_bag(asked: Asked, to: Path) -> None:
     check_library()
     source = exported_at(asked.source)
     _refuse_itself(asked.source, to)
-    check_out(to, asked.force)
+    for path in (to, *layout_paths(to)):
+        check_out(path, asked.force)
     parts = BagParts(asked.images, asked.voxel_m or DEFAULT_VOXEL_M)  # type: ignore[arg-type]
     with FrameProgress("writing", None, unit="messages") as progress:
         report = export_bag(source, to, parts, lambda done: progress.reach(done, None))
@@ -36,6 +38,8 @@ def export_to_bag(asked: Asked, to: Path) -> None:
     for topic, count in sorted(report.topics.items()):
         typer.echo(f"{topic:<{width}}  {count:>9,}")
     typer.echo(f"{sum(report.topics.values()):,} messages, {report.size_bytes / 1e6:.1f} MB: {to}")
+    foxglove, rviz = report.layouts
+    typer.echo(f"layouts: {foxglove} (Foxglove: Layouts, Import from file), {rviz} (RViz: its option -d)")
 
 
 def _refuse_itself(source: Path, to: Path) -> None:

@@ -11,6 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from wheelsight.errors import InputError, OutputError
+from wheelsight.exports.layouts import (
+    DIAGNOSTICS_TOPIC,
+    MAP_TOPIC,
+    ODOM_TOPIC,
+    POINTS_TOPIC,
+    TRUTH_TOPIC,
+    WAY_TOPIC,
+    write_layouts,
+)
 from wheelsight.exports.map_points import points_of
 from wheelsight.exports.ros_axes import (
     body_frame,
@@ -61,11 +70,13 @@ class BagReport:
         topics: how many messages there are of each.
         size_bytes: of the file.
         warnings: one sentence on each part that is not in it.
+        layouts: files beside the bag that show it, in Foxglove and in RViz.
     """
 
     topics: dict[str, int]
     size_bytes: int
     warnings: tuple[str, ...]
+    layouts: tuple[Path, ...]
 
 
 def export_bag(
@@ -74,7 +85,7 @@ def export_bag(
     parts: BagParts | None = None,
     on_message: Callable[[int], None] = lambda done: None,
 ) -> BagReport:
-    """Write a bag: of ROS 2 where the name ends in .mcap, of ROS 1 where it ends in .bag.
+    """Write a bag, of ROS 2 where the name ends in .mcap, of ROS 1 where it ends in .bag; and layouts that show it.
 
     Args:
         source: what to write.
@@ -100,7 +111,8 @@ def export_bag(
             raise OutputError(
                 "would be empty: there is nothing to write", path=path, fix="give a run, a map or a recording"
             )
-    return BagReport(counts, path.stat().st_size, tuple(writing.warnings))
+    layouts = write_layouts(path, counts, writing.fixed)
+    return BagReport(counts, path.stat().st_size, tuple(writing.warnings), layouts)
 
 
 class _Writing:
@@ -141,11 +153,11 @@ class _Writing:
         lived = self.source.trajectory
         if lived is not None:
             way = self.source.corrected or (lived if self.fixed == MAP else in_odom(lived, self.source.odom))
-            yield "/trajectory", upright(way)
+            yield WAY_TOPIC, upright(way)
         elif self.source.map is not None:
-            yield "/trajectory", upright(self._keyframes())
+            yield WAY_TOPIC, upright(self._keyframes())
         elif self.source.recording is not None and self.source.recording.ground_truth is not None:
-            yield "/ground_truth", upright(self.source.recording.ground_truth)
+            yield TRUTH_TOPIC, upright(self.source.recording.ground_truth)
 
     def _keyframes(self) -> Trajectory:
         folder = self.source.need_map()
@@ -163,7 +175,7 @@ class _Writing:
         points = points_of(self.source, self.parts.voxel_m)
         if points is not None:
             p = upright_points(points.p_map, self.body)
-            yield Sent(begin_s, "/map_points", self.make.points(begin_s, MAP, p, points.colors), is_latched=True)
+            yield Sent(begin_s, POINTS_TOPIC, self.make.points(begin_s, MAP, p, points.colors), is_latched=True)
         folder = self.source.map
         if folder is None:
             return
@@ -172,7 +184,7 @@ class _Writing:
             return
         grid = read_ros_map(folder.path / OCCUPANCY_FILE)
         about = (grid.occupancy, grid.resolution_m, se3.from_plane(*grid.origin))
-        yield Sent(begin_s, "/map", self.make.occupancy(begin_s, MAP, *about), is_latched=True)
+        yield Sent(begin_s, MAP_TOPIC, self.make.occupancy(begin_s, MAP, *about), is_latched=True)
 
     def _poses(self) -> Iterator[Sent]:
         """/odom, and in /tf map to odom to the body, at each pose."""
@@ -188,14 +200,14 @@ class _Writing:
         C, moving, child = pose_covariances(lived), twists(lived), body_frame(lived.body)
         for row, (stamp_s, T) in enumerate(lived):
             known = None if C is None else C[row]
-            yield Sent(stamp_s, "/odom", self.make.odometry(stamp_s, (ODOM, child), T, moving[row], known))
+            yield Sent(stamp_s, ODOM_TOPIC, self.make.odometry(stamp_s, (ODOM, child), T, moving[row], known))
             joined = [(MAP, ODOM, at[stamp_s])] if stamp_s in at and self.fixed == MAP else []
             yield Sent(stamp_s, "/tf", self.make.transforms(stamp_s, [*joined, (ODOM, child, T)]))
 
     def _statuses(self) -> Iterator[Sent]:
         rows = sorted(self.source.status(), key=lambda row: row.stamp_s)
         for row in rows:
-            yield Sent(row.stamp_s, "/diagnostics", self.make.diagnostics(row.stamp_s, [_diagnosis(row)]))
+            yield Sent(row.stamp_s, DIAGNOSTICS_TOPIC, self.make.diagnostics(row.stamp_s, [_diagnosis(row)]))
 
     def _events(self) -> Iterator[Sent]:
         """What the sensors said; of a run whose recording is not there, nothing, and that is told."""
