@@ -63,3 +63,7 @@ def test_a_message_holds_nothing_that_acts_on_a_terminal_or_cannot_be_printed() 
 def test_the_place_can_be_asked_for() -> None:
     error = RecordingError("is absent", path="rgb.txt", line=7, fix="remove the line")
     assert (error.path, error.line, error.fix) == (Path("rgb.txt"), 7, "remove the line")
+
+
+def test_a_message_full_of_control_characters_fits_on_a_screen() -> None:
+    assert len(str(RecordingError("\0" * 100_000, path="\x1b" * 5000, fix="\0" * 100_000))) < 2000

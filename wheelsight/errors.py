@@ -60,9 +60,14 @@ class InputError(WheelsightError):
 
 def _shown(text: str, longest: int) -> str:
     """Text as a terminal may show it: no control characters, its middle left out where it is longer than that."""
-    if len(text) > longest:
-        text = f"{text[: longest // 2]} … {text[-longest // 2 + 3 :]}"
-    return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    text = _shortened(text, longest)
+    if text.isprintable():
+        return text
+    return _shortened("".join(c if c.isprintable() else ascii(c)[1:-1] for c in text), longest)
+
+
+def _shortened(text: str, longest: int) -> str:
+    return text if len(text) <= longest else f"{text[: longest // 2]} … {text[-longest // 2 + 3 :]}"
 
 
 class RecordingError(InputError):
