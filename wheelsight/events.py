@@ -74,6 +74,9 @@ class AngularVelocity:
         return YawRate(self.stamp_s, x * self.x_rad_s + y * self.y_rad_s + z * self.z_rad_s)
 
 
+NOTHING_MEASURED = "depth image measured nothing: no pixel is valid"
+
+
 @dataclass(frozen=True, slots=True)
 class SkippedFrame:
     """A frame that was listed but could not be used, and why; the stream goes on after it."""
@@ -81,6 +84,11 @@ class SkippedFrame:
     stamp_s: float
     reason: str
     index: int = 0
+
+    @property
+    def is_blind(self) -> bool:
+        """Whether the image itself is sound, and shows nothing: as of a covered camera."""
+        return self.reason == NOTHING_MEASURED
 
 
 Event = RgbdFrame | WheelTicks | WheelSpeeds | YawRate | SkippedFrame

@@ -14,6 +14,7 @@ from narrowing import not_none
 from run_example import START_S, empty_run, example_run, wheel_run
 
 from wheelsight.estimates import Reason, Status
+from wheelsight.events import NOTHING_MEASURED
 from wheelsight.pipeline import (
     Evidence,
     Finding,
@@ -186,6 +187,8 @@ def test_worse_evidence_never_has_a_better_tone(
 def test_the_chief_reason_of_missing_motions_decides_what_to_do() -> None:
     dark = replace(JOINED, posed=30, failures=((Reason.TOO_LITTLE_DEPTH, "no depth: the camera is covered", 70),))
     assert "uncover the camera" in about(judge(dark), "poses").remedy
+    covered = replace(JOINED, posed=30, failures=((Reason.FRAME_UNUSABLE, NOTHING_MEASURED, 70),))
+    assert "uncover the camera" in about(judge(covered), "poses").remedy
     bent = replace(JOINED, posed=30, failures=((Reason.TOO_LITTLE_DEPTH, DEPTH_MISPLACED, 70),))
     found = about(judge(bent), "poses")
     assert "calibrate camera" in found.remedy
@@ -252,14 +255,16 @@ def test_speed_is_that_of_the_camera_with_all_its_frames() -> None:
     run = example_run(500)
     assert "times as fast as the camera" in " ".join(verdict_of(run).facts)
     slow = replace(run, frames=tuple(replace(f, seconds=0.1) for f in run.frames))
-    assert "the camera delivers 3.0 in that time: in real time, frames would be dropped." in verdict_of(slow).facts[-1]
+    assert (
+        "the camera delivers 3.0 in that time: lower its rate, or in real time frames are dropped."
+        in verdict_of(slow).facts[-1]
+    )
     half = replace(frames_of(50), association=AssociationReport(100, 100, 50, 0.02))
     assert "50 times as fast" in verdict_of(half).facts[-1]  # a frame a second is used, of two that came
     live = replace(frames_of(50), realtime=RealTimeRecord(20.0, 240, 190, 0, 1000, 0.031, 0.052))
     verdict = verdict_of(live)
-    assert verdict.facts[-1].startswith(
-        "Played in real time: 2.5 frames/s answered, 190 of 240 frames dropped (79.2 %)"
-    )
+    assert verdict.facts[-1] == "Played in real time: 2.5 frames/s answered, latency 31 ms median, 52 ms 95 %."
+    assert verdict.findings[0].sentence == "190 of 240 frames dropped (79.2 %): 190 overtaken."
     assert "as fast as the camera" not in " ".join(verdict.sentences)
     assert verdict.phrase == "Do not rely on it: 79.2 % of frames were dropped"
 

@@ -1,4 +1,4 @@
-"""What `wheelsight info` says of a bag's topics and of ground truth."""
+"""What `wheelsight info` says of a bag's topics, of clocks, of ground truth, and of dropped frames."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from wheelsight.evaluation import SequenceStatistics
+    from wheelsight.pipeline import FrameDrops
     from wheelsight.recordings import RecordedTopic
     from wheelsight.recordings.clock_mapping import ClockMapping
+    from wheelsight.recordings.inspection import Inspection
 
 
 def topic_facts(topics: Sequence[RecordedTopic]) -> Iterator[tuple[str, str]]:
@@ -41,3 +43,13 @@ def truth_facts(truth: SequenceStatistics) -> Iterator[tuple[str, str]]:
     yield "mean speed", f"{truth.mean_speed_m_per_s:.3f} m/s"
     yield "mean turning", f"{degrees(truth.mean_angular_speed_rad_per_s):.2f} °/s"
     yield "extent", " × ".join(f"{side:.2f}" for side in truth.extent_m) + " m"
+
+
+def frame_drops(inspection: Inspection) -> FrameDrops:
+    """The frames that a run cannot use, counted as a run counts them."""
+    from wheelsight.events import NOTHING_MEASURED
+    from wheelsight.pipeline import FrameDrops
+
+    unreadable = sum(count for reason, count in inspection.skipped if reason != NOTHING_MEASURED)
+    unpaired = inspection.association.unpaired
+    return FrameDrops(inspection.frames - inspection.repeated + unpaired, unpaired, unreadable)

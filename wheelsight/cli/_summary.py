@@ -95,14 +95,8 @@ def _joint_table(records: Sequence[RunRecord]) -> Table:
 
     head, rows = comparison_rows(records)
     missing = [f"{r.odometry} not evaluated: {r.evaluation_problem}" for r in records if r.evaluation is None]
-    table = Table(
-        title=records[0].recording,
-        box=SIMPLE_HEAD,
-        title_justify="left",
-        caption="\n".join(missing) or None,
-        caption_justify="left",
-        caption_style="",
-    )
+    table = Table(title=records[0].recording, box=SIMPLE_HEAD, caption="\n".join(missing) or None, caption_style="")
+    table.title_justify = table.caption_justify = "left"
     shown = [index for index, name in enumerate(head) if not name.startswith(_ON_THE_PAGE_ONLY)]
     for index in shown:
         table.add_column(head[index], justify="right" if index else "left")

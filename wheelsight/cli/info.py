@@ -20,10 +20,9 @@ from wheelsight.cli._options import (
     open_source,
     settings_from,
 )
-from wheelsight.cli._recording_facts import clock_facts, topic_facts, truth_facts
+from wheelsight.cli._recording_facts import clock_facts, frame_drops, topic_facts, truth_facts
 
 if TYPE_CHECKING:
-    from wheelsight.pipeline import FrameDrops
     from wheelsight.recordings import AssociationReport
     from wheelsight.recordings.inspection import Inspection
     from wheelsight.recordings.registration import RegistrationOffset
@@ -65,7 +64,7 @@ def info(
         inspection = inspect_recording(source, progress.advance)
         inspection = replace(inspection, warnings=(*inspection.warnings, *gyro_warnings(source)))
     if as_json:
-        print_json({**inspection.to_dict(), "dropped": _drops(inspection).to_dict()})
+        print_json({**inspection.to_dict(), "dropped": frame_drops(inspection).to_dict()})
         return
     stdout = console()
     stdout.print(facts_table(inspection.name, _facts(inspection)))
@@ -108,21 +107,13 @@ def _image_facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
     from wheelsight.cli._console import percent
 
     yield "images", _pairing(inspection.association)
-    yield "dropped", _drops(inspection).sentence
+    yield "dropped", frame_drops(inspection).sentence
     for reason, count in inspection.skipped:
         yield "unusable", f"{count} × {reason}"
     depth_m = inspection.depth_m
     yield "valid depth", f"{percent(inspection.valid_depth_share)} of pixels"
     yield "depth", f"median {depth_m['median']:.2f} m, 5 to 95 % within {depth_m['p5']:.2f} to {depth_m['p95']:.2f} m"
     yield "registration", _registration(inspection.offset, bool(inspection.is_registered))
-
-
-def _drops(inspection: Inspection) -> FrameDrops:
-    """The frames that a run cannot use, counted as a run counts them."""
-    from wheelsight.pipeline import FrameDrops
-
-    unreadable, unpaired = sum(count for _, count in inspection.skipped), inspection.association.unpaired
-    return FrameDrops(inspection.frames - inspection.repeated + unpaired, unpaired, unreadable)
 
 
 def _pairing(association: AssociationReport) -> str:

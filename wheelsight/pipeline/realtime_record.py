@@ -46,11 +46,9 @@ class RealTimeRecord:
 
     @property
     def sentence(self) -> str:
-        """Such as "played in real time: 29.8 frames/s answered, 12 of 1800 frames dropped (0.7 %), latency 31 ms …"."""
+        """Such as "played in real time: 29.8 frames/s answered, latency 31 ms median, 52 ms 95 %"."""
         how = "live" if self.is_live else "played in real time"
         parts = [f"{how}: {self.answered_per_s:.1f} {'frames' if self.frames else 'readings'}/s answered"]
-        if self.frames:
-            parts.append(f"{self.dropped} of {self.frames} frames dropped ({100 * self.dropped_share:.1f} %)")
         if self.latency_median_s is not None and self.latency_p95_s is not None:
             parts.append(f"latency {1e3 * self.latency_median_s:.0f} ms median, {1e3 * self.latency_p95_s:.0f} ms 95 %")
         return ", ".join(parts)

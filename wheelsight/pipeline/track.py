@@ -158,7 +158,8 @@ class Track:
         stamp_s = event.stamp_s if isinstance(event, RgbdFrame | SkippedFrame) else estimate.stamp_s
         told_s = None if estimate.T_odom_body is None else estimate.stamp_s
         is_frame = isinstance(event, RgbdFrame | SkippedFrame)
-        note, dropped = localizer.note or _why_no_depth(event, estimate), (overtaken, isinstance(event, SkippedFrame))
+        is_unread = isinstance(event, SkippedFrame) and not event.is_blind
+        note, dropped = localizer.note or _why_no_depth(event, estimate), (overtaken, is_unread)
         answer = FrameRecord(index, stamp_s, *outcome, seconds, note, *_size(localizer.map), flags, told_s, *dropped)
         if is_frame:
             self._keep(estimate)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from wheelsight.estimates import Reason, Status
+from wheelsight.events import NOTHING_MEASURED
 from wheelsight.pipeline import words
 from wheelsight.pipeline.joined import best_alone_of, facts_of, joined_of
 from wheelsight.pipeline.kept_map_record import KnownMapRecord
@@ -90,6 +91,7 @@ _REMEDIES: Mapping[Reason, str] = {
 }
 _MISPLACED = "calibrate the camera (wheelsight calibrate camera): lens, or depth beside colour, is not what it says"
 _CORRECT = "correct what the warning about the sensors names, and run again"
+_FEWER_DROPS = "drop fewer frames: the camera moves too far between two that are used"
 _SEE_ROWS = "see status.csv for the reason of each frame"
 
 
@@ -465,9 +467,15 @@ def _chief_failures(e: Evidence) -> str:
 
 
 def _remedy(e: Evidence) -> str:
-    if e.faults or not e.failures:
-        return _CORRECT if e.faults else _SEE_ROWS
+    if e.faults:
+        return _CORRECT
+    if e.drops.share > _DROPPED[1]:
+        return _FEWER_DROPS
+    if not e.failures:
+        return _SEE_ROWS
     reason, why, _ = e.failures[0]
+    if why == NOTHING_MEASURED:
+        return _REMEDIES[Reason.TOO_LITTLE_DEPTH]
     return _MISPLACED if why.startswith("the calibration puts") else _REMEDIES.get(reason, _SEE_ROWS)
 
 
@@ -532,7 +540,8 @@ def speed_sentence(record: RunRecord) -> str:
         return text + "."
     if ratio >= 1:
         return f"{text}, {words.number(ratio, 2)} times as fast as the {source} them."
-    return f"{text}; the {source} {words.number(1 / ratio, 2)} in that time: in real time, frames would be dropped."
+    more = words.number(1 / ratio, 2)
+    return f"{text}; the {source} {more} in that time: lower its rate, or in real time frames are dropped."
 
 
 _MOST_REASONS = 8

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from wheelsight.depth_error import NO_DISPARITY, DepthError
 from wheelsight.errors import RecordingError
+from wheelsight.events import NOTHING_MEASURED
 from wheelsight.geometry import MOST_PIXELS, ByteArray, Float32Array, PinholeCamera
 from wheelsight.inputs import Kind, picture_size, read_bytes, scan_count
 
@@ -182,7 +183,7 @@ def _of_disparity(raw: NDArray[np.integer], disparity: DepthError, path: Path) -
         raise RecordingError(problem, path=path, fix="of depths leave disparity_step_per_m out of the calibration")
     depth_m = disparity.of_disparity(raw)
     if not depth_m.any():
-        raise RecordingError("depth image measured nothing: no pixel is valid", path=path)
+        raise RecordingError(NOTHING_MEASURED, path=path)
     return depth_m
 
 
@@ -193,7 +194,7 @@ def _median(raw: NDArray[np.integer] | Float32Array, path: Path) -> float:
     if not len(measured):
         measured = raw[raw > 0]
     if not len(measured):
-        raise RecordingError("depth image measured nothing: no pixel is valid", path=path)
+        raise RecordingError(NOTHING_MEASURED, path=path)
     return float(np.median(measured))
 
 

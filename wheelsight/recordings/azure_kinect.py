@@ -13,7 +13,7 @@ import numpy as np
 from wheelsight.association import associate
 from wheelsight.calibration import Calibration
 from wheelsight.errors import CalibrationError, RecordingError
-from wheelsight.events import Event, RgbdFrame, SkippedFrame
+from wheelsight.events import NOTHING_MEASURED, Event, RgbdFrame, SkippedFrame
 from wheelsight.extras import needed
 from wheelsight.geometry import MOST_PIXELS, ByteArray
 from wheelsight.geometry.arrays import UInt16Array
@@ -136,7 +136,7 @@ class AzureKinectRecording:
         if depth_mm is None:
             return SkippedFrame(pair.stamp_s, "depth image is cut off", index)
         if not depth_mm.any():
-            return SkippedFrame(pair.stamp_s, "depth image measured nothing: no pixel is valid", index)
+            return SkippedFrame(pair.stamp_s, NOTHING_MEASURED, index)
         pixels = _color_of(color)
         camera, _ = self.calibration.cameras
         if pixels is None or pixels.shape != (camera.height, camera.width, 3):
