@@ -72,7 +72,7 @@ LAYERS = (
     "__main__",
 )
 SOURCES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
-LONGEST_COMMAND = 150
+LONGEST_COMMAND = 250
 
 
 def imports_of(source: str) -> Iterator[tuple[int, str]]:
