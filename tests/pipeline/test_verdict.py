@@ -223,6 +223,9 @@ def test_a_joined_run_is_judged_by_its_flags_and_its_errors() -> None:
     assert evidence.coasting == pytest.approx(0.1, abs=1e-5)
     assert not_none(evidence.off_m) == not_none(records[2].evaluation).ate.translation.rmse
     assert evidence.refused == 0.0025  # two of 800 readings
+    hazy = tuple(replace(frame, flags=("degenerate",)) for frame in records[2].frames)  # 10 % of them coasting
+    assert evidence_of(replace(records[2], frames=hazy), records).degenerate == pytest.approx(0.9, abs=1e-4)
+    assert evidence_of(replace(records[2], frames=()), records).degenerate == 0
     assert verdict_of_run(records).tone is GREEN
     bold = (*records[:2], joined_run(boldness=20))
     assert about(verdict_of_run(bold), "3σ").tone is not GREEN

@@ -182,7 +182,7 @@ def test_a_run_whose_sensors_contradict_each_other_is_red_at_the_top_of_the_page
     html = render_comparison([wheels, dense, replace(joined, frames=slipping)])
     assert '<section class="verdict red"' in html
     page = Page(html)
-    assert f"Do not rely on it: slip {slip}" in page.text
+    assert f"Do not rely on it: slip in {slip} of the time" in page.text
     assert f"Bad: The wheels were held to slip in {slip} of the time. To do: if that was all along, cal" in page.text
 
 

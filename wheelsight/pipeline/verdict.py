@@ -234,6 +234,11 @@ def _of_joined(record: RunRecord, records: Sequence[RunRecord]) -> dict[str, Any
     """What only joined sensors have."""
     facts, best_alone = facts_of(record), best_alone_of(records)
     evidence: dict[str, Any] = dict(facts.flag_shares)
+    if "degenerate" in evidence:  # where the camera was used; while coasting, its view is not what is wrong
+        starts_s, ends_s = record.frame_spans_s()
+        lasted_s = ends_s - starts_s
+        is_so = np.array([f.status is Status.TRACKING and "degenerate" in f.flags for f in record.frames], bool)
+        evidence["degenerate"] = float(lasted_s[is_so].sum() / lasted_s.sum()) if lasted_s.sum() > 0 else 0.0
     evidence |= {"coasting": facts.share_of(Status.COASTING), "coasting_s": facts.coasting_s}
     if facts.consistency is not None and np.isfinite(facts.consistency.share):
         evidence["beyond_3_sigma"] = 1 - facts.consistency.share
@@ -341,7 +346,8 @@ def _drops(e: Evidence) -> Iterator[Finding]:
 
 
 def _of_sensors(e: Evidence) -> Iterator[Finding]:
-    """Slip, doubt, degenerate views, coasting, refused readings."""
+    """Coasting, slip, doubt, degenerate views, refused readings."""
+    yield _coasting(e)
     if e.slip is not None:
         sentence = "The wheels were held to slip in {} of the time."
         remedy = f"if that was all along, {_CALIBRATE}; if at one place, drive slowly over it"
@@ -355,7 +361,6 @@ def _of_sensors(e: Evidence) -> Iterator[Finding]:
         sentence = sentence if e.degenerate else "The images showed all directions of motion."
         remedy = "turn the camera so that it sees more than one wall or floor"
         yield _share_finding("degenerate", e.degenerate, _DEGENERATE, sentence, remedy)
-    yield _coasting(e)
     if e.refused:
         why = "" if e.refused_why is None else f": {e.refused_why}"
         remedy = _READINGS if e.refused_why is None else _REMEDIES.get(e.refused_why, _READINGS)
@@ -372,7 +377,8 @@ def _coasting(e: Evidence) -> Finding:
     sentence += f", {words.duration(max(e.coasting_s))} at most" if len(e.coasting_s) > 1 else ""
     if tone is Tone.GREEN:
         return Finding("coasting", tone, f"coasting {share}", f"{sentence}.")
-    return Finding("coasting", tone, f"coasting {share} of the time", f"{sentence}{_chief_failures(e)}.", _remedy(e))
+    short = f"coasting in {share} of the time"
+    return Finding("coasting", tone, short, f"{sentence}{_chief_failures(e)}.", _remedy(e))
 
 
 def _accuracy(e: Evidence) -> Iterator[Finding]:
@@ -447,7 +453,9 @@ def _fault(sentence: str, tone: Tone) -> Finding:
 def _share_finding(about: str, share: float, limits: tuple[float, float], sentence: str, remedy: str) -> Finding:
     tone, said = _graded(share, limits), words.percent(share)
     text = sentence.format(said)
-    return Finding(about, tone, f"{about} {said}", text, "" if tone is Tone.GREEN else remedy)
+    if tone is Tone.GREEN:
+        return Finding(about, tone, f"{about} {said}", text)
+    return Finding(about, tone, f"{about} in {said} of the time", text, remedy)
 
 
 def _graded(
