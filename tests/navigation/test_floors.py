@@ -10,7 +10,19 @@ from numpy.testing import assert_array_equal
 
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
-from wheelsight.navigation import Footprint, GrowingFloor, KnownFloor, SeenFloor, StaticLayer, WorkerInStep
+from wheelsight.mapping import CellKind, OccupancyGrid
+from wheelsight.navigation import (
+    Costmap,
+    Footprint,
+    GrowingFloor,
+    KnownFloor,
+    NavigationSettings,
+    Plan,
+    Planner,
+    SeenFloor,
+    StaticLayer,
+    WorkerInStep,
+)
 from wheelsight.navigation.costmap import CellState
 
 CHAIR = Footprint.rectangle(0.8, 0.3, 0.6)
@@ -149,3 +161,67 @@ def test_a_floor_that_is_not_made_is_noticed() -> None:
     assert not floor.is_silent(109.0)
     assert floor.is_silent(111.0)
     assert not floor_at((0.0, 0.0, 0.0))[1].is_silent(1e3)
+
+
+def unknown_hall() -> OccupancyGrid:
+    """10 m by 10 m of which nothing is known, from (-2, -5) on."""
+    kind = np.full((200, 200), CellKind.UNKNOWN, np.uint8)
+    return OccupancyGrid.of_kinds(kind, kind == CellKind.FREE, 0.05, (-2.0, -5.0))
+
+
+# Keyframes of a drive, as far from each other as maps keep them: straight on, round a bend, and turned in place.
+DRIVEN = {
+    "straight": [(0.0, 0.0, 0.0), (0.7, 0.0, 0.0), (1.5, 0.02, 0.0), (2.2, 0.0, 0.0)],
+    "askew": [(0.013, 0.007, 0.31), (0.78, 0.25, 0.31), (1.54, 0.49, 0.31)],
+    "round a bend": [(0.8 * np.sin(a), 0.8 * (1 - np.cos(a)), a) for a in np.linspace(0, 2.2, 9)],
+    "turned in place": [(0.0, 0.0, 0.0), (0.9, 0.0, 0.0), (0.9, 0.0, 0.5), (0.9, 0.0, 1.2), (0.9, 0.8, 1.57)],
+}
+
+
+@pytest.mark.parametrize("driven", DRIVEN.values(), ids=DRIVEN)
+def test_the_way_of_a_drive_can_be_driven_again_where_nothing_else_is_known(
+    driven: list[tuple[float, float, float]],
+) -> None:
+    floor, rules = KnownFloor(unknown_hall(), driven=[np.array(driven)], footprint=CHAIR), NavigationSettings().drivable
+    found = Planner(CHAIR, rules).plan(Costmap.of(floor.layer, CHAIR), driven[0], driven[-1])
+    assert isinstance(found, Plan), found
+    assert not found.goal_change
+
+
+def test_a_map_that_ends_where_the_drive_began_holds_the_floor_it_drove_over() -> None:
+    """Keyframes see ahead: behind the first there is no cell of theirs."""
+    kind = np.full((20, 20), CellKind.FREE, np.uint8)
+    grid = OccupancyGrid.of_kinds(kind, kind == CellKind.FREE, 0.05, (0.5, -0.5))
+    layer = KnownFloor(grid, driven=[np.array([[0.0, 0.0, 0.0], [0.8, 0.0, 0.0]])], footprint=CHAIR).layer
+    assert state_at(layer, -0.28, 0.28) is CellState.FREE
+    assert state_at(layer, 1.4, 0.0) is CellState.FREE
+    assert state_at(layer, 1.2, 0.45) is CellState.FREE
+    assert state_at(layer, -0.28, 0.45) is CellState.UNKNOWN
+
+
+def test_where_the_robot_stands_now_there_is_floor_in_a_known_map_too() -> None:
+    floor = KnownFloor(unknown_hall(), footprint=CHAIR)
+    floor.update(None, 0.0)
+    assert floor.revision == 0
+    for turn in np.linspace(0, 1.0, 12):
+        floor.update(np.array([0.0, 0.0, turn]), 0.0)
+    assert floor.revision > 0
+    planner = Planner(CHAIR, NavigationSettings().drivable)
+    back = planner.plan(Costmap.of(floor.layer, CHAIR), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
+    assert isinstance(back, Plan)
+    known = floor.revision
+    floor.update(np.array([0.0, 0.0, 0.0]), 0.0)
+    assert floor.revision == known
+    floor.update(np.array([-3.0, 0.0, 0.0]), 0.0)  # beyond the map's edge
+    assert state_at(floor.layer, -3.2, 0.2) is CellState.FREE
+
+
+def test_of_a_known_map_the_floor_about_the_begin_is_free_for_a_person_who_says_so() -> None:
+    _, seen = floor_at((0.0, 0.0, 0.0))
+    floor = KnownFloor(seen.grid, footprint=CHAIR, trusted_m=2.0)
+    assert state_at(floor.layer, 0.0, -1.5) is CellState.UNKNOWN
+    floor.update(np.array([0.0, 0.0, 1.2]), 0.0)
+    assert state_at(floor.layer, 0.0, -1.5) is CellState.FREE
+    assert state_at(floor.layer, 3.02, 0.0) is CellState.OCCUPIED
+    floor.update(np.array([0.0, -2.0, 1.2]), 0.0)
+    assert state_at(floor.layer, 0.0, -3.5) is CellState.UNKNOWN

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any
 
+import grids
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import Ride, Walls, walls_about
+from navigation.rooms import CELL_M, Ride, Walls, walls_about
 
 from wheelsight.errors import ArgumentError
 from wheelsight.estimates import Status
+from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import (
     BehaviourSettings,
+    FootprintSettings,
+    KnownFloor,
     NavigationReason,
     NavigationResult,
     NavigationSettings,
+    Navigator,
     NavigatorSettings,
+    PlanFailure,
+    Planned,
+    PlanReason,
+    WorkerInStep,
 )
 from wheelsight.navigation.goals import Goals, Poses
 from wheelsight.robot_limits import RobotLimits
@@ -90,8 +100,127 @@ def test_behind_a_door_that_the_map_has_shut_it_gives_up_where_it_began() -> Non
     ride.navigator.go_to_pose(GOAL)
     result = end_of(ride, 20.0)
     assert result.reason is NavigationReason.NO_PLAN
-    assert "walls or things are all round it" in result.detail
-    assert np.hypot(*(ride.robot.base.pose[:2] - BEGIN[:2])) < 0.05
+    assert result.detail.startswith("no way leads to the goal by the map itself")
+    assert "walls or things of the map are all round it" in result.detail
+    ends_at_once(ride, result)
+
+
+def ends_at_once(ride: Ride, result: NavigationResult) -> None:
+    """Without a move."""
+    assert result.recoveries == 0
+    assert result.time_s < AT_ONCE_S
+    assert tuple(ride.robot.base.pose) == BEGIN
+
+
+def doorway(width_m: float) -> tuple:
+    """In a wall across the room, about its middle."""
+    return (*ROOM, ((4.0, 0.0), (4.0, 3.0 - width_m / 2)), ((4.0, 3.0 + width_m / 2), (4.0, 6.0)))
+
+
+def wide(width_m: float, length_m: float = 1.1) -> FootprintSettings:
+    return FootprintSettings(front_m=length_m - 0.3, back_m=0.3, width_m=width_m)
+
+
+@pytest.mark.parametrize(
+    ("door_m", "robot_m"), grids.mostly_slow([(0.55, 0.6), (1.15, 1.3), (0.35, 0.6), (1.9, 2.2)], quick=[(0.35, 0.6)])
+)
+def test_who_is_wider_than_the_door_hears_how_wide_both_are_and_where(door_m: float, robot_m: float) -> None:
+    ride = ride_of(doorway(door_m), footprint=wide(robot_m))
+    ride.navigator.go_to_pose(GOAL)
+    result = end_of(ride, 5.0)
+    assert result.reason is NavigationReason.NO_PLAN
+    found = not_none(
+        re.search(r"is ([\d.]+) m wide at \(([\d.]+), ([\d.]+)\) m, and the robot needs ([\d.]+) m", result.detail)
+    )
+    wide_m, x, y, needs_m = map(float, found.groups())
+    assert abs(wide_m - door_m) < 0.11
+    assert 0.04 < needs_m - robot_m < 0.12
+    assert np.hypot(x - 4.0, y - 3.0) < 0.15
+    ends_at_once(ride, result)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("goal", [GOAL, GOAL[:2]], ids=["with its heading", "of any heading"])
+def test_who_fits_through_the_door_drives(goal: tuple[float, ...]) -> None:
+    ride = ride_of(doorway(0.9))
+    ride.navigator.go_to_pose(goal)
+    ride.go(40.0)
+    assert not_none(ride.navigator.result).has_arrived
+
+
+def test_where_there_is_no_room_to_turn_it_says_that() -> None:
+    """A corridor of 0.9 m with a bend, and a chair 1.9 m long."""
+    corridor = (
+        ((0.0, 3.45), (5.45, 3.45)),
+        ((0.0, 2.55), (4.55, 2.55)),
+        ((5.45, 3.45), (5.45, 0.0)),
+        ((4.55, 2.55), (4.55, 0.0)),
+    )
+    ride = ride_of((*ROOM, *corridor), footprint=wide(0.6, 1.9))
+    ride.navigator.go_to_pose((5.0, 1.0))
+    result = end_of(ride, 5.0)
+    assert result.reason is NavigationReason.NO_PLAN
+    assert "has no room to turn" in result.detail
+    assert "1.90 m long" in result.detail
+    ends_at_once(ride, result)
+
+
+@pytest.mark.parametrize("goal", [GOAL, (4.0, 3.0)], ids=["behind it", "in it"])
+def test_unknown_floor_in_between_is_called_unknown(goal: tuple[float, ...]) -> None:
+    ride = Ride.of(Walls.of(*ROOM), BEGIN, SIZE_M, settings=NavigationSettings(controller="pure_pursuit"))
+    grid = Walls.of(*ROOM).grid(*SIZE_M)
+    kind = np.where(grid.occupancy == 0, CellKind.FREE, CellKind.OBSTACLE).astype(np.uint8)
+    kind[:, round(3.0 / CELL_M) : round(5.0 / CELL_M)] = CellKind.UNKNOWN
+    unknown = KnownFloor(OccupancyGrid.of_kinds(kind, kind == CellKind.FREE, CELL_M, (0.0, 0.0)))
+    ride.navigator = Navigator(ride.robot, ride.told, unknown, ride.navigator.settings, trusts_floor=True)
+    ride.navigator.go_to_pose(goal)
+    result = end_of(ride, 5.0)
+    assert result.reason is NavigationReason.NO_PLAN
+    assert "unknown" in result.detail
+    if goal is GOAL:
+        first = not_none(re.search(r"unknown, first at \(([\d.]+), [\d.]+\) m", result.detail))
+        assert 2.0 < float(first[1]) < 3.1
+        assert "navigation.costmap.unknown=costly" in result.detail
+    ends_at_once(ride, result)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("width_m", "length_m"), [(1.5, 1.6), (1.4, 1.3)])
+def test_who_is_larger_than_any_room_hears_that_at_once(width_m: float, length_m: float) -> None:
+    narrow = (*ROOM, *(((0.0, y), (8.0, y)) for y in np.r_[0.5:2.4:0.05, 3.6:5.5:0.05]))
+    ride = ride_of(narrow, footprint=wide(width_m, length_m))
+    ride.navigator.go_to_pose(GOAL)
+    result = end_of(ride, 5.0)
+    assert result.reason is NavigationReason.NO_PLAN
+    assert result.detail.startswith("the map has no place that is wide enough for the robot: the widest is 1.")
+    assert f"{length_m:.2f} m long and {width_m:.2f} m wide" in result.detail
+    ends_at_once(ride, result)
+
+
+class Scripted(WorkerInStep[Planned]):
+    """Answers plans by a list."""
+
+    def __init__(self, *reasons: PlanReason) -> None:
+        super().__init__()
+        self.reasons = list(reasons)
+
+    def answer(self, now_s: float) -> Planned | None:
+        if super().answer(now_s) is None:
+            return None
+        reason = self.reasons.pop(0) if len(self.reasons) > 1 else self.reasons[0]
+        return Planned(PlanFailure(reason, f"number {len(self.reasons)}"), np.zeros(3))
+
+
+@pytest.mark.parametrize("last", [PlanReason.START_OCCUPIED, PlanReason.UNREACHABLE])
+def test_the_first_reason_is_not_lost_behind_what_came_of_getting_out(last: PlanReason) -> None:
+    ride = ride_of(navigator=HASTY, behaviours=QUICK)
+    worker = Scripted(PlanReason.UNREACHABLE, last)
+    ride = Ride.of(Walls.of(*ROOM), BEGIN, SIZE_M, settings=ride.navigator.settings, planning=worker)
+    ride.navigator.go_to_pose(GOAL)
+    result = end_of(ride, 20.0)
+    assert result.recoveries == HASTY.tries
+    assert result.detail.startswith("no way leads to the goal")
+    assert ("at last the robot stands where something is" in result.detail) is (last is PlanReason.START_OCCUPIED)
 
 
 @pytest.mark.parametrize("goal", [(np.nan, 1.0, 0.0), (1.0, np.inf), (1.0, 2.0, np.nan)])

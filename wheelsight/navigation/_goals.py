@@ -11,7 +11,7 @@ import numpy as np
 from wheelsight.geometry import Float32Array, FloatArray, Int32Array
 from wheelsight.navigation._drivable import Drivable
 from wheelsight.navigation._field_kernels import clearances_at
-from wheelsight.navigation.costmap import CellState
+from wheelsight.navigation.costmap import CellState, Costmap
 from wheelsight.navigation.fields import Outline
 from wheelsight.navigation.plan_values import PlanFailure, PlanReason
 from wheelsight.navigation.planner_settings import PlannerSettings
@@ -126,8 +126,8 @@ def goal_near(
     costmap = drivable.costmap
     row, column = costmap.cells_at(goal[:2]).tolist()
     if not (0 <= row < labels.shape[0] and 0 <= column < labels.shape[1]):
-        return PlanFailure(PlanReason.GOAL_OUTSIDE, f"({goal[0]:.2f}, {goal[1]:.2f}) m is beyond the map's edge")
-    if np.isfinite(_tightness(drivable, goal[None])[0]):
+        return PlanFailure(PlanReason.GOAL_OUTSIDE, beyond(costmap, goal))
+    if np.isfinite(tightness_of(drivable, goal[None])[0]):
         if labels[row, column] == label:
             return Goal(goal, "")
         where = f"({goal[0]:.2f}, {goal[1]:.2f}) m"
@@ -139,13 +139,20 @@ def goal_near(
     near = np.zeros(len(poses), bool)
     near[inside] = labels[cells[inside, 0], cells[inside, 1]] == label
     poses, off = poses[near], off[near]
-    tight = _tightness(drivable, poses)
+    tight = tightness_of(drivable, poses)
     # One that keeps clear is better than one that is nearer by a little, and hard to get to.
     score = off + 2 * settings.wanted_margin_m * tight
     if len(poses) and np.isfinite(score).any():
         return beside(goal, poses[int(np.argmin(score))], "the robot does not fit at the goal")
     reason = PlanReason.GOAL_UNKNOWN if is_unknown else PlanReason.GOAL_OCCUPIED
     return PlanFailure(reason, f"nor does it fit within {settings.goal_tolerance_m:g} m that can be reached")
+
+
+def beyond(costmap: Costmap, pose: FloatArray) -> str:
+    """That a pose lies outside of a costmap, and where that ends."""
+    low, high = costmap.middle_of([-0.5, -0.5]), costmap.middle_of(np.array(costmap.state.shape) - 0.5)
+    reaches = f"which reaches from ({low[0]:.2f}, {low[1]:.2f}) to ({high[0]:.2f}, {high[1]:.2f}) m"
+    return f"({pose[0]:.2f}, {pose[1]:.2f}) m is beyond the map's edge, {reaches}"
 
 
 def beside(goal: FloatArray, pose: FloatArray, why: str) -> Goal:
@@ -165,7 +172,7 @@ def _turn(one: float, other: float) -> float:
     return 0.0 if math.isnan(one) else abs(math.remainder(float(one - other), 2 * math.pi))
 
 
-def _tightness(drivable: Drivable, poses: FloatArray) -> FloatArray:
+def tightness_of(drivable: Drivable, poses: FloatArray) -> FloatArray:
     """(N,) as `Drivable.tightness` at poses (N, 3); of any heading, at the best of some."""
     if not np.isnan(poses[:, 2]).any():
         return drivable.tightness(poses)

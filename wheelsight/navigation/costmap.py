@@ -220,6 +220,13 @@ class Costmap:
         made = _made(state, self.speed_m_s, place, self.inscribed_m, self.settings)
         return replace(made, dearness=self.dearness)
 
+    def with_unknown_free(self) -> Costmap:
+        """The same as if all unknown floor were free."""
+        state = np.where(self.state == CellState.UNKNOWN, CellState.FREE, self.state).astype(np.uint8)
+        place = self.resolution_m, self.origin, self.frame
+        made = _made(state, self.speed_m_s, place, self.inscribed_m, self.settings)
+        return replace(made, dearness=self.dearness)
+
     def cells_at(self, xy: ArrayLike) -> IntArray:
         """(..., 2) row and column of points (..., 2); they may lie outside."""
         cells = (np.asarray(xy, float) - self.origin) / self.resolution_m

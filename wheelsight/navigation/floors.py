@@ -27,6 +27,9 @@ _LEAST_SHIFT_M = 0.025
 _SILENT_S = 10.0
 # From one outline to the next where a robot drove.
 _STAMP_M, _STAMP_RAD = 0.05, 0.1
+# So far beside the outline of a robot that drove is floor, too: more than the 4 cm that plans and controllers keep
+# (follow.margin_m), for poses of a plan are not just those that were driven.
+_BESIDE_M = 0.05
 
 
 class Floor(Protocol):
@@ -56,15 +59,17 @@ class Floor(Protocol):
 
 
 class KnownFloor:
-    """Of a map that stays as it is.
+    """Of a map that stays as it is, but for floor that the robot itself drives over.
 
     Args:
         grid: of the map.
         edits: what people said of it.
         T_map_keyframe: (K, 4, 4) where keyframes are, where any edit is anchored.
         driven: stretches (K, 3) of x, y, yaw at which a robot stood, about straight from each to the next: what lies
-            under its outline is floor where nothing else is known.
-        footprint: that robot's.
+            under its outline, and 5 cm beside it, is floor where nothing else is known.
+        footprint: that robot's, and of the one that drives now: where it stands, there is floor. None: not even there.
+        trusted_m: radius about where this drive begins, in sight of there, within which unknown floor is free: a person
+            who looked at it says so.
     """
 
     is_fixed = True
@@ -76,17 +81,26 @@ class KnownFloor:
         T_map_keyframe: ArrayLike = (),
         driven: Sequence[FloatArray] = (),
         footprint: Footprint | None = None,
+        trusted_m: float = 0.0,
     ) -> None:
         static, self.revision = StaticLayer.of(grid, edits, T_map_keyframe), 0
         self.has_keep_out = edits is not None and any(edit.kind is EditKind.KEEP_OUT for edit in edits.edits)
-        is_stood = np.zeros(static.state.shape, bool)
-        if footprint is not None:
-            for pose in (pose for stretch in driven for pose in _densely(stretch)):
-                _stamp(is_stood, static, pose, footprint)
-        self.layer = static.with_floor(is_stood)
+        self.layer, self._footprint, self._trusted_m = static, footprint, trusted_m
+        self._stood: FloatArray | None = None
+        if footprint is not None and len(driven):
+            self.layer = _driven_over(static, np.concatenate([_densely(stretch) for stretch in driven]), footprint)
 
     def update(self, pose: FloatArray | None, now_s: float) -> None:
-        """Nothing changes."""
+        """See `Floor`: where the robot stands there is floor, and near to where it began."""
+        if pose is None or self._footprint is None or (self._stood is not None and not _apart(pose, self._stood)):
+            return
+        layer = _driven_over(self.layer, pose[None], self._footprint)
+        if self._stood is None and self._trusted_m:
+            layer = layer.grown(pose[:2] + self._trusted_m * np.array([[-1.0], [1.0]]))
+            layer = layer.with_floor(_in_sight(layer, pose[:2], self._trusted_m), is_told=True)
+        self._stood = pose
+        if layer is not self.layer:
+            self.layer, self.revision = layer, self.revision + 1
 
     def is_silent(self, now_s: float) -> bool:
         """See `Floor`: nothing makes it."""
@@ -215,6 +229,20 @@ class GrowingFloor:
         return self._trusted[1]
 
 
+def _driven_over(static: StaticLayer, poses: FloatArray, footprint: Footprint) -> StaticLayer:
+    """The same with floor at poses (N, 3), and large enough for it; the same object where nothing is new."""
+    reach_m = footprint.circumscribed_m + 2 * _BESIDE_M
+    bounds = np.array([poses[:, :2].min(axis=0) - reach_m, poses[:, :2].max(axis=0) + reach_m])
+    high = np.array(static.origin) + np.array(static.state.shape[::-1]) * static.resolution_m
+    is_inside = (bounds[0] >= static.origin).all() and (bounds[1] <= high).all()
+    grown = static if is_inside else static.grown(bounds)
+    is_stood = np.zeros(grown.state.shape, bool)
+    for pose in poses:
+        _stamp(is_stood, grown, pose, footprint)
+    is_new = (is_stood & (grown.state == CellState.UNKNOWN)).any()
+    return grown.with_floor(is_stood) if is_new else grown
+
+
 def _densely(stretch: FloatArray) -> FloatArray:
     """(N, 3) poses of a way with others between them, a cell and some degrees apart."""
     poses = [stretch[:1]]
@@ -242,11 +270,12 @@ def _apart(pose: FloatArray, other: FloatArray) -> bool:
 
 
 def _stamp(found: BoolArray, static: StaticLayer, pose: FloatArray, footprint: Footprint) -> None:
-    """Mark the cells under an outline at a pose."""
-    cut, away = _about(static, pose[:2], footprint.circumscribed_m)
+    """Mark the cells under an outline at a pose, and close beside it."""
+    # All cells that a plan's outline touches: a cell's corners are half a diagonal off its middle.
+    outline = footprint.padded(_BESIDE_M + np.sqrt(0.5) * static.resolution_m)
+    cut, away = _about(static, pose[:2], outline.circumscribed_m)
     c, s = np.cos(pose[2]), np.sin(pose[2])
-    # A cell that the outline touches at all was stood on.
-    found[cut] |= footprint.padded(0.7 * static.resolution_m).contains(away @ np.array([[c, -s], [s, c]]))
+    found[cut] |= outline.contains(away @ np.array([[c, -s], [s, c]]))
 
 
 def _in_sight(static: StaticLayer, xy: FloatArray, reach_m: float) -> BoolArray:

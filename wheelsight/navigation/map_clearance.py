@@ -20,13 +20,22 @@ _STEP_S = 0.1
 
 
 def keeps_clear(
-    costmap: Costmap, outline: Outline, pose: FloatArray, command: VelocityCommand, settings: BehaviourSettings
+    costmap: Costmap,
+    outline: Outline,
+    pose: FloatArray,
+    command: VelocityCommand,
+    settings: BehaviourSettings,
+    *,
+    minds_unknown: bool = False,
 ) -> bool:
     """Whether a robot at a pose (3,) in the map, that obeys for `clear_s`, comes no nearer than `clear_m` to obstacles.
 
-    One that is nearer already may go where it is less near. Floor that nobody has seen is no obstacle here.
+    One that is nearer already may go where it is less near. Unknown floor is an obstacle with `minds_unknown` alone.
     """
-    is_free = (costmap.state != CellState.OCCUPIED).astype(np.uint8)
+    is_obstacle = costmap.state == CellState.OCCUPIED
+    if minds_unknown:
+        is_obstacle |= costmap.state == CellState.UNKNOWN
+    is_free = (~is_obstacle).astype(np.uint8)
     distance_m = cv2.distanceTransform(is_free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * np.float32(costmap.resolution_m)
     field = CostField(distance_m, np.zeros_like(distance_m), costmap.resolution_m, costmap.origin)
     at = (float(pose[0]), float(pose[1]), float(np.cos(pose[2])), float(np.sin(pose[2])))

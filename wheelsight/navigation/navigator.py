@@ -298,12 +298,15 @@ class Navigator(OneCaller):
     def _without_plan(self, task: Task, failure: PlanFailure) -> VelocityCommand:
         """There may be one when somebody has gone, or more is seen; of a goal that may be left out there is another."""
         why = f"{failure.reason}: {failure.detail}"
+        task.why_first = task.why_first or why
         if failure.reason.is_of_goal and task.goals.left > 1 and task.skips < _SKIPS and task.goals.missed():
             task.skips += 1
             return STOP
         if not failure.reason.is_for_good and task.may_try(self.settings.navigator):
             return self._get_out(task, why)
-        return self._give_up(task, NavigationReason.NO_PLAN, why)
+        # What it did since, such as backing up, may have led to the last reason alone.
+        is_same = task.why_first.startswith(failure.reason)
+        return self._give_up(task, NavigationReason.NO_PLAN, why if is_same else f"{task.why_first}; at last {why}")
 
     def _drive(self, task: Task, now_s: float) -> VelocityCommand:
         """Follow the plan while it holds."""

@@ -14,12 +14,15 @@ class PlanReason(StrEnum):
     INVALID = "start or goal is no pose"
     START_OUTSIDE = "the robot is outside the map"
     START_OCCUPIED = "the robot stands where something is, and finds no way out"
+    START_UNKNOWN = "the floor about the robot is unknown, and it finds no way out"
     GOAL_OUTSIDE = "the goal is outside the map"
     GOAL_UNKNOWN = "nobody has seen the floor at the goal"
     GOAL_OCCUPIED = "the robot does not fit at the goal, nor near to it"
     GOAL_IN_WALL = "the map has no room for the robot at the goal, nor near to it"
     STANDS = "its limits let the robot neither forward nor backward"
     UNREACHABLE = "no way leads to the goal"
+    NO_WAY_IN_MAP = "no way leads to the goal by the map itself"
+    NO_ROOM_IN_MAP = "the map has no place that is wide enough for the robot"
     GAVE_UP = "no way was found within the bounds of the search"
 
     @property
@@ -29,6 +32,8 @@ class PlanReason(StrEnum):
             PlanReason.INVALID,
             PlanReason.GOAL_OUTSIDE,
             PlanReason.GOAL_IN_WALL,
+            PlanReason.NO_WAY_IN_MAP,
+            PlanReason.NO_ROOM_IN_MAP,
             PlanReason.STANDS,
         )
 
@@ -40,6 +45,7 @@ class PlanReason(StrEnum):
             PlanReason.GOAL_OCCUPIED,
             PlanReason.GOAL_IN_WALL,
             PlanReason.UNREACHABLE,
+            PlanReason.NO_WAY_IN_MAP,
             PlanReason.GAVE_UP,
         )
 

@@ -109,7 +109,8 @@ class Planning:
             if not ahead:
                 return Planned(None, floor.T_map_odom)
             made = self._planner.plan(costmap, avoiding, hidden, pose, ahead)
-            return Planned(self._judged(made.found, floor, ahead[-1]), floor.T_map_odom, made.is_blind)
+            found = self._judged(made.found, costmap, floor, pose, ahead[-1])
+            return Planned(found, floor.T_map_odom, made.is_blind)
 
         self._asked_s = now_s
         self._worker.ask(plan, now_s)
@@ -156,21 +157,30 @@ class Planning:
         assert state is not None
         return to_go_m(plan, state.pose) - to_go_m(plan, at) > self._settings.navigator.onward_m
 
-    def _judged(self, found: Plan | PlanFailure, floor: FloorNow, goal: FloatArray) -> Plan | PlanFailure:
-        """What was found for a goal (3,); where the map itself has no room there, no waiting helps, and that is said.
+    def _judged(
+        self, found: Plan | PlanFailure, costmap: Costmap, floor: FloorNow, pose: FloatArray, goal: FloatArray
+    ) -> Plan | PlanFailure:
+        """What was found in a costmap from a pose (3,) to a goal (3,); where the map alone forbids it, that is said.
 
-        Of a map that grows nobody knows yet: who was seen to stand there may go.
+        Then no waiting helps. In a map that grows it may, and what the camera met besides the map may go.
         """
-        if isinstance(found, Plan) or not self._senses.floor.is_fixed:
+        if isinstance(found, Plan) or found.reason.is_for_good or not self._senses.floor.is_fixed:
             return found
-        if found.reason not in (PlanReason.GOAL_OCCUPIED, PlanReason.GOAL_UNKNOWN):
+        mapped, route = Costmap.of(floor.layer, floor.footprint, floor.settings), self._planner.route
+        if found.reason in (PlanReason.START_OCCUPIED, PlanReason.START_UNKNOWN, PlanReason.START_OUTSIDE):
+            why = route.why_no_room(mapped)
+            return PlanFailure(PlanReason.NO_ROOM_IN_MAP, why) if why else found
+        is_of_place = found.reason in (PlanReason.GOAL_OCCUPIED, PlanReason.GOAL_UNKNOWN)
+        if is_of_place and not route.has_room_near(mapped, goal):
+            is_unknown = found.reason is PlanReason.GOAL_UNKNOWN
+            what = "unknown floor" if is_unknown else "a wall, a thing or forbidden floor"
+            return PlanFailure(PlanReason.GOAL_IN_WALL, f"{what} is at ({goal[0]:.2f}, {goal[1]:.2f}) m")
+        is_as_mapped = np.array_equal(costmap.is_lethal, mapped.is_lethal)
+        alone = found if is_as_mapped else route.plan(mapped, pose, [goal])
+        hopeless = PlanReason.UNREACHABLE, PlanReason.GOAL_OCCUPIED, PlanReason.GOAL_UNKNOWN
+        if isinstance(alone, Plan) or alone.reason not in hopeless:
             return found
-        mapped = Costmap.of(floor.layer, floor.footprint, floor.settings)
-        if self._planner.route.has_room_near(mapped, goal):
-            return found
-        is_unknown = found.reason is PlanReason.GOAL_UNKNOWN
-        what = "nobody has seen the floor" if is_unknown else "a wall, a thing or forbidden floor is"
-        return PlanFailure(PlanReason.GOAL_IN_WALL, f"{what} at ({goal[0]:.2f}, {goal[1]:.2f}) m")
+        return PlanFailure(PlanReason.NO_WAY_IN_MAP, route.why_no_way(mapped, pose, goal))
 
     def _blocked_at(self, plan: Plan, reach_m: float) -> FloatArray | None:
         local, pose = self._here()

@@ -49,6 +49,14 @@ class RoutePlanner:
         """See `Planner.has_room_near`."""
         return self._planner.has_room_near(costmap, goal)
 
+    def why_no_way(self, costmap: Costmap, start: FloatArray, goal: FloatArray) -> str:
+        """See `Planner.why_no_way`."""
+        return self._planner.why_no_way(costmap, start, goal)
+
+    def why_no_room(self, costmap: Costmap) -> str:
+        """See `Planner.why_no_room`."""
+        return self._planner.why_no_room(costmap)
+
     def blocked_at(self, costmap: Costmap, plan: Plan, pose: FloatArray, reach_m: float) -> FloatArray | None:
         """The first pose (3,) of so much of a plan, from a pose (3,) on, where the footprint does not pass; or None."""
         drivable = Drivable.of(costmap, self._footprint, self._rules, self._settings.limits)

@@ -34,6 +34,8 @@ from wheelsight.navigation.surroundings import DepthView
 
 # Views that wait for the localization to say where they were taken: two seconds of a Kinect's.
 _VIEWS = 60
+# Places before the robot knows where it is: three minutes of a robot that looks about for it.
+_PLACES = 3600
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +87,8 @@ class Senses:
         self.avoids_hidden = True
         self._people = PeopleTracker(settings.people, settings.live.far_m)
         self._views: deque[DepthView] = deque(maxlen=_VIEWS)
+        # In `odom`, from the begin until the place in the map is known; None from then on.
+        self._unplaced: deque[FloatArray] | None = deque(maxlen=_PLACES)
         self._local: dict[bool, tuple[_Made, Costmap]] = {}
 
     @property
@@ -144,8 +148,22 @@ class Senses:
                 if self._live.is_due(event.stamp_s):
                     self._live.update(event.depth_m, pose, event.stamp_s)
                 self._follow_people(event.stamp_s, pose)
-        state = self.where.state
-        self._floor.update(None if state is None else state.pose, now_s)
+        self._update_floor(now_s)
+
+    def _update_floor(self, now_s: float) -> None:
+        """Where the robot stands, once that is known; before that, where it stood since it was switched on."""
+        state, odom_pose = self.where.state, self.where.odom_pose
+        if state is None:
+            if self._unplaced is not None and odom_pose is not None:
+                self._unplaced.append(odom_pose)
+            self._floor.update(None, now_s)
+            return
+        T_map_odom = se2.from_parts(*self.where.T_map_odom)
+        for before in self._unplaced or ():
+            self._floor.update(np.array(se2.to_parts(T_map_odom @ se2.from_parts(*before))), now_s)
+        # Who gets lost later may have been carried: the wheels do not say how it came where it is found.
+        self._unplaced = None
+        self._floor.update(state.pose, now_s)
 
     def _follow_people(self, stamp_s: float, pose: FloatArray) -> None:
         """Look who walks, of a frame that was taken at (3,) in `odom`."""
@@ -180,11 +198,16 @@ class Senses:
         return tuple(person.carried(T_map_odom) for person in self._people.people(now_s))
 
     def keeps_clear(self, command: VelocityCommand) -> bool:
-        """Whether a command leads to nothing that the map has, as far as it is known where the robot is."""
+        """Whether a command leads to nothing that the map has, as far as it is known where the robot is.
+
+        Nor backward to floor that a map of before does not know: no camera looks there.
+        """
         local, state = self.local(), self.where.state
         if local is None or state is None:
             return True
-        return keeps_clear(local, self._outline, state.pose, command, self._settings.behaviours)
+        is_blind = self._floor.is_fixed and command.forward_m_s < 0
+        how = self._outline, state.pose, command, self._settings.behaviours
+        return keeps_clear(local, *how, minds_unknown=is_blind)
 
     def open_way(self) -> OpenWay | None:
         """Where to drive while it is not known where the robot is; None where it is to stay.

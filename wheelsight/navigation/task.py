@@ -42,6 +42,7 @@ class Task:
         skips: goals left out, since it last had a plan or got itself out.
         searches: to find out where it is, since it last knew.
         known_s: when it last knew where it is.
+        why_first: why there was no plan first, since it last had one or made way; empty where there was one.
         transitions: all of them.
     """
 
@@ -57,6 +58,7 @@ class Task:
         self.tries, self.skips, self.searches = 0, 0, 0
         self.passes_hidden = self._has_waited = self._has_awaited_way = self._has_met_people = False
         self.known_s = now_s
+        self.why_first = ""
         self.transitions: list[Transition] = []
         self._begun_s = self._rolled_s = self._tried_s = now_s
         self._way_m = 0.0
@@ -83,7 +85,7 @@ class Task:
             self._here = where.odom_pose[:2]
             if not np.hypot(*(self._here - self._from)) <= settings.progress_m:
                 self.tries, self.passes_hidden, self._has_awaited_way = 0, False, False
-                self._has_met_people, self._tried_s = False, now_s
+                self._has_met_people, self._tried_s, self.why_first = False, now_s, ""
                 self.come_on()
         self._why_lost = where.why_unknown(settings.unsure_m)
         if not self._why_lost:
@@ -104,6 +106,7 @@ class Task:
         self._planned_m = self._planned_m or plan.length_m
         self.plan, self.planned_s, self.checked_s, self.T_map_odom = plan, now_s, now_s, T_map_odom
         self.behaviour, self.skips, self._held, self.wants_anew = None, 0, _Stopwatch(), False
+        self.why_first = ""
 
     def recover(self, behaviour: Behaviour, *, is_lost: bool) -> None:
         """Do something to get on."""

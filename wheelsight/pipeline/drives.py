@@ -19,6 +19,7 @@ from wheelsight.events import Event
 from wheelsight.geometry import FloatArray
 from wheelsight.mapping import OccupancyGrid
 from wheelsight.navigation import (
+    DepthViewer,
     Feedback,
     Footprint,
     KnownFloor,
@@ -221,7 +222,8 @@ def drive_in_map(
         closing(planning_worker(config, in_step=in_step)) as planning,
     ):
         grid = occupancy_of(folder, on_keyframe=on_keyframe)
-        floor = _floor_of(folder, grid, outline)
+        near_m = near_floor_m(calibration, config) if trusts_floor else 0.0
+        floor = _floor_of(folder, grid, outline, near_m)
         navigator = Navigator(watched, localization, floor, config.navigation, planning=planning, **how)
         yield Drive(watched, navigator, lambda: grid, _name_of(folder))
 
@@ -231,9 +233,16 @@ def planning_worker(config: Config, *, in_step: bool) -> Worker[Planned]:
     return WorkerInStep(config.navigation.navigator.planning_s) if in_step else WorkerBeside("planning")
 
 
-def _floor_of(folder: MapFolder, grid: OccupancyGrid, footprint: Footprint) -> KnownFloor:
-    """With edits, and where the robot of the map drove."""
-    return KnownFloor(grid, edits_as_known(folder), folder.store.T_map_keyframe, driven_way(folder), footprint)
+def near_floor_m(calibration: Calibration, config: Config) -> float:
+    """From the axle, the nearest floor that the camera sees."""
+    s = config.navigation
+    return DepthViewer(calibration, s.footprint.outline, s.view, s.live).near_m
+
+
+def _floor_of(folder: MapFolder, grid: OccupancyGrid, footprint: Footprint, trusted_m: float) -> KnownFloor:
+    """With edits, where the robot of the map drove, and where this one does."""
+    poses, driven = folder.store.T_map_keyframe, driven_way(folder)
+    return KnownFloor(grid, edits_as_known(folder), poses, driven, footprint, trusted_m)
 
 
 def _name_of(folder: MapFolder) -> str:

@@ -16,8 +16,6 @@ from wheelsight.files import StrPath
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.localizer import Localizer
 from wheelsight.navigation import (
-    DepthViewer,
-    Footprint,
     GrowingFloor,
     Navigator,
     SeenFloor,
@@ -27,7 +25,7 @@ from wheelsight.navigation import (
     WorkerInStep,
 )
 from wheelsight.pipeline.drive_recorder import DriveRecorder
-from wheelsight.pipeline.drives import Drive, OnEvents, WatchedRobot, planning_worker
+from wheelsight.pipeline.drives import Drive, OnEvents, WatchedRobot, near_floor_m, planning_worker
 from wheelsight.pipeline.localizing import localization_of
 from wheelsight.robots import Robot
 from wheelsight.slam.sessions import DRIVE, MapFolder, MapWriter
@@ -117,7 +115,7 @@ def exploring(
     """
     _check(config)
     footprint, calibration = config.navigation.footprint.outline, robot.calibration
-    near_m = _near_m(robot, config, footprint) if trusts_floor else 0.0
+    near_m = near_floor_m(calibration, config) if trusts_floor else 0.0
     how: dict[str, Any] = {"trusts_floor": trusts_floor, "on_transition": on_transition}
     # The localization is closed last: others look at its keyframes.
     with (
@@ -149,8 +147,3 @@ def _check(config: Config) -> None:
         raise ConfigError("an exploration begins without a map", fix="no --map, or --to a place of it")
     if config.loops.source != FROM_KEYFRAMES:
         raise ConfigError("an exploration closes loops", fix='load_config(overrides={"loops.source": "keyframes"})')
-
-
-def _near_m(robot: Robot, config: Config, footprint: Footprint) -> float:
-    """From the axle, the nearest floor that the camera sees."""
-    return DepthViewer(robot.calibration, footprint, config.navigation.view, config.navigation.live).near_m
