@@ -123,3 +123,29 @@ def test_equal_cameras_are_equal_however_their_distortion_was_given() -> None:
     lists = PinholeCamera(640, 480, 517.3, 516.5, 318.6, 255.3, in_a_list)
     assert lists == FREIBURG1
     assert hash(lists) == hash(FREIBURG1)
+
+
+@pytest.mark.parametrize(
+    ("focal_px", "distortion", "fault"),
+    [
+        (517.0, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633), None),  # freiburg1, the strongest that is known to be right
+        (450.0, (-0.4, 0.15, 0, 0, 0), None),
+        (6400.0, (-5, 200, 0, 0, 0), None),  # a long lens
+        (500.0, (-0.6, 0, 0, 0, 0), "folds"),
+        (586.0, (1389, -512, 103, 1420, -480), "folds"),
+        (586.0, (1389, -512, 0, 0, 0), "stretches"),
+    ],
+)
+def test_a_lens_that_folds_or_stretches_within_its_image_has_a_fault(focal_px, distortion, fault) -> None:
+    found = PinholeCamera(640, 480, focal_px, focal_px, 319.5, 239.5, distortion).lens_fault()
+    assert (found is None) == (fault is None)
+    assert fault is None or fault in str(found)
+
+
+def test_a_lens_folds_where_its_radius_no_longer_grows() -> None:
+    """r (1 - 0.6 r²) is largest at r² = 1 / 1.8, where it is 2/3 r = 0.497: beyond that circle nothing is shown."""
+    camera = PinholeCamera(1000, 1000, 500.0, 500.0, 499.5, 499.5, (-0.6, 0, 0, 0, 0))
+    border = np.linspace(0, 2 * np.pi, 3600, endpoint=False)
+    far = 1 / np.maximum(np.abs(np.cos(border)), np.abs(np.sin(border)))
+    lost = np.mean(1 - (0.4969 / far) ** 2)
+    assert f"{100 * lost:.0f} %" in str(camera.lens_fault())

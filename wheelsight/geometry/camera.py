@@ -17,6 +17,12 @@ MOST_PIXELS = 1 << 25  # twice the largest depth camera's 16 million
 _FOCAL_LENGTHS = 0.1, 1000.0
 # Brown's coefficients are a few units at most, in long lenses some hundreds.
 _LARGEST_DISTORTION = 1e4
+# Rays from the principal point, and radii on each up to 87° off the axis, at which a lens is looked at.
+_RAYS, _RADII = 32, np.geomspace(1e-4, 20.0, 300)
+# Share of the image: calibrations of cheap lenses fold in the last corner, beyond the board that they were made by.
+_MOST_FOLDED = 0.05
+# How much farther from the middle than a pinhole's a lens shows a point: the strongest pincushion stays under 1.3.
+_MOST_STRETCH = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +138,49 @@ class PinholeCamera:
             radial, tangential = self._distortion_terms(xy)
             xy = (seen - tangential) / radial
         return xy
+
+    def lens_fault(self) -> str | None:
+        """What makes its distortion no lens's, in a few words: it folds or stretches within the image; else None."""
+        if not self.has_distortion:
+            return None
+        angles = np.linspace(0, 2 * np.pi, _RAYS, endpoint=False)
+        xy = _RADII[None, :, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)[:, None, :]
+        with np.errstate(all="ignore"):
+            seen = self._distort(xy)
+            reach = np.linalg.norm(seen, axis=2)
+            inside, border = self._borders(seen)
+            sees = np.logical_and.accumulate(inside, axis=1)
+            folds = sees & ~(self._growth(xy) > 0)
+            first = folds.argmax(axis=1)
+            at_fold = (np.arange(_RAYS), first)
+            lost = np.where(folds.any(axis=1), 1 - np.minimum(reach[at_fold] / border[at_fold], 1) ** 2, 0.0)
+            stretch = float(np.where(sees, reach / _RADII, 0.0).max())
+        if lost.mean() > _MOST_FOLDED:
+            return f"folds the image: {100 * lost.mean():.0f} % of it would show no point"
+        if stretch > _MOST_STRETCH:
+            return f"stretches the image {stretch:.2g}-fold within its border"
+        return None
+
+    def _borders(self, seen: FloatArray) -> tuple[BoolArray, FloatArray]:
+        """(...) whether points (..., 2) on the plane z = 1, distorted, are in the image, and how far its border is."""
+        px = seen * (self.fx, self.fy) + (self.cx, self.cy)
+        inside = (px >= -0.5).all(axis=-1) & (px <= np.array([self.width, self.height]) - 0.5).all(axis=-1)
+        to_end = np.where(seen > 0, [self.width - 0.5 - self.cx, self.height - 0.5 - self.cy], [self.cx, self.cy])
+        shares = np.abs(seen) * (self.fx, self.fy) / np.maximum(to_end, 1e-9)
+        far = np.linalg.norm(seen, axis=-1) / np.maximum(shares.max(axis=-1), 1e-9)
+        return np.asarray(inside), np.asarray(far, float)
+
+    def _growth(self, xy: FloatArray) -> FloatArray:
+        """The determinant (...) of the distortion's derivative: where it is not positive, the lens folds."""
+        k1, k2, p1, p2, k3 = self.distortion
+        x, y = xy[..., 0], xy[..., 1]
+        r2 = x**2 + y**2
+        radial, slope = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
+        across = slope * x * y + 2 * p1 * x + 2 * p2 * y
+        return np.asarray(
+            (radial + slope * x**2 + 2 * p1 * y + 6 * p2 * x) * (radial + slope * y**2 + 6 * p1 * y + 2 * p2 * x)
+            - across**2
+        )
 
     def rays(self) -> FloatArray:
         """Directions (height, width, 3) with z = 1 of all pixels; times a depth image they are its points."""

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry import FloatArray, PinholeCamera
+from wheelsight.geometry.lens_fit import fitted_lens
 from wheelsight.recordings.rosbag.definitions import are_measured
 
 _BROWN = ("plumb_bob", "radtan", "")
 _RATIONAL = "rational_polynomial"
 _GRID = 25
+# A point was found that comes back to its pixel as near; so many steps from the middle to each, with Newton's at each.
+_INVERSE_PX, _INVERSE_STEPS, _NEWTON_STEPS, _DERIVATIVE_STEP = 0.01, 20, 4, 1e-6
+_WIDEST = 2.0  # of a point on the plane z = 1: 63° off the axis; farther out no polynomial follows a wide lens
+_LEAST_SHOWN = 0.5  # share of the image that must show a point
 
 
 def camera_of(info: Any, is_rectified: bool, lens_px: float) -> tuple[PinholeCamera, str | None]:
@@ -39,7 +45,7 @@ def camera_of(info: Any, is_rectified: bool, lens_px: float) -> tuple[PinholeCam
     model = str(info.distortion_model)
     if model in _BROWN and len(D) <= 5:
         k1, k2, p1, p2, k3 = (*D.tolist(), 0.0, 0.0, 0.0, 0.0, 0.0)[:5]
-        return PinholeCamera(*size, *lens, (k1, k2, p1, p2, k3)), None
+        return _checked(PinholeCamera(*size, *lens, (k1, k2, p1, p2, k3)), D), None
     if model not in (_RATIONAL, *_BROWN):
         problem = f"its lens is described as {model!r}, which is no pinhole camera's"
         raise CalibrationError(problem, fix="record the rectified image too, or give a camera with --camera")
@@ -58,25 +64,64 @@ def _pixels(info: Any, K: FloatArray) -> tuple[tuple[int, int], tuple[float, flo
 
 @np.errstate(all="ignore")  # of numbers that describe no lens
 def _nearest(camera: PinholeCamera, D: FloatArray, lens_px: float) -> tuple[PinholeCamera, str | None]:
-    """Brown's five coefficients nearest to OpenCV's eight over the image; they are linear in where a point goes."""
-    k1, k2, p1, p2, k3, k4, k5, k6 = np.pad(D, (0, max(0, 8 - len(D))))[:8]
-    u, v = (np.linspace(0, side - 1, _GRID) for side in (camera.width, camera.height))
-    x, y = np.meshgrid((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
+    """Brown's five coefficients nearest to OpenCV's eight over the pixels of the image that the lens can show."""
+    D = np.pad(D, (0, max(0, 8 - len(D))))[:8]
+    u, v = np.meshgrid(*(np.linspace(0, side - 1, _GRID) for side in (camera.width, camera.height)))
+    px = np.stack([u.ravel(), v.ravel()], axis=1)
+    seen = (px - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    xy = _undone(seen, D)
+    off_px = np.linalg.norm(_rational(xy, D) - seen, axis=1) * max(camera.fx, camera.fy)
+    # In the corners eight coefficients often have a pole, and show no point there.
+    shown = np.isfinite(off_px) & (off_px < _INVERSE_PX) & (np.linalg.norm(xy, axis=1) < _WIDEST)
+    if shown.mean() < _LEAST_SHOWN:
+        problem = f"its distortion {_numbers(D)} describes no lens"
+        nothing = f"{100 * (1 - shown.mean()):.0f} % of the image show no point"
+        raise CalibrationError(f"{problem}: {nothing}", fix="give one with --camera")
+    fit = fitted_lens(xy[shown], seen[shown])
+    fitted = replace(camera, distortion=fit.distortion)
+    missed = (fitted.denormalise(xy[shown]) - px[shown]) if fitted.has_distortion else np.zeros((1, 2))
+    missed_px = np.linalg.norm(missed, axis=1)
+    share = float((missed_px > lens_px).mean())
+    if not share:
+        return fitted, None
+    by = f"{np.median(missed_px):.2f} px in the median, and by more than {lens_px:g} px in {100 * share:.0f} %"
+    return fitted, f"five coefficients miss the lens that CameraInfo describes by eight by {by} of the image"
+
+
+def _undone(seen: FloatArray, D: FloatArray) -> FloatArray:
+    """Points (N, 2) on the plane z = 1 that a lens shows at (N, 2): by Newton's steps, outwards from the middle.
+
+    So the branch that begins in the middle is kept to, whatever lies beyond a fold or a pole.
+    """
+    xy = np.zeros_like(seen)
+    steps = np.eye(2) * _DERIVATIVE_STEP
+    for share in np.linspace(0, 1, _INVERSE_STEPS + 1)[1:]:
+        for _ in range(_NEWTON_STEPS):
+            off = _rational(xy, D) - share * seen
+            (a, c), (b, d) = (((_rational(xy + h, D) - _rational(xy - h, D)) / (2 * _DERIVATIVE_STEP)).T for h in steps)
+            by = np.stack([d * off[:, 0] - b * off[:, 1], a * off[:, 1] - c * off[:, 0]], axis=1)
+            xy = xy - by / (a * d - b * c)[:, None]
+    return xy
+
+
+def _rational(xy: FloatArray, D: FloatArray) -> FloatArray:
+    """Where (N, 2) OpenCV's eight coefficients show points (N, 2), both on the plane z = 1."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = D
+    x, y = xy.T
     r2 = x**2 + y**2
     radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-    wanted_x = x * (radial - 1) + 2 * p1 * x * y + p2 * (r2 + 2 * x**2)
-    wanted_y = y * (radial - 1) + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y
-    columns_x = (x * r2, x * r2**2, 2 * x * y, r2 + 2 * x**2, x * r2**3)
-    columns_y = (y * r2, y * r2**2, r2 + 2 * y**2, 2 * x * y, y * r2**3)
-    A = np.stack([np.concatenate([a, b]).ravel() for a, b in zip(columns_x, columns_y, strict=True)], axis=1)
-    wanted = np.concatenate([wanted_x, wanted_y]).ravel()
-    if not (np.isfinite(A).all() and np.isfinite(wanted).all()):
-        raise CalibrationError("its CameraInfo describes no lens", fix="give one with --camera")
-    found = np.linalg.lstsq(A, wanted, rcond=None)[0]
-    worst_px = float(np.abs(A @ found - wanted).max() * max(camera.fx, camera.fy))
-    lens = (camera.fx, camera.fy, camera.cx, camera.cy)
-    f1, f2, f3, f4, f5 = found.tolist()
-    fitted = PinholeCamera(camera.width, camera.height, *lens, (f1, f2, f3, f4, f5))
-    if worst_px <= lens_px:
-        return fitted, None
-    return fitted, f"five coefficients miss the lens that CameraInfo describes by eight by up to {worst_px:.1f} px"
+    across = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2)
+    return np.stack([across, y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y], axis=1)
+
+
+def _numbers(D: FloatArray) -> str:
+    return f"({', '.join(f'{k:.5g}' for k in D)})"
+
+
+def _checked(camera: PinholeCamera, D: FloatArray) -> PinholeCamera:
+    """The camera. Raises CalibrationError where its distortion is no lens's."""
+    fault = camera.lens_fault()
+    if fault is not None:
+        fix = "calibrate it: wheelsight calibrate camera, and give it by --camera; or record the rectified image"
+        raise CalibrationError(f"its distortion {_numbers(D)} {fault}", fix=fix)
+    return camera

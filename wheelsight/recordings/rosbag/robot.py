@@ -133,13 +133,24 @@ def _cameras(
         depth_camera = _camera(bag, depth, roles.depth_info, settings, warnings)
     if is_one and _is_same(color_camera, depth_camera):
         return Calibration.registered_camera(color_camera, source=source)
-    T_color_depth = transforms.between(color.frame, depth.frame)
+    # tf joins a frame with itself, which says nothing of two cameras that carry its name.
+    T_color_depth = None if is_one else transforms.between(color.frame, depth.frame)
     if T_color_depth is None:
-        problem = f"depth ({depth.frame!r}) is not registered to colour ({color.frame!r}), and tf does not join them"
-        fix = "record /tf_static, or registered depth, or give T_color_depth by --camera"
-        raise CalibrationError(problem, path=bag.path, fix=fix)
+        why = "and tf does not join them"
+        if is_one:
+            why = "both carry one frame with different CameraInfo, so that tf does not join them"
+        problem = f"depth ({depth.frame!r}) is not registered to colour ({color.frame!r}), {why}"
+        fix = "record /tf_static with a frame for each, or registered depth, or give T_color_depth by --camera"
+        raise CalibrationError(problem, path=bag.path, fix=f"{fix}{_of_realsense(bag, depth)}")
     warnings.append(f"{depth.name} is not registered to {color.name}: they are joined by tf.")
     return Calibration(color_camera, depth_camera, T_color_depth, source=source)
+
+
+def _of_realsense(bag: OpenBag, image: ImageTopic) -> str:
+    """What else helps where the bag may be what the RealSense SDK recorded, which reads its own calibration."""
+    of_sdk = image.name.startswith("/device_") or any(topic.name.startswith("/device_") for topic in bag.topics)
+    file = f"realsense:{bag.path.name}" if of_sdk else "realsense:FILE"
+    return f"; what the RealSense SDK recorded is read by wheelsight record --camera {file}"
 
 
 def _is_same(color: PinholeCamera, depth: PinholeCamera) -> bool:
@@ -153,11 +164,12 @@ def _camera(
 ) -> PinholeCamera:
     if info is None:
         problem = f"no CameraInfo tells what the camera of {image.name} is like"
-        raise CalibrationError(problem, fix="choose one by --topic color_info=…, or give --camera")
+        fix = f"choose one by --topic color_info=…, or give --camera{_of_realsense(bag, image)}"
+        raise CalibrationError(problem, fix=fix)
     try:
         camera, told = camera_of(bag.decode(bag.first(info)[0]), image.is_rectified, settings.lens_px)
     except CalibrationError as error:
-        raise CalibrationError(f"{image.name}: {error.problem}", fix=error.fix or "give --camera") from error
+        raise CalibrationError(f"{image.name} ({info}): {error.problem}", fix=error.fix or "give --camera") from error
     if told is not None:
         warnings.append(f"{info}: {told}.")
     return camera

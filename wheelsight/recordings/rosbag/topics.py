@@ -224,9 +224,11 @@ def _half_a_camera(colors: Sequence[ImageTopic], depths: Sequence[ImageTopic]) -
 
 def _info_of(image: ImageTopic, frames: Mapping[str, str]) -> str | None:
     """The CameraInfo beside an image, else the only one of its frame, else the only one there is."""
-    beside = f"{_base(image.name).rpartition('/')[0]}/camera_info"
-    if beside in frames:
-        return beside
+    folder = _base(image.name).rpartition("/")[0]
+    # The RealSense SDK has …/image/data and …/info/camera_info.
+    for beside in (f"{folder}/camera_info", f"{folder.rpartition('/')[0]}/info/camera_info"):
+        if beside in frames:
+            return beside
     alike = [name for name, frame in frames.items() if frame == image.frame and frame]
     if len(alike) == 1:
         return alike[0]
