@@ -9,7 +9,6 @@ import sqlite3
 import struct
 import sys
 import tracemalloc
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from wheelsight.recordings.rosbag import chunks, order
 from wheelsight.recordings.rosbag.chunks import Allowance
 from wheelsight.recordings.rosbag.definitions import store_of
 from wheelsight.recordings.rosbag.mcap import MAGIC
-from wheelsight.recordings.rosbag.order import Arrival, Pairing, RawFrame, in_order
+from wheelsight.recordings.rosbag.order import EventQueue, MessageQueue, Pairing, RawFrame
 from wheelsight.recordings.rosbag.storage import Message
 
 if sys.version_info >= (3, 14):
@@ -309,9 +308,9 @@ def messages_of_one_receipt(count: int) -> list[Message]:
 
 
 def test_images_that_wait_for_a_partner_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Their times of receipt do not grow, so that none has waited long."""
+    """Their partners do not come, so that none has been passed by."""
     monkeypatch.setattr(order, "_MOST_ALONE_BYTES", 4 * MEGABYTE)
-    pairing = Pairing(0.02, 0.25)
+    pairing = Pairing(0.02)
     messages = messages_of_one_receipt(20)
     for number, message in enumerate(messages):
         pairing.add("color", float(number), message)
@@ -320,26 +319,30 @@ def test_images_that_wait_for_a_partner_are_bounded(monkeypatch: pytest.MonkeyPa
         pairing.add("depth", float(number), messages[number])
     # The five that are still there, of either kind, are the last.
     assert [frame.stamp_s for frame in pairing.settled(float("inf"))] == [15, 16, 17, 18, 19]
+    assert pairing.crowded == {"color": 15, "depth": 15}
 
 
 def test_frames_that_wait_for_older_events_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing says that no older event comes."""
     monkeypatch.setattr(order, "_MOST_BYTES", 8 * MEGABYTE)
-    alive = 0
-    most = 0
+    queue, stamps_s = EventQueue(), []
+    for number, message in enumerate(messages_of_one_receipt(20)):
+        queue.add(RawFrame(float(number), message, message, 0.0))
+        stamps_s += [item.stamp_s for item in queue.until(-float("inf"))]
+        assert number + 1 - len(stamps_s) <= 4
+    assert [*stamps_s, *(item.stamp_s for item in queue.until(float("inf")))] == list(range(20))
 
-    def arrivals():
-        nonlocal alive, most
-        for number, message in enumerate(messages_of_one_receipt(20)):
-            alive += 1
-            most = max(most, alive)
-            yield Arrival(0.0, RawFrame(float(number), message, message, 0.0))
 
-    stamps_s = []
-    for item in in_order(arrivals(), 0.5, Counter()):
-        alive -= 1
-        stamps_s.append(item.stamp_s)
-    assert stamps_s == list(range(20))
-    assert most == 5
+def test_images_that_wait_for_a_topic_that_stops_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither does receipt go on, nor does the other topic, of which the index says that there is more."""
+    monkeypatch.setattr(order, "_MOST_BYTES", 8 * MEGABYTE)
+    queue, stamps_s = MessageQueue({"/image": 20, "/odom": 20}, 0.5), []
+    for number, message in enumerate(messages_of_one_receipt(20)):
+        assert queue.received(message) == (number == 19)
+        queue.add(float(number), message)
+        stamps_s += [stamp_s for stamp_s, _ in queue.ready()]
+        assert number + 1 - len(stamps_s) <= 8
+    assert [*stamps_s, *(stamp_s for stamp_s, _ in queue.rest())] == list(range(20))
 
 
 def test_a_sound_bag_stays_far_below_what_is_allowed(tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from wheelsight.calibration import Calibration, load_calibration, parse_calibration
-from wheelsight.errors import CalibrationError
+from wheelsight.errors import CalibrationError, RecordingError
 from wheelsight.geometry import FloatArray
 from wheelsight.inputs import is_there
 from wheelsight.matches import SpeedVariances
@@ -24,11 +25,13 @@ from wheelsight.recordings.rosbag.gravity import up_of_gyro
 from wheelsight.recordings.rosbag.recording import BagPlan, BagRecording
 from wheelsight.recordings.rosbag.robot import Robot, read_robot
 from wheelsight.recordings.rosbag.stamps import TopicClock, clocks_of
-from wheelsight.recordings.rosbag.storage import OpenBag, open_bag
+from wheelsight.recordings.rosbag.storage import Message, OpenBag, open_bag
 from wheelsight.recordings.rosbag.topics import CALIBRATION, TEXT, Choices, Roles, lacks, roles_of
 from wheelsight.recordings.rosbag.wheels import JointSpeeds, JointTicks, OdometrySpeeds, SpeedReader, told_by_twist
 
 _FIRST_MESSAGES = 5
+# Of each topic, to compare its headers with others': a second or two, in so much memory and time at most.
+_HEAD_MESSAGES, _HEAD_BYTES, _HEAD_MOST = 12, 96 << 20, 5000
 _LONGEST_CALIBRATION = 1 << 20  # as a file of YAML may have bytes
 
 
@@ -62,15 +65,16 @@ class BagReader:
 def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
     settings = options.bag
     used = [name for role, name in roles.used.items() if role in ("color", "depth", "wheels", "gyro")]
-    firsts = {topic: bag.first(topic)[0] for topic in used}
-    stamps_s = {topic: (bag.header(message).stamp_s, message.receipt_s) for topic, message in firsts.items()}
-    clocks, warnings = clocks_of(stamps_s, settings.most_apart_s)
+    lasts = {topic: bag.last(topic) for topic in dict.fromkeys(used)}
+    images = [image.name for image in (roles.color, roles.depth) if image is not None]
+    lasts_s = {topic: (bag.header(message).stamp_s, message.receipt_s) for topic, message in lasts.items()}
+    clocks, warnings = clocks_of(_heads(bag, used), lasts_s, images, settings.most_apart_s)
     robot = read_robot(bag, roles, settings)
     up, of_gravity = up_of_gyro(bag, roles, robot, settings)
     calibration = _calibrated(bag, roles, robot, options)
     wheels, of_wheels, variances = _wheels(bag, roles, calibration)
-    plan = BagPlan(roles, clocks, wheels, up, _wait_s(bag, roles, options), options)
-    ends = _ends(bag, roles, clocks)
+    plan = BagPlan(roles, clocks, wheels, up, options)
+    ends = _ends(bag, roles, clocks, lasts)
     used_as = {name: " and ".join(r for r, n in roles.used.items() if n == name) for name in roles.used.values()}
     recording = BagRecording(
         bag.path,
@@ -171,16 +175,29 @@ def _variances(bag: OpenBag, topic: str, first: Any) -> SpeedVariances | None:
     return SpeedVariances(np.array([stamp_s]), stated[None, :])
 
 
-def _wait_s(bag: OpenBag, roles: Roles, options: OpenOptions) -> float:
-    """How long events wait for older ones: an increment is stamped one period before it is known."""
-    settings = options.bag
-    if roles.wheels is None:
-        return settings.order_s
-    period_s = (bag.end_ns - bag.start_ns) * 1e-9 / roles.wheels.count
-    return settings.order_s + min(period_s, settings.slowest_wheels_s)
+def _heads(bag: OpenBag, topics: Sequence[str]) -> dict[str, list[tuple[float, float]]]:
+    """Header and receipt of the first messages of each topic, from when all have begun, in order of receipt."""
+    begins = {topic: bag.first(topic)[0] for topic in topics}
+    stamps_s: dict[str, list[tuple[float, float]]] = {topic: [] for topic in topics}
+    size = 0
+    start_ns = max(message.receipt_ns for message in begins.values())
+    for number, message in enumerate(bag.messages(topics, start_ns)):
+        size += len(message.data)
+        with suppress(RecordingError):  # one damaged message; a pass counts it
+            stamps_s[message.topic].append((bag.header(message).stamp_s, message.receipt_s))
+        fewest = min(len(found) for found in stamps_s.values())
+        if fewest >= _HEAD_MESSAGES or size > _HEAD_BYTES or number > _HEAD_MOST:
+            break
+    for topic, found in stamps_s.items():
+        if not found:  # it ended before another one began
+            first = [(bag.header(message).stamp_s, message.receipt_s) for message in bag.first(topic, _FIRST_MESSAGES)]
+            found.extend(first)
+    return stamps_s
 
 
-def _ends(bag: OpenBag, roles: Roles, clocks: dict[str, TopicClock]) -> dict[str, FloatArray]:
+def _ends(
+    bag: OpenBag, roles: Roles, clocks: dict[str, TopicClock], lasts: Mapping[str, Message]
+) -> dict[str, FloatArray]:
     """Stamps of the first messages and of the last one, of camera and wheels."""
     names = {FRAMES: None if roles.color is None else roles.color.name}
     names[WHEELS] = None if roles.wheels is None else roles.wheels.name
@@ -188,9 +205,11 @@ def _ends(bag: OpenBag, roles: Roles, clocks: dict[str, TopicClock]) -> dict[str
     for what, topic in names.items():
         if topic is None:
             continue
-        messages = [*bag.first(topic, _FIRST_MESSAGES), bag.last(topic)]
-        headers = [bag.header(message).stamp_s for message in messages]
-        stamps_s = [clocks[topic].anew().stamp_s(h, m.receipt_s) for h, m in zip(headers, messages, strict=True)]
+        begin, end = clocks[topic].restarted(), clocks[topic].restarted()
+        first = bag.first(topic, _FIRST_MESSAGES)
+        stamps_s = [stamp_s for message in first for stamp_s, _ in begin.add(bag.header(message).stamp_s, message)]
+        stamps_s += [stamp_s for stamp_s, _ in (*begin.end(), *end.add(bag.header(lasts[topic]).stamp_s, lasts[topic]))]
+        stamps_s += [stamp_s for stamp_s, _ in end.end()]
         ends[what] = np.array(stamps_s)
     return ends
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,14 +22,18 @@ from wheelsight.recordings._read_ahead import read_ahead
 from wheelsight.recordings.protocol import AssociationReport, ListedFrame, OpenOptions, RecordedTopic
 from wheelsight.recordings.rosbag.definitions import are_measured
 from wheelsight.recordings.rosbag.images import color_of, depth_of
-from wheelsight.recordings.rosbag.order import Arrival, Pairing, RawFrame, in_order
-from wheelsight.recordings.rosbag.stamps import TopicClock
+from wheelsight.recordings.rosbag.order import EventQueue, MessageQueue, Pairing, RawFrame
+from wheelsight.recordings.rosbag.stamps import TopicClock, clock_findings
 from wheelsight.recordings.rosbag.storage import Message, OpenBag, open_bag
 from wheelsight.recordings.rosbag.topics import Roles
 from wheelsight.recordings.rosbag.wheels import SpeedReader
 from wheelsight.trajectory import Trajectory
 
 _FRAMES_READ_AHEAD = 4
+# A few images are lost by any driver.
+_MOST_LOST = 0.02
+# At a walk the view has moved on by centimetres: colour and depth that are further apart are no frame.
+_LARGEST_SENSIBLE_GAP_S = 0.1
 _WRONG_SIZE = "choose its CameraInfo by --topic, or give --camera"
 
 
@@ -42,7 +46,6 @@ class BagPlan:
         clocks: of each topic that is used.
         speed_reader: makes a new reader of the wheels' topic; None without wheels.
         up: (3,) the direction away from the ground, seen from the gyroscope.
-        wait_s: how long events wait for older ones.
         options: of the user.
     """
 
@@ -50,7 +53,6 @@ class BagPlan:
     clocks: Mapping[str, TopicClock]
     speed_reader: Callable[[], SpeedReader] | None
     up: FloatArray
-    wait_s: float
     options: OpenOptions
 
     def topics(self, images: bool) -> list[str]:
@@ -66,49 +68,92 @@ class _Pass:
     """One pass over a bag's messages, and what it counts.
 
     Attributes:
-        late: items by kind that came too late to be put in order, or twice.
+        clocks: of each topic, which judge its headers.
+        messages: put in order of their stamps.
         pairing: of colour with depth.
+        events: put in order of theirs.
         unusable: messages that hold no numbers.
     """
 
     bag: OpenBag
     plan: BagPlan
-    late: Counter[str] = field(default_factory=Counter)
     unusable: int = 0
 
     def __post_init__(self) -> None:
-        self.clocks = {topic: clock.anew() for topic, clock in self.plan.clocks.items()}
-        # An image that came alone waits half as long as an event, so that its frame still comes in order.
-        self.pairing = Pairing(self.plan.options.max_gap_s, self.plan.options.bag.order_s / 2)
+        self.clocks = {topic: clock.restarted() for topic, clock in self.plan.clocks.items()}
+        self.messages = MessageQueue({}, 0.0)
+        self.pairing = Pairing(self.plan.options.max_gap_s)
+        self.events = EventQueue()
         self.speeds = None if self.plan.speed_reader is None else self.plan.speed_reader()
+        self._wheels_s: float | None = None
 
     def items(self, images: bool, stop_ns: int | None = None) -> Iterator[Event | RawFrame]:
         """Events, and frames that are not decoded, in order of time."""
-        return in_order(self._arrivals(images, stop_ns), self.plan.wait_s, self.late)
+        topics = self.plan.topics(images)
+        counts = {topic.name: topic.count for topic in self.bag.topics if topic.name in topics}
+        self.messages = MessageQueue(counts, self.plan.options.bag.order_s)
+        for stamp_s, message in self._in_order(topics, stop_ns):
+            event = self._event_of(stamp_s, message)
+            self._put(event, self.pairing.settled(stamp_s))
+            yield from self.events.until(self._reached_s(stamp_s))
+        self._put(self._last_speeds(), self.pairing.settled(math.inf))
+        yield from self.events.until(math.inf)
 
-    def _arrivals(self, images: bool, stop_ns: int | None) -> Iterator[Arrival]:
-        receipt_s = -math.inf
-        for message in self.bag.messages(self.plan.topics(images), stop_ns=stop_ns):
-            receipt_s = max(receipt_s, message.receipt_s)
-            event = self._event_of(message)
-            for item in (*self.pairing.settled(receipt_s), *(() if event is None else (event,))):
-                yield Arrival(receipt_s, item)
-        last = None if self.speeds is None else self.speeds.end()
-        for item in (*self.pairing.settled(math.inf), *(() if last is None else (last,))):
-            yield Arrival(receipt_s, item)
+    def _in_order(self, topics: Sequence[str], stop_ns: int | None) -> Iterator[tuple[float, Message]]:
+        """Stamps and messages, by growing stamps."""
+        for message in self.bag.messages(topics, stop_ns=stop_ns):
+            topic, clock = message.topic, self.clocks[message.topic]
+            is_last = self.messages.received(message)
+            try:
+                others_s = (other.newest_s for name, other in self.clocks.items() if name != topic)
+                settled = clock.add(self.bag.header(message).stamp_s, message, others_s)
+            except RecordingError:  # one damaged message; the rest goes on
+                settled, self.unusable = [], self.unusable + 1
+            for stamp_s, known in (*settled, *(clock.end() if is_last else ())):
+                self.messages.add(stamp_s, known)
+            if is_last:
+                self.messages.close(topic)
+            yield from self.messages.ready()
+        for topic in topics:
+            for stamp_s, known in self.clocks[topic].end():
+                self.messages.add(stamp_s, known)
+            self.messages.close(topic)
+        yield from self.messages.rest()
 
-    def _event_of(self, message: Message) -> Event | None:
+    def _put(self, event: Event | None, frames: Iterator[RawFrame]) -> None:
+        for item in (*frames, *(() if event is None else (event,))):
+            self.events.add(item)
+
+    def _reached_s(self, now_s: float) -> float:
+        """Before which nothing more comes: an increment is stamped by the reading before, a frame by its colour."""
+        reached_s = min(now_s, self.pairing.oldest_color_s)
+        wheels = self.plan.roles.wheels
+        if wheels is None or self._wheels_s is None:
+            return reached_s
+        if self.messages.is_over(wheels.name):
+            self._put(self._last_speeds(), iter(()))
+            return reached_s
+        return min(reached_s, max(self._wheels_s, now_s - self.plan.options.bag.slowest_wheels_s))
+
+    def _last_speeds(self) -> Event | None:
+        """Of the last reading, once."""
+        if self.speeds is None or self._wheels_s is None:
+            return None
+        self._wheels_s = None
+        return self.speeds.end()
+
+    def _event_of(self, stamp_s: float, message: Message) -> Event | None:
         """A reading; None where there is none yet, and for an image, which waits to be paired."""
         roles, topic = self.plan.roles, message.topic
+        for kind, image in (("color", roles.color), ("depth", roles.depth)):
+            if image is not None and topic == image.name:
+                self.pairing.add(kind, stamp_s, message)
+                return None
+        if roles.wheels is not None and topic == roles.wheels.name:
+            self._wheels_s = stamp_s
         try:
-            header_s = self.bag.header(message).stamp_s
-            stamp_s = self.clocks[topic].stamp_s(header_s, message.receipt_s)
-            for kind, image in (("color", roles.color), ("depth", roles.depth)):
-                if image is not None and topic == image.name:
-                    self.pairing.add(kind, stamp_s, message)
-                    return None
             return self._reading(topic, stamp_s, self.bag.decode(message))
-        except RecordingError:  # one damaged message; the rest goes on
+        except RecordingError:
             self.unusable += 1
             return None
 
@@ -224,7 +269,8 @@ class BagRecording:
     def try_frames(self, bag: OpenBag, stop_ns: int) -> None:
         """Raise the error of the first frame received before `stop_ns`, unless one of them can be read."""
         first: RecordingError | None = None
-        for item in _Pass(bag, self._plan).items(images=True, stop_ns=stop_ns):
+        passing = _Pass(bag, self._plan)
+        for item in passing.items(images=True, stop_ns=stop_ns):
             try:
                 if isinstance(item, RawFrame):
                     self._read(bag, item)
@@ -233,8 +279,11 @@ class BagRecording:
                 first = first or error
         if first is not None:
             raise first
-        problem = f"no depth image lies within {self._plan.options.max_gap_s:g} s of a colour image where both begin"
-        raise RecordingError(problem, path=self.path, fix="raise --max-gap, or check what stamps the images")
+        gap_s = self._plan.options.max_gap_s
+        problem = f"no depth image lies within {gap_s:g} s of a colour image where both begin"
+        raise RecordingError(
+            f"{problem}: {_why_alone(passing.pairing)}", path=self.path, fix=_pairs_fix(passing.pairing)
+        )
 
     def _pass(self, images: bool = True) -> Iterator[Event | ListedFrame]:
         """One pass; frames do not know yet which one comes next. What it found is kept once it is through."""
@@ -249,7 +298,7 @@ class BagRecording:
         if images and self._plan.roles.color is not None:
             gap_s, pairing = self._plan.options.max_gap_s, passing.pairing
             color, depth = (self._counts.get(role, 0) for role in ("color", "depth"))
-            pairs = pairing.pairs - passing.late[RawFrame.__name__]
+            pairs = pairing.pairs - passing.events.late[RawFrame.__name__]
             self._found = AssociationReport(color, depth, pairs, gap_s, pairing.largest_gap_s)
 
     def _frame_or_reason(self, bag: OpenBag, frame: RawFrame) -> RgbdFrame | SkippedFrame:
@@ -273,7 +322,7 @@ def _let_go(held: deque[Event | ListedFrame], next_stamp_s: float) -> Iterator[E
         yield ListedFrame(item.stamp_s, next_stamp_s, item.read) if isinstance(item, ListedFrame) else item
 
 
-_WORDS = {
+_KINDS = {
     RawFrame: "frames",
     WheelSpeeds: "wheel readings",
     WheelTicks: "wheel readings",
@@ -282,16 +331,63 @@ _WORDS = {
 
 
 def _findings(passing: _Pass) -> tuple[str, ...]:
-    """What a pass that went through has to tell, one sentence each."""
-    told = []
-    for kind, words in _WORDS.items():
-        if count := passing.late[kind.__name__]:
-            wait = f"{passing.plan.wait_s:.1f} s"
-            told.append(f"{count:,} {words} came twice, or later than {wait} after younger ones, and were left out.")
+    """What a pass that went through has to say, one sentence each: nothing is left out without being counted."""
+    told = _lost_pairs(passing)
+    for topic, clock in passing.clocks.items():
+        told += clock_findings(topic, clock)
+        if count := passing.messages.twice[topic]:
+            told.append(f"{topic}: {count:,} messages came twice, or with the stamp of another, and were left out.")
+        if count := passing.messages.late[topic]:
+            told.append(f"{topic}: {count:,} messages came too late to be put in order, and were left out.")
+    for kind, words in _KINDS.items():
+        if count := passing.events.late[kind.__name__]:
+            told.append(f"{count:,} {words} were known of too late to be put in order, and were left out.")
     unusable = passing.unusable + (0 if passing.speeds is None else passing.speeds.unusable)
     if unusable:
         told.append(f"{unusable:,} messages hold no numbers of wheels or gyroscope and were left out.")
-    for topic, clock in passing.clocks.items():
-        if clock.replaced:
-            told.append(f"{topic}: {clock.replaced:,} headers are far from receipt, or 0; receipt stands for them.")
     return tuple(told)
+
+
+def _lost_pairs(passing: _Pass) -> list[str]:
+    """That more frames than a few were lost, why, and how many, where images of both kinds were read."""
+    pairing, roles = passing.pairing, passing.plan.roles
+    if roles.color is None or roles.depth is None:
+        return []
+    images = {"color": roles.color.name, "depth": roles.depth.name}
+    came = {kind: pairing.pairs + pairing.alone[kind] + pairing.crowded[kind] for kind in images}
+    if not all(came.values()):
+        return []
+    wrong = sum(passing.clocks[topic].left_out for topic in images.values())
+    late = sum(passing.messages.late[topic] for topic in images.values()) + passing.events.late[RawFrame.__name__]
+    for kind, topic in images.items():
+        came[kind] += passing.clocks[topic].left_out + passing.messages.late[topic]
+    fewest = min(came.values())
+    lost = fewest - pairing.pairs + passing.events.late[RawFrame.__name__]
+    if lost <= _MOST_LOST * fewest:
+        return []
+    reasons = []
+    if any(pairing.alone.values()):
+        singles = f"{pairing.alone['color']:,} colour and {pairing.alone['depth']:,} depth images stayed single"
+        reasons.append(f"{singles}: {_why_alone(pairing)} ({_pairs_fix(pairing)})")
+    others = {
+        "had wrong headers": wrong,
+        "came too late": late,
+        "were in too large a crowd": sum(pairing.crowded.values()),
+    }
+    reasons += [f"{count:,} images {why}" for why, count in others.items() if count]
+    return [f"{lost:,} of {fewest:,} frames were lost: {'; '.join(reasons)}."]
+
+
+def _why_alone(pairing: Pairing) -> str:
+    """Why images found no partner."""
+    if not pairing.alone["color"] or not pairing.alone["depth"]:
+        return f"no {'depth' if pairing.alone['color'] else 'colour'} image was taken near them"
+    if pairing.usual_gap_s <= pairing.max_gap_s:
+        return "their partners went to others"
+    return f"by their stamps the nearest is {pairing.usual_gap_s:.3f} s away in the median"
+
+
+def _pairs_fix(pairing: Pairing) -> str:
+    if pairing.max_gap_s < pairing.usual_gap_s <= _LARGEST_SENSIBLE_GAP_S:
+        return "raise --max-gap, where they show the same"
+    return "check what stamps the images, and whether messages were dropped"

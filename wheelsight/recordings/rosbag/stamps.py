@@ -1,67 +1,379 @@
-"""When a message was measured: as its header says, or as it was received where that is not to be believed."""
+"""When a message was measured: by its header, judged by its topic's neighbours, then other topics, then receipt."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from wheelsight.geometry import FloatArray
+from wheelsight.recordings.rosbag.storage import Message
+
+# A step of so many usual periods needs no other witness: one message was lost.
+_LARGEST_STEP = 2.5
+# Longer than what a driver hands over at once; shorter than a wrong stamp that matters to wheels.
+_SMALLEST_STEP_S = 0.1
+# So well receipt agrees with a header at least, in seconds or periods: images are received up to some tenths late.
+_AGREES_S = 0.25
+# So many messages in a row that follow each other make a clock that was set; fewer are single wrong stamps.
+_RUN = 5
+_MOST_PENDING = 12
+# Headers of topics that are received together may differ by so much: more is no delay of a driver's.
+APART_S = 0.5
+_RECENT = 50
+# Topics that count seconds seem to differ by less, even where the first ones are received in a burst.
+_RATES_ALIKE = 4.0
+_RATE_SAMPLES, _RATE_SPAN_S = 8, 0.3
+_SLOWEST, _FASTEST = 0.02, 50.0
+
+Settled = tuple[float, Message]
 
 
 class TopicClock:
-    """Stamps of one topic's messages.
+    """Stamps of one topic's messages, some of them known only once later ones are there.
 
     Attributes:
-        by_receipt: whether headers are passed over.
-        offset_s: by how much receipt is later than the header, by the first message; that is usual, and kept to.
-        replaced: how many single headers were not believed.
+        shift_s: added to each header.
+        by_receipt: whether headers are passed over; `shift_s` is then added to the time of receipt.
+        left_out: how many messages were left out for headers that fit neither their neighbours nor receipt.
+        unstamped: how many single headers were 0; receipt stands for them.
+        settings: (after which stamp, by how many seconds) the clock was set forward; negative for back.
+        newest_s: the newest stamp by now.
     """
 
-    def __init__(self, offset_s: float, by_receipt: bool, most_apart_s: float) -> None:
-        self.offset_s, self.by_receipt, self.replaced = offset_s, by_receipt, 0
-        self._most_apart_s = most_apart_s
+    def __init__(self, shift_s: float = 0.0, by_receipt: bool = False) -> None:
+        self.shift_s, self.by_receipt = shift_s, by_receipt
+        self.left_out = self.unstamped = 0
+        self.settings: list[tuple[float, float]] = []
+        self.newest_s = -np.inf
+        self._begins_with = shift_s
+        self._recent: deque[tuple[float, float]] = deque(maxlen=_RECENT)
+        self._usual_s, self._usual_for = _SMALLEST_STEP_S, 0
+        self._pending: list[tuple[float, Message]] = []
 
-    def stamp_s(self, header_s: float, receipt_s: float) -> float:
-        """The time of a message by its header and its receipt."""
-        if self.by_receipt:
-            return receipt_s
-        if header_s == 0 or not abs(receipt_s - header_s - self.offset_s) <= self._most_apart_s:
-            self.replaced += 1
-            return receipt_s - self.offset_s
-        return header_s
-
-    def anew(self) -> TopicClock:
+    def restarted(self) -> TopicClock:
         """The same for another pass, nothing counted."""
-        return TopicClock(self.offset_s, self.by_receipt, self._most_apart_s)
+        return TopicClock(self._begins_with, self.by_receipt)
+
+    def add(self, header_s: float, message: Message, others_s: Iterable[float] = ()) -> list[Settled]:
+        """The messages whose stamps are known now, oldest first.
+
+        Args:
+            header_s: of the message; 0 for none.
+            message: in order of receipt.
+            others_s: the newest stamps of other topics.
+        """
+        if self.by_receipt:
+            return [self._stamped(message.receipt_s, message)]
+        if not header_s and self._recent:
+            self.unstamped += 1
+            return [self._stamped(self._expected(message.receipt_s), message)]
+        if self._recent and self._goes_on(header_s, message.receipt_s):
+            settled = self._late_ones()
+            self._recent.append((header_s, message.receipt_s))
+            return [*settled, self._stamped(header_s, message)]
+        self._pending.append((header_s, message))
+        return self._resolve(others_s)
+
+    def end(self) -> list[Settled]:
+        """The rest, after the last message."""
+        if self._recent:
+            return self._late_ones()
+        chain = self._chain()
+        return self._accept(chain) if len(chain) > len(self._pending) / 2 else self._late_ones()
+
+    def _resolve(self, others_s: Iterable[float]) -> list[Settled]:
+        """What is pending, where it is a run of its own: the beginning, or a clock that was set."""
+        chain = self._chain()
+        least = _RUN if self._recent else max(_RUN - 1, len(self._pending) // 2 + 1)
+        if len(self._pending) >= _RUN and len(chain) >= least:
+            if self._recent:
+                self._set(chain, others_s)
+            return self._accept(chain)
+        if len(self._pending) >= _MOST_PENDING:
+            del self._pending[0]
+            self.left_out += 1
+        return []
+
+    def _set(self, chain: Sequence[int], others_s: Iterable[float]) -> None:
+        """Take out by how much the clock was set, unless receipt or other topics show that so much time went by."""
+        run = [self._pending[place] for place in chain]
+        change_s = float(np.median([self._expected(message.receipt_s) - header_s for header_s, message in run]))
+        last_s, newest_s = run[-1][0] + self.shift_s, self._recent[-1][0]
+        if run[0][0] > newest_s and (
+            abs(change_s) <= APART_S or any(abs(other_s - last_s) <= APART_S for other_s in others_s)
+        ):
+            return
+        # After all that was stamped before, however unsteady receipt is.
+        change_s = max(change_s, newest_s - run[0][0] + min(self._period_s(), _SMALLEST_STEP_S))
+        self.settings.append((newest_s + self.shift_s, -change_s))
+        self.shift_s += change_s
+        self._recent.clear()
+
+    def _accept(self, chain: Sequence[int]) -> list[Settled]:
+        run = [self._pending[place] for place in chain]
+        others = [item for place, item in enumerate(self._pending) if place not in set(chain)]
+        self._recent.extend((header_s, message.receipt_s) for header_s, message in run)
+        settled = [self._stamped(header_s, message) for header_s, message in run]
+        self._pending = others
+        return sorted([*settled, *self._late_ones()], key=lambda item: item[0])
+
+    def _late_ones(self) -> list[Settled]:
+        """Of what is pending, those that were only received out of order, or have no stamp; others are left out."""
+        settled = []
+        for header_s, message in self._pending:
+            expected_s = self._expected(message.receipt_s) if self._recent else header_s
+            if not header_s and self._recent:
+                self.unstamped += 1
+                settled.append(self._stamped(expected_s, message))
+            elif self._recent and abs(expected_s - header_s) <= max(3 * self._period_s(), _SMALLEST_STEP_S):
+                settled.append(self._stamped(header_s, message))
+            else:
+                self.left_out += 1
+        self._pending = []
+        return settled
+
+    def _chain(self) -> list[int]:
+        """Places of the most pending messages of which each follows the one before."""
+        return _longest_run([(header_s, message.receipt_s) for header_s, message in self._pending])
+
+    def _goes_on(self, header_s: float, receipt_s: float) -> bool:
+        """Whether a header follows the last one that was good."""
+        before, period_s = self._recent[-1], self._period_s()
+        near = 0 < header_s - before[0] <= max(_LARGEST_STEP * period_s, _SMALLEST_STEP_S)
+        return near or _follows(before, (header_s, receipt_s), period_s, self._rate())
+
+    def _stamped(self, header_s: float, message: Message) -> Settled:
+        stamp_s = header_s + self.shift_s
+        self.newest_s = max(self.newest_s, stamp_s)
+        return stamp_s, message
+
+    def _expected(self, receipt_s: float) -> float:
+        """The header that is usual at a time of receipt."""
+        header_s, receipts_s = np.array(self._recent).T
+        rate = self._rate()
+        return float(np.median(header_s - rate * (receipts_s - receipts_s[-1])) + rate * (receipt_s - receipts_s[-1]))
+
+    def _period_s(self) -> float:
+        """The usual one of late, found again now and then."""
+        self._usual_for -= 1
+        if self._usual_for < 0:
+            self._usual_s = _usual_period_s([header_s for header_s, _ in self._recent])
+            self._usual_for = len(self._recent) // 2
+        return self._usual_s
+
+    def _rate(self) -> float:
+        """Seconds of the headers a second of receipt: other than 1 in simulators."""
+        return _rate_of(np.array(self._recent)) if self._recent else 1.0
+
+
+def _usual_period_s(headers_s: Sequence[float]) -> float:
+    steps_s = [after - before for before, after in pairwise(headers_s) if after > before]
+    return float(np.median(steps_s)) if steps_s else _SMALLEST_STEP_S
+
+
+def _follows(before: tuple[float, float], after: tuple[float, float], period_s: float, rate: float) -> bool:
+    """Whether a header and its receipt come after others: within some periods, or as much later as receipt."""
+    step_s = after[0] - before[0]
+    if not step_s > 0 or not after[0] or not before[0]:
+        return False
+    if step_s <= max(_LARGEST_STEP * period_s, _SMALLEST_STEP_S):
+        return True
+    return abs(step_s - rate * (after[1] - before[1])) <= max(_AGREES_S, period_s)
+
+
+def _longest_run(stamps: Sequence[tuple[float, float]]) -> list[int]:
+    """Places of the most of (header, receipt) of which each follows the one before; some between may be wrong."""
+    period_s = _usual_period_s([header_s for header_s, _ in stamps])
+    longest: list[list[int]] = []
+    for place, stamp in enumerate(stamps):
+        before = [run for run in longest if _follows(stamps[run[-1]], stamp, period_s, 1.0)]
+        longest.append([*max(before, key=len, default=[]), place])
+    return max(longest, key=len, default=[])
+
+
+def _rate_of(stamps: FloatArray) -> float:
+    """Of (N, 2) headers and receipts; 1 where too little is there to say."""
+    if len(stamps) < _RATE_SAMPLES:
+        return 1.0
+    # Medians of both ends: a single wrong one does not count.
+    thirds = len(stamps) // 3
+    (h0, r0), (h1, r1) = np.median(stamps[:thirds], axis=0), np.median(stamps[-thirds:], axis=0)
+    if r1 - r0 < _RATE_SPAN_S:
+        return 1.0
+    rate = float((h1 - h0) / (r1 - r0))
+    return rate if _SLOWEST <= rate <= _FASTEST else 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Head:
+    """The first messages of one topic.
+
+    Attributes:
+        stamps: (N, 2) headers and receipts, without headers that are none or wrong.
+        why_not: why headers are not believed; empty where they are.
+    """
+
+    stamps: FloatArray
+    why_not: str
+
+    @property
+    def rate(self) -> float:
+        return _rate_of(self.stamps)
+
+    @property
+    def lag_s(self) -> float:
+        return float(np.median(self.stamps[:, 1] - self.stamps[:, 0]))
 
 
 def clocks_of(
-    firsts: Mapping[str, tuple[float, float]], most_apart_s: float
+    firsts: Mapping[str, Sequence[tuple[float, float]]],
+    lasts: Mapping[str, tuple[float, float]],
+    images: Sequence[str],
+    most_apart_s: float,
 ) -> tuple[dict[str, TopicClock], tuple[str, ...]]:
-    """A clock for each topic by its first message's header and receipt, and sentences on headers that are not believed.
+    """A clock for each topic, and sentences with numbers on what was decided.
 
-    Headers that all are off by the same, as in a bag that was recorded from another one's replay, are believed.
+    Headers of topics that are received at the same time are stamped alike. Those of a topic that are off by a constant
+    have it taken out; those that count no seconds give way to receipt. Headers that all are off by the same, as in a
+    bag that was recorded from another one's replay, are believed.
+
+    Args:
+        firsts: header and receipt of each topic's first messages, from when all topics have begun.
+        lasts: header and receipt of each topic's last message.
+        images: topics of one camera, whose images are stamped by one clock.
+        most_apart_s: how far headers are from receipt without a word.
     """
-    headers = {topic: header_s for topic, (header_s, _) in firsts.items()}
-    offsets = {topic: receipt_s - header_s for topic, (header_s, receipt_s) in firsts.items()}
-    alike = max(offsets.values(), default=0.0) - min(offsets.values(), default=0.0) <= most_apart_s
-    clocks, warnings = {}, []
-    for topic, offset_s in offsets.items():
-        is_apart = abs(offset_s) > most_apart_s
-        by_receipt = headers[topic] == 0 or (is_apart and not alike)
-        clocks[topic] = TopicClock(0.0 if by_receipt else offset_s, by_receipt, most_apart_s)
-        if by_receipt:
-            warnings.append(f"{topic}: {_why_not(headers[topic], offset_s)}; the time of receipt stands for it.")
-    if alike and not warnings and any(abs(offset_s) > most_apart_s for offset_s in offsets.values()):
-        offset_s = next(iter(offsets.values()))
+    heads = {topic: _head(stamps) for topic, stamps in firsts.items()}
+    believed = _of_one_rate({topic: head for topic, head in heads.items() if not head.why_not}, heads)
+    if any(image not in believed for image in images if image in heads):
+        why = next(heads[image].why_not for image in images if image not in believed)
+        for image in set(images) & set(believed):
+            heads[image] = _Head(heads[image].stamps, f"the other images of its camera: {why}")
+            del believed[image]
+    shifts_s, reference = _shifts(believed, images)
+    lag_s = believed[reference].lag_s if reference else 0.0
+    end_lag_s = lasts[reference][1] - lasts[reference][0] if reference else 0.0
+    warnings = []
+    clocks: dict[str, TopicClock] = {}
+    for topic, head in heads.items():
+        if topic in shifts_s:
+            clocks[topic] = TopicClock(shifts_s[topic])
+            if shifts_s[topic]:
+                warnings.append(_shift_sentence(topic, shifts_s[topic], reference, len(head.stamps)))
+        else:
+            clocks[topic] = TopicClock(-lag_s if abs(lag_s) > most_apart_s else 0.0, by_receipt=True)
+            warnings.append(f"{topic}: {head.why_not}; the time of receipt stands for it.")
+    if abs(end_lag_s - lag_s) > most_apart_s:
         warnings.append(
-            f"All headers are stamped {_apart(offset_s)} receipt: a replay was recorded. They are believed."
+            f"{reference}: receipt is {lag_s:.3f} s after the headers at the beginning, {end_lag_s:.3f} s at the end; "
+            "the headers grow as a clock does, and are believed."
         )
+    elif abs(lag_s) > most_apart_s:
+        what = "All headers are" if len(believed) == len(heads) and not any(shifts_s.values()) else "Headers are"
+        warnings.append(f"{what} stamped {_apart(lag_s)} receipt: a replay was recorded. They are believed.")
     return clocks, tuple(warnings)
 
 
-def _why_not(header_s: float, offset_s: float) -> str:
-    if header_s == 0:
-        return "headers have no stamp"
-    return f"the first header is stamped {header_s:.3f} s, {_apart(offset_s)} its receipt"
+def _head(stamps: Sequence[tuple[float, float]]) -> _Head:
+    unstamped = sum(not header_s for header_s, _ in stamps)
+    if unstamped > len(stamps) / 2:
+        return _Head(np.zeros((0, 2)), "headers have no stamp")
+    run = _longest_run(stamps)
+    if len(stamps) > 2 and len(run) < len(stamps) / 2:
+        shown = ", ".join(f"{header_s:.3f}" for header_s, _ in stamps[:4])
+        return _Head(np.zeros((0, 2)), f"headers ({shown}, …) do not grow as a clock does")
+    return _Head(np.array([stamps[place] for place in run], float).reshape(-1, 2), "")
 
 
-def _apart(offset_s: float) -> str:
-    return f"{abs(offset_s):.0f} s {'before' if offset_s > 0 else 'after'}"
+def _of_one_rate(believed: dict[str, _Head], heads: dict[str, _Head]) -> dict[str, _Head]:
+    """Those whose headers count the seconds that others' do; of two that differ, receipt says which does."""
+    if len(believed) < 2:
+        return believed
+    best = min(believed, key=lambda topic: abs(np.log(believed[topic].rate)))
+    rate = believed[best].rate
+    for topic, head in list(believed.items()):
+        if len(head.stamps) >= _RATE_SAMPLES and not 1 / _RATES_ALIKE <= head.rate / rate <= _RATES_ALIKE:
+            why = f"headers grow by {head.rate:.3g} a second of receipt, those of {best} by {rate:.3g}"
+            heads[topic] = _Head(head.stamps, why)
+            del believed[topic]
+    return believed
+
+
+def _shifts(believed: Mapping[str, _Head], images: Sequence[str]) -> tuple[dict[str, float], str]:
+    """What to add to each topic's headers, and the topic by whose clock: that of most sensors, or of receipt."""
+    if not believed:
+        return {}, ""
+    camera = [image for image in images if image in believed]
+    sensors = [topic for topic in believed if topic not in camera[1:]]
+    first = sensors[0]
+    behind_s = {topic: _behind_s(believed[topic], believed[first]) for topic in sensors}
+    most_s = APART_S * max(1.0, *(believed[topic].rate for topic in sensors))
+    groups: list[list[str]] = []
+    for topic in sorted(sensors, key=lambda name: behind_s[name]):
+        if groups and behind_s[topic] - behind_s[groups[-1][-1]] <= most_s:
+            groups[-1].append(topic)
+        else:
+            groups.append([topic])
+    group = min(groups, key=lambda names: (-len(names), abs(believed[names[0]].lag_s)))
+    reference = group[0]
+    shifts_s = {}
+    for names in groups:
+        # By its topic that is received with the least delay, as is the other's.
+        shift_s = 0.0 if names is group else behind_s[names[0]] - behind_s[reference]
+        shifts_s.update({topic: shift_s for name in names for topic in (camera if name in camera else [name])})
+    return shifts_s, reference
+
+
+def _behind_s(head: _Head, other: _Head) -> float:
+    """By how much another topic's header is ahead of this one's that is received at the same time."""
+    receipts_s, others_s = head.stamps[:, 1], other.stamps[:, 1]
+    inside = (receipts_s >= others_s[0]) & (receipts_s <= others_s[-1])
+    if len(other.stamps) < 2 or inside.sum() < min(3, len(head.stamps)) or others_s[-1] <= others_s[0]:
+        return head.lag_s - other.lag_s
+    # Several that are received at once, as before a clock begins, are one in the middle.
+    distinct_s, place = np.unique(others_s, return_inverse=True)
+    headers_s = np.bincount(place, other.stamps[:, 0]) / np.bincount(place)
+    at_once_s, which = np.unique(receipts_s[inside], return_inverse=True)
+    own_s = np.bincount(which, head.stamps[inside, 0]) / np.bincount(which)
+    low_s, usual_s, high_s = np.quantile(np.interp(at_once_s, distinct_s, headers_s) - own_s, [0.1, 0.5, 0.9]).tolist()
+    if high_s - low_s <= max(0.1 * abs(usual_s), _AGREES_S):
+        return float(usual_s)
+    # What is not constant is delay of receipt, of which the least is nearest to the clocks' difference.
+    return float(max(low_s, min(high_s, 0.0)))
+
+
+def _shift_sentence(topic: str, shift_s: float, reference: str, count: int) -> str:
+    side = "before" if shift_s > 0 else "after"
+    return (
+        f"{topic}: headers are {abs(shift_s):.3f} s {side} those of {reference} that are received at the same time "
+        f"(median of {count}): the clocks are apart. The difference is taken out, to within the delay of receipt."
+    )
+
+
+def clock_findings(topic: str, clock: TopicClock) -> list[str]:
+    """What a pass found of one topic's headers, one sentence each."""
+    told = []
+    if clock.left_out:
+        told.append(
+            f"{topic}: {clock.left_out:,} messages were left out: "
+            "their headers fit neither their neighbours nor receipt."
+        )
+    if clock.unstamped:
+        told.append(f"{topic}: {clock.unstamped:,} headers are 0; receipt stands for them.")
+    for after_s, by_s in clock.settings[:3]:
+        way = "forward" if by_s > 0 else "back"
+        told.append(
+            f"{topic}: the clock was set {way} by {abs(by_s):.3f} s after {after_s:.3f} s, as receipt shows; "
+            "that is taken out."
+        )
+    if len(clock.settings) > 3:
+        told.append(f"{topic}: the clock was set {len(clock.settings):,} times.")
+    return told
+
+
+def _apart(lag_s: float) -> str:
+    return f"{abs(lag_s):.0f} s {'before' if lag_s > 0 else 'after'}"
