@@ -21,9 +21,9 @@ from synthetic import make_tum_recording
 
 from wheelsight.config import Config, load_config
 from wheelsight.errors import OutputError, RecordingError
-from wheelsight.estimates import Status
-from wheelsight.events import RgbdFrame, SkippedFrame, WheelTicks
-from wheelsight.pipeline.track import Track
+from wheelsight.estimates import Estimate, Reason, Status
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
+from wheelsight.pipeline.track import DEPTH_MISPLACED, DEPTH_MISSING, DEPTH_SCARCE, Track
 from wheelsight.recordings import open_recording
 from wheelsight.report import summarise
 from wheelsight.runs import run
@@ -65,7 +65,38 @@ def test_frames_are_counted_by_what_became_of_them(tmp_path: Path, truth: Trajec
     assert rows[3]["reason"] == "frame unusable"
     assert rows[7]["status"] == "failing"
     assert rows[9]["inliers"] == "2"
+    assert [row["dropped"] for row in rows] == [*("0" * 3), "1", *("0" * 15), "1"]  # the last has what has no partner
+    assert frames["dropped"]["total"] == 2
     assert len(read_tum(tmp_path / "trajectory.txt")) == 17
+
+
+@pytest.mark.parametrize(
+    ("share", "why", "remedy"),
+    [
+        (0.0, DEPTH_MISSING, "uncover the camera"),
+        (0.05, DEPTH_SCARCE, "uncover the camera"),
+        (0.83, DEPTH_MISPLACED, "calibrate camera"),  # as by a lens whose coefficients are in the thousands
+    ],
+)
+def test_too_little_depth_names_its_true_cause(
+    tmp_path: Path, truth: Trajectory, monkeypatch: pytest.MonkeyPatch, share: float, why: str, remedy: str
+) -> None:
+    def without_depth(self: TrueOdometry, frame: RgbdFrame, *others: object) -> Estimate:
+        return Estimate(frame.stamp_s, Status.INITIALIZING, reason=Reason.TOO_LITTLE_DEPTH)
+
+    monkeypatch.setattr(TrueOdometry, "process", without_depth)
+    events: list[Event | BaseException] = []
+    for event in frames_at(truth):
+        assert isinstance(event, RgbdFrame)
+        depth_m = event.depth_m.ravel().copy()
+        depth_m[round(share * depth_m.size) :] = 0
+        events.append(replace(event, depth_m=depth_m.reshape(event.depth_m.shape)))
+    record = run(MemoryRecording(events, truth), Config(), tmp_path)
+    assert {row["note"] for row in status_in(tmp_path)} == {why}
+    (found,) = (one for one in metrics_in(tmp_path)["verdict"]["findings"] if one["about"] == "poses")
+    assert (found["tone"], found["sentence"]) == ("red", f"0 of 20 frames (0 %) have a pose: {why} (20).")
+    assert remedy in found["remedy"]
+    assert summarise(record).failures == ((why, 20),)
 
 
 def test_images_that_came_before_are_no_frames_but_counted_and_told(

@@ -17,6 +17,31 @@ def test_number(value: float, text: str) -> None:
     assert words.number(value) == text
 
 
+@pytest.mark.parametrize(
+    ("values", "unit", "head", "cells"),
+    [
+        ([0.00372, 0.253, None], "m", "error [cm]", ["0.372", "25.300", "–"]),
+        ([0.00372, 0.00352], "m", "error [mm]", ["3.72", "3.52"]),
+        ([12.3, 0.0042, math.nan], "m", "error [m]", ["12.3000", "0.0042", "unknown"]),
+        ([0.0000605, 0.0129], "s", "error [ms]", ["0.0605", "12.9000"]),
+        ([0.41, 12.0], "°", "error [°]", ["0.410", "12.000"]),
+        ([0.0, 0.0], "m", "error [mm]", ["0.00", "0.00"]),
+        ([None, None], "m", "error", ["–", "–"]),
+        ([], "m", "error", []),
+    ],
+)
+def test_a_column_has_one_unit(values: list[float | None], unit: str, head: str, cells: list[str]) -> None:
+    assert words.column("error", values, unit) == (head, cells)
+
+
+@given(st.lists(st.floats(1e-3, 1e4), min_size=1, max_size=9))
+def test_cells_of_a_column_are_its_values_in_that_unit(values: list[float]) -> None:
+    head, cells = words.column("way", values, "m")
+    factor = {"mm": 1e3, "cm": 1e2, "m": 1.0, "km": 1e-3}[head.removeprefix("way [").removesuffix("]")]
+    shown = [float(cell.replace(",", "")) / factor for cell in cells]
+    assert shown == pytest.approx(values, rel=6e-3, abs=0.6e-4 / factor)
+
+
 @given(st.floats(1e-9, 1e9))
 def test_numbers_keep_three_digits(value: float) -> None:
     assert float(words.number(value).replace(",", "")) == pytest.approx(value, rel=5.1e-3)

@@ -72,8 +72,8 @@ def summarise(record: RunRecord) -> Summary:
     seconds = np.array([frame.seconds for frame in frames if not frame.is_skipped and np.isfinite(frame.seconds)])
     lost = lost_spans_s(record)
     used = [frame for frame in frames if not frame.is_skipped]
-    skips = Counter(frame.note or str(frame.reason) for frame in record.frames if frame.is_skipped)
-    failures = Counter(str(frame.reason) for frame in used if frame.reason is not None)
+    skips = Counter(frame.why for frame in record.frames if frame.is_skipped)
+    failures = Counter(frame.why for frame in used if frame.reason is not None)
     return Summary(
         frames=len(frames),
         skipped=len(record.frames) - len(used),
