@@ -129,7 +129,9 @@ class TopicClock:
             if not header_s and self._recent:
                 self.unstamped += 1
                 settled.append(self._stamped(expected_s, message))
-            elif self._recent and abs(expected_s - header_s) <= max(3 * self._period_s(), _SMALLEST_STEP_S):
+            elif self._recent and abs(expected_s - header_s) <= max(
+                min(3 * self._period_s(), _AGREES_S), _SMALLEST_STEP_S
+            ):
                 settled.append(self._stamped(header_s, message))
             else:
                 self.left_out += 1
@@ -254,7 +256,7 @@ def clocks_of(
         for image in set(images) & set(believed):
             heads[image] = _Head(heads[image].stamps, f"the other images of its camera: {why}")
             del believed[image]
-    shifts_s, reference = _shifts(believed, images)
+    shifts_s, reference = _shifts(believed, images, APART_S * max(1.0, _whole_rate(believed, lasts)))
     lag_s = believed[reference].lag_s if reference else 0.0
     end_lag_s = lasts[reference][1] - lasts[reference][0] if reference else 0.0
     warnings = []
@@ -303,15 +305,27 @@ def _of_one_rate(believed: dict[str, _Head], heads: dict[str, _Head]) -> dict[st
     return believed
 
 
-def _shifts(believed: Mapping[str, _Head], images: Sequence[str]) -> tuple[dict[str, float], str]:
-    """What to add to each topic's headers, and the topic by whose clock: that of most sensors, or of receipt."""
+def _whole_rate(believed: Mapping[str, _Head], lasts: Mapping[str, tuple[float, float]]) -> float:
+    """Seconds of headers a second of receipt over the whole bag, of the slowest topic: one that was set looks faster."""
+    rates = []
+    for topic, head in believed.items():
+        (first_s, first_receipt_s), (last_s, last_receipt_s) = head.stamps[0].tolist(), lasts[topic]
+        if last_receipt_s > first_receipt_s:
+            rates.append((last_s - first_s) / (last_receipt_s - first_receipt_s))
+    return min(rates, default=1.0)
+
+
+def _shifts(believed: Mapping[str, _Head], images: Sequence[str], most_s: float) -> tuple[dict[str, float], str]:
+    """What to add to each topic's headers, and the topic by whose clock: that of most sensors, or of receipt.
+
+    Where receipt is faster than the clocks, as in simulators, what is usual to be received late, `most_s`, is longer.
+    """
     if not believed:
         return {}, ""
     camera = [image for image in images if image in believed]
     sensors = [topic for topic in believed if topic not in camera[1:]]
     first = sensors[0]
     behind_s = {topic: _behind_s(believed[topic], believed[first]) for topic in sensors}
-    most_s = APART_S * max(1.0, *(believed[topic].rate for topic in sensors))
     groups: list[list[str]] = []
     for topic in sorted(sensors, key=lambda name: behind_s[name]):
         if groups and behind_s[topic] - behind_s[groups[-1][-1]] <= most_s:
