@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Generator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -67,6 +69,70 @@ def test_a_run_needs_the_parts_of_its_tracks(settings: dict[str, Any], parts: tu
 def test_what_needs_a_library_that_is_missing_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kernels, "find_spec", lambda name: None)
     assert kernels.usable_parts() == ("wheels", "features", "dense", "joined", "loops", "places", "navigation")
+
+
+def compiled(monkeypatch: pytest.MonkeyPatch, kernels_made: int, seconds: float) -> None:
+    """The part `wheels`, in so long, as far as the clock says."""
+
+    def compile_part(part: str) -> Generator[int]:
+        yield from range(kernels_made + 1)
+
+    monkeypatch.setattr(kernels, "_compile", compile_part)
+    clock_s = iter((1000.0, 1000.0 + seconds))
+    monkeypatch.setattr(kernels, "time", SimpleNamespace(monotonic=lambda: next(clock_s)))
+    kernels.compile_kernels(["wheels"])
+
+
+def test_times_are_remembered_of_parts_that_were_compiled_as_a_whole(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = kernels.COSTS["wheels"].kernels
+    assert kernels.remembered_costs() == {}
+    compiled(monkeypatch, whole, 30.0)
+    assert kernels.remembered_costs() == {"wheels": (whole, 30.0)}
+    compiled(monkeypatch, whole // 2, 3.0)  # half of them were there already
+    assert kernels.remembered_costs() == {"wheels": (whole, 30.0)}
+    for damaged in ("[]", '{"wheels": [0, 1]}', '{"wheels": 3}', '{"wheels": [6, 1e300]}', "{"):
+        (cache / "wheelsight-compile-times.json").write_text(damaged)
+        assert kernels.remembered_costs() == {}
+
+
+def test_every_part_has_a_cost() -> None:
+    assert set(kernels.COSTS) == set(kernels.PARTS)
+
+
+def test_other_parts_are_estimated_by_those_that_this_computer_has_compiled(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shipped = kernels.CompileEstimate(["dense", "mesh"])
+    assert (shipped.total_s, shipped.is_measured) == (
+        kernels.COSTS["dense"].seconds + kernels.COSTS["mesh"].seconds,
+        False,
+    )
+    compiled(monkeypatch, kernels.COSTS["wheels"].kernels, 3 * kernels.COSTS["wheels"].seconds)
+    here = kernels.CompileEstimate(["dense", "mesh"])
+    assert here.total_s == pytest.approx(3 * shipped.total_s)
+    assert here.is_measured
+
+
+@pytest.mark.parametrize("slower", [0.5, 1.0, 4.0])
+def test_what_is_left_follows_the_rate(cache: Path, slower: float) -> None:
+    """Whatever the first estimate was, the time that is left comes near what it takes."""
+    parts = ("features", "dense", "navigation")
+    estimate, passed_s, before = kernels.CompileEstimate(parts), 0.0, 0
+    total_s = slower * estimate.total_s
+    off = []
+    for part in parts:
+        cost = kernels.COSTS[part]
+        estimate.update(part, before, passed_s)
+        for made in range(1, cost.kernels + 1):
+            passed_s += slower * cost.seconds / cost.kernels
+            done, of, left_s = estimate.update(part, before + made, passed_s)
+            assert (done, of) == (made, cost.kernels)
+            off.append(left_s - (total_s - passed_s))
+        before += cost.kernels
+    assert abs(off[-1]) < 1e-6
+    assert max(map(abs, off[len(off) // 2 :])) < 0.1 * total_s
 
 
 @pytest.mark.slow

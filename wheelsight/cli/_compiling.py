@@ -1,14 +1,21 @@
-"""Compiling ahead, as the commands show it: one line that says how long, and on a terminal how far it is."""
+"""Compiling ahead, as the commands show it: how long it takes by measured times, and on a terminal how far it is."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import typer
 
 from wheelsight.cli._console import console, print_note, print_warning
 from wheelsight.interrupts import exit_code
+
+if TYPE_CHECKING:
+    from wheelsight.pipeline.kernels import CompileEstimate
+
+_SURE_S = 15.0  # some kernels have been compiled by then
+_MUCH_LONGER = 1.4
 
 
 def compile_ahead(parts: Sequence[str]) -> int:
@@ -18,14 +25,16 @@ def compile_ahead(parts: Sequence[str]) -> int:
         Exit: Ctrl-C.
         OutputError: it cannot be done.
     """
-    from wheelsight.pipeline.kernels import SECONDS, missing_parts
+    from wheelsight.pipeline.kernels import CompileEstimate, missing_parts
 
     missing = missing_parts(parts)
     if not missing:
         return 0
-    print_note(f"compiling kernels, once after installation: about {_about(sum(SECONDS[part] for part in missing))}")
+    estimate = CompileEstimate(missing)
+    whose = "as measured here before" if estimate.is_measured else "more on a slow or busy computer"
+    print_note(f"compiling kernels, once after installation: about {_about(estimate.total_s)}, {whose}")
     try:
-        kernels, seconds = _watched(missing)
+        kernels, seconds = _watched(missing, estimate)
     except KeyboardInterrupt as interruption:
         print_note("interrupted while compiling; what is compiled stays, and nothing was run")
         raise typer.Exit(exit_code()) from interruption
@@ -48,17 +57,27 @@ def compile_missing(parts: Sequence[str]) -> None:
         print_warning(str(error))
 
 
-def _watched(missing: Sequence[str]) -> tuple[int, float]:
-    """How many kernels were compiled, and how long it took; a terminal sees the part, the count and the time."""
+def _watched(missing: Sequence[str], estimate: CompileEstimate) -> tuple[int, float]:
+    """How many kernels were compiled, and how long it took; a terminal sees the part, the count and the time left.
+
+    Where it takes much longer than was said, a line says so: at first after `_SURE_S`, when the rate is known.
+    """
+    from wheelsight.cli._progress import left_text
     from wheelsight.pipeline.kernels import compile_kernels
 
-    stderr, began_s, found = console(stderr=True), time.monotonic(), [0]
+    stderr, began_s = console(stderr=True), time.monotonic()
+    found, said_s = [0], [estimate.total_s]
 
     def show(part: str, kernels: int) -> None:
         found[0] = kernels
         passed_s = time.monotonic() - began_s
-        at = f"{part} ({missing.index(part) + 1} of {len(missing)})"
-        spinner.update(f"{at}, {kernels} kernels, {passed_s // 60:.0f}:{passed_s % 60:02.0f}")
+        made, of, left_s = estimate.update(part, kernels, passed_s)
+        at = f"{part} {missing.index(part) + 1}/{len(missing)}"
+        count = f"kernel {made}/{of}" if made <= of else f"kernel {made}"
+        spinner.update(f"{at}, {count}, {passed_s // 60:.0f}:{passed_s % 60:02.0f}, about {left_text(left_s)}")
+        if passed_s > _SURE_S and passed_s + left_s > _MUCH_LONGER * said_s[0]:
+            said_s[0] = passed_s + left_s
+            print_note(f"this computer compiles more slowly than was said: about {_about(left_s)} more")
 
     with stderr.status("starting") as spinner:
         compile_kernels(missing, show)

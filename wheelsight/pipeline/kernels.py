@@ -1,8 +1,8 @@
 """Kernels compiled before they are needed, in a process of their own, so that it can be watched and broken off.
 
 Numba compiles a kernel when it is first called, and keeps it on the disk. A small drive in which everything happens is
-run there (`rehearsal`); whoever runs anything later finds all of it compiled. Compiling takes half a gigabyte, too,
-which the process takes with it when it ends.
+run there (`rehearsal`), so that later runs find all of it compiled. Compiling takes half a gigabyte, too, which is
+free again when the process ends. How long it takes is measured, and remembered beside the kernels.
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Generator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 from wheelsight.config import Config
 from wheelsight.errors import OutputError
@@ -45,11 +46,35 @@ PARTS: dict[str, tuple[dict[str, Any], ...]] = {
 }
 # Libraries without which a part cannot be run at all.
 _NEEDS = {"simulation": "mujoco", "mesh": "skimage"}
-# On two cores of 2023, nothing being compiled yet; for words such as "about a minute" alone.
-SECONDS = {"wheels": 5, "features": 25, "dense": 45, "joined": 75, "loops": 5, "places": 5}
-SECONDS |= {"navigation": 50, "simulation": 40, "mesh": 5}
+
+
+class PartCost(NamedTuple):
+    """What compiling a part takes, once the parts before it are compiled."""
+
+    kernels: int
+    seconds: float
+
+
+# Seconds of one processor of 2026's machine; a computer that has compiled a part remembers how long it took there.
+COSTS = {
+    "wheels": PartCost(6, 15),
+    "features": PartCost(6, 19),
+    "dense": PartCost(39, 60),
+    "joined": PartCost(17, 40),
+    "loops": PartCost(3, 10),
+    "places": PartCost(8, 8),
+    "navigation": PartCost(35, 40),
+    "simulation": PartCost(24, 25),
+    "mesh": PartCost(1, 4),
+}
 _KERNEL_FILES = ("*_kernels.py", "compiled.py", "geometry/arrays.py")
 _MARK = "wheelsight-{}.compiled.json"
+_TIMES = "wheelsight-compile-times.json"
+# A part of fewer kernels than this share of what it should have was half compiled before: its time says little.
+_WHOLE_SHARE = 0.9
+# Work, in seconds, for which the first estimate counts: the first kernels say little about the others.
+_PRIOR_S = 8.0
+_LONGEST_S = 86_400.0  # that a part took; more is a damaged file
 
 
 def usable_parts() -> tuple[str, ...]:
@@ -82,22 +107,84 @@ def compile_kernels(parts: Sequence[str], on_kernel: Callable[[str, int], None] 
 
     Args:
         parts: of PARTS.
-        on_kernel: told the part and how many kernels were compiled so far, after each.
+        on_kernel: called with the part and how many kernels were compiled so far, after each.
 
     Raises:
         OutputError: it cannot be done; says why.
     """
     before = 0
     for part in parts:
-        made = 0
+        made, began_s = 0, time.monotonic()
         with closing(_compile(part)) as compiling:  # an exception in on_kernel ends the process, too
             for made in compiling:
                 on_kernel(part, before + made)
         before += made
+        _remember(part, PartCost(made, time.monotonic() - began_s))
+
+
+class CompileEstimate:
+    """How long compiling takes on this computer: by what it took here before, and by the rate at which it goes.
+
+    Attributes:
+        total_s: the first estimate, of all parts.
+        is_measured: whether that is this computer's own, rather than another's.
+    """
+
+    def __init__(self, parts: Sequence[str]) -> None:
+        known = remembered_costs()
+        ours, theirs = sum(cost.seconds for cost in known.values()), sum(COSTS[part].seconds for part in known)
+        self._costs = {
+            part: known.get(part) or COSTS[part]._replace(seconds=COSTS[part].seconds * (ours / theirs if known else 1))
+            for part in parts
+        }
+        self.total_s = sum(cost.seconds for cost in self._costs.values())
+        self.is_measured = bool(known)
+        self._part, self._before = "", 0
+
+    def update(self, part: str, kernels: int, passed_s: float) -> tuple[int, int, float]:
+        """After a kernel: how many of its part are done, of about how many, and the seconds that are left of all parts.
+
+        Args:
+            part: that is being compiled.
+            kernels: compiled so far, of all parts.
+            passed_s: since the beginning.
+        """
+        if part != self._part:
+            self._part, self._before = part, kernels
+        names = list(self._costs)
+        cost, ahead = self._costs[part], names[names.index(part) :]
+        made = kernels - self._before
+        share = min(made / cost.kernels, 1.0)
+        left_s = sum(self._costs[name].seconds for name in ahead) - share * cost.seconds
+        done_s = self.total_s - left_s
+        return made, cost.kernels, left_s * (passed_s + _PRIOR_S) / (done_s + _PRIOR_S)
+
+
+def remembered_costs() -> dict[str, PartCost]:
+    """What parts took on this computer when they were last compiled as a whole; nothing where that is not known."""
+    try:
+        noted = json.loads(_times_file().read_text(encoding="utf-8"))
+        costs = {part: PartCost(int(noted[part][0]), float(noted[part][1])) for part in PARTS if part in noted}
+    except (OSError, ValueError, KeyError, TypeError, IndexError):
+        return {}
+    return {part: cost for part, cost in costs.items() if cost.kernels > 0 and 0 < cost.seconds < _LONGEST_S}
+
+
+def _remember(part: str, cost: PartCost) -> None:
+    """For the next estimate; where it cannot be written there is none."""
+    known = remembered_costs()
+    if cost.kernels < _WHOLE_SHARE * (known.get(part) or COSTS.get(part, cost)).kernels:
+        return
+    with suppress(OutputError):
+        write_text(_times_file(), json.dumps({**known, part: cost}) + "\n")
+
+
+def _times_file() -> Path:
+    return _mark("wheels").with_name(_TIMES)
 
 
 def _compile(part: str) -> Generator[int]:
-    """Compile a part in another process, telling how many kernels were compiled so far. Raises OutputError."""
+    """Compile a part in another process; yields how many kernels were compiled so far. Raises OutputError."""
     command = [sys.executable, "-m", "wheelsight.pipeline._compile", part]
     path = os.pathsep.join(filter(None, [str(PACKAGE.parent), os.environ.get("PYTHONPATH")]))
     # In a session of its own Ctrl-C reaches it through us alone, and leaves no traceback behind.
