@@ -56,7 +56,7 @@ def _print_verdict(verdict: Verdict) -> None:
     stdout = console()
     stdout.print(Text.assemble("verdict: ", (str(verdict.tone), styles[verdict.tone]), f", {verdict.phrase}"))
     for found in verdict.concerns:
-        if found.about not in ("map", "sensors"):  # printed above: the first line, and the warnings
+        if found.about != "sensors":  # a warning, printed above
             stdout.print(Text.assemble((f"  {found.tone:<6}", styles[found.tone]), found.line))
     sound = [found for found in verdict.findings if found.tone is Tone.GREEN and found.about != "map"]
     if sound:

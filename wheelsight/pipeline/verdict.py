@@ -92,6 +92,7 @@ _REMEDIES: Mapping[Reason, str] = {
 _MISPLACED = "calibrate the camera (wheelsight calibrate camera): lens, or depth beside colour, is not what it says"
 _CORRECT = "correct what the warning about the sensors names, and run again"
 _FEWER_DROPS = "drop fewer frames: the camera moves too far between two that are used"
+_IN_MAP = "drive slowly past what the map shows, looking the same way, or say where it begins (--start X,Y,YAW)"
 _SEE_ROWS = "see status.csv for the reason of each frame"
 
 
@@ -428,7 +429,6 @@ def _loops(kept: int, refused: int, is_joined: bool, *, is_drift_long: bool) -> 
 
 def _in_map(found: KnownMapRecord) -> Finding:
     short, tone = "recognised in the map", Tone.GREEN
-    remedy = "drive slowly past what the map shows, looking the same way, or say where it begins (--start X,Y,YAW)"
     if not found.is_recognised:
         tone = Tone.AMBER if found.has_start else Tone.RED
         short = "the place was not recognised in the map"
@@ -440,7 +440,7 @@ def _in_map(found: KnownMapRecord) -> Finding:
         short, tone = "not all of the drive lies in the map", Tone.AMBER
     unplaced = found.keyframes - found.keyframes_placed
     more = f"; where {unplaced:,} of {found.keyframes:,} keyframes lie in it is not known" if unplaced else ""
-    return Finding("map", tone, short, f"{found.sentence}{more}.", "" if tone is Tone.GREEN else remedy)
+    return Finding("map", tone, short, f"{found.sentence}{more}.", "" if tone is Tone.GREEN else _IN_MAP)
 
 
 def _fault(sentence: str, tone: Tone) -> Finding:
@@ -477,6 +477,8 @@ def _chief_failures(e: Evidence) -> str:
 def _remedy(e: Evidence) -> str:
     if e.faults:
         return _CORRECT
+    if e.known_map is not None and not e.known_map.is_recognised:
+        return _IN_MAP
     if e.drops.share > _DROPPED[1]:
         return _FEWER_DROPS
     if not e.failures:

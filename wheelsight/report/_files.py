@@ -49,4 +49,4 @@ def _rows(folder: Path, place: str) -> Iterator[str]:
             is_folder = path.is_dir()
             link = f'<a href="{quote(shown)}{"/" if is_folder else ""}">{escape(shown)}{"/" if is_folder else ""}</a>'
             size = sum(part.stat().st_size for part in path.iterdir()) if is_folder else path.stat().st_size
-            yield f'<tr><th scope="row">{link}</th><td>{size / 1e3:,.1f}</td><td>{escape(sentence)}</td></tr>'
+            yield f'<tr><th scope="row">{link}</th><td>{size / 1e3:,.2f}</td><td>{escape(sentence)}</td></tr>'

@@ -91,6 +91,12 @@ def verdict(record: DriveRecord) -> tuple[str, str, str]:
         last = record.goals[-1] if record.goals else None
         why = "" if last is None else f"{last.name}: {last.result.reason} ({last.result.detail})."
         return of_all, why, "red"
+    if record.contacts:
+        return (
+            f"Arrived, with {words.count(len(record.contacts), 'collision')}",
+            f"{', '.join(record.contacts)}.",
+            "red",
+        )
     told = [f"{goal.name}: {goal.result.goal_change}." for goal in record.goals if goal.result.goal_change]
     if record.rests_on_start:
         told.append("Nothing of the map was recognised: all of it rests on the start that was said.")
@@ -126,9 +132,8 @@ def _tiles(record: DriveRecord) -> list[tuple[str, str, str]]:
         late = f"{words.count(periods.late, 'period')} of {periods.count:,} of the control loop took longer"
         tiles.append(("Longest period", words.duration(periods.longest_s), late))
     if record.truth:
-        touched = sum(one["by_the_robot"] for one in record.truth["contacts"])
         clear = f"true clearance {words.length(record.truth['clearance_m'])}"
-        tiles.append(("Collisions", str(touched), clear))
+        tiles.append(("Collisions", str(len(record.contacts)), clear))
     return tiles
 
 
