@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from wheelsight.calibration import Calibration, load_calibration, parse_calibration
-from wheelsight.errors import CalibrationError, RecordingError
+from wheelsight.errors import CalibrationError, RecordingError, WheelsightError
 from wheelsight.geometry import FloatArray
 from wheelsight.inputs import is_there
 from wheelsight.matches import SpeedVariances
@@ -23,15 +23,16 @@ from wheelsight.recordings.protocol import Layout, OpenOptions, RecordedTopic
 from wheelsight.recordings.rosbag.files import parts_of
 from wheelsight.recordings.rosbag.gravity import up_of_gyro
 from wheelsight.recordings.rosbag.recording import BagPlan, BagRecording
-from wheelsight.recordings.rosbag.robot import Robot, read_robot
+from wheelsight.recordings.rosbag.robot import Robot, lacks_sizes, read_robot
 from wheelsight.recordings.rosbag.stamps import TopicClock, clocks_of
 from wheelsight.recordings.rosbag.storage import Message, OpenBag, open_bag
 from wheelsight.recordings.rosbag.topics import CALIBRATION, TEXT, Choices, Roles, lacks, roles_of
-from wheelsight.recordings.rosbag.wheels import JointSpeeds, JointTicks, OdometrySpeeds, SpeedReader, told_by_twist
+from wheelsight.recordings.rosbag.wheels import JointSpeeds, JointTicks, SpeedReader, told_by_twist
 
 _FIRST_MESSAGES = 5
 # Of each topic, to compare its headers with others': a second or two, in so much memory and time at most.
 _HEAD_MESSAGES, _HEAD_BYTES, _HEAD_MOST = 12, 96 << 20, 5000
+_STAMPED = ("color", "depth", "wheels", "right wheel", "gyro", "truth")
 _LONGEST_CALIBRATION = 1 << 20  # as a file of YAML may have bytes
 
 
@@ -56,7 +57,7 @@ class BagReader:
         """
         choices = Choices.of(options.topics)
         with open_bag(folder) as bag:
-            roles = roles_of(bag, choices)
+            roles = roles_of(bag, choices, _knows_wheels(bag, options))
             if roles.color is None and roles.wheels is None:
                 raise lacks(roles, bag, folder)
             return _open(bag, roles, options)
@@ -64,7 +65,7 @@ class BagReader:
 
 def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
     settings = options.bag
-    used = [name for role, name in roles.used.items() if role in ("color", "depth", "wheels", "gyro")]
+    used = [name for role, name in roles.used.items() if role in _STAMPED]
     lasts = {topic: bag.last(topic) for topic in dict.fromkeys(used)}
     images = [image.name for image in (roles.color, roles.depth) if image is not None]
     lasts_s = {topic: (bag.header(message).stamp_s, message.receipt_s) for topic, message in lasts.items()}
@@ -118,9 +119,20 @@ def _calibrated(bag: OpenBag, roles: Roles, robot: Robot, options: OpenOptions) 
     if robot.needs_cameras and calibration.color is None:
         raise robot.lacks or CalibrationError("nothing tells what the camera is like", path=path, fix="give --camera")
     if robot.needs_wheels and calibration.wheels is None:
-        problem = "joint states tell how far wheels turn, but not how large they are"
-        raise CalibrationError(problem, path=path, fix="give a calibration.yaml with wheels by --calibration")
+        raise lacks_sizes(bag, roles)
     return calibration
+
+
+def _knows_wheels(bag: OpenBag, options: OpenOptions) -> bool:
+    """Whether a calibration says how large the wheels are; what is wrong with one is said when it is used."""
+    if any(topic.name == CALIBRATION and topic.type == TEXT and topic.count for topic in bag.topics):
+        return True
+    beside = bag.path / "calibration.yaml"
+    for path in (*([beside] if is_there(beside) else []), *options.calibrations):
+        with suppress(WheelsightError):
+            if load_calibration(path).wheels is not None:
+                return True
+    return False
 
 
 def _own(bag: OpenBag, roles: Roles) -> Calibration | None:
@@ -147,13 +159,18 @@ def _wheels(
         if ticks_per_turn is not None:
             return partial(JointTicks, roles.joints, ticks_per_turn), [], None
         return partial(JointSpeeds, roles.joints), [f"{roles.wheels.name}: wheels are the joints {names}."], None
-    topic = roles.wheels.name
+    topic, source = roles.wheels.name, roles.source
+    assert source is not None
+    nominal = need_wheels(shipped_robot("velocities"))
+    if source.kind != "odometry":
+        wheels = need_wheels(calibration) if source.needs_sizes else nominal
+        truth = "" if source.needs_sizes else "; it is the robot's own estimate, no truth"
+        return source.reader(wheels, nominal, False), [f"{topic}: wheels are known by {source.tells}{truth}."], None
     sampled = [bag.decode(message) for message in (*bag.first(topic, _FIRST_MESSAGES), bag.last(topic))]
     by_twist = told_by_twist(sampled)
-    how = "speeds, since its poses stay at zero" if by_twist else "increments of its poses"
+    how = "speeds, since its poses stay at zero" if by_twist else source.tells
     told = [f"{topic}: wheels are known by {how}; it is the robot's own estimate, no truth."]
-    nominal = need_wheels(shipped_robot("velocities"))
-    return partial(OdometrySpeeds, nominal, by_twist), told, _variances(bag, topic, sampled[0])
+    return source.reader(nominal, nominal, by_twist), told, _variances(bag, topic, sampled[0])
 
 
 def _ticks_per_turn(bag: OpenBag, roles: Roles, calibration: Calibration) -> float | None:

@@ -26,7 +26,7 @@ from wheelsight.recordings.rosbag.order import EventQueue, MessageQueue, Pairing
 from wheelsight.recordings.rosbag.stamps import TopicClock, clock_findings
 from wheelsight.recordings.rosbag.storage import Message, OpenBag, open_bag
 from wheelsight.recordings.rosbag.topics import Roles
-from wheelsight.recordings.rosbag.wheels import SpeedReader
+from wheelsight.recordings.rosbag.wheels import CountsApart, SpeedReader
 from wheelsight.trajectory import Trajectory
 
 _FRAMES_READ_AHEAD = 4
@@ -59,7 +59,7 @@ class BagPlan:
         """Names of the topics to be read."""
         roles = self.roles
         cameras = [topic.name for topic in (roles.color, roles.depth) if topic is not None and images]
-        others = [None if roles.wheels is None else roles.wheels.name, roles.gyro]
+        others = [roles.used.get(role) for role in ("wheels", "right wheel", "gyro")]
         return [*cameras, *(name for name in others if name is not None)]
 
 
@@ -80,6 +80,7 @@ class _Pass:
     unusable: int = 0
 
     def __post_init__(self) -> None:
+        self.bag.add_transforms(self.plan.roles.transforms)
         self.clocks = {topic: clock.restarted() for topic, clock in self.plan.clocks.items()}
         self.messages = MessageQueue({}, 0.0)
         self.pairing = Pairing(self.plan.options.max_gap_s)
@@ -164,6 +165,8 @@ class _Pass:
                 return YawRate(stamp_s, float(np.dot(self.plan.up, (rate.x, rate.y, rate.z))))
             self.unusable += 1
             return None
+        if isinstance(self.speeds, CountsApart) and topic != self.plan.roles.used["wheels"]:
+            return self.speeds.add_right(stamp_s, decoded)
         return None if self.speeds is None else self.speeds.add(stamp_s, decoded)
 
 

@@ -47,7 +47,7 @@ class Robot:
 
 def read_robot(bag: OpenBag, roles: Roles, settings: BagSettings) -> Robot:
     """The robot by CameraInfo, /tf_static, the first messages of /tf, and the kind of its wheels' topic."""
-    transforms = _transforms(bag, settings)
+    transforms = _transforms(bag, roles, settings)
     warnings = list(transforms.warnings)
     base = _base(bag, roles, transforms)
     cameras, lacks = None, None
@@ -57,20 +57,30 @@ def read_robot(bag: OpenBag, roles: Roles, settings: BagSettings) -> Robot:
         except CalibrationError as error:
             lacks = CalibrationError(error.problem, path=bag.path, fix=error.fix)
     T_base_camera = None if roles.depth is None else _mount(base, _camera_frame(roles), transforms, warnings)
-    wheels = None if roles.wheels is None or roles.joints is not None else shipped_robot("velocities")
+    wheels = None if roles.wheels is None or roles.needs_sizes else shipped_robot("velocities")
     mount = None if T_base_camera is None else Calibration(T_base_camera=T_base_camera, source="tf")
     known = [part for part in (cameras, wheels, mount) if part is not None]
     calibration = reduce(Calibration.updated_by, known) if known else None
     if calibration is None and lacks is None:
-        problem = "joint states tell how far wheels turn, but not how large they are"
-        lacks = CalibrationError(problem, path=bag.path, fix="give a calibration.yaml with wheels by --calibration")
-    needs = (roles.color is not None, roles.joints is not None)
+        lacks = lacks_sizes(bag, roles)
+    needs = (roles.color is not None, roles.needs_sizes)
     return Robot(calibration, base, transforms, tuple(warnings), lacks, *needs)
 
 
-def _transforms(bag: OpenBag, settings: BagSettings) -> Transforms:
+def lacks_sizes(bag: OpenBag, roles: Roles) -> CalibrationError:
+    """What to say of wheels of which nothing says how large they are."""
+    named = "" if roles.source is None else f"{roles.source.topic.name} ({roles.source.tells}): "
+    kinds = {"joints": "joint states tell", "fields": "these tell"}
+    tell = "counts tell" if roles.source is None else kinds.get(roles.source.kind, "counts tell")
+    problem = f"{named}{tell} how far wheels turn, but not how large they are"
+    fix = "give a calibration.yaml with wheels (radii, track, ticks_per_turn) by --calibration"
+    return CalibrationError(problem, path=bag.path, fix=fix)
+
+
+def _transforms(bag: OpenBag, roles: Roles, settings: BagSettings) -> Transforms:
     transforms = Transforms(settings.tf_apart_m, settings.tf_apart_rad)
-    topics = [topic for topic in bag.topics if topic.type in TF and topic.count]
+    parts = {part.name for part in roles.transforms}
+    topics = [topic for topic in bag.topics if topic.type in TF and topic.count and topic.name not in parts]
     for topic in sorted(topics, key=lambda topic: "static" not in topic.name):
         is_static = "static" in topic.name
         for message in bag.first(topic.name, min(topic.count, settings.tf_messages)):
@@ -81,9 +91,11 @@ def _transforms(bag: OpenBag, settings: BagSettings) -> Transforms:
 
 def _base(bag: OpenBag, roles: Roles, transforms: Transforms) -> str | None:
     """The base's frame: one of the usual names that tf joins with the camera, or what the odometry moves."""
-    moved = []
-    if roles.wheels is not None and roles.joints is None:
-        moved = [str(bag.decode(bag.first(roles.wheels.name)[0]).child_frame_id).lstrip("/")]
+    moved: list[str] = []
+    if roles.source is not None and roles.source.kind == "odometry":
+        moved = [str(bag.decode(bag.first(roles.source.topic.name)[0]).child_frame_id).lstrip("/")]
+    elif roles.source is not None and roles.source.transform is not None:
+        moved = [roles.source.transform.child]
     if roles.depth is None:
         return next(iter([*moved, _BASES[1]]))
     camera = _camera_frame(roles)

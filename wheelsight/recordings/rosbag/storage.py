@@ -26,6 +26,7 @@ _FIRST_S, _LAST_S = 2.0, 2.0
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 # Of a message that is no image: transforms of a large robot have 100 kB, a calibration 4 kB.
 _LARGEST_MESSAGE = 1 << 20
+_HEADERS = ("std_msgs/msg/Header", "roslib/msg/Header")
 _Reader = ChunkedReader | SqliteReader
 
 
@@ -60,6 +61,34 @@ class Header:
     frame: str
 
 
+@dataclass(frozen=True, slots=True)
+class TransformTopic:
+    """One transform of a topic of tf, which stands as a topic of its own.
+
+    Attributes:
+        of: the topic that carries it, such as /tf.
+        parent, child: its frames, without a slash before them.
+        count: how many messages carry it, or at most.
+    """
+
+    of: str
+    parent: str
+    child: str
+    count: int
+
+    @property
+    def name(self) -> str:
+        """Such as /tf:odom,base_link, as it is chosen by --topic."""
+        return f"{self.of}:{self.parent},{self.child}"
+
+    def found_in(self, message: Any) -> Any | None:
+        """The TransformStamped of a decoded message, or None."""
+        for stamped in message.transforms:
+            if (stamped.header.frame_id.lstrip("/"), stamped.child_frame_id.lstrip("/")) == (self.parent, self.child):
+                return stamped
+        return None
+
+
 class OpenBag:
     """A bag whose files are open. Its topics come from its index; no message is read before it is asked for.
 
@@ -76,6 +105,8 @@ class OpenBag:
         self._readers = sorted(readers, key=lambda reader: reader.start_time)
         self._stores: dict[str, Any] = {}
         self._firsts: dict[str, Message] = {}
+        self._transforms: dict[str, TransformTopic] = {}
+        self._headless: dict[str, bool] = {}
         connections: list[Connection] = [connection for reader in readers for connection in reader.connections]
         counts: dict[str, int] = {}
         for connection in connections:
@@ -86,6 +117,23 @@ class OpenBag:
         self.start_ns = min((reader.start_time for reader in filled), default=0)
         self.end_ns = max((reader.end_time for reader in filled), default=0)
 
+    def add_transforms(self, topics: Sequence[TransformTopic]) -> None:
+        """Let transforms stand as topics of their own, from now on."""
+        for topic in topics:
+            if topic.name not in self._transforms:
+                self._transforms[topic.name] = topic
+                self._of_topic[topic.name] = self._of_topic[topic.of]
+                self.topics = (*self.topics, Topic(topic.name, self._of_topic[topic.of].msgtype, topic.count))
+
+    def fields(self, topic: str) -> dict[str, str]:
+        """Names of the plain fields of a topic's messages, and their types such as "int32". Raises RecordingError."""
+        connection = self._of_topic[topic]
+        try:
+            known = self._store(connection).fielddefs[connection.msgtype][1]
+        except Exception as error:
+            raise _refusal(self.path, error) from error
+        return {name: of[1][0] for name, of in known if of[0].name == "BASE"}
+
     def messages(
         self, topics: Sequence[str], start_ns: int | None = None, stop_ns: int | None = None
     ) -> Iterator[Message]:
@@ -95,10 +143,21 @@ class OpenBag:
         """
         try:
             for reader in self._readers:
-                wanted = [connection for connection in reader.connections if connection.topic in topics]
+                parts = [topic for name, topic in self._transforms.items() if name in topics]
+                carriers = {topic.of for topic in parts}
+                wanted = [one for one in reader.connections if one.topic in topics or one.topic in carriers]
                 if wanted:
                     for connection, receipt_ns, data in reader.messages(wanted, start_ns, stop_ns):
-                        yield Message(connection.topic, receipt_ns, self._plain(data, connection.topic, reader))
+                        plain = self._plain(data, connection.topic, reader)
+                        if connection.topic in topics:
+                            yield Message(connection.topic, receipt_ns, plain)
+                        for part in parts:
+                            if (
+                                part.of == connection.topic
+                                and part.child.encode() in plain
+                                and self._carries(part, plain)
+                            ):
+                                yield Message(part.name, receipt_ns, plain)
         except Exception as error:
             raise _refusal(self.path, error) from error
 
@@ -147,6 +206,13 @@ class OpenBag:
 
     def header(self, message: Message) -> Header:
         """The header of a message of a type that begins with one, without decoding the rest. Raises RecordingError."""
+        part = self._transforms.get(message.topic)
+        if part is not None:
+            found = part.found_in(self.decode(message))
+            assert found is not None  # `messages` gives no others
+            return Header(found.header.stamp.sec + 1e-9 * found.header.stamp.nanosec, part.parent)
+        if self._is_headless(message.topic):
+            return Header(0.0, "")
         data = message.data
         order = "<" if self.is_ros1 or data[1:2] == b"\x01" else ">"
         try:
@@ -158,6 +224,29 @@ class OpenBag:
             raise RecordingError(problem, path=self.path, fix="leave the topic out with --topic") from error
         return Header(seconds + 1e-9 * ns, frame.lstrip("/"))
 
+    def _carries(self, part: TransformTopic, data: bytes) -> bool:
+        try:
+            return part.found_in(self.decode(Message(part.of, 0, data))) is not None
+        except RecordingError:
+            return False
+
+    def _is_headless(self, topic: str) -> bool:
+        """Whether a topic's messages have no header; of a type that cannot be read, that is not known yet."""
+        if topic not in self._headless:
+            connection = self._of_topic[topic]
+            try:
+                fields = self._store(connection).fielddefs[connection.msgtype][1]
+                self._headless[topic] = bool(fields) and fields[0][1][1] not in _HEADERS
+            except Exception:  # what is wrong with it, decoding says
+                self._headless[topic] = False
+        return self._headless[topic]
+
+    def _store(self, connection: Connection) -> Any:
+        type_ = connection.msgtype
+        if type_ not in self._stores:
+            self._stores[type_] = store_of(type_, connection.language, connection.definition, self.is_ros1)
+        return self._stores[type_]
+
     def decode(self, message: Message) -> Any:
         """A message's fields as attributes. Raises RecordingError."""
         connection = self._of_topic[message.topic]
@@ -165,10 +254,7 @@ class OpenBag:
         try:
             if type_ not in (IMAGE, COMPRESSED) and len(message.data) > _LARGEST_MESSAGE:
                 raise ValueError(f"it has {len(message.data):,} bytes")
-            store = self._stores.get(type_)
-            if store is None:
-                store = store_of(type_, connection.language, connection.definition, self.is_ros1)
-                self._stores[type_] = store
+            store = self._store(connection)
             return (store.deserialize_ros1 if self.is_ros1 else store.deserialize_cdr)(message.data, type_)
         except Exception as error:  # rosbags lets through what struct, numpy, its parser and its own asserts raise
             why = error.problem if isinstance(error, RecordingError) else f"{type(error).__name__} {error}"

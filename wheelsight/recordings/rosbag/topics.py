@@ -1,4 +1,4 @@
-"""Which topics of a bag are camera, wheels and gyroscope: by type, by frame, by name, or as the user says."""
+"""Which topics of a bag are camera, wheels, gyroscope and truth: by type, by frame, by name, or as the user says."""
 
 from __future__ import annotations
 
@@ -8,12 +8,25 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from wheelsight.errors import ConfigError, RecordingError
+from wheelsight.recordings.rosbag.definitions import TF
 from wheelsight.recordings.rosbag.images import is_depth
-from wheelsight.recordings.rosbag.storage import COMPRESSED, IMAGE, OpenBag, Topic
-from wheelsight.recordings.rosbag.wheels import Joints, wheel_joints
+from wheelsight.recordings.rosbag.storage import COMPRESSED, IMAGE, OpenBag, Topic, TransformTopic
+from wheelsight.recordings.rosbag.wheel_topics import (
+    JOINTS,
+    ODOMETRY,
+    WheelSource,
+    chosen_source,
+    counted_transform,
+    is_fused,
+    sideways,
+    sources_in,
+    unread_topics,
+)
+from wheelsight.recordings.rosbag.wheels import Joints
 
 INFO, IMU = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/Imu"
-ODOMETRY, JOINTS = "nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState"
+POSE, POSE_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
+TRANSFORM = "geometry_msgs/msg/TransformStamped"
 TEXT = "std_msgs/msg/String"
 # Text of a calibration.yaml, which wheelsight's own bags carry; an Odometry beside it is its estimate.
 CALIBRATION = "/wheelsight/calibration"
@@ -23,21 +36,16 @@ _TYPES = {
     "depth": (IMAGE, COMPRESSED),
     "color_info": (INFO,),
     "depth_info": (INFO,),
-    "wheels": (ODOMETRY, JOINTS),
     "gyro": (IMU,),
+    "truth": (POSE, POSE_COVARIANCE, TRANSFORM, ODOMETRY, *TF),
 }
-ROLES = tuple(_TYPES)
-_CHOICE = re.compile(r"(?P<role>[a-z_]+)=(?P<topic>[^:,\s]+)(?::(?P<joints>\S+))?")
+ROLES = ("color", "depth", "color_info", "depth_info", "wheels", "gyro", "truth")
+_CHOICE = re.compile(r"(?P<role>[a-z_]+)=(?P<topic>[^:,\s]+)(?:,(?P<right>[^:,\s]+))?(?::(?P<sides>\S+))?")
 _REGISTERED = re.compile(r"aligned|registered", re.IGNORECASE)
 _TRANSPORT = re.compile(r"/(?:compressed|compressedDepth|theora|ffmpeg)$")
-# Of several, colour before grey, wheels before what was joined from other sensors.
+# Of several, colour before grey.
 _COLOR_WORDS = (re.compile(r"colou?r|rgb", re.IGNORECASE), re.compile(r"image", re.IGNORECASE))
 _NO_COLOR = re.compile(r"/ir\b|infra|depth|disparity|confidence|mask|debug|label", re.IGNORECASE)
-_WHEEL_WORDS = re.compile(r"wheel|controller|diff|base|encoder", re.IGNORECASE)
-_NO_WHEELS = re.compile(
-    r"filter|ekf|ukf|visual|vio|vo\b|rtabmap|slam|icp|gps|truth|fused|lidar|laser|camera|t265", re.IGNORECASE
-)
-_MOST_SAMPLES = 20
 # Of each is read; a robot with many cameras has some twenty.
 _MOST_IMAGES = 200
 
@@ -64,27 +72,38 @@ class ImageTopic:
 
 @dataclass(frozen=True, slots=True)
 class Choices:
-    """What a user says of topics: by role, NONE to leave one out; and of joints.
+    """What a user says of topics. Raises ConfigError where the text is no choice.
 
-    Raises ConfigError where the text is no choice.
+    Attributes:
+        topics: by role; NONE to leave one out.
+        right: the topic of the right wheel, where each wheel has its own.
+        sides: names of joints or fields, or places in an array, of the left and the right wheels; frames of tf, parent
+            and child, for wheels.
+        truth_frames: likewise for the truth.
     """
 
     topics: Mapping[str, str] = field(default_factory=dict)
-    joints: Joints | None = None
+    right: str | None = None
+    sides: Joints | None = None
+    truth_frames: Joints | None = None
 
     @classmethod
     def of(cls, texts: Sequence[str]) -> Choices:
         """Of "color=/camera/rgb/image_raw", or "wheels=/joint_states:left_joint,right_joint"."""
-        topics, joints = {}, None
+        topics: dict[str, str] = {}
+        right, sides, truth_frames = None, None, None
         for text in texts:
             match = _CHOICE.fullmatch(text)
-            if match is None or match["role"] not in ROLES:
+            if match is None or match["role"] not in ROLES or (match["right"] and match["role"] != "wheels"):
                 problem = f"--topic {text}: ROLE=TOPIC is expected, with one of {', '.join(ROLES)}"
                 raise ConfigError(problem, fix="such as --topic depth=/camera/depth/image_raw")
             topics[match["role"]] = match["topic"]
-            if match["joints"]:
-                joints = _joints(text, match["role"], match["joints"])
-        return cls(topics, joints)
+            if match["role"] == "wheels":
+                right = match["right"]
+            if match["sides"]:
+                named = _sides(text, match["role"], match["sides"])
+                sides, truth_frames = (named, truth_frames) if match["role"] == "wheels" else (sides, named)
+        return cls(topics, right, sides, truth_frames)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,21 +115,39 @@ class Roles:
     color_info: str | None = None
     depth_info: str | None = None
     wheels: Topic | None = None
-    joints: Joints | None = None
+    source: WheelSource | None = None
     gyro: str | None = None
+    truth: str | None = None
+    transforms: tuple[TransformTopic, ...] = ()
     warnings: tuple[str, ...] = ()
+
+    @property
+    def joints(self) -> Joints | None:
+        """Those of the wheels, where they are joints."""
+        return self.source.sides if self.source is not None and self.source.topic.type == JOINTS else None
+
+    @property
+    def needs_sizes(self) -> bool:
+        """Whether the wheels are told of by how far they turn."""
+        return self.source is not None and self.source.needs_sizes
 
     @property
     def used(self) -> dict[str, str]:
         """Names by role."""
         named = {"color": self.color, "depth": self.depth, "wheels": self.wheels}
-        plain = {"color_info": self.color_info, "depth_info": self.depth_info, "gyro": self.gyro}
+        plain = {"color_info": self.color_info, "depth_info": self.depth_info, "gyro": self.gyro, "truth": self.truth}
+        plain["right wheel"] = None if self.source is None else self.source.right
         names = {role: topic.name for role, topic in named.items() if topic is not None}
         return names | {role: name for role, name in plain.items() if name is not None}
 
 
-def roles_of(bag: OpenBag, choices: Choices) -> Roles:
+def roles_of(bag: OpenBag, choices: Choices, knows_wheels: bool = False) -> Roles:
     """Who is who in a bag. Of topics of images and joints the first message is read.
+
+    Args:
+        bag: is read; transforms of tf that are used become topics of their own in it.
+        choices: of the user.
+        knows_wheels: whether a calibration is there that has the wheels' sizes.
 
     Raises:
         ConfigError: a topic that was chosen is not there, is empty, or of another type.
@@ -126,31 +163,49 @@ def roles_of(bag: OpenBag, choices: Choices) -> Roles:
     # Registered depth has the colour camera's pixels.
     own_depth = None if depth is None or depth.says_registered else depth
     depth_info = None if own_depth is None else chosen.get("depth_info") or _info_of(own_depth, frames)
-    wheels, joints = _wheels(bag, _measured(filled, color is not None), chosen, choices, warnings)
+    truth = _truth(bag, chosen, choices)
+    source = _wheels(bag, filled, color is not None, choices, knows_wheels, truth, warnings)
     gyro = _gyro(filled, chosen, warnings)
-    return Roles(color, depth, color_info, depth_info, wheels, joints, gyro, tuple(warnings))
+    if source is not None and gyro is not None and "gyro" not in chosen and is_fused(source):
+        warnings.append(f"{gyro} is left out: {source.topic.name} has it already, it seems: see --topic gyro=….")
+        gyro = None
+    transforms = tuple(one for one in (source and source.transform, truth) if isinstance(one, TransformTopic))
+    bag.add_transforms(transforms)
+    wheels = None if source is None else source.topic
+    name = truth.name if isinstance(truth, TransformTopic) else truth
+    return Roles(color, depth, color_info, depth_info, wheels, source, gyro, name, transforms, tuple(warnings))
 
 
-def _measured(filled: Sequence[Topic], has_camera: bool) -> list[Topic]:
-    """Topics that may tell of wheels: in a bag of our own an Odometry is our estimate, by the other sensors."""
-    is_own = any(topic.name == CALIBRATION for topic in filled)
-    if is_own and (has_camera or any(topic.type == JOINTS for topic in filled)):
-        return [topic for topic in filled if topic.type != ODOMETRY]
-    return list(filled)
-
-
-def _joints(text: str, role: str, names: str) -> Joints:
+def _sides(text: str, role: str, names: str) -> Joints:
     sides = tuple(tuple(side.split("+")) for side in names.split(","))
-    if role != "wheels" or len(sides) != 2 or not all(name for side in sides for name in side):
-        fix = "wheels=/joint_states:left,right, or of four front_left+rear_left,front_right+rear_right"
+    if role not in ("wheels", "truth") or len(sides) != 2 or not all(name for side in sides for name in side):
+        fix = (
+            "wheels=/joint_states:left,right, or of four front_left+rear_left,front_right+rear_right; "
+            "wheels=/tf:odom,base_link or truth=/tf:world,marker of tf"
+        )
         raise ConfigError(f"--topic {text}: joints of a left and a right side are expected", fix=fix)
     return Joints(*sides)
+
+
+def _truth(bag: OpenBag, chosen: Mapping[str, str], choices: Choices) -> TransformTopic | str | None:
+    """The topic of true poses, which only a user can know of. Raises ConfigError."""
+    name = chosen.get("truth")
+    if name is None or name == NONE:
+        return None
+    topic = next(topic for topic in bag.topics if topic.name == name)
+    if topic.type not in TF:
+        return name
+    if choices.truth_frames is None:
+        fix = f"say which: --topic truth={name}:PARENT,CHILD, such as truth={name}:world,marker"
+        raise ConfigError(f"--topic truth={name}: tf has many transforms", fix=fix)
+    (parent, *_), (child, *_) = choices.truth_frames.left, choices.truth_frames.right
+    return counted_transform(bag, topic, parent.lstrip("/"), child.lstrip("/"))
 
 
 def _chosen(bag: OpenBag, choices: Choices) -> dict[str, str]:
     known = {topic.name: topic for topic in bag.topics}
     for role, name in choices.topics.items():
-        if name == NONE:
+        if name == NONE or role == "wheels":
             continue
         of_type = ", ".join(topic.name for topic in bag.topics if topic.type in _TYPES[role] and topic.count)
         fix = f"there are: {of_type}" if of_type else f"the bag has none of {' or '.join(_TYPES[role])}"
@@ -236,53 +291,51 @@ def _info_of(image: ImageTopic, frames: Mapping[str, str]) -> str | None:
 
 
 def _wheels(
-    bag: OpenBag, filled: Sequence[Topic], chosen: Mapping[str, str], choices: Choices, warnings: list[str]
-) -> tuple[Topic | None, Joints | None]:
-    if "wheels" in chosen:
-        topic = next((topic for topic in bag.topics if topic.name == chosen["wheels"]), None)
-        if topic is None or topic.type == ODOMETRY:
-            return topic, None
-        return topic, choices.joints or _joints_in(bag, topic.name)
-    odometries = sorted((topic for topic in filled if topic.type == ODOMETRY), key=_unlike_wheels)
-    if odometries:
-        others = ", ".join(topic.name for topic in odometries[1:])
-        if others:
-            warnings.append(
-                f"{odometries[0].name} is taken for the wheels' odometry, not {others}: see --topic wheels=…."
-            )
-        elif _NO_WHEELS.search(odometries[0].name):
-            warnings.append(
-                f"{odometries[0].name} is taken for the wheels' odometry, but its name says it is not theirs."
-            )
-        return odometries[0], None
-    for topic in (topic for topic in filled if topic.type == JOINTS):
-        joints = choices.joints or _found_joints(bag, topic.name)
-        if joints is not None:
-            return topic, joints
-        warnings.append(f"{topic.name} is not used: no two of its joints are called a left and a right wheel.")
-    return None, None
-
-
-def _unlike_wheels(topic: Topic) -> tuple[int, int, str]:
-    return bool(_NO_WHEELS.search(topic.name)), not _WHEEL_WORDS.search(topic.name), topic.name
-
-
-def _found_joints(bag: OpenBag, topic: str) -> Joints | None:
-    """The wheels among the joints of some first messages: arm and base may take turns on one topic."""
-    for message in bag.first(topic, _MOST_SAMPLES):
-        joints = wheel_joints(bag.decode(message).name)
-        if joints is not None:
-            return joints
-    return None
-
-
-def _joints_in(bag: OpenBag, topic: str) -> Joints:
-    joints = _found_joints(bag, topic)
-    if joints is None:
-        names = dict.fromkeys(name for message in bag.first(topic, _MOST_SAMPLES) for name in bag.decode(message).name)
-        problem = f"no two joints of {topic} are called a left and a right wheel: {', '.join(names)}"
-        raise RecordingError(problem, path=bag.path, fix=f"say which: --topic wheels={topic}:LEFT,RIGHT")
-    return joints
+    bag: OpenBag,
+    filled: Sequence[Topic],
+    has_camera: bool,
+    choices: Choices,
+    knows_wheels: bool,
+    truth: TransformTopic | str | None,
+    warnings: list[str],
+) -> WheelSource | None:
+    """What tells of the wheels: raw readings before a filter's output; what is not taken is said, and why."""
+    name = choices.topics.get("wheels")
+    if name == NONE:
+        return None
+    if name is not None:
+        chosen = chosen_source(bag, name, choices.right, choices.sides)
+        told = sideways(bag, chosen)
+        warnings += [] if told is None else [f"{name}: {told}; the way is wrong by as much."]
+        return chosen
+    own = any(topic.name == CALIBRATION for topic in filled)
+    # In a bag of our own, poses and transforms are our estimate, by the other sensors.
+    is_estimated = own and (has_camera or any(topic.type == JOINTS for topic in filled))
+    left_out = {truth.of if isinstance(truth, TransformTopic) else truth}
+    found = sources_in(bag, [topic for topic in filled if topic.name not in left_out], choices.sides, is_estimated)
+    usable = [source for source in found if knows_wheels or not source.needs_sizes]
+    if not usable and not has_camera:
+        usable = found
+    taken = usable[0] if usable else None
+    told = None if taken is None else sideways(bag, taken)
+    if taken is not None and told is not None:
+        if not has_camera:
+            warnings.append(f"{taken.topic.name}: {told}; the way is wrong by as much, and no camera is there to lead.")
+        else:
+            fix = f"the camera leads (--topic wheels={taken.topic.name} takes them all the same)"
+            warnings.append(f"{taken.topic.name} is left out: {told}; {fix}.")
+            found, taken = [source for source in found if source is not taken], None
+    if taken is not None:
+        warnings += [f"{taken.topic.name} is taken for the wheels' odometry, {taken.doubt}."] if taken.doubt else []
+    others = [source for source in found if source is not taken]
+    if taken is not None and others:
+        names = ", ".join(f"{source.topic.name} ({source.why_not(knows_wheels)})" for source in others)
+        warnings.append(f"{taken.topic.name} is taken for the wheels, not {names}: see --topic wheels=….")
+    elif others:
+        names = ", ".join(f"{source.topic.name} ({source.why_not(knows_wheels)})" for source in others)
+        warnings.append(f"Wheels are not used: {names}.")
+    warnings += unread_topics(bag, filled, found) if taken is None else []
+    return taken
 
 
 def _gyro(filled: Sequence[Topic], chosen: Mapping[str, str], warnings: list[str]) -> str | None:
@@ -297,7 +350,8 @@ def _gyro(filled: Sequence[Topic], chosen: Mapping[str, str], warnings: list[str
 def lacks(roles: Roles, bag: OpenBag, path: Path) -> RecordingError:
     """What to say of a bag with neither camera nor wheels."""
     types = {topic.type for topic in bag.topics if topic.count}
-    missing = ["no depth images with colour", "no Odometry", "no JointState of wheels"]
+    none = ["counts or speeds of wheels", "odom → base_link in tf", "Odometry", "JointState of wheels"]
+    missing = ["no depth images with colour", *(f"no {what}" for what in none)]
     others = "".join(f" {warning}" for warning in roles.warnings)
     shown = ", ".join(f"{topic.name} ({topic.type.rpartition('/')[2]}, {topic.count:,})" for topic in bag.topics)
     problem = f"holds nothing to localize by: {', '.join(missing)}.{others} Its topics: {shown or 'none'}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -23,6 +23,7 @@ _SIDES = tuple(
     for side in ("left", "right")
 )
 _WRAP_SLACK = 0.01
+_MOST_COLUMNS = 64  # of an array of encoders
 _Told = TypeVar("_Told")
 _PoseAndTwist = tuple[tuple[float, float, float], tuple[float, float]]
 _AnglesAndSpeeds = tuple[list[float], list[float]]
@@ -110,28 +111,174 @@ class _HeldSpeeds(ABC, Generic[_Told]):
         """The speeds after the last message."""
 
 
-class OdometrySpeeds(_HeldSpeeds[_PoseAndTwist]):
-    """Speeds of nominal wheels that make the increments between an Odometry's poses.
+class PoseSpeeds(_HeldSpeeds[_PoseAndTwist]):
+    """Speeds of nominal wheels that make the increments between poses, or by twists.
 
-    The increments, not the twists: they lose nothing where messages are far apart or were dropped.
+    Increments rather than twists: they lose nothing where messages are far apart or were dropped.
+
+    Args:
+        wheels: nominal ones.
+        told_of: pose x, y, yaw and twist v, ω of a message, or None where its numbers are none.
+        by_twist: whether poses say nothing: each twist then holds from its message on.
     """
 
-    def __init__(self, wheels: Wheels, by_twist: bool) -> None:
+    def __init__(self, wheels: Wheels, told_of: Callable[[Any], _PoseAndTwist | None], by_twist: bool) -> None:
         super().__init__()
-        self._wheels, self._by_twist = wheels, by_twist
+        self._wheels, self._told_of, self._by_twist = wheels, told_of, by_twist
 
     def _told(self, message: Any) -> _PoseAndTwist | None:
-        return _planar(message)
+        return self._told_of(message)
 
     def _between(self, stamp_s: float, before: _PoseAndTwist, now: _PoseAndTwist, lasted_s: float) -> WheelSpeeds:
         if self._by_twist:
             return self._after(stamp_s, before)
-        T_before_now = se2.compose(se2.invert(se2.from_parts(*before[0])), se2.from_parts(*now[0]))
-        ahead_m, _, turn_rad = se2.log(T_before_now).tolist()
+        ahead_m, _, turn_rad = increment(before, now)
         return speeds_of_wheels(self._wheels, stamp_s, ahead_m / lasted_s, turn_rad / lasted_s)
 
     def _after(self, stamp_s: float, last: _PoseAndTwist) -> WheelSpeeds:
         return speeds_of_wheels(self._wheels, stamp_s, *last[1])
+
+
+class CountedTicks:
+    """Counts of encoders that messages hold as whole numbers, by field or by place in an array.
+
+    Args:
+        numbers_of: the numbers of a message by name.
+        sides: which of them are the left and the right wheels'; of several of a side the mean is taken.
+        bits: after how many bits the numbers begin anew, which is undone; 0 for never.
+        per_number: counts of the calibration's encoder that one of these numbers is.
+
+    Attributes:
+        unusable: messages that lack one of the numbers.
+    """
+
+    def __init__(
+        self, numbers_of: Callable[[Any], Mapping[str, float]], sides: Joints, bits: int, per_number: float = 1.0
+    ) -> None:
+        self.unusable = 0
+        self._numbers_of, self._sides, self._per_number = numbers_of, sides, per_number
+        self._unrolled = {name: _Unrolled(bits) for name in (*sides.left, *sides.right)}
+        self._last_s = -math.inf
+
+    def add(self, stamp_s: float, message: Any) -> WheelTicks | None:
+        """See `SpeedReader`."""
+        numbers = self._numbers_of(message)
+        told = {name: numbers.get(name, math.nan) for name in self._unrolled}
+        if not all(math.isfinite(number) for number in told.values()):
+            self.unusable += 1
+            return None
+        if stamp_s <= self._last_s:
+            return None
+        self._last_s = stamp_s
+        counts = {name: self._unrolled[name](number) for name, number in told.items()}
+        left, right = (
+            round(self._per_number * sum(counts[name] for name in side) / len(side))
+            for side in (self._sides.left, self._sides.right)
+        )
+        return WheelTicks(stamp_s, left, right)
+
+    def end(self) -> WheelSpeeds | None:
+        """See `SpeedReader`."""
+        return None
+
+
+class CountsApart:
+    """Counts of encoders of which each wheel has a topic of its own; the right ones are interpolated at the left ones.
+
+    Attributes:
+        unusable: always 0.
+    """
+
+    def __init__(self, bits: int) -> None:
+        self.unusable = 0
+        self._unrolled = _Unrolled(bits), _Unrolled(bits)
+        self._left: tuple[float, float] | None = None
+        self._right: tuple[tuple[float, float], ...] = ()
+
+    def add(self, stamp_s: float, message: Any) -> WheelTicks | None:
+        """A message of the left wheel; see `SpeedReader`."""
+        self._left = stamp_s, self._unrolled[0](int(message.data))
+        return self._both()
+
+    def add_right(self, stamp_s: float, message: Any) -> WheelTicks | None:
+        """A message of the right wheel: the counts of the last message of the left one, where it was not newer."""
+        self._right = (*self._right[-1:], (stamp_s, self._unrolled[1](int(message.data))))
+        return self._both()
+
+    def end(self) -> WheelSpeeds | None:
+        """See `SpeedReader`."""
+        return None
+
+    def _both(self) -> WheelTicks | None:
+        if self._left is None or not self._right or not self._right[0][0] <= self._left[0] <= self._right[-1][0]:
+            return None
+        (stamp_s, left), self._left = self._left, None
+        (before_s, before), (after_s, after) = self._right[0], self._right[-1]
+        share = (stamp_s - before_s) / (after_s - before_s) if after_s > before_s else 1.0
+        return WheelTicks(stamp_s, round(left), round(before + share * (after - before)))
+
+
+class _Unrolled:
+    """Undoes that numbers of so many bits begin anew."""
+
+    def __init__(self, bits: int) -> None:
+        self._span = 1 << bits if bits else 0
+        self._last: float | None = None
+        self._added = 0
+
+    def __call__(self, number: float) -> float:
+        if self._last is not None and self._span:
+            step = number - self._last
+            self._added -= self._span * round(step / self._span)
+        self._last = number
+        return number + self._added
+
+
+class ToldSpeeds(_HeldSpeeds[tuple[float, ...]]):
+    """Speeds of the robot's own wheels that messages hold as fields, rad/s.
+
+    Args:
+        numbers_of: the numbers of a message by name.
+        sides: which of them are the left and the right wheels'.
+    """
+
+    def __init__(self, numbers_of: Callable[[Any], Mapping[str, float]], sides: Joints) -> None:
+        super().__init__()
+        self._numbers_of, self._sides = numbers_of, sides
+
+    def _told(self, message: Any) -> tuple[float, ...] | None:
+        numbers = self._numbers_of(message)
+        sides = [[numbers.get(name, math.nan) for name in side] for side in (self._sides.left, self._sides.right)]
+        told = tuple(sum(side) / len(side) for side in sides)
+        return told if are_measured(told) else None
+
+    def _between(
+        self, stamp_s: float, before: tuple[float, ...], now: tuple[float, ...], lasted_s: float
+    ) -> WheelSpeeds:
+        return WheelSpeeds(stamp_s, *((a + b) / 2 for a, b in zip(before, now, strict=True)))
+
+    def _after(self, stamp_s: float, last: tuple[float, ...]) -> WheelSpeeds:
+        return WheelSpeeds(stamp_s, *last)
+
+
+class TwistSpeeds(_HeldSpeeds[tuple[float, float]]):
+    """Speeds of nominal wheels that make measured velocities: between two messages, their mean."""
+
+    def __init__(self, wheels: Wheels) -> None:
+        super().__init__()
+        self._wheels = wheels
+
+    def _told(self, message: Any) -> tuple[float, float] | None:
+        told = twist_of(message)
+        return None if told is None else (told[0], told[2])
+
+    def _between(
+        self, stamp_s: float, before: tuple[float, float], now: tuple[float, float], lasted_s: float
+    ) -> WheelSpeeds:
+        return speeds_of_wheels(self._wheels, stamp_s, (before[0] + now[0]) / 2, (before[1] + now[1]) / 2)
+
+    def _after(self, stamp_s: float, last: tuple[float, float]) -> WheelSpeeds:
+        return speeds_of_wheels(self._wheels, stamp_s, *last)
 
 
 class JointSpeeds(_HeldSpeeds[_AnglesAndSpeeds]):
@@ -189,15 +336,48 @@ def wheel_joints(names: Sequence[str]) -> Joints | None:
 
 def told_by_twist(messages: Sequence[Any]) -> bool:
     """Whether poses of an Odometry stay at zero while its twists do not."""
-    told = [found for found in map(_planar, messages) if found is not None]
+    told = [found for found in map(planar_of, messages) if found is not None]
     return bool(told) and not any(any(pose) for pose, _ in told) and any(any(twist) for _, twist in told)
 
 
-def _planar(message: Any) -> _PoseAndTwist | None:
+def increment(before: _PoseAndTwist, now: _PoseAndTwist) -> tuple[float, float, float]:
+    """Way ahead and across, metres, and turn, radians, between two poses."""
+    T_before_now = se2.compose(se2.invert(se2.from_parts(*before[0])), se2.from_parts(*now[0]))
+    ahead_m, across_m, turn_rad = se2.log(T_before_now).tolist()
+    return ahead_m, across_m, turn_rad
+
+
+def planar_of(message: Any) -> _PoseAndTwist | None:
     """Pose x, y, yaw and twist v, ω of an Odometry; None where they are no numbers, or no rotation."""
-    position, q, twist = message.pose.pose.position, message.pose.pose.orientation, message.twist.twist
-    speeds = (twist.linear.x, twist.angular.z)
+    pose, twist = message.pose.pose, message.twist.twist
+    return _planar(pose.position, pose.orientation, (twist.linear.x, twist.angular.z))
+
+
+def planar_of_transform(stamped: Any) -> _PoseAndTwist | None:
+    """Pose x, y, yaw of a TransformStamped, at rest after the last one; None where they are no numbers."""
+    return _planar(stamped.transform.translation, stamped.transform.rotation, (0.0, 0.0))
+
+
+def twist_of(message: Any) -> tuple[float, float, float] | None:
+    """Speeds ahead and to the left, m/s, and turning, rad/s, of an Odometry, TwistStamped or one with covariance."""
+    twist = getattr(message.twist, "twist", message.twist)
+    told = (twist.linear.x, twist.linear.y, twist.angular.z)
+    return told if are_measured(told) else None
+
+
+def _planar(position: Any, q: Any, speeds: tuple[float, float]) -> _PoseAndTwist | None:
     if not are_measured((position.x, position.y, q.w, q.x, q.y, q.z, *speeds)):
         return None
     yaw_rad = math.atan2(2 * (q.w * q.z + q.x * q.y), q.w**2 + q.x**2 - q.y**2 - q.z**2)
     return (position.x, position.y, yaw_rad), speeds
+
+
+def columns_of(message: Any) -> dict[str, float]:
+    """The numbers of an array by their places, "0" first."""
+    return {str(place): float(number) for place, number in enumerate(message.data[:_MOST_COLUMNS])}
+
+
+def fields_of(message: Any) -> dict[str, float]:
+    """The plain numbers of a message by their fields."""
+    plain = {name: getattr(message, name) for name in message.__dataclass_fields__}
+    return {name: float(value) for name, value in plain.items() if isinstance(value, int | float)}
