@@ -85,6 +85,7 @@ def test_damaged_and_absent_images_are_skipped_and_counted(wheelsight: Command, 
     assert (frames["skipped"], frames["with_pose"]) == (2, 8)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawn_pages")
 def test_dropped_frames_are_one_number_everywhere(wheelsight: Command, room: Path, tmp_path: Path) -> None:
     depth = sorted((room / "depth").iterdir())

@@ -175,6 +175,7 @@ def test_the_joined_verdict_comes_first_and_says_what_it_is_worth() -> None:
     assert f"within its stated 3σ in {words.percent(found.share)} of the time" in said
 
 
+@pytest.mark.slow
 def test_a_run_whose_sensors_contradict_each_other_is_red_at_the_top_of_the_page() -> None:
     wheels, dense, joined = joined_runs()
     slipping = tuple(replace(f, flags=("slip",)) if i % 3 == 0 else f for i, f in enumerate(joined.frames))

@@ -93,7 +93,7 @@ class Track:
         map_writer, map_path: what writes a map folder for the next drive, and where, if anything does.
         extends: whether that is the known map, to which nothing is added before it is known where in it the robot is.
         last: what it answered last, or None.
-        found: its first answer by which it is known where in the map of an earlier drive it lies, or None.
+        found: its first answer with a pose in the map of an earlier drive, or None.
     """
 
     odometry: TrackName

@@ -55,7 +55,7 @@ _REFUSED = (0.01, 1.0)
 _OFF_THE_WAY = (0.05, 0.15)
 # Metres below which no error is called amber, or red: truth of a Kinect's tracker is good to 2 cm.
 _LEAST_OFF_M = (0.02, 0.1)
-# Times the error of the better sensor alone, and metres by which it must be more: joining is to help.
+# Times the error of the better sensor alone, and metres more than it: joining is to help.
 _WORSE_THAN_ALONE, _WORSE_M = (1.2, 3.0), (0.01, 0.1)
 # Of loops that contradict the rest: a few look alike anywhere, more do in a building of equal rooms.
 _REFUSED_LOOPS = (0.5, 1.0)
@@ -153,7 +153,7 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """The figures by which a run is judged. Each default is that of a run with which nothing is wrong.
+    """The figures that a verdict rests on. Each default is that of a sound run.
 
     Attributes:
         unit, is_joined: as the record has them.

@@ -13,7 +13,7 @@ from wheelsight.report._packing import lean_json
 # As `section` writes it.
 _HEADING = re.compile('<h2 id="([^"]+)">([^<]*)</h2>')
 _FEWEST_LINKED = 3
-# Colours are not all that tells them apart.
+# Words beside the colours, for readers who do not see these apart.
 _TONES = {Tone.GREEN: "Good:", Tone.AMBER: "Care:", Tone.RED: "Bad:"}
 
 
