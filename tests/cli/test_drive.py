@@ -329,3 +329,19 @@ def test_a_real_robot_stands_while_its_camera_shows_nothing(
         driven = [body for kind, body in controller.commands if kind == Commanded.DRIVE]
         assert not any(int.from_bytes(body, "little") for body in driven)
         assert camera.is_closed
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_goal_for_which_the_map_has_no_room_is_refused_before_anything_moves(
+    flat: tuple[Path, np.ndarray, np.ndarray], wheelsight: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from wheelsight.simulation.simulator import Simulator
+
+    moved: list[object] = []
+    monkeypatch.setattr(Simulator, "step", lambda robot, command: moved.append(command))
+    near = words_of(ahead_of(flat[1]))
+    result = wheelsight(*begun(flat), "--to", near, "--to", "60,60", "--out", tmp_path / "drive")
+    assert result.exit_code == 2, result.output
+    assert "(60.00, 60.00) m: the goal is outside the map: " in result.stderr
+    assert not moved

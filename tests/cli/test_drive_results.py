@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import typer
 from rehearsed_drive import recorded, rehearsed_drive
 
 from wheelsight.cli._drive_results import tell
+from wheelsight.errors import MapError
 from wheelsight.pipeline.drive_outputs import drive_dict
 from wheelsight.pipeline.drives import Goal
 from wheelsight.report.drive_page import verdict
@@ -42,3 +44,41 @@ def test_a_start_that_nothing_bears_out_is_told(
     assert ("nothing of the map was recognised" in told) is is_told
     assert ("Nothing of the map was recognised" in verdict(found)[1]) is is_told
     assert drive_dict(found)["recognised"] == recognised
+
+
+def touching(*contacts: tuple[float, str, bool]) -> dict[str, object]:
+    """What a simulator says of a drive."""
+    named = [{"stamp_s": stamp_s, "with": name, "by_the_robot": is_by} for stamp_s, name, is_by in contacts]
+    return {"clearance_m": 0.0 if contacts else 0.2, "contacts": named}
+
+
+@pytest.mark.parametrize("count", [1, 2, 9])
+def test_a_drive_that_touched_something_has_no_good_end(count: int, capsys: pytest.CaptureFixture[str]) -> None:
+    drive, _, config = rehearsed_drive()
+    drive.go_to(Goal.of(np.array([-0.7, -0.4, np.nan]), "there"), lambda feedback: None)
+    arrived = recorded(drive, config)
+    tell(replace(arrived, truth=touching((3.0, "person_1", False))))  # who walked into the robot
+    assert "drove against" not in capsys.readouterr().err
+    assert verdict(arrived)[0] == "Arrived"
+    record = replace(arrived, truth=touching(*((2.5 + k, f"sofa_{k}", True) for k in range(count))))
+    with pytest.raises(typer.Exit) as ended:
+        tell(record)
+    assert ended.value.exit_code == 1
+    said = capsys.readouterr()
+    last = said.err.strip().splitlines()[-1]
+    times = "once" if count == 1 else f"{count} times"
+    assert last.startswith(f"error: the robot drove against something {times}: sofa_0 at 2.5 s")
+    assert ("and 4 more" in last) is (count == 9)
+    assert "arrived at there" in said.out
+    phrase, why, tone = verdict(record)
+    assert (phrase, tone) == (f"Arrived, with {count} collision{'s' * (count > 1)}", "red")
+    assert "sofa_0 at 2.5 s" in why
+
+
+def test_a_goal_that_the_map_has_no_room_for_is_refused_before_anything_moves() -> None:
+    drive, robot, _ = rehearsed_drive()
+    there, far = Goal.of((-0.7, -0.4)), Goal.of((50.0, 0.0, 0.0), "kitchen")
+    with pytest.raises(MapError, match="kitchen: the goal is outside the map: "):
+        drive.refuse([there, far])
+    drive.refuse([there])
+    assert robot.now_s == 0.0

@@ -75,6 +75,8 @@ def test_where_the_map_has_no_room_it_says_so_at_once_and_does_not_move(
     walls: tuple, goal: tuple[float, ...], why: str
 ) -> None:
     ride = ride_of(walls)
+    assert why in ride.navigator.why_no_goal(goal)
+    assert ride.navigator.why_no_goal(NEAR) == ""
     ride.navigator.go_to_pose(goal)
     result = end_of(ride, 5.0)
     assert result.reason is NavigationReason.NO_PLAN

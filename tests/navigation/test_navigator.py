@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -107,7 +108,7 @@ def test_who_crosses_the_way_is_no_reason_for_another_plan_and_who_stops_in_it_i
 
 @pytest.mark.parametrize("leaves", [True, False])
 def test_who_stands_where_it_is_to_go_is_waited_for_once(leaves: bool) -> None:
-    """If he leaves it goes there; if not, it has arrived beside, and says so."""
+    """If he leaves it goes there; if not, it stands beside the goal, has not arrived, and says by how much."""
     goal = (5.0, 3.0, 0.0)
     subject = ride((*ROOM, *somebody_at(5.9, 3.0)), mapped=ROOM)
     subject.navigator.go_to_pose(goal)
@@ -128,8 +129,12 @@ def test_who_stands_where_it_is_to_go_is_waited_for_once(leaves: bool) -> None:
     assert min(yaws) < beside[2] - 0.5
     subject.go(60)
     result = not_none(subject.navigator.result)
-    assert result.has_arrived
+    assert result.has_arrived is leaves
     assert bool(result.goal_change) is not leaves
+    if not leaves:
+        assert result.reason is NavigationReason.BESIDE
+        off = not_none(re.search(r"the robot does not fit at the goal: ([\d.]+) m and \d+° beside it", result.detail))
+        assert 0.1 < float(off[1]) < 0.5
     assert bool(is_near(subject.robot.base.pose, goal if leaves else beside.tolist(), off_m=0.05))
     assert sum(transition.why.startswith("wait until there is room") for transition in result.transitions) == 1
 

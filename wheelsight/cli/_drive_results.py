@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 _FAILED = 1
 # Share of periods that may come late before it is said.
 _OFTEN = 0.01
+# Contacts that a line names.
+_NAMED = 5
 
 
 class Truth:
@@ -56,7 +58,10 @@ def write(record: DriveRecord, out: Path) -> None:
 
 
 def tell(record: DriveRecord, left_out: str = "") -> None:
-    """What became of each goal, on stdout, and what was not begun; raises Exit where any was not reached."""
+    """What became of each goal, on stdout, what was not begun, and last what a simulated robot touched.
+
+    Raises Exit where a goal was not reached, or anything was touched.
+    """
     for goal in record.goals:
         result = goal.result
         if result.has_arrived:
@@ -71,11 +76,22 @@ def tell(record: DriveRecord, left_out: str = "") -> None:
         )
     if record.is_interrupted:
         print_note("interrupted; the robot was stopped first, and stands")
+        _tell_contacts(record)
         raise typer.Exit(exit_code())
     if left_out:
         print_error(left_out)
-    if not record.has_arrived:
+    _tell_contacts(record)
+    if record.contacts or not record.has_arrived:
         raise typer.Exit(_FAILED)
+
+
+def _tell_contacts(record: DriveRecord) -> None:
+    """Say what the robot drove against, as the simulator knows."""
+    touched = record.contacts
+    if touched:
+        more = f", and {len(touched) - _NAMED} more" if len(touched) > _NAMED else ""
+        times = "once" if len(touched) == 1 else f"{len(touched)} times"
+        print_error(f"the robot drove against something {times}: {', '.join(touched[:_NAMED])}{more}")
 
 
 def _tell_late(record: DriveRecord) -> None:

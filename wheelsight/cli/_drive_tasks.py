@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -24,13 +25,17 @@ def tasks_of(options: DriveOptions) -> list[Task]:
     tasks: list[Task] = [_explore] if options.explore else []
     if way is not None:
         tasks.append(partial(_follow, way, f"the end of {options.follow}"))
-    return [*tasks, *(partial(_go_to, goal) for goal in goals_of(options))]
+    return [*tasks, *map(_GoTo, goals_of(options))]
 
 
 def do_all(drive: Drive, tasks: Sequence[Task], options: DriveOptions, on_step: OnStep) -> None:
-    """All tasks, up to the first that fails; then back, where that is asked for. Raises what `on_step` raises."""
+    """All tasks, up to the first that fails; then back, where that is asked for.
+
+    Raises what `on_step` raises; MapError, before anything moves, for a goal at which the map has no room.
+    """
     from wheelsight.pipeline.drives import Goal
 
+    drive.refuse([task.goal for task in tasks if isinstance(task, _GoTo)])
     for task in tasks:
         if not task(drive, on_step):
             return
@@ -55,5 +60,11 @@ def _follow(way: FloatArray, name: str, drive: Drive, on_step: OnStep) -> Naviga
     return drive.follow(way, on_step, name)
 
 
-def _go_to(goal: Goal, drive: Drive, on_step: OnStep) -> NavigationResult:
-    return drive.go_to(goal, on_step)
+@dataclass(frozen=True, slots=True)
+class _GoTo:
+    """The task to drive to a goal."""
+
+    goal: Goal
+
+    def __call__(self, drive: Drive, on_step: OnStep) -> NavigationResult:
+        return drive.go_to(self.goal, on_step)

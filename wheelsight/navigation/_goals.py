@@ -28,10 +28,14 @@ _ANY_HEADINGS = 16
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Goal:
-    """Where a plan is to end: pose (3,), its heading NaN where any will do; and why it is not what was asked for."""
+    """Where a plan is to end: pose (3,), its heading NaN where any will do; why it is not what was asked for, and by
+    how much, metres and radians.
+    """
 
     pose: FloatArray
     change: str
+    off_m: float = 0.0
+    off_rad: float = 0.0
 
 
 def passable(drivable: Drivable) -> Float32Array:
@@ -158,7 +162,7 @@ def beyond(costmap: Costmap, pose: FloatArray) -> str:
 def beside(goal: FloatArray, pose: FloatArray, why: str) -> Goal:
     """Another pose (3,) in the place of a goal (3,), and by how much it is another."""
     away_m, turned = float(np.hypot(*(pose - goal)[:2])), _turn(goal[2], pose[2])
-    return Goal(pose.copy(), f"{why}: {away_m:.2f} m and {math.degrees(turned):.0f}° beside it")
+    return Goal(pose.copy(), f"{why}: {away_m:.2f} m and {math.degrees(turned):.0f}° beside it", away_m, turned)
 
 
 def nearest_heading(poses: FloatArray, goal: FloatArray, reach_m: float) -> int:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.estimates import Status
@@ -149,6 +150,13 @@ class CollisionMonitor:
         Corners lead the view in a turn, so that it cannot all be forbidden; whoever leads does well to keep away.
         """
         return self._surroundings.hidden_about(reach_m, deep_m)
+
+    def forget_near(self, xy_base: ArrayLike, radius_m: float) -> None:
+        """Forget things remembered about a place (2,) in the base, where a person says that nothing is.
+
+        What frames show there counts all the same.
+        """
+        self._surroundings.forget_near(xy_base, radius_m)
 
     def remembered(self, reach_m: float) -> FloatArray:
         """(N, 2) in the base: things within reach that it stops before, though the newest frame does not show them."""

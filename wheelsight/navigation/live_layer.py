@@ -18,6 +18,10 @@ from wheelsight.navigation.costmap_settings import LiveLayerSettings
 from wheelsight.navigation.depth_images import checked_depth
 from wheelsight.navigation.footprint import Footprint
 
+# What no image of so many seconds shows, nor sees through, has nothing behind it: five images see through a thing that
+# has gone. Bearings are told apart by columns of a degree or two, and the edge of the view is left out.
+_LOOKED_S, _COLUMNS, _WITHIN = 1.0, 32, 0.9
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveObstacles:
@@ -157,6 +161,31 @@ class LiveLayer:
     def _has_stood(self, stood_s: float) -> BoolArray:
         """(N, N) cells in which something was met for so long."""
         return np.asarray(self._met_s[..., 1] - self._met_s[..., 0] >= stood_s)
+
+    def not_seen_through(self, eye: ArrayLike, half_view_rad: float, near_m: float) -> FloatArray:
+        """(N, 2) places in the layer's frame that hold a thing which a camera looks at and no longer shows.
+
+        No image of the last second shows the thing, nothing hides it, and no depth behind it says that it is gone: a
+        hall, a window or black behind it gives none. Glass and black things themselves give none either, so it stays.
+
+        Args:
+            eye: (3,) x, y and heading of the camera in the layer's frame.
+            half_view_rad: to either side.
+            near_m: from the camera, the nearest floor that it sees: what is nearer may be below its view.
+        """
+        x, y, yaw = map(float, np.asarray(eye, float))
+        cells = np.argwhere(kernels.any_left(self._left))
+        places = ((cells + self._low)[:, ::-1] + 0.5) * self.settings.resolution_m
+        away_m = np.hypot(*(places - (x, y)).T)
+        bearing = wrap_angle(np.arctan2(places[:, 1] - y, places[:, 0] - x) - yaw)
+        is_met = self._newest_s - self._met_s[cells[:, 0], cells[:, 1], 1] <= _LOOKED_S
+        column = np.clip((bearing / half_view_rad + 1) / 2 * _COLUMNS, 0, _COLUMNS - 1).astype(np.int64)
+        hides_m = np.full(_COLUMNS, np.inf)
+        np.minimum.at(hides_m, column[is_met], away_m[is_met])
+        # A cell is wider than a column where it is near.
+        hides_m = np.minimum(hides_m, np.minimum(np.r_[hides_m[1:], np.inf], np.r_[np.inf, hides_m[:-1]]))
+        is_looked_at = (np.abs(bearing) < _WITHIN * half_view_rad) & (away_m > near_m) & (away_m < self.settings.far_m)
+        return np.asarray(places[~is_met & is_looked_at & (away_m < hides_m[column])])
 
     def wipe(self, ends: ArrayLike, radius_m: float) -> None:
         """Forget what is so near to a line from one place to another, (2, 2); what is there is seen again."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.errors import WheelsightError
+from wheelsight.errors import ArgumentError, WheelsightError
 from wheelsight.geometry import FloatArray
 from wheelsight.navigation.behaviours import beside_goal
 from wheelsight.navigation.collision_monitor import MonitorReason, MonitorState
@@ -23,7 +23,7 @@ from wheelsight.navigation.control_values import ControlReason, ControlResult
 from wheelsight.navigation.exploration import Exploration
 from wheelsight.navigation.floors import Floor
 from wheelsight.navigation.footprint import Footprint
-from wheelsight.navigation.goals import Goals, Poses, Way
+from wheelsight.navigation.goals import Goals, Poses, Way, checked_goal
 from wheelsight.navigation.localization import Localization
 from wheelsight.navigation.navigator_settings import NavigationSettings
 from wheelsight.navigation.navigator_values import (
@@ -123,6 +123,14 @@ class Navigator(OneCaller):
         self.begin(Exploration(self._footprint, self.settings, self._senses.near_m, self._senses.half_view_rad))
 
     @one_at_a_time
+    def why_no_goal(self, goal: ArrayLike) -> str:
+        """Why no plan can end at x, y, yaw (3,) in a map of before, or x, y (2,), such as a wall there; empty else.
+
+        It takes as long as a plan's costmap: ask before a drive, not during one. Raises ArgumentError.
+        """
+        return self._planning.why_no_goal(checked_goal(goal))
+
+    @one_at_a_time
     def begin(self, goals: Goals) -> None:
         """Begin a task; one that goes on is called off."""
         if not self.is_task_complete():
@@ -139,6 +147,20 @@ class Navigator(OneCaller):
         """Stand; the robot brakes in the steps to come."""
         if not self.is_task_complete():
             self._fail(NavigationReason.CANCELED, "by whoever leads it")
+
+    @one_at_a_time
+    def clear_obstacles(self, xy: ArrayLike, radius_m: float = 1.0) -> None:
+        """Forget what the camera met about x and y (2,) in the map, metres: a person sees that nothing is there.
+
+        What stands there is met again with the next image that shows it. What the map itself has stays. Where it is
+        not known where the robot is, nothing happens. Raises ArgumentError for what is no place.
+        """
+        at = checked_goal(np.asarray(xy, float).ravel()[:2])
+        if not 0 < radius_m < math.inf:
+            raise ArgumentError(f"a radius of {radius_m} m", fix="over 0, finite")
+        self._senses.clear_near(at[:2], radius_m)
+        if self._task is not None:
+            self._task.checked_s = -math.inf
 
     def is_task_complete(self) -> bool:
         """Whether there is nothing to do, or nothing more."""
@@ -233,6 +255,7 @@ class Navigator(OneCaller):
             doing="" if task is None else task.doing,
             goals_left=0 if task is None else task.goals.left,
             robot_stop=self._robot.stop_reason,
+            stays="" if self.is_task_complete() else self._senses.why_it_stays(),
         )
 
     def _decide(self, now_s: float) -> VelocityCommand:
@@ -282,6 +305,8 @@ class Navigator(OneCaller):
         """Go by what came of a plan."""
         task.goals.taken()
         task.passes_hidden |= planned.passes_hidden
+        if planned.found is None and task.beside:
+            return self._fail(NavigationReason.BESIDE, task.beside)
         if planned.found is None:
             self._become(NavigationState.ARRIVED, task.goals.name)
             self._result = task.result(True, None, task.goals.name, self._robot.now_s)
@@ -298,6 +323,8 @@ class Navigator(OneCaller):
     def _without_plan(self, task: Task, failure: PlanFailure) -> VelocityCommand:
         """There may be one when somebody has gone, or more is seen; of a goal that may be left out there is another."""
         why = f"{failure.reason}: {failure.detail}"
+        if not failure.reason.is_for_good and (stays := self._senses.why_it_stays()):
+            why = f"{why}; {stays}"
         task.why_first = task.why_first or why
         if failure.reason.is_of_goal and task.goals.left > 1 and task.skips < _SKIPS and task.goals.missed():
             task.skips += 1
@@ -362,7 +389,9 @@ class Navigator(OneCaller):
         is_held = result.reason is not None or self._chain.checked.state is MonitorState.STOPPED
         if task.held_for_s(now_s, is_held) > self.settings.navigator.held_s:
             stopped_by = self._chain.stopped_by(now_s - self.settings.navigator.held_s - self.settings.follow.stuck_s)
-            return self._get_out(task, str(stopped_by or result.reason), stopped_by)
+            stays = self._senses.why_it_stays()
+            why = f"{stopped_by or result.reason}{f'; {stays}' if stays else ''}"
+            return self._get_out(task, why, stopped_by)
         if task.loiters_s > self.settings.navigator.loiter_s:
             return self._get_out(task, "it comes no farther")
         return result.command
@@ -376,7 +405,7 @@ class Navigator(OneCaller):
             task.await_goal(beside_goal(self.settings.behaviours))
             self._become(NavigationState.RECOVERING, task.doing)
             return STOP
-        task.reached()
+        task.reached((self.settings.follow.goal_m, self.settings.follow.goal_rad))
         self._become(NavigationState.PLANNING, "a goal is reached")
         return STOP
 

@@ -28,6 +28,7 @@ class NavigationReason(StrEnum):
     INVALID = "the goal is no pose"
     NO_PLAN = "no way leads there"
     BLOCKED = "it found no way on"
+    BESIDE = "it stopped beside the goal"
     LOST = "it does not know where it is"
     DISOBEYS = "the wheels do not do what they are told"
     ROBOT_STOPPED = "the robot stopped by itself"
@@ -73,6 +74,8 @@ class Feedback:
         doing: in words, what it does now.
         goals_left: how many goals are left, this one included.
         robot_stop: why the robot stopped by itself, in words; empty where it obeys.
+        stays: of a thing that has maybe gone, why it still counts, in words: no depth behind it. Empty without any. A
+            person who sees that nothing is there can say so by `Navigator.clear_obstacles`.
     """
 
     stamp_s: float
@@ -89,6 +92,7 @@ class Feedback:
     doing: str
     goals_left: int
     robot_stop: str = ""
+    stays: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,10 +100,10 @@ class NavigationResult:
     """What became of a task.
 
     Attributes:
-        has_arrived: whether all its goals were reached.
+        has_arrived: whether all its goals were reached, within `follow.goal_m` and `goal_rad`.
         reason: why it ended else.
         detail: the same for people.
-        goal_change: why the goal that was reached is not the one asked for; empty where it is.
+        goal_change: why the place where the last plan ended is not the goal asked for; empty where it is.
         transitions: all changes of state, in order.
         time_s: from begin to end, by the clock of the stamps.
         way_m: driven, by the wheels.

@@ -82,6 +82,7 @@ class Plan:
         frame: of the poses: `map` or `odom`.
         cost: in metres of free floor.
         states: how many places and headings were searched; 0 where the way over the cells did.
+        goal_off_m, goal_off_rad: how far that is beside the goal that was asked for.
     """
 
     poses: FloatArray
@@ -93,6 +94,8 @@ class Plan:
     frame: str
     cost: float
     states: int
+    goal_off_m: float = 0.0
+    goal_off_rad: float = 0.0
 
     def __bool__(self) -> bool:
         """True."""

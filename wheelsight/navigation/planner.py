@@ -70,12 +70,16 @@ class Planner:
         drivable = Drivable.of(costmap, self.footprint, self.settings, self.limits)
         return np.asarray(drivable.tightness(np.asarray(poses, float)) == 0)
 
-    def has_room_near(self, costmap: Costmap, goal: ArrayLike) -> bool:
-        """Whether a plan may end at a goal (3,) or beside it, whatever is between: a yaw of NaN is any heading."""
+    def why_no_room_near(self, costmap: Costmap, goal: ArrayLike) -> PlanFailure | None:
+        """Why no plan may end at a goal (3,) or beside it, whatever is between; None where one may.
+
+        A yaw of NaN is any heading.
+        """
         drivable = Drivable.of(costmap, self.footprint, self.settings, self.limits)
         # As if all cells were joined: which of them can be reached is not asked.
         anywhere = np.ones(costmap.state.shape, np.int32)
-        return isinstance(goal_near(drivable, np.asarray(goal, float), anywhere, 1, self.settings), Goal)
+        found = goal_near(drivable, np.asarray(goal, float), anywhere, 1, self.settings)
+        return None if isinstance(found, Goal) else found
 
     def plan(self, costmap: Costmap, start: ArrayLike, goal: ArrayLike) -> Plan | PlanFailure:
         """A way from where the robot stands to a goal.
@@ -288,4 +292,6 @@ def _plan(drivable: Drivable, poses: FloatArray, goal: Goal, states: int) -> Pla
         frame=drivable.costmap.frame,
         cost=drivable.cost(poses),
         states=states,
+        goal_off_m=goal.off_m,
+        goal_off_rad=goal.off_rad,
     )

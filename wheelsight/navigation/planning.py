@@ -68,7 +68,7 @@ class Planning:
     def __init__(
         self, senses: Senses, footprint: Footprint, settings: NavigationSettings, worker: Worker[Planned] | None
     ) -> None:
-        self._senses, self._settings = senses, settings
+        self._senses, self._settings, self._footprint = senses, settings, footprint
         self._planner = CautiousPlanner(footprint, settings, PlanView(footprint, senses.eye))
         self._worker: Worker[Planned] = worker or WorkerInStep(settings.navigator.planning_s)
         self._blocked = BlockedWays(settings.blocked, free_visits=int(senses.floor.is_fixed))
@@ -157,6 +157,15 @@ class Planning:
         assert state is not None
         return to_go_m(plan, state.pose) - to_go_m(plan, at) > self._settings.navigator.onward_m
 
+    def why_no_goal(self, goal: FloatArray) -> str:
+        """Why no plan can end at a goal (3,), by a map of before alone; empty where one may, or where the map grows."""
+        floor = self._senses.floor
+        if not floor.is_fixed:
+            return ""
+        mapped = Costmap.of(floor.layer, self._footprint, self._settings.costmap)
+        failure = self._planner.route.why_no_room_near(mapped, goal)
+        return "" if failure is None else f"{failure.reason}: {failure.detail}"
+
     def _judged(
         self, found: Plan | PlanFailure, costmap: Costmap, floor: FloorNow, pose: FloatArray, goal: FloatArray
     ) -> Plan | PlanFailure:
@@ -171,10 +180,8 @@ class Planning:
             why = route.why_no_room(mapped)
             return PlanFailure(PlanReason.NO_ROOM_IN_MAP, why) if why else found
         is_of_place = found.reason in (PlanReason.GOAL_OCCUPIED, PlanReason.GOAL_UNKNOWN)
-        if is_of_place and not route.has_room_near(mapped, goal):
-            is_unknown = found.reason is PlanReason.GOAL_UNKNOWN
-            what = "unknown floor" if is_unknown else "a wall, a thing or forbidden floor"
-            return PlanFailure(PlanReason.GOAL_IN_WALL, f"{what} is at ({goal[0]:.2f}, {goal[1]:.2f}) m")
+        if is_of_place and (in_wall := route.why_no_room_near(mapped, goal)) is not None:
+            return in_wall
         is_as_mapped = np.array_equal(costmap.is_lethal, mapped.is_lethal)
         alone = found if is_as_mapped else route.plan(mapped, pose, [goal])
         hopeless = PlanReason.UNREACHABLE, PlanReason.GOAL_OCCUPIED, PlanReason.GOAL_UNKNOWN

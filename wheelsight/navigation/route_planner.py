@@ -13,7 +13,7 @@ from wheelsight.navigation._drivable import Drivable
 from wheelsight.navigation.costmap import Costmap
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.navigator_settings import NavigationSettings
-from wheelsight.navigation.plan_values import Plan, PlanFailure
+from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
 from wheelsight.navigation.planner import Planner
 
 
@@ -45,9 +45,14 @@ class RoutePlanner:
                 return found
         return plans[0] if len(plans) == 1 else _joined(plans)
 
-    def has_room_near(self, costmap: Costmap, goal: FloatArray) -> bool:
-        """See `Planner.has_room_near`."""
-        return self._planner.has_room_near(costmap, goal)
+    def why_no_room_near(self, costmap: Costmap, goal: FloatArray) -> PlanFailure | None:
+        """See `Planner.why_no_room_near`; of a goal in what stands in the costmap or is unknown, as of a map's wall."""
+        failure = self._planner.why_no_room_near(costmap, goal)
+        if failure is None or failure.reason is PlanReason.GOAL_OUTSIDE:
+            return failure
+        is_unknown = failure.reason is PlanReason.GOAL_UNKNOWN
+        what = "unknown floor" if is_unknown else "a wall, a thing or forbidden floor"
+        return PlanFailure(PlanReason.GOAL_IN_WALL, f"{what} is at ({goal[0]:.2f}, {goal[1]:.2f}) m")
 
     def why_no_way(self, costmap: Costmap, start: FloatArray, goal: FloatArray) -> str:
         """See `Planner.why_no_way`."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from wheelsight.calibration import Calibration
 from wheelsight.commands import VelocityCommand
@@ -90,6 +91,7 @@ class Senses:
         # In `odom`, from the begin until the place in the map is known; None from then on.
         self._unplaced: deque[FloatArray] | None = deque(maxlen=_PLACES)
         self._local: dict[bool, tuple[_Made, Costmap]] = {}
+        self._stays: tuple[float | None, FloatArray] = (None, np.empty((0, 2)))
 
     @property
     def near_m(self) -> float:
@@ -228,6 +230,38 @@ class Senses:
         elif pose is not None:
             eye = se2.from_parts(*pose) @ se2.from_parts(self.eye.x, self.eye.y, 0.0)
             self._live.clear_ahead(stood_s, se2.to_parts(eye), self.half_view_rad)
+
+    def clear_near(self, xy_map: ArrayLike, radius_m: float) -> None:
+        """Forget what was met about a place (2,) in the map, where a person says that nothing is."""
+        pose = self.where.odom_pose
+        if pose is None:
+            return
+        at = np.asarray(xy_map, float).reshape(1, 2)
+        at_odom = se2.apply(se2.invert(se2.from_parts(*self.where.T_map_odom)), at)
+        self._live.wipe(np.repeat(at_odom, 2, axis=0), radius_m)
+        self._monitor.forget_near(se2.apply(se2.invert(se2.from_parts(*pose)), at_odom)[0], radius_m)
+        self._local.clear()
+
+    def why_it_stays(self) -> str:
+        """Of a thing that the camera looks at, no longer shows and does not see through, in words; empty without any.
+
+        Of several the nearest is named.
+        """
+        pose = self.where.odom_pose
+        if pose is None:
+            return ""
+        stamp_s = self._live.obstacles().stamp_s
+        if self._stays[0] != stamp_s:
+            near_m = self._viewer.near_m - self.eye.x
+            T_odom_eye = se2.from_parts(*pose) @ se2.from_parts(self.eye.x, self.eye.y, 0.0)
+            places = self._live.not_seen_through(se2.to_parts(T_odom_eye), self.half_view_rad, near_m)
+            self._stays = stamp_s, places
+        places = self._stays[1]
+        if not len(places):
+            return ""
+        nearest = places[int(np.argmin(np.hypot(*(places - pose[:2]).T)))]
+        x, y = se2.apply(se2.from_parts(*self.where.T_map_odom), nearest[None])[0].tolist()
+        return f"what stood at ({x:.2f}, {y:.2f}) m is not seen through: no depth behind it"
 
     def floor_now(self) -> FloorNow:
         """All the building, as it is known now, without who walks past."""

@@ -176,6 +176,13 @@ class Surroundings:
             last = self._readings[-1]
             mark_under(self._memory, _around(radius_m), last.pose, last.stamp_s, -np.inf)
 
+    def forget_near(self, xy_base: ArrayLike, radius_m: float) -> None:
+        """Forget remembered things about a place (2,) in the base as it is now; what a frame shows is seen again."""
+        if self._readings:
+            at = _placed(np.asarray(xy_base, float).reshape(1, 2), self._readings[-1].pose)[0]
+            is_near = np.hypot(*np.moveaxis(self._memory.hits[..., :2] - at, -1, 0)) <= radius_m
+            self._memory.hit_s[is_near] = -np.inf
+
     def pose_at(self, stamp_s: float) -> Pose | None:
         """Where the base was, or will be soon; None where that is not known any more, or not yet."""
         before = [reading for reading in self._readings if reading.stamp_s <= stamp_s]

@@ -33,6 +33,7 @@ class Task:
         why_anew: why another was asked for, while it is driven.
         wants_anew: whether another is yet to be asked for.
         goal_change: of the last goal that was reached.
+        beside: of the first goal at which it stopped, but not within the tolerance of an arrival; empty without any.
         behaviour: that is done while it recovers.
         is_lost: whether that is to find out where it is.
         awaits_way: whether that is to see whether a way gets free again.
@@ -51,7 +52,7 @@ class Task:
         self.plan: Plan | None = None
         self.planned_s = self.checked_s = -math.inf
         self.T_map_odom: FloatArray = np.zeros(3)
-        self.why_anew = self.goal_change = ""
+        self.why_anew = self.goal_change = self.beside = ""
         self.wants_anew = False
         self.behaviour: Behaviour | None = None
         self.is_lost = self.awaits_way = self.is_refused = False
@@ -192,9 +193,17 @@ class Task:
         """Why the plan's goal is not what somebody asked for; empty where it is, or nobody did."""
         return self.plan.goal_change if self.plan is not None and self.goals.is_asked_for else ""
 
-    def reached(self) -> None:
-        """The goal of the plan; why it is another one than somebody asked for is kept."""
-        self.goal_change, self.plan = self._change, None
+    def reached(self, tolerance: tuple[float, float]) -> None:
+        """The goal of the plan; why it is another one than was asked for is kept.
+
+        Args:
+            tolerance: metres and radians beside the goal that are an arrival.
+        """
+        self.goal_change, plan = self._change, self.plan
+        if self.goal_change and plan is not None and not self.beside:
+            is_beside = plan.goal_off_m > tolerance[0] or plan.goal_off_rad > tolerance[1]
+            self.beside = self.goal_change if is_beside else ""
+        self.plan = None
         self.goals.reached()
         self.come_on()
         self._has_waited = False

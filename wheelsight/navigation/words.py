@@ -16,9 +16,9 @@ STATUS_WORDS = {
 
 
 def monitor_words(feedback: Feedback) -> str:
-    """What the collision monitor does, and why."""
-    found = feedback.monitor
+    """What the collision monitor does and why, and what stays in the way without depth behind it."""
+    found, stays = feedback.monitor, f"; {feedback.stays}" if feedback.stays else ""
     if found is None or found.state is MonitorState.FREE:
-        return "lets it drive"
+        return f"lets it drive{stays}"
     does = "slows it down" if found.state is MonitorState.SLOWED else "holds it"
-    return f"{does}: {found.reason}" if found.reason is not None else does
+    return f"{does}: {found.reason}{stays}" if found.reason is not None else f"{does}{stays}"

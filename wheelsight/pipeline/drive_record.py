@@ -177,6 +177,12 @@ class DriveRecord:
         return len(self.goals) == self.asked and all(one.result.has_arrived for one in self.goals)
 
     @property
+    def contacts(self) -> tuple[str, ...]:
+        """What a simulated robot touched and when, each time, in words; empty of a real one, which nothing says."""
+        all_of = self.truth.get("contacts", ())
+        return tuple(f"{one['with']} at {one['stamp_s']:.1f} s" for one in all_of if one["by_the_robot"])
+
+    @property
     def rests_on_start(self) -> bool:
         """Whether nothing but what somebody said of the start tells where in the map it was."""
         return self.config["known_map"]["start"] is not None and self.recognised == 0

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from wheelsight.calibration import Calibration
 from wheelsight.commands import VelocityCommand
 from wheelsight.config import Config
-from wheelsight.errors import WheelsightError
+from wheelsight.errors import MapError, WheelsightError
 from wheelsight.events import Event
 from wheelsight.geometry import FloatArray
 from wheelsight.mapping import OccupancyGrid
@@ -96,6 +96,16 @@ class Drive:
     def start(self) -> FloatArray | None:
         """(3,) in the map where it first knew where it was; None before."""
         return self._start
+
+    def refuse(self, goals: Sequence[Goal]) -> None:
+        """Raises MapError for the first of some goals at which the map itself has no room, and ArgumentError.
+
+        To be asked before the robot moves.
+        """
+        for goal in goals:
+            why = self.navigator.why_no_goal(goal.pose[:2] if np.isnan(goal.pose[2:]).any() else goal.pose)
+            if why:
+                raise MapError(f"{goal.name}: {why}", path=self._map_name, fix="map export --picture shows free floor")
 
     def go_to(self, goal: Goal, on_step: OnStep) -> NavigationResult:
         """Drive there and stand; `on_step` is called with each period's feedback, and may raise what ends it.
