@@ -53,6 +53,7 @@ NOT_RUN = {
     "wheelsight batch RECORDING": "of whole recordings; docs/batch.md's is of short ones",
     "wheelsight record ": "needs a wheel controller or a camera; tests/cli/test_record.py, test_record_camera.py",
     "wheelsight run --live ": "needs a camera or a wheel controller; tests/cli/test_run_live.py",
+    "wheelsight run sample ": "twenty seconds; tests/recordings/test_sample.py",
     "wheelsight run corridor ": "of the recording that the controller made",
     "wheelsight drive ": "needs the map of a building that the simulator has; tests/cli/test_drive.py",
     "wheelsight serve ": "goes on until it is interrupted; tests/cli/test_serve.py",
@@ -91,6 +92,8 @@ NOT_WITH_STAND_INS = {
     "pip install ": "as above",
     "make ": "as above",
     "wheelsight warm-up": "minutes where nothing is compiled yet; tests/cli/test_warm_up.py",
+    "wheelsight wheels simulate ": "the test has its own controller; tests/cli/test_wheels.py",
+    "wheelsight run sample ": "twenty seconds; tests/recordings/test_sample.py",
     "wheelsight devices": "tells of this machine; tests/cli/test_devices.py",
     "wheelsight calibrate camera --camera any": "a minute of views; tests/cli/test_calibrate_camera.py draws them",
     "wheelsight run calibration_drive --odometry dense": "half a minute; the truth stands for its trajectory",
@@ -241,7 +244,7 @@ def test_the_tutorial_of_ones_own_robot_works_with_stand_ins(
     assert reasons - {None} == set(NOT_WITH_STAND_INS)
     found = load_calibration("robot.yaml")
     assert found.wheels is not None
-    assert found.wheels.track_width_m != 0.58
+    assert found.wheels.track_width_m != 0.52  # a ruler's
 
 
 def type_in(command: str, recordings: Path) -> None:

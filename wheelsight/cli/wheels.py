@@ -150,7 +150,7 @@ def simulate(
 
     if motion not in ("lap", "turns", "none"):
         raise ConfigError(f"--motion is {motion!r}", fix="lap, turns or none")
-    wheels = Wheels(0.17, 0.17, 0.58, 3200.0) if calibration is None else _wheels_of(calibration)
+    wheels = Wheels(0.17, 0.17, 0.52, 3200.0) if calibration is None else _wheels_of(calibration)
     legs = lap(wheels) if motion == "lap" else turns(wheels) if motion == "turns" else ()
     with (
         until_stopped(seconds) as is_over,

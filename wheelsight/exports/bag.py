@@ -76,7 +76,7 @@ class BagReport:
     topics: dict[str, int]
     size_bytes: int
     warnings: tuple[str, ...]
-    layouts: tuple[Path, ...]
+    layouts: tuple[StrPath, ...]
 
 
 def export_bag(
