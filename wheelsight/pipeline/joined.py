@@ -1,9 +1,10 @@
-"""JoinedFacts: what came of joining wheels and a camera, as page, metrics and terminal tell it."""
+"""JoinedFacts: what came of joining wheels and a camera, for page, metrics and terminal."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -17,6 +18,7 @@ JOINED = "joined"
 _NO_SENSORS = (JOINED, "rectified")
 FLAGS = ("slip", "doubtful", "degenerate")
 _MOST_OF_THE_TIME = 0.95
+_FACTS: WeakKeyDictionary[RunRecord, JoinedFacts] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +61,13 @@ def joined_of(records: Sequence[RunRecord]) -> RunRecord | None:
 
 
 def facts_of(record: RunRecord) -> JoinedFacts:
-    """What came of it."""
+    """What came of it; computed once a record, since page, terminal and metrics each ask, and 30 minutes cost 1 s."""
+    if record not in _FACTS:
+        _FACTS[record] = _facts_of(record)
+    return _FACTS[record]
+
+
+def _facts_of(record: RunRecord) -> JoinedFacts:
     starts_s, ends_s = record.frame_spans_s()
     lasted_s, statuses = ends_s - starts_s, [str(frame.status) for frame in record.frames]
     flags = () if record.config.get("fusion", {}).get("filter") == "ligocki" else FLAGS

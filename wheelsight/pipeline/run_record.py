@@ -153,7 +153,7 @@ class MatchPicture:
     is_inlier: BoolArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class RunRecord:
     """A finished run.
 
