@@ -7,7 +7,7 @@ import json
 import pytest
 
 from wheelsight.errors import ArgumentError
-from wheelsight.live_page.messages import GoToPose, NamePlace, parsed, says_stop
+from wheelsight.live_page.messages import ClearObstacles, GoToPose, NamePlace, parsed, says_stop
 
 
 def test_a_goal_has_a_heading_or_none() -> None:
@@ -15,6 +15,10 @@ def test_a_goal_has_a_heading_or_none() -> None:
     found = parsed('{"type": "goal", "x_m": 1.5, "y_m": 2, "yaw_rad": 3.1}')
     assert isinstance(found, GoToPose)
     assert found.yaw_rad == 3.1
+
+
+def test_a_driver_may_say_that_nothing_is_at_a_place() -> None:
+    assert parsed('{"type": "clear", "x_m": 1, "y_m": -2.5}') == ClearObstacles(type="clear", x_m=1.0, y_m=-2.5)
 
 
 def test_a_place_is_named_in_any_letters() -> None:
@@ -34,6 +38,8 @@ def test_a_place_is_named_in_any_letters() -> None:
         '{"type": "goal", "x_m": 1}',
         '{"type": "goal", "x_m": "1", "y_m": 2}',
         '{"type": "goal", "x_m": NaN, "y_m": 2}',
+        '{"type": "clear", "x_m": 1}',
+        '{"type": "clear", "x_m": Infinity, "y_m": 2}',
         '{"type": "goal", "x_m": 1e9, "y_m": 2}',
         '{"type": "goal", "x_m": 1, "y_m": 2, "yaw_rad": 40}',
         '{"type": "goal", "x_m": 1, "y_m": 2, "z_m": 2}',

@@ -15,7 +15,16 @@ from wheelsight.commands import STOP
 from wheelsight.errors import DeviceError
 from wheelsight.events import Event
 from wheelsight.live_page import StopSwitch
-from wheelsight.live_page.messages import Explore, GoToName, GoToPose, NamePlace, SaveMap, StartMap, Task
+from wheelsight.live_page.messages import (
+    ClearObstacles,
+    Explore,
+    GoToName,
+    GoToPose,
+    NamePlace,
+    SaveMap,
+    StartMap,
+    Task,
+)
 from wheelsight.live_page.snapshot import Telling
 from wheelsight.navigation import Feedback, Navigator, Transition
 
@@ -318,3 +327,18 @@ def test_a_watch_sees_all_periods_of_all_maps() -> None:
     assert [str(one.after) for one in seen.transitions] == ["planning", "driving", "planning", "arrived"]
     assert {event.stamp_s for event in seen.events} >= set(stamps_s[1:].tolist())
     assert len({id(navigator) for _, navigator in seen.steps}) == 2
+
+
+def test_a_driver_who_says_that_nothing_is_there_clears_it_while_the_robot_drives(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    cleared: list[object] = []
+    monkeypatch.setattr(Navigator, "clear_obstacles", lambda navigator, xy: cleared.append(xy))
+    with room_session() as served:
+        served.session.ask(THERE)
+        told = served.until(lambda told: told["speed_m_s"] > 0.1)
+        assert told["stays"] is None
+        served.session.ask(ClearObstacles(type="clear", x_m=4.0, y_m=3.5))
+        served.until(lambda told: bool(cleared))
+        assert cleared == [(4.0, 3.5)]
+        served.until(lambda told: told["state"] == "driving" and told["speed_m_s"] > 0.1)

@@ -58,6 +58,14 @@ class GoToName(_Message):
     name: _Name
 
 
+class ClearObstacles(_Message):
+    """Nothing is about a place in `map`, says the driver, who sees it: forget what the camera met there."""
+
+    type: Literal["clear"]
+    x_m: float = Field(ge=-_FARTHEST_M, le=_FARTHEST_M)
+    y_m: float = Field(ge=-_FARTHEST_M, le=_FARTHEST_M)
+
+
 class Explore(_Message):
     """Look at all floor that can be reached."""
 
@@ -84,7 +92,7 @@ class StartMap(_Message):
     map: Annotated[str, Field(min_length=1, max_length=200)]
 
 
-Task = GoToPose | GoToName | Explore | NamePlace | SaveMap | StartMap
+Task = GoToPose | GoToName | ClearObstacles | Explore | NamePlace | SaveMap | StartMap
 """What the driver alone may ask."""
 Message = Alive | Take | Leave | ShowCostmap | Task
 _ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="type")])

@@ -22,7 +22,16 @@ from wheelsight.errors import ConfigError, WheelsightError
 from wheelsight.events import Event
 from wheelsight.geometry import FloatArray
 from wheelsight.live_page.driven import Driven, Maps, Watch
-from wheelsight.live_page.messages import Explore, GoToName, GoToPose, NamePlace, SaveMap, StartMap, Task
+from wheelsight.live_page.messages import (
+    ClearObstacles,
+    Explore,
+    GoToName,
+    GoToPose,
+    NamePlace,
+    SaveMap,
+    StartMap,
+    Task,
+)
 from wheelsight.live_page.pace import Pace
 from wheelsight.live_page.snapshot import Snapshot, Telling
 from wheelsight.live_page.stop_switch import StoppableRobot, StopSwitch, Watchdog
@@ -313,6 +322,9 @@ class Session:
             begin = _begin_of(task, driven)
             if self.switch.release(asked.presses):
                 begin()
+            return None
+        if isinstance(task, ClearObstacles):
+            navigator.clear_obstacles((task.x_m, task.y_m))
             return None
         speed = abs(feedback.forward_m_s) > _STANDING_M_S or abs(feedback.turn_rad_s) > _STANDING_RAD_S
         if speed or not navigator.is_task_complete():

@@ -143,6 +143,7 @@ def _task(feedback: Feedback) -> dict[str, Any]:
         "status": STATUS_WORDS[feedback.status],
         "monitor": monitor_words(feedback),
         "held": "" if feedback.monitor is None or feedback.monitor.reason is None else monitor_words(feedback),
+        "stays": None if feedback.stays_at is None else [round(float(at), 2) for at in feedback.stays_at],
         "speed_m_s": round(feedback.forward_m_s, 2),
         "turn_rad_s": round(feedback.turn_rad_s, 2),
         "to_go_m": None if feedback.to_go_m is None else round(feedback.to_go_m, 1),

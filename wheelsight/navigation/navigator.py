@@ -32,6 +32,7 @@ from wheelsight.navigation.navigator_values import (
     NavigationResult,
     NavigationState,
     Transition,
+    stays_words,
 )
 from wheelsight.navigation.people import discs_of
 from wheelsight.navigation.plan_values import Plan, PlanFailure
@@ -255,7 +256,7 @@ class Navigator(OneCaller):
             doing="" if task is None else task.doing,
             goals_left=0 if task is None else task.goals.left,
             robot_stop=self._robot.stop_reason,
-            stays="" if self.is_task_complete() else self._senses.why_it_stays(),
+            stays_at=None if self.is_task_complete() else self._senses.what_stays(),
         )
 
     def _decide(self, now_s: float) -> VelocityCommand:
@@ -323,7 +324,7 @@ class Navigator(OneCaller):
     def _without_plan(self, task: Task, failure: PlanFailure) -> VelocityCommand:
         """There may be one when somebody has gone, or more is seen; of a goal that may be left out there is another."""
         why = f"{failure.reason}: {failure.detail}"
-        if not failure.reason.is_for_good and (stays := self._senses.why_it_stays()):
+        if not failure.reason.is_for_good and (stays := stays_words(self._senses.what_stays())):
             why = f"{why}; {stays}"
         task.why_first = task.why_first or why
         if failure.reason.is_of_goal and task.goals.left > 1 and task.skips < _SKIPS and task.goals.missed():
@@ -389,7 +390,7 @@ class Navigator(OneCaller):
         is_held = result.reason is not None or self._chain.checked.state is MonitorState.STOPPED
         if task.held_for_s(now_s, is_held) > self.settings.navigator.held_s:
             stopped_by = self._chain.stopped_by(now_s - self.settings.navigator.held_s - self.settings.follow.stuck_s)
-            stays = self._senses.why_it_stays()
+            stays = stays_words(self._senses.what_stays())
             why = f"{stopped_by or result.reason}{f'; {stays}' if stays else ''}"
             return self._get_out(task, why, stopped_by)
         if task.loiters_s > self.settings.navigator.loiter_s:

@@ -56,6 +56,13 @@ class Transition:
         return f"{self.before} → {self.after}: {self.why}"
 
 
+def stays_words(at: FloatArray | None) -> str:
+    """Of a thing at (2,) that is not seen through; empty for None."""
+    if at is None:
+        return ""
+    return f"what stood at ({at[0]:.2f}, {at[1]:.2f}) m is not seen through: no depth behind it"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Feedback:
     """How a task goes on, after a step.
@@ -74,8 +81,8 @@ class Feedback:
         doing: in words, what it does now.
         goals_left: how many goals are left, this one included.
         robot_stop: why the robot stopped by itself, in words; empty where it obeys.
-        stays: of a thing that has maybe gone, why it still counts, in words: no depth behind it. Empty without any. A
-            person who sees that nothing is there can say so by `Navigator.clear_obstacles`.
+        stays_at: (2,) in the map of a thing that has maybe gone, but is not seen through: no depth is behind it. None
+            without any. A person who sees that nothing is there can say so by `Navigator.clear_obstacles`.
     """
 
     stamp_s: float
@@ -92,7 +99,12 @@ class Feedback:
     doing: str
     goals_left: int
     robot_stop: str = ""
-    stays: str = ""
+    stays_at: FloatArray | None = None
+
+    @property
+    def stays(self) -> str:
+        """The same in words; empty without any."""
+        return stays_words(self.stays_at)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -242,14 +242,11 @@ class Senses:
         self._monitor.forget_near(se2.apply(se2.invert(se2.from_parts(*pose)), at_odom)[0], radius_m)
         self._local.clear()
 
-    def why_it_stays(self) -> str:
-        """Of a thing that the camera looks at, no longer shows and does not see through, in words; empty without any.
-
-        Of several the nearest is named.
-        """
+    def what_stays(self) -> FloatArray | None:
+        """(2,) in the map of the nearest thing that the camera looks at, no longer shows and does not see through."""
         pose = self.where.odom_pose
         if pose is None:
-            return ""
+            return None
         stamp_s = self._live.obstacles().stamp_s
         if self._stays[0] != stamp_s:
             near_m = self._viewer.near_m - self.eye.x
@@ -258,10 +255,9 @@ class Senses:
             self._stays = stamp_s, places
         places = self._stays[1]
         if not len(places):
-            return ""
+            return None
         nearest = places[int(np.argmin(np.hypot(*(places - pose[:2]).T)))]
-        x, y = se2.apply(se2.from_parts(*self.where.T_map_odom), nearest[None])[0].tolist()
-        return f"what stood at ({x:.2f}, {y:.2f}) m is not seen through: no depth behind it"
+        return np.asarray(se2.apply(se2.from_parts(*self.where.T_map_odom), nearest[None])[0])
 
     def floor_now(self) -> FloorNow:
         """All the building, as it is known now, without who walks past."""

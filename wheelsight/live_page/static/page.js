@@ -126,6 +126,7 @@ function show() {
   at("take").disabled = lost !== "";
   showFacts(robot);
   showLists(robot, isFree);
+  at("clear").hidden = !robot.stays || !isFree;
   for (const id of ["explore", "save"]) at(id).disabled = !isFree || !robot.is_new;
   at("name-form").querySelector("button").disabled = !isFree || robot.phase !== "driving";
   draw();
@@ -423,6 +424,10 @@ at("stop").onclick = stop;
 document.addEventListener("keydown", (event) => { if (event.key === "Escape") stop(); }, true);
 at("take").onclick = () => send({ type: last && last.driver === me ? "leave" : "take" });
 at("explore").onclick = () => ask("Look at all rooms? The robot drives by itself until it has seen all it can reach.", { type: "explore" });
+at("clear").onclick = () => {
+  const [x, y] = (last && last.robot.stays) || [];
+  if (x !== undefined) ask(`Is nothing at (${x}, ${y}) m? The camera sees no depth behind what stood there.`, { type: "clear", x_m: x, y_m: y });
+};
 at("save").onclick = () => send({ type: "save" });
 at("ask-no").onclick = () => at("ask").close();
 at("nearer").onclick = () => { zoom = Math.min(8, zoom * 1.6); draw(); };
