@@ -98,6 +98,47 @@ class Messages:
         felt = (vector(*map(float, rate)), nothing, vector(*map(float, acceleration)), nothing)
         return self.types["sensor_msgs/msg/Imu"](self.header(seconds, frame), turn, nothing, *felt)
 
+    def counts(self, bits: int, *numbers: int) -> Any:
+        """An Int16 or Int32 of one number, or an array of several."""
+        if len(numbers) == 1:
+            return self.types[f"std_msgs/msg/Int{bits}"](numbers[0])
+        layout = self.types["std_msgs/msg/MultiArrayLayout"]([], 0)
+        return self.types[f"std_msgs/msg/Int{bits}MultiArray"](layout, np.array(numbers, f"int{bits}"))
+
+    def twist(self, seconds: float, v: float, w: float, across: float = 0.0) -> Any:
+        """A TwistStamped."""
+        vector = self.types["geometry_msgs/msg/Vector3"]
+        twist = self.types["geometry_msgs/msg/Twist"](vector(v, across, 0.0), vector(0.0, 0.0, w))
+        return self.types["geometry_msgs/msg/TwistStamped"](self.header(seconds, "base_link"), twist)
+
+    def defined(self, seconds: float, type_: str, fields: str, *values: Any) -> Any:
+        """A message of a robot's own, of a header and such fields as "int32 left", one a line."""
+        if type_ not in self.types:
+            self.store.register(get_types_from_msg(f"std_msgs/Header header\n{fields}", type_))
+        return self.types[type_](self.header(seconds, "base_link"), *values)
+
+    def posed(self, seconds: float, type_: str, pose: Sequence[float], child: str = "") -> Any:
+        """A PoseStamped, PoseWithCovarianceStamped, TransformStamped or Odometry of x, y, yaw."""
+        if type_ == "Odometry":
+            return self.odometry(seconds, pose, (0.0, 0.0), child)
+        types, (x, y, yaw) = self.types, pose
+        turn = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2)))
+        header = self.header(seconds, "world")
+        if type_ == "TransformStamped":
+            moved = types["geometry_msgs/msg/Vector3"](float(x), float(y), 0.0)
+            motion = types["geometry_msgs/msg/Transform"](moved, turn)
+            return types["geometry_msgs/msg/TransformStamped"](header, child, motion)
+        whole = types["geometry_msgs/msg/Pose"](types["geometry_msgs/msg/Point"](float(x), float(y), 0.0), turn)
+        if type_ == "PoseWithCovarianceStamped":
+            whole = types["geometry_msgs/msg/PoseWithCovariance"](whole, np.zeros(36))
+        return types[f"geometry_msgs/msg/{type_}"](header, whole)
+
+    def moving_tf(self, seconds: float, parent: str, child: str, pose: Sequence[float]) -> Any:
+        """A TFMessage of x, y, yaw at a time."""
+        stamped = self.posed(seconds, "TransformStamped", pose, child)
+        stamped.header.frame_id = parent
+        return self.types["tf2_msgs/msg/TFMessage"]([stamped])
+
     def tf(self, *transforms: tuple[str, str, Sequence[float], Sequence[float]]) -> Any:
         """A TFMessage of parent, child, translation and quaternion x, y, z, w."""
         vector, types = self.types["geometry_msgs/msg/Vector3"], self.types

@@ -13,7 +13,7 @@ import numpy as np
 
 from wheelsight.calibration import Calibration, load_calibration, parse_calibration
 from wheelsight.errors import CalibrationError, RecordingError, WheelsightError
-from wheelsight.geometry import FloatArray
+from wheelsight.geometry import FloatArray, se3
 from wheelsight.inputs import is_there
 from wheelsight.matches import SpeedVariances
 from wheelsight.recordings._cameras import load_camera
@@ -23,11 +23,13 @@ from wheelsight.recordings.protocol import Layout, OpenOptions, RecordedTopic
 from wheelsight.recordings.rosbag.files import parts_of
 from wheelsight.recordings.rosbag.gravity import up_of_gyro
 from wheelsight.recordings.rosbag.recording import BagPlan, BagRecording
-from wheelsight.recordings.rosbag.robot import Robot, lacks_sizes, read_robot
+from wheelsight.recordings.rosbag.robot import Robot, camera_frame, lacks_sizes, read_robot
 from wheelsight.recordings.rosbag.stamps import TopicClock, clocks_of
-from wheelsight.recordings.rosbag.storage import Message, OpenBag, open_bag
+from wheelsight.recordings.rosbag.storage import Message, OpenBag, TransformTopic, open_bag
 from wheelsight.recordings.rosbag.topics import CALIBRATION, TEXT, Choices, Roles, lacks, roles_of
+from wheelsight.recordings.rosbag.transforms import motion_of
 from wheelsight.recordings.rosbag.wheels import JointSpeeds, JointTicks, SpeedReader, told_by_twist
+from wheelsight.trajectory import Trajectory
 
 _FIRST_MESSAGES = 5
 # Of each topic, to compare its headers with others': a second or two, in so much memory and time at most.
@@ -74,6 +76,7 @@ def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
     up, of_gravity = up_of_gyro(bag, roles, robot, settings)
     calibration = _calibrated(bag, roles, robot, options)
     wheels, of_wheels, variances = _wheels(bag, roles, calibration)
+    truth, of_truth = _truth(bag, roles, robot, clocks, calibration)
     plan = BagPlan(roles, clocks, wheels, up, options)
     ends = _ends(bag, roles, clocks, lasts)
     used_as = {name: " and ".join(r for r, n in roles.used.items() if n == name) for name in roles.used.values()}
@@ -90,9 +93,11 @@ def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
             *robot.warnings,
             *of_gravity,
             *of_wheels,
+            *of_truth,
             *stamp_warnings(_outer(ends)),
         ),
         variances,
+        truth,
     )
     if roles.color is not None and roles.depth is not None:
         begins_ns = max(bag.first(image.name)[0].receipt_ns for image in (roles.color, roles.depth))
@@ -171,6 +176,52 @@ def _wheels(
     how = "speeds, since its poses stay at zero" if by_twist else source.tells
     told = [f"{topic}: wheels are known by {how}; it is the robot's own estimate, no truth."]
     return source.reader(nominal, nominal, by_twist), told, _variances(bag, topic, sampled[0])
+
+
+def _truth(
+    bag: OpenBag, roles: Roles, robot: Robot, clocks: Mapping[str, TopicClock], calibration: Calibration
+) -> tuple[Trajectory | None, list[str]]:
+    """The true poses of the topic that a user named, and sentences on them. Raises RecordingError where it has none."""
+    name = roles.truth
+    if name is None:
+        return None, []
+    part = next((one for one in roles.transforms if one.name == name), None)
+    clock, settled, unusable = clocks[name].restarted(), list[tuple[float, Message]](), 0
+    for message in bag.messages([name]):
+        try:
+            settled += clock.add(bag.header(message).stamp_s, message)
+        except RecordingError:  # one damaged message
+            unusable += 1
+    stamps_s, poses, child = list[float](), list[FloatArray](), ""
+    for stamp_s, message in sorted([*settled, *clock.end()], key=lambda item: item[0]):
+        found, child = _pose_of(bag.decode(message), part)
+        if found is None or (stamps_s and stamp_s <= stamps_s[-1]):
+            unusable += 1
+            continue
+        stamps_s.append(stamp_s)
+        poses.append(found)
+    if not poses:
+        raise RecordingError(f"{name} holds no pose", path=bag.path, fix="choose another --topic truth=…")
+    warnings = [f"{name}: {unusable:,} messages hold no pose, or came twice, and were left out."] if unusable else []
+    body, frame = "base", robot.base
+    if roles.color is not None and calibration.T_base_camera is None:
+        body, frame = "camera", camera_frame(roles)
+    T_child_body = robot.transforms.between(child, frame) if child and frame else None
+    if T_child_body is None and child != frame:
+        of = f"of {child!r}, which tf does not join with it" if child else "without a name of what they are of"
+        warnings.append(f"{name}: its poses, {of}, are taken for those of the {body}.")
+    T = np.stack(poses) if T_child_body is None else se3.compose(np.stack(poses), T_child_body)
+    return Trajectory(np.array(stamps_s), T, body=body), warnings
+
+
+def _pose_of(message: Any, part: TransformTopic | None) -> tuple[FloatArray | None, str]:
+    """A pose (4, 4), None where its numbers are none, and the frame that it is of, empty where that is not said."""
+    stamped: Any = message if part is None else part.found_in(message)
+    child = str(getattr(stamped, "child_frame_id", "")).lstrip("/")
+    if hasattr(stamped, "transform"):
+        return motion_of(stamped.transform.translation, stamped.transform.rotation), child
+    pose = getattr(stamped.pose, "pose", stamped.pose)
+    return motion_of(pose.position, pose.orientation), child
 
 
 def _ticks_per_turn(bag: OpenBag, roles: Roles, calibration: Calibration) -> float | None:

@@ -30,6 +30,7 @@ from wheelsight.recordings.rosbag.wheels import CountsApart, SpeedReader
 from wheelsight.trajectory import Trajectory
 
 _FRAMES_READ_AHEAD = 4
+_WHEELS = ("wheels", "right wheel")
 # A few images are lost by any driver.
 _MOST_LOST = 0.02
 # At a walk the view has moved on by centimetres: colour and depth that are further apart are no frame.
@@ -59,7 +60,7 @@ class BagPlan:
         """Names of the topics to be read."""
         roles = self.roles
         cameras = [topic.name for topic in (roles.color, roles.depth) if topic is not None and images]
-        others = [roles.used.get(role) for role in ("wheels", "right wheel", "gyro")]
+        others = [roles.used.get(role) for role in (*_WHEELS, "gyro")]
         return [*cameras, *(name for name in others if name is not None)]
 
 
@@ -86,6 +87,7 @@ class _Pass:
         self.pairing = Pairing(self.plan.options.max_gap_s)
         self.events = EventQueue()
         self.speeds = None if self.plan.speed_reader is None else self.plan.speed_reader()
+        self._wheel_topics = [self.plan.roles.used[role] for role in _WHEELS if role in self.plan.roles.used]
         self._wheels_s: float | None = None
 
     def items(self, images: bool, stop_ns: int | None = None) -> Iterator[Event | RawFrame]:
@@ -128,10 +130,9 @@ class _Pass:
     def _reached_s(self, now_s: float) -> float:
         """Before which nothing more comes: an increment is stamped by the reading before, a frame by its colour."""
         reached_s = min(now_s, self.pairing.oldest_color_s)
-        wheels = self.plan.roles.wheels
-        if wheels is None or self._wheels_s is None:
+        if self._wheels_s is None:
             return reached_s
-        if self.messages.is_over(wheels.name):
+        if all(self.messages.is_over(topic) for topic in self._wheel_topics):
             self._put(self._last_speeds(), iter(()))
             return reached_s
         return min(reached_s, max(self._wheels_s, now_s - self.plan.options.bag.slowest_wheels_s))
@@ -150,7 +151,7 @@ class _Pass:
             if image is not None and topic == image.name:
                 self.pairing.add(kind, stamp_s, message)
                 return None
-        if roles.wheels is not None and topic == roles.wheels.name:
+        if topic in self._wheel_topics:
             self._wheels_s = stamp_s
         try:
             return self._reading(topic, stamp_s, self.bag.decode(message))
@@ -191,8 +192,10 @@ class BagRecording:
         ends: Mapping[str, FloatArray],
         warnings: Sequence[str],
         speed_variances: SpeedVariances | None = None,
+        ground_truth: Trajectory | None = None,
     ) -> None:
         self.path, self.calibration, self.topics = path, calibration, topics
+        self._ground_truth = ground_truth
         self.speed_variances = speed_variances
         self._plan, self._ends, self._opened = plan, dict(ends), tuple(warnings)
         self._counts = {topic.used_as: topic.count for topic in topics if topic.used_as}
@@ -212,8 +215,8 @@ class BagRecording:
 
     @property
     def ground_truth(self) -> Trajectory | None:
-        """None: no topic is known to be true."""
-        return None
+        """Of the topic that was named by `truth=`; else None: no topic is known to be true."""
+        return self._ground_truth
 
     @property
     def matches(self) -> tuple[Match, ...]:

@@ -56,7 +56,7 @@ def read_robot(bag: OpenBag, roles: Roles, settings: BagSettings) -> Robot:
             cameras = _cameras(bag, roles, roles.color, roles.depth, transforms, settings, warnings)
         except CalibrationError as error:
             lacks = CalibrationError(error.problem, path=bag.path, fix=error.fix)
-    T_base_camera = None if roles.depth is None else _mount(base, _camera_frame(roles), transforms, warnings)
+    T_base_camera = None if roles.depth is None else _mount(base, camera_frame(roles), transforms, warnings)
     wheels = None if roles.wheels is None or roles.needs_sizes else shipped_robot("velocities")
     mount = None if T_base_camera is None else Calibration(T_base_camera=T_base_camera, source="tf")
     known = [part for part in (cameras, wheels, mount) if part is not None]
@@ -98,12 +98,12 @@ def _base(bag: OpenBag, roles: Roles, transforms: Transforms) -> str | None:
         moved = [roles.source.transform.child]
     if roles.depth is None:
         return next(iter([*moved, _BASES[1]]))
-    camera = _camera_frame(roles)
+    camera = camera_frame(roles)
     names = [_BASES[0], *moved, *_BASES[1:]]
     return next((name for name in names if name and transforms.between(name, camera) is not None), None)
 
 
-def _camera_frame(roles: Roles) -> str:
+def camera_frame(roles: Roles) -> str:
     """The frame in which depth is measured: the colour camera's where depth was registered to it."""
     assert roles.color is not None
     assert roles.depth is not None

@@ -43,7 +43,7 @@ class Transforms:
             return False
         for stamped in transforms:
             parent, child = stamped.header.frame_id.lstrip("/"), stamped.child_frame_id.lstrip("/")
-            T = _motion(stamped.transform)
+            T = motion_of(stamped.transform.translation, stamped.transform.rotation)
             if len(self._T) > _MOST_FRAMES:
                 return False
             if T is None:
@@ -94,9 +94,8 @@ class Transforms:
             self.warnings.append(sentence)
 
 
-def _motion(transform: Any) -> FloatArray | None:
-    """T_parent_child of a Transform, or None where its numbers are none."""
-    t, q = transform.translation, transform.rotation
+def motion_of(t: Any, q: Any) -> FloatArray | None:
+    """T (4, 4) of a translation and a quaternion as messages have them, or None where their numbers are none."""
     if not are_measured((t.x, t.y, t.z, q.x, q.y, q.z, q.w)):
         return None
     quaternion = np.array([q.x, q.y, q.z, q.w])
