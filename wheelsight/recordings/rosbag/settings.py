@@ -10,24 +10,24 @@ class BagSettings(Settings):
 
     order_s: float = setting(
         0.5,
-        "how long an event waits for older ones, by the time of receipt, seconds: drivers send images up to some "
-        "tenths of a second after they were taken; what is later still is left out and counted. Frames wait in memory",
+        "how long a message waits for older ones of its own topic, by the time of receipt, seconds; it waits longer "
+        "until the other topics' stamps have come as far. What is later still is left out and counted",
         CHOSEN,
         gt=0,
         le=10,
     )
     slowest_wheels_s: float = setting(
         5.0,
-        "how much longer events wait where wheels are told of seldom, at most, seconds: an increment is known only "
-        "once the next reading comes",
+        "how long frames wait for the wheels' next reading, at most, by stamps, seconds: an increment is known only once "
+        "the next reading comes",
         CHOSEN,
         ge=0,
         le=60,
     )
     most_apart_s: float = setting(
         10.0,
-        "how far a header's stamp may be from the time of receipt, seconds; beyond, its clock counts from another "
-        "moment, and the time of receipt is taken. No driver holds a message back so long",
+        "how far all headers may be from the time of receipt, seconds; beyond, it is said that a replay was recorded, or "
+        "that receipt is not believed",
         CHOSEN,
         gt=0,
         le=1e6,

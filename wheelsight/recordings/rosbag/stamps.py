@@ -306,7 +306,7 @@ def _of_one_rate(believed: dict[str, _Head], heads: dict[str, _Head]) -> dict[st
 
 
 def _whole_rate(believed: Mapping[str, _Head], lasts: Mapping[str, tuple[float, float]]) -> float:
-    """Seconds of headers a second of receipt over the whole bag, of the slowest topic: one that was set looks faster."""
+    """Seconds of headers a second of receipt over the bag, of the slowest topic: one that was set looks faster."""
     rates = []
     for topic, head in believed.items():
         (first_s, first_receipt_s), (last_s, last_receipt_s) = head.stamps[0].tolist(), lasts[topic]
