@@ -14,6 +14,7 @@ from wheelsight import __version__
 from wheelsight.errors import OutputError
 from wheelsight.evaluation import AbsoluteError, RelativeError
 from wheelsight.pipeline import RunRecord
+from wheelsight.pipeline.kept_map_record import KnownMapRecord
 from wheelsight.report import write_report
 
 ALL_PLOTS = {
@@ -39,6 +40,16 @@ def test_every_figure_has_its_place_and_its_words(tmp_path: Path) -> None:
     assert page.tags["figcaption"] == len(ALL_PLOTS)
     assert page.tags["h1"] == 1
     assert len(page.ids) == len(set(page.ids))
+
+
+def test_whether_a_known_map_was_recognised_stands_first(tmp_path: Path) -> None:
+    known = KnownMapRecord("monday", 0.4, 1.2, -0.3, 0.0, None, 0.02, 0.01, views=5, keyframes=9, keyframes_placed=9)
+    page = _page(example_run(60, known_map=known), tmp_path)
+    assert page.text.index(f"Good: {known.sentence}.") < page.text.index("Care: ")
+    unknown = KnownMapRecord("monday", keyframes=9)
+    page = _page(example_run(60, known_map=unknown), tmp_path)
+    assert page.text.index("Do not rely on it: the place was not recognised") < page.text.index(unknown.sentence)
+    assert page.text.index(f"Bad: {unknown.sentence}. To do: drive slowly past") < page.text.index("Care: ")
 
 
 def test_the_headline_says_what_the_run_was(tmp_path: Path) -> None:
@@ -84,10 +95,10 @@ def test_the_table_holds_the_evaluations_numbers(tmp_path: Path) -> None:
     for name, error in kinds.items():
         assert error is not None
         for part, s in (("translation", error.translation), ("rotation", error.rotation.in_degrees())):
-            unit, *numbers, count = page.rows[f"{name}, {part}"]
-            assert unit == ("m" if part == "translation" else "°")
+            *numbers, count = page.rows[f"{name}, {part}"]
             np.testing.assert_allclose([float(n) for n in numbers], (s.rmse, s.mean, s.median, s.max, s.std), rtol=6e-4)
             assert int(count) == s.count
+    assert page.text.index("RMSE [m]") < page.text.index("ATE, translation") < page.text.index("RMSE [°]")
 
 
 def test_steps_that_do_not_exist_are_said_so(tmp_path: Path) -> None:

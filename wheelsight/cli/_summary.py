@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from rich.console import Group
     from rich.table import Table
 
     from wheelsight.pipeline import RectificationRecord, RunRecord, Verdict
@@ -66,7 +67,7 @@ def _print_verdict(verdict: Verdict) -> None:
         stdout.print(Text(f"        {fact}"))
 
 
-def _corrections(records: Sequence[RunRecord]) -> Iterator[Table | str]:
+def _corrections(records: Sequence[RunRecord]) -> Iterator[Group | str]:
     """What loops made of each trajectory."""
     from wheelsight.cli.evaluate import evaluation_table
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from rich.console import Group
 
     from wheelsight.evaluation import Evaluation, Statistics
     from wheelsight.trajectory import Trajectory
@@ -94,9 +94,10 @@ def _truth_for(estimated: Trajectory, ground_truth: Path, body: str) -> Trajecto
     return other
 
 
-def evaluation_table(evaluation: Evaluation) -> Table:
-    """Errors in rows, their statistics in columns; coverage and scale below."""
+def evaluation_table(evaluation: Evaluation) -> Group:
+    """Errors of positions, and of rotations: a row each, statistics in columns; coverage and scale below."""
     from rich.box import SIMPLE_HEAD
+    from rich.console import Group
     from rich.table import Table
 
     from wheelsight.cli._console import percent
@@ -105,14 +106,16 @@ def evaluation_table(evaluation: Evaluation) -> Table:
     pairs = f"T_{aligned.frame}_{aligned.body}: {evaluation.pairs} pairs of poses"
     covered = f"{pairs}; {percent(evaluation.truth_time_covered)} of the truth's time covered"
     scaled = "" if evaluation.scale is None else f"; estimate scaled by {evaluation.scale:.4f}"
-    table = Table(box=SIMPLE_HEAD, caption=covered + scaled, caption_justify="left", caption_style="")
-    table.add_column("")
-    for name in ("RMSE", "mean", "median", "max"):
-        table.add_column(name, justify="right")
+    tables = {unit: Table(box=SIMPLE_HEAD, caption_justify="left", caption_style="") for unit in ("m", "°")}
+    for unit, table in tables.items():
+        table.add_column("", min_width=len("RPE a second, position"))
+        for name in ("RMSE", "mean", "median", "max"):
+            table.add_column(f"{name} [{unit}]", justify="right", min_width=len("median [m]"))
     for name, unit, errors in _rows(evaluation):
         values = () if errors is None else (errors.rmse, errors.mean, errors.median, errors.max)
-        table.add_row(name, *[f"{value:.4f} {unit}" for value in values] or ["too short"])
-    return table
+        tables[unit].add_row(name, *[f"{value:.4f}" for value in values] or ["too short"])
+    tables["°"].caption = covered + scaled
+    return Group(*tables.values())
 
 
 def _rows(evaluation: Evaluation) -> Iterator[tuple[str, str, Statistics | None]]:

@@ -439,7 +439,11 @@ def _in_map(found: KnownMapRecord) -> Finding:
     elif found.keyframes_placed < found.keyframes:
         short, tone = "not all of the drive lies in the map", Tone.AMBER
     unplaced = found.keyframes - found.keyframes_placed
-    more = f"; where {unplaced:,} of {found.keyframes:,} keyframes lie in it is not known" if unplaced else ""
+    more = (
+        f"; where {unplaced:,} of {found.keyframes:,} keyframes lie in it is not known"
+        if unplaced and found.is_recognised
+        else ""
+    )
     return Finding("map", tone, short, f"{found.sentence}{more}.", "" if tone is Tone.GREEN else _IN_MAP)
 
 

@@ -73,19 +73,24 @@ def error_table(record: RunRecord) -> str:
         "RPE a second": evaluation.rpe_per_second,
         "RPE a metre": evaluation.rpe_per_metre,
     }
-    rows = []
+    ways: list[list[str]] = []
+    turns: list[list[str]] = []
     for name, error in kinds.items():
         if error is None:
-            rows.append([name, "", *["no step that long"], *[""] * 5])
+            ways.append([name, "no step that long", *[""] * 5])
             continue
-        rows.append([f"{name}, translation", "m", *_cells(error.translation)])
-        rows.append([f"{name}, rotation", "°", *_cells(error.rotation.in_degrees())])
-    head = ["Error", "Unit", "RMSE", "Mean", "Median", "Maximum", "Std", "Count"]
-    caption = (
-        "The same errors as numbers; the count is of poses or steps compared. Only positions are aligned: where the "
-        "path is short, that alignment's rotation is loose, and ATE, rotation tells more of it than of the estimate."
+        ways.append([f"{name}, translation", *_cells(error.translation)])
+        turns.append([f"{name}, rotation", *_cells(error.rotation.in_degrees())])
+    caption = "The same errors as numbers; the count is of poses or steps compared."
+    loose = (
+        "Their rotations. Only positions are aligned: where the path is short, that alignment's rotation is loose, and "
+        "ATE, rotation shows it rather than the estimate's error."
     )
-    return html.table(caption, head, rows)
+    return html.table(caption, _head("m"), ways) + "\n" + html.table(loose, _head("°"), turns)
+
+
+def _head(unit: str) -> list[str]:
+    return ["Error", *(f"{name} [{unit}]" for name in ("RMSE", "Mean", "Median", "Maximum", "Std")), "Count"]
 
 
 def _cells(s: Statistics) -> list[str]:
