@@ -24,6 +24,8 @@ from wheelsight.events import RgbdFrame, WheelSpeeds, YawRate
 from wheelsight.recordings.inspection import inspect_recording
 
 ODOM, IMU = "/odom", "/imu"
+# 5 Hz is here for its depth received 0.1 s late, 15 for a pause's sake; their images take longest to write.
+FAST = [pytest.param(camera_hz, marks=pytest.mark.slow) for camera_hz in (5.0, 15.0)]
 Received = Callable[[float, str], float]
 
 
@@ -32,13 +34,13 @@ def on_time(taken_s: float, topic: str) -> float:
 
 
 def timed_drive(
-    camera_hz: float = 5.0,
+    camera_hz: float = 2.0,
     seconds: float = 8.0,
     received: Received = on_time,
     headers: Received = lambda taken_s, topic: taken_s,
     **others: Any,
 ) -> Drive:
-    """Camera, odometry at 25 Hz and an IMU at 50 Hz, and when each was received and what its header says.
+    """Camera, odometry at 25 Hz and an IMU at 10 Hz, and when each was received and what its header says.
 
     `others`: `pause`, (begin, end) of a time without images; `without`, topics.
     """
@@ -57,7 +59,7 @@ def timed_drive(
             add(at_s, DEPTH, lambda s, n=number: make.image(s, OPTICAL, "16UC1", depth_mm(n)))
     for at_s in np.arange(0, seconds, 0.04).tolist():
         add(at_s, ODOM, lambda s, at_s=at_s: make.odometry(s, circle(at_s), (0.5, 0.3)))
-    for at_s in np.arange(0, seconds, 0.02).tolist():
+    for at_s in np.arange(0, seconds, 0.1).tolist():
         add(at_s, IMU, lambda s: make.imu(s, "base_link", (0, 0, 0.3), (0, 0, 9.81)))
     for taken_s, topic, message in sorted(taken, key=lambda item: on_time(item[0], item[1])):
         drive.add(received(taken_s, topic), topic, message)
@@ -69,12 +71,12 @@ def stamps_of(recording, kind: type) -> np.ndarray:
     return np.array([event.stamp_s for event in recording.events() if isinstance(event, kind)]) - START_S
 
 
-def expected(kind: type, seconds: float = 8.0, camera_hz: float = 5.0) -> np.ndarray:
-    first_s, step_s = {RgbdFrame: (0.1, 1 / camera_hz), WheelSpeeds: (0, 0.04), YawRate: (0, 0.02)}[kind]
+def expected(kind: type, seconds: float = 8.0, camera_hz: float = 2.0) -> np.ndarray:
+    first_s, step_s = {RgbdFrame: (0.1, 1 / camera_hz), WheelSpeeds: (0, 0.04), YawRate: (0, 0.1)}[kind]
     return np.arange(first_s, seconds, step_s)
 
 
-def check_all(recording, seconds: float = 8.0, camera_hz: float = 5.0, atol: float = 2e-6) -> None:
+def check_all(recording, seconds: float = 8.0, camera_hz: float = 2.0, atol: float = 2e-6) -> None:
     for kind in (RgbdFrame, WheelSpeeds, YawRate):
         np.testing.assert_allclose(stamps_of(recording, kind), expected(kind, seconds, camera_hz), atol=atol)
 
@@ -85,7 +87,7 @@ def about_time(recording) -> list[str]:
     return [warning for warning in recording.warnings if any(word in warning for word in words)]
 
 
-@pytest.mark.parametrize("camera_hz", [1.0, 2.0, 3.0, 5.0, 15.0])
+@pytest.mark.parametrize("camera_hz", [1.0, 2.0, 3.0, *FAST])
 @pytest.mark.parametrize("depth_late_s", [-0.1, -0.03, 0.03, 0.1])
 def test_slow_cameras_lose_no_pair_however_late_depth_is_received(
     opened, camera_hz: float, depth_late_s: float
@@ -158,7 +160,7 @@ RECEIPTS: dict[str, Received] = {
 }
 
 
-@pytest.mark.parametrize("camera_hz", [2.0, 10.0])
+@pytest.mark.parametrize("camera_hz", [2.0, *FAST])
 @pytest.mark.parametrize("received", RECEIPTS.values(), ids=RECEIPTS.keys())
 def test_with_clean_headers_receipt_does_not_matter(opened, received: Received, camera_hz: float) -> None:
     recording = opened(timed_drive(camera_hz, received=received))
@@ -167,7 +169,7 @@ def test_with_clean_headers_receipt_does_not_matter(opened, received: Received, 
 
 
 @pytest.mark.parametrize("apart_s", [-30, -3, -1, 1, 3, 30])
-@pytest.mark.parametrize("camera_hz", [2.0, 10.0])
+@pytest.mark.parametrize("camera_hz", [2.0, *FAST])
 def test_a_cameras_clock_that_is_apart_is_taken_out_and_named(opened, apart_s: int, camera_hz: float) -> None:
     recording = opened(timed_drive(camera_hz, headers=lambda s, t: s + (apart_s if t in (COLOR, DEPTH) else 0)))
     # To within what an image takes to be received.
@@ -186,7 +188,7 @@ def test_wheels_that_are_apart_from_camera_and_gyroscope_follow_these(opened) ->
     assert any(warning.startswith(f"{ODOM}: headers are 2.0") for warning in recording.warnings)
 
 
-@pytest.mark.parametrize("by_s", [-20.0, -3.0, -1.0, 1.0, 3.0, 60.0])
+@pytest.mark.parametrize("by_s", [-20.0, -3.0, -1.0, -0.7, 0.8, 1.0, 3.0, 60.0])
 @pytest.mark.parametrize(
     "topics", [(COLOR, DEPTH), (ODOM,), (COLOR, DEPTH, ODOM, IMU)], ids=["camera", "wheels", "all"]
 )

@@ -18,16 +18,16 @@ class BagSettings(Settings):
     )
     slowest_wheels_s: float = setting(
         5.0,
-        "how long frames wait for the wheels' next reading, at most, by stamps, seconds: an increment is known only once "
-        "the next reading comes",
+        "how long frames wait for the wheels' next reading, at most, by stamps, seconds: an increment is known only "
+        "once the next reading comes",
         CHOSEN,
         ge=0,
         le=60,
     )
     most_apart_s: float = setting(
         10.0,
-        "how far all headers may be from the time of receipt, seconds; beyond, it is said that a replay was recorded, or "
-        "that receipt is not believed",
+        "how far all headers may be from the time of receipt, seconds; beyond, it is said that a replay was recorded, "
+        "or that receipt is not believed",
         CHOSEN,
         gt=0,
         le=1e6,

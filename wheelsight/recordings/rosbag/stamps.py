@@ -146,7 +146,15 @@ class TopicClock:
         """Whether a header follows the last one that was good."""
         before, period_s = self._recent[-1], self._period_s()
         near = 0 < header_s - before[0] <= max(_LARGEST_STEP * period_s, _SMALLEST_STEP_S)
-        return near or _follows(before, (header_s, receipt_s), period_s, self._rate())
+        if not near and not _follows(before, (header_s, receipt_s), period_s, self._rate()):
+            return False
+        if not self._pending:
+            return True
+        # A clock that was set back by little soon passes its last good header: receipt then is as far off as before.
+        off_s = self._expected(receipt_s) - header_s
+        others_s = [self._expected(message.receipt_s) - other_s for other_s, message in self._pending]
+        alike_s = max(_SMALLEST_STEP_S, 0.25 * abs(off_s))
+        return abs(off_s) <= _AGREES_S or not any(abs(off_s - other_s) <= alike_s for other_s in others_s)
 
     def _stamped(self, header_s: float, message: Message) -> Settled:
         stamp_s = header_s + self.shift_s
