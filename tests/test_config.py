@@ -153,9 +153,9 @@ def test_places_join_the_wheels_as_a_track_of_their_own() -> None:
     config = load_config(overrides={**WITH_PLACES, "odometry": "wheels,features"})
     assert config.tracks == ("wheels", "features", "rectified", "joined")
     assert config.alone("wheels") == load_config(overrides={"odometry": "wheels"})
-    assert config.alone("features") == Config()
+    assert config.alone("features") == Config(odometry=("features",))
     assert config.alone("rectified") == load_config(overrides=WITH_PLACES)
-    assert Config().tracks == ("features",)
+    assert Config(odometry=("features",)).tracks == ("features",)
 
 
 def test_wheels_and_a_camera_are_joined_unless_one_says_otherwise() -> None:

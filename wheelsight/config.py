@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
@@ -188,34 +188,49 @@ def _is_given(given: Mapping[str, Any], section: str, name: str) -> bool:
     return below is not None and (not isinstance(below, dict) or below.get(name) is not None)
 
 
+# In files and options: all sensors that there are, joined. In a Config it is an empty tuple.
+AUTOMATIC = "auto"
+
+
 def _split(names: Any) -> Any:
-    """Names as a user writes them, "wheels,features", one by one."""
+    """Names as a user writes them, "wheels,features", one by one; none of "auto"."""
+    if names == AUTOMATIC:
+        return ()
+    if isinstance(names, tuple | list) and not names:
+        raise ValueError(f"names none (known: {', '.join(get_args(OdometryName))}, {AUTOMATIC})")
     return tuple(name.strip() for name in names.split(",")) if isinstance(names, str) else names
 
 
 def _each_once(names: tuple[OdometryName, ...]) -> tuple[OdometryName, ...]:
     known = ", ".join(get_args(OdometryName))
-    if not names:
-        raise ValueError(f"names none (known: {known})")
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"names {name} twice (known: {known})")
     return names
 
 
+def _can_join(names: Sequence[str]) -> bool:
+    """Whether these are wheels and one odometry by a camera."""
+    return len(names) == 2 and "wheels" in names
+
+
 def _joined(names: tuple[OdometryName, ...]) -> str | list[str]:
-    return names[0] if len(names) == 1 else list(names)
+    return (names[0] if len(names) == 1 else list(names)) if names else AUTOMATIC
 
 
 class Config(Settings):
-    """Every setting of a run; the defaults are what `wheelsight run` uses when nothing is said."""
+    """Every setting of a run; the defaults are what `wheelsight run` and `Localizer` use.
+
+    Without names, `odometry` is an empty tuple, in files `auto`: all sensors that there are, joined. `Localizer`, `run`
+    and the command line resolve it by one rule, `localizer.choose_odometry`; `with_odometry` names what it chose.
+    """
 
     profile: Literal["pi"] | None = setting(
         None, "settings for one kind of computer, which take the place of defaults: docs/small-computers.md", ASKED
     )
     odometry: Annotated[
         tuple[OdometryName, ...], BeforeValidator(_split), AfterValidator(_each_once), PlainSerializer(_joined)
-    ] = setting(("features",), "one name or several, in the order in which they are reported", ASKED)
+    ] = setting((), "one name or several, in the order of the report; auto: all sensors that there are, joined", ASKED)
     recording: RecordingSettings = RecordingSettings()
     features: FeatureSettings = FeatureSettings()
     dense: DenseSettings = DenseSettings()
@@ -253,24 +268,25 @@ class Config(Settings):
         fusion = given.get("fusion") or {}
         if not isinstance(fusion, dict) or fusion.get("filter") is not None:
             return given
-        names = _split(given.get("odometry", ()))
-        joins = isinstance(names, tuple | list) and len(names) == 2 and "wheels" in names
+        names = given.get("odometry", AUTOMATIC)
+        names = [name.strip() for name in names.split(",")] if isinstance(names, str) else names
+        joins = names == [AUTOMATIC] or (isinstance(names, tuple | list) and _can_join(names))
         return {**given, "fusion": {**fusion, "filter": "default" if joins else "none"}}
 
     @model_validator(mode="after")
     def _refuse_conflicts(self) -> Self:
-        places, joined_by = self.places, self.fusion.filter
+        places, joined_by, is_named = self.places, self.fusion.filter, bool(self.odometry)
         self._check_known_map()
-        if joined_by != "none" and (len(self.odometry) != 2 or "wheels" not in self.odometry):
+        if is_named and joined_by != "none" and not _can_join(self.odometry):
             problem = "joins wheels with one camera odometry, not " + " and ".join(self.odometry)
             raise conflict("fusion.filter", problem, "--odometry wheels,dense or wheels,features")
-        if self.map is not None and "dense" not in self.odometry:
+        if is_named and self.map is not None and "dense" not in self.odometry:
             raise conflict("map", "is built by dense odometry", "add --odometry dense")
         if places.model is None:
             given = [name for name, value in places if value is not None]
             if given:
                 raise conflict(f"places.{given[0]}", "is given without a model of places", "add --places MODEL")
-        elif "wheels" not in self.odometry:
+        elif is_named and "wheels" not in self.odometry:
             raise conflict("places.model", "rectifies wheels, and there are none", "add --odometry wheels")
         elif joined_by == "ligocki":
             raise conflict("places.model", "is a measurement of the default filter alone", "no --fusion ligocki")
@@ -287,7 +303,7 @@ class Config(Settings):
                 if getattr(known, name):
                     raise conflict(f"known_map.{name}", "is given without a map", "add --map-from DIR")
             return
-        if len([name for name in self.odometry if name != "wheels"]) != 1:
+        if self.odometry and len([name for name in self.odometry if name != "wheels"]) != 1:
             raise conflict("known_map.path", "is for one odometry by a camera", "--odometry dense, or wheels,dense")
         if self.fusion.filter == "ligocki":
             raise conflict("known_map.path", "is for the default filter", "no --fusion ligocki")
@@ -296,9 +312,30 @@ class Config(Settings):
 
     @property
     def tracks(self) -> tuple[TrackName, ...]:
-        """What a run follows and reports: every odometry alone, wheels that places rectify, and what joins them all."""
+        """What a run follows and reports: every named odometry alone, wheels that places rectify, and the joined ones.
+
+        Empty until the odometry is named.
+        """
+        if not self.odometry:
+            return ()
         rectified: tuple[TrackName, ...] = () if self.places.model is None else ("rectified",)
         return (*self.odometry, *rectified, *(() if self.fusion.filter == "none" else ("joined",)))
+
+    def with_odometry(self, names: tuple[OdometryName, ...]) -> Config:
+        """The same settings with these odometries, which an automatic configuration joins where they can be.
+
+        Raises:
+            ConfigError: other settings do not go with them, such as a map with wheels alone.
+        """
+        fusion = self.to_dict()["fusion"]
+        if not self.odometry and self.fusion.filter == "default" and not _can_join(names):
+            fusion["filter"] = "none"
+        try:
+            return Config.model_validate(self.to_dict() | {"odometry": names, "fusion": fusion})
+        except ValidationError as invalid:
+            fault = Fault.of(invalid, Config)
+            problem, fix = fault.told(".".join(fault.location))
+            raise ConfigError(problem, fix=fix) from None
 
     def without_known_map(self) -> Config:
         """The same settings for what knows no map of before."""
@@ -351,12 +388,6 @@ def load_config(
         if option is not None or path is None:
             raise ConfigError(problem, fix=fix) from None
         raise ConfigError(problem, path=path, line=line_of(path, fault.location, ConfigError), fix=fix) from None
-
-
-def is_named(setting: str, path: StrPath | None) -> bool:
-    """Whether a YAML file of settings, if any, says anything of one of the uppermost names. Raises ConfigError."""
-    path = None if path is None else Path(path)
-    return path is not None and setting in _read(path)
 
 
 def save_config(config: Config, path: StrPath) -> None:

@@ -25,31 +25,35 @@ def run(
 ) -> RunRecord:
     """Follow events to their end and leave trajectory, status, metrics, configuration and report in the folder `out`.
 
+    Wheels and a camera are joined, as `wheelsight run` joins them: then each odometry alone and the joined sensors have
+    a folder of their own below `out`, and the record is that of the joined ones.
+
     The report needs plotly, which the extra `report` brings; without it all else is done. What was tracked until
     Ctrl-C, or until the source breaks off, is written before the exception goes on.
 
     Args:
         source: a recording, also one `in_real_time`, or what gives events from elsewhere, without an end.
-        config: all settings; of one odometry, without places.
+        config: all settings; where it names no odometry, all sensors of the source are joined.
         out: folder for the results; made if need be.
         force: write into a folder that holds something already.
-        on_frame: called after each frame, for a progress bar.
+        on_frame: called after each frame that is answered, for a progress bar.
         duration_s: ends so many seconds after the first event, by its stamp; None: with the source.
 
     Raises:
-        ConfigError: the configuration names several odometries or places.
+        ConfigError: the configuration names several odometries that are not joined.
         InputError: as `pipeline.run_each`.
     """
-    if len(config.tracks) > 1:
+    config = pipeline.resolved(source, config)
+    if len(config.tracks) > 1 and config.tracks[-1] not in ("joined", "rectified"):
         raise ConfigError(f"run follows one track, not {' and '.join(config.tracks)}", fix="use run_each")
+    main = config.tracks[-1]
 
     def on_event(answers: Mapping[str, FrameRecord]) -> None:
-        for frame in answers.values():
-            if on_frame is not None:
-                on_frame(frame)
+        if on_frame is not None and main in answers:
+            on_frame(answers[main])
 
-    (record,) = run_each(source, config, out, force=force, on_event=on_event, duration_s=duration_s)
-    return record
+    records = run_each(source, config, out, force=force, on_event=on_event, duration_s=duration_s)
+    return records[-1]
 
 
 def run_each(

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from narrowing import not_none
@@ -9,9 +11,10 @@ from wheelsight.calibration import Calibration, Wheels
 from wheelsight.config import load_config
 from wheelsight.errors import CalibrationError, ConfigError
 from wheelsight.estimates import Reason, Status
-from wheelsight.events import SkippedFrame, WheelTicks, YawRate
+from wheelsight.events import SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.geometry import se3
 from wheelsight.localizer import Localizer
+from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.wheels import WheelOdometry
 from wheelsight.trajectory import Trajectory
 
@@ -25,11 +28,50 @@ def truth(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> Trajecto
 
 
 def localizer(T_base_camera: np.ndarray | None = None) -> Localizer:
-    return Localizer(Calibration.registered_camera(CAMERA, T_base_camera=T_base_camera))
+    by_features = load_config(overrides={"odometry": "features"})
+    return Localizer(Calibration.registered_camera(CAMERA, T_base_camera=T_base_camera), by_features)
 
 
 def test_wheel_readings_say_nothing_about_a_frame() -> None:
     assert localizer().process(WheelTicks(0.0, 1, 2)) is None
+
+
+def test_events_that_are_not_used_are_warned_of_once(caplog: pytest.LogCaptureFixture) -> None:
+    subject = localizer()
+    for stamp_s in (0.0, 0.1, 0.2):
+        assert subject.process(WheelTicks(stamp_s, 1, 2)) is None
+        assert subject.process(YawRate(stamp_s, 0.0)) is None
+    told = (
+        "Wheel readings are not used: the calibration has no wheels (give them by --calibration).",
+        "Readings of the gyroscope are not used: they go with wheels.",
+    )
+    assert subject.warnings == told
+    assert tuple(record.message for record in caplog.records if record.levelname == "WARNING") == told
+
+
+@pytest.mark.parametrize(
+    ("given", "body", "frame_name", "unused"),
+    [
+        ({"T_base_camera": np.eye(4), "wheels": Wheels(0.17, 0.17, 0.52, 3200.0)}, "base", "map", None),
+        ({"wheels": Wheels(0.17, 0.17, 0.52, 3200.0)}, "camera", "map", "the calibration has no T_base_camera"),
+        ({"T_base_camera": np.eye(4)}, "base", "map", "the calibration has no wheels (give them by --calibration)"),
+    ],
+)
+def test_without_a_name_all_sensors_that_go_together_are_joined(
+    given: dict[str, Any], body: str, frame_name: str, unused: str | None
+) -> None:
+    subject = Localizer(Calibration.registered_camera(CAMERA, **given))
+    assert (subject.body, subject.frame) == (body, frame_name)
+    assert isinstance(subject.odometry, DenseOdometry)
+    assert (WheelTicks in subject.answers) == (unused is None)
+    subject.process(WheelTicks(0.0, 1, 2))
+    assert [told.startswith(f"Wheel readings are not used: {unused}") for told in subject.warnings] == (
+        [] if unused is None else [True]
+    )
+
+
+def test_wheels_alone_are_followed_where_there_is_no_camera() -> None:
+    assert Localizer(Calibration(wheels=Wheels(0.17, 0.17, 0.52, 3200.0))).answers == (WheelTicks, WheelSpeeds)
 
 
 def test_a_frame_is_answered_by_odometry(truth: Trajectory) -> None:
@@ -170,7 +212,7 @@ def test_the_gyroscope_turns_the_robot_where_it_is_wanted(gyro: bool) -> None:
     off = (yaw - turned * (1.1 if gyro else 1.0) + np.pi) % (2 * np.pi) - np.pi
     assert abs(off) < (0.02 if gyro else 1e-3)
     assert subject.note == ""
-    assert subject.warnings == ()
+    assert subject.warnings == (() if gyro else ("Readings of the gyroscope are not used: --no-gyro leaves them out.",))
 
 
 def test_what_the_odometry_needs_the_calibration_must_have() -> None:

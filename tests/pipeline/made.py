@@ -22,6 +22,7 @@ FILES = {"trajectory.txt", "covariances.csv", "status.csv", "metrics.json", "con
 OF_ONE = {"trajectory.txt", "covariances.csv", "status.csv", "metrics.json"}
 OF_JOINED = {*OF_ONE, "odom.txt"}
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
+BY_FEATURES = load_config(overrides={"odometry": "features"})
 BY_WHEELS = load_config(overrides={"odometry": "wheels"})
 BOTH = load_config(overrides={"odometry": "wheels,features", "fusion": "none"})
 

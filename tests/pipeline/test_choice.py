@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from narrowing import not_none
 from room_drive import make_room_drive
+from typer.testing import CliRunner
 
-from wheelsight.config import OdometryName, load_config
+from wheelsight.cli import app
+from wheelsight.config import Config, OdometryName, load_config
 from wheelsight.errors import ConfigError
-from wheelsight.pipeline import Choice, default_odometry
+from wheelsight.estimates import Estimate
+from wheelsight.localizer import Localizer
+from wheelsight.pipeline import Choice, default_odometry, resolved
 from wheelsight.pipeline.choice import unused_of
 from wheelsight.recordings import open_recording
 from wheelsight.recordings.image_recording import ImageRecording
-from wheelsight.runs import run_each
+from wheelsight.runs import run, run_each
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +53,7 @@ def test_settings_of_features_ask_for_these(drive: ImageRecording) -> None:
 def test_what_is_not_used_is_said(drive: ImageRecording, lacks: dict[str, Any], why: str) -> None:
     calibration = replace(drive.calibration, **lacks)
     choice = default_odometry(replace(drive, calibration=calibration), load_config())
-    assert choice.odometry == ("features",)
+    assert choice.odometry == ("dense",)
     assert choice.unused.startswith(f"{drive.wheel_count} wheel readings are not used: the calibration {why}")
 
 
@@ -57,13 +64,66 @@ def test_frames_without_cameras_are_not_used(drive: ImageRecording) -> None:
 
 
 def test_one_sensor_leaves_nothing_over(drive: ImageRecording) -> None:
-    assert default_odometry(replace(drive, wheels=()), load_config()) == Choice(("features",))
+    assert default_odometry(replace(drive, wheels=()), load_config()) == Choice(("dense",))
     assert default_odometry(replace(drive, frames=()), load_config()) == Choice(("wheels",))
 
 
 def test_a_camera_alone_is_followed_by_what_settings_ask_for(drive: ImageRecording) -> None:
     mapped = load_config(overrides={"odometry": "wheels,dense", "map": "surfels"})
     assert default_odometry(replace(drive, wheels=()), mapped) == Choice(("dense",))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "odometry"),
+    [
+        ({"profile": "pi"}, "features"),
+        ({"features.keypoints": 900}, "features"),
+        ({"features.keypoints": 900, "map": "surfels"}, "dense"),
+        ({"profile": "pi", "map": "surfels"}, "dense"),
+        ({"profile": "pi", "dense.levels": 2}, "dense"),
+        ({"dense.threads": 1}, "dense"),
+        ({"profile": "pi", "dense.threads": 1}, "features"),
+    ],
+)
+def test_a_slow_computer_follows_a_camera_alone_by_features(
+    drive: ImageRecording, overrides: dict[str, object], odometry: OdometryName
+) -> None:
+    assert default_odometry(replace(drive, wheels=()), load_config(overrides=overrides)) == Choice((odometry,))
+
+
+def test_a_named_odometry_stays(drive: ImageRecording) -> None:
+    named = load_config(overrides={"odometry": "wheels"})
+    assert resolved(drive, named) is named
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("real_odometry")
+@pytest.mark.parametrize("config", [Config(), Config(odometry=("wheels", "dense"))])
+def test_localizer_run_and_command_line_give_the_same_poses(
+    drive: ImageRecording, tmp_path: Path, config: Config
+) -> None:
+    """To the bit: README's example, `run`, and `wheelsight run`."""
+    record = run(drive, config, tmp_path / "run")
+    assert record.odometry == "joined"
+    answer = CliRunner().invoke(app, ["run", str(drive.path), "--out", str(tmp_path / "cli")])
+    assert answer.exit_code == 0, answer.output
+    posed = dict[float, Estimate]()
+    with closing(Localizer(drive.calibration)) as localizer:
+        for event in drive.events():
+            estimate = localizer.process(event)
+            if estimate is not None and estimate.T_odom_body is not None:
+                posed[estimate.stamp_s] = estimate
+        assert localizer.warnings == ()
+    assert len(posed) > 50
+    np.testing.assert_array_equal(record.estimate.stamps_s, list(posed))
+    lived = [estimate.T_filter_body for estimate in posed.values()]
+    np.testing.assert_array_equal(record.estimate.T_frame_body, np.array(lived))
+    in_odom = [estimate.T_odom_body for estimate in posed.values()]
+    np.testing.assert_allclose(not_none(record.odom).T_frame_body, np.array(in_odom), atol=1e-12)
+    for name in ("trajectory.txt", "odom.txt", "covariances.csv"):
+        ran, commanded = (tmp_path / where / "joined" / name for where in ("run", "cli"))
+        assert ran.read_bytes() == commanded.read_bytes()
+    assert (tmp_path / "run" / "config.yaml").read_bytes() == (tmp_path / "cli" / "config.yaml").read_bytes()
 
 
 def test_wheels_alone_make_no_map(drive: ImageRecording) -> None:
@@ -76,7 +136,7 @@ def test_wheels_alone_make_no_map(drive: ImageRecording) -> None:
     "odometry", [("wheels", "dense"), ("wheels", "features"), ("wheels",), ("features",), ("dense",)]
 )
 def test_a_choice_tells_the_option_that_would_make_it(odometry: tuple[OdometryName, ...]) -> None:
-    told = Choice(odometry).told
+    told = Choice(odometry).sentence
     assert f"(--odometry {','.join(odometry)}" in told
     assert "\n" not in told
 

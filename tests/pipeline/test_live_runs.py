@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pipeline.live import Live
-from pipeline.made import BOTH, FILES, WHEELS, frames_at, metrics_in, mixed_recording
+from pipeline.made import BOTH, BY_FEATURES, FILES, WHEELS, frames_at, metrics_in, mixed_recording
 from stand_ins import CAMERA, MemoryRecording
 
 from wheelsight.calibration import Calibration
@@ -27,7 +27,7 @@ MOUNT = np.array([[0.0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.2], [0, 0, 0, 1]
 
 def test_a_source_without_an_end_stops_after_a_while(tmp_path: Path, truth: Trajectory) -> None:
     source = Live(truth)
-    record = run(source, Config(), tmp_path / "out", duration_s=0.5)
+    record = run(source, BY_FEATURES, tmp_path / "out", duration_s=0.5)
     assert [f.stamp_s for f in record.frames] == pytest.approx([100 + index / 30 for index in range(15)])
     assert source.is_closed
     assert len(source.given) == 16  # the first that is late tells that it is over
@@ -43,7 +43,7 @@ def test_a_source_without_an_end_stops_after_a_while(tmp_path: Path, truth: Traj
 
 def test_ctrl_c_keeps_what_a_source_without_an_end_gave(tmp_path: Path, truth: Trajectory) -> None:
     with pytest.raises(KeyboardInterrupt):
-        run(Live(truth, stop_at=12), Config(), tmp_path / "out")
+        run(Live(truth, stop_at=12), BY_FEATURES, tmp_path / "out")
     metrics = metrics_in(tmp_path / "out")
     assert metrics["interrupted"]
     assert metrics["frames"]["with_pose"] == 12
@@ -51,7 +51,7 @@ def test_ctrl_c_keeps_what_a_source_without_an_end_gave(tmp_path: Path, truth: T
 
 
 def test_pictures_are_taken_though_nobody_knows_for_how_long(tmp_path: Path, truth: Trajectory) -> None:
-    settings = load_config(overrides={"report.pictures": 3})
+    settings = load_config(overrides={"odometry": "features", "report.pictures": 3})
     record = run(Live(truth), settings, tmp_path / "out", duration_s=0.5)
     assert [picture.stamp_s for picture in record.pictures] == pytest.approx([100 + 10 / 30])
 
@@ -65,7 +65,7 @@ def test_wheels_alone_need_no_images(tmp_path: Path, truth: Trajectory) -> None:
 
 def test_an_odometry_is_chosen_by_the_calibration(truth: Trajectory) -> None:
     assert default_odometry(Live(truth), Config()) == Choice(
-        ("features",), "wheel readings are not used: the calibration has no wheels (give them by --calibration)"
+        ("dense",), "wheel readings are not used: the calibration has no wheels (give them by --calibration)"
     )
     by_wheels = default_odometry(Live(truth, Calibration(wheels=WHEELS)), Config())
     assert by_wheels.odometry == ("wheels",)
@@ -75,7 +75,7 @@ def test_an_odometry_is_chosen_by_the_calibration(truth: Trajectory) -> None:
 
 def test_wheels_that_may_come_are_said_to_be_left_out(tmp_path: Path, truth: Trajectory) -> None:
     source = Live(truth, Calibration.registered_camera(CAMERA, wheels=WHEELS))
-    record = run(source, Config(), tmp_path / "out", duration_s=0.2)
+    record = run(source, BY_FEATURES, tmp_path / "out", duration_s=0.2)
     assert record.warnings[-1].startswith("Wheel readings are not used: the calibration has no T_base_camera")
 
 

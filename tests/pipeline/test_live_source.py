@@ -147,7 +147,7 @@ def test_the_calibration_tells_of_what_is_listened_to_alone(tmp_path: Path) -> N
     camera = HandFedCamera()
     without = LiveSource(LiveSensors(ROBOT, camera))
     assert without.calibration.wheels is None
-    assert default_odometry(without, Config()).odometry == ("features",)
+    assert default_odometry(without, Config()).odometry == ("dense",)
     assert isinstance(without, InRealTime)
     assert not isinstance(without, Recording)
     with SimulatedController(tmp_path) as controller, WheelLink(str(controller.port)) as link:

@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from narrowing import not_none
-from pipeline.made import WHEELS, frames_at, metrics_in, mixed_recording, status_in, wheel_recording
+from pipeline.made import BY_FEATURES, WHEELS, frames_at, metrics_in, mixed_recording, status_in, wheel_recording
 from room_drive import make_room_drive
 from stand_ins import MemoryRecording, TrueOdometry, frame
 from virtual_time import VirtualClock
 
 from wheelsight.calibration import Wheels
-from wheelsight.config import Config, load_config
+from wheelsight.config import load_config
 from wheelsight.devices import TelemetryPipe
 from wheelsight.devices.simulated_controller import SimulatedController
 from wheelsight.errors import ConfigError, DeviceError, RecordingError
@@ -62,7 +62,7 @@ def test_a_slow_tracker_costs_frames_not_delay_and_the_run_says_so(
 ) -> None:
     period_s = float(np.diff(truth.stamps_s).mean())
     working(clock, monkeypatch, 2.3 * period_s)
-    record = run(RealTimeRecording(MemoryRecording(frames_at(truth), truth), clock=clock), Config(), tmp_path)
+    record = run(RealTimeRecording(MemoryRecording(frames_at(truth), truth), clock=clock), BY_FEATURES, tmp_path)
     played = record.realtime
     assert played is not None
     answered = [0, 2, 4, 6, 9, 11, 13, 16, 18, 19]
@@ -93,7 +93,7 @@ def test_a_fast_one_answers_as_a_run_that_takes_its_time(
 ) -> None:
     source = MemoryRecording(frames_at(truth), truth)
     live, calm = (
-        run(recording, Config(), tmp_path / name)
+        run(recording, BY_FEATURES, tmp_path / name)
         for recording, name in ((RealTimeRecording(source, clock=clock), "live"), (source, "calm"))
     )
     assert (tmp_path / "live" / "trajectory.txt").read_bytes() == (tmp_path / "calm" / "trajectory.txt").read_bytes()
@@ -147,7 +147,7 @@ def test_joined_sensors_do_not_follow_the_camera_once_more(
 def test_what_breaks_it_off_leaves_what_was_found(clock: VirtualClock, truth: Trajectory, tmp_path: Path) -> None:
     given = [*frames_at(truth)[:7], RecordingError("the disk went away", path="rgb")]
     with pytest.raises(RecordingError, match="the disk went away"):
-        run(RealTimeRecording(MemoryRecording(given, truth), clock=clock), Config(), tmp_path)
+        run(RealTimeRecording(MemoryRecording(given, truth), clock=clock), BY_FEATURES, tmp_path)
     figures = metrics_in(tmp_path)
     assert figures["interrupted"]
     assert figures["frames"]["processed"] == figures["realtime"]["frames"] == 7
@@ -170,7 +170,7 @@ def test_ctrl_c_while_a_frame_is_waited_for_keeps_what_was_found(truth: Trajecto
     TrueOdometry.truth = monotone
     live = RealTimeRecording(MemoryRecording(a_minute_apart, monotone))
     with pytest.raises(KeyboardInterrupt):
-        run(live, Config(), tmp_path, on_frame=lambda _: timer.start())
+        run(live, BY_FEATURES, tmp_path, on_frame=lambda _: timer.start())
     figures = metrics_in(tmp_path)
     assert figures["interrupted"]
     assert figures["realtime"]["frames"] == figures["frames"]["processed"] == 1
@@ -182,7 +182,7 @@ def test_ctrl_c_before_time_begins_to_run_leaves_nothing(
 ) -> None:
     given = [*frames_at(truth)[:1], KeyboardInterrupt()]
     with pytest.raises(KeyboardInterrupt):
-        run(RealTimeRecording(MemoryRecording(given, truth), clock=clock), Config(), tmp_path)
+        run(RealTimeRecording(MemoryRecording(given, truth), clock=clock), BY_FEATURES, tmp_path)
     assert list(tmp_path.iterdir()) == []  # rather than trajectories without a pose, which nothing reads
 
 

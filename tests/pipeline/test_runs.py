@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from pipeline.made import (
+    BY_FEATURES,
     FILES,
     frames_at,
     metrics_in,
@@ -31,7 +32,7 @@ from wheelsight.trajectory import Trajectory, read_tum
 
 
 def test_a_run_leaves_every_file_and_a_true_trajectory(tmp_path: Path, truth: Trajectory) -> None:
-    record = run(MemoryRecording(frames_at(truth), truth), Config(), tmp_path / "new" / "out")
+    record = run(MemoryRecording(frames_at(truth), truth), BY_FEATURES, tmp_path / "new" / "out")
     out = tmp_path / "new" / "out"
     assert {path.name for path in out.iterdir()} == FILES
     written = read_tum(out / "trajectory.txt")
@@ -45,14 +46,14 @@ def test_a_run_leaves_every_file_and_a_true_trajectory(tmp_path: Path, truth: Tr
     assert metrics["evaluation"]["ate_m"]["rmse"] < 1e-9
     assert metrics["evaluation"]["frames_with_pose"] == 1
     assert not metrics["interrupted"]
-    assert load_config(out / "config.yaml") == Config()
+    assert load_config(out / "config.yaml") == BY_FEATURES
 
 
 def test_frames_are_counted_by_what_became_of_them(tmp_path: Path, truth: Trajectory) -> None:
     events = frames_at(truth, dark=(7, 8))
     events[3] = SkippedFrame(truth.stamps_s[3], "depth/3.png: image is cut off", 3)
     events.insert(5, WheelTicks(truth.stamps_s[4] + 0.001, 1, 1))
-    run(MemoryRecording(events, truth), Config(), tmp_path)
+    run(MemoryRecording(events, truth), BY_FEATURES, tmp_path)
     frames = metrics_in(tmp_path)["frames"]
     assert (frames["listed"], frames["processed"], frames["with_pose"], frames["skipped"]) == (20, 20, 17, 1)
     assert frames["with_pose_share"] == pytest.approx(17 / 20)
@@ -109,7 +110,7 @@ def test_images_that_came_before_are_no_frames_but_counted_and_told(
     ]
     again = [replace(event, stamp_s=event.stamp_s + 0.001, index=event.index + 1) for event in noisy]
     record = run(
-        MemoryRecording([e for pair in zip(noisy, again, strict=True) for e in pair], truth), Config(), tmp_path
+        MemoryRecording([e for pair in zip(noisy, again, strict=True) for e in pair], truth), BY_FEATURES, tmp_path
     )
     frames = metrics_in(tmp_path)["frames"]
     assert (frames["listed"], frames["processed"], frames["with_pose"]) == (40, 20, 20)
@@ -123,7 +124,7 @@ def test_images_that_came_before_are_no_frames_but_counted_and_told(
 
 @pytest.mark.usefixtures("drawn_pages")
 def test_without_ground_truth_the_rest_is_written(tmp_path: Path, truth: Trajectory) -> None:
-    record = run(MemoryRecording(frames_at(truth)), Config(), tmp_path)
+    record = run(MemoryRecording(frames_at(truth)), BY_FEATURES, tmp_path)
     assert record.evaluation is None
     assert metrics_in(tmp_path)["evaluation_problem"] == "the recording has no ground truth"
     assert (tmp_path / "report.html").stat().st_size > 0
@@ -131,20 +132,20 @@ def test_without_ground_truth_the_rest_is_written(tmp_path: Path, truth: Traject
 
 def test_ground_truth_of_another_time_is_told_not_raised(tmp_path: Path, truth: Trajectory) -> None:
     elsewhen = Trajectory(truth.stamps_s + 1000, truth.T_frame_body)
-    record = run(MemoryRecording(frames_at(truth), elsewhen), Config(), tmp_path)
+    record = run(MemoryRecording(frames_at(truth), elsewhen), BY_FEATURES, tmp_path)
     assert record.evaluation is None
     assert "do not overlap in time" in (record.evaluation_problem or "")
 
 
 def test_a_recording_in_which_nothing_can_be_followed_is_still_reported(tmp_path: Path, truth: Trajectory) -> None:
-    record = run(MemoryRecording(frames_at(truth, dark=tuple(range(20))), truth), Config(), tmp_path)
+    record = run(MemoryRecording(frames_at(truth, dark=tuple(range(20))), truth), BY_FEATURES, tmp_path)
     assert len(record.estimate) == 0
     assert {path.name for path in tmp_path.iterdir()} == FILES - {"covariances.csv"}
     assert metrics_in(tmp_path)["frames"]["with_pose"] == 0
 
 
 def test_a_recording_of_one_frame_is_reported(tmp_path: Path, truth: Trajectory) -> None:
-    run(MemoryRecording(frames_at(truth)[:1], truth), Config(), tmp_path)
+    run(MemoryRecording(frames_at(truth)[:1], truth), BY_FEATURES, tmp_path)
     metrics = metrics_in(tmp_path)
     assert metrics["frames"]["with_pose"] == 1
     assert metrics["timing"]["frame_median_ms"] is None
@@ -152,11 +153,11 @@ def test_a_recording_of_one_frame_is_reported(tmp_path: Path, truth: Trajectory)
 
 
 def test_results_are_not_overwritten_unless_asked(tmp_path: Path, truth: Trajectory) -> None:
-    run(MemoryRecording(frames_at(truth), truth), Config(), tmp_path)
+    run(MemoryRecording(frames_at(truth), truth), BY_FEATURES, tmp_path)
     with pytest.raises(OutputError, match="--force"):
-        run(MemoryRecording(frames_at(truth)[:5], truth), Config(), tmp_path)
+        run(MemoryRecording(frames_at(truth)[:5], truth), BY_FEATURES, tmp_path)
     assert metrics_in(tmp_path)["frames"]["processed"] == 20
-    run(MemoryRecording(frames_at(truth)[:5], truth), Config(), tmp_path, force=True)
+    run(MemoryRecording(frames_at(truth)[:5], truth), BY_FEATURES, tmp_path, force=True)
     assert metrics_in(tmp_path)["frames"]["processed"] == 5
 
 
@@ -164,14 +165,14 @@ def test_the_output_is_tried_before_the_long_work(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     untouched = MemoryRecording([AssertionError("frames were read")])
     with pytest.raises(OutputError):
-        run(untouched, Config(), tmp_path / "file" / "out")
+        run(untouched, BY_FEATURES, tmp_path / "file" / "out")
 
 
 @pytest.mark.parametrize("stop", [KeyboardInterrupt(), RecordingError("the disk went away", path="depth")])
 def test_what_was_tracked_survives_an_interruption(tmp_path: Path, truth: Trajectory, stop: BaseException) -> None:
     recording = MemoryRecording([*frames_at(truth)[:12], stop, *frames_at(truth)[12:]], truth)
     with pytest.raises(type(stop)):
-        run(recording, Config(), tmp_path)
+        run(recording, BY_FEATURES, tmp_path)
     assert recording.was_closed
     assert {path.name for path in tmp_path.iterdir()} == FILES
     assert len(read_tum(tmp_path / "trajectory.txt")) == 12
@@ -182,7 +183,7 @@ def test_what_was_tracked_survives_an_interruption(tmp_path: Path, truth: Trajec
 
 def test_an_error_of_ours_is_not_hidden(tmp_path: Path, truth: Trajectory) -> None:
     with pytest.raises(ZeroDivisionError):
-        run(MemoryRecording([*frames_at(truth)[:2], ZeroDivisionError()]), Config(), tmp_path)
+        run(MemoryRecording([*frames_at(truth)[:2], ZeroDivisionError()]), BY_FEATURES, tmp_path)
 
 
 def test_a_full_disk_is_one_line(tmp_path: Path, truth: Trajectory, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -191,7 +192,7 @@ def test_a_full_disk_is_one_line(tmp_path: Path, truth: Trajectory, monkeypatch:
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OutputError, match="no space left on the disk") as refused:
-        run(MemoryRecording(frames_at(truth), truth), Config(), tmp_path)
+        run(MemoryRecording(frames_at(truth), truth), BY_FEATURES, tmp_path)
     assert "\n" not in str(refused.value)
     assert not list(tmp_path.iterdir())
 
@@ -210,7 +211,7 @@ def test_time_a_frame_leaves_decoding_out(tmp_path: Path, truth: Trajectory, mon
     monkeypatch.setattr(time, "perf_counter", lambda: now_s[0])
     monkeypatch.setattr(time, "sleep", pass_time)
     monkeypatch.setattr(TrueOdometry, "process", slow)
-    run(MemoryRecording(frames_at(truth), truth, decoding_s=0.02), Config(), tmp_path)
+    run(MemoryRecording(frames_at(truth), truth, decoding_s=0.02), BY_FEATURES, tmp_path)
     timing = metrics_in(tmp_path)["timing"]
     assert timing["frame_median_ms"] == pytest.approx(3)
     assert timing["elapsed_s"] == pytest.approx(20 * (0.02 + 0.003))
@@ -221,14 +222,14 @@ def test_time_a_frame_leaves_decoding_out(tmp_path: Path, truth: Trajectory, mon
 def test_on_frame_hears_of_every_frame(tmp_path: Path, truth: Trajectory) -> None:
     heard: list[Status] = []
     recording = MemoryRecording(frames_at(truth, dark=(4,)), truth)
-    run(recording, Config(), tmp_path, on_frame=lambda frame: heard.append(frame.status))
+    run(recording, BY_FEATURES, tmp_path, on_frame=lambda frame: heard.append(frame.status))
     assert len(heard) == 20
     assert heard[4] is Status.FAILING
 
 
 @pytest.mark.parametrize("wanted", [0, 1, 4])
 def test_pictures_show_the_two_frames_that_were_matched(tmp_path: Path, truth: Trajectory, wanted: int) -> None:
-    config = load_config(overrides={"report.pictures": wanted})
+    config = load_config(overrides={"odometry": "features", "report.pictures": wanted})
     record = run(MemoryRecording(frames_at(truth, dark=(2,)), truth), config, tmp_path)
     assert len(record.pictures) == wanted
     for picture in record.pictures:
@@ -243,12 +244,13 @@ def test_pictures_show_the_two_frames_that_were_matched(tmp_path: Path, truth: T
 
 
 def test_metrics_are_strict_json(tmp_path: Path, truth: Trajectory) -> None:
-    run(MemoryRecording([], truth), Config(), tmp_path)
+    run(MemoryRecording([], truth), BY_FEATURES, tmp_path)
     json.loads((tmp_path / "metrics.json").read_text(), parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
 
 
 def test_written_settings_are_the_resolved_ones(tmp_path: Path, truth: Trajectory) -> None:
-    run(MemoryRecording(frames_at(truth), truth), load_config(overrides={"features.seed": 11}), tmp_path)
+    seeded = load_config(overrides={"odometry": "features", "features.seed": 11})
+    run(MemoryRecording(frames_at(truth), truth), seeded, tmp_path)
     settings = yaml.safe_load((tmp_path / "config.yaml").read_text())
     assert settings["features"]["seed"] == 11
     assert settings["evaluation"] == {"with_scale": False, "max_gap_s": 0.02}
@@ -258,7 +260,7 @@ def test_written_settings_are_the_resolved_ones(tmp_path: Path, truth: Trajector
 def test_two_runs_with_one_seed_write_the_same_trajectory(tmp_path: Path) -> None:
     make_tum_recording(tmp_path / "room", frames=12)
     for name in ("first", "second"):
-        run(open_recording(tmp_path / "room"), Config(), tmp_path / name)
+        run(open_recording(tmp_path / "room"), BY_FEATURES, tmp_path / name)
     first, second = ((tmp_path / name / "trajectory.txt").read_bytes() for name in ("first", "second"))
     assert first == second
     assert first.count(b"\n") == 2 + 12
@@ -267,7 +269,7 @@ def test_two_runs_with_one_seed_write_the_same_trajectory(tmp_path: Path) -> Non
 @pytest.mark.usefixtures("real_odometry")
 def test_the_room_is_followed(tmp_path: Path) -> None:
     make_tum_recording(tmp_path / "room", frames=20)
-    record = run(open_recording(tmp_path / "room"), Config(), tmp_path / "out")
+    record = run(open_recording(tmp_path / "room"), BY_FEATURES, tmp_path / "out")
     assert record.evaluation is not None
     assert record.evaluation.ate.translation.rmse < 0.01
     assert len(record.estimate) == 20
@@ -296,5 +298,5 @@ def test_ctrl_c_before_the_first_answer_leaves_nothing(tmp_path: Path, monkeypat
     make_tum_recording(tmp_path / "room", frames=3)
     monkeypatch.setattr(Track, "step", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        run(open_recording(tmp_path / "room"), Config(), tmp_path / "out")
+        run(open_recording(tmp_path / "room"), BY_FEATURES, tmp_path / "out")
     assert list((tmp_path / "out").iterdir()) == []

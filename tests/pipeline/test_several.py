@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 from pipeline.made import (
     BOTH,
+    BY_FEATURES,
     BY_WHEELS,
     FILES,
     OF_ONE,
@@ -17,7 +18,7 @@ from pipeline.made import (
 from room_drive import make_room_drive
 from stand_ins import MemoryRecording
 
-from wheelsight.config import Config, load_config
+from wheelsight.config import load_config
 from wheelsight.errors import ConfigError
 from wheelsight.recordings import image_recording, open_recording
 from wheelsight.runs import run, run_each
@@ -118,7 +119,7 @@ def test_results_of_other_odometries_do_not_stay_beside_those_of_a_new_run(tmp_p
     out = tmp_path / "out"
     run_each(mixed_recording(truth), BOTH, out)
     (out / "wheels" / "mine.txt").write_text("keep")
-    run_each(mixed_recording(truth), Config(), out, force=True)
+    run_each(mixed_recording(truth), BY_FEATURES, out, force=True)
     assert names_in(out) == FILES | {"wheels"}
     assert names_in(out / "wheels") == {"mine.txt"}
     run_each(mixed_recording(truth), BOTH, out, force=True)

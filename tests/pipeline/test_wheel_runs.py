@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from pipeline.made import (
+    BY_FEATURES,
     BY_WHEELS,
     FILES,
     WHEELS,
@@ -15,7 +16,6 @@ from pipeline.made import (
 )
 from stand_ins import MemoryRecording
 
-from wheelsight.config import Config
 from wheelsight.errors import CalibrationError, ConfigError
 from wheelsight.estimates import Status
 from wheelsight.events import WheelTicks
@@ -56,7 +56,7 @@ def test_frames_and_wheels_of_one_recording_do_not_mix(tmp_path: Path, truth: Tr
     events = sorted([*frames_at(truth), *wheel_recording(20).given], key=lambda event: event.stamp_s)  # type: ignore[union-attr]
     both = replace(MemoryRecording([]).calibration, wheels=WHEELS)
     run(MemoryRecording(events, calibration=both), BY_WHEELS, tmp_path / "wheels")
-    run(MemoryRecording(events, calibration=both), Config(), tmp_path / "frames")
+    run(MemoryRecording(events, calibration=both), BY_FEATURES, tmp_path / "frames")
     assert len(status_in(tmp_path / "wheels")) == len(status_in(tmp_path / "frames")) == 20
     assert "T_odom_base" in (tmp_path / "wheels" / "trajectory.txt").read_text()
     assert "T_map_camera" in (tmp_path / "frames" / "trajectory.txt").read_text()
@@ -81,7 +81,7 @@ def test_what_cannot_be_run_leaves_nothing_behind(tmp_path: Path, truth: Traject
     with pytest.raises(CalibrationError, match="has no wheels"):
         run(MemoryRecording(wheel_recording().given), BY_WHEELS, out)
     with pytest.raises(ConfigError, match=r"no images .--odometry wheels"):
-        run(wheel_recording(), Config(), out)
+        run(wheel_recording(), BY_FEATURES, out)
     assert not out.exists()
 
 

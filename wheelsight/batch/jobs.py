@@ -13,10 +13,10 @@ from typing import Any, NamedTuple, TypeVar
 from wheelsight.batch.inputs import Digest, code_digest, digest_of
 from wheelsight.batch.outcome import problem_of
 from wheelsight.batch.settings import BatchSettings
-from wheelsight.config import Config, is_named, load_config
+from wheelsight.config import Config, load_config
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath
-from wheelsight.pipeline import default_odometry
+from wheelsight.pipeline import resolved
 from wheelsight.pipeline.joined import JOINED
 from wheelsight.recordings import open_recording
 from wheelsight.slam.settings import FROM_KEYFRAMES, FROM_MATCHES, FROM_NOWHERE
@@ -32,8 +32,6 @@ _FILES = {
     "loops": ("source",),
 }
 _NO_FILES = (FROM_NOWHERE, FROM_MATCHES, FROM_KEYFRAMES)
-# Any camera's odometry has the settings of these two; which it is to be is decided once the recording is open.
-_ANY = "wheels,dense"
 _SEEDS = 2**32
 _Answer = TypeVar("_Answer")
 
@@ -106,7 +104,7 @@ def plan_of(
     paths, given = [Path(path) for path in recordings], [Path(path) for path in configs]
     files: tuple[Path | None, ...] = tuple(given) or (None,)
     for file in files:
-        _refuse(load_config(file, None if is_named("odometry", file) else {"odometry": _ANY}), file)
+        _refuse(load_config(file), file)
     config_names = [DEFAULTS] if not given else short_names([file.with_suffix("") for file in given])
     cases, jobs = [], dict[str, Job]()
     for path, name in zip(paths, short_names(paths), strict=True):
@@ -162,7 +160,7 @@ def _case(path: Path, file: Path | None, case: Case, digest: Digest | _Problem, 
     if isinstance(found, _Problem):
         return replace(case, problem=found.text), []
     config, jobs = found
-    chosen = "" if is_named("odometry", file) else ",".join(config.odometry)
+    chosen = "" if load_config(file).odometry else ",".join(config.odometry)
     return replace(case, odometry=main_track(config), chosen=chosen, jobs=tuple(job.id for job in jobs)), jobs
 
 
@@ -183,16 +181,9 @@ def _jobs(path: Path, file: Path | None, digest: Digest, seeds: int) -> tuple[Co
 
 def _resolved(path: Path, file: Path | None) -> Config:
     """All settings for one recording, its odometry chosen where no file names one; one thread each."""
-    told: dict[str, Any] = {"dense.threads": 1, "surfels.threads": 1}
-    if not is_named("odometry", file):
-        # Without our own settings of dense odometry, which would look as if the file asked for that.
-        config = load_config(file, {"odometry": _ANY})
-        recording = open_recording(path, config.recording.open_options())
-        told["odometry"] = ",".join(default_odometry(recording, config).odometry)
-        return _absolute(load_config(file, told))
-    config = load_config(file, told)
-    open_recording(path, config.recording.open_options())
-    return _absolute(config)
+    config = load_config(file, {"dense.threads": 1, "surfels.threads": 1})
+    recording = open_recording(path, config.recording.open_options())
+    return _absolute(resolved(recording, config))
 
 
 def _absolute(config: Config) -> Config:

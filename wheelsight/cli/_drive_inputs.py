@@ -75,14 +75,13 @@ def drive_settings(options: DriveOptions) -> Config:
 
 def settings_of(options: SettingsOptions, given: Mapping[str, str | None]) -> Config:
     """The configuration that options tell, and over its file what else is given and not None. Raises ConfigError."""
-    from wheelsight.config import is_named, load_config
+    from wheelsight.config import load_config
 
     changes = dict(_setting(text) for text in options.set_ or ())
     given = {**given, "profile": options.profile}
-    if not is_named("odometry", options.config):
-        given["odometry"] = "wheels,dense"
     overrides = {name: value for name, value in given.items() if value is not None} | changes
-    return load_config(options.config, overrides, called=_CALLED | {name: f"--set {name}" for name in changes})
+    config = load_config(options.config, overrides, called=_CALLED | {name: f"--set {name}" for name in changes})
+    return config if config.odometry else config.with_odometry(("wheels", "dense"))  # a robot that drives has both
 
 
 def goals_of(options: DriveOptions) -> list[Goal]:

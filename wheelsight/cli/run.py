@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from wheelsight.cli._live_run import LiveRun
-from wheelsight.cli._odometry import ANY, chosen_odometry, names_odometry
 from wheelsight.cli._options import settings_from
 from wheelsight.cli._run_options import RunOptions
 from wheelsight.cli._running import track
@@ -58,15 +57,15 @@ def run(options: RunOptions) -> None:
 
     wheelsight run tuesday --map-from monday_map --out found_again
     """
+    from wheelsight.pipeline import default_odometry
+
     asked = LiveRun.of(options)
     asked.check(options.realtime, options.wheels_from)
-    given = options.settings()
-    is_named = options.odometry is not None or names_odometry(options.config)
-    settings = settings_from(given if is_named else {**given, "--odometry": ANY}, options.config)
+    settings = settings_from(options.settings(), options.config)
     told = ""
     with asked.source(settings, options.out, options.realtime, options.wheels_from, options.force) as source:
-        if not is_named:
-            chosen, told = chosen_odometry(source, settings)
-            settings = settings_from({**given, "--odometry": chosen}, options.config)
+        if not settings.odometry:
+            choice = default_odometry(source, settings)
+            settings, told = settings.with_odometry(choice.odometry), choice.sentence
         records = track(source, settings, options.out, options.force, options.rerun, told)
     print_summary(records, options.out)

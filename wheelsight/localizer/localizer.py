@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from types import TracebackType
 
@@ -13,7 +14,7 @@ from wheelsight.clocks import SessionClock, Untimed
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate, WheelEstimate
-from wheelsight.events import Event, RgbdFrame
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.geometry import FloatArray
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.localizer._loops import LoopsBeside
@@ -24,6 +25,7 @@ from wheelsight.localizer.by_fusion import ByFusion
 from wheelsight.localizer.by_ligocki import ByLigocki
 from wheelsight.localizer.by_places import ByPlaces, Places, load_places
 from wheelsight.localizer.by_wheels import ByWheels
+from wheelsight.localizer.choice import FRAMES, RATES, READINGS, choose_odometry, why_unused
 from wheelsight.mapping import SurfelMap
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
@@ -34,13 +36,16 @@ from wheelsight.slam.settings import FROM_KEYFRAMES
 from wheelsight.stamps import StampCheck
 from wheelsight.threads import OneCaller, ends, one_at_a_time
 
+_LOG = logging.getLogger(__name__)
+_KINDS = {RgbdFrame: FRAMES, SkippedFrame: FRAMES, WheelTicks: READINGS, WheelSpeeds: READINGS, YawRate: RATES}
 _CONFIG_FIX = 'load_config(PATH), or load_config(overrides={"odometry": "dense"})'
 
 
 class Localizer(OneCaller):
     """Answers each frame or wheel reading with the pose of the body at its stamp, or with the reason why there is none.
 
-    It goes by one odometry, by places where the configuration names a model of them, or by wheels and a camera joined.
+    Where the configuration names no odometry, all sensors that the calibration has are joined: wheels and camera where
+    it has both and `T_base_camera`, else the camera, else the wheels (`choose_odometry`). Who wants less names it.
 
     With `odometry: features` or `dense` frames are answered; the body is the robot's base where the calibration knows
     `T_base_camera`, else the camera; the map begins where the body was at the first tracked frame. With `odometry:
@@ -57,7 +62,7 @@ class Localizer(OneCaller):
 
     Args:
         calibration: of the sensors.
-        config: all settings; `config.alone(track)` picks one of several tracks.
+        config: all settings; of None, the defaults. `config.alone(track)` picks one of several tracks.
         places: model, areas and start, where they are not all in `config.places`.
         known: a map of before, in which it finds itself; with `loops: {source: keyframes}`. Until the place is
             recognised its answers are `INITIALIZING`: they have a pose in odom, and none in the map.
@@ -68,6 +73,7 @@ class Localizer(OneCaller):
         body: "base" or "camera".
         frame: "map" or "odom", in which poses are.
         answers: the types of the events that are answered.
+        hears: the types of the events that it uses; any other kind is warned of once, in `warnings` and by `logging`.
         note: what there is to say about the last event beyond its reason; often empty.
 
     Raises:
@@ -87,6 +93,9 @@ class Localizer(OneCaller):
     ) -> None:
         calibration = need_calibration(calibration)
         settings = Config() if config is None else need_kind("config", config, Config, _CONFIG_FIX)
+        choice = choose_odometry(calibration, settings)
+        settings = settings if settings.odometry else settings.with_odometry(choice.odometry)
+        self._choice, self._config, self._unused = choice, settings, dict[str, str]()
         if known is not None and settings.loops.source != FROM_KEYFRAMES:
             raise ConfigError(
                 "a known map is found by loops", fix='load_config(overrides={"loops.source": "keyframes"})'
@@ -108,7 +117,8 @@ class Localizer(OneCaller):
             self._way = ByWheels(calibration, settings.wheels)
         else:
             self._way = ByFrames(calibration, settings, known, waits=waits)
-        self.body, self.frame, self.answers = self._way.body, self._way.frame, self._way.answers
+        self.body, self.frame = self._way.body, self._way.frame
+        self.answers, self.hears = self._way.answers, self._way.hears
         self.note, self._resting = "", resting_keyframes(self.keyframes, settings.localizer)
         self._clock = SessionClock(settings.clocks)
         self._stamps = StampCheck()
@@ -164,9 +174,9 @@ class Localizer(OneCaller):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was found wrong with a sensor that is therefore left out, and where clocks leapt; one sentence each."""
+        """Sensors that are not used or were found wrong, and where clocks leapt; one sentence each."""
         of_sensors = () if isinstance(self._way, ByFrames) else self._way.warnings
-        return (*of_sensors, *self._clock.warnings)
+        return (*self._unused.values(), *of_sensors, *self._clock.warnings)
 
     @property
     def stage_seconds(self) -> dict[str, float]:
@@ -194,7 +204,7 @@ class Localizer(OneCaller):
 
     @one_at_a_time
     def process(self, event: Event) -> Estimate | None:
-        """The estimate at an event that is answered, None at any other.
+        """The estimate at an event that is answered, None at any other; events that are not used are warned of once.
 
         A frame that could not be read, or that is not newer than the one before, counts as one that failed:
         it gives no pose, its reason is `FRAME_UNUSABLE`, and `note` says what was wrong with it. Beside wheels, which
@@ -213,10 +223,11 @@ class Localizer(OneCaller):
             PlaceError: a frame of another size than the model of places was trained on.
         """
         check_event(event)
-        if isinstance(event, RgbdFrame) and RgbdFrame in self._way.hears:
+        if isinstance(event, RgbdFrame) and RgbdFrame in self.hears:
             check_images(event, self._calibration, of_any_size=self._has_places)
         self.note = ""
-        if not isinstance(event, self._way.hears):
+        if not isinstance(event, self.hears):
+            self._warn_unused(event)
             return None
         self._stamps.check(event)
         time_s = self._clock.time_of(event)
@@ -233,6 +244,12 @@ class Localizer(OneCaller):
             self._resting.look()
         shift_s = self._clock.shift_s
         return estimate if estimate is None or not shift_s else replace(estimate, stamp_s=estimate.stamp_s + shift_s)
+
+    def _warn_unused(self, event: Event) -> None:
+        what = _KINDS[type(event)]
+        if what not in self._unused:
+            self._unused[what] = why_unused(what, self._config, self._choice)
+            _LOG.warning(self._unused[what])
 
 
 def _joined(

@@ -1,6 +1,7 @@
 """From events to a folder of results: track, compare, write; and the records of what was learned."""
 
-from wheelsight.pipeline.choice import Choice, default_odometry
+from wheelsight.localizer.choice import Choice
+from wheelsight.pipeline.choice import default_odometry, resolved
 from wheelsight.pipeline.joined import FLAGS, BestAlone, JoinedFacts, best_alone_of, facts_of, joined_of
 from wheelsight.pipeline.live_source import LiveSensors, LiveSource
 from wheelsight.pipeline.loops import CORRECTED_FILE, CorrectionRecord
@@ -49,6 +50,7 @@ __all__ = [
     "in_real_time",
     "joined_of",
     "judge",
+    "resolved",
     "run_each",
     "verdict_of",
     "verdict_of_run",

@@ -84,6 +84,7 @@ def usable_parts() -> tuple[str, ...]:
 
 def parts_of(config: Config) -> tuple[str, ...]:
     """The parts whose kernels a run needs."""
+    config = config if config.odometry else config.with_odometry(("wheels", "dense"))  # whatever it may come to
     wanted = {{"rectified": "places"}.get(track, track) for track in config.tracks}
     wanted |= {"places"} if config.places.model is not None else set()
     wanted |= {"loops"} if config.loops.source == FROM_KEYFRAMES else set()

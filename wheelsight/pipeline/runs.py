@@ -10,6 +10,7 @@ from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath, make_output_folder
 from wheelsight.localizer import Places
+from wheelsight.pipeline.choice import resolved
 from wheelsight.pipeline.kept_maps import keeping_maps
 from wheelsight.pipeline.known_maps import open_known
 from wheelsight.pipeline.loops import MatchesOfRun, matches_of_run
@@ -39,14 +40,15 @@ def run_each(
     duration_s: float | None = None,
     watcher: Watcher | None = None,
 ) -> tuple[RunRecord, ...]:
-    """Run every odometry that `config` names over one pass of the events, each alone, and report them together.
+    """Run every odometry that `config` names over one pass of the events, alone and joined, and report them together.
 
     One leaves its results in `out`, each of several in a folder of its name there. What was tracked until Ctrl-C, or
     until the source breaks off, is written before the exception goes on.
 
     Args:
         source: a recording, also one `in_real_time`, or what gives events without an end.
-        config, out, force: all settings; folder for the results, made if need be; whether it may hold something.
+        config: all settings; where it names no odometry, all sensors of the source are joined.
+        out, force: folder for the results, made if need be; whether it may hold something.
         on_ready, on_code: called before the first event; while keyframes of a known map are made ready, with how many.
         on_event, watcher: called after each event that was answered, with each odometry's answer by its name.
         draw: writes a page of the records to a path, such as `report.write_page`; None: no page.
@@ -55,6 +57,7 @@ def run_each(
     Raises:
         InputError: what cannot end well, before anything is written; or the source cannot be read on.
     """
+    config = resolved(source, config)
     tracks, places, matches, known = _begin(source, config, on_code)
     folder = make_output_folder(Path(out), force)
     on_ready()

@@ -137,6 +137,8 @@ class Track:
     def step(self, event: Event, overtaken: int = 0) -> FrameRecord | None:
         """Answer one event; None of a kind that it does not use. `overtaken` frames were dropped just before it."""
         localizer = self.localizer
+        if not isinstance(event, localizer.hears):
+            return None  # another track may use it; `unused_of` says what none does
         started = time.perf_counter()
         estimate = localizer.process(event)
         seconds = time.perf_counter() - started

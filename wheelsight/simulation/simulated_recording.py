@@ -107,7 +107,10 @@ class SimulatedRecording:
         is_asked_for = self.settings.duration_s is not None and self.drive.duration_s >= self.settings.duration_s
         if self.drive.is_complete or is_asked_for:
             return self.world.warnings
-        return (*self.world.warnings, f"The drive ended early: {self.drive.reason}.",)
+        return (
+            *self.world.warnings,
+            f"The drive ended early: {self.drive.reason}.",
+        )
 
     def events(self, *, images: bool = True) -> Generator[Event]:
         """Readings and frames (unless without `images`) in order of time; frames are rendered a few ahead."""
