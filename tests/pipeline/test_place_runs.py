@@ -13,7 +13,7 @@ from stand_ins import MemoryRecording
 
 from wheelsight.areas import Area, AreaMap, save_areas
 from wheelsight.config import load_config
-from wheelsight.errors import AreaError, ConfigError, InputError, PlaceError
+from wheelsight.errors import AreaError, InputError, PlaceError
 from wheelsight.events import RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.geometry import PinholeCamera, se3
 from wheelsight.pipeline import RectificationRecord, RunRecord
@@ -232,9 +232,12 @@ def test_models_and_areas_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_run_follows_one_track(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"one track, not wheels and rectified .use run_each"):
-        run(area_recording(tmp_path), by_areas(tmp_path), tmp_path / "out")
+def test_run_answers_with_the_rectified_wheels(tmp_path: Path) -> None:
+    source, config = shortened(area_recording(tmp_path)), by_areas(tmp_path)
+    record, each = run(source, config, tmp_path / "out"), run_each(source, config, tmp_path / "each")
+    assert [one.odometry for one in each] == ["wheels", "rectified"]
+    assert record.odometry == "rectified"
+    np.testing.assert_array_equal(record.estimate.T_frame_body, each[-1].estimate.T_frame_body)
 
 
 def test_rectified_results_do_not_outlive_a_run_without_places(tmp_path: Path) -> None:

@@ -64,10 +64,11 @@ def choose_odometry(calibration: Calibration, config: Config, sensors: Sensors =
         ConfigError: a map is asked for, and there are wheels without images.
     """
     defaults = Config(profile=config.profile)
-    # How many threads share the work changes no result: it says nothing about the way.
+    # Threads change no result, and a seed is of all that is random: neither says which odometry is wanted.
     dense = config.dense.model_copy(update={"threads": defaults.dense.threads})
+    features = config.features.model_copy(update={"seed": defaults.features.seed})
     asks_dense = config.map is not None or dense != defaults.dense
-    by_features = config.features != defaults.features and not asks_dense
+    by_features = features != defaults.features and not asks_dense
     is_slow = config.profile == "pi" and not asks_dense
     by_camera: tuple[OdometryName, ...] = ("features",) if by_features or is_slow else ("dense",)
     frames, readings, elsewhere = sensors.frames, sensors.readings, sensors.wheels_from
