@@ -12,10 +12,13 @@ localizer = Localizer(recording.calibration)
 
 for event in recording.events():
     estimate = localizer.process(event)
-    if estimate is None:  # not answered: wheels turned, and a camera alone is followed
+    if estimate is None:  # not answered: a gyroscope's reading, or a sensor that `localizer.warnings` names
         continue
     if estimate.T_map_body is None:
         print(f"{estimate.stamp_s:.3f} s  {estimate.status}: {estimate.reason} {localizer.note}")
         continue
     x, y, z = estimate.T_map_body[:3, 3]
     print(f"{estimate.stamp_s:.3f} s  {estimate.body} at {x:+.3f} {y:+.3f} {z:+.3f} m, {estimate.status}")
+
+for warning in localizer.warnings:
+    print(f"warning: {warning}")

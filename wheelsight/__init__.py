@@ -8,6 +8,7 @@ Frame by frame: `Localizer(calibration).process(event)`. Every step by hand: `De
 
 from __future__ import annotations
 
+import logging
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -154,6 +155,8 @@ _NAMES_OF = {
     "trajectory": ("Trajectory", "read_kitti", "read_tum", "write_kitti", "write_tum"),
     "views": ("PredictedView", "ReferenceModel"),
 }
+# A program that wants the library's records gives this logger a handler; without one nothing is printed.
+logging.getLogger(__name__).addHandler(logging.NullHandler())
 _MODULE_OF = {name: module for module, names in _NAMES_OF.items() for name in names}
 
 

@@ -234,7 +234,7 @@ def test_what_a_ruler_measured_is_not_missing(wheelsight: Command, tmp_path: Pat
     sizes = "{left_radius_m: 0.17, right_radius_m: 0.17, track_width_m: 0.58, ticks_per_turn: 3200}"
     out.write_text(f"{begin}wheels: {sizes}\n")
     rows = {line.split()[0]: line for line in wheelsight("calibrate", "robot", out).stdout.splitlines() if line.strip()}
-    assert rows["wheels"].split()[1:] == "not measured by a data sheet or a ruler".split()
+    assert rows["wheels"].split()[1:] == ["not", "measured", "by", "a", "data", "sheet", "or", "a", "ruler"]
     assert rows["mount"].split()[1:] == ["missing", "none"]
     assert rows["camera"].split()[1] == "missing"
 

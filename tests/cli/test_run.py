@@ -139,7 +139,7 @@ def test_one_frame_is_a_recording(wheelsight: Command, tmp_path: Path) -> None:
 
 def test_a_blank_wall_gives_no_pose_and_says_why(wheelsight: Command, tmp_path: Path) -> None:
     make_tum_recording(tmp_path / "room", frames=6, blank=range(6))
-    result = wheelsight("run", tmp_path / "room", "--out", tmp_path / "out")
+    result = wheelsight("run", tmp_path / "room", "--odometry", "features", "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert "0 of 6 with a pose" in result.stdout
     assert "6 × too few keypoints" in result.stdout

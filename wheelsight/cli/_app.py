@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Annotated, Any
 
 import typer
@@ -31,6 +32,8 @@ from wheelsight.cli._help import Command, Group
 from wheelsight.errors import WheelsightError
 from wheelsight.interrupts import end_by_signals, exit_code, was_asked
 
+_LOG = logging.getLogger(__name__)
+
 
 class _Commands(Group):
     """Tells a user's errors in one line; anything else is a bug and keeps its traceback."""
@@ -43,6 +46,7 @@ class _Commands(Group):
         try:
             return super().invoke(ctx)
         except WheelsightError as error:
+            _LOG.error("%s", error)
             print_error(str(error))
             raise typer.Exit(INPUT_IS_WRONG) from error
         except RuntimeError as error:

@@ -9,6 +9,7 @@ import json
 import math
 import sys
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -16,6 +17,14 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
+@dataclass
+class Quiet:
+    """Whether -q was given."""
+
+    on: bool = False
+
+
+QUIET = Quiet()
 INPUT_IS_WRONG = 2
 _STDERR = 2
 _WIDTH_OF_FILES = 200
@@ -93,7 +102,9 @@ def print_warning(message: str) -> None:
 
 
 def print_note(message: str) -> None:
-    """Print a message about the work itself on stderr."""
+    """Print a message about the work itself on stderr, unless -q was given."""
+    if QUIET.on:
+        return
     console(stderr=True).print(message, markup=False)
 
 

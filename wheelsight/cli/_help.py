@@ -7,6 +7,8 @@ from typing import Any
 
 import typer.core
 
+from wheelsight.cli._logs import log_options
+
 _EXAMPLES, _LAST = "[bold]Examples[/bold]", "Help"
 
 
@@ -29,7 +31,7 @@ class _Readable:
         options = [param for param in others if isinstance(param, typer.core.TyperOption)]
         if options and all(param.rich_help_panel for param in options):
             last.rich_help_panel = _LAST
-        return params
+        return [*others, *log_options(last.rich_help_panel), last]
 
 
 class Command(_Readable, typer.core.TyperCommand):

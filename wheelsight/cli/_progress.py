@@ -9,7 +9,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
 from rich.table import Column
 from rich.text import Text
 
-from wheelsight.cli._console import console
+from wheelsight.cli._console import QUIET, console
 
 # What numbers and status take of a line; the bar has the rest, within these limits.
 _BESIDE_BAR, _SHORTEST_BAR, _LONGEST_BAR = 66, 4, 40
@@ -53,7 +53,7 @@ def progress_line(*columns: ProgressColumn) -> Progress:
         *columns,
         TextColumn("{task.fields[status]}", table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)),
         console=stderr,
-        disable=not stderr.is_terminal,
+        disable=QUIET.on or not stderr.is_terminal,
         expand=True,
         transient=True,
     )

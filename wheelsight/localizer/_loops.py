@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain
@@ -24,6 +25,7 @@ from wheelsight.slam.live import ClosedLoops, LiveLoops
 from wheelsight.slam.settings import FROM_KEYFRAMES, PieceSettings
 from wheelsight.slam.steps import aligned_edge
 
+_LOG = logging.getLogger(__name__)
 AnyEstimate = TypeVar("AnyEstimate", bound=Estimate)
 
 
@@ -86,6 +88,8 @@ class LoopsBeside:
         return None if update is None else self._move(update, keyframe)
 
     def _move(self, update: PoseUpdate, keyframe: KeyframeId | None) -> FloatArray:
+        if len(update.loops) != len(self._loops):
+            _LOG.info("%d loops are closed (before: %d); keyframes move", len(update.loops), len(self._loops))
         self._loops = update.loops
         T_known, T_old = self._laid(update), np.array(self._store.T_map_keyframe)
         count = len(T_known)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from dataclasses import replace
 from types import TracebackType
 
@@ -13,7 +14,7 @@ from wheelsight.checks import check_event, check_images, need_calibration, need_
 from wheelsight.clocks import SessionClock, Untimed
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
-from wheelsight.estimates import Estimate, WheelEstimate
+from wheelsight.estimates import Estimate, Status, WheelEstimate
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.geometry import FloatArray
 from wheelsight.keyframes import KeyframeStore
@@ -37,6 +38,7 @@ from wheelsight.stamps import StampCheck
 from wheelsight.threads import OneCaller, ends, one_at_a_time
 
 _LOG = logging.getLogger(__name__)
+_NUMBER = re.compile(r"\d[\d.,]*")
 _KINDS = {RgbdFrame: FRAMES, SkippedFrame: FRAMES, WheelTicks: READINGS, WheelSpeeds: READINGS, YawRate: RATES}
 _CONFIG_FIX = 'load_config(PATH), or load_config(overrides={"odometry": "dense"})'
 
@@ -122,6 +124,7 @@ class Localizer(OneCaller):
         self.note, self._resting = "", resting_keyframes(self.keyframes, settings.localizer)
         self._clock = SessionClock(settings.clocks)
         self._stamps = StampCheck()
+        self._log = _Log("+".join(settings.odometry))
 
     @property
     def odometry(self) -> FeatureOdometry | DenseOdometry | WheelOdometry:
@@ -242,6 +245,7 @@ class Localizer(OneCaller):
             estimate = self._way.in_odom(estimate)
         if self._resting is not None:
             self._resting.look()
+        self._log.look(estimate, self.note, self.recognised, self.warnings)
         shift_s = self._clock.shift_s
         return estimate if estimate is None or not shift_s else replace(estimate, stamp_s=estimate.stamp_s + shift_s)
 
@@ -249,7 +253,44 @@ class Localizer(OneCaller):
         what = _KINDS[type(event)]
         if what not in self._unused:
             self._unused[what] = why_unused(what, self._config, self._choice)
-            _LOG.warning(self._unused[what])
+            self._log.warn(self.warnings)
+
+
+class _Log:
+    """Records of the logger: warnings, changes of status, recognised places, and frames that gave no measurement.
+
+    Args:
+        name: of the odometry, for several localizers of one run.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name, self._status, self._recognised, self._warned = name, Status.INITIALIZING, 0, set[str]()
+
+    def look(self, estimate: Estimate | None, note: str, recognised: int | None, warnings: tuple[str, ...]) -> None:
+        """An event was answered."""
+        if warnings:
+            self.warn(warnings)
+        if estimate is None:
+            return
+        why = ": ".join(filter(None, (estimate.reason, note)))
+        if estimate.status is not self._status:
+            of = f"{estimate.status}, was {self._status}" + (f": {why}" if why else "")
+            _LOG.info("%.3f s: %s is %s", estimate.stamp_s, self._name, of)
+            self._status = estimate.status
+        elif why:
+            _LOG.debug("%.3f s: %s: %s", estimate.stamp_s, self._name, why)
+        if recognised is not None and recognised > self._recognised:
+            if not self._recognised:
+                _LOG.info("%.3f s: %s is recognised in the known map", estimate.stamp_s, self._name)
+            self._recognised = recognised
+
+    def warn(self, warnings: tuple[str, ...]) -> None:
+        """Log what was not logged before; a number that has changed makes no other warning."""
+        for sentence in warnings:
+            kind = _NUMBER.sub("", sentence)
+            if kind not in self._warned:
+                self._warned.add(kind)
+                _LOG.warning(sentence)
 
 
 def _joined(

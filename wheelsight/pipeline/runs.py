@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -25,6 +26,8 @@ from wheelsight.recordings import Recording
 from wheelsight.recordings.clocks import FRAMES, WHEELS, refuse_if_apart, refuse_other_units
 from wheelsight.slam.sessions import MapFolder
 from wheelsight.sources import EventSource
+
+_LOG = logging.getLogger(__name__)
 
 
 def run_each(
@@ -65,10 +68,22 @@ def run_each(
         passage = follow(tracks, source, config, on_event, _areas_of(places), duration_s, watcher)
         _raise_where_nothing(passage)
         records = records_of(passage, source, config, places, matches)
+        _log(records)
         _show_end(watcher, passage)
     write_results(records, passage, source, config, folder, draw)
     _raise_interruption(passage)
     return records
+
+
+def _log(records: tuple[RunRecord, ...]) -> None:
+    """Warnings that no localizer has logged, and how many frames have a pose."""
+    logged = {sentence for record in records for sentence in record.faults}
+    for sentence in dict.fromkeys(sentence for record in records for sentence in record.warnings):
+        if sentence not in logged:
+            _LOG.warning(sentence)
+    for record in records:
+        posed = len(record.estimate), len(record.frames), record.unit
+        _LOG.info("%s, %s: %d poses; %d %ss", record.recording, record.odometry, *posed)
 
 
 def _areas_of(places: PlacesOfRun | None) -> Places | None:
