@@ -30,4 +30,8 @@ class EventSource(Protocol):
         """What a user should know before trusting results, one sentence each; more may come with the events."""
 
     def events(self, *, images: bool = True) -> Iterator[Event]:
-        """The events in order of time. Without `images` frames are left out, and none is decoded."""
+        """The events in order of time. Without `images` frames are left out, and none is decoded.
+
+        `run` asks for `images=False` where it follows wheels alone: an implementation takes the argument by this name.
+        docs/api/own-parts.md has an example.
+        """

@@ -250,7 +250,7 @@ class Localizer(OneCaller):
         return estimate if estimate is None or not shift_s else replace(estimate, stamp_s=estimate.stamp_s + shift_s)
 
     def _warn_unused(self, event: Event) -> None:
-        what = _KINDS[type(event)]
+        what = next(what for kind, what in _KINDS.items() if isinstance(event, kind))
         if what not in self._unused:
             self._unused[what] = why_unused(what, self._config, self._choice)
             self._log.warn(self.warnings)

@@ -107,7 +107,8 @@ class ErrorStateFilter:
         """Take a step of the wheels, from `begin_s` to `stamp_s`.
 
         Args:
-            T_prev_now: (4, 4) the base at its end, in the frame of the base at its begin.
+            T_prev_now: (4, 4) the base at its end, in the frame of the base at its begin; `WheelEstimate.step` has it
+                as `T_before_now`, beside its covariance and `begin_s`.
             covariance: (6, 6) of its left perturbation, by the wheels' model.
         """
         T, Q, begin_s = motion_of(T_prev_now), covariance_of(covariance, 6), need_number("begin_s", begin_s)

@@ -147,7 +147,8 @@ class WheelOdometry(OneCaller):
 
         Returns:
             `Status.TRACKING` with the pose; or, of a reading that was refused, `Status.FAILING` with the reason, the
-            pose as it was before and the covariance grown.
+            pose as it was before and the covariance grown. Its `step` is the motion since the reading before, as
+            `ErrorStateFilter.predict` takes it.
 
         Raises:
             ArgumentError: no reading, numbers that are none, counts with a fraction, or stamps that are no seconds.
