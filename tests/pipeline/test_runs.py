@@ -92,7 +92,7 @@ def test_too_little_depth_names_its_true_cause(
         depth_m = event.depth_m.ravel().copy()
         depth_m[round(share * depth_m.size) :] = 0
         events.append(replace(event, depth_m=depth_m.reshape(event.depth_m.shape)))
-    record = run(MemoryRecording(events, truth), Config(), tmp_path)
+    record = run(MemoryRecording(events, truth), load_config(overrides={"odometry": "features"}), tmp_path)
     assert {row["note"] for row in status_in(tmp_path)} == {why}
     (found,) = (one for one in metrics_in(tmp_path)["verdict"]["findings"] if one["about"] == "poses")
     assert (found["tone"], found["sentence"]) == ("red", f"0 of 20 frames (0 %) have a pose: {why} (20).")

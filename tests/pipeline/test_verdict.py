@@ -205,6 +205,13 @@ def test_a_fault_of_a_sensor_is_named_before_what_comes_of_it() -> None:
     assert "the warning about the sensors" in about(verdict, "coasting").remedy
 
 
+def test_a_fault_of_a_topic_is_named_whole() -> None:
+    fault = "/odom: 5.25 of 5.25 m go sideways, which two wheels cannot show; the way is wrong by as much."
+    verdict = verdict_of(replace(wheel_run(), faults=(fault,)))
+    assert verdict.phrase == "Use with care: /odom: 5.25 of 5.25 m go sideways, which two wheels cannot show"
+    assert verdict.concerns[0].line == f"{fault} To do: correct what this names, and run again."
+
+
 def test_frames_are_judged_by_how_many_have_a_pose() -> None:
     assert verdict_of(example_run(500)).phrase == "Use with care: it was lost once"
     assert verdict_of(empty_run()).phrase == "Do not rely on it: no pose was found"

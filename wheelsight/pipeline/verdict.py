@@ -448,7 +448,8 @@ def _in_map(found: KnownMapRecord) -> Finding:
 
 
 def _fault(sentence: str, tone: Tone) -> Finding:
-    short = sentence.split(":")[0].rstrip(".")
+    what, separator, _ = sentence.partition("; ")
+    short = (what if separator else sentence.rpartition(": ")[0] or sentence).rstrip(".")
     return Finding(
         "sensors", tone, f"{short[0].lower()}{short[1:]}", sentence, "correct what this names, and run again"
     )
