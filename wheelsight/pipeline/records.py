@@ -22,6 +22,7 @@ from wheelsight.pipeline.rehearses import InRealTime
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.pipeline.track import UNITS, Passage, Track
 from wheelsight.recordings import Recording, express_for
+from wheelsight.recordings.protocol import TellsWheelFaults
 from wheelsight.sources import EventSource
 from wheelsight.trajectory import Trajectory
 
@@ -102,7 +103,7 @@ def _record_of(track: Track, passage: Passage, source: EventSource, config: Conf
         map=surfels,
         kept_map=kept,
         realtime=source.report() if isinstance(source, InRealTime) else None,
-        faults=tuple(track.localizer.warnings),
+        faults=(*_wheel_faults(source, track), *track.localizer.warnings),
         known_map=_known_map(track, passage, config),
         is_interrupted=passage.interruption is not None,
     )
@@ -199,6 +200,13 @@ def _repeats(track: Track) -> tuple[str, ...]:
         return ()
     repeats = f"{count} of {len(track.frames)} listed frames show the same image as the frame before and were skipped"
     return (f"{repeats}: fewer images a second were taken than were recorded.",)
+
+
+def _wheel_faults(source: EventSource, track: Track) -> tuple[str, ...]:
+    """What the recording knows to be wrong with poses by its wheels, where these were followed."""
+    if "wheels" not in track.odometry or not isinstance(source, TellsWheelFaults):
+        return ()
+    return tuple(source.wheel_faults)
 
 
 def _truth(source: EventSource, body: str) -> tuple[Trajectory | None, str | None]:

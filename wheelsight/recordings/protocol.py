@@ -148,6 +148,15 @@ class ListsTopics(Protocol):
 
 
 @runtime_checkable
+class TellsWheelFaults(Protocol):
+    """A recording that may know why poses by its wheels are wrong."""
+
+    @property
+    def wheel_faults(self) -> Sequence[str]:
+        """One sentence each, also in `warnings`; none where nothing is known to be wrong."""
+
+
+@runtime_checkable
 class TellsEnds(Protocol):
     """A recording too long to be listed before it is read; it knows when its streams begin and end."""
 

@@ -11,10 +11,12 @@ from narrowing import not_none
 from written_bags import LOOKS_AHEAD, OPTICAL, Drive, camera_drive, circle, odometry_drive
 
 from wheelsight.calibration import Calibration, Wheels, save_calibration
+from wheelsight.config import Config
 from wheelsight.errors import CalibrationError, ConfigError, RecordingError
 from wheelsight.evaluation import evaluate
 from wheelsight.events import WheelSpeeds, WheelTicks, YawRate
 from wheelsight.odometry.wheels import WheelOdometry
+from wheelsight.pipeline import Tone, run_each, verdict_of_run
 
 OWN = Wheels(0.1, 0.1, 0.4, 1000.0)
 V, W = 0.5, 0.3
@@ -203,21 +205,31 @@ def on_a_lever(lever_m: float) -> Drive:
 
 @pytest.mark.parametrize("share", [0.1, 1.0])
 def test_sideways_motion_is_said_with_its_share_and_the_camera_leads(opened, share: float) -> None:
-    told = f"m that were looked at ({100 * share:.0f} %) go sideways, which two wheels cannot show"
-    assert any(told in warning for warning in opened(aside(share)).warnings)
+    told = f"m that were looked at ({100 * share:.0f} %) are sideways, which two wheels cannot show"
+    alone = opened(aside(share))
+    assert len(alone.wheel_faults) == 1
+    assert told in alone.wheel_faults[0]
+    assert alone.wheel_faults[0] in alone.warnings
     drive = aside(share)
     drive.messages += camera_drive().messages
     recording = opened(drive)
     assert (recording.wheel_count, recording.frame_count) == (0, 6)
     assert any("/odom is left out" in warning and told in warning for warning in recording.warnings)
+    assert recording.wheel_faults == ()
     assert opened(drive, topics=("wheels=/odom",)).wheel_count == 60
+
+
+def test_a_run_by_wheels_that_went_sideways_is_not_green(opened, tmp_path_factory) -> None:
+    records = run_each(opened(aside(1.0)), Config(odometry=("wheels",)), tmp_path_factory.mktemp("run"))
+    assert "goes sideways" in records[0].faults[0]
+    assert verdict_of_run(records).tone is not Tone.GREEN
 
 
 def test_measured_speeds_across_are_sideways_too(opened) -> None:
     drive = Drive()
     for at_s in STAMPS_S:
         drive.add(at_s, "/robot/velocity", drive.make.twist(at_s, 0.0, 0.0, V))
-    assert any("(100 %) go sideways" in warning for warning in opened(drive).warnings)
+    assert any("(100 %) are sideways" in warning for warning in opened(drive).warnings)
 
 
 @pytest.mark.parametrize("drive", [odometry_drive(), on_a_lever(0.3), aside(0.02)])

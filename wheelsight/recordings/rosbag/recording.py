@@ -242,6 +242,11 @@ class BagRecording:
         return self._counts.get("wheels", 0)
 
     @property
+    def wheel_faults(self) -> tuple[str, ...]:
+        """See `TellsWheelFaults`."""
+        return self._plan.roles.faults
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """What opening told, and what the last pass that went through told."""
         return (*self._opened, *self._told)

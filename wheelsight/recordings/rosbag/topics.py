@@ -108,7 +108,10 @@ class Choices:
 
 @dataclass(frozen=True, slots=True)
 class Roles:
-    """The topics that are used, each None where there is none, and what is to be said about the choice."""
+    """The topics that are used, each None where there is none, and what is to be said about the choice.
+
+    `transforms` are topics of their own in the bag; `faults`, also in `warnings`, are what makes wheels' poses wrong.
+    """
 
     color: ImageTopic | None = None
     depth: ImageTopic | None = None
@@ -120,6 +123,7 @@ class Roles:
     truth: str | None = None
     transforms: tuple[TransformTopic, ...] = ()
     warnings: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
 
     @property
     def joints(self) -> Joints | None:
@@ -164,7 +168,8 @@ def roles_of(bag: OpenBag, choices: Choices, knows_wheels: bool = False) -> Role
     own_depth = None if depth is None or depth.says_registered else depth
     depth_info = None if own_depth is None else chosen.get("depth_info") or _info_of(own_depth, frames)
     truth = _truth(bag, chosen, choices)
-    source = _wheels(bag, filled, color is not None, choices, knows_wheels, truth, warnings)
+    faults: list[str] = []
+    source = _wheels(bag, filled, color is not None, choices, knows_wheels, truth, warnings, faults)
     gyro = _gyro(filled, chosen, warnings)
     if source is not None and gyro is not None and "gyro" not in chosen and is_fused(source):
         warnings.append(f"{gyro} is left out: {source.topic.name} has it already, it seems: see --topic gyro=….")
@@ -173,7 +178,9 @@ def roles_of(bag: OpenBag, choices: Choices, knows_wheels: bool = False) -> Role
     bag.add_transforms(transforms)
     wheels = None if source is None else source.topic
     name = truth.name if isinstance(truth, TransformTopic) else truth
-    return Roles(color, depth, color_info, depth_info, wheels, source, gyro, name, transforms, tuple(warnings))
+    return Roles(
+        color, depth, color_info, depth_info, wheels, source, gyro, name, transforms, (*warnings, *faults), (*faults,)
+    )
 
 
 def _sides(text: str, role: str, names: str) -> Joints:
@@ -298,6 +305,7 @@ def _wheels(
     knows_wheels: bool,
     truth: TransformTopic | str | None,
     warnings: list[str],
+    faults: list[str],
 ) -> WheelSource | None:
     """What tells of the wheels: raw readings before a filter's output; what is not taken is said, and why."""
     name = choices.topics.get("wheels")
@@ -306,7 +314,7 @@ def _wheels(
     if name is not None:
         chosen = chosen_source(bag, name, choices.right, choices.sides)
         told = sideways(bag, chosen)
-        warnings += [] if told is None else [f"{name}: {told}; the way is wrong by as much."]
+        faults += [] if told is None else [f"{name} goes sideways: {told}; the way is wrong by as much."]
         return chosen
     own = any(topic.name == CALIBRATION for topic in filled)
     # In a bag of our own, poses and transforms are our estimate, by the other sensors.
@@ -320,7 +328,7 @@ def _wheels(
     told = None if taken is None else sideways(bag, taken)
     if taken is not None and told is not None:
         if not has_camera:
-            warnings.append(f"{taken.topic.name}: {told}; the way is wrong by as much, and no camera is there to lead.")
+            faults.append(f"{taken.topic.name} goes sideways: {told}; the way is wrong by as much, no camera leads.")
         else:
             fix = f"the camera leads (--topic wheels={taken.topic.name} takes them all the same)"
             warnings.append(f"{taken.topic.name} is left out: {told}; {fix}.")

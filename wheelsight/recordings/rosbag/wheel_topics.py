@@ -412,7 +412,7 @@ def sideways(bag: OpenBag, source: WheelSource) -> str | None:
         return None
     share = 100 * sideways_m / way_m
     looked_at = f"{sideways_m:.2f} of {way_m:.2f} m that were looked at ({share:.0f} %)"
-    return f"{looked_at} go sideways, which two wheels cannot show"
+    return f"{looked_at} are sideways, which two wheels cannot show"
 
 
 def _steps(bag: OpenBag, source: WheelSource) -> np.ndarray:
