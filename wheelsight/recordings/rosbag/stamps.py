@@ -103,8 +103,16 @@ class TopicClock:
         run = [self._pending[place] for place in chain]
         change_s = float(np.median([self._expected(message.receipt_s) - header_s for header_s, message in run]))
         last_s, newest_s = run[-1][0] + self.shift_s, self._recent[-1][0]
-        if run[0][0] > newest_s and (
-            abs(change_s) <= APART_S or any(abs(other_s - last_s) <= APART_S for other_s in others_s)
+        is_later, usual_s = run[0][0] > newest_s, max(1.0, self._rate())
+        # How fast receipt goes is known of some messages on: before, headers that go on later are good.
+        is_known = len(self._recent) >= _RATE_SAMPLES
+        if abs(change_s) <= _AGREES_S * usual_s or (
+            is_later
+            and (
+                not is_known
+                or abs(change_s) <= APART_S * usual_s
+                or any(abs(other_s - last_s) <= APART_S for other_s in others_s)
+            )
         ):
             return
         # After all that was stamped before, however unsteady receipt is.
@@ -137,6 +145,10 @@ class TopicClock:
                 self.left_out += 1
         self._pending = []
         return settled
+
+    def _out_of_order_s(self) -> float:
+        """How far a header may be from what is usual at its receipt, to be good though a younger one was received."""
+        return max(min(3 * self._period_s(), _AGREES_S), _SMALLEST_STEP_S) * max(1.0, self._rate())
 
     def _chain(self) -> list[int]:
         """Places of the most pending messages of which each follows the one before."""
