@@ -39,7 +39,8 @@ def export_to_bag(asked: Asked, to: Path) -> None:
         typer.echo(f"{topic:<{width}}  {count:>9,}")
     typer.echo(f"{sum(report.topics.values()):,} messages, {report.size_bytes / 1e6:.1f} MB: {to}")
     foxglove, rviz = report.layouts
-    typer.echo(f"layouts: {foxglove} (Foxglove: Layouts, Import from file), {rviz} (RViz: its option -d)")
+    typer.echo(f"{foxglove}: its layout for Foxglove (Layouts, Import from file)")
+    typer.echo(f"{rviz}: for RViz (-d)")
 
 
 def _refuse_itself(source: Path, to: Path) -> None:

@@ -55,17 +55,18 @@ class PartCost(NamedTuple):
     seconds: float
 
 
-# Seconds of one processor of 2026's machine; a computer that has compiled a part remembers how long it took there.
+# Seconds of one processor (AMD EPYC, 2026-11-28) with nothing beside it; a computer that has compiled a part remembers its
+# own.
 COSTS = {
     "wheels": PartCost(6, 15),
-    "features": PartCost(6, 19),
-    "dense": PartCost(39, 60),
-    "joined": PartCost(17, 40),
+    "features": PartCost(6, 20),
+    "dense": PartCost(39, 62),
+    "joined": PartCost(17, 51),
     "loops": PartCost(3, 10),
-    "places": PartCost(8, 8),
-    "navigation": PartCost(35, 40),
-    "simulation": PartCost(24, 25),
-    "mesh": PartCost(1, 4),
+    "places": PartCost(8, 7),
+    "navigation": PartCost(35, 35),
+    "simulation": PartCost(24, 37),
+    "mesh": PartCost(1, 5),
 }
 _KERNEL_FILES = ("*_kernels.py", "compiled.py", "geometry/arrays.py")
 _MARK = "wheelsight-{}.compiled.json"
