@@ -22,6 +22,8 @@ from written_bags import (
 from wheelsight.errors import RecordingError
 from wheelsight.events import RgbdFrame, WheelSpeeds, YawRate
 from wheelsight.recordings.inspection import inspect_recording
+from wheelsight.recordings.rosbag.stamps import TopicClock
+from wheelsight.recordings.rosbag.storage import Message
 
 ODOM, IMU = "/odom", "/imu"
 # 5 Hz is here for its depth received 0.1 s late, 15 for a pause's sake; their images take longest to write.
@@ -258,3 +260,24 @@ def test_headers_that_stand_still_give_way_to_receipt(opened) -> None:
 def test_readings_that_were_received_out_of_order_are_all_used(opened) -> None:
     drive = timed_drive(received=lambda s, topic: on_time(s, topic) + (0.05 if round(s / 0.04) % 7 == 3 else 0))
     check_all(opened(drive))
+
+
+@pytest.mark.parametrize("speed", [0.22, 1.0, 5.0])
+@pytest.mark.parametrize("rate_hz", [1, 5, 50])
+def test_clean_headers_stay_as_they_are_and_wrong_ones_among_them_go(speed: float, rate_hz: int) -> None:
+    random = np.random.default_rng(rate_hz)
+    for _ in range(10):
+        clean_s = 100 + (np.arange(120) + random.uniform(-0.2, 0.2, 120)) / rate_hz
+        received_s = np.maximum.accumulate(clean_s / speed + np.abs(random.normal(0, 0.05, 120)))
+        wrong = np.zeros(120, bool)
+        wrong[random.choice(np.arange(20, 100), 2, replace=False)] = True
+        for headers_s, right in ((clean_s, np.ones(120, bool)), (clean_s + wrong * random.choice([-30, 30]), ~wrong)):
+            clock = TopicClock()
+            settled = [
+                one
+                for header_s, receipt_s in zip(headers_s.tolist(), received_s.tolist(), strict=True)
+                for one in clock.add(header_s, Message(ODOM, round(1e9 * receipt_s), b""))
+            ]
+            settled += clock.end()
+            np.testing.assert_array_equal([stamp_s for stamp_s, _ in settled], clean_s[right])
+            assert (clock.left_out, clock.settings) == (120 - right.sum(), [])
