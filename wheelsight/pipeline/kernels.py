@@ -55,8 +55,8 @@ class PartCost(NamedTuple):
     seconds: float
 
 
-# Seconds of one processor (AMD EPYC, 2026-11-28) with nothing beside it; a computer that has compiled a part remembers its
-# own.
+# Seconds of one processor (AMD EPYC, 2026-11-28) with nothing beside it. A computer that has compiled a part remembers
+# how long it took there.
 COSTS = {
     "wheels": PartCost(6, 15),
     "features": PartCost(6, 20),
