@@ -214,7 +214,7 @@ def _read_image(path: StrPath) -> tuple[NDArray[Any], int]:
     if stated is not None:
         white = int(stated[1])
         if not 0 < white < 1 << 16:
-            raise MapError(f"says that {white} is white", path=path, fix="1 to 65535; save it anew")
+            raise MapError(f"says that {white} is white", path=path, fix="1 to 65535; save it again")
         # Values come as they stand, whether this decoder scales or not.
         full = b"255" if white < 1 << 8 else b"65535"
         # A text file may end without a break, which OpenCV takes for cut off.

@@ -19,7 +19,7 @@ from wheelsight.navigation.depth_images import checked_depth
 from wheelsight.navigation.footprint import Footprint
 
 # What no image of so many seconds shows, nor sees through, has nothing behind it: five images see through a thing that
-# has gone. Bearings are told apart by columns of a degree or two, and the edge of the view is left out.
+# has gone. Columns of bearings are a degree or two wide, and the edge of the view is left out.
 _LOOKED_S, _COLUMNS, _WITHIN = 1.0, 32, 0.9
 
 

@@ -294,7 +294,7 @@ class Building:
         return len(self._geoms)
 
     def remove_since(self, count: int) -> None:
-        """Remove all but the first `count` geoms, none of which a door's leaf may be."""
+        """Remove all but the first `count` geoms. No door's leaf may be among them."""
         for name in list(self._geoms)[count:]:
             del self._geoms[name]
 
