@@ -117,10 +117,10 @@ def test_lost_pairs_are_warned_of_with_reason_and_counts(opened) -> None:
     drive = timed_drive(10.0, headers=lambda s, topic: s + (0.03 if topic == DEPTH and round(s * 10) % 5 == 2 else 0))
     recording = opened(drive)
     assert len(stamps_of(recording, RgbdFrame)) == 63
-    (told,) = [warning for warning in inspect_recording(recording).warnings if "lost" in warning]
-    assert told.startswith("16 of 79 frames were lost: 16 colour and 16 depth images stayed single")
-    assert "the nearest is 0.030 s away" in told
-    assert "raise --max-gap" in told
+    (found,) = [warning for warning in inspect_recording(recording).warnings if "lost" in warning]
+    assert found.startswith("16 of 79 frames were lost: 16 colour and 16 depth images stayed single")
+    assert "the nearest is 0.030 s away" in found
+    assert "raise --max-gap" in found
 
 
 def test_depth_at_a_lower_rate_than_colour_loses_nothing(opened) -> None:
@@ -177,11 +177,11 @@ def test_a_cameras_clock_that_is_apart_is_taken_out_and_named(opened, apart_s: i
     # To within what an image takes to be received.
     check_all(recording, camera_hz=camera_hz, atol=0.06)
     np.testing.assert_allclose(np.diff(stamps_of(recording, RgbdFrame)), 1 / camera_hz, atol=1e-5)
-    (told,) = [warning for warning in recording.warnings if warning.startswith(f"{COLOR}: ")]
-    said_s = float(told.split("headers are ")[1].split(" s ")[0])
+    (found,) = [warning for warning in recording.warnings if warning.startswith(f"{COLOR}: ")]
+    said_s = float(found.split("headers are ")[1].split(" s ")[0])
     assert said_s == pytest.approx(abs(apart_s), abs=0.06)
-    assert ("after" in told) == (apart_s > 0)
-    assert told in inspect_recording(recording).warnings
+    assert ("after" in found) == (apart_s > 0)
+    assert found in inspect_recording(recording).warnings
 
 
 def test_wheels_that_are_apart_from_camera_and_gyroscope_follow_these(opened) -> None:
@@ -197,10 +197,10 @@ def test_wheels_that_are_apart_from_camera_and_gyroscope_follow_these(opened) ->
 def test_a_clock_that_is_set_is_taken_out_and_named(opened, by_s: float, topics: tuple[str, ...]) -> None:
     recording = opened(timed_drive(headers=lambda s, topic: s + (by_s if topic in topics and s > 4.02 else 0)))
     check_all(recording, atol=0.05)
-    told = [warning for warning in recording.warnings if "the clock was set" in warning]
-    assert {warning.partition(":")[0] for warning in told} == set(topics)
+    found = [warning for warning in recording.warnings if "the clock was set" in warning]
+    assert {warning.partition(":")[0] for warning in found} == set(topics)
     way = "forward" if by_s > 0 else "back"
-    assert all(f"set {way} by {abs(by_s):.1f}" in w or f"set {way} by {abs(by_s) - 0.1:.1f}" in w for w in told)
+    assert all(f"set {way} by {abs(by_s):.1f}" in w or f"set {way} by {abs(by_s) - 0.1:.1f}" in w for w in found)
 
 
 def test_a_leap_that_receipt_shares_is_no_setting(opened) -> None:

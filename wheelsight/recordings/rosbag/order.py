@@ -126,7 +126,7 @@ class MessageQueue:
 
 
 class EventQueue:
-    """Puts events and frames in order of stamps, of which some are known of later than others; frames are numbered.
+    """Puts events and frames in order of stamps, though some are known later than others; frames are numbered.
 
     Attributes:
         late: how many items of each kind came too late.

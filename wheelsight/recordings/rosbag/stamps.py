@@ -151,7 +151,7 @@ class TopicClock:
         return max(min(3 * self._period_s(), _AGREES_S), _SMALLEST_STEP_S) * max(1.0, self._rate())
 
     def _chain(self) -> list[int]:
-        """Places of the most pending messages of which each follows the one before."""
+        """Places in the longest run of pending messages: each follows the one before."""
         return _longest_run([(header_s, message.receipt_s) for header_s, message in self._pending])
 
     def _goes_on(self, header_s: float, receipt_s: float) -> bool:
@@ -208,7 +208,7 @@ def _follows(before: tuple[float, float], after: tuple[float, float], period_s: 
 
 
 def _longest_run(stamps: Sequence[tuple[float, float]]) -> list[int]:
-    """Places of the most of (header, receipt) of which each follows the one before; some between may be wrong."""
+    """Places in the longest run of (header, receipt), each after the one before; some between may be wrong."""
     period_s = _usual_period_s([header_s for header_s, _ in stamps])
     longest: list[list[int]] = []
     for place, stamp in enumerate(stamps):
@@ -376,7 +376,7 @@ def _behind_s(head: _Head, other: _Head) -> float:
     low_s, usual_s, high_s = np.quantile(np.interp(at_once_s, distinct_s, headers_s) - own_s, [0.1, 0.5, 0.9]).tolist()
     if high_s - low_s <= max(0.1 * abs(usual_s), _AGREES_S):
         return float(usual_s)
-    # What is not constant is delay of receipt, of which the least is nearest to the clocks' difference.
+    # What is not constant is delay of receipt; the least of it is nearest to the clocks' difference.
     return float(max(low_s, min(high_s, 0.0)))
 
 
@@ -390,23 +390,23 @@ def _shift_sentence(topic: str, shift_s: float, reference: str, count: int) -> s
 
 def clock_findings(topic: str, clock: TopicClock) -> list[str]:
     """What a pass found of one topic's headers, one sentence each."""
-    told = []
+    found = []
     if clock.left_out:
-        told.append(
+        found.append(
             f"{topic}: {clock.left_out:,} messages were left out: "
             "their headers fit neither their neighbours nor receipt."
         )
     if clock.unstamped:
-        told.append(f"{topic}: {clock.unstamped:,} headers are 0; receipt stands for them.")
+        found.append(f"{topic}: {clock.unstamped:,} headers are 0; receipt stands for them.")
     for after_s, by_s in clock.settings[:3]:
         way = "forward" if by_s > 0 else "back"
-        told.append(
+        found.append(
             f"{topic}: the clock was set {way} by {abs(by_s):.3f} s after {after_s:.3f} s, as receipt shows; "
             "that is taken out."
         )
     if len(clock.settings) > 3:
-        told.append(f"{topic}: the clock was set {len(clock.settings):,} times.")
-    return told
+        found.append(f"{topic}: the clock was set {len(clock.settings):,} times.")
+    return found
 
 
 def _apart(lag_s: float) -> str:
