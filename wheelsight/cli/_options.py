@@ -73,8 +73,8 @@ Topics = Annotated[
         "--topic",
         metavar="ROLE=TOPIC",
         help="Of a bag: which topic is color, depth, color_info, depth_info, wheels, gyro or truth; none leaves one "
-        "out. May be given again. Joints, fields, places or frames of wheels: wheels=/joints:left,right, wheels=/ticks:2,3, "
-        "wheels=/tf:odom,base_link; a topic each: wheels=/lwheel,/rwheel.",
+        "out. May be given again. Joints, fields, places or frames of wheels: wheels=/joints:left,right, "
+        "wheels=/ticks:2,3, wheels=/tf:odom,base_link; a topic each: wheels=/lwheel,/rwheel.",
         show_default="by type, frame and name",
         rich_help_panel=INPUT,
     ),
