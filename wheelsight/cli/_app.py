@@ -141,9 +141,9 @@ def _about(
 ) -> None:
     """Where a wheeled robot is and what its place looks like, from its wheels and a depth camera.
 
-    Begin with [bold]wheelsight info RECORDING[/bold], then [bold]wheelsight run RECORDING --out DIR[/bold]. Without a
-    recording: [bold]wheelsight simulate square --out drive[/bold]. [bold]wheelsight COMMAND --help[/bold] shows
-    examples.
+    Begin with [bold]wheelsight run sample --out first[/bold], a recording that comes along. Of yours:
+    [bold]wheelsight info RECORDING[/bold], then [bold]wheelsight run RECORDING --out DIR[/bold].
+    [bold]wheelsight COMMAND --help[/bold] shows examples.
     """
 
 

@@ -29,6 +29,8 @@ def run(options: RunOptions) -> None:
 
     [bold]Examples[/bold]
 
+    wheelsight run sample --out first
+
     wheelsight run my_drive --map surfels --out results
 
     wheelsight run rgbd_dataset_freiburg1_desk --odometry features --out results
