@@ -131,5 +131,10 @@ def test_what_is_there_already_is_not_replaced(tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match="is there already, and is no link"):
         SimulatedController(tmp_path, "robot.yaml")
     assert (tmp_path / "robot.yaml").read_text() == "mine"
+    with SimulatedController(tmp_path), pytest.raises(DeviceError, match="leads to another terminal"):
+        SimulatedController(tmp_path)
+    (tmp_path / "ttyWHEELS").symlink_to(tmp_path / "gone")  # of one that was killed
+    with SimulatedController(tmp_path) as again:
+        assert again.port.exists()
     with pytest.raises(DeviceError, match="cannot be made: No such file or directory"):
         SimulatedController(tmp_path / "no", "tty")

@@ -174,8 +174,9 @@ class SimulatedController:
             import tty  # not on Windows
         except ImportError as error:
             raise DeviceError("this system has no pseudo-terminals", fix="Linux or macOS") from error
-        if self.port.exists() and not self.port.is_symlink():
-            raise DeviceError(f"{self.port} is there already, and is no link", fix="another PATH")
+        if self.port.exists():  # a link of one that was killed leads to nothing, and is replaced
+            what = "leads to another terminal" if self.port.is_symlink() else "is no link"
+            raise DeviceError(f"{self.port} is there already, and {what}", fix="another PATH, or remove it")
         with self._lock:
             self._master, self._slave = os.openpty()
             tty.setraw(self._slave)
