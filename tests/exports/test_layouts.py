@@ -61,7 +61,7 @@ def check(bag: Path, fixed_frame: str) -> set[str]:
     layout, config = json.loads(foxglove.read_text()), yaml.safe_load(rviz.read_text())
     shown = foxglove_topics(layout)
     assert shown <= written
-    assert rviz_topics(config) == shown - {"/diagnostics"}  # of which RViz has no display
+    assert rviz_topics(config) == shown - {"/diagnostics"}  # RViz has no display of these
     assert set(panels_in(layout["layout"])) == set(layout["configById"])
     assert layout["configById"]["3D!wheelsight"]["followTf"] == fixed_frame
     manager = config["Visualization Manager"]

@@ -92,7 +92,7 @@ class Practice:
         self._sent = (0, 0)
 
     def __call__(self, duties: tuple[int, int], seconds: float) -> tuple[int, int]:
-        """Pulses of left and right since the last call; what is left of a pulse is kept for the next."""
+        """Pulses of left and right since the last call; parts of a pulse are kept for the next one."""
         self._is_commanded |= duties != (0, 0)
         if self._is_commanded:
             share = 1 - math.exp(-seconds / _MOTOR_LAG_S)
