@@ -75,3 +75,15 @@ def test_who_is_lost_where_the_map_lets_it_turn_to_no_side_backs_up_to_look() ->
     assert ride.robot.base.pose[0] < 2.0
     assert 2 <= len(searches) <= 5
     assert all(b.stamp_s - a.stamp_s > 0.2 for a, b in pairwise(searches))
+
+
+@pytest.mark.parametrize(("away_m", "may"), [(0.03, False), (1.0, True)])
+def test_backward_it_goes_to_no_floor_that_is_unknown(away_m: float, may: bool) -> None:
+    """All behind the chair is unknown, from so far behind it on."""
+    cells = np.full((160, 160), CellState.FREE, np.uint8)
+    cells[:, :60] = CellState.UNKNOWN
+    layer = StaticLayer(cells, np.full(cells.shape, np.inf, np.float32), CELL_M, (0.0, 0.0))
+    costmap, pose = Costmap.of(layer, CHAIR), np.array([3.0 + away_m + 0.3, 4.0, 0.0])
+    how = costmap, outline_of(CHAIR), pose, BACK, SETTINGS
+    assert keeps_clear(*how, minds_unknown=True) is may
+    assert keeps_clear(*how)
