@@ -72,7 +72,7 @@ def packed_mcap(robot: Calibration, way: str) -> bytes:
             channels[one.topic] = writer.register_channel(one.topic, "cdr", schema, {"offered_qos_profiles": ""})
         stamp_ns = nanoseconds(one.stamp_s)
         writer.add_message(channels[one.topic], stamp_ns, bytes(make.bytes_of(one.message)), stamp_ns)
-    writer.finish()
+    writer.finish()  # type: ignore[no-untyped-call]
     return buffer.getvalue()
 
 

@@ -105,7 +105,7 @@ def bomb(way: str, megabytes: int = _BOMB_MB) -> bytes:
     if way == "bz2":
         return _bz2_bomb(megabytes)
     if way == "lz4":
-        return lz4.frame.compress(bytes(megabytes << 20))
+        return bytes(lz4.frame.compress(bytes(megabytes << 20)))
     if way == "zlib":
         packer, piece = zlib.compressobj(9), bytes(16 << 20)
         first, second = (packer.compress(piece) + packer.flush(zlib.Z_FULL_FLUSH) for _ in range(2))
@@ -249,8 +249,8 @@ def ros1_changed(data: bytes, rng: Rng, of_bytes: Change) -> bytes:
         inside = records_changed(_bag_records(_unpacked(way, records[at].content)), rng, of_bytes)
         inside = [_with_head_changed(record, rng) if rng.random() < 0.1 else record for record in inside]
         content = _bag_bytes(inside)
-        size = struct.pack("<I", len(content) if rng.random() < 0.9 else int(rng.integers(1 << 32)))
-        records[at] = _with_field(replace(records[at], content=_packed(way, content)), b"size", size)
+        stated = struct.pack("<I", len(content) if rng.random() < 0.9 else int(rng.integers(1 << 32)))
+        records[at] = _with_field(replace(records[at], content=_packed(way, content)), b"size", stated)
     elif what < 0.8:
         at = int(rng.integers(len(records)))
         records[at] = _with_head_changed(records[at], rng)

@@ -47,12 +47,13 @@ def timed_drive(
     `others`: `pause`, (begin, end) of a time without images; `without`, topics.
     """
     drive = camera_drive(frames=0)
-    make, begin, end = drive.make, *others.get("pause", (0.0, 0.0))
+    make: Any = drive.make
+    begin, end = others.get("pause", (0.0, 0.0))
     drive.add(0.0, "/camera/color/camera_info", make.info(OPTICAL))
 
     taken: list[tuple[float, str, Any]] = []
 
-    def add(taken_s: float, topic: str, made: Callable[[float], Any]) -> None:
+    def add(taken_s: float, topic: str, made: Callable[..., Any]) -> None:
         taken.append((taken_s, topic, made(headers(taken_s, topic))))
 
     for number, at_s in enumerate(np.arange(0.1, seconds, 1 / camera_hz).tolist()):
@@ -68,7 +69,7 @@ def timed_drive(
     return drive.without(*others.get("without", ()))
 
 
-def stamps_of(recording, kind: type) -> np.ndarray:
+def stamps_of(recording: Any, kind: Any) -> np.ndarray:
     """Seconds since the drive began of all events of a kind."""
     return np.array([event.stamp_s for event in recording.events() if isinstance(event, kind)]) - START_S
 
