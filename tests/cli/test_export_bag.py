@@ -141,7 +141,7 @@ def test_counts_of_encoders_come_back_as_they_were_and_speeds_as_speeds(
     [
         ("format: [", "is not YAML"),
         ("format: other", "field format is 'other'"),
-        ("a" * 2_000_000, "its calibration is of 2,000,000 characters, more than 1,048,576"),
+        ("a" * 2_000_000, "a message of /wheelsight/calibration has 2,000,009 bytes, more than 1,048,576"),
     ],
 )
 def test_a_calibration_in_a_bag_that_is_none_is_refused(refusal: Refusal, tmp_path: Path, text: str, told: str) -> None:

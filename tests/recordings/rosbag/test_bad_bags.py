@@ -149,7 +149,11 @@ def test_a_part_that_is_missing_is_said(tmp_path: Path) -> None:
         (Drive(), "holds no messages"),
         (camera_drive().without(DEPTH), f"for want of depth images that go with them: {COLOR}"),
         (camera_drive().without(COLOR), f"for want of colour images that go with them: {DEPTH}"),
-        (camera_drive().without(COLOR, DEPTH), "no depth images with colour, no Odometry, no JointState of wheels"),
+        (
+            camera_drive().without(COLOR, DEPTH),
+            "no depth images with colour, no counts or speeds of wheels, no odom → base_link in tf, no Odometry, "
+            "no JointState of wheels",
+        ),
     ],
 )
 def test_what_a_bag_lacks_is_said(opened, drive: Drive, problem: str) -> None:

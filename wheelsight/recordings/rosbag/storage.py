@@ -251,9 +251,10 @@ class OpenBag:
         """A message's fields as attributes. Raises RecordingError."""
         connection = self._of_topic[message.topic]
         type_ = connection.msgtype
+        if type_ not in (IMAGE, COMPRESSED) and len(message.data) > _LARGEST_MESSAGE:
+            problem = f"a message of {message.topic} has {len(message.data):,} bytes, more than {_LARGEST_MESSAGE:,}"
+            raise RecordingError(problem, path=self.path, fix="leave the topic out with --topic")
         try:
-            if type_ not in (IMAGE, COMPRESSED) and len(message.data) > _LARGEST_MESSAGE:
-                raise ValueError(f"it has {len(message.data):,} bytes")
             store = self._store(connection)
             return (store.deserialize_ros1 if self.is_ros1 else store.deserialize_cdr)(message.data, type_)
         except Exception as error:  # rosbags lets through what struct, numpy, its parser and its own asserts raise

@@ -319,7 +319,10 @@ def chosen_source(bag: OpenBag, name: str, right: str | None, sides: Joints | No
     known = {topic.name: topic for topic in bag.topics if topic.count}
     for one in (name, right):
         if one is not None and one not in known:
-            readable = ", ".join(source.topic.name for source in sources_in(bag, list(known.values()), None, False))
+            names = {source.topic.name for source in sources_in(bag, list(known.values()), None, False)}
+            # Joints without the names of wheels can be named by the user.
+            names |= {topic.name for topic in known.values() if topic.type in (ODOMETRY, JOINTS, *_TWISTS)}
+            readable = ", ".join(sorted(names))
             fix = f"there are: {readable}" if readable else "the bag has none that tells of wheels"
             raise ConfigError(f"--topic wheels={one}: {bag.path.name} has no messages of it", fix=fix)
     topic = known[name]
