@@ -196,6 +196,29 @@ def test_wheels_that_are_swapped_or_run_away_are_found() -> None:
     assert "runs away" in pushed.control.reason
 
 
+def test_after_a_stop_motors_have_no_voltage_until_the_wheels_stand() -> None:
+    plant = Plant()
+    plant.run(VelocityCommand(0.8), 3.0)
+    plant.control.stop("it was stopped")
+    while abs(plant.speeds_m_s).max() > 0.02:
+        duties = plant.step(STOP)
+        assert (duties.left, duties.right, duties.reason) == (0.0, 0.0, "it was stopped")
+    plant.run(STOP, 0.3)
+    assert plant.control.reason == ""
+    assert plant.step(VelocityCommand(0.8)).reason == ""
+
+
+def test_a_stopped_robot_that_rolls_down_a_slope_is_braked() -> None:
+    plant = Plant()
+    plant.run(VelocityCommand(0.3), 2.0)
+    plant.control.stop("it was stopped")
+    for _ in range(60):
+        plant.speeds_m_s[:] = 0.3  # the slope keeps it rolling
+        duties = plant.step(STOP)
+    assert duties.reason == ""
+    assert max(duties.left, duties.right) < 0
+
+
 def test_after_a_pause_it_waits_for_a_stop_and_begins_from_a_stand() -> None:
     """A program that stood still does not go on by itself with the command that it had before."""
     plant = Plant()

@@ -93,6 +93,11 @@ class WheelControlSettings(Settings):
     )
 
 
+# After a stop the motors stay without a voltage until the wheels stand; a robot that rolls on for longer, down a slope,
+# is braked by its motors again.
+_ROLLS_S = 1.0
+
+
 @dataclass(frozen=True, slots=True)
 class Duties:
     """What both motors are to get, -1 (full speed back) to 1; or a reason why they must stop, and zeros."""
@@ -171,6 +176,7 @@ class VelocityControl:
         self._last_s: float | None = None
         self._heard_s: float | None = None
         self._has_ticks = self._is_driven = False
+        self._stopped_s: float | None = None
         self.reason = ""
 
     @property
@@ -189,6 +195,7 @@ class VelocityControl:
         May be called by another thread than `update` is.
         """
         self.reason = reason or self.reason
+        self._stopped_s = None
         self._velocity.reset()
         for loop in self._loops:
             loop.rest()
@@ -216,7 +223,7 @@ class VelocityControl:
                 loop.count(ticks.stamp_s, count)
         if now_s - self._heard_s > self._settings.silence_s:
             self.stop("no wheel readings come")
-        elif self.reason and command.is_stop:
+        elif self.reason and command.is_stop and self._stood_still(now_s):
             self.reason = ""
         self._is_driven = False
         if self.reason or not self._has_ticks:
@@ -224,6 +231,12 @@ class VelocityControl:
         duties = self._duties(command, since_s)
         self._is_driven = duties.left != 0 or duties.right != 0
         return duties
+
+    def _stood_still(self, now_s: float) -> bool:
+        """Whether the wheels stand, or roll on though their motors have long had no voltage."""
+        self._stopped_s = now_s if self._stopped_s is None else self._stopped_s
+        stand = all(abs(loop.speed_m_s) < self._settings.standing_m_s for loop in self._loops)
+        return stand or now_s - self._stopped_s > _ROLLS_S
 
     def _duties(self, command: VelocityCommand, since_s: float) -> Duties:
         velocity = self._velocity.towards(command, since_s)
