@@ -41,7 +41,7 @@ from wheelsight.navigation.route_planner import to_go_m
 from wheelsight.navigation.senses import Senses
 from wheelsight.navigation.task import Task
 from wheelsight.navigation.workers import Worker
-from wheelsight.robots import Robot
+from wheelsight.robots import STOPPED, Robot
 from wheelsight.threads import OneCaller, one_at_a_time
 
 _STOPPING_S = 5.0
@@ -232,7 +232,7 @@ class Navigator(OneCaller):
         """Keep the motors of a robot without a voltage from when it moved until the part answers again."""
         is_moving = not (self._chain.command.is_stop and self._stands())
         self._is_halted = silent is not None and (self._is_halted or is_moving)
-        if self._is_halted:
+        if self._is_halted and not self._robot.stop_reason:
             with suppress(WheelsightError):  # a controller that does not confirm stops by its own watchdog
                 self._robot.stop()
 
@@ -255,7 +255,8 @@ class Navigator(OneCaller):
             monitor=self._chain.checked,
             doing="" if task is None else task.doing,
             goals_left=0 if task is None else task.goals.left,
-            robot_stop=self._robot.stop_reason,
+            # A stop by the navigator has the monitor's reason.
+            robot_stop="" if self._is_halted and self._robot.stop_reason == STOPPED else self._robot.stop_reason,
             stays_at=None if self.is_task_complete() else self._senses.what_stays(),
         )
 
