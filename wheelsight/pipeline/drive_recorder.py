@@ -117,8 +117,8 @@ class DriveRecorder:
 
     def _stopped(self, feedback: Feedback, reason: str) -> None:
         now_s, count = feedback.stamp_s, len(self.stops)
-        # One by the robot itself and one by the monitor may go on side by side.
-        for number in range(max(count - 2, 0), count):
+        # One by the robot itself goes on beside those by the monitor, whose reasons follow each other.
+        for number in range(max(count - 3, 0), count):
             last = self.stops[number]
             if last.reason == reason and now_s - last.end_s < _SAME_STOP_S:
                 self.stops[number] = replace(last, end_s=now_s)
