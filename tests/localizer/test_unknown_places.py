@@ -106,6 +106,7 @@ class Loops:
     has_new: bool = False
     is_waiting: bool = False
     hung_s: float = -np.inf
+    recognised: int | None = None
 
     def let_go(self) -> None:
         pass
