@@ -309,11 +309,12 @@ def test_a_real_robot_stands_while_its_camera_shows_nothing(
     flat: tuple[Path, np.ndarray, np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, known, _ = flat
-    camera, asked_s = HandFedCamera(), []
+    camera, asked_s, interrupted = HandFedCamera(), [], []
 
     def take():
         asked_s.append(time.monotonic())
-        if asked_s[-1] - asked_s[0] > 3.0 and len(asked_s) > 20:
+        if asked_s[-1] - asked_s[0] > 3.0 and len(asked_s) > 20 and not interrupted:
+            interrupted.append(True)  # once: a second Ctrl-C gives up the tidy end
             os.kill(os.getpid(), signal.SIGINT)
         return ()
 
