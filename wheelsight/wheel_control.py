@@ -96,6 +96,8 @@ class WheelControlSettings(Settings):
 # After a stop the motors stay without a voltage until the wheels stand; a robot that rolls on for longer, down a slope,
 # is braked by its motors again.
 _ROLLS_S = 1.0
+# They stand once their speed was below `standing_m_s` for so long: by single pulses it is that between two of them.
+_STOOD_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,6 +179,7 @@ class VelocityControl:
         self._heard_s: float | None = None
         self._has_ticks = self._is_driven = False
         self._stopped_s: float | None = None
+        self._rolled_s = -math.inf
         self.reason = ""
 
     @property
@@ -223,7 +226,7 @@ class VelocityControl:
                 loop.count(ticks.stamp_s, count)
         if now_s - self._heard_s > self._settings.silence_s:
             self.stop("no wheel readings come")
-        elif self.reason and command.is_stop and self._stood_still(now_s):
+        elif self._stood_still(now_s) and self.reason and command.is_stop:
             self.reason = ""
         self._is_driven = False
         if self.reason or not self._has_ticks:
@@ -235,8 +238,9 @@ class VelocityControl:
     def _stood_still(self, now_s: float) -> bool:
         """Whether the wheels stand, or roll on though their motors have long had no voltage."""
         self._stopped_s = now_s if self._stopped_s is None else self._stopped_s
-        stand = all(abs(loop.speed_m_s) < self._settings.standing_m_s for loop in self._loops)
-        return stand or now_s - self._stopped_s > _ROLLS_S
+        if any(abs(loop.speed_m_s) >= self._settings.standing_m_s for loop in self._loops):
+            self._rolled_s = now_s
+        return now_s - self._rolled_s > _STOOD_S or now_s - self._stopped_s > _ROLLS_S
 
     def _duties(self, command: VelocityCommand, since_s: float) -> Duties:
         velocity = self._velocity.towards(command, since_s)
