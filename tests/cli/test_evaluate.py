@@ -153,7 +153,9 @@ def test_the_truth_of_the_body_that_was_estimated_is_taken(wheelsight: Callable[
     result = wheelsight("evaluate", beside, tmp_path / "drive" / "groundtruth.txt")
     assert result.exit_code == 0, result.output
     assert "groundtruth_base.txt beside it, of the base, is taken" in result.stderr
-    assert result.stdout.count("0.0000 m") == 12  # of 4 rows of positions, the last too short for a metre
+    positions = result.stdout.partition("[°]")[0]
+    assert positions.count("[m]") == 4
+    assert positions.count(" 0.0000") == 12  # of 4 rows of positions, the last too short for a metre
     beside.rename(tmp_path / "elsewhere.txt")
     assert wheelsight("evaluate", tmp_path / "elsewhere.txt", tmp_path / "drive" / "groundtruth.txt").exit_code == 2
 
