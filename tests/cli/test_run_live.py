@@ -57,7 +57,7 @@ def test_wheels_are_followed_for_so_long_after_ready_and_recorded(wheelsight: Co
     assert (metrics["realtime"]["is_live"], metrics["realtime"]["wheels_from"]) == (True, str(controller.port))
     assert metrics["realtime"]["played_s"] == pytest.approx(1.0, abs=0.5)
     assert metrics["interrupted"] is False
-    assert "live: " in result.stdout
+    assert "Live: " in result.stdout
     assert open_recording(tmp_path / "kept").wheel_count == metrics["realtime"]["readings"] > 5
 
 

@@ -100,7 +100,7 @@ def test_what_is_not_joined_is_said_in_one_line(wheelsight: Command, tmp_path: P
     result = wheelsight("run", tmp_path / "drive", "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     chosen, line = result.stderr.splitlines()
-    assert chosen == "the camera is followed by its features (--odometry features; dense: by all pixels)"
+    assert chosen == "the camera is followed by all pixels (--odometry dense; features: by these alone)"
     assert line.startswith("warning: ")
     assert "wheel readings are not used: the calibration has no T_base_camera" in line
 

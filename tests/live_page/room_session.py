@@ -137,6 +137,8 @@ class Served:
 
 
 SETTINGS = LivePageSettings()
+# A busy machine holds threads up for longer than a page bears.
+BUSY_S = 4.0
 
 
 @contextmanager
@@ -152,6 +154,7 @@ def room_session(
     robot = ObedientRobot()
     maps = RoomMaps(robot, first)
     with Session(robot, maps, replaced(settings), paces=paces, on_problem=on_problem, watch=watch) as session:
+        session.silent_s = BUSY_S
         served = Served(session, robot, maps)
         served.until(lambda told: told["phase"] in ("driving", "choose"))
         try:

@@ -86,6 +86,7 @@ def test_stop_is_answered_beside_strangers_where_no_token_is_asked() -> None:
 @pytest.mark.parametrize("sign", [signal.SIGKILL, pytest.param(signal.SIGSTOP, marks=pytest.mark.slow)])
 def test_a_door_that_dies_or_hangs_stops_the_robot_and_another_is_made(sign: signal.Signals) -> None:
     with room_session(paces=False, driver_silent_s=60.0) as served:
+        served.session.silent_s = 0.4
         app = page_app(served.session, replaced({}), Access(True))
         with PageServer(app, "127.0.0.1", 0, replaced({})) as running, opened(running.port) as page:
             page.send(str(GOAL).replace("'", '"'))
@@ -105,6 +106,7 @@ def test_a_door_that_dies_or_hangs_stops_the_robot_and_another_is_made(sign: sig
 
 def test_a_page_that_hangs_stops_the_robot() -> None:
     with room_session(paces=False, driver_silent_s=60.0) as served:
+        served.session.silent_s = 0.4
         app = page_app(served.session, replaced({}), Access(True))
         with PageServer(app, "127.0.0.1", 0, replaced({})) as running, opened(running.port) as page:
             page.send(str(GOAL).replace("'", '"'))
