@@ -309,7 +309,8 @@ def test_a_real_robot_stands_while_its_camera_shows_nothing(
     flat: tuple[Path, np.ndarray, np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, known, _ = flat
-    camera, asked_s, interrupted = HandFedCamera(), [], []
+    camera, asked_s = HandFedCamera(), []
+    interrupted: list[bool] = []
 
     def take():
         asked_s.append(time.monotonic())
