@@ -218,20 +218,23 @@ class Navigator(OneCaller):
         return self.feedback
 
     def _silent_part(self, now_s: float) -> MonitorReason | None:
-        """The part that has not answered for too long; of planning only while the robot drives by an older plan."""
+        """The part that has not answered for too long; of planning only while the robot drives, or comes to a stand."""
         if self._senses.where.is_silent:
             return MonitorReason.LOCALIZATION_SILENT
         if self.monitor.is_camera_silent(now_s):
             return MonitorReason.CAMERA_SILENT
         if self._senses.floor.is_silent(now_s):
             return MonitorReason.FLOOR_SILENT
-        is_driving = self.state is NavigationState.DRIVING
+        is_driving = self.state is NavigationState.DRIVING or self._is_moving()
         return MonitorReason.PLANNER_SILENT if is_driving and self._planning.is_silent(now_s) else None
+
+    def _is_moving(self) -> bool:
+        """Whether the robot rolls, or is asked to."""
+        return not (self._chain.command.is_stop and self._stands())
 
     def _halt(self, silent: MonitorReason | None) -> None:
         """Keep the motors of a robot without a voltage from when it moved until the part answers again."""
-        is_moving = not (self._chain.command.is_stop and self._stands())
-        self._is_halted = silent is not None and (self._is_halted or is_moving)
+        self._is_halted = silent is not None and (self._is_halted or self._is_moving())
         if self._is_halted and not self._robot.stop_reason:
             with suppress(WheelsightError):  # a controller that does not confirm stops by its own watchdog
                 self._robot.stop()
