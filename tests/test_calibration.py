@@ -13,7 +13,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from narrowing import not_none
 
-from wheelsight.calibration import Calibration, DepthNoise, Gyro, Wheels, load_calibration, save_calibration
+from wheelsight.calibration import (
+    FORMAT,
+    Calibration,
+    DepthNoise,
+    Gyro,
+    HolonomicWheels,
+    Wheels,
+    load_calibration,
+    save_calibration,
+)
 from wheelsight.errors import CalibrationError, OutputError
 from wheelsight.geometry import PinholeCamera, se3
 
@@ -380,3 +389,76 @@ def test_the_camera_frame_is_the_colour_camera_s_where_depth_was_registered() ->
     np.testing.assert_array_equal(Calibration.registered_camera(COLOR).T_color_camera, np.eye(4))
     apart = Calibration(color=COLOR, depth=DEPTH, T_color_depth=T_COLOR_DEPTH)
     np.testing.assert_array_equal(apart.T_color_camera, T_COLOR_DEPTH)
+
+
+MECANUM = HolonomicWheels("mecanum", radius_m=0.05, half_length_m=0.2, half_width_m=0.15, ticks_per_turn=4096)
+OMNI = HolonomicWheels(
+    "omni",
+    radius_m=0.04,
+    distance_m=0.18,
+    angles_rad=(1.0472, 3.1416, 5.236),
+    ticks_per_turn=2000,
+    counter_bits=16,
+    delay_s=0.01,
+    turn_sigma=0.02,
+)
+
+
+@pytest.mark.parametrize("wheels", [MECANUM, OMNI, HolonomicWheels("increments")], ids=lambda wheels: wheels.layout)
+def test_holonomic_wheels_come_back_from_their_file(wheels: HolonomicWheels, tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    save_calibration(Calibration(holonomic=wheels), path)
+    assert "kind: holonomic" in path.read_text()
+    back = load_calibration(path)
+    assert (back.holonomic, back.wheels, back.any_wheels) == (wheels, None, wheels)
+
+
+def _loaded(folder: Path, *texts: str) -> Calibration:
+    paths = [folder / f"{index}.yaml" for index in range(len(texts))]
+    for path, text in zip(paths, texts, strict=True):
+        path.write_text(f"format: {FORMAT}\nwheels: {{{text}}}\n")
+    return load_calibration(*paths)
+
+
+_MECANUM = "kind: holonomic, layout: mecanum, radius_m: 0.05, half_length_m: 0.2, half_width_m: 0.15"
+_OMNI = "kind: holonomic, layout: omni, radius_m: 0.05, distance_m: 0.2, ticks_per_turn: 4096"
+_TWO = "left_radius_m: 0.1, right_radius_m: 0.1, track_width_m: 0.4, ticks_per_turn: 1000"
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (_MECANUM, r"field wheels.ticks_per_turn is missing \(layout mecanum needs radius_m"),
+        ("kind: holonomic", r"field wheels.layout is None \(one of mecanum, omni, increments"),
+        ("kind: mecanum", r"field wheels.kind is 'mecanum' \(differential or holonomic"),
+        (f"{_MECANUM}, ticks_per_turn: 4096, track_width_m: 0.4", "unknown entry 'track_width_m'"),
+        (f"{_OMNI}, angles_rad: [60, 180, 300]", "not -2π to 2π .radians: 60° are 1.0472"),
+        (f"{_OMNI}, angles_rad: [0.0, 0.1, 0.2]", "do not measure every direction"),
+        (f"{_OMNI}, angles_rad: [0.0, 3.1416]", "angles_rad has 2 angles .one a wheel, three or four"),
+        (f"{_OMNI}, angles_rad: 1.0", "angles_rad is no list"),
+        (f"{_MECANUM}, ticks_per_turn: 4096, counter_bits: 70", "counter_bits is 70"),
+        (f"{_MECANUM}, ticks_per_turn: 4096, slip_m_per_sqrt_m: 0", "slip_m_per_sqrt_m is 0"),
+        (_MECANUM.replace("0.05", "50") + ", ticks_per_turn: 4096", r"radius_m is 50, .*50 mm are 0.05"),
+    ],
+)
+def test_holonomic_wheels_that_cannot_be_are_refused_by_field(text: str, problem: str, tmp_path: Path) -> None:
+    with pytest.raises(CalibrationError, match=problem) as refused:
+        _loaded(tmp_path, text)
+    assert str(refused.value).startswith(str(tmp_path / "0.yaml"))
+
+
+def test_layers_of_one_kind_merge_and_of_another_replace(tmp_path: Path) -> None:
+    delayed = _loaded(tmp_path, f"{_MECANUM}, ticks_per_turn: 4096", "delay_s: 0.02").holonomic
+    assert delayed is not None
+    assert (delayed.radius_m, delayed.delay_s) == (0.05, 0.02)
+    replaced = _loaded(tmp_path, f"{_TWO}, delay_s: 0.02", f"{_MECANUM}, ticks_per_turn: 4096")
+    assert (replaced.holonomic, replaced.wheels) == (MECANUM, None)
+    assert _loaded(tmp_path, f"{_MECANUM}, ticks_per_turn: 1", f"kind: differential, {_TWO}").wheels is not None
+    two = Calibration(wheels=Wheels(0.1, 0.1, 0.4, 1000))
+    assert two.updated_by(Calibration(holonomic=OMNI)).any_wheels == OMNI
+    assert Calibration(holonomic=OMNI).updated_by(two).any_wheels == two.wheels
+
+
+def test_a_robot_has_one_kind_of_wheels() -> None:
+    with pytest.raises(CalibrationError, match="wheels and holonomic are both given"):
+        Calibration(wheels=Wheels(0.1, 0.1, 0.4, 1000), holonomic=MECANUM)

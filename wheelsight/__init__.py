@@ -16,13 +16,29 @@ from wheelsight._version import __version__
 
 if TYPE_CHECKING:
     from wheelsight.areas import AreaMap, load_areas, save_areas
-    from wheelsight.calibration import Calibration, Gyro, Wheels, load_calibration, save_calibration
+    from wheelsight.calibration import (
+        Calibration,
+        Gyro,
+        HolonomicWheels,
+        Wheels,
+        load_calibration,
+        save_calibration,
+    )
     from wheelsight.clocks import ClockSettings, SessionClock
     from wheelsight.config import Config, load_config, save_config
     from wheelsight.errors import WheelsightError
     from wheelsight.estimates import CameraEstimate, Estimate, MotionEstimate, Reason, Status
     from wheelsight.evaluation import Evaluation, evaluate
-    from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
+    from wheelsight.events import (
+        Event,
+        OdometryReading,
+        RgbdFrame,
+        SkippedFrame,
+        WheelCounts,
+        WheelSpeeds,
+        WheelTicks,
+        YawRate,
+    )
     from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings, FusedEstimate, LigockiFilter, LigockiSettings
     from wheelsight.geometry import PinholeCamera
     from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
@@ -41,7 +57,7 @@ if TYPE_CHECKING:
     )
     from wheelsight.odometry.dense import DenseOdometry, DenseSettings
     from wheelsight.odometry.features import FeatureOdometry, FeatureSettings
-    from wheelsight.odometry.wheels import WheelOdometry
+    from wheelsight.odometry.wheels import HolonomicOdometry, WheelOdometry
     from wheelsight.places import PlaceMatch, PlaceModel
     from wheelsight.recordings import OpenOptions, Recording, open_recording, write_recording
     from wheelsight.runs import run, run_each
@@ -69,6 +85,8 @@ __all__ = [
     "FeatureSettings",
     "FusedEstimate",
     "Gyro",
+    "HolonomicOdometry",
+    "HolonomicWheels",
     "Keyframe",
     "KeyframeId",
     "KeyframeStore",
@@ -79,6 +97,7 @@ __all__ = [
     "OccupancyGrid",
     "OccupancyMapper",
     "OccupancySettings",
+    "OdometryReading",
     "OpenOptions",
     "PinholeCamera",
     "PlaceMatch",
@@ -96,6 +115,7 @@ __all__ = [
     "SurfelMap",
     "SurfelSettings",
     "Trajectory",
+    "WheelCounts",
     "WheelOdometry",
     "WheelSpeeds",
     "WheelTicks",
@@ -129,13 +149,16 @@ __all__ = [
 
 _NAMES_OF = {
     "areas": ("AreaMap", "load_areas", "save_areas"),
-    "calibration": ("Calibration", "Gyro", "Wheels", "load_calibration", "save_calibration"),
+    "calibration": ("Calibration", "Gyro", "HolonomicWheels", "Wheels", "load_calibration", "save_calibration"),
     "clocks": ("ClockSettings", "SessionClock"),
     "config": ("Config", "load_config", "save_config"),
     "errors": ("WheelsightError",),
     "estimates": ("CameraEstimate", "Estimate", "MotionEstimate", "Reason", "Status"),
     "evaluation": ("Evaluation", "evaluate"),
-    "events": ("Event", "RgbdFrame", "SkippedFrame", "WheelSpeeds", "WheelTicks", "YawRate"),
+    "events": (
+        *("Event", "OdometryReading", "RgbdFrame", "SkippedFrame"),
+        *("WheelCounts", "WheelSpeeds", "WheelTicks", "YawRate"),
+    ),
     "fusion": ("ErrorStateFilter", "ErrorStateSettings", "FusedEstimate", "LigockiFilter", "LigockiSettings"),
     "geometry": ("PinholeCamera",),
     "keyframes": ("Keyframe", "KeyframeId", "KeyframeStore"),
@@ -146,7 +169,7 @@ _NAMES_OF = {
     ),
     "odometry.dense": ("DenseOdometry", "DenseSettings"),
     "odometry.features": ("FeatureOdometry", "FeatureSettings"),
-    "odometry.wheels": ("WheelOdometry",),
+    "odometry.wheels": ("HolonomicOdometry", "WheelOdometry"),
     "places": ("PlaceMatch", "PlaceModel"),
     "recordings": ("OpenOptions", "Recording", "open_recording", "write_recording"),
     "sources": ("EventSource",),

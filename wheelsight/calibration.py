@@ -12,7 +12,15 @@ import numpy as np
 from wheelsight.calibration_fields import Range, check_range, made, mapping, motion, need_numbers, number, whole
 from wheelsight.calibration_history import history_of
 from wheelsight.calibration_layers import HISTORY, NOMINAL, NOMINAL_PARTS, laid_over
-from wheelsight.calibration_parts import WHEEL_SIGMAS, DepthNoise, Gyro, Wheels
+from wheelsight.calibration_parts import (
+    HOLONOMIC_FIELDS,
+    HOLONOMIC_LAYOUTS,
+    WHEEL_SIGMAS,
+    DepthNoise,
+    Gyro,
+    HolonomicWheels,
+    Wheels,
+)
 from wheelsight.depth_error import DepthError, depth_error_fields, depth_error_from
 from wheelsight.errors import CalibrationError
 from wheelsight.files import StrPath, write_text
@@ -25,6 +33,7 @@ __all__ = [
     "DepthError",
     "DepthNoise",
     "Gyro",
+    "HolonomicWheels",
     "PointErrors",
     "Wheels",
     "calibration_fields",
@@ -64,7 +73,9 @@ class Calibration:
             camera calibrated well enough for it not to matter, more for nominal values.
         T_base_camera: (4, 4), or None where the recording has no base. May stand without a camera, in a calibration
             that is to update another.
-        wheels: or None where no wheel is read.
+        wheels: of a differential drive, or None where no wheel is read.
+        holonomic: the wheels of a base that also moves sideways, or None; a file has them as `wheels` of `kind:
+            holonomic`. A robot has one of both.
         gyro: what a yaw rate is worth, where there is one.
         source: where the numbers come from, for reports.
         depth_late_s: how much later than colour depth is measured, beyond what stamps say; negative where earlier.
@@ -90,6 +101,7 @@ class Calibration:
     frame_sigma_rad: float = 0.002
     depth_error: DepthError = field(default_factory=DepthError)
     point_errors: PointErrors | None = None
+    holonomic: HolonomicWheels | None = None
 
     def __post_init__(self) -> None:
         for name, kind in _KINDS.items():
@@ -123,6 +135,8 @@ class Calibration:
     def _check_presence(self) -> None:
         if (self.color is None) != (self.depth is None):
             raise CalibrationError("one camera of two is missing", fix="give color and depth, or neither")
+        if self.wheels is not None and self.holonomic is not None:
+            raise CalibrationError("wheels and holonomic are both given", fix="a robot has one kind: leave one out")
         if self.color is None and self.T_color_depth is not None:
             raise CalibrationError("T_color_depth is given, but no camera", fix="give color, or leave it out")
 
@@ -135,6 +149,11 @@ class Calibration:
     def is_registered(self) -> bool:
         """Whether colour and depth share one pixel grid."""
         return self.T_color_depth is None
+
+    @property
+    def any_wheels(self) -> Wheels | HolonomicWheels | None:
+        """The wheels, of whichever kind; None where no wheel is read."""
+        return self.wheels if self.holonomic is None else self.holonomic
 
     @property
     def T_color_camera(self) -> FloatArray:
@@ -156,7 +175,10 @@ class Calibration:
         A calibration of the wheels alone leaves the cameras as they are, and the other way round; one of the wheels
         and the mount leaves the cameras' lenses. Files are laid over each other field by field: `load_calibration`.
         """
-        return _from_document(laid_over(calibration_fields(self), calibration_fields(other)))
+        below = calibration_fields(self)
+        if other.any_wheels is not None and (self.holonomic is None) is not (other.holonomic is None):
+            below.pop("wheels", None)  # nothing of wheels of another kind stays
+        return _from_document(laid_over(below, calibration_fields(other)))
 
 
 def load_calibration(*paths: StrPath, under: Calibration | None = None) -> Calibration:
@@ -252,6 +274,7 @@ _KINDS: dict[str, type | UnionType] = {
     "depth_error": DepthError,
     "point_errors": PointErrors | None,
     "wheels": Wheels | None,
+    "holonomic": HolonomicWheels | None,
     "gyro": Gyro,
     "source": str,
 }
@@ -259,6 +282,7 @@ _CAMERA_PART = ("color", "depth", "T_color_depth", "depth_noise", "depth_error",
 _OTHER_PARTS = ("T_base_camera", "wheels", "gyro")
 _TOP_FIELDS = ("format", "source", *_CAMERA_PART, *_OTHER_PARTS, NOMINAL, HISTORY)
 _WHEEL_FIELDS = tuple(f.name for f in fields(Wheels))
+_KIND, _DIFFERENTIAL, _HOLONOMIC = "kind", "differential", "holonomic"
 _COUNTER_FIELDS = ("counter_bits", "counter_modulus")
 _GYRO_FIELDS = tuple(f.name for f in fields(Gyro))
 
@@ -287,18 +311,29 @@ def calibration_fields(calibration: Calibration) -> dict[str, Any]:
         document |= {name: float(getattr(calibration, name)) for name in _NUMBERS}
     if calibration.T_base_camera is not None:
         document["T_base_camera"] = rows(calibration.T_base_camera)
-    if calibration.wheels is not None:
-        counter = {name: int(getattr(calibration.wheels, name)) for name in _COUNTER_FIELDS}
-        stated = _plain(calibration.wheels)
-        silent = {name for name in WHEEL_SIGMAS if not stated[name]}
-        document["wheels"] = {name: value for name, value in stated.items() if name not in silent} | counter
-    if calibration.wheels is not None or calibration.gyro != Gyro():
+    if calibration.any_wheels is not None:
+        document["wheels"] = _wheel_fields(calibration.any_wheels)
+    if calibration.any_wheels is not None or calibration.gyro != Gyro():
         document["gyro"] = _plain(calibration.gyro)
     return document
 
 
 def _plain(numbers: DepthNoise | Wheels | Gyro) -> dict[str, float]:
     return {f.name: float(getattr(numbers, f.name)) for f in fields(numbers)}
+
+
+def _wheel_fields(wheels: Wheels | HolonomicWheels) -> dict[str, Any]:
+    if isinstance(wheels, Wheels):
+        counter = {name: int(getattr(wheels, name)) for name in _COUNTER_FIELDS}
+        plain = _plain(wheels)
+        return {name: value for name, value in plain.items() if value or name not in WHEEL_SIGMAS} | counter
+    needed, optional = HOLONOMIC_LAYOUTS[wheels.layout]
+    numbers = [name for name in (*needed, *optional, *HOLONOMIC_FIELDS) if name not in ("angles_rad", "counter_bits")]
+    stated = {name: float(getattr(wheels, name)) for name in numbers}
+    told: dict[str, Any] = {_KIND: _HOLONOMIC, "layout": wheels.layout}
+    told |= {name: value for name, value in stated.items() if value or name not in WHEEL_SIGMAS}
+    told |= {"angles_rad": [float(angle) for angle in wheels.angles_rad]} if wheels.angles_rad else {}
+    return told | ({"counter_bits": int(wheels.counter_bits)} if wheels.counter_bits else {})
 
 
 def _from_document(document: Any) -> Calibration:
@@ -311,7 +346,8 @@ def _from_document(document: Any) -> Calibration:
     if "color" in known:
         parts |= _camera_part(known)
     if "wheels" in known:
-        parts["wheels"] = _wheels(known["wheels"])
+        wheels = _wheels(known["wheels"])
+        parts["wheels" if isinstance(wheels, Wheels) else "holonomic"] = wheels
     if "color" not in known and (of_camera or not any(name in known for name in _OTHER_PARTS)):
         fix = "give the colour camera: width, height, fx, fy, cx, cy"
         raise _MissingError((of_camera or ["color"])[0], "color", fix)
@@ -372,14 +408,40 @@ def _numbers(fields_of_part: dict[str, Any], part: str) -> dict[str, float]:
     return {name: number(value, f"{part}.{name}") for name, value in fields_of_part.items()}
 
 
-def _wheels(value: Any) -> Wheels:
-    known = mapping(value, "wheels", _WHEEL_FIELDS)
+def _wheels(value: Any) -> Wheels | HolonomicWheels:
+    kind = value.get(_KIND, _DIFFERENTIAL) if isinstance(value, dict) else _DIFFERENTIAL
+    if kind not in (_DIFFERENTIAL, _HOLONOMIC):
+        raise CalibrationError(f"field wheels.kind is {kind!r}", fix=f"{_DIFFERENTIAL} or {_HOLONOMIC}")
+    if kind == _HOLONOMIC:
+        return _holonomic(value)
+    known = {name: one for name, one in mapping(value, "wheels", (*_WHEEL_FIELDS, _KIND)).items() if name != _KIND}
     missing = [f.name for f in fields(Wheels) if f.default is MISSING and f.name not in known]
     if missing:
         raise _MissingError("wheels", f"wheels.{missing[0]}", "give it too, here or in another --calibration")
     numbers: dict[str, Any] = _numbers(known, "wheels")
     numbers |= {name: whole(known[name], f"wheels.{name}", "") for name in _COUNTER_FIELDS if name in known}
     return made(Wheels, "wheels", numbers)
+
+
+def _holonomic(value: dict[str, Any]) -> HolonomicWheels:
+    layout = value.get("layout")
+    if layout not in HOLONOMIC_LAYOUTS:
+        raise CalibrationError(f"field wheels.layout is {layout!r}", fix=f"one of {', '.join(HOLONOMIC_LAYOUTS)}")
+    needed, optional = HOLONOMIC_LAYOUTS[layout]
+    known = mapping(value, "wheels", (_KIND, "layout", *needed, *optional, *HOLONOMIC_FIELDS))
+    for name in needed:
+        if name not in known:
+            fix = f"layout {layout} needs {', '.join(needed)}, here or in another --calibration"
+            raise _MissingError("wheels", f"wheels.{name}", fix)
+    angles = known.get("angles_rad", [])
+    if not isinstance(angles, list):
+        raise CalibrationError("field wheels.angles_rad is no list", fix="one angle a wheel: [1.0472, 3.1416, 5.236]")
+    plain = {name: one for name, one in known.items() if name not in (_KIND, "layout", "angles_rad", "counter_bits")}
+    numbers: dict[str, Any] = _numbers(plain, "wheels")
+    numbers["angles_rad"] = tuple(number(angle, "wheels.angles_rad") for angle in angles)
+    if "counter_bits" in known:
+        numbers["counter_bits"] = whole(known["counter_bits"], "wheels.counter_bits", "")
+    return made(HolonomicWheels, "wheels", {"layout": layout, **numbers})
 
 
 def _camera(value: Any, name: str) -> PinholeCamera:

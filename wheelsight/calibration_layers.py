@@ -24,13 +24,19 @@ def laid_over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, A
     merged = {**kept, **above}
     for name in _FIELD_BY_FIELD:
         parts = (below.get(name), above.get(name))
-        if all(isinstance(part, Mapping) for part in parts):
+        if all(isinstance(part, Mapping) for part in parts) and not _are_of_other_kinds(*parts):
             merged[name] = {**parts[0], **parts[1]}  # type: ignore[dict-item]
     told = [entry for part in (below, above) for entry in part.get(HISTORY) or ()]
     if told:
         merged[HISTORY] = [entry for index, entry in enumerate(told) if entry not in told[:index]]
     source = _both_sources(below.get("source"), above.get("source"))
     return merged if source is None else {**merged, "source": source}
+
+
+def _are_of_other_kinds(below: Any, above: Any) -> bool:
+    """Whether the upper of two parts names a kind or layout of wheels that the lower one does not have."""
+    usual = {"kind": "differential", "layout": None}
+    return any(name in above and above[name] != below.get(name, usual[name]) for name in usual)
 
 
 def _both_sources(below: Any, above: Any) -> Any:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -154,6 +156,166 @@ class Wheels:
     def right_m_per_tick(self) -> float:
         """How far the right wheel rolls while its encoder counts one."""
         return 2 * math.pi * self.right_radius_m / self.ticks_per_turn
+
+
+HolonomicLayout = Literal["mecanum", "omni", "increments"]
+# What each layout must be given, and what it may be given beside the fields that all have.
+HOLONOMIC_LAYOUTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "mecanum": (("radius_m", "half_length_m", "half_width_m", "ticks_per_turn"), ("counter_bits",)),
+    "omni": (("radius_m", "distance_m", "angles_rad", "ticks_per_turn"), ("counter_bits",)),
+    "increments": ((), ("distance_m",)),
+}
+_OF_HOLONOMIC = {
+    name: _OF_WHEELS[name] for name in _OF_WHEELS if not name.startswith(("left_", "right_", "track_"))
+} | {
+    "radius_m": _OF_WHEELS["left_radius_m"],
+    "half_length_m": Range(0.01, 5.0, "m"),
+    "half_width_m": Range(0.01, 5.0, "m"),
+    "distance_m": Range(0.01, 5.0, "m"),
+}
+HOLONOMIC_FIELDS = (
+    "delay_s",
+    "slip_m_per_sqrt_m",
+    "max_speed_m_s",
+    "max_gap_s",
+    *WHEEL_SIGMAS,
+)
+# Omnidirectional wheels whose axles are nearly alike leave a direction of motion unmeasured.
+_MOST_CONDITION = 30.0
+
+
+@dataclass(frozen=True)
+class HolonomicWheels:
+    """The wheels of a base that can move ahead, sideways and turn at once.
+
+    Attributes:
+        layout: "mecanum": four wheels at the corners of a rectangle, whose rollers form an X seen from above; "omni":
+            three or four wheels around the middle, whose axles point to it; "increments": the base's own odometry has
+            x, y and yaw ready.
+        radius_m: of all wheels.
+        ticks_per_turn: counts of an encoder a turn of its wheel.
+        half_length_m, half_width_m: mecanum: from the middle to the axles, ahead and to the left.
+        distance_m: omni: from the middle to where a wheel touches the ground. Increments: the same, about, for how
+            uncertain a turn is beside a way.
+        angles_rad: omni: where around the middle each wheel stands, counter-clockwise from straight ahead. A wheel
+            turns forward when it drives the base counter-clockwise.
+        counter_bits, delay_s, slip_m_per_sqrt_m, max_speed_m_s, max_gap_s, scale_sigma, turn_sigma,
+            drift_sigma_rad_per_m: as of `Wheels`; the slip is that of each wheel's travel.
+
+    Raises:
+        CalibrationError: a value that no base can have, one that the layout lacks, or wheels that leave a direction of
+            motion unmeasured.
+    """
+
+    layout: HolonomicLayout
+    radius_m: float | None = None
+    half_length_m: float | None = None
+    half_width_m: float | None = None
+    distance_m: float | None = None
+    angles_rad: tuple[float, ...] = ()
+    ticks_per_turn: float | None = None
+    counter_bits: int = 0
+    delay_s: float = 0.0
+    slip_m_per_sqrt_m: float = 0.01
+    max_speed_m_s: float = 5.0
+    max_gap_s: float = 0.5
+    scale_sigma: float = 0.0
+    drift_sigma_rad_per_m: float = 0.0
+    turn_sigma: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.layout not in HOLONOMIC_LAYOUTS:
+            raise CalibrationError(f"layout is {self.layout!r}", fix=f"one of {', '.join(HOLONOMIC_LAYOUTS)}")
+        self._check_layout()
+        if self.layout == "increments" and self.distance_m is None:
+            object.__setattr__(self, "distance_m", 0.25)  # of a base of half a metre
+        numbers = tuple(name for name in (*_OF_HOLONOMIC, "counter_bits") if getattr(self, name) is not None)
+        need_numbers(self, numbers)
+        for name in numbers:
+            if not np.isfinite(getattr(self, name)):
+                raise CalibrationError(f"{name} is {getattr(self, name)}, not a number")
+            if name in _OF_HOLONOMIC:
+                check_range(name, getattr(self, name), _OF_HOLONOMIC[name])
+        if self.slip_m_per_sqrt_m == 0:
+            raise CalibrationError("slip_m_per_sqrt_m is 0", fix="no wheel is without slip: 0.01 on smooth floor")
+        if self.counter_bits != int(self.counter_bits) or not 0 <= self.counter_bits <= _WIDEST_COUNTER_BITS:
+            raise CalibrationError(f"counter_bits is {self.counter_bits}", fix="1 to 64, or 0: never rolls over")
+        self._check_angles()
+
+    def _check_layout(self) -> None:
+        needed, optional = HOLONOMIC_LAYOUTS[self.layout]
+        of_layouts = {name for names in HOLONOMIC_LAYOUTS.values() for name in (*names[0], *names[1])}
+        given = {name for name in of_layouts if getattr(self, name) not in (None, (), 0)}
+        for name in needed:
+            if name not in given:
+                raise CalibrationError(f"{name} is missing", fix=f"layout {self.layout} needs {', '.join(needed)}")
+        for name in sorted(given - {*needed, *optional}):
+            fix = f"layout {self.layout} has {', '.join((*needed, *optional)) or 'no sizes of wheels'}"
+            raise CalibrationError(f"{name} is no field of layout {self.layout}", fix=fix)
+
+    def _check_angles(self) -> None:
+        if self.layout != "omni":
+            return
+        if len(self.angles_rad) not in (3, 4):
+            raise CalibrationError(f"angles_rad has {len(self.angles_rad)} angles", fix="one a wheel, three or four")
+        if not np.isfinite(self.angles_rad).all() or np.abs(self.angles_rad).max() > 2 * math.pi:
+            raise CalibrationError(
+                f"angles_rad is {list(self.angles_rad)}, not -2π to 2π", fix="radians: 60° are 1.0472"
+            )
+        way = np.column_stack([-np.sin(self.angles_rad), np.cos(self.angles_rad), np.ones(len(self.angles_rad))])
+        if np.linalg.cond(way) > _MOST_CONDITION:
+            raise CalibrationError(
+                f"angles_rad is {list(self.angles_rad)}: these wheels do not measure every direction of motion",
+                fix="spread them around the base: 1.0472, 3.1416, 5.236",
+            )
+
+    @property
+    def wheel_names(self) -> tuple[str, ...]:
+        """Of the wheels in the order of their counts; none where increments come ready."""
+        if self.layout == "mecanum":
+            return "front_left", "front_right", "rear_left", "rear_right"
+        return tuple(f"wheel_{number}" for number in range(1, 1 + len(self.angles_rad)))
+
+    @property
+    def m_per_tick(self) -> float:
+        """How far a wheel's rim goes while its encoder counts one."""
+        assert self.radius_m is not None
+        assert self.ticks_per_turn is not None
+        return 2 * math.pi * self.radius_m / self.ticks_per_turn
+
+    @cached_property
+    def jacobian(self) -> FloatArray:
+        """(N, 3) how far each wheel's rim goes, metres, by the base's way ahead, way to the left, and turn.
+
+        Muir & Neuman, "Kinematic modeling of wheeled mobile robots", 1987; a mecanum wheel's rollers pass what goes
+        along them, so that its rim takes half of a way at 45° to it twice.
+        """
+        if self.layout == "mecanum":
+            assert self.half_length_m is not None
+            assert self.half_width_m is not None
+            lever_m = self.half_length_m + self.half_width_m
+            return np.array([[1, -1, -lever_m], [1, 1, lever_m], [1, 1, -lever_m], [1, -1, lever_m]], float)
+        assert self.distance_m is not None
+        angles = np.array(self.angles_rad)
+        return np.column_stack([-np.sin(angles), np.cos(angles), np.full(len(angles), self.distance_m)])
+
+    @cached_property
+    def to_base(self) -> FloatArray:
+        """(3, N) the pseudo-inverse: the base's motion that fits the wheels' ways best, by least squares."""
+        return np.asarray(np.linalg.pinv(self.jacobian), float)
+
+    @cached_property
+    def contradictions(self) -> FloatArray:
+        """(N - 3, N) unit rows: by what the wheels' ways fit no motion of the base; none for three wheels."""
+        return np.ascontiguousarray(np.linalg.svd(self.jacobian)[0][:, 3:].T)
+
+    @property
+    def turn_variance_per_m(self) -> float:
+        """Variance of the base's turn, rad², after each wheel has gone one metre."""
+        if self.layout == "increments":
+            assert self.distance_m is not None
+            return self.slip_m_per_sqrt_m**2 / self.distance_m**2
+        return self.slip_m_per_sqrt_m**2 * float(self.to_base[2] @ self.to_base[2])
 
 
 @dataclass(frozen=True, slots=True)

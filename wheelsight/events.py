@@ -49,6 +49,35 @@ class WheelSpeeds:
 
 
 @dataclass(frozen=True, slots=True)
+class WheelCounts:
+    """Cumulative encoder counts of all wheels of a holonomic base, growing forward, at `stamp_s` seconds.
+
+    Attributes:
+        counts: one a wheel, in the order of `HolonomicWheels.wheel_names`.
+    """
+
+    stamp_s: float
+    counts: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryReading:
+    """Where a holonomic base's own odometry has it at `stamp_s` seconds, in a frame of that odometry.
+
+    Increments between readings count; where the frame lies does not. What happened between two readings that arrive is
+    not lost with those that do not.
+
+    Attributes:
+        x_m, y_m, yaw_rad: of the base, metres and radians; yaw may wrap anywhere.
+    """
+
+    stamp_s: float
+    x_m: float
+    y_m: float
+    yaw_rad: float
+
+
+@dataclass(frozen=True, slots=True)
 class YawRate:
     """A gyroscope's reading at `stamp_s` seconds: rad/s, counter-clockwise seen from above."""
 
@@ -91,5 +120,11 @@ class SkippedFrame:
         return self.reason == NOTHING_MEASURED
 
 
-Event = RgbdFrame | WheelTicks | WheelSpeeds | YawRate | SkippedFrame
+HolonomicReading = WheelCounts | OdometryReading
+"""A reading of a holonomic base."""
+
+WheelReading = WheelTicks | WheelSpeeds | HolonomicReading
+"""A reading of the wheels of any base."""
+
+Event = RgbdFrame | WheelTicks | WheelSpeeds | WheelCounts | OdometryReading | YawRate | SkippedFrame
 """What a sensor says at one stamp."""

@@ -8,6 +8,7 @@ from wheelsight.odometry.wheels.encoder import Encoder
 from wheelsight.odometry.wheels.fit import WheelFit, fit_wheels
 from wheelsight.odometry.wheels.gyro import YawRateMeter, mean_yaw_rates
 from wheelsight.odometry.wheels.gyro_check import GyroCheck, gyro_warnings
+from wheelsight.odometry.wheels.holonomic import HolonomicOdometry
 from wheelsight.odometry.wheels.loop_check import LoopCause, LoopCheck, LoopCheckSettings, check_loop, with_sigmas
 from wheelsight.odometry.wheels.odometry import (
     Integration,
@@ -27,6 +28,7 @@ __all__ = [
     "Encoder",
     "GyroCheck",
     "GyroCheckSettings",
+    "HolonomicOdometry",
     "Integration",
     "LoopCause",
     "LoopCheck",
