@@ -73,7 +73,7 @@ def test_an_unknown_section_is_refused_listing_the_known(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("text", "line", "expected"),
     [
-        ("odometry: sonar\n", 1, "odometry is 'sonar' (known: 'features', 'dense' or 'wheels')"),
+        ("odometry: sonar\n", 1, "odometry is 'sonar' (known: 'features', 'dense', 'wheels' or 'own')"),
         ("report:\n  pictures: many\n", 2, "report.pictures is 'many', which should be a valid integer"),
         ("report:\n  pictures: -1\n", 2, "report.pictures is -1, which should be greater than or equal to 0"),
         ("recording: {max_gap_s: -1}\n", 1, "recording.max_gap_s is -1, which should be greater than or equal to 0"),
@@ -88,7 +88,7 @@ def test_an_impossible_value_is_refused_in_one_line(tmp_path: Path, text: str, l
 
 def test_an_impossible_option_does_not_blame_the_file(tmp_path: Path) -> None:
     path = write(tmp_path, "report: {pictures: 2}\n")
-    assert refusal(path, {"odometry": "sonar"}) == "odometry is 'sonar' (known: 'features', 'dense' or 'wheels')"
+    assert refusal(path, {"odometry": "sonar"}) == "odometry is 'sonar' (known: 'features', 'dense', 'wheels' or 'own')"
 
 
 def test_an_impossible_option_is_called_what_the_user_knows_it_as() -> None:

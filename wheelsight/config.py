@@ -49,8 +49,10 @@ from wheelsight.settings.profiles import over_profile
 from wheelsight.slam.sessions.settings import SessionSettings
 from wheelsight.slam.settings import FROM_KEYFRAMES, LoopSettings
 
-OdometryName = Literal["features", "dense", "wheels"]
-TrackName = Literal["features", "dense", "wheels", "rectified", "joined"]
+OdometryName = Literal["features", "dense", "wheels", "own"]
+TrackName = Literal["features", "dense", "wheels", "own", "rectified", "joined"]
+OWN: OdometryName = "own"
+"""Names a visual odometry of a user's own, which Python code alone can give: `Localizer(visual_odometry=...)`."""
 
 
 def _numbers(text: str, names: tuple[str, ...]) -> list[float]:

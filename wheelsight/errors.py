@@ -11,7 +11,8 @@
     │   ├── ConfigError          a setting that is unknown, impossible or in conflict
     │   ├── ArgumentError        an event or array from Python code, of another type or shape than asked for
     │   ├── OutputError          an output that cannot be written, or would be overwritten
-    │   └── DeviceError          a port or pipe that is missing, denied, in use, or does not answer
+    │   ├── DeviceError          a port or pipe that is missing, denied, in use, or does not answer
+    │   └── PartError            a part of a user's own, such as a planner, raised, or answered what is no answer
     ├── DegenerateGeometryError  points that do not determine the motion asked for
     └── EvaluationError          two trajectories that cannot be compared
 
@@ -108,6 +109,10 @@ class OutputError(InputError):
 
 class DeviceError(InputError):
     """A serial port or pipe is missing, denied or in use, or what is behind it does not answer."""
+
+
+class PartError(InputError):
+    """A part of a user's own raised an exception, or answered what is not asked for."""
 
 
 class DegenerateGeometryError(WheelsightError):

@@ -8,9 +8,12 @@ from wheelsight import pipeline
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath
+from wheelsight.localizer.choice import NO_PARTS, OwnParts
+from wheelsight.odometry.own import VisualOdometry
 from wheelsight.pipeline import FrameRecord, RunRecord
 from wheelsight.pipeline.track import Watcher
 from wheelsight.report import why_no_page, write_page
+from wheelsight.slam.recognised import LoopDetector
 from wheelsight.sources import EventSource
 
 
@@ -22,6 +25,8 @@ def run(
     force: bool = False,
     on_frame: Callable[[FrameRecord], None] | None = None,
     duration_s: float | None = None,
+    visual_odometry: VisualOdometry | None = None,
+    loop_detector: LoopDetector | None = None,
 ) -> RunRecord:
     """Follow events to their end and leave trajectory, status, metrics, configuration and report in the folder `out`.
 
@@ -38,12 +43,14 @@ def run(
         force: write into a folder that holds something already.
         on_frame: called after each frame that is answered, for a progress bar.
         duration_s: ends so many seconds after the first event, by its stamp; None: with the source.
+        visual_odometry, loop_detector: parts of your own, as of `Localizer`.
 
     Raises:
         ConfigError: the configuration names several odometries that are not joined.
         InputError: as `pipeline.run_each`.
     """
-    config = pipeline.resolved(source, config)
+    parts = OwnParts(visual_odometry, loop_detector)
+    config = pipeline.resolved(source, config, parts)
     if len(config.tracks) > 1 and config.tracks[-1] not in ("joined", "rectified"):
         raise ConfigError(f"run follows one track, not {' and '.join(config.tracks)}", fix="use run_each")
     main = config.tracks[-1]
@@ -52,7 +59,7 @@ def run(
         if on_frame is not None and main in answers:
             on_frame(answers[main])
 
-    records = run_each(source, config, out, force=force, on_event=on_event, duration_s=duration_s)
+    records = run_each(source, config, out, force=force, on_event=on_event, duration_s=duration_s, parts=parts)
     return records[-1]
 
 
@@ -67,6 +74,7 @@ def run_each(
     on_event: Callable[[Mapping[str, FrameRecord]], None] | None = None,
     duration_s: float | None = None,
     watcher: Watcher | None = None,
+    parts: OwnParts = NO_PARTS,
 ) -> tuple[RunRecord, ...]:
     """`pipeline.run_each`, which says all about it, with one page of everything: `report.html` in `out`.
 
@@ -84,4 +92,5 @@ def run_each(
         draw=draw,
         duration_s=duration_s,
         watcher=watcher,
+        parts=parts,
     )

@@ -23,7 +23,7 @@ from wheelsight.slam.sessions import MAP_FOLDER, MapFolder, find_map, is_map
 from wheelsight.trajectory import Trajectory, read_tum
 
 # Where a run of several odometries has its best trajectory, first the one that knows most.
-_TRACKS = ("", "joined", "dense", "features", "rectified", "wheels")
+_TRACKS = ("", "joined", "dense", "features", "own", "rectified", "wheels")
 _SETTINGS_FILE = "config.yaml"
 _DETAILS = ("matches", "inliers", "time_ms", "flags", "note")
 _STATUS = Kind("a run's status", most_mb=192)

@@ -7,10 +7,14 @@ from wheelsight.config import Config
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer._loops import begin_in
+from wheelsight.localizer.choice import NO_PARTS, OwnParts
 from wheelsight.localizer.map_builder import MapBuilder
 from wheelsight.odometry.dense import DenseOdometry
 from wheelsight.odometry.features import FeatureOdometry
+from wheelsight.odometry.own import OwnOdometry
 from wheelsight.slam.known import KnownMap
+
+CameraOdometry = FeatureOdometry | DenseOdometry | OwnOdometry
 
 
 def mount_of(calibration: Calibration) -> FloatArray:
@@ -22,18 +26,21 @@ def mount_of(calibration: Calibration) -> FloatArray:
 
 
 def camera_odometry(
-    calibration: Calibration, settings: Config, known: KnownMap | None = None
-) -> tuple[FeatureOdometry | DenseOdometry, MapBuilder | None]:
-    """Feature or dense odometry, whose map begins where the base was where that is known; and what builds a map.
+    calibration: Calibration, settings: Config, known: KnownMap | None = None, parts: OwnParts = NO_PARTS
+) -> tuple[CameraOdometry, MapBuilder | None]:
+    """The camera's odometry, whose map begins where the base was where that is known; and what builds a map.
 
-    In a map of before it begins where somebody says, or apart from it where nobody does. Beside wheels, frames are
-    aligned with keyframes alone: docs/decisions/0061.
+    A user's own takes the place of dense and feature odometry. In a map of before it begins where somebody says, or
+    apart from it where nobody does. Beside wheels, frames are aligned with keyframes alone: docs/decisions/0061.
     """
     store, T_map_first = (
         (None, calibration.T_base_camera)
         if known is None
         else (known.store, begin_in(known, calibration, settings.loops.pieces))
     )
+    if parts.visual_odometry is not None:
+        own = (parts.visual_odometry, calibration, settings.features)
+        return OwnOdometry(*own, T_map_first=T_map_first, store=store), None
     if settings.map == "surfels":
         dense = DenseOdometry(calibration, settings.dense, T_map_first=T_map_first, store=store)
         mapper = MapBuilder(dense, calibration, settings.surfels)

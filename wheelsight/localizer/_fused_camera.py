@@ -11,10 +11,11 @@ from wheelsight.events import RgbdFrame
 from wheelsight.fusion import FusedEstimate
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.geometry import motion_kernels as motions
-from wheelsight.localizer._camera import camera_odometry
+from wheelsight.localizer._camera import CameraOdometry, camera_odometry
 from wheelsight.localizer._frame_gate import FrameGate
+from wheelsight.localizer.choice import NO_PARTS, OwnParts
 from wheelsight.odometry.dense import DenseOdometry
-from wheelsight.odometry.features import FeatureEstimate, FeatureOdometry, MatchedPixels
+from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
 from wheelsight.slam.known import KnownMap
 
 BLIND = (Reason.TOO_LITTLE_DEPTH, Reason.FRAME_UNUSABLE, Reason.TOO_FEW_KEYPOINTS)
@@ -32,10 +33,15 @@ class FusedCamera:
     """
 
     def __init__(
-        self, calibration: Calibration, settings: Config, T_base_camera: FloatArray, known: KnownMap | None = None
+        self,
+        calibration: Calibration,
+        settings: Config,
+        T_base_camera: FloatArray,
+        known: KnownMap | None = None,
+        parts: OwnParts = NO_PARTS,
     ) -> None:
-        self.odometry, self.mapper = camera_odometry(calibration, settings, known)
-        self._of = calibration, settings
+        self.odometry, self.mapper = camera_odometry(calibration, settings, known, parts)
+        self._of = calibration, settings, None, parts
         self._settings = settings.fusion.joining
         self.gate = FrameGate(settings.localizer.frame_gate)
         self.unknown = 0
@@ -49,7 +55,7 @@ class FusedCamera:
         """Whether so many frames showed nothing known that the camera had better start again."""
         return self.unknown >= self._settings.restart_after
 
-    def another(self) -> FeatureOdometry | DenseOdometry:
+    def another(self) -> CameraOdometry:
         """Odometry of the same camera that knows nothing yet."""
         return camera_odometry(*self._of)[0]
 

@@ -22,6 +22,7 @@ from wheelsight.slam.drive_graph import CameraMotion, LivedKeyframe, PoseUpdate,
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.known import KnownMap
 from wheelsight.slam.live import ClosedLoops, LiveLoops
+from wheelsight.slam.recognised import LoopDetector
 from wheelsight.slam.settings import FROM_KEYFRAMES, PieceSettings
 from wheelsight.slam.steps import aligned_edge
 
@@ -36,7 +37,7 @@ class LoopsBeside:
         store: of the odometry.
         calibration, settings: of the run.
         known: what an earlier drive has left, whose keyframes the store has.
-        waits: see `LiveLoops`.
+        waits, detector: see `LiveLoops`.
 
     Attributes:
         is_laid: whether loops have laid the piece of map that the robot is in, however surely.
@@ -51,9 +52,11 @@ class LoopsBeside:
         known: KnownMap | None = None,
         *,
         waits: bool,
+        detector: LoopDetector | None = None,
     ) -> None:
         self._store, self._settings = store, settings.loops
-        self._live = LiveLoops(store, calibration, settings.loops, settings.recognition, known=known, waits=waits)
+        how = (calibration, settings.loops, settings.recognition)
+        self._live = LiveLoops(store, *how, known=known, waits=waits, detector=detector)
         self._map_stays, self._was_sure = known is not None and not known.edges, False
         self._told = len(store)
         self._waiting: list[list[LivedKeyframe]] = []  # by the frames at which they were kept
@@ -312,11 +315,17 @@ class LoopsBeside:
 
 
 def loops_beside(
-    store: KeyframeStore, calibration: Calibration, settings: Config, known: KnownMap | None = None, *, waits: bool
+    store: KeyframeStore,
+    calibration: Calibration,
+    settings: Config,
+    known: KnownMap | None = None,
+    *,
+    waits: bool,
+    detector: LoopDetector | None = None,
 ) -> LoopsBeside | None:
     """Where the settings ask for loops that the camera finds; Ligocki's filter, as its paper has it, knows none."""
     is_asked = settings.loops.source == FROM_KEYFRAMES and settings.fusion.filter != "ligocki"
-    return LoopsBeside(store, calibration, settings, known, waits=waits) if is_asked else None
+    return LoopsBeside(store, calibration, settings, known, waits=waits, detector=detector) if is_asked else None
 
 
 def begin_in(known: KnownMap, calibration: Calibration, settings: PieceSettings) -> FloatArray:

@@ -14,8 +14,7 @@ import numpy as np
 from wheelsight.estimates import WheelEstimate
 from wheelsight.events import RgbdFrame
 from wheelsight.localizer._base_check import BaseCheck
-from wheelsight.odometry.dense import DenseOdometry
-from wheelsight.odometry.features import FeatureOdometry
+from wheelsight.localizer._camera import CameraOdometry
 
 
 class SecondCheck:
@@ -30,12 +29,12 @@ class SecondCheck:
     def __init__(
         self,
         new_check: Callable[[], BaseCheck],
-        new_camera: Callable[[], DenseOdometry | FeatureOdometry],
+        new_camera: Callable[[], CameraOdometry],
         restart_after: int,
     ) -> None:
         self._new_check, self._new_camera, self._restart_after = new_check, new_camera, restart_after
         self._check: BaseCheck | None = None
-        self._camera: DenseOdometry | FeatureOdometry | None = None
+        self._camera: CameraOdometry | None = None
         self._begins, self._failed = True, 0
 
     def hear(self, wheels: WheelEstimate) -> None:

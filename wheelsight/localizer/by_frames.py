@@ -17,6 +17,7 @@ from wheelsight.localizer._camera import camera_odometry
 from wheelsight.localizer._frame_gate import FrameGate
 from wheelsight.localizer._fused_camera import BLIND
 from wheelsight.localizer._loops import LoopsBeside, begin_in, loops_beside
+from wheelsight.localizer.choice import NO_PARTS, OwnParts
 from wheelsight.odometry.dense import DenseEstimate
 from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
 from wheelsight.slam.known import KnownMap
@@ -35,18 +36,25 @@ class ByFrames:
     answers = (RgbdFrame, SkippedFrame)
 
     def __init__(
-        self, calibration: Calibration, settings: Config, known: KnownMap | None = None, *, waits: bool = False
+        self,
+        calibration: Calibration,
+        settings: Config,
+        known: KnownMap | None = None,
+        *,
+        waits: bool = False,
+        parts: OwnParts = NO_PARTS,
     ) -> None:
         self.frame = "map" if known is None else "odom"  # in a map of before, odom begins anywhere
         self.body = "camera" if calibration.T_base_camera is None else "base"
-        self.odometry, self.mapper = camera_odometry(calibration, settings, known)
+        self.odometry, self.mapper = camera_odometry(calibration, settings, known, parts)
         T_base_camera = calibration.T_base_camera
         self._T_camera_base = None if T_base_camera is None else se3.invert(T_base_camera)
         self._gate = FrameGate(settings.localizer.frame_gate)
         self.hears: tuple[type[Event], ...] = self.answers
         self._status = Status.INITIALIZING
         self.last_matches: MatchedPixels | None = None
-        self.loops = loops_beside(self.odometry.store, calibration, settings, known, waits=waits)
+        detector = parts.loop_detector
+        self.loops = loops_beside(self.odometry.store, calibration, settings, known, waits=waits, detector=detector)
         self.T_odom_map: FloatArray = np.eye(4)
         if known is not None:
             T_odom_camera = np.eye(4) if T_base_camera is None else T_base_camera

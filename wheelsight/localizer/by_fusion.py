@@ -14,7 +14,7 @@ from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
 from wheelsight.localizer._base_check import BaseCheck
 from wheelsight.localizer._base_sensors import BaseSensors
-from wheelsight.localizer._camera import mount_of
+from wheelsight.localizer._camera import CameraOdometry, mount_of
 from wheelsight.localizer._camera_map import Anchor, CameraMap, blurred, is_far, strayed
 from wheelsight.localizer._carried import Carried, UnsureStart
 from wheelsight.localizer._fused_camera import FusedCamera
@@ -23,10 +23,11 @@ from wheelsight.localizer._odom_frame import FusedOdom
 from wheelsight.localizer._place_sense import PlaceSense
 from wheelsight.localizer._second_check import SecondCheck
 from wheelsight.localizer.by_places import Places
+from wheelsight.localizer.choice import NO_PARTS, OwnParts
 from wheelsight.localizer.map_builder import MapBuilder
-from wheelsight.odometry.dense import DenseEstimate, DenseOdometry
+from wheelsight.odometry.dense import DenseEstimate
 from wheelsight.odometry.extrinsics import Culprit
-from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
+from wheelsight.odometry.features import MatchedPixels
 from wheelsight.odometry.frame_error import frame_covariance
 from wheelsight.places import PlaceMatch
 from wheelsight.slam.known import KnownMap
@@ -52,12 +53,13 @@ class ByFusion:
         known: KnownMap | None = None,
         *,
         waits: bool = False,
+        parts: OwnParts = NO_PARTS,
     ) -> None:
         self.frame = "map" if known is None else "odom"  # in a map of before, odom begins anywhere
         self._settings, of, T_base_camera = settings.fusion.joining, settings.localizer, mount_of(calibration)
         self._base = BaseSensors(calibration, settings.wheels)
         self.hears: tuple[type[Event], ...] = (*self._base.hears, RgbdFrame, SkippedFrame)
-        self._camera = FusedCamera(calibration, settings, T_base_camera, known)
+        self._camera = FusedCamera(calibration, settings, T_base_camera, known, parts)
         begins = None if known is None else begin_in(known, calibration, settings.loops.pieces)
         self._map, self._of_frame = CameraMap(T_base_camera, begins), frame_covariance(calibration)
         self._start_is_said = known is not None and known.start is not None
@@ -73,12 +75,13 @@ class ByFusion:
             self._camera.another,
             self._settings.restart_after,
         )
-        self.loops = loops_beside(self.odometry.store, calibration, settings, known, waits=waits)
+        detector = parts.loop_detector
+        self.loops = loops_beside(self.odometry.store, calibration, settings, known, waits=waits, detector=detector)
         self._carried, self._unsure = Carried(self._settings), UnsureStart(self._settings)
         self._odom = FusedOdom(filter_settings.coast_after_s)
 
     @property
-    def odometry(self) -> FeatureOdometry | DenseOdometry:
+    def odometry(self) -> CameraOdometry:
         """The camera's."""
         return self._camera.odometry
 

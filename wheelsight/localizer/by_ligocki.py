@@ -17,6 +17,7 @@ from wheelsight.geometry import FloatArray, se3
 from wheelsight.localizer._camera import mount_of
 from wheelsight.localizer.by_frames import ByFrames
 from wheelsight.localizer.by_wheels import ByWheels
+from wheelsight.localizer.choice import NO_PARTS, OwnParts
 from wheelsight.odometry.features import MatchedPixels
 
 
@@ -31,11 +32,11 @@ class ByLigocki:
 
     body, frame, answers = "base", "map", (RgbdFrame, SkippedFrame)
 
-    def __init__(self, calibration: Calibration, settings: Config) -> None:
+    def __init__(self, calibration: Calibration, settings: Config, parts: OwnParts = NO_PARTS) -> None:
         mount_of(calibration)  # the camera answers for the base
         self._wheels = ByWheels(calibration, settings.wheels)
         self.hears: tuple[type[Event], ...] = (*self._wheels.hears, *self.answers)
-        self._camera = ByFrames(calibration, settings)
+        self._camera = ByFrames(calibration, settings, parts=parts)
         self.odometry, self.mapper = self._camera.odometry, self._camera.mapper
         assert calibration.wheels is not None  # ByWheels has refused it
         self._max_gap_s = calibration.wheels.max_gap_s

@@ -5,8 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from wheelsight.calibration import Calibration
-from wheelsight.config import Config, OdometryName
+from wheelsight.checks import need_method
+from wheelsight.config import OWN, Config, OdometryName
 from wheelsight.errors import ConfigError
+from wheelsight.odometry.own import VisualOdometry
+from wheelsight.slam.recognised import LoopDetector
+from wheelsight.slam.settings import FROM_KEYFRAMES, FROM_NOWHERE
 
 FRAMES, READINGS, RATES = "frames", "wheel readings", "readings of the gyroscope"
 
@@ -19,6 +23,54 @@ _SENTENCES: dict[tuple[OdometryName, ...], str] = {
     ("features",): "the camera is followed by its features (--odometry features; dense: by all pixels)",
     ("dense",): "the camera is followed by all pixels (--odometry dense; features: by these alone)",
 }
+
+
+@dataclass(frozen=True, slots=True)
+class OwnParts:
+    """Parts of a user's own in place of built-in ones; None: the built-in one.
+
+    Attributes:
+        visual_odometry: follows the camera; the configuration calls it `own`.
+        loop_detector: names keyframes that may show the same place.
+
+    Raises:
+        ArgumentError: a part lacks its method.
+    """
+
+    visual_odometry: VisualOdometry | None = None
+    loop_detector: LoopDetector | None = None
+
+    def __post_init__(self) -> None:
+        if self.visual_odometry is not None:
+            need_method("visual_odometry", self.visual_odometry, "align")
+        if self.loop_detector is not None:
+            need_method("loop_detector", self.loop_detector, "candidates")
+
+    def named_in(self, config: Config, choice: Choice) -> Config:
+        """The configuration with its odometry named: what was chosen if it names none, and `own` for the camera's.
+
+        A loop detector asks for loops that are closed while driving. Raises ConfigError where a part has no use.
+        """
+        names = config.odometry or choice.odometry
+        if self.visual_odometry is not None and not config.odometry:
+            names = tuple(name if name == "wheels" else OWN for name in names)
+        if self.visual_odometry is None and OWN in names:
+            raise ConfigError("odometry own is a part of your own", fix="Localizer(..., visual_odometry=...), or run")
+        if self.visual_odometry is not None and OWN not in names:
+            raise ConfigError(f"visual_odometry is not used: odometry is {', '.join(names)}", fix="leave odometry out")
+        if self.loop_detector is not None:
+            if names == ("wheels",) or config.fusion.filter == "ligocki":
+                raise ConfigError("loop_detector is not used: no camera keeps keyframes", fix="leave it out")
+            if config.loops.source not in (FROM_NOWHERE, FROM_KEYFRAMES):
+                raise ConfigError(
+                    f"loop_detector is not used: loops.source is {config.loops.source}", fix="leave it out"
+                )
+            loops = config.loops.model_copy(update={"source": FROM_KEYFRAMES})
+            config = config.model_copy(update={"loops": loops})
+        return config if config.odometry == names else config.with_odometry(names)
+
+
+NO_PARTS = OwnParts()
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ from wheelsight.estimates import Estimate, Status, WheelEstimate
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.geometry import FloatArray
 from wheelsight.keyframes import KeyframeStore
+from wheelsight.localizer._camera import CameraOdometry
 from wheelsight.localizer._loops import LoopsBeside
 from wheelsight.localizer._resting_keyframes import resting_keyframes
 from wheelsight.localizer._smaller_images import SmallerImages
@@ -26,13 +27,14 @@ from wheelsight.localizer.by_fusion import ByFusion
 from wheelsight.localizer.by_ligocki import ByLigocki
 from wheelsight.localizer.by_places import ByPlaces, Places, load_places
 from wheelsight.localizer.by_wheels import ByWheels
-from wheelsight.localizer.choice import FRAMES, RATES, READINGS, choose_odometry, why_unused
+from wheelsight.localizer.choice import FRAMES, RATES, READINGS, OwnParts, choose_odometry, why_unused
 from wheelsight.mapping import SurfelMap
-from wheelsight.odometry.dense import DenseOdometry
-from wheelsight.odometry.features import FeatureOdometry, MatchedPixels
+from wheelsight.odometry.features import MatchedPixels
+from wheelsight.odometry.own import VisualOdometry
 from wheelsight.odometry.wheels import WheelOdometry
 from wheelsight.places import PlaceMatch
 from wheelsight.slam.known import KnownMap
+from wheelsight.slam.recognised import LoopDetector
 from wheelsight.slam.settings import FROM_KEYFRAMES
 from wheelsight.stamps import StampCheck
 from wheelsight.threads import OneCaller, ends, one_at_a_time
@@ -70,6 +72,9 @@ class Localizer(OneCaller):
             recognised its answers are `INITIALIZING`: they have a pose in odom, and none in the map.
         waits: whether loops are waited for once they are due, so that a recording gives the same poses each time. A
             robot that drives does not wait.
+        visual_odometry: of your own, follows the camera in place of the built-in ones; wheels are joined as beside
+            these. Its failures count as theirs: `FAILING`, then `LOST`, and `COASTING` by wheels.
+        loop_detector: of your own, names keyframes that may show the same place; loops are closed while driving.
 
     Attributes:
         body: "base" or "camera".
@@ -79,7 +84,8 @@ class Localizer(OneCaller):
         note: what there is to say about the last event beyond its reason; often empty.
 
     Raises:
-        ConfigError: the configuration names odometries that it does not join, or places without areas or start.
+        ConfigError: the configuration names odometries that it does not join, or places without areas or start; or a
+            part of your own has no use.
         CalibrationError: the calibration lacks the cameras or wheels that the odometry needs.
         AreaError, PlaceError: areas or model cannot be read, or do not belong together.
     """
@@ -92,11 +98,13 @@ class Localizer(OneCaller):
         *,
         known: KnownMap | None = None,
         waits: bool = False,
+        visual_odometry: VisualOdometry | None = None,
+        loop_detector: LoopDetector | None = None,
     ) -> None:
         calibration = need_calibration(calibration)
         settings = Config() if config is None else need_kind("config", config, Config, _CONFIG_FIX)
-        choice = choose_odometry(calibration, settings)
-        settings = settings if settings.odometry else settings.with_odometry(choice.odometry)
+        choice, parts = choose_odometry(calibration, settings), OwnParts(visual_odometry, loop_detector)
+        settings = parts.named_in(settings, choice)
         self._choice, self._config, self._unused = choice, settings, dict[str, str]()
         if known is not None and settings.loops.source != FROM_KEYFRAMES:
             raise ConfigError(
@@ -107,18 +115,20 @@ class Localizer(OneCaller):
             raise ConfigError(f"a localizer goes by one odometry, not by {several}", fix="give it config.alone(name)")
         # A model of places, which was trained on images of one size, says itself what is wrong with others.
         self._has_places = places is not None or settings.places.model is not None
-        most_width_px = None if self._has_places else settings.localizer.most_width_px
+        # A visual odometry of a user's own knows the images as the calibration has them.
+        is_in_full = self._has_places or visual_odometry is not None
+        most_width_px = None if is_in_full else settings.localizer.most_width_px
         self._images = SmallerImages(calibration, most_width_px, settings.dense.depth_jump)
         self._calibration, calibration = calibration, self._images.calibration
         self._way: ByFrames | ByWheels | ByPlaces | ByFusion | ByLigocki
         if settings.fusion.filter != "none":
-            self._way = _joined(calibration, settings, places, known, waits=waits)
+            self._way = _joined(calibration, settings, places, known, parts, waits=waits)
         elif settings.places.model is not None:
             self._way = ByPlaces(calibration, settings, places or load_places(settings.places))
         elif settings.odometry == ("wheels",):
             self._way = ByWheels(calibration, settings.wheels)
         else:
-            self._way = ByFrames(calibration, settings, known, waits=waits)
+            self._way = ByFrames(calibration, settings, known, waits=waits, parts=parts)
         self.body, self.frame = self._way.body, self._way.frame
         self.answers, self.hears = self._way.answers, self._way.hears
         self.note, self._resting = "", resting_keyframes(self.keyframes, settings.localizer)
@@ -127,7 +137,7 @@ class Localizer(OneCaller):
         self._log = _Log("+".join(settings.odometry))
 
     @property
-    def odometry(self) -> FeatureOdometry | DenseOdometry | WheelOdometry:
+    def odometry(self) -> CameraOdometry | WheelOdometry:
         """What estimates the motion."""
         return self._way.odometry
 
@@ -224,6 +234,7 @@ class Localizer(OneCaller):
             ArgumentError: no event, stamps that are no seconds, images of another shape or type than the calibration's,
                 or depth that is not in metres. A call beside another one, in a forked process, or after `close`.
             PlaceError: a frame of another size than the model of places was trained on.
+            PartError: a part of your own raised an exception, or answered what is no answer.
         """
         check_event(event)
         if isinstance(event, RgbdFrame) and RgbdFrame in self.hears:
@@ -294,10 +305,16 @@ class _Log:
 
 
 def _joined(
-    calibration: Calibration, settings: Config, places: Places | None, known: KnownMap | None, *, waits: bool
+    calibration: Calibration,
+    settings: Config,
+    places: Places | None,
+    known: KnownMap | None,
+    parts: OwnParts,
+    *,
+    waits: bool,
 ) -> ByFusion | ByLigocki:
     if settings.fusion.filter == "ligocki":
-        return ByLigocki(calibration, settings)
+        return ByLigocki(calibration, settings, parts)
     if settings.places.model is None:
-        return ByFusion(calibration, settings, known=known, waits=waits)
-    return ByFusion(calibration, settings, places or load_places(settings.places), known, waits=waits)
+        return ByFusion(calibration, settings, known=known, waits=waits, parts=parts)
+    return ByFusion(calibration, settings, places or load_places(settings.places), known, waits=waits, parts=parts)

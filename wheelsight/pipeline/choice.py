@@ -3,7 +3,18 @@
 from __future__ import annotations
 
 from wheelsight.config import Config
-from wheelsight.localizer.choice import FRAMES, RATES, READINGS, Choice, Sensors, choose_odometry, counted, why_unused
+from wheelsight.localizer.choice import (
+    FRAMES,
+    NO_PARTS,
+    RATES,
+    READINGS,
+    Choice,
+    OwnParts,
+    Sensors,
+    choose_odometry,
+    counted,
+    why_unused,
+)
 from wheelsight.pipeline.origin import frame_count_of, wheel_count_of, where
 from wheelsight.pipeline.realtime import RealTimeRecording
 from wheelsight.sources import EventSource
@@ -16,9 +27,11 @@ def default_odometry(source: EventSource, config: Config) -> Choice:
     return choose_odometry(source.calibration, config, sensors)
 
 
-def resolved(source: EventSource, config: Config) -> Config:
+def resolved(source: EventSource, config: Config, parts: OwnParts = NO_PARTS) -> Config:
     """The configuration with its odometry named: `default_odometry` where it is automatic. Raises ConfigError."""
-    return config if config.odometry else config.with_odometry(default_odometry(source, config).odometry)
+    if config.odometry and parts == NO_PARTS:
+        return config
+    return parts.named_in(config, default_odometry(source, config))
 
 
 def unused_of(source: EventSource, config: Config, yaw_rates: int) -> tuple[str, ...]:

@@ -42,7 +42,7 @@ from wheelsight.slam.sessions.parts import edits_as_known
 # How long a robot that was stopped is stepped on, until it stands.
 _STOPPING_S = 5.0
 # Folders of a run that follows several sensors.
-_TRACKS = ("joined", "dense", "features")
+_TRACKS = ("joined", "dense", "features", "own")
 
 OnStep = Callable[[Feedback], None]
 OnEvents = Callable[[Sequence[Event]], None]

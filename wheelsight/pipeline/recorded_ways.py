@@ -21,7 +21,7 @@ from wheelsight.trajectory import Trajectory, read_tum
 _log = logging.getLogger(__name__)
 
 # Where a run has its trajectory, and first the file that knows more: loops have corrected it.
-_TRACKS = ("", "joined", "dense", "features")
+_TRACKS = ("", "joined", "dense", "features", "own")
 _FILES = (CORRECTED_FILE, TRAJECTORY_FILE)
 # A base that is tipped farther drives on no floor: the poses are of a camera, or of another frame.
 _MOST_TIPPED_DEG = 30.0

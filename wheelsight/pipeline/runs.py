@@ -11,6 +11,7 @@ from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath, make_output_folder
 from wheelsight.localizer import Places
+from wheelsight.localizer.choice import NO_PARTS, OwnParts
 from wheelsight.pipeline.choice import resolved
 from wheelsight.pipeline.kept_maps import keeping_maps
 from wheelsight.pipeline.known_maps import open_known
@@ -42,6 +43,7 @@ def run_each(
     draw: Draw | None = None,
     duration_s: float | None = None,
     watcher: Watcher | None = None,
+    parts: OwnParts = NO_PARTS,
 ) -> tuple[RunRecord, ...]:
     """Run every odometry that `config` names over one pass of the events, alone and joined, and report them together.
 
@@ -56,12 +58,13 @@ def run_each(
         on_event, watcher: called after each event that was answered, with each odometry's answer by its name.
         draw: writes a page of the records to a path, such as `report.write_page`; None: no page.
         duration_s: ends so many seconds after the first event, by its stamp; None: with the source.
+        parts: of a user's own.
 
     Raises:
         InputError: what cannot end well, before anything is written; or the source cannot be read on.
     """
-    config = resolved(source, config)
-    tracks, places, matches, known = _begin(source, config, on_code)
+    config = resolved(source, config, parts)
+    tracks, places, matches, known = _begin(source, config, on_code, parts)
     folder = make_output_folder(Path(out), force)
     on_ready()
     with keeping_maps(tracks, source, config, folder, known):
@@ -116,7 +119,7 @@ class _Begun(NamedTuple):
     known: MapFolder | None
 
 
-def _begin(source: EventSource, config: Config, on_code: Callable[[int, int], None]) -> _Begun:
+def _begin(source: EventSource, config: Config, on_code: Callable[[int, int], None], parts: OwnParts) -> _Begun:
     """Every track at its start, and places and matches if they are asked for.
 
     Raises:
@@ -129,7 +132,7 @@ def _begin(source: EventSource, config: Config, on_code: Callable[[int, int], No
     places, matches = places_of(source, config), matches_of_run(source, config)
     known, folder = open_known(source.calibration, config, on_code) or (None, None)
     try:
-        tracks = begin_all(source, config, None if places is None else places.places, known)
+        tracks = begin_all(source, config, None if places is None else places.places, known, parts)
         _check_clocks(source, config)
     except BaseException:
         if folder is not None:

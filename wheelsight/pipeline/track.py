@@ -5,20 +5,21 @@ from __future__ import annotations
 import time
 from array import array
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from wheelsight.config import Config, TrackName
-from wheelsight.errors import WheelsightError
+from wheelsight.config import OWN, Config, TrackName
+from wheelsight.errors import ConfigError, PartError, WheelsightError
 from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, YawRate
 from wheelsight.fusion import RectifiedEstimate
 from wheelsight.geometry import ByteArray, FloatArray
 from wheelsight.interrupts import whole_step
 from wheelsight.localizer import Localizer, Places
+from wheelsight.localizer.choice import NO_PARTS, OwnParts
 from wheelsight.mapping import SurfelMap
 from wheelsight.pipeline.choice import unused_of
 from wheelsight.pipeline.free_memory import give_back
@@ -39,6 +40,7 @@ UNITS: dict[TrackName, Literal["frame", "reading"]] = {
     "features": "frame",
     "dense": "frame",
     "wheels": "reading",
+    "own": "frame",
     "rectified": "frame",
     "joined": "frame",
 }
@@ -120,11 +122,20 @@ class Track:
         config: Config,
         places: Places | None,
         known: KnownMap | None = None,
+        parts: OwnParts = NO_PARTS,
     ) -> Track:
         """At the start. Raises CalibrationError, ConfigError."""
         listed = wheel_count_of(source) if UNITS[odometry] == "reading" else frame_count_of(source)
         waits = isinstance(source, Recording) and not isinstance(source, InRealTime)
-        localizer = Localizer(source.calibration, config.alone(odometry), places, known=known, waits=waits)
+        localizer = Localizer(
+            source.calibration,
+            config.alone(odometry),
+            places,
+            known=known,
+            waits=waits,
+            visual_odometry=parts.visual_odometry if UNITS[odometry] == "frame" and odometry != "rectified" else None,
+            loop_detector=parts.loop_detector,
+        )
         due = spread(config.report.pictures, frame_count_of(source))
         stops = Stops(list(due) if localizer.map is not None else [])
         return cls(odometry, listed, localizer, Photographer(due), source.calibration.T_base_camera, stops=stops)
@@ -249,14 +260,23 @@ class Passage:
 
 
 def begin_all(
-    source: EventSource, config: Config, places: Places | None, known: KnownMap | None = None
+    source: EventSource,
+    config: Config,
+    places: Places | None,
+    known: KnownMap | None = None,
+    parts: OwnParts = NO_PARTS,
 ) -> tuple[Track, ...]:
-    """Every track of a run at its start; `known` is for what has the map. Raises CalibrationError, ConfigError."""
+    """Every track of a run at its start; `known` and a loop detector are for what has the map.
+
+    Raises CalibrationError, ConfigError.
+    """
     names = _followed(source, config)
+    if parts.loop_detector is not None and sum(has_map(name, names) for name in names) != 1:
+        raise ConfigError("loop_detector is for one odometry by a camera", fix="--odometry dense, or wheels,dense")
     return tuple(
-        Track.begin(name, source, config.without_known_map(), places)
-        if known is None or not has_map(name, names)
-        else Track.begin(name, source, config, places, known)
+        Track.begin(name, source, config.without_known_map(), places, None, replace(parts, loop_detector=None))
+        if not has_map(name, names)
+        else Track.begin(name, source, config if known else config.without_known_map(), places, known, parts)
         for name in names
     )
 
@@ -269,7 +289,7 @@ def has_map(name: str, names: Collection[str]) -> bool:
 def _followed(source: EventSource, config: Config) -> tuple[TrackName, ...]:
     """The tracks; in real time, where sensors are joined, not the camera alone once more, which would cost frames."""
     if isinstance(source, InRealTime | DrawnDrive) and config.fusion.filter != "none":
-        return tuple(track for track in config.tracks if track not in ("features", "dense"))
+        return tuple(track for track in config.tracks if track not in ("features", "dense", "own"))
     return config.tracks
 
 
@@ -310,7 +330,10 @@ def follow(
         if isinstance(events, Generator):
             events.close()  # stops the reader's thread
         for track in tracks:
-            track.localizer.close()
+            try:
+                track.localizer.close()
+            except PartError as error:  # what was tracked is written all the same
+                passage.interruption = passage.interruption or error
     passage.elapsed_s = time.perf_counter() - started
     passage.unused = unused_of(source, config, yaw_rates)
     return passage
@@ -334,6 +357,9 @@ def _answers(passage: Passage, event: Event, overtaken: int) -> dict[str, FrameR
 
 def _rehearse_all(source: InRealTime, config: Config, places: Places | None) -> None:
     """By localizers of its own: those of the run must not have heard anything."""
+    if OWN in config.odometry:  # a part of a user's own has no kernels here, and must not see these frames
+        names = tuple("features" if name == OWN else name for name in config.odometry)
+        config = config.model_copy(update={"odometry": names})
     for rehearsed in source.rehearsals():
         rehearse(rehearsed, [track.localizer for track in begin_all(rehearsed, config, places)])
 

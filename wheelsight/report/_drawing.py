@@ -20,7 +20,7 @@ OLIVE = "#8F8300"  # Okabe and Ito's yellow, dark enough to be a line on white
 YELLOW = "#F0E442"  # the same as it is, for bands
 INK = "#1D2126"  # the page's; where the page is dark, its style sheet turns it light
 # Each odometry keeps its colour wherever several are drawn together.
-ODOMETRY_COLOURS = {"wheels": PURPLE, "features": BLUE, "dense": OLIVE, "rectified": GREEN, "joined": INK}
+ODOMETRY_COLOURS = {"wheels": PURPLE, "features": BLUE, "dense": OLIVE, "own": OLIVE, "rectified": GREEN, "joined": INK}
 DASHED = {"color": GREY, "width": 1.5, "dash": "dash"}
 _AIR = 0.08  # of the longer side, around a path: enough for the words at its ends
 _LEAST_EXTENT_M = 0.01

@@ -6,6 +6,7 @@ the pose graph judge what is found. Odometry is told where keyframes are by now,
 
 from __future__ import annotations
 
+import logging
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wheelsight.calibration import Calibration
+from wheelsight.errors import PartError
 from wheelsight.geometry import BoolArray, FloatArray, se3
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.places.recognition import Recognizer
@@ -23,9 +25,11 @@ from wheelsight.slam.drive_graph import DriveGraph, KeyframePlace, LivedKeyframe
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.known import KnownMap
 from wheelsight.slam.loops import LoopReport
-from wheelsight.slam.recognised import PlaceWatcher
+from wheelsight.slam.recognised import LoopDetector, PlaceWatcher
 from wheelsight.slam.settings import LoopSettings
 from wheelsight.threads import yield_to_others
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,6 +105,7 @@ class LiveLoops:
         known: what an earlier drive has left, whose keyframes the store has.
         waits: an answer is waited for once it is due, so that the same recording gives the same poses. A robot that
             drives does not wait: it takes what is there.
+        detector: of a user's own; see `PlaceWatcher`.
 
     Attributes:
         place: of the newest keyframe that an answer was taken of, or of one seen again since; see `Judged`.
@@ -115,10 +120,11 @@ class LiveLoops:
         *,
         known: KnownMap | None = None,
         waits: bool = False,
+        detector: LoopDetector | None = None,
     ) -> None:
         self._store, self._settings, self._waits = store, settings or LoopSettings(), waits
         recognizer = None if known is None else known.recognizer
-        self._watcher = PlaceWatcher(store, calibration, self._settings.seen, recognition, recognizer)
+        self._watcher = PlaceWatcher(store, calibration, self._settings.seen, recognition, recognizer, detector)
         self._graph = DriveGraph(self._settings, known)
         self._lived: list[LivedKeyframe] = []
         self._waiting: deque[tuple[float, Future[Judged]]] = deque()
@@ -129,6 +135,7 @@ class LiveLoops:
         self.place: KeyframePlace | None = None
         self._known = 0 if known is None else len(known.store)
         self._recognised = 0
+        self._has_raised = False
 
     def add(self, keyframe: LivedKeyframe) -> None:
         """Have the thread look whether a keyframe shows a place seen before."""
@@ -157,7 +164,7 @@ class LiveLoops:
         """
         newest: PoseUpdate | None = None
         while self._waiting and self._is_due(stamp_s, *self._waiting[0]):
-            found = self._waiting.popleft()[1].result()
+            found = self._result(self._waiting.popleft()[1])
             newest = newest if found.update is None else found.update
             self.place = found.place
             for tie in found.ties:
@@ -168,9 +175,12 @@ class LiveLoops:
     def finish(self) -> ClosedLoops:
         """Wait for all that was handed over, judge all loops once more, and end the thread; it may go on all the same.
 
-        Raises what went wrong in the thread.
+        Raises what went wrong in the thread, but for a part of a user's own, of which it warns.
         """
-        self.close()
+        try:
+            self.close()
+        except PartError as error:  # of the last keyframes: the loops before them count
+            _LOG.warning("loops of the last keyframes are missing: %s", error)
         self._graph.review()
         stamps_s = np.array([keyframe.stamp_s for keyframe in self._lived])
         T_odom = np.array([keyframe.T_odom_keyframe for keyframe in self._lived]).reshape(-1, 4, 4)
@@ -196,10 +206,19 @@ class LiveLoops:
         return self._watcher.recognizer
 
     def close(self) -> None:
-        """Wait for the thread, and end it."""
+        """Wait for the thread, and end it. Raises what went wrong in it, unless an error was raised before."""
         thread, self._thread = self._thread, None
         if thread is not None:
             thread.shutdown()
+        for _, judged in () if self._has_raised else tuple(self._waiting):
+            self._result(judged)
+
+    def _result(self, judged: Future[Judged]) -> Judged:
+        try:
+            return judged.result()
+        except BaseException:
+            self._has_raised = True
+            raise
 
     def _is_due(self, stamp_s: float, keyframe_s: float, judged: Future[Judged]) -> bool:
         return stamp_s >= keyframe_s + self._settings.latency_s if self._waits else judged.done()

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from numbers import Integral
+from typing import Protocol
 
 from wheelsight.calibration import Calibration
-from wheelsight.errors import MapError
+from wheelsight.checks import answer_of
+from wheelsight.errors import MapError, PartError
 from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.odometry.dense import DenseSettings
 from wheelsight.places.recognition import Recognizer
@@ -19,6 +22,30 @@ from wheelsight.slam.settings import SeenSettings
 _UNREAD = "the keyframe cannot be read"
 
 
+class LoopDetector(Protocol):
+    """Names keyframes that may show the same place, by a method of your own.
+
+    `Localizer` and `run` take one as `loop_detector` in place of the built-in recognition. Each candidate is verified
+    by geometry, and the pose graph judges each loop: a wrong candidate costs time and moves nothing.
+    """
+
+    def candidates(self, number: KeyframeId, keyframe: Keyframe) -> Iterable[int]:
+        """Numbers of earlier keyframes that look like this one, the most alike first; empty where none does.
+
+        It is called once for each keyframe, in the order of their numbers, in the thread that closes loops: remember
+        here what later keyframes are compared with. Keyframes of a known map come first, and their answers are not
+        used. Keyframes that come while the thread is busy with older ones may be left out. The first
+        `loops.seen.candidates` are verified; keyframes of the last `loops.seen.apart_s` seconds are left out.
+
+        An exception, and a number that was not shown before, end the run by a `PartError`.
+
+        Args:
+            number: names the keyframe for good.
+            keyframe: its images `grey` and `depth_m`, keypoints and stamp.
+        """
+        ...
+
+
 class PlaceWatcher:
     """Recognises each keyframe among those of `apart_s` and more before it, and verifies what is recognised.
 
@@ -29,6 +56,7 @@ class PlaceWatcher:
         calibration: of the camera that saw them.
         settings, recognition: or the defaults.
         recognizer: knows keyframes of an earlier drive; or a new one.
+        detector: names candidates in place of the recognizer, which learns all keyframes for the next drive.
 
     Attributes:
         recognizer: knows all that were seen.
@@ -41,6 +69,7 @@ class PlaceWatcher:
         settings: SeenSettings | None = None,
         recognition: RecognitionSettings | None = None,
         recognizer: Recognizer | None = None,
+        detector: LoopDetector | None = None,
     ) -> None:
         self._store, self._settings = store, settings or SeenSettings()
         self._views = ViewMaker(calibration, DenseSettings(threads=1))
@@ -49,6 +78,8 @@ class PlaceWatcher:
         self._known: list[KeyframeId] = []
         self._stamps_s: list[float] = []
         self._unread = 0
+        self._detector, self._shown = detector, set[int]()
+        self._unshown = self.recognizer.keyframes  # of before, which a detector is shown once
 
     @property
     def refusals(self) -> Mapping[str, int]:
@@ -81,10 +112,12 @@ class PlaceWatcher:
 
         `near` and `adrift` as in `look`.
         """
-        view = self._views.of_keyframe(self._store[number])
+        keyframe = self._store[number]
+        view = self._views.of_keyframe(keyframe)
         found: list[RelativePose] = []
-        elsewhere = self._elsewhere(view, but, adrift)
-        for candidate in dict.fromkeys((*elsewhere, *self._candidates(view, but, near))):
+        named = None if self._detector is None else self._named(self._detector, number, keyframe, {*but})
+        elsewhere = self._elsewhere(view, but, adrift, named)
+        for candidate in dict.fromkeys((*elsewhere, *self._candidates(view, but, near, named))):
             try:
                 known = self._store.recalled(candidate, number)
             except MapError:  # the disk is gone, or damaged there: the drive goes on without
@@ -98,21 +131,61 @@ class PlaceWatcher:
                     break
         return tuple(found)
 
+    def _named(
+        self, detector: LoopDetector, number: KeyframeId, keyframe: Keyframe, but: Collection[KeyframeId]
+    ) -> list[KeyframeId]:
+        """What a user's detector names, but some; keyframes that the recognizer has from before are shown first."""
+        unshown, self._unshown = self._unshown, ()
+        for known in unshown:
+            try:
+                earlier = self._store[known]
+            except MapError:
+                self._unread += 1
+                continue
+            answer_of(detector, "candidates", known, earlier)
+            self._shown.add(known)
+        answer = answer_of(detector, "candidates", number, keyframe)
+        name = f"{type(detector).__name__}.candidates"
+        try:
+            numbers = list(answer)
+        except TypeError as error:
+            raise PartError(f"{name} answered {type(answer).__name__}, not numbers", fix="a list, or ()") from error
+        for one in numbers:
+            if not isinstance(one, Integral) or one not in self._shown:
+                fix = "numbers of keyframes that it was given before"
+                raise PartError(f"{name} answered {one!r} at keyframe {number}: it was not shown", fix=fix)
+        self._shown.add(number)
+        return [KeyframeId(int(one)) for one in dict.fromkeys(numbers) if one not in but]
+
     def _elsewhere(
-        self, view: SeenView, but: Collection[KeyframeId], adrift: Sequence[KeyframeId]
+        self,
+        view: SeenView,
+        but: Collection[KeyframeId],
+        adrift: Sequence[KeyframeId],
+        named: Sequence[KeyframeId] | None,
     ) -> tuple[KeyframeId, ...]:
         """Those that look like a view, of the rest of the map; none where the view is known to lie in it."""
         if not adrift:
             return ()
+        if named is not None:
+            return tuple(one for one in named if one not in adrift)[: self._settings.candidates_adrift]
         found = self.recognizer.candidates(view, self._settings.candidates_adrift, {*but, *adrift})
         return tuple(one.keyframe for one in found)
 
     def _candidates(
-        self, view: SeenView, but: Collection[KeyframeId], near: Sequence[KeyframeId]
+        self,
+        view: SeenView,
+        but: Collection[KeyframeId],
+        near: Sequence[KeyframeId],
+        named: Sequence[KeyframeId] | None,
     ) -> tuple[KeyframeId, ...]:
         """Those that look like a view, and some that lie near, each once."""
         s = self._settings
-        alike = [one.keyframe for one in self.recognizer.candidates(view, s.candidates, but)]
+        alike = (
+            [one.keyframe for one in self.recognizer.candidates(view, s.candidates, but)]
+            if named is None
+            else list(named[: s.candidates])
+        )
         known = set(self.recognizer.keyframes)
         others = [one for one in near if one in known and one not in but and one not in alike]
         left = max(s.candidates - min(s.near_candidates, len(others)), 0)

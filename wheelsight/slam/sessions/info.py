@@ -25,7 +25,7 @@ from wheelsight.slam.sessions.parts import new_numbers, renumbered
 from wheelsight.slam.sessions.reading import GRAPH, KEYFRAMES, Health, journals_of
 
 MAP_FOLDER = "map"
-_OF_RUN = ("", "joined", "dense", "features")
+_OF_RUN = ("", "joined", "dense", "features", "own")
 
 
 @dataclass(frozen=True, slots=True)
