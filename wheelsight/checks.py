@@ -14,7 +14,16 @@ import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.errors import ArgumentError, PartError
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.events import (
+    Event,
+    OdometryReading,
+    RgbdFrame,
+    SkippedFrame,
+    WheelCounts,
+    WheelSpeeds,
+    WheelTicks,
+    YawRate,
+)
 from wheelsight.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera, se3
 from wheelsight.geometry.arrays import is_number
 
@@ -25,6 +34,8 @@ _NUMBERS = {
     SkippedFrame: ("stamp_s",),
     WheelTicks: ("stamp_s", "left", "right"),
     WheelSpeeds: ("stamp_s", "left_rad_s", "right_rad_s"),
+    WheelCounts: ("stamp_s",),
+    OdometryReading: ("stamp_s", "x_m", "y_m", "yaw_rad"),
     YawRate: ("stamp_s", "yaw_rate_rad_s"),
 }
 _RIGID = 1e-4
@@ -53,6 +64,18 @@ def check_event(event: Any, *, finite: bool = False) -> None:
     if type(event) is WheelTicks:
         for name in ("left", "right"):
             _check_whole(name, getattr(event, name))
+    elif type(event) is WheelCounts:
+        _check_counts(event, finite)
+
+
+def _check_counts(event: WheelCounts, finite: bool) -> None:
+    if not isinstance(event.counts, tuple):
+        raise ArgumentError(f"counts of WheelCounts are {_told(event.counts)}, not a tuple", fix="one count a wheel")
+    for number, count in enumerate(event.counts, 1):
+        need_number(f"count {number} of WheelCounts", count)
+        if finite and not math.isfinite(count):
+            raise ArgumentError(f"count {number} of WheelCounts is {count}", fix="leave out what is not known")
+        _check_whole(f"count {number}", count, "WheelCounts")
 
 
 def check_frame(frame: Any, calibration: Calibration, covariance: Any = None, **motions: Any) -> None:
@@ -192,11 +215,11 @@ def _check_finite(name: str, found: FloatArray) -> None:
         raise ArgumentError(f"{name} has numbers that are not finite")
 
 
-def _check_whole(name: str, count: Any) -> None:
+def _check_whole(name: str, count: Any, kind: str = "WheelTicks") -> None:
     """Refuse a count with a fraction: who gives one gives something else. One that is not finite is a sensor's."""
     if type(count) is not int and math.isfinite(count) and count != int(count):
         fix = "give the encoder's count since its start; of rad/s make WheelSpeeds"
-        raise ArgumentError(f"{name} of WheelTicks is {count:g}, not a whole number of counts", fix=fix)
+        raise ArgumentError(f"{name} of {kind} is {count:g}, not a whole number of counts", fix=fix)
 
 
 def _check_shape(name: str, image: Any, camera: PinholeCamera | None, channels: int | None = None) -> None:
