@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from statistics import median
 
 from wheelsight.estimates import Reason
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelReading
 from wheelsight.settings import CHOSEN, Settings, setting
 
 # It only helps, so none of the others is left out for its sake.
@@ -301,7 +301,7 @@ def _leap_alike(one: _Sensor, other: _Sensor, within_s: float) -> bool:
 def _name_of(event: Event) -> str:
     if isinstance(event, RgbdFrame | SkippedFrame):
         return "camera"
-    return "wheels" if isinstance(event, WheelTicks | WheelSpeeds) else _GYROSCOPE
+    return "wheels" if isinstance(event, WheelReading) else _GYROSCOPE
 
 
 def _seconds(seconds: float) -> str:

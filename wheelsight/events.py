@@ -125,6 +125,8 @@ HolonomicReading = WheelCounts | OdometryReading
 
 WheelReading = WheelTicks | WheelSpeeds | HolonomicReading
 """A reading of the wheels of any base."""
+WHEEL_READINGS = (WheelTicks, WheelSpeeds, WheelCounts, OdometryReading)
+"""Its types."""
 
 Event = RgbdFrame | WheelTicks | WheelSpeeds | WheelCounts | OdometryReading | YawRate | SkippedFrame
 """What a sensor says at one stamp."""

@@ -53,7 +53,7 @@ class BaseCheck:
         of_color: ColorCheckSettings | None = None,
         of_mount: ExtrinsicsSettings | None = None,
     ) -> None:
-        assert calibration.wheels is not None
+        assert calibration.any_wheels is not None
         self.settings = of = settings or BaseCheckSettings()
         mount = of_mount or ExtrinsicsSettings()
         self.by_wheels: ErrorStateFilter | None = by_wheels
@@ -61,7 +61,7 @@ class BaseCheck:
         self._wheels = WheelPoses(of.kept_s, of.gyro_after_s)
         self._camera = CameraPoses(T_base_camera, of.waiting_frames)
         self._floor = FloorViews(calibration, T_base_camera, of, mount.floor)
-        self._pieces = Pieces(calibration.wheels, T_base_camera, mount.agreement)
+        self._pieces = Pieces(calibration.any_wheels, T_base_camera, mount.agreement)
         self._colors = ColorCheck(of_color)
         self._verdict = Verdict(of)
 

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from wheelsight.estimates import Estimate, WheelEstimate
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelReading
 from wheelsight.fusion import STEP_BEGIN, ErrorStateFilter, FusedEstimate
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
@@ -118,7 +118,7 @@ class FusedOdom:
         """Begin a step anew at the last reading up to a frame; or here, where no frame comes."""
         begin_s = -math.inf if self._begin is None or self._begin[2] is not fusion else self._begin[0]
         due_s = stamp_s if stamp_s - begin_s > self._keep_s else -math.inf
-        if isinstance(event, WheelTicks | WheelSpeeds):
+        if isinstance(event, WheelReading):
             self._readings_s.append(stamp_s)
         if isinstance(event, RgbdFrame | SkippedFrame):
             told_s = (read_s for read_s in self._readings_s if event.stamp_s - self._keep_s < read_s <= event.stamp_s)

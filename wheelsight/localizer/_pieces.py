@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from wheelsight.calibration import Wheels
+from wheelsight.calibration import HolonomicWheels, Wheels
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
 from wheelsight.odometry.extrinsics import Agreement, AgreementSettings
@@ -22,7 +22,9 @@ class Pieces:
         agreement: what all pieces come to.
     """
 
-    def __init__(self, wheels: Wheels, T_base_camera: FloatArray, settings: AgreementSettings) -> None:
+    def __init__(
+        self, wheels: Wheels | HolonomicWheels, T_base_camera: FloatArray, settings: AgreementSettings
+    ) -> None:
         self.agreement = Agreement(wheels, T_base_camera, settings)
         # Stamp, T_odom_base and T_map_base where a piece begins; and where both were last known to go together.
         self._begin: tuple[float, FloatArray, FloatArray] | None = None

@@ -8,7 +8,7 @@ from wheelsight.calibration import Calibration
 from wheelsight.clocks import Untimed
 from wheelsight.config import Config
 from wheelsight.estimates import CameraEstimate, Estimate, MotionEstimate, Reason, Status
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.events import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame, WheelReading, YawRate
 from wheelsight.fusion import ErrorStateFilter, FusedEstimate
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
@@ -43,7 +43,7 @@ class ByFusion:
         loops: closes loops while driving, where that is asked for.
     """
 
-    body, answers = "base", (WheelTicks, WheelSpeeds, RgbdFrame, SkippedFrame)
+    body, answers = "base", (*WHEEL_READINGS, RgbdFrame, SkippedFrame)
 
     def __init__(
         self,
@@ -65,7 +65,7 @@ class ByFusion:
         self._start_is_said = known is not None and known.start is not None
         self._places = None if places is None else PlaceSense(places, settings.fusion.areas)
         T_start, spread = (None, None) if self._places is None else self._places.start
-        filter_settings = settings.fusion.error_state.with_wheels(calibration.wheels)
+        filter_settings = settings.fusion.error_state.with_wheels(calibration.any_wheels)
         begin = (T_base_camera, T_start, spread, filter_settings, calibration.gyro)
         self.filter = ErrorStateFilter(*begin)
         checks = (of.base_check, of.color_check, settings.extrinsics)
@@ -120,7 +120,7 @@ class ByFusion:
         self._camera.forget_frame()
         if isinstance(event, YawRate):
             self._turn(event)
-        if isinstance(event, WheelTicks | WheelSpeeds):
+        if isinstance(event, WheelReading):
             answer, note = self._reading(event)
         elif isinstance(event, RgbdFrame | SkippedFrame):
             answer, note = self._any_frame(event)
@@ -138,7 +138,7 @@ class ByFusion:
         self._camera.forget_frame()
         if isinstance(event, YawRate):
             return None, ""
-        if isinstance(event, WheelTicks | WheelSpeeds) and why.reason is Reason.CLOCKS_APART:
+        if isinstance(event, WheelReading) and why.reason is Reason.CLOCKS_APART:
             self._base.deaf = f"the wheels are not heard: {why.note}"
             self._base.refuse(event)
         known, reason = self._odom.framed(self._map.framed(self.filter.estimate), self.filter), why.reason
@@ -157,7 +157,7 @@ class ByFusion:
         if counts and not self._is_early(rate.stamp_s):
             self._base.tell(rate, self.filter)
 
-    def _reading(self, reading: WheelTicks | WheelSpeeds) -> tuple[Estimate | None, str]:
+    def _reading(self, reading: WheelReading) -> tuple[Estimate | None, str]:
         wheels, note = self._base.process(reading)
         if wheels is not None and self._is_early(wheels.stamp_s):
             return Estimate(wheels.stamp_s, Status.INITIALIZING, body=self.body), note

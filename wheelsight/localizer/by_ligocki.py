@@ -38,8 +38,8 @@ class ByLigocki:
         self.hears: tuple[type[Event], ...] = (*self._wheels.hears, *self.answers)
         self._camera = ByFrames(calibration, settings, parts=parts)
         self.odometry, self.mapper = self._camera.odometry, self._camera.mapper
-        assert calibration.wheels is not None  # ByWheels has refused it
-        self._max_gap_s = calibration.wheels.max_gap_s
+        assert calibration.any_wheels is not None  # ByWheels has refused it
+        self._max_gap_s = calibration.any_wheels.max_gap_s
         self._filter = LigockiFilter(settings.fusion.ligocki)
         self._rolled: Estimate | None = None
         self._answer: Estimate | None = None

@@ -14,13 +14,13 @@ from wheelsight.clocks import Untimed
 from wheelsight.config import Config, PlaceSettings
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate, Reason, Status, WheelEstimate
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
+from wheelsight.events import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame
 from wheelsight.files import StrPath
 from wheelsight.fusion import AreaRectifier, AreaRectifierSettings, PaperRectifier
 from wheelsight.geometry import FloatArray
 from wheelsight.localizer.by_wheels import ByWheels
 from wheelsight.odometry.stopwatch import Stopwatch
-from wheelsight.odometry.wheels import WheelOdometry
+from wheelsight.odometry.wheels import AnyWheelOdometry
 from wheelsight.places import PlaceMatch, PlaceModel, Unknown
 from wheelsight.recordings.repeats import Repeats
 
@@ -75,7 +75,7 @@ class ByPlaces:
         last_place: what the model said of the last frame, or None where that could not be asked.
     """
 
-    body, frame, answers = "base", "map", (WheelTicks, WheelSpeeds, RgbdFrame, SkippedFrame)
+    body, frame, answers = "base", "map", (*WHEEL_READINGS, RgbdFrame, SkippedFrame)
     last_matches = None
 
     def __init__(self, calibration: Calibration, settings: Config, places: Places) -> None:
@@ -88,14 +88,14 @@ class ByPlaces:
             if settings.places.rectify == "paper"
             else _ByProbability(places, settings.fusion.areas)
         )
-        assert calibration.wheels is not None  # ByWheels has refused it
-        self._max_gap_s = calibration.wheels.max_gap_s
+        assert calibration.any_wheels is not None  # ByWheels has refused it
+        self._max_gap_s = calibration.any_wheels.max_gap_s
         self._reading_s = -np.inf
         self._repeats = Repeats()
         self._stopwatch = Stopwatch()
 
     @property
-    def odometry(self) -> WheelOdometry:
+    def odometry(self) -> AnyWheelOdometry:
         """Of the wheels, with the gyroscope where that is believed."""
         return self._wheels.odometry
 

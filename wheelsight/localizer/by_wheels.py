@@ -8,13 +8,19 @@ import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.clocks import Untimed
-from wheelsight.errors import CalibrationError
 from wheelsight.estimates import Reason, Status, WheelEstimate
-from wheelsight.events import Event, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.events import WHEEL_READINGS, Event, WheelReading, YawRate
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
 from wheelsight.localizer._odom_frame import OdomFrame
-from wheelsight.odometry.wheels import GyroCheck, WheelOdometry, WheelSettings, YawRateMeter
+from wheelsight.odometry.wheels import (
+    AnyWheelOdometry,
+    GyroCheck,
+    HolonomicOdometry,
+    WheelSettings,
+    YawRateMeter,
+    odometry_of,
+)
 
 _STILL = np.eye(4)
 
@@ -26,17 +32,14 @@ class ByWheels:
     later, the way goes on by the wheels alone from where both last agreed.
     """
 
-    body, frame, answers = "base", "odom", (WheelTicks, WheelSpeeds)
+    body, frame, answers = "base", "odom", WHEEL_READINGS
     last_matches = None
 
     def __init__(self, calibration: Calibration, settings: WheelSettings) -> None:
-        if calibration.wheels is None:
-            problem = f"the calibration ({calibration.source}) has no wheels"
-            raise CalibrationError(problem, fix="give a calibration.yaml with wheels by --calibration")
         self.stage_seconds: dict[str, float] = {}
-        self._alone = WheelOdometry(calibration.wheels, settings.integration, calibration.gyro)
-        self._joined: WheelOdometry | None = None
-        self._next: tuple[float, WheelOdometry] | None = None  # what will be kept if the gyroscope agrees until then
+        self._alone: AnyWheelOdometry = odometry_of(calibration, settings.integration)
+        self._joined: AnyWheelOdometry | None = None
+        self._next: tuple[float, AnyWheelOdometry] | None = None  # what will be kept if the gyroscope agrees until then
         self._last: tuple[float, FloatArray, FloatArray] | None = None  # what was answered
         self._odom = OdomFrame()
         self._odom_base: FloatArray = _STILL  # where it is there
@@ -44,12 +47,13 @@ class ByWheels:
         self._has_trusted = False
         self._check = GyroCheck(settings.gyro_check)
         self._rates = YawRateMeter(settings.gyro_gap_s)
-        self._delay_s = calibration.wheels.delay_s
+        assert calibration.any_wheels is not None  # of which the odometry is
+        self._delay_s = calibration.any_wheels.delay_s
         self._uses_gyro = settings.gyro
         self.hears: tuple[type[Event], ...] = (*self.answers, YawRate) if settings.gyro else self.answers
 
     @property
-    def odometry(self) -> WheelOdometry:
+    def odometry(self) -> AnyWheelOdometry:
         """What is answered by."""
         return self._joined if self._joined is not None and self.trusts_gyro else self._alone
 
@@ -76,7 +80,7 @@ class ByWheels:
             self._check.add_rate(event.stamp_s, event.yaw_rate_rad_s)
             self._rates.add(event.stamp_s, event.yaw_rate_rad_s)
             self._joined = self._joined or self._alone.copy()
-        if not isinstance(event, WheelTicks | WheelSpeeds):
+        if not isinstance(event, WheelReading):
             return None, ""
         return self._reading(event)
 
@@ -98,7 +102,7 @@ class ByWheels:
             self._odom_base = self._odom.T_odom_body(T)
         return self._odom.framed(answer)
 
-    def _reading(self, reading: WheelTicks | WheelSpeeds) -> tuple[WheelEstimate, str]:
+    def _reading(self, reading: WheelReading) -> tuple[WheelEstimate, str]:
         answer, note = self._answer(reading)
         self._moved = self.odometry.moved
         last, T, C = self._last, answer.T_odom_body, answer.covariance
@@ -109,21 +113,27 @@ class ByWheels:
             self._last = answer.stamp_s, T, C
         return answer, note
 
-    def _answer(self, reading: WheelTicks | WheelSpeeds) -> tuple[WheelEstimate, str]:
+    def _answer(self, reading: WheelReading) -> tuple[WheelEstimate, str]:
         alone, rate_rad_s = self._alone.process(reading), self._rates.mean_until(reading.stamp_s - self._delay_s)
         if self._next is not None:
             self._next[1].process(reading)
         self._check.add_turn(alone.stamp_s, self._alone.turned_rad, alone.reason is None)
         if self._joined is None:
-            return alone, ""
+            return alone, self._slip
         joined = self._joined.process(reading, rate_rad_s)
         if self._check.problem:
             self._joined = self._next = None
             return alone, f"the gyroscope is left out: {self._check.problem}"
         self._keep(reading.stamp_s, self._joined)
-        return joined if self._check.is_trusted else alone, ""
+        return joined if self._check.is_trusted else alone, self._slip
 
-    def _keep(self, stamp_s: float, joined: WheelOdometry) -> None:
+    @property
+    def _slip(self) -> str:
+        """That a wheel slips, where the wheels themselves show it."""
+        is_slipping = isinstance(self._alone, HolonomicOdometry) and self._alone.is_slipping
+        return "a wheel slips: the wheels contradict each other" if is_slipping else ""
+
+    def _keep(self, stamp_s: float, joined: AnyWheelOdometry) -> None:
         """Have something to go back to: what both came to, where they went on agreeing after."""
         if not self._check.agrees_now:
             self._next = None

@@ -124,7 +124,7 @@ def choose_odometry(calibration: Calibration, config: Config, sensors: Sensors =
     is_slow = config.profile == "pi" and not asks_dense
     by_camera: tuple[OdometryName, ...] = ("features",) if by_features or is_slow else ("dense",)
     frames, readings, elsewhere = sensors.frames, sensors.readings, sensors.wheels_from
-    if not elsewhere and (readings == 0 or (readings is None and calibration.wheels is None)):
+    if not elsewhere and (readings == 0 or (readings is None and calibration.any_wheels is None)):
         return Choice(by_camera, _why_no_wheels(calibration, READINGS) if readings is None else "")
     if frames == 0 or calibration.color is None:
         for option, value in (("--map", config.map), ("--map-from", config.known_map.path)):
@@ -140,7 +140,7 @@ def choose_odometry(calibration: Calibration, config: Config, sensors: Sensors =
 
 def _why_no_wheels(calibration: Calibration, what: str) -> str:
     """Why wheel readings cannot be joined with a camera; empty where they can."""
-    if calibration.wheels is None:
+    if calibration.any_wheels is None:
         return f"{what} are not used: the calibration has no wheels (give them by --calibration)"
     if calibration.T_base_camera is None:
         return f"{what} are not used: the calibration has no T_base_camera (wheelsight calibrate base finds it)"

@@ -15,7 +15,7 @@ from wheelsight.clocks import SessionClock, Untimed
 from wheelsight.config import Config
 from wheelsight.errors import ConfigError
 from wheelsight.estimates import Estimate, Status, WheelEstimate
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.events import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame, YawRate
 from wheelsight.geometry import FloatArray
 from wheelsight.keyframes import KeyframeStore
 from wheelsight.localizer._camera import CameraOdometry
@@ -31,7 +31,7 @@ from wheelsight.localizer.choice import FRAMES, RATES, READINGS, OwnParts, choos
 from wheelsight.mapping import SurfelMap
 from wheelsight.odometry.features import MatchedPixels
 from wheelsight.odometry.own import VisualOdometry
-from wheelsight.odometry.wheels import WheelOdometry
+from wheelsight.odometry.wheels import AnyWheelOdometry
 from wheelsight.places import PlaceMatch
 from wheelsight.slam.known import KnownMap
 from wheelsight.slam.recognised import LoopDetector
@@ -41,7 +41,7 @@ from wheelsight.threads import OneCaller, ends, one_at_a_time
 
 _LOG = logging.getLogger(__name__)
 _NUMBER = re.compile(r"\d[\d.,]*")
-_KINDS = {RgbdFrame: FRAMES, SkippedFrame: FRAMES, WheelTicks: READINGS, WheelSpeeds: READINGS, YawRate: RATES}
+_KINDS = {RgbdFrame: FRAMES, SkippedFrame: FRAMES, **dict.fromkeys(WHEEL_READINGS, READINGS), YawRate: RATES}
 _CONFIG_FIX = 'load_config(PATH), or load_config(overrides={"odometry": "dense"})'
 
 
@@ -137,7 +137,7 @@ class Localizer(OneCaller):
         self._log = _Log("+".join(settings.odometry))
 
     @property
-    def odometry(self) -> CameraOdometry | WheelOdometry:
+    def odometry(self) -> CameraOdometry | AnyWheelOdometry:
         """What estimates the motion."""
         return self._way.odometry
 
@@ -164,7 +164,7 @@ class Localizer(OneCaller):
         Who moves a keyframe there moves all that hangs on it.
         """
         odometry = self.odometry
-        return None if isinstance(odometry, WheelOdometry) else odometry.store
+        return None if isinstance(odometry, AnyWheelOdometry) else odometry.store
 
     @property
     def loops(self) -> LoopsBeside | None:

@@ -45,7 +45,7 @@ def unused_of(source: EventSource, config: Config, yaw_rates: int) -> tuple[str,
     choice, calibration = default_odometry(source, config), source.calibration
     frames, readings = frame_count_of(source), wheel_count_of(source)
     has_frames = frames > 0 if frames is not None else calibration.color is not None
-    has_readings = readings > 0 if readings is not None else calibration.wheels is not None
+    has_readings = readings > 0 if readings is not None else calibration.any_wheels is not None
     by_wheels = "wheels" in config.odometry
     is_left_out = {
         counted(frames, FRAMES): config.tracks == ("wheels",) and has_frames,

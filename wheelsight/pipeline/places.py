@@ -11,7 +11,7 @@ import numpy as np
 
 from wheelsight.config import Config
 from wheelsight.errors import CalibrationError, ConfigError, PlaceError
-from wheelsight.events import WheelSpeeds, WheelTicks
+from wheelsight.events import WheelReading
 from wheelsight.geometry import FloatArray, PinholeCamera, se3
 from wheelsight.localizer import Places, load_places
 from wheelsight.pipeline.origin import frame_count_of, path_of, where
@@ -127,8 +127,8 @@ def _true_start(source: EventSource) -> tuple[FloatArray, float]:
         truth = express_for("base", source.ground_truth, source.calibration)
     except CalibrationError as error:
         raise ConfigError(f"{where(source)}: where the robot starts is not known: {error.problem}", fix=fix) from error
-    delay_s = source.calibration.wheels.delay_s if source.calibration.wheels is not None else 0.0
-    stamps_s = (e.stamp_s - delay_s for e in source.events(images=False) if isinstance(e, WheelTicks | WheelSpeeds))
+    delay_s = 0.0 if (wheels := source.calibration.any_wheels) is None else wheels.delay_s
+    stamps_s = (e.stamp_s - delay_s for e in source.events(images=False) if isinstance(e, WheelReading))
     begin_s = max(next(stamps_s, -np.inf), float(truth.stamps_s[0]))
     T = truth.at([begin_s], _MAX_GAP_S)[0]
     if not np.isfinite(T).all():

@@ -13,7 +13,7 @@ import numpy as np
 from wheelsight.calibration import Calibration
 from wheelsight.devices import BAUDRATE, is_recorded
 from wheelsight.errors import ConfigError
-from wheelsight.events import Event, RgbdFrame, WheelSpeeds, WheelTicks
+from wheelsight.events import Event, RgbdFrame, WheelReading, WheelTicks
 from wheelsight.pipeline.answer_times import AnswerTimes
 from wheelsight.pipeline.live_wheels import LiveWheels, RecordedWheels
 from wheelsight.pipeline.playing import Clock, MonotonicClock, Playing
@@ -143,7 +143,7 @@ class RealTimeRecording:
         events = self._recording.events(images=has_frames)
         try:
             for event in events:
-                if isinstance(event, WheelTicks | WheelSpeeds) and self.wheels is not None:
+                if isinstance(event, WheelReading) and self.wheels is not None:
                     continue
                 if isinstance(event, RgbdFrame) and self.wheels is not None:
                     yield WheelTicks(event.stamp_s, 0, 0)
@@ -193,7 +193,7 @@ class RealTimeRecording:
             items = self._recording.events(images=images)
         if self.wheels is None:
             return items
-        others = (item for item in items if not isinstance(item, WheelTicks | WheelSpeeds))
+        others = (item for item in items if not isinstance(item, WheelReading))
         if isinstance(self.wheels, LiveWheels):
             return others
         return heapq.merge(self.wheels.ticks, others, key=lambda item: item.stamp_s)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from wheelsight.calibration import Calibration, Wheels, load_calibration
 from wheelsight.errors import CalibrationError
-from wheelsight.events import Event, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.events import Event, WheelReading, WheelSpeeds, YawRate
 from wheelsight.matches import Match, SpeedVariances
 from wheelsight.recordings.protocol import AssociationReport
 from wheelsight.trajectory import Trajectory
@@ -31,7 +31,7 @@ class WheelRecording:
     path: Path
     format: str
     calibration: Calibration
-    wheels: tuple[WheelTicks | WheelSpeeds, ...]
+    wheels: tuple[WheelReading, ...]
     yaw_rates: tuple[YawRate, ...] = ()
     ground_truth: Trajectory | None = None
     warnings: tuple[str, ...] = ()

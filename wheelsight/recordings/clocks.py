@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping
 import numpy as np
 
 from wheelsight.errors import RecordingError
-from wheelsight.events import RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
+from wheelsight.events import RgbdFrame, SkippedFrame, WheelReading
 from wheelsight.geometry import FloatArray
 from wheelsight.recordings.protocol import ListedFrame, ListsFrames, Recording, TellsEnds
 from wheelsight.stamps import NUMBERS, StampUnit, unit_of
@@ -35,7 +35,7 @@ def listed_stamps(recording: Recording) -> dict[str, FloatArray]:
     for item in lists:
         if isinstance(item, ListedFrame | RgbdFrame | SkippedFrame):
             stamps[FRAMES].append(item.stamp_s)
-        elif isinstance(item, WheelTicks | WheelSpeeds):
+        elif isinstance(item, WheelReading):
             stamps[WHEELS].append(item.stamp_s)
     if recording.ground_truth is not None:
         stamps[TRUTH] = recording.ground_truth.stamps_s.tolist()

@@ -11,7 +11,7 @@ import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.evaluation import SequenceStatistics, sequence_statistics
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.events import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame, WheelReading, YawRate
 from wheelsight.geometry import Float32Array, FloatArray
 from wheelsight.recordings.clock_mapping import ClockMapping, clock_mapping
 from wheelsight.recordings.frame_clocks import read_frame_clocks
@@ -172,12 +172,12 @@ class _Tally:
     @property
     def counted(self) -> tuple[type, ...]:
         """The events whose times are told of: frames, or where there are none the wheels' readings."""
-        return (RgbdFrame, SkippedFrame) if self.recording.frame_count else (WheelTicks, WheelSpeeds)
+        return (RgbdFrame, SkippedFrame) if self.recording.frame_count else WHEEL_READINGS
 
     def add(self, event: Event) -> None:
         if isinstance(event, self.counted):
             self.stamps_s.append(event.stamp_s)
-        self.wheel_readings += isinstance(event, WheelTicks | WheelSpeeds)
+        self.wheel_readings += isinstance(event, WheelReading)
         self.yaw_readings += isinstance(event, YawRate)
         if isinstance(event, SkippedFrame):
             self.skipped[event.reason] += 1

@@ -14,7 +14,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelReading
 from wheelsight.geometry import FloatArray
 
 Sensors = Literal["wheels", "camera", "both"]
@@ -121,7 +121,7 @@ def _parted(events: Iterable[Event]) -> tuple[list[Event], list[Event]]:
     wheels: list[Event] = []
     others: list[Event] = []
     for event in events:
-        (wheels if isinstance(event, WheelTicks | WheelSpeeds) else others).append(event)
+        (wheels if isinstance(event, WheelReading) else others).append(event)
     return wheels, others
 
 

@@ -112,7 +112,7 @@ class Scene:
 
     def _show_fixed(self, calibration: Calibration) -> None:
         rr = self.rr
-        has_base = calibration.T_base_camera is not None or calibration.wheels is not None
+        has_base = calibration.T_base_camera is not None or calibration.any_wheels is not None
         self.log(at.MAP, rr.ViewCoordinates.FLU if has_base else rr.ViewCoordinates.RDF, static=True)
         self.log(at.ROBOT, rr.TransformAxes3D(0.3), static=True)
         if calibration.color is None or calibration.depth is None:

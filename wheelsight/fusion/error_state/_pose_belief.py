@@ -165,8 +165,7 @@ class PoseBelief:
         """After a time of which the wheels tell nothing: the twist goes on, by white noise of acceleration."""
         s = settings
         rest = self.rest
-        # A base moves sideways by what its wheels slip, no more.
-        q = np.square([s.acceleration_m_s2, s.side_m_per_sqrt_m, s.acceleration_rad_s2])
+        q = np.square([s.acceleration_m_s2, s.side_acceleration_m_s2, s.acceleration_rad_s2])
         way_m = (abs(rest[0]) + s.lever_m * abs(rest[2])) * dt_s
         noise = (q, s.unseen_a_metre * way_m, dt_s, s.gyro.bias_walk_rad_s_per_sqrt_s**2 * dt_s)
         T, P = kernels.coast(self.T, rest, self.covariance, *noise)

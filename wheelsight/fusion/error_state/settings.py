@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from wheelsight.calibration import Gyro, Wheels
+from wheelsight.calibration import Gyro, HolonomicWheels, Wheels
 from wheelsight.calibration_parts import WHEEL_SIGMAS
 from wheelsight.geometry import FloatArray
 from wheelsight.settings import CHOSEN, ON_SIMULATOR, Settings, setting
@@ -176,6 +176,13 @@ class ErrorStateSettings(Settings):
     acceleration_m_s2: float = setting(
         1.0, "how speeds change in a second; assumed of a robot indoors", CHOSEN, ge=0, le=1000
     )
+    side_acceleration_m_s2: float = setting(
+        0.005,
+        "the same to the side, where wheels roll ahead alone; of a holonomic base it is that of all directions",
+        CHOSEN,
+        ge=0,
+        le=1000,
+    )
     acceleration_rad_s2: float = setting(3.0, "likewise how yaw rates do", CHOSEN, ge=0, le=1000)
     window_s: float = setting(
         0.5,
@@ -325,10 +332,16 @@ class ErrorStateSettings(Settings):
         le=100,
     )
 
-    def with_wheels(self, wheels: Wheels | None) -> ErrorStateSettings:
-        """The same, with what a calibration states of how sure the wheels' sizes are."""
+    def with_wheels(self, wheels: Wheels | HolonomicWheels | None) -> ErrorStateSettings:
+        """The same, with what a calibration states of how sure the wheels' sizes are, and of what they let the base do.
+
+        A holonomic base changes its speed to the side as it does ahead.
+        """
         stated = {} if wheels is None else {name: getattr(wheels, name) for name in WHEEL_SIGMAS}
-        return self.model_copy(update={name: sigma for name, sigma in stated.items() if sigma > 0})
+        known = {name: sigma for name, sigma in stated.items() if sigma > 0}
+        if isinstance(wheels, HolonomicWheels):
+            known |= {"side_acceleration_m_s2": self.acceleration_m_s2, "leap_side_share": 1.0}
+        return self.model_copy(update=known)
 
 
 class FilterParameters(ErrorStateSettings):

@@ -18,10 +18,11 @@ from enum import Enum
 
 import numpy as np
 
-from wheelsight.calibration import Wheels
+from wheelsight.calibration import HolonomicWheels, Wheels
 from wheelsight.geometry import FloatArray, so3
 from wheelsight.odometry.extrinsics.settings import DEFAULTS, AgreementSettings
 
+_LEAST_WAY_M = 0.005  # shorter ways of a holonomic base have no direction: those of turns on the spot
 _LITTLE = 1e-3  # of the usual squares: what a fit is held by where a drive does not turn
 _UP = np.array([0.0, 0.0, 1.0])
 _WAYS, _TURNS, _WHEELS = slice(2, 5), slice(5, 8), slice(2)
@@ -69,7 +70,7 @@ class Agreement:
         ways_m, turns_rad: (2,) how far they went by the wheels, and by the camera.
     """
 
-    wheels: Wheels
+    wheels: Wheels | HolonomicWheels
     T_base_camera: FloatArray
     settings: AgreementSettings = DEFAULTS.agreement
     products: FloatArray = field(default_factory=lambda: np.zeros((8, 8)))
@@ -95,17 +96,27 @@ class Agreement:
         ways_m, turns_rad = (np.array([_size(w[part]), _size(c[part])]) for part in (np.s_[:3], np.s_[3:]))
         if ways_m.max() < self.settings.piece_m and turns_rad.max() < self.settings.piece_rad:
             return False
+        if isinstance(self.wheels, HolonomicWheels):  # in axes along the way by the wheels, wherever the base looks
+            along = so3.exp([0.0, 0.0, -math.atan2(w[1], w[0]) if _size(w[:2]) > _LEAST_WAY_M else 0.0])
+            w, c = (np.concatenate([along @ motion[:3], along @ motion[3:]]) for motion in (w, c))
         told = np.array([w[0], w[5], *c])
         if gyro_rad is not None:
             turns = np.array([w[5], c[5], gyro_rad])
             self.of_gyro += np.outer(turns, turns)
-        slip = 2 * self.wheels.slip_m_per_sqrt_m**2 * ways_m[0] / self.wheels.track_width_m**2
+        slip = self._slip_rad2_per_m * ways_m[0]
         self.drift += self.settings.slips * slip + (self.settings.drift_rad_per_m * ways_m.max()) ** 2
         self.products += np.outer(told, told)
         self.pieces += 1
         self.ways_m += ways_m
         self.turns_rad += turns_rad
         return True
+
+    @property
+    def _slip_rad2_per_m(self) -> float:
+        """Variance of a turn by the wheels' slip, a metre."""
+        if isinstance(self.wheels, HolonomicWheels):
+            return self.wheels.turn_variance_per_m
+        return 2 * self.wheels.slip_m_per_sqrt_m**2 / self.wheels.track_width_m**2
 
     def unexplained(self, expected: FloatArray) -> tuple[float, float]:
         """The shares of the ways and of the turns that are other than `expected` (6, 2) of the wheels."""
@@ -144,10 +155,11 @@ class Agreement:
 
     def _of_wheels(self) -> list[Explanation]:
         """Signs and places of both wheels, and their sizes, the simplest first."""
-        half_m, G = self.wheels.track_width_m / 2, self.products
+        G = self.products
+        half_m = self.wheels.track_width_m / 2 if isinstance(self.wheels, Wheels) else 1.0
         left = np.array([[0.0, half_m], [1 / half_m, 0.0]])
         swapped = np.diag([1.0, -1.0])
-        ways = (
+        ways: tuple[tuple[FloatArray, str], ...] = (
             (left, "the left wheel counts backwards: turn its sign"),
             (-left, "the right wheel counts backwards: turn its sign"),
             (-np.eye(2), "both wheels count backwards: turn their signs"),
@@ -156,6 +168,8 @@ class Agreement:
             (swapped @ left, "left and right wheel are swapped, and one counts backwards: see which"),
             (left @ swapped, "left and right wheel are swapped, and one counts backwards: see which"),
         )
+        if isinstance(self.wheels, HolonomicWheels):
+            ways = ((-np.eye(2), "all wheels count backwards: turn their signs"),)
         found = [Explanation(Culprit.WHEELS, cause, _seen_of(M)) for M, cause in ways]
         way, turn = _ratio(G[0, 2], G[0, 0]), _ratio(G[1, 7], G[1, 1])
         weights = np.array([G[0, 0] / self.settings.usual_m**2, G[1, 1] / self.settings.usual_rad**2])

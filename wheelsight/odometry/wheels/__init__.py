@@ -8,7 +8,7 @@ from wheelsight.odometry.wheels.encoder import Encoder
 from wheelsight.odometry.wheels.fit import WheelFit, fit_wheels
 from wheelsight.odometry.wheels.gyro import YawRateMeter, mean_yaw_rates
 from wheelsight.odometry.wheels.gyro_check import GyroCheck, gyro_warnings
-from wheelsight.odometry.wheels.holonomic import HolonomicOdometry
+from wheelsight.odometry.wheels.holonomic import AnyWheelOdometry, HolonomicOdometry, odometry_of
 from wheelsight.odometry.wheels.loop_check import LoopCause, LoopCheck, LoopCheckSettings, check_loop, with_sigmas
 from wheelsight.odometry.wheels.odometry import (
     Integration,
@@ -24,6 +24,7 @@ from wheelsight.odometry.wheels.trial import WheelTrial, try_calibration
 from wheelsight.odometry.wheels.umbmark import Umbmark, umbmark
 
 __all__ = [
+    "AnyWheelOdometry",
     "Drive",
     "Encoder",
     "GyroCheck",
@@ -50,6 +51,7 @@ __all__ = [
     "gyro_warnings",
     "integrate_log",
     "mean_yaw_rates",
+    "odometry_of",
     "sides_of_four",
     "ticks_from_speeds",
     "try_calibration",

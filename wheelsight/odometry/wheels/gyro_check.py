@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wheelsight.events import WheelSpeeds, WheelTicks, YawRate
+from wheelsight.events import WheelReading, YawRate
 from wheelsight.geometry import FloatArray
-from wheelsight.odometry.wheels.odometry import WheelOdometry
+from wheelsight.odometry.wheels.holonomic import odometry_of
 from wheelsight.odometry.wheels.settings import GyroCheckSettings
 from wheelsight.recordings import Recording
 
@@ -227,14 +227,14 @@ def gyro_warnings(recording: Recording, settings: GyroCheckSettings | None = Non
 
     Raises RecordingError when it cannot be read on.
     """
-    wheels, check = recording.calibration.wheels, GyroCheck(settings)
-    if wheels is None:
+    check = GyroCheck(settings)
+    if recording.calibration.any_wheels is None:
         return ()
-    odometry = WheelOdometry(wheels)
+    odometry = odometry_of(recording.calibration)
     for event in recording.events(images=False):
         if isinstance(event, YawRate):
             check.add_rate(event.stamp_s, event.yaw_rate_rad_s)
-        elif isinstance(event, WheelTicks | WheelSpeeds):
+        elif isinstance(event, WheelReading):
             answer = odometry.process(event)
             check.add_turn(answer.stamp_s, odometry.turned_rad, answer.reason is None)
     return check.warnings

@@ -19,15 +19,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wheelsight.calibration import Gyro, HolonomicWheels
+from wheelsight.calibration import Calibration, Gyro, HolonomicWheels
 from wheelsight.calibration_parts import least_step
 from wheelsight.checks import check_event, need_kind, need_number
-from wheelsight.errors import ArgumentError
+from wheelsight.errors import ArgumentError, CalibrationError
 from wheelsight.estimates import Reason, Status, WheelEstimate
-from wheelsight.events import HolonomicReading, OdometryReading, WheelCounts
+from wheelsight.events import HolonomicReading, OdometryReading, WheelCounts, WheelReading
 from wheelsight.geometry import FloatArray
 from wheelsight.geometry import motion_kernels as motions
 from wheelsight.geometry.chi_square import quantile
+from wheelsight.odometry.wheels.odometry import Integration, WheelOdometry
 from wheelsight.stamps import StampCheck
 from wheelsight.threads import OneCaller, one_at_a_time
 
@@ -149,7 +150,7 @@ class HolonomicOdometry(OneCaller):
         self._paused_s = seconds
 
     @one_at_a_time
-    def process(self, reading: HolonomicReading, yaw_rate_rad_s: float | None = None) -> WheelEstimate:
+    def process(self, reading: WheelReading, yaw_rate_rad_s: float | None = None) -> WheelEstimate:
         """The pose at a reading, and the step there from the one before.
 
         Args:
@@ -163,7 +164,7 @@ class HolonomicOdometry(OneCaller):
             ArgumentError: no reading of such wheels, or stamps that are no seconds.
         """
         check_event(reading)
-        self._check_wheels(reading)
+        reading = self._checked(reading)
         self._stamps.check(reading)
         if yaw_rate_rad_s is not None:
             need_number("yaw_rate_rad_s", yaw_rate_rad_s)
@@ -176,15 +177,16 @@ class HolonomicOdometry(OneCaller):
         status = Status.TRACKING if why is None else Status.FAILING
         return WheelEstimate(stamp_s, status, T, C, why, "base", before=before)
 
-    def _check_wheels(self, reading: HolonomicReading) -> None:
-        names, kind = self._wheels.wheel_names, type(reading).__name__
-        if kind not in ("WheelCounts", "OdometryReading"):
-            fix = "WheelCounts or OdometryReading"
-            raise ArgumentError(f"a {kind} is no reading of a holonomic base", fix=fix)
+    def _checked(self, reading: WheelReading) -> HolonomicReading:
+        names = self._wheels.wheel_names
+        if not isinstance(reading, HolonomicReading):
+            problem = f"a {type(reading).__name__} is no reading of a holonomic base"
+            raise ArgumentError(problem, fix="WheelCounts or OdometryReading")
         if isinstance(reading, WheelCounts) and len(reading.counts) != len(names):
             problem = f"{len(reading.counts)} counts are given, and the calibration has {len(names)} wheels"
             fix = f"one each of {', '.join(names)}" if names else "OdometryReading, as layout increments says"
             raise ArgumentError(problem, fix=fix)
+        return reading
 
     def _advance(self, reading: HolonomicReading, rate_rad_s: float | None) -> Reason | None:
         """Why a reading is refused; None where it moved the pose."""
@@ -298,6 +300,19 @@ class HolonomicOdometry(OneCaller):
         self._P[3, 3] += self._gyro.bias_walk_rad_s_per_sqrt_s**2 * while_s
         self._twist = np.zeros(3)
         self._off_m, self._off_m2 = self._no_slip()
+
+
+AnyWheelOdometry = WheelOdometry | HolonomicOdometry
+
+
+def odometry_of(calibration: Calibration, integration: Integration = "arc") -> AnyWheelOdometry:
+    """Dead reckoning of the wheels that the robot has. Raises CalibrationError where it has none."""
+    if calibration.holonomic is not None:
+        return HolonomicOdometry(calibration.holonomic, calibration.gyro)
+    if calibration.wheels is None:
+        problem = f"the calibration ({calibration.source}) has no wheels"
+        raise CalibrationError(problem, fix="give a calibration.yaml with wheels by --calibration")
+    return WheelOdometry(calibration.wheels, integration, calibration.gyro)
 
 
 def _in_space(xi: FloatArray) -> FloatArray:

@@ -22,7 +22,7 @@ from wheelsight.calibration_parts import least_step
 from wheelsight.checks import check_event, need_kind, need_number
 from wheelsight.errors import ArgumentError
 from wheelsight.estimates import Reason, Status, WheelEstimate
-from wheelsight.events import WheelSpeeds, WheelTicks
+from wheelsight.events import WheelReading, WheelSpeeds, WheelTicks
 from wheelsight.geometry import BoolArray, ByteArray, FloatArray, se3
 from wheelsight.odometry.wheels import _kernels as kernels
 from wheelsight.odometry.wheels import _state_kernels as at
@@ -138,7 +138,7 @@ class WheelOdometry(OneCaller):
         self._paused_s = seconds
 
     @one_at_a_time
-    def process(self, reading: WheelTicks | WheelSpeeds, yaw_rate_rad_s: float | None = None) -> WheelEstimate:
+    def process(self, reading: WheelReading, yaw_rate_rad_s: float | None = None) -> WheelEstimate:
         """The pose at a reading, and the step there from the one before.
 
         Args:
@@ -155,7 +155,8 @@ class WheelOdometry(OneCaller):
         """
         check_event(reading)
         if not isinstance(reading, WheelTicks | WheelSpeeds):
-            raise ArgumentError(f"a {type(reading).__name__} is no reading of wheels", fix="WheelTicks or WheelSpeeds")
+            fix = "WheelTicks or WheelSpeeds; of a holonomic base, HolonomicOdometry takes others"
+            raise ArgumentError(f"a {type(reading).__name__} is no reading of two wheels", fix=fix)
         self._stamps.check(reading)
         rate_rad_s = math.nan if yaw_rate_rad_s is None else need_number("yaw_rate_rad_s", yaw_rate_rad_s)
         why = self._advance(reading, rate_rad_s)
