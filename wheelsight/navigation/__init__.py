@@ -40,7 +40,7 @@ from wheelsight.navigation.navigator_values import (
 )
 from wheelsight.navigation.people import PeopleTracker, Person
 from wheelsight.navigation.people_settings import PeopleSettings
-from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
+from wheelsight.navigation.plan_values import PathPlanner, Plan, PlanFailure, PlanReason
 from wheelsight.navigation.planner import Planner
 from wheelsight.navigation.planner_settings import PlannerSettings
 from wheelsight.navigation.planning import Planned, Planning
@@ -91,6 +91,7 @@ __all__ = [
     "NavigationState",
     "Navigator",
     "NavigatorSettings",
+    "PathPlanner",
     "PeopleSettings",
     "PeopleTracker",
     "Person",

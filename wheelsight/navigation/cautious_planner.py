@@ -11,7 +11,7 @@ from wheelsight.geometry import FloatArray
 from wheelsight.navigation.costmap import Costmap
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.navigator_settings import NavigationSettings
-from wheelsight.navigation.plan_values import Plan, PlanFailure
+from wheelsight.navigation.plan_values import PathPlanner, Plan, PlanFailure
 from wheelsight.navigation.plan_view import PlanView
 from wheelsight.navigation.route_planner import RoutePlanner, ahead_of
 
@@ -39,11 +39,14 @@ class CautiousPlanner:
     Args:
         footprint, settings: of the robot.
         view: what its camera looks at on the way.
+        own: see `RoutePlanner`.
     """
 
-    def __init__(self, footprint: Footprint, settings: NavigationSettings, view: PlanView) -> None:
+    def __init__(
+        self, footprint: Footprint, settings: NavigationSettings, view: PlanView, own: PathPlanner | None = None
+    ) -> None:
         self._footprint, self._settings, self._view = footprint, settings, view
-        self.route = RoutePlanner(footprint, settings)
+        self.route = RoutePlanner(footprint, settings, own)
 
     def plan(
         self,

@@ -7,7 +7,7 @@ import math
 from wheelsight.commands import STOP, VelocityCommand
 from wheelsight.estimates import Status
 from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason, MonitorResult, MonitorState
-from wheelsight.navigation.control_values import Controller
+from wheelsight.navigation.control_values import Controller, OwnController
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.localization import WhereNow
 from wheelsight.navigation.mppi import MppiController
@@ -71,8 +71,10 @@ class ControlChain:
         return self._stopped[1] if self._stopped[0] >= since_s else None
 
 
-def controller_of(footprint: Footprint, settings: NavigationSettings) -> Controller:
-    """That settings name."""
+def controller_of(footprint: Footprint, settings: NavigationSettings, own: Controller | None = None) -> Controller:
+    """A user's own, else the one that settings name."""
+    if own is not None:
+        return OwnController(own, settings.follow.goal_m, settings.follow.goal_rad)
     if settings.controller == "mppi":
         return MppiController(footprint, settings.limits, settings.mppi, settings.follow)
     return PurePursuitController(footprint, settings.limits, settings.pure_pursuit, settings.follow)

@@ -8,8 +8,11 @@ from typing import Protocol
 
 import numpy as np
 
+from wheelsight.checks import answer_of, array_of
 from wheelsight.commands import STOP, VelocityCommand
+from wheelsight.errors import ArgumentError, PartError
 from wheelsight.geometry import FloatArray
+from wheelsight.geometry.se2 import wrap_angle
 from wheelsight.navigation.fields import CostField
 
 _NO_POSES = np.empty((0, 3))
@@ -87,10 +90,17 @@ class ControlResult:
 
 
 class Controller(Protocol):
-    """Follows a plan."""
+    """Follows a plan: `MppiController` and `PurePursuitController`; `Navigator` takes another as `controller`.
+
+    Its command passes the limits of the robot and the collision monitor, whoever computed it. An exception and another
+    type stop the robot, and end the task with `NavigationReason.CONTROLLER`.
+    """
 
     def command(self, state: MotionState, plan: DrivenPath, field: CostField, people: FloatArray) -> ControlResult:
-        """What to do now; called once a period.
+        """What to do now; called once a period, between two steps of the robot: it must be quick.
+
+        `ControlResult(command)` drives; `ControlResult.standing(reason)` stops: `ARRIVED` where the plan is done, which
+        counts within `follow.goal_m` and `goal_rad` of its end; `BLOCKED` is waited for; others ask for another plan.
 
         Args:
             state: of now.
@@ -99,3 +109,32 @@ class Controller(Protocol):
             people: (P, 5) x, y, vx, vy, radius in that frame; they go on as they go.
         """
         ...
+
+
+class OwnController:
+    """A `Controller` whose answers are checked; raises PartError for what is none.
+
+    Args:
+        part: of a user's own.
+        goal_m, goal_rad: how far from the end of a plan counts as arrived.
+    """
+
+    def __init__(self, part: Controller, goal_m: float, goal_rad: float) -> None:
+        self._part, self._goal_m, self._goal_rad = part, goal_m, goal_rad
+
+    def command(self, state: MotionState, plan: DrivenPath, field: CostField, people: FloatArray) -> ControlResult:
+        """See `Controller`. One that says it has arrived elsewhere has missed the goal."""
+        name = f"{type(self._part).__name__}.command"
+        found = answer_of(self._part, "command", state, plan, field, people)
+        if not isinstance(found, ControlResult) or not isinstance(found.command, VelocityCommand):
+            fix = "ControlResult(VelocityCommand(...)), or ControlResult.standing(ControlReason....)"
+            raise PartError(f"{name} answered {type(found).__name__}, not a ControlResult", fix=fix)
+        try:
+            predicted = array_of("predicted", found.predicted, (len(found.predicted), 3))
+        except (ArgumentError, TypeError) as error:
+            raise PartError(f"{name}: {error}", fix="predicted is (T, 3)") from error
+        if found.reason is not None:
+            x, y, yaw = state.pose - np.asarray(plan.poses, float)[-1]
+            is_there = np.hypot(x, y) <= self._goal_m and abs(wrap_angle(yaw)) <= self._goal_rad
+            return ControlResult.standing(found.reason if is_there or not found.has_arrived else ControlReason.MISSED)
+        return ControlResult(found.command, None, predicted[np.isfinite(predicted).all(axis=1)])

@@ -13,13 +13,14 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wheelsight.checks import need_method
 from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.errors import ArgumentError, WheelsightError
+from wheelsight.errors import ArgumentError, PartError, WheelsightError
 from wheelsight.geometry import FloatArray
 from wheelsight.navigation.behaviours import beside_goal
 from wheelsight.navigation.collision_monitor import MonitorReason, MonitorState
 from wheelsight.navigation.control_chain import ControlChain, controller_of
-from wheelsight.navigation.control_values import ControlReason, ControlResult
+from wheelsight.navigation.control_values import Controller, ControlReason, ControlResult
 from wheelsight.navigation.exploration import Exploration
 from wheelsight.navigation.floors import Floor
 from wheelsight.navigation.footprint import Footprint
@@ -35,7 +36,7 @@ from wheelsight.navigation.navigator_values import (
     stays_words,
 )
 from wheelsight.navigation.people import discs_of
-from wheelsight.navigation.plan_values import Plan, PlanFailure
+from wheelsight.navigation.plan_values import PathPlanner, Plan, PlanFailure
 from wheelsight.navigation.planning import Planned, Planning
 from wheelsight.navigation.route_planner import to_go_m
 from wheelsight.navigation.senses import Senses
@@ -58,6 +59,7 @@ class Navigator(OneCaller):
         floor: what is known of the building.
         settings: or the defaults.
         planning: what makes its plans: in step, for simulators, or beside; None: in step. Whoever made it closes it.
+        planner, controller: of your own, in place of the built-in ones; limits and collision monitor stay.
         trusts_floor: whether the floor that the camera cannot see from where the robot is, next to it, is free at the
             begin, as somebody says who looked. Without it a robot whose camera sees it only farther off stays.
         on_transition: called with each change of state.
@@ -67,7 +69,7 @@ class Navigator(OneCaller):
         monitor: the collision monitor, which has the last word.
 
     Raises:
-        ArgumentError, MapError, CalibrationError: as `Senses`.
+        ArgumentError, MapError, CalibrationError: as `Senses`; ArgumentError also for a part without its method.
     """
 
     def __init__(
@@ -78,18 +80,23 @@ class Navigator(OneCaller):
         settings: NavigationSettings | None = None,
         *,
         planning: Worker[Planned] | None = None,
+        planner: PathPlanner | None = None,
+        controller: Controller | None = None,
         trusts_floor: bool = False,
         on_transition: Callable[[Transition], None] = lambda transition: None,
     ) -> None:
         self.settings = s = settings or NavigationSettings()
+        for name, part, method in (("planner", planner, "plan"), ("controller", controller, "command")):
+            if part is not None:
+                need_method(name, part, method)
         self._footprint = s.footprint.outline
         self._robot = robot
         self._chain = ControlChain(s)
         self.monitor = self._chain.monitor
         self._senses = Senses(robot.calibration, localization, floor, self.monitor, self._footprint, s)
         self.monitor.trust_floor(self._senses.near_m if trusts_floor else 0.0)
-        self._planning = Planning(self._senses, self._footprint, s, planning)
-        self._controller = controller_of(self._footprint, s)
+        self._planning = Planning(self._senses, self._footprint, s, planning, planner)
+        self._controller = controller_of(self._footprint, s, controller)
         self._on_transition = on_transition
         self.state = NavigationState.IDLE
         self._task: Task | None = None
@@ -360,7 +367,10 @@ class Navigator(OneCaller):
             if self.state is not NavigationState.DRIVING or task.plan is None:
                 return command
         people = discs_of(self._senses.people(now_s))
-        result = self._controller.command(state, task.plan or plan, local.field, people)
+        try:
+            result = self._controller.command(state, task.plan or plan, local.field, people)
+        except PartError as error:
+            return self._fail(NavigationReason.CONTROLLER, error.problem)
         self._predicted = result.predicted
         return self._follow(task, result, now_s)
 

@@ -34,6 +34,7 @@ class NavigationReason(StrEnum):
     ROBOT_STOPPED = "the robot stopped by itself"
     LOCALIZATION = "the localization failed"
     SILENT = "a part of the program hangs"
+    CONTROLLER = "the controller failed"
     CANCELED = "it was called off"
 
 

@@ -14,7 +14,7 @@ from wheelsight.navigation.floor_now import FloorNow
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.goals import Goals
 from wheelsight.navigation.navigator_settings import NavigationSettings
-from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
+from wheelsight.navigation.plan_values import PathPlanner, Plan, PlanFailure, PlanReason
 from wheelsight.navigation.plan_view import PlanView
 from wheelsight.navigation.route_planner import to_go_m
 from wheelsight.navigation.senses import Senses
@@ -64,13 +64,19 @@ class Planning:
         senses: of the robot.
         footprint, settings: of the robot.
         worker: that plans; None: in step, in the time that the settings state. Whoever made it closes it.
+        own: see `RoutePlanner`.
     """
 
     def __init__(
-        self, senses: Senses, footprint: Footprint, settings: NavigationSettings, worker: Worker[Planned] | None
+        self,
+        senses: Senses,
+        footprint: Footprint,
+        settings: NavigationSettings,
+        worker: Worker[Planned] | None,
+        own: PathPlanner | None = None,
     ) -> None:
         self._senses, self._settings, self._footprint = senses, settings, footprint
-        self._planner = CautiousPlanner(footprint, settings, PlanView(footprint, senses.eye))
+        self._planner = CautiousPlanner(footprint, settings, PlanView(footprint, senses.eye), own)
         self._worker: Worker[Planned] = worker or WorkerInStep(settings.navigator.planning_s)
         self._blocked = BlockedWays(settings.blocked, free_visits=int(senses.floor.is_fixed))
         self._asked_s, self._longest_s = 0.0, 0.0

@@ -13,7 +13,7 @@ from wheelsight.navigation._drivable import Drivable
 from wheelsight.navigation.costmap import Costmap
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.navigator_settings import NavigationSettings
-from wheelsight.navigation.plan_values import Plan, PlanFailure, PlanReason
+from wheelsight.navigation.plan_values import OwnPlanner, PathPlanner, Plan, PlanFailure, PlanReason
 from wheelsight.navigation.planner import Planner
 
 
@@ -22,12 +22,14 @@ class RoutePlanner:
 
     Args:
         footprint, settings: of the robot.
+        own: a user's planner, in place of the built-in one.
     """
 
-    def __init__(self, footprint: Footprint, settings: NavigationSettings) -> None:
+    def __init__(self, footprint: Footprint, settings: NavigationSettings, own: PathPlanner | None = None) -> None:
         self._footprint, self._settings = footprint, settings
         self._rules = settings.drivable
         self._planner = Planner(footprint, self._rules, settings.limits)
+        self._path_planner: PathPlanner = self._planner if own is None else OwnPlanner(own)
 
     def plan(self, costmap: Costmap, start: FloatArray, goals: Sequence[FloatArray]) -> Plan | PlanFailure:
         """A plan from a pose (3,) through poses (3,) in their order; a yaw of NaN is any heading.
@@ -37,11 +39,11 @@ class RoutePlanner:
         plans: list[Plan] = []
         begin = start
         for number, goal in enumerate(goals):
-            found = self._planner.plan(costmap, begin, goal[:2] if np.isnan(goal[2]) else goal)
+            found = self._path_planner.plan(costmap, begin, goal[:2] if np.isnan(goal[2]) else goal)
             if isinstance(found, Plan):
                 plans.append(found)
                 begin = found.poses[-1]
-            elif number == len(goals) - 1:
+            elif number == len(goals) - 1 or found.reason is PlanReason.PART:
                 return found
         return plans[0] if len(plans) == 1 else _joined(plans)
 
