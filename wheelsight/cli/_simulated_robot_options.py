@@ -64,6 +64,14 @@ Realism = Annotated[
         rich_help_panel=_CAMERA,
     ),
 ]
+Base = Annotated[
+    str,
+    typer.Option(
+        metavar="KIND",
+        help="`differential`: a wheelchair; `mecanum`, `omni-3`, `omni-4`, `increments`: a base that drives sideways.",
+        rich_help_panel=_ROBOT,
+    ),
+]
 LeftRadius = Annotated[
     float | None,
     typer.Option(metavar="M", help="Of the left wheel.", show_default="0.17", rich_help_panel=_ROBOT),

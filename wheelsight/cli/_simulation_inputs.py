@@ -22,7 +22,7 @@ def settings_from(given: SimulateOptions, plan: FloorPlan | None) -> SimulationS
 
     building: dict[str, Any] = {"world": given.world} if plan is None else {"plan": plan}
     # What it is called is checked by the settings, which name what there is.
-    named: dict[str, Any] = {"realism": given.realism}
+    named: dict[str, Any] = {"realism": given.realism, "base": given.base}
     return SimulationSettings(
         **building,
         **named,
@@ -51,6 +51,9 @@ def _robot(given: SimulateOptions) -> Robot:
     from wheelsight.simulation import Robot
 
     told = {"left_radius_m": given.left_radius, "right_radius_m": given.right_radius, "track_width_m": given.track}
+    if given.base != "differential" and any(size_m is not None for size_m in told.values()):
+        fix = "--left-radius, --right-radius and --track are of two wheels: leave them out"
+        raise ConfigError(f"--base {given.base} has no such wheels", fix=fix)
     sizes: dict[str, Any] = {name: size_m for name, size_m in told.items() if size_m is not None}
     return Robot(**sizes, has_gyro=given.gyro)
 

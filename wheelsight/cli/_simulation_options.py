@@ -10,6 +10,7 @@ import typer
 
 from wheelsight.cli._options import OUTPUT
 from wheelsight.cli._simulated_robot_options import (
+    Base,
     Camera,
     Cover,
     DriveFile,
@@ -138,6 +139,7 @@ class SimulateOptions:
     areas: AreasImage = None
     start: Start = None
     way: WayLength = None
+    base: Base = "differential"
     left_radius: LeftRadius = None
     right_radius: RightRadius = None
     track: Track = None

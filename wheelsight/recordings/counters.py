@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from wheelsight.calibration import Wheels
-from wheelsight.events import WheelSpeeds, WheelTicks
+from wheelsight.events import WheelReading, WheelTicks
 from wheelsight.geometry import FloatArray
 
 _FEWEST_READINGS = 10
@@ -18,7 +18,7 @@ _LEAP_SHARE, _STEP_SHARE = 0.5, 0.1
 _SAME = 0.03
 
 
-def counter_warnings(wheels: Wheels | None, readings: Sequence[WheelTicks | WheelSpeeds]) -> list[str]:
+def counter_warnings(wheels: Wheels | None, readings: Sequence[WheelReading]) -> list[str]:
     """A sentence for counters that leap as if they rolled over unsaid, and one for such as roll over unseen."""
     ticks = [reading for reading in readings if isinstance(reading, WheelTicks)]
     if wheels is None or len(ticks) < _FEWEST_READINGS:

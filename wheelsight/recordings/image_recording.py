@@ -16,7 +16,7 @@ import numpy as np
 from wheelsight.association import associate
 from wheelsight.calibration import Calibration
 from wheelsight.errors import CalibrationError, RecordingError
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks, YawRate
+from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelReading, YawRate
 from wheelsight.recordings._calibrated import corrected_depth
 from wheelsight.recordings._file_lists import ListedFile
 from wheelsight.recordings._images import DepthEncoding, image_size, read_color, read_depth
@@ -59,7 +59,7 @@ class ImageRecording:
     encoding: DepthEncoding
     ground_truth: Trajectory | None = None
     warnings: tuple[str, ...] = ()
-    wheels: tuple[WheelTicks, ...] = ()
+    wheels: tuple[WheelReading, ...] = ()
     yaw_rates: tuple[YawRate, ...] = ()
 
     @property

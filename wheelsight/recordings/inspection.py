@@ -147,7 +147,11 @@ def _camera(calibration: Calibration) -> str | None:
 
 
 def _wheels(calibration: Calibration) -> str | None:
-    wheels = calibration.wheels
+    wheels, holonomic = calibration.wheels, calibration.holonomic
+    if holonomic is not None:
+        of = f"{len(holonomic.wheel_names)} wheels of" if holonomic.wheel_names else "x, y and yaw of"
+        sizes = "" if holonomic.radius_m is None else f", radius {holonomic.radius_m:.5g} m"
+        return f"{of} a holonomic base ({holonomic.layout}){sizes} ({calibration.source})"
     if wheels is None:
         return None
     sizes = f"radius {wheels.left_radius_m:.5g} m left, {wheels.right_radius_m:.5g} m right"

@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from wheelsight.calibration import Calibration
-from wheelsight.errors import CalibrationError
-from wheelsight.events import AngularVelocity, WheelTicks, YawRate
+from wheelsight.errors import CalibrationError, RecordingError
+from wheelsight.events import AngularVelocity, OdometryReading, WheelCounts, WheelTicks, YawRate
 from wheelsight.files import StrPath
 from wheelsight.inputs import is_there
 from wheelsight.recordings._cameras import camera_choices, choose_calibration
@@ -18,14 +18,22 @@ from wheelsight.recordings._images import DepthEncoding
 from wheelsight.recordings._wheel_recording import WheelRecording
 from wheelsight.recordings.image_recording import ImageRecording, recording_of
 from wheelsight.recordings.protocol import Layout, OpenOptions
-from wheelsight.recordings.tables import read_columns
+from wheelsight.recordings.tables import column_names, read_columns
 from wheelsight.recordings.text import keep_growing
 from wheelsight.recordings.tum import DEPTH_FACTOR, beside, read_frames, read_truth
 
 WHEELS_HEADER = "stamp_s,left,right"
+_ODOMETRY = ("x_m", "y_m", "yaw_rad")
 GYRO_HEADER = "stamp_s,yaw_rate_rad_s"
 IMU_FILE = "imu.csv"
 IMU_HEADER = "stamp_s,x_rad_s,y_rad_s,z_rad_s"
+
+
+def wheels_header(calibration: Calibration | None) -> str:
+    """The first line of wheels.csv: counts of each wheel, or the pose by a holonomic base's own odometry."""
+    if calibration is None or calibration.holonomic is None:
+        return WHEELS_HEADER
+    return ",".join(("stamp_s", *(calibration.holonomic.wheel_names or _ODOMETRY)))
 
 
 class NativeReader:
@@ -43,14 +51,14 @@ class NativeReader:
         """The recording in `folder`. Raises InputError naming file and line."""
         has_images = any(is_there(folder / name) for name in ("rgb.txt", "depth.txt"))
         calibration = choose_calibration(folder, options, lambda: _missing(folder, has_images))
-        wheels, warnings = read_wheels(folder / "wheels.csv")
+        wheels, warnings = _read_readings(folder / "wheels.csv", calibration)
         yaw_rates, more = _read_yaw_rates(folder, calibration)
         warnings += more
         truth = None
         if not has_images or calibration.T_base_camera is not None:
             truth = read_truth(folder / "groundtruth_base.txt", warnings, body="base")
         if not has_images:
-            given = (tuple(wheels), tuple(yaw_rates), truth, tuple(warnings))
+            given = (wheels, tuple(yaw_rates), truth, tuple(warnings))
             return WheelRecording(folder.resolve().name, folder, self.name, calibration, *given)
         images, more = read_frames(folder, options)
         warnings += more
@@ -63,7 +71,7 @@ class NativeReader:
             truth or beside(read_truth(folder / "groundtruth.txt", warnings), images.frames, options),
             warnings,
         )
-        return replace(made, wheels=tuple(wheels), yaw_rates=tuple(yaw_rates))
+        return replace(made, wheels=wheels, yaw_rates=tuple(yaw_rates))
 
 
 def _missing(folder: Path, has_images: bool) -> Calibration:
@@ -73,11 +81,39 @@ def _missing(folder: Path, has_images: bool) -> Calibration:
 
 
 def read_wheels(path: Path) -> tuple[list[WheelTicks], list[str]]:
-    """The readings of wheels.csv in order of time, and warnings."""
+    """The counts of two wheels in wheels.csv in order of time, and warnings. Raises RecordingError."""
     table, warnings = read_columns(path, counts=("left", "right"))
     ticks = list(map(WheelTicks, table.stamps_s, table["left"], table["right"]))
     growing, more = keep_growing(ticks, table.lines, path)
     return growing, warnings + more
+
+
+def _read_readings(
+    path: Path, calibration: Calibration
+) -> tuple[tuple[WheelTicks, ...] | tuple[WheelCounts, ...] | tuple[OdometryReading, ...], list[str]]:
+    """The readings of wheels.csv in order of time, and warnings. Raises RecordingError.
+
+    Which columns it has goes by the calibration's wheels; the pose by a base's own odometry is read beside any
+    holonomic wheels.
+    """
+    names, holonomic = column_names(path, ("stamp_s",)), calibration.holonomic
+    if set(_ODOMETRY) <= set(names) and (holonomic is not None or calibration.wheels is None):
+        table, warnings = read_columns(path, numbers=_ODOMETRY)
+        poses = list(map(OdometryReading, table.stamps_s, *(table[name] for name in _ODOMETRY)))
+        growing_poses, more = keep_growing(poses, table.lines, path)
+        return tuple(growing_poses), warnings + more
+    if holonomic is not None and holonomic.wheel_names:
+        table, warnings = read_columns(path, counts=holonomic.wheel_names)
+        rows = zip(*(table[name] for name in holonomic.wheel_names), strict=True)
+        counts = list(map(WheelCounts, table.stamps_s, rows))
+        growing_counts, more = keep_growing(counts, table.lines, path)
+        return tuple(growing_counts), warnings + more
+    if holonomic is None and "left" not in names and len(names) > 3:
+        problem = f"has {', '.join(names)}, which are no two wheels' columns"
+        fix = "say `kind: holonomic` of wheels in calibration.yaml, or write stamp_s,left,right"
+        raise RecordingError(problem, path=path, fix=fix)
+    ticks, warnings = read_wheels(path)
+    return tuple(ticks), warnings
 
 
 def _read_yaw_rates(folder: Path, calibration: Calibration) -> tuple[list[YawRate], list[str]]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from wheelsight.calibration import Calibration, load_calibration
 from wheelsight.errors import CalibrationError, OutputError
 from wheelsight.inputs import is_there
+from wheelsight.recordings.native import wheels_header
 
 _IMAGE_FOLDERS = "rgb", "depth", "infrared"
 _LEFT_OVER = re.compile(r"\..+\.[0-9a-f]{8}")  # as files.atomic_write calls what is not whole yet
@@ -40,6 +41,10 @@ def check_resumable(folder: Path, calibration: Calibration | None) -> None:
         raise OutputError(f"cannot go on: {error.problem}", path=error.path or folder, fix=another) from error
     if _sizes(before) != _sizes(calibration):
         problem = f"holds a recording of {_told(before)}, which {_told(calibration)} cannot go on"
+        raise OutputError(problem, path=folder, fix=another)
+    headers = [wheels_header(of) for of in (before, calibration)]
+    if headers[0] != headers[1]:
+        problem = f"its wheels.csv has {headers[0]}, which {headers[1]} cannot go on"
         raise OutputError(problem, path=folder, fix=another)
 
 

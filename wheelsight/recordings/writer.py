@@ -14,7 +14,18 @@ from wheelsight.calibration import Calibration, save_calibration
 from wheelsight.checks import check_event, check_images, need_calibration
 from wheelsight.depth_error import DepthError
 from wheelsight.errors import ArgumentError, CalibrationError, RecordingError
-from wheelsight.events import AngularVelocity, Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.events import (
+    AngularVelocity,
+    Event,
+    OdometryReading,
+    RgbdFrame,
+    SkippedFrame,
+    WheelCounts,
+    WheelReading,
+    WheelSpeeds,
+    WheelTicks,
+    YawRate,
+)
 from wheelsight.files import StrPath, make_output_folder
 from wheelsight.geometry import Float32Array
 from wheelsight.geometry.arrays import UInt16Array
@@ -22,7 +33,7 @@ from wheelsight.recordings.bodies import express_for
 from wheelsight.recordings.frame_clocks import CLOCK_FILE, CLOCK_HEADER, FrameClock
 from wheelsight.recordings.growing_text import GrowingText, seconds
 from wheelsight.recordings.image_files import SUFFIXES, ColorFormat, write_color, write_units
-from wheelsight.recordings.native import GYRO_HEADER, IMU_FILE, IMU_HEADER, WHEELS_HEADER
+from wheelsight.recordings.native import GYRO_HEADER, IMU_FILE, IMU_HEADER, wheels_header
 from wheelsight.recordings.protocol import Recording
 from wheelsight.recordings.resuming import check_resumable, last_stamp_s, remove_leftovers
 from wheelsight.recordings.tum import DEPTH_FACTOR
@@ -34,7 +45,7 @@ _IMAGE_HEADERS = {
     "rgb.txt": "# color images\n# timestamp filename\n",
     "depth.txt": "# depth maps\n# timestamp filename\n",
 }
-_READING_HEADERS = {"wheels.csv": f"{WHEELS_HEADER}\n", "gyro.csv": f"{GYRO_HEADER}\n"}
+_GYRO_HEADERS = {"gyro.csv": f"{GYRO_HEADER}\n"}
 TRUTH_FILES = {"camera": "groundtruth.txt", "base": "groundtruth_base.txt"}
 _LABELS = "labels.csv"
 _LABELS_HEADER = "stamp_s,area\n"
@@ -42,7 +53,11 @@ _DEEPEST_UNITS = np.iinfo(np.uint16).max
 _INFRARED = "infrared.txt"
 _INFRARED_HEADER = "# infrared images\n# timestamp filename\n"
 # What a stamp of each list must come after.
-_KINDS = {"rgb.txt": "RgbdFrame", "wheels.csv": "WheelTicks", "gyro.csv": "YawRate"}
+_KINDS = {
+    "rgb.txt": ("RgbdFrame",),
+    "wheels.csv": ("WheelTicks", "WheelCounts", "OdometryReading"),
+    "gyro.csv": ("YawRate",),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +167,8 @@ class RecordingWriter(OneCaller):
         if calibration is not None:
             # Depth is written as it was corrected when it was read; it must not be corrected again.
             save_calibration(replace(calibration, depth_error=DepthError()), self.folder / "calibration.yaml")
-        headers = (_IMAGE_HEADERS if has_cameras else {}) | _READING_HEADERS
+        of_wheels = {"wheels.csv": f"{wheels_header(calibration)}\n"}
+        headers = (_IMAGE_HEADERS if has_cameras else {}) | of_wheels | _GYRO_HEADERS
         self._lists = {name: GrowingText(self.folder / name, header, resume) for name, header in headers.items()}
         self._count_earlier()
 
@@ -163,9 +179,9 @@ class RecordingWriter(OneCaller):
 
     def _count_earlier(self) -> None:
         """What is resumed counts, and its stamps are those that others must come after."""
-        for name, kind in _KINDS.items():
+        for name, kinds in _KINDS.items():
             if name in self._lists and (earlier := self._lists[name].earlier):
-                self._last_stamp_s[kind] = last_stamp_s(earlier)
+                self._last_stamp_s |= dict.fromkeys(kinds, last_stamp_s(earlier))
         self.readings = len(self._lists["wheels.csv"].earlier)
         self.frames = len(self._lists["depth.txt"].earlier) if "depth.txt" in self._lists else 0
 
@@ -190,8 +206,8 @@ class RecordingWriter(OneCaller):
         self.check(event)
         if isinstance(event, RgbdFrame):
             self.list_frame(self.write_frame(event))
-        elif isinstance(event, WheelTicks):
-            self._lists["wheels.csv"].append(f"{seconds(event.stamp_s)},{int(event.left)},{int(event.right)}\n")
+        elif isinstance(event, WheelReading):
+            self._lists["wheels.csv"].append(f"{seconds(event.stamp_s)},{','.join(_columns_of(event))}\n")
             self.readings += 1
         elif isinstance(event, YawRate):
             self._lists["gyro.csv"].append(f"{seconds(event.stamp_s)},{seconds(event.yaw_rate_rad_s)}\n")
@@ -221,10 +237,23 @@ class RecordingWriter(OneCaller):
         check_event(event, finite=True)
         if isinstance(event, WheelSpeeds):
             raise RecordingError("wheel speeds have no place here: wheels.csv holds ticks", path=self.folder)
+        if isinstance(event, WheelReading):
+            self._check_wheels(event)
         if isinstance(event, RgbdFrame):
             check_images(event, self._known_calibration())
         self._stamps.check(event)
         self._check_stamps(type(event).__name__, event.stamp_s, event.stamp_s)
+
+    def _check_wheels(self, reading: WheelReading) -> None:
+        """Refuse readings of other wheels than the calibration's: wheels.csv has the columns of these."""
+        of = None if self._calibration is None else self._calibration.holonomic
+        header = wheels_header(self._calibration)
+        kind = WheelTicks if of is None else WheelCounts if of.wheel_names else OdometryReading
+        given = len(_columns_of(reading))
+        if type(reading) is not kind or given != header.count(","):
+            problem = f"a {type(reading).__name__} of {given} numbers has no place here"
+            fix = f"wheels.csv has {header}, by the calibration's wheels"
+            raise RecordingError(problem, path=self.folder, fix=fix)
 
     def write_frame(self, frame: RgbdFrame, infrared: UInt16Array | None = None) -> WrittenFrame:
         """Write the images of a frame that was checked, and (H, W) infrared beside depth; no list names them yet.
@@ -349,6 +378,17 @@ def write_recording(folder: StrPath, recording: Recording, force: bool = False) 
         for event in recording.events():
             writer.add(event)
     return writer
+
+
+def _columns_of(reading: WheelReading) -> list[str]:
+    """The numbers of a reading after its stamp, as wheels.csv has them."""
+    if isinstance(reading, WheelTicks):
+        return [str(int(reading.left)), str(int(reading.right))]
+    if isinstance(reading, WheelCounts):
+        return [str(int(count)) for count in reading.counts]
+    if isinstance(reading, OdometryReading):
+        return [seconds(number) for number in (reading.x_m, reading.y_m, reading.yaw_rad)]
+    return [seconds(number) for number in (reading.left_rad_s, reading.right_rad_s)]
 
 
 def _depth_units(depth_m: Float32Array) -> tuple[NDArray[np.uint16], int]:

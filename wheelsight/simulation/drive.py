@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from wheelsight.events import WheelTicks, YawRate
+from wheelsight.events import WheelReading, YawRate
 from wheelsight.trajectory import Trajectory
 
 
@@ -21,7 +21,7 @@ class Drive:
     """
 
     truth: Trajectory
-    ticks: tuple[WheelTicks, ...]
+    ticks: tuple[WheelReading, ...]
     yaw_rates: tuple[YawRate, ...] = ()
     is_complete: bool = True
     reason: str = ""

@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 from wheelsight.errors import ConfigError
 from wheelsight.files import StrPath
@@ -15,6 +15,8 @@ from wheelsight.simulation.drivers import MAX_SPEED_M_S
 from wheelsight.simulation.realism import RealismName, realism_of
 from wheelsight.simulation.robot import Robot, WheelFaults
 from wheelsight.simulation.worlds.floor_plan.settings import FloorPlan
+
+BaseName = Literal["differential", "mecanum", "omni-3", "omni-4", "increments"]
 
 _LARGEST_PX = 4096
 _SMALLEST_PX = 16
@@ -25,6 +27,8 @@ class SimulationSettings:
     """A world, a robot, a way through the world, and a camera; equal settings make equal recordings, byte for byte.
 
     Attributes:
+        base: "differential": a wheelchair, moved by physics; "mecanum", "omni-3", "omni-4": a holonomic base that
+            looks elsewhere than where it goes; "increments": one whose own odometry is read.
         world: one of `world_names()`; not looked at where there is a plan.
         camera: one of `camera_names()`.
         size: (width, height) of the images in pixels, or None for the camera's own.
@@ -74,8 +78,11 @@ class SimulationSettings:
     covered_s: tuple[tuple[float, float], ...] = ()
     realism: RealismName = "ideal"
     plan: FloorPlan | None = None
+    base: BaseName = "differential"
 
     def __post_init__(self) -> None:
+        if self.base not in get_args(BaseName):
+            raise ConfigError(f"--base is {self.base!r}", fix=f"one of {', '.join(get_args(BaseName))}")
         realism_of(self.realism)
         _check_whole("--laps", self.laps, 1, 1000)
         _check_whole("--seed", self.seed, 0, 2**32 - 1)

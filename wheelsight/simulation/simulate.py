@@ -27,6 +27,7 @@ from wheelsight.simulation.doors import swinging
 from wheelsight.simulation.drive import Drive
 from wheelsight.simulation.drivers import Driver
 from wheelsight.simulation.faulty_recording import with_camera_faults
+from wheelsight.simulation.holonomic import simulate_holonomic_drive
 from wheelsight.simulation.physics import simulate_drive
 from wheelsight.simulation.realism import realism_of
 from wheelsight.simulation.renderer import Renderer
@@ -81,6 +82,9 @@ def _driven(
     on_progress: Callable[[float, float | None], None] | None,
 ) -> Drive:
     total_s = expected_s(settings, world)
+    tell = None if on_progress is None else lambda driven_s: on_progress(driven_s, total_s)
+    if settings.base != "differential":
+        return simulate_holonomic_drive(settings, world, tell)
     return simulate_drive(
         world,
         settings.robot,
@@ -91,7 +95,7 @@ def _driven(
         floor_seed=settings.seed,
         realism=realism_of(settings.realism),
         time_limit_s=settings.duration_s or _LONGEST_DRIVE_S,
-        on_progress=None if on_progress is None else lambda driven_s: on_progress(driven_s, total_s),
+        on_progress=tell,
     )
 
 

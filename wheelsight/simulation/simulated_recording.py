@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from wheelsight.calibration import Calibration, Wheels
+from wheelsight.calibration import Calibration, HolonomicWheels, Wheels
 from wheelsight.events import Event
 from wheelsight.geometry import FloatArray
 from wheelsight.recordings import AssociationReport
 from wheelsight.simulation.drive import Drive
+from wheelsight.simulation.holonomic import nominal_wheels, owned_wheels
 from wheelsight.simulation.realism import realism_of, stream
 from wheelsight.simulation.realism.stamps import as_stamped
 from wheelsight.simulation.realism.wheel_sizes import as_calibrated
@@ -71,8 +72,10 @@ class SimulatedRecording:
     @property
     def true_calibration(self) -> Calibration:
         """What the robot truly is."""
-        T_base_camera = self.renderer.carriage.T_base_camera
-        return calibration_of(self.settings.robot.wheels, T_base_camera, self.renderer.true_calibration, "true")
+        T_base_camera, settings = self.renderer.carriage.T_base_camera, self.settings
+        is_holonomic = settings.base != "differential"
+        wheels = nominal_wheels(settings) if is_holonomic else settings.robot.wheels
+        return calibration_of(wheels, T_base_camera, self.renderer.true_calibration, "true")
 
     @property
     def camera_truth(self) -> Trajectory:
@@ -139,13 +142,23 @@ class SimulatedRecording:
 def as_owned(settings: SimulationSettings, camera: Calibration) -> Calibration:
     """What a robot's owner measured; `camera` is the calibration of the camera alone, as they have it."""
     robot, realism = settings.robot, realism_of(settings.realism)
+    if settings.base != "differential":
+        holonomic = nominal_wheels(settings)
+        if realism is not None:
+            holonomic = owned_wheels(settings, realism.wheel_sizes, stream(settings.seed, "wheel sizes"))
+        return calibration_of(holonomic, Robot().T_base_camera, camera, "nominal")
     wheels, T_base_camera = robot.nominal, Robot().T_base_camera
     if realism is not None and robot.wheels == wheels:
         wheels = as_calibrated(wheels, realism.wheel_sizes, stream(settings.seed, "wheel sizes"))
     return calibration_of(wheels, T_base_camera, camera, "nominal")
 
 
-def calibration_of(wheels: Wheels, T_base_camera: FloatArray, camera: Calibration, kind: str) -> Calibration:
+def calibration_of(
+    wheels: Wheels | HolonomicWheels, T_base_camera: FloatArray, camera: Calibration, kind: str
+) -> Calibration:
     """Cameras, mount and wheels in one; `camera` is the calibration of the camera alone, `kind` a word for reports."""
+    if isinstance(wheels, HolonomicWheels):
+        source = f"{camera.source}, {kind} holonomic base, simulated"
+        return replace(camera, T_base_camera=T_base_camera, holonomic=wheels, source=source)
     source = f"{camera.source}, {kind} wheelchair, simulated"
     return replace(camera, T_base_camera=T_base_camera, wheels=wheels, source=source)

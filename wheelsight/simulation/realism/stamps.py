@@ -8,13 +8,13 @@ from typing import TypeVar
 
 import numpy as np
 
-from wheelsight.events import WheelTicks, YawRate
+from wheelsight.events import WheelReading, YawRate
 from wheelsight.geometry import FloatArray, IntArray
 
 SHORTEST_S = 1e-4
 STAMP_DECIMALS = 6
 
-Reading = TypeVar("Reading", WheelTicks, YawRate)
+Reading = TypeVar("Reading", bound=WheelReading | YawRate)
 
 
 @dataclass(frozen=True, slots=True)
