@@ -185,6 +185,8 @@ class OwnOdometry(OneCaller):
             raise PartError(f"{name} answered {type(found).__name__}, not a MotionEstimate", fix=fix)
         if found.reason is not None or found.T_reference_current is None:
             return MotionEstimate.failed(found.reason or Reason.INVALID, found.matches, found.inliers)
+        if found.covariance is None:
+            raise PartError(f"{name} answered a motion without a covariance", fix="(6, 6), of the left perturbation")
         try:
             return self._checked(name, found)
         except ArgumentError as error:
