@@ -51,6 +51,13 @@ class Anchor:
         return MotionEstimate(T_anchor_camera, covariance, None, motion.matches, motion.inliers, hidden, motion.fitting)
 
 
+# The camera has left its map where the filter has it so far from there, metres; a turn by a radian counts as 1.5 m.
+# Wheels that the filter has believed meanwhile err by less in the second or two that a contradiction lasts.
+_LEFT_MAP_M = 0.15
+# A camera that has seen nothing for longer, seconds, may be right where wheels have drifted meanwhile.
+_LONGEST_GAP_S = 0.5
+
+
 class CameraMap:
     """See the module.
 
@@ -77,14 +84,34 @@ class CameraMap:
         self._T_map_camera: FloatArray | None = None  # at the last frame, where that was believed
         self.keyframe: KeyframeId | None = None
         self._T_keyframe_map: FloatArray | None = None
+        self._tracked_s, self._is_contradicted = -np.inf, False
 
     def forget_frame(self) -> None:
         """The last frame is over."""
         self._T_map_camera = None
 
+    def track(self, stamp_s: float, *, is_believed: bool) -> None:
+        """Take that a frame was tracked, and whether the filter believes it."""
+        if not is_believed and stamp_s - self._tracked_s <= _LONGEST_GAP_S:
+            self._is_contradicted = True
+        self._tracked_s = stamp_s
+
+    def is_left(self, T_map_camera: FloatArray, T_odom_base: FloatArray | None) -> bool:
+        """Whether the camera at a pose (4, 4) has left the map, by what the filter has decided about the base.
+
+        The filter has refused frames that followed each other, and believes the next ones: the camera leapt, as it does
+        by a period of paint that repeats. The map would leap along if it were laid to where the camera now is in it.
+        """
+        if not self._is_contradicted or T_odom_base is None:
+            return False
+        T_odom_camera = motions.times(T_odom_base, self._T_base_camera)
+        by_map = motions.times(self.T_odom_map, T_map_camera)
+        return bool(motions.view_shift_m(motions.times(motions.inverse(by_map), T_odom_camera)) > _LEFT_MAP_M)
+
     def believe(self, stamp_s: float, T_map_camera: FloatArray, T_odom_base: FloatArray | None) -> None:
         """A frame is where the camera has it in the map, and the base was at a pose when its image was taken."""
         self._T_map_camera, self.seen_s = T_map_camera, stamp_s
+        self._tracked_s, self._is_contradicted = stamp_s, False
         self.lay(T_odom_base)
 
     def lay(self, T_odom_base: FloatArray | None) -> None:

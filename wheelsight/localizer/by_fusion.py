@@ -261,7 +261,11 @@ class ByFusion:
             return self._again(frame, seen, answer)
         self._camera.unknown = 0
         self._carried.known(frame.stamp_s)
-        if update.is_believed and answer.T_odom_body is not None and answer.status is Status.TRACKING:
+        is_believed = update.is_believed and answer.T_odom_body is not None and answer.status is Status.TRACKING
+        self._map.track(frame.stamp_s, is_believed=is_believed)
+        if is_believed and self._map.is_left(seen.T_odom_body, update.T_odom_base):
+            return self._back_in_map(frame, answer, update.T_odom_base)
+        if is_believed:
             self._map.believe(frame.stamp_s, seen.T_odom_body, update.T_odom_base)
             self._map.refer(seen)
             if self.loops is not None and answer.covariance is not None:
@@ -312,6 +316,13 @@ class ByFusion:
         self._unsure.begin(spread_m, first)
         self._carried.begin()
         return self._begun(frame, again, seen.reason)
+
+    def _back_in_map(self, frame: RgbdFrame, answer: FusedEstimate, T_odom_base: FloatArray | None) -> FusedEstimate:
+        """The answer at a frame at which a camera that leapt starts again, at the pose in its map that wheels tell."""
+        assert T_odom_base is not None
+        assert answer.covariance is not None
+        again = self._camera.restart(frame, self._map.camera_at(T_odom_base), answer.covariance)
+        return answer if again.T_odom_body is None else self._begun(frame, again)
 
     def _restarted(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> CameraEstimate:
         """The camera's answer at a frame at which it starts, where it is believed to be.

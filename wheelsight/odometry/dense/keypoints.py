@@ -12,7 +12,7 @@ import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, se3
+from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.geometry.motion_kernels import is_definite
 from wheelsight.keyframes import KeyframeFeatures
 from wheelsight.odometry._lens import maps_without_lens
@@ -42,16 +42,23 @@ class KeypointTracker:
         settings: when keypoints count.
         has_landmarks: else frames are found by the frame before alone.
         threads: with more than one, keypoints are looked for beside other work.
+        fastest: metres and radians a second that the camera moves at most.
     """
 
     def __init__(
-        self, calibration: Calibration, settings: VerificationSettings, *, has_landmarks: bool = True, threads: int = 1
+        self,
+        calibration: Calibration,
+        settings: VerificationSettings,
+        *,
+        has_landmarks: bool = True,
+        threads: int = 1,
+        fastest: tuple[float, float] = (np.inf, np.inf),
     ) -> None:
         features = FeatureSettings(keypoints=settings.keypoints, candidates=2 * settings.keypoints)
         calibration, self._straight = _without_lens(calibration)
         self._T_color_camera = calibration.T_color_camera
         self._noise, self._color_sigma_px = calibration.depth_noise, calibration.color_sigma_px
-        self._settings, self._has_landmarks = settings, has_landmarks
+        self._settings, self._has_landmarks, self._fastest = settings, has_landmarks, fastest
         self._extractor = FeatureExtractor(calibration, features)
         self._by_view = ViewTracker(calibration, features, Stopwatch())
         self._by_landmarks = MapTracker(calibration, features)
@@ -109,6 +116,8 @@ class KeypointTracker:
         found = self._by_view.track(features, self._last, self._in_color(twist), None, self._asked)
         if not isinstance(found, Fix):
             return None
+        if self._is_too_fast(found, self._last, features.stamp_s - self._last.features.stamp_s):
+            return None
         if self._has_landmarks:
             refined = self._by_landmarks.track(features, found, self._last, self._landmarks)
             found = refined if isinstance(refined, Fix) else found
@@ -155,6 +164,12 @@ class KeypointTracker:
         """Landmarks and the last frame go with their keyframes, which have moved in the map by (K, 4, 4)."""
         self._landmarks.move(T_new_old)
         self._last = None if self._last is None else self._last.moved(T_new_old)
+
+    def _is_too_fast(self, found: Fix, last: View, seconds: float) -> bool:
+        """Whether no camera goes so far in so short a time: paint that repeats agrees a period farther on, too."""
+        T = se3.invert(last.T_map_color) @ found.view.T_map_color
+        way_m, turn_rad = float(np.linalg.norm(T[:3, 3])), float(so3.angle(T[:3, :3]))
+        return seconds > 0 and (way_m > self._fastest[0] * seconds or turn_rad > self._fastest[1] * seconds)
 
     def _in_color(self, twist: FloatArray) -> FloatArray:
         return np.asarray(se3.adjoint(self._T_color_camera) @ twist)

@@ -77,6 +77,7 @@ class DenseOdometry(OneCaller):
             self._settings.verification,
             has_landmarks=has_landmarks,
             threads=self._settings.threads,
+            fastest=(self._settings.max_speed_m_s, self._settings.max_turn_rad_s),
         )
         self._keypoints = keypoints
         self._views = Views(self._settings, self._gridder, self._maker, self.watch, model)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from wheelsight.estimates import MotionEstimate, Reason
-from wheelsight.geometry import FloatArray, se3
+from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.odometry.dense.fault_detection import FaultDetector
 from wheelsight.odometry.dense.grid import GridFrame
 from wheelsight.odometry.dense.keypoint_pose import KeypointPose
@@ -50,16 +50,29 @@ class Verifier:
 
     def ask(self, features: Features, twist: FloatArray, ahead: Prediction, state: TrackingState) -> Prediction:
         """What is expected of a frame, with what its keypoints say: by the frame before, or by keyframes known."""
+        seconds = ahead.seconds_to(features.stamp_s)
         with self._watch.stage("recognise"):
-            told = self._keypoints.track(features, twist)
+            told = self._possible(self._keypoints.track(features, twist), ahead, seconds)
             if told is not None and (state.failures == 0 or told.is_likely):
                 return replace(ahead, told=told)
             familiar = self._views.familiar(ahead.T_map_camera[0], state)
             seen_again = self._keypoints.recognise(features, familiar, twist)
+            seen_again = self._possible(seen_again, ahead, seconds)
         if seen_again is None:
             return replace(ahead, told=told)
         is_elsewhere = not ahead.is_helped and not seen_again.agrees_with(ahead.T_map_camera[0])
         return replace(ahead.at(seen_again.T_map_camera) if is_elsewhere else ahead, told=seen_again)
+
+    def _possible(self, told: KeypointPose | None, ahead: Prediction, seconds: float) -> KeypointPose | None:
+        """The pose by keypoints; None where no camera turns that fast, however well they agree.
+
+        Paint that repeats may look the same upside down, and all keypoints agree on it. Surfaces may have slid along a
+        wall before, so that keypoints put that right by a leap; they have not turned over.
+        """
+        if told is None or seconds <= 0:
+            return told
+        R_last_now = ahead.last.T_map_camera[:3, :3].T @ told.T_map_camera[:3, :3]
+        return told if so3.angle(R_last_now) <= self._all.max_turn_rad_s * seconds else None
 
     def verify(
         self, grid: GridFrame, found: Tracked | MotionEstimate, ahead: Prediction, state: TrackingState
