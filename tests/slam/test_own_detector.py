@@ -131,9 +131,11 @@ def apart_m(T_map_keyframe: FloatArray) -> float:
 
 def test_its_loops_move_the_keyframes_to_where_they_belong(store: KeyframeStore) -> None:
     without = driven(store, Named()).finish()
-    closed = driven(store, Named(lambda number: [number - LAP] if number >= LAP else [])).finish()
-    assert (len(without.loops.kept), len(closed.loops.kept)) == (0, LAP)
-    assert apart_m(closed.T_map_keyframe) < 0.02 < 0.1 < apart_m(without.T_map_keyframe)
+    near = (LAP, LAP - 1, LAP + 1, LAP - 2, LAP + 2)
+    closed = driven(store, Named(lambda number: [number - back for back in near if number >= back])).finish()
+    assert len(without.loops.kept) == 0
+    assert len(closed.loops.kept) > LAP
+    assert apart_m(closed.T_map_keyframe) < 0.05 < 0.1 < apart_m(without.T_map_keyframe)
 
 
 def test_an_error_at_the_last_keyframe_is_raised_by_close_and_only_warned_of_in_the_end(
