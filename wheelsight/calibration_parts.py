@@ -310,11 +310,20 @@ class HolonomicWheels:
         return np.ascontiguousarray(np.linalg.svd(self.jacobian)[0][:, 3:].T)
 
     @property
+    def lever_m(self) -> float:
+        """How far the wheels stand from the middle."""
+        if self.layout == "mecanum":
+            assert self.half_length_m is not None
+            assert self.half_width_m is not None
+            return math.hypot(self.half_length_m, self.half_width_m)
+        assert self.distance_m is not None
+        return self.distance_m
+
+    @property
     def turn_variance_per_m(self) -> float:
         """Variance of the base's turn, rad², after each wheel has gone one metre."""
         if self.layout == "increments":
-            assert self.distance_m is not None
-            return self.slip_m_per_sqrt_m**2 / self.distance_m**2
+            return self.slip_m_per_sqrt_m**2 / self.lever_m**2
         return self.slip_m_per_sqrt_m**2 * float(self.to_base[2] @ self.to_base[2])
 
 

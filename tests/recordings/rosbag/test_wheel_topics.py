@@ -10,12 +10,13 @@ import pytest
 from narrowing import not_none
 from written_bags import LOOKS_AHEAD, OPTICAL, Drive, camera_drive, circle, odometry_drive
 
-from wheelsight.calibration import Calibration, Wheels, save_calibration
+from wheelsight.calibration import Calibration, HolonomicWheels, Wheels, save_calibration
 from wheelsight.config import Config
 from wheelsight.errors import CalibrationError, ConfigError, RecordingError
 from wheelsight.evaluation import evaluate
-from wheelsight.events import WheelSpeeds, WheelTicks, YawRate
-from wheelsight.odometry.wheels import WheelOdometry
+from wheelsight.events import OdometryReading, WheelCounts, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.geometry import se2
+from wheelsight.odometry.wheels import HolonomicOdometry, WheelOdometry
 from wheelsight.pipeline import Tone, run_each, verdict_of_run
 
 OWN = Wheels(0.1, 0.1, 0.4, 1000.0)
@@ -204,23 +205,25 @@ def on_a_lever(lever_m: float) -> Drive:
 
 
 @pytest.mark.parametrize("share", [0.1, 1.0])
-def test_sideways_motion_is_said_with_its_share_and_the_camera_leads(opened, share: float) -> None:
+def test_sideways_motion_of_two_wheels_is_said_with_its_share_and_the_camera_leads(
+    opened, own_wheels: str, share: float
+) -> None:
     told = f"m that were looked at ({100 * share:.0f} %) are sideways, which two wheels cannot show"
-    alone = opened(aside(share))
+    alone = opened(aside(share), calibration=own_wheels)
     assert len(alone.wheel_faults) == 1
     assert told in alone.wheel_faults[0]
     assert alone.wheel_faults[0] in alone.warnings
     drive = aside(share)
     drive.messages += camera_drive().messages
-    recording = opened(drive)
+    recording = opened(drive, calibration=own_wheels)
     assert (recording.wheel_count, recording.frame_count) == (0, 6)
     assert any("/odom is left out" in warning and told in warning for warning in recording.warnings)
     assert recording.wheel_faults == ()
-    assert opened(drive, topics=("wheels=/odom",)).wheel_count == 60
+    assert opened(drive, calibration=own_wheels, topics=("wheels=/odom",)).wheel_count == 60
 
 
-def test_a_run_by_wheels_that_went_sideways_is_not_green(opened, tmp_path_factory) -> None:
-    records = run_each(opened(aside(1.0)), Config(odometry=("wheels",)), tmp_path_factory.mktemp("run"))
+def test_a_run_by_two_wheels_that_went_sideways_is_not_green(opened, own_wheels: str, tmp_path_factory) -> None:
+    records = run_each(opened(aside(1.0), calibration=own_wheels), Config(odometry=("wheels",)), tmp_path_factory.mktemp("run"))
     assert "goes sideways" in records[0].faults[0]
     assert verdict_of_run(records).tone is not Tone.GREEN
 
@@ -230,11 +233,142 @@ def test_measured_speeds_across_are_sideways_too(opened) -> None:
     for at_s in STAMPS_S:
         drive.add(at_s, "/robot/velocity", drive.make.twist(at_s, 0.0, 0.0, V))
     assert any("(100 %) are sideways" in warning for warning in opened(drive).warnings)
+    assert holonomic_end_of(opened(drive)) == pytest.approx((0.0, 2.95 * V, 0.0), abs=1e-6)
 
 
 @pytest.mark.parametrize("drive", [odometry_drive(), on_a_lever(0.3), aside(0.02)])
 def test_two_wheels_show_a_frame_before_the_axle_and_small_errors(opened, drive: Drive) -> None:
     assert not any("sideways" in warning for warning in opened(drive).warnings)
+
+
+# Ahead, to the left and turning, all at once.
+TWIST = np.array([0.2, 0.4, 0.3])
+
+
+def moved(at_s: float) -> tuple[float, float, float]:
+    """x, y and yaw of a holonomic base after so long at that twist."""
+    x, y, yaw = (float(part) for part in se2.to_parts(se2.exp(at_s * TWIST)))
+    return x, y, yaw
+
+
+def holonomic_end_of(recording) -> tuple[float, float, float]:
+    odometry = HolonomicOdometry(not_none(recording.calibration.holonomic))
+    readings = [event for event in recording.events() if isinstance(event, WheelCounts | OdometryReading)]
+    T = not_none([odometry.process(event) for event in readings][-1].T_odom_body)
+    return float(T[0, 3]), float(T[1, 3]), math.atan2(T[1, 0], T[0, 0])
+
+
+def by_poses() -> Drive:
+    drive = Drive()
+    for at_s in STAMPS_S:
+        drive.add(at_s, "/odom", drive.make.odometry(at_s, moved(at_s), TWIST[[0, 2]]))
+    return drive
+
+
+def by_tf() -> Drive:
+    drive = Drive()
+    for at_s in STAMPS_S:
+        drive.add(at_s, "/tf", drive.make.moving_tf(at_s, "odom", "base_link", moved(at_s)))
+    return drive
+
+
+def by_speeds() -> Drive:
+    drive = Drive()
+    for at_s in STAMPS_S:
+        drive.add(at_s, "/robot/velocity", drive.make.twist(at_s, TWIST[0], TWIST[2], TWIST[1]))
+    return drive
+
+
+@pytest.mark.parametrize("made", [by_poses, by_tf, by_speeds])
+@pytest.mark.parametrize("has_camera", [False, True])
+def test_an_odometry_that_goes_sideways_is_that_of_a_holonomic_base(
+    opened, made: Callable[[], Drive], has_camera: bool
+) -> None:
+    drive = made()
+    drive.messages += camera_drive().messages if has_camera else []
+    recording = opened(drive)
+    assert holonomic_end_of(recording) == pytest.approx(moved(2.95), abs=1e-5)
+    assert recording.calibration.wheels is None
+    assert recording.wheel_count == 60
+    assert recording.wheel_faults == ()
+    assert any("is taken for that of a holonomic base" in warning for warning in recording.warnings)
+
+
+def test_a_run_by_a_holonomic_base_goes_its_way(opened, tmp_path_factory) -> None:
+    (record,) = run_each(opened(aside(1.0)), Config(odometry=("wheels",)), tmp_path_factory.mktemp("run"))
+    positions_m = record.estimate.positions_m
+    assert np.linalg.norm(np.diff(positions_m, axis=0), axis=1).sum() == pytest.approx(V * 2.95, abs=1e-6)
+    assert record.faults == ()
+
+
+MECANUM = HolonomicWheels("mecanum", radius_m=0.05, half_length_m=0.2, half_width_m=0.15, ticks_per_turn=4096)
+OMNI = HolonomicWheels("omni", radius_m=0.05, distance_m=0.2, angles_rad=(1.0472, 3.1416, 5.236), ticks_per_turn=4096)
+
+
+@pytest.fixture
+def holonomic(tmp_path_factory) -> Callable[[HolonomicWheels], str]:
+    def of(wheels: HolonomicWheels) -> str:
+        path = tmp_path_factory.mktemp("robot") / "wheels.yaml"
+        save_calibration(Calibration(holonomic=wheels), path)
+        return str(path)
+
+    return of
+
+
+def angles_at(wheels: HolonomicWheels, at_s: float) -> list[float]:
+    return (wheels.jacobian @ TWIST * at_s / 0.05).tolist()
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("front_left_wheel_joint", "front_right_wheel_joint", "rear_left_wheel_joint", "rear_right_wheel_joint"),
+        ("fl_joint", "fr_joint", "bl_joint", "br_joint"),
+        ("wheel_left_front", "wheel_right_front", "wheel_left_back", "wheel_right_back"),
+    ],
+)
+@pytest.mark.parametrize("by", ["angles", "speeds"])
+def test_joints_of_four_mecanum_wheels_are_known_by_their_names(opened, holonomic, names, by: str) -> None:
+    drive, order = Drive(), [2, 0, 3, 1]
+    for at_s in STAMPS_S:
+        angles = np.array(angles_at(MECANUM, at_s))[order]
+        speeds = np.array(angles_at(MECANUM, 1.0))[order]
+        told = (angles.tolist(), []) if by == "angles" else ([], speeds.tolist())
+        with_arm = [[0.0, *one] if one else [] for one in told]
+        drive.add(at_s, "/joint_states", drive.make.joints(at_s, ["arm", *(names[i] for i in order)], *with_arm))
+    recording = opened(drive, calibration=holonomic(MECANUM))
+    assert holonomic_end_of(recording) == pytest.approx(moved(2.95), abs=3e-3)
+    assert any(", ".join(names) in warning for warning in recording.warnings)
+
+
+@pytest.mark.parametrize("wheels", [MECANUM, OMNI], ids=["mecanum", "omni"])
+def test_an_array_of_all_wheels_counts_in_the_calibrations_order(opened, holonomic, wheels: HolonomicWheels) -> None:
+    drive = Drive()
+    for at_s in STAMPS_S:
+        counts = [round(angle * 4096 / (2 * math.pi)) for angle in angles_at(wheels, at_s)]
+        drive.add(at_s, "/encoder_ticks", drive.make.counts(32, *counts))
+    assert holonomic_end_of(opened(drive, calibration=holonomic(wheels))) == pytest.approx(moved(2.95), abs=3e-3)
+
+
+def test_wheels_of_a_holonomic_base_can_be_named(opened, holonomic) -> None:
+    drive = Drive()
+    for at_s in STAMPS_S:
+        drive.add(at_s, "/joint_states", drive.make.joints(at_s, ["a", "b", "c"], angles_at(OMNI, at_s)[::-1], []))
+    calibration = holonomic(OMNI)
+    with pytest.raises(RecordingError, match=r"not 3 numbers that are known .*:WHEEL_1,WHEEL_2,WHEEL_3"):
+        opened(drive, calibration=calibration, topics=("wheels=/joint_states",))
+    recording = opened(drive, calibration=calibration, topics=("wheels=/joint_states:c,b,a",))
+    assert holonomic_end_of(recording) == pytest.approx(moved(2.95), abs=3e-3)
+
+
+def test_two_wheels_are_no_holonomic_base(opened, holonomic) -> None:
+    with pytest.raises(ConfigError, match="/mobile_base/sensors tells of two wheels"):
+        opened(kobuki(), calibration=holonomic(MECANUM), topics=("wheels=/mobile_base/sensors",))
+
+
+def test_a_stated_base_takes_its_odometry_where_no_wheels_count(opened, holonomic) -> None:
+    recording = opened(odometry_drive(), calibration=holonomic(MECANUM))
+    assert holonomic_end_of(recording) == pytest.approx(circle(2.95), abs=1e-6)
 
 
 TRUTH = "/mocap/robot"

@@ -228,10 +228,9 @@ class HolonomicOdometry(OneCaller):
         x, y = now.x_m - last.x_m, now.y_m - last.y_m
         T = _planar(c * x + s * y, c * y - s * x, now.yaw_rad - last.yaw_rad)
         xi = motions.log(T)[_PLANE]
-        lever_m = 1.0 if of.distance_m is None else of.distance_m
-        way_m = math.hypot(xi[0], xi[1]) + lever_m * abs(xi[2])
+        way_m = math.hypot(xi[0], xi[1]) + of.lever_m * abs(xi[2])
         variance = of.slip_m_per_sqrt_m**2 * way_m
-        return _Motion(xi, np.diag([variance, variance, variance / lever_m**2]), way_m, *none)
+        return _Motion(xi, np.diag([variance, variance, variance / of.lever_m**2]), way_m, *none)
 
     def _no_slip(self) -> tuple[FloatArray, FloatArray]:
         count = max(len(self._wheels.wheel_names) - 3, 0)
@@ -292,9 +291,7 @@ class HolonomicOdometry(OneCaller):
         """In so long the base may have gone anywhere its wheels could take it, evenly so."""
         of = self._wheels
         reach_m = of.max_speed_m_s * (while_s + _STAMP_JITTER_S)
-        lever_m = 1.0 / float(np.abs(of.to_base[2]).sum()) if of.wheel_names else of.distance_m
-        assert lever_m is not None
-        anywhere = np.diag([reach_m, reach_m, min(reach_m / lever_m, math.pi)]) ** 2 / 3
+        anywhere = np.diag([reach_m, reach_m, min(reach_m / of.lever_m, math.pi)]) ** 2 / 3
         Ad = motions.adjoint(self._T)[_IN_PLANE]
         self._P[:3, :3] += Ad @ anywhere @ Ad.T
         self._P[3, 3] += self._gyro.bias_walk_rad_s_per_sqrt_s**2 * while_s

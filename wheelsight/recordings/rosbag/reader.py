@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from wheelsight.calibration import Calibration, load_calibration, parse_calibration
+from wheelsight.calibration import Calibration, HolonomicWheels, Wheels, load_calibration, parse_calibration
 from wheelsight.errors import CalibrationError, RecordingError, WheelsightError
 from wheelsight.geometry import FloatArray, se3
 from wheelsight.inputs import is_there
@@ -28,6 +28,7 @@ from wheelsight.recordings.rosbag.stamps import TopicClock, clocks_of
 from wheelsight.recordings.rosbag.storage import Message, OpenBag, TransformTopic, open_bag
 from wheelsight.recordings.rosbag.topics import CALIBRATION, TEXT, Choices, Roles, lacks, roles_of
 from wheelsight.recordings.rosbag.transforms import motion_of
+from wheelsight.recordings.rosbag.wheel_topics import WheelSource
 from wheelsight.recordings.rosbag.wheels import JointSpeeds, JointTicks, SpeedReader, told_by_twist
 from wheelsight.trajectory import Trajectory
 
@@ -58,7 +59,9 @@ class BagReader:
         """
         choices = Choices.of(options.topics)
         with open_bag(folder) as bag:
-            roles = roles_of(bag, choices, _knows_wheels(bag, options))
+            stated = _stated_wheels(bag, options)
+            holonomic = stated if isinstance(stated, HolonomicWheels) else None
+            roles = roles_of(bag, choices, stated is not None or _is_own(bag), holonomic)
             if roles.color is None and roles.wheels is None:
                 raise lacks(roles, bag, folder)
             return _open(bag, roles, options)
@@ -122,26 +125,32 @@ def _calibrated(bag: OpenBag, roles: Roles, robot: Robot, options: OpenOptions) 
     assert calibration is not None
     if robot.needs_cameras and calibration.color is None:
         raise robot.lacks or CalibrationError("nothing tells what the camera is like", path=path, fix="give --camera")
-    if robot.needs_wheels and calibration.wheels is None:
+    if robot.needs_wheels and calibration.any_wheels is None:
         raise lacks_sizes(bag, roles)
     return calibration
 
 
-def _knows_wheels(bag: OpenBag, options: OpenOptions) -> bool:
-    """Whether a calibration says how large the wheels are; what is wrong with one is said when it is used."""
-    if any(topic.name == CALIBRATION and topic.type == TEXT and topic.count for topic in bag.topics):
-        return True
+def _is_own(bag: OpenBag) -> bool:
+    """Whether the bag is one of wheelsight's own, which carries the robot's calibration."""
+    return any(topic.name == CALIBRATION and topic.type == TEXT and topic.count for topic in bag.topics)
+
+
+def _stated_wheels(bag: OpenBag, options: OpenOptions) -> Wheels | HolonomicWheels | None:
+    """The wheels that a calibration states, the last one; what is wrong with one is said when it is used."""
+    stated = None
+    if _is_own(bag):
+        with suppress(WheelsightError):
+            stated = parse_calibration(bag.decode(bag.first(CALIBRATION)[0]).data, bag.path).any_wheels
     beside = bag.path / "calibration.yaml"
     for path in (*([beside] if is_there(beside) else []), *options.calibrations):
         with suppress(WheelsightError):
-            if load_calibration(path).wheels is not None:
-                return True
-    return False
+            stated = load_calibration(path).any_wheels or stated
+    return stated
 
 
 def _own(bag: OpenBag, roles: Roles) -> Calibration | None:
     """What a bag of our own carries as text; its wheels where their joints are used. Raises CalibrationError."""
-    if not any(topic.name == CALIBRATION and topic.type == TEXT and topic.count for topic in bag.topics):
+    if not _is_own(bag):
         return None
     told = parse_calibration(bag.decode(bag.first(CALIBRATION)[0]).data, bag.path)
     return told if roles.joints is not None else replace(told, wheels=None)
@@ -161,6 +170,8 @@ def _wheels(
         return partial(JointSpeeds, roles.joints), [f"{roles.wheels.name}: wheels are the joints {names}."], None
     topic, source = roles.wheels.name, roles.source
     assert source is not None
+    if source.is_holonomic:
+        return _of_holonomic(bag, source, calibration)
     nominal = need_wheels(shipped_robot("velocities"))
     if source.kind != "odometry":
         wheels = need_wheels(calibration) if source.needs_sizes else nominal
@@ -171,6 +182,23 @@ def _wheels(
     how = "speeds, since its poses stay at zero" if by_twist else source.tells
     told = [f"{topic}: wheels are known by {how}; it is the robot's own estimate, no truth."]
     return source.reader(nominal, nominal, by_twist), told, _variances(bag, topic, sampled[0])
+
+
+def _of_holonomic(
+    bag: OpenBag, source: WheelSource, calibration: Calibration
+) -> tuple[Callable[[], SpeedReader], list[str], None]:
+    """As `_wheels`, of a holonomic base. Raises CalibrationError where the calibration has two wheels."""
+    wheels, topic = calibration.holonomic, source.topic.name
+    if wheels is None:
+        problem = f"the calibration ({calibration.source}) has two wheels, and {topic} is of a holonomic base"
+        raise CalibrationError(problem, path=bag.path, fix="say `kind: holonomic` of its wheels")
+    is_posed = source.kind == "odometry"
+    messages = (*bag.first(topic, _FIRST_MESSAGES), bag.last(topic)) if is_posed else ()
+    by_twist = is_posed and told_by_twist([bag.decode(message) for message in messages])
+    how = "speeds, since its poses stay at zero" if by_twist else source.tells
+    estimate = "" if source.needs_sizes else "; it is the robot's own estimate, no truth"
+    told = f"{topic}: a holonomic base is known by {how}{estimate}."
+    return source.holonomic_reader(wheels, by_twist), [told], None
 
 
 def _truth(

@@ -14,7 +14,7 @@ import numpy as np
 
 from wheelsight.calibration import Calibration
 from wheelsight.errors import RecordingError
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.events import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame, YawRate
 from wheelsight.geometry import FloatArray
 from wheelsight.matches import Match, SpeedVariances
 from wheelsight.recordings._calibrated import corrected_depth
@@ -335,8 +335,7 @@ def _let_go(held: deque[Event | ListedFrame], next_stamp_s: float) -> Iterator[E
 
 _KINDS = {
     RawFrame: "frames",
-    WheelSpeeds: "wheel readings",
-    WheelTicks: "wheel readings",
+    **dict.fromkeys(WHEEL_READINGS, "wheel readings"),
     YawRate: "gyroscope readings",
 }
 

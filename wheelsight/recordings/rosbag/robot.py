@@ -7,7 +7,7 @@ from functools import reduce
 
 import numpy as np
 
-from wheelsight.calibration import Calibration
+from wheelsight.calibration import Calibration, HolonomicWheels
 from wheelsight.errors import CalibrationError
 from wheelsight.geometry import FloatArray, PinholeCamera
 from wheelsight.recordings._wheel_recording import shipped_robot
@@ -17,6 +17,7 @@ from wheelsight.recordings.rosbag.settings import BagSettings
 from wheelsight.recordings.rosbag.storage import OpenBag
 from wheelsight.recordings.rosbag.topics import ImageTopic, Roles
 from wheelsight.recordings.rosbag.transforms import Transforms
+from wheelsight.recordings.rosbag.wheel_topics import WheelSource
 
 # REP 105's names; the first that tf joins with the camera is the base. What stands on the ground comes first.
 _BASES = ("base_footprint", "base_link", "base")
@@ -57,7 +58,7 @@ def read_robot(bag: OpenBag, roles: Roles, settings: BagSettings) -> Robot:
         except CalibrationError as error:
             lacks = CalibrationError(error.problem, path=bag.path, fix=error.fix)
     T_base_camera = None if roles.depth is None else _mount(base, camera_frame(roles), transforms, warnings)
-    wheels = None if roles.wheels is None or roles.needs_sizes else shipped_robot("velocities")
+    wheels = None if roles.source is None or roles.needs_sizes else _nominal_wheels(roles.source)
     mount = None if T_base_camera is None else Calibration(T_base_camera=T_base_camera, source="tf")
     known = [part for part in (cameras, wheels, mount) if part is not None]
     calibration = reduce(Calibration.updated_by, known) if known else None
@@ -65,6 +66,16 @@ def read_robot(bag: OpenBag, roles: Roles, settings: BagSettings) -> Robot:
         lacks = lacks_sizes(bag, roles)
     needs = (roles.color is not None, roles.needs_sizes)
     return Robot(calibration, base, transforms, tuple(warnings), lacks, *needs)
+
+
+def _nominal_wheels(source: WheelSource) -> Calibration:
+    """Wheels that stand for an odometry of which the bag says no more."""
+    two = shipped_robot("velocities")
+    if not source.is_holonomic:
+        return two
+    assert two.wheels is not None
+    wheels = HolonomicWheels("increments", slip_m_per_sqrt_m=two.wheels.slip_m_per_sqrt_m)
+    return Calibration(holonomic=wheels, source="nominal, a holonomic base whose own odometry is read")
 
 
 def lacks_sizes(bag: OpenBag, roles: Roles) -> CalibrationError:

@@ -15,11 +15,19 @@ import yaml
 from wheelsight.calibration import Calibration, calibration_fields
 from wheelsight.depth_error import DepthError
 from wheelsight.errors import RecordingError
-from wheelsight.events import Event, RgbdFrame, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.events import (
+    Event,
+    HolonomicReading,
+    OdometryReading,
+    RgbdFrame,
+    WheelSpeeds,
+    WheelTicks,
+    YawRate,
+)
 from wheelsight.geometry import ByteArray, Float32Array, FloatArray, se3
 from wheelsight.recordings.image_files import FAST_PNG, JPEG_QUALITY
 from wheelsight.recordings.rosbag.messages import Messages
-from wheelsight.recordings.rosbag.topics import CALIBRATION
+from wheelsight.recordings.rosbag.topics import CALIBRATION, WHEEL_ODOMETRY
 
 ImageForm = Literal["raw", "png", "jpeg"]
 BASE, LINK = "base_link", "camera_link"
@@ -87,6 +95,8 @@ class RobotTopics:
         elif isinstance(event, YawRate):
             turning = self.make.turning(event.stamp_s, BASE, event.yaw_rate_rad_s)
             yield Sent(event.stamp_s, IMU, turning)
+        elif isinstance(event, HolonomicReading):
+            yield from self._of_holonomic(event)
         elif isinstance(event, WheelTicks | WheelSpeeds):
             yield from self._of_wheels(event)
 
@@ -131,6 +141,17 @@ class RobotTopics:
             speeds = [event.left_rad_s, event.right_rad_s]
         joints = self.make.joints(event.stamp_s, JOINTS, self._angles_rad, speeds)
         yield Sent(event.stamp_s, JOINT_STATES, joints)
+
+    def _of_holonomic(self, event: HolonomicReading) -> Iterator[Sent]:
+        """JointState of all wheels, or Odometry of what the base's own told."""
+        wheels = None if self._calibration is None else self._calibration.holonomic
+        if isinstance(event, OdometryReading):
+            T = se3.from_plane(event.x_m, event.y_m, event.yaw_rad)
+            told = self.make.odometry(event.stamp_s, ("wheel_odom", BASE), T, np.zeros(6), None)
+            yield Sent(event.stamp_s, WHEEL_ODOMETRY, told)
+        elif wheels is not None and wheels.ticks_per_turn is not None:
+            angles = [2 * math.pi / wheels.ticks_per_turn * count for count in event.counts]
+            yield Sent(event.stamp_s, JOINT_STATES, self.make.joints(event.stamp_s, wheels.wheel_names, angles, []))
 
 
 def mounts_of(calibration: Calibration) -> list[tuple[str, str, FloatArray]]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from wheelsight.calibration import HolonomicWheels
 from wheelsight.errors import ConfigError, RecordingError
 from wheelsight.recordings.rosbag.definitions import TF
 from wheelsight.recordings.rosbag.images import is_depth
@@ -17,6 +18,7 @@ from wheelsight.recordings.rosbag.wheel_topics import (
     WheelSource,
     chosen_source,
     counted_transform,
+    holonomic_source,
     is_fused,
     sideways,
     sources_in,
@@ -30,6 +32,8 @@ TRANSFORM = "geometry_msgs/msg/TransformStamped"
 TEXT = "std_msgs/msg/String"
 # Text of a calibration.yaml, which wheelsight's own bags carry; an Odometry beside it is its estimate.
 CALIBRATION = "/wheelsight/calibration"
+# What a holonomic base's own odometry told, in wheelsight's own bags.
+WHEEL_ODOMETRY = "/wheelsight/wheel_odometry"
 NONE = "none"
 _TYPES = {
     "color": (IMAGE, COMPRESSED),
@@ -80,18 +84,21 @@ class Choices:
         sides: names of joints or fields, or places in an array, of the left and the right wheels; frames of tf, parent
             and child, for wheels.
         truth_frames: likewise for the truth.
+        places: names of joints, or places in an array, of three or four wheels of a holonomic base.
     """
 
     topics: Mapping[str, str] = field(default_factory=dict)
     right: str | None = None
     sides: Joints | None = None
     truth_frames: Joints | None = None
+    places: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, texts: Sequence[str]) -> Choices:
         """Of "color=/camera/rgb/image_raw", or "wheels=/joint_states:left_joint,right_joint"."""
         topics: dict[str, str] = {}
         right, sides, truth_frames = None, None, None
+        places: tuple[str, ...] = ()
         for text in texts:
             match = _CHOICE.fullmatch(text)
             if match is None or match["role"] not in ROLES or (match["right"] and match["role"] != "wheels"):
@@ -100,10 +107,12 @@ class Choices:
             topics[match["role"]] = match["topic"]
             if match["role"] == "wheels":
                 right = match["right"]
-            if match["sides"]:
+            if match["role"] == "wheels" and match["sides"] and match["sides"].count(",") in (2, 3):
+                places = tuple(match["sides"].split(","))
+            elif match["sides"]:
                 named = _sides(text, match["role"], match["sides"])
                 sides, truth_frames = (named, truth_frames) if match["role"] == "wheels" else (sides, named)
-        return cls(topics, right, sides, truth_frames)
+        return cls(topics, right, sides, truth_frames, places)
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,13 +154,16 @@ class Roles:
         return names | {role: name for role, name in plain.items() if name is not None}
 
 
-def roles_of(bag: OpenBag, choices: Choices, knows_wheels: bool = False) -> Roles:
+def roles_of(
+    bag: OpenBag, choices: Choices, knows_wheels: bool = False, holonomic: HolonomicWheels | None = None
+) -> Roles:
     """Who is who in a bag. Of topics of images and joints the first message is read.
 
     Args:
         bag: is read; transforms of tf that are used become topics of their own in it.
         choices: of the user.
         knows_wheels: whether a calibration is there that has the wheels' sizes.
+        holonomic: the wheels of a calibration that says that the base also moves sideways.
 
     Raises:
         ConfigError: a topic that was chosen is not there, is empty, or of another type.
@@ -169,7 +181,11 @@ def roles_of(bag: OpenBag, choices: Choices, knows_wheels: bool = False) -> Role
     depth_info = None if own_depth is None else chosen.get("depth_info") or _info_of(own_depth, frames)
     truth = _truth(bag, chosen, choices)
     faults: list[str] = []
-    source = _wheels(bag, filled, color is not None, choices, knows_wheels, truth, warnings, faults)
+    if holonomic is None:
+        source = _wheels(bag, filled, color is not None, choices, knows_wheels, truth, warnings, faults)
+    else:
+        left_out = truth.of if isinstance(truth, TransformTopic) else truth
+        source = _holonomic(bag, [topic for topic in filled if topic.name != left_out], choices, holonomic, warnings)
     gyro = _gyro(filled, chosen, warnings)
     if source is not None and gyro is not None and "gyro" not in chosen and is_fused(source):
         warnings.append(f"{gyro} is left out: {source.topic.name} has it already, it seems: see --topic gyro=….")
@@ -313,7 +329,7 @@ def _wheels(
         return None
     if name is not None:
         chosen = chosen_source(bag, name, choices.right, choices.sides)
-        told = sideways(bag, chosen)
+        chosen, told = _as_it_moves(bag, chosen, knows_wheels, warnings)
         faults += [] if told is None else [f"{name} goes sideways: {told}; the way is wrong by as much."]
         return chosen
     own = any(topic.name == CALIBRATION for topic in filled)
@@ -324,18 +340,17 @@ def _wheels(
     usable = [source for source in found if knows_wheels or not source.needs_sizes]
     if not usable and not has_camera:
         usable = found
-    taken = usable[0] if usable else None
-    told = None if taken is None else sideways(bag, taken)
+    others = [source for source in found if not usable or source is not usable[0]]
+    taken, told = _as_it_moves(bag, usable[0], knows_wheels, warnings) if usable else (None, None)
     if taken is not None and told is not None:
         if not has_camera:
             faults.append(f"{taken.topic.name} goes sideways: {told}; the way is wrong by as much, no camera leads.")
         else:
             fix = f"the camera leads (--topic wheels={taken.topic.name} takes them all the same)"
             warnings.append(f"{taken.topic.name} is left out: {told}; {fix}.")
-            found, taken = [source for source in found if source is not taken], None
+            taken = None
     if taken is not None:
         warnings += [f"{taken.topic.name} is taken for the wheels' odometry, {taken.doubt}."] if taken.doubt else []
-    others = [source for source in found if source is not taken]
     if taken is not None and others:
         names = ", ".join(f"{source.topic.name} ({source.why_not(knows_wheels)})" for source in others)
         warnings.append(f"{taken.topic.name} is taken for the wheels, not {names}: see --topic wheels=….")
@@ -344,6 +359,50 @@ def _wheels(
         warnings.append(f"Wheels are not used: {names}.")
     warnings += unread_topics(bag, filled, found) if taken is None else []
     return taken
+
+
+def _as_it_moves(
+    bag: OpenBag, source: WheelSource, knows_wheels: bool, warnings: list[str]
+) -> tuple[WheelSource, str | None]:
+    """The source, as of a holonomic base where it goes sideways and no two wheels are known; where they are, how much.
+
+    What is taken for a holonomic base is said in `warnings`.
+    """
+    told = sideways(bag, source)
+    if told is None:
+        return source, None
+    if knows_wheels:
+        return source, f"{told}, which two wheels cannot show"
+    fix = "give a calibration.yaml with its wheels where it has but two"
+    warnings.append(f"{source.topic.name} is taken for that of a holonomic base: {told} ({fix}).")
+    return replace(source, is_holonomic=True), None
+
+
+def _holonomic(
+    bag: OpenBag, filled: Sequence[Topic], choices: Choices, wheels: HolonomicWheels, warnings: list[str]
+) -> WheelSource | None:
+    """What tells of a holonomic base whose wheels a calibration has: counts of all of them, else its own odometry."""
+    name = choices.topics.get("wheels")
+    if name == NONE:
+        return None
+    taken = holonomic_source(bag, filled, wheels, name, choices.places)
+    others: list[WheelSource] = []
+    if taken is None and name is not None:
+        taken = chosen_source(bag, name, choices.right, choices.sides)
+    elif taken is None:
+        own = any(topic.name == WHEEL_ODOMETRY for topic in filled)  # of ours, others are an estimate
+        filled = [topic for topic in filled if topic.name == WHEEL_ODOMETRY] if own else filled
+        found = sources_in(bag, filled, choices.sides, any(topic.name == CALIBRATION for topic in filled) and not own)
+        taken = next((source for source in found if not source.needs_sizes), None)
+        others = [source for source in found if source is not taken]
+    if taken is not None and taken.needs_sizes and not taken.is_holonomic:
+        problem = f"--topic wheels={taken.topic.name} tells of two wheels, and the calibration has a holonomic base"
+        raise ConfigError(problem, fix="name a topic of all its wheels, or of its odometry")
+    if others:
+        names = ", ".join(source.topic.name for source in others)
+        what = "Wheels are not used" if taken is None else f"{taken.topic.name} is taken for the wheels, not {names}"
+        warnings.append(f"{what}: see --topic wheels=….")
+    return None if taken is None else replace(taken, is_holonomic=True)
 
 
 def _gyro(filled: Sequence[Topic], chosen: Mapping[str, str], warnings: list[str]) -> str | None:

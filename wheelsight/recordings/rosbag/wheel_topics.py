@@ -12,11 +12,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from wheelsight.calibration import Wheels
+from wheelsight.calibration import HolonomicWheels, Wheels
 from wheelsight.errors import ConfigError, RecordingError
 from wheelsight.recordings.rosbag.definitions import TF
 from wheelsight.recordings.rosbag.storage import OpenBag, Topic, TransformTopic
 from wheelsight.recordings.rosbag.wheels import (
+    AllCounts,
+    BasePoses,
     CountedTicks,
     CountsApart,
     Joints,
@@ -25,6 +27,7 @@ from wheelsight.recordings.rosbag.wheels import (
     ToldSpeeds,
     TwistSpeeds,
     columns_of,
+    corner_joints,
     fields_of,
     increment,
     planar_of,
@@ -87,6 +90,8 @@ class WheelSource:
         transform: of tf.
         rank: the least is taken.
         doubt: what speaks against it; empty where nothing does.
+        is_holonomic: whether it is of a base that also moves sideways.
+        places: of its wheels, joints or places in an array, in the order of the calibration's wheels.
     """
 
     topic: Topic
@@ -98,6 +103,8 @@ class WheelSource:
     unit: str = ""
     transform: TransformTopic | None = None
     doubt: str = ""
+    is_holonomic: bool = False
+    places: tuple[str, ...] = ()
 
     @property
     def needs_sizes(self) -> bool:
@@ -108,6 +115,7 @@ class WheelSource:
     def tells(self) -> str:
         """In a few words what it tells, for a user."""
         sides = "" if self.sides is None else f"{'+'.join(self.sides.left)} and {'+'.join(self.sides.right)}"
+        sides = ", ".join(self.places) or sides
         return {
             "odometry": "increments of its poses",
             "joints": f"the joints {sides}",
@@ -141,6 +149,15 @@ class WheelSource:
             return partial(ToldSpeeds, fields_of, sides)
         per_number = 1e-3 / wheels.left_m_per_tick if self.unit == "mm" else 1.0
         return partial(CountedTicks, fields_of, sides, self.bits, per_number)
+
+    def holonomic_reader(self, wheels: HolonomicWheels, by_twist: bool) -> Callable[[], SpeedReader]:
+        """Makes readers of it as of a holonomic base's. Args: the robot's wheels, whether poses say nothing."""
+        if self.kind == "joints":
+            return partial(AllCounts, self.places, 0, wheels.ticks_per_turn)
+        if self.kind == "columns":
+            return partial(AllCounts, self.places, self.bits)
+        told_of = planar_of if self.kind == "odometry" else self.planar_of_tf
+        return partial(BasePoses, None if by_twist or self.kind == "twist" else told_of)
 
     def planar_of_tf(self, message: Any) -> Any:
         """Pose and twist of a message of tf; see `planar_of_transform`."""
@@ -396,6 +413,45 @@ def unread_topics(bag: OpenBag, topics: Sequence[Topic], found: Sequence[WheelSo
     return told
 
 
+def holonomic_source(
+    bag: OpenBag, topics: Sequence[Topic], wheels: HolonomicWheels, named: str | None, places: Sequence[str]
+) -> WheelSource | None:
+    """Joints or an array of all wheels of a holonomic base, by the names of its wheels, or as a user named them.
+
+    Raises:
+        RecordingError: of a topic that a user named, which of its numbers are which wheel's is to be said.
+    """
+    count = len(wheels.wheel_names)
+    for topic in topics if count else ():
+        if named is not None and topic.name != named:
+            continue
+        if topic.type == JOINTS:
+            found = tuple(places) or _joints_of_all(bag, topic.name, wheels)
+            if len(found) == count:
+                return WheelSource(topic, "joints", 0, is_holonomic=True, places=found)
+        elif match := _ARRAY.fullmatch(topic.type):
+            first = bag.decode(bag.first(topic.name)[0]).data
+            found = tuple(places) or (tuple(map(str, range(count))) if len(first) == count else ())
+            if len(found) == count and (named is not None or _is_counted(topic.name)):
+                return WheelSource(topic, "columns", 0, bits=_bits(match), is_holonomic=True, places=found)
+        else:
+            continue
+        if named is not None:
+            names = ",".join(wheels.wheel_names)
+            _refuse(bag, topic.name, f"not {count} numbers that are known for the calibration's wheels", names.upper())
+    return None
+
+
+def _joints_of_all(bag: OpenBag, topic: str, wheels: HolonomicWheels) -> tuple[str, ...]:
+    for message in bag.first(topic, _MOST_SAMPLES):
+        names = bag.decode(message).name
+        if set(wheels.wheel_names) <= set(names):
+            return wheels.wheel_names
+        if wheels.layout == "mecanum" and (found := corner_joints(names)) is not None:
+            return found
+    return ()
+
+
 def sideways(bag: OpenBag, source: WheelSource) -> str | None:
     """How much of an odometry's way is sideways, where it is more than two wheels can roll; else None.
 
@@ -415,7 +471,7 @@ def sideways(bag: OpenBag, source: WheelSource) -> str | None:
         return None
     share = 100 * sideways_m / way_m
     looked_at = f"{sideways_m:.2f} of {way_m:.2f} m that were looked at ({share:.0f} %)"
-    return f"{looked_at} are sideways, which two wheels cannot show"
+    return f"{looked_at} are sideways"
 
 
 def _steps(bag: OpenBag, source: WheelSource) -> np.ndarray:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
 from wheelsight.calibration import Wheels
-from wheelsight.events import WheelSpeeds, WheelTicks
+from wheelsight.events import OdometryReading, WheelCounts, WheelReading, WheelSpeeds, WheelTicks
 from wheelsight.geometry import se2
 from wheelsight.recordings._wheel_recording import speeds_of_wheels
 from wheelsight.recordings.rosbag.definitions import are_measured
@@ -42,7 +42,7 @@ class SpeedReader(Protocol):
 
     unusable: int
 
-    def add(self, stamp_s: float, message: Any) -> WheelSpeeds | WheelTicks | None:
+    def add(self, stamp_s: float, message: Any) -> WheelReading | None:
         """The speeds from the message before until this one, or the counts of this one; None where there are none."""
 
     def end(self) -> WheelSpeeds | None:
@@ -292,12 +292,15 @@ class JointSpeeds(_HeldSpeeds[_AnglesAndSpeeds]):
     def _between(self, stamp_s: float, before: _AnglesAndSpeeds, now: _AnglesAndSpeeds, lasted_s: float) -> WheelSpeeds:
         if not now[0] or not before[0]:
             return self._speeds(stamp_s, before[1])
-        return self._speeds(stamp_s, [self._turned(a, b) / lasted_s for a, b in zip(before[0], now[0], strict=True)])
+        return self._speeds(stamp_s, [self.turned(a, b) / lasted_s for a, b in zip(before[0], now[0], strict=True)])
 
     def _after(self, stamp_s: float, last: _AnglesAndSpeeds) -> WheelSpeeds:
         return self._speeds(stamp_s, last[1] or [0.0] * len(self._joints.left + self._joints.right))
 
     def _told(self, message: Any) -> _AnglesAndSpeeds | None:
+        return self.read(message)
+
+    def read(self, message: Any) -> _AnglesAndSpeeds | None:
         """Angles and speeds of the joints, left ones first, each empty where the message has none."""
         places = {name: place for place, name in enumerate(message.name)}
         wanted = [places.get(name) for name in (*self._joints.left, *self._joints.right)]
@@ -312,7 +315,7 @@ class JointSpeeds(_HeldSpeeds[_AnglesAndSpeeds]):
         self._farthest_rad = max(self._farthest_rad, *map(abs, angles or [0.0]))
         return angles, speeds
 
-    def _turned(self, before_rad: float, after_rad: float) -> float:
+    def turned(self, before_rad: float, after_rad: float) -> float:
         """How far a joint turned; angles that never leave one turn start anew at its end."""
         turned_rad = after_rad - before_rad
         if abs(turned_rad) > math.pi and self._farthest_rad <= 2 * math.pi + _WRAP_SLACK:
@@ -323,6 +326,126 @@ class JointSpeeds(_HeldSpeeds[_AnglesAndSpeeds]):
         count = len(self._joints.left)
         left, right = of_joints[:count], of_joints[count:]
         return WheelSpeeds(stamp_s, sum(left) / len(left), sum(right) / len(right))
+
+
+class BasePoses:
+    """The pose of a holonomic base by its own odometry.
+
+    Args:
+        told_of: pose x, y, yaw and twist of a message, or None where its numbers are none; without it, the speeds
+            ahead, to the left and turning of messages are summed up, each pair of messages by their mean.
+
+    Attributes:
+        unusable: messages that hold no numbers.
+    """
+
+    def __init__(self, told_of: Callable[[Any], _PoseAndTwist | None] | None) -> None:
+        self.unusable, self._told_of = 0, told_of
+        self._T = se2.from_parts(0.0, 0.0, 0.0)
+        self._last: tuple[float, tuple[float, float, float]] | None = None
+
+    def add(self, stamp_s: float, message: Any) -> OdometryReading | None:
+        """See `SpeedReader`; a message that is no newer than the one before is left out."""
+        known = self._told_of(message) if self._told_of is not None else None
+        told = twist_of(message) if self._told_of is None else None if known is None else known[0]
+        if told is None or (self._last is not None and stamp_s <= self._last[0]):
+            self.unusable += told is None
+            return None
+        if self._told_of is None:
+            if self._last is not None:
+                before_s, before = self._last
+                step = [(a + b) / 2 * (stamp_s - before_s) for a, b in zip(before, told, strict=True)]
+                self._T = se2.compose(self._T, se2.exp(step))
+            x_m, y_m, yaw_rad = (float(part) for part in se2.to_parts(self._T))
+        else:
+            x_m, y_m, yaw_rad = told
+        self._last = stamp_s, told
+        return OdometryReading(stamp_s, x_m, y_m, yaw_rad)
+
+    def end(self) -> None:
+        """See `SpeedReader`."""
+
+
+class AllCounts:
+    """Counts of all wheels of a holonomic base, of an array, or of the angles or speeds of joints.
+
+    Args:
+        places: names of joints, or places in an array, in the order of the calibration's wheels.
+        bits: of an array, after how many bits its numbers begin anew, which is undone; 0 for never.
+        ticks_per_turn: counts a turn, of joints; None of an array.
+
+    Attributes:
+        unusable: messages that lack one of them.
+    """
+
+    def __init__(self, places: tuple[str, ...], bits: int = 0, ticks_per_turn: float | None = None) -> None:
+        self.unusable, self._places = 0, places
+        self._unrolled = [_Unrolled(bits) for _ in places]
+        self._joints = None if ticks_per_turn is None else JointSpeeds(Joints(places, ()))
+        self._per_rad = 0.0 if ticks_per_turn is None else ticks_per_turn / (2 * math.pi)
+        self._angles_rad = [0.0] * len(places)
+        self._last: tuple[float, _AnglesAndSpeeds] | None = None
+        self._last_s = -math.inf
+
+    def add(self, stamp_s: float, message: Any) -> WheelCounts | None:
+        """See `SpeedReader`; a message that is no newer than the one before is left out."""
+        if stamp_s <= self._last_s:
+            return None
+        counts = self._of_array(message) if self._joints is None else self._of_joints(self._joints, stamp_s, message)
+        if counts is None:
+            self.unusable += 1
+            return None
+        self._last_s = stamp_s
+        return WheelCounts(stamp_s, counts)
+
+    def end(self) -> None:
+        """See `SpeedReader`."""
+
+    def _of_array(self, message: Any) -> tuple[int, ...] | None:
+        numbers = columns_of(message)
+        told = [numbers.get(place, math.nan) for place in self._places]
+        if not all(math.isfinite(number) for number in told):
+            return None
+        return tuple(round(unrolled(number)) for unrolled, number in zip(self._unrolled, told, strict=True))
+
+    def _of_joints(self, joints: JointSpeeds, stamp_s: float, message: Any) -> tuple[int, ...] | None:
+        told = joints.read(message)
+        if told is None:
+            return None
+        angles, speeds = told
+        if self._last is None:
+            self._angles_rad = list(angles) or self._angles_rad
+        else:
+            before_s, (angles_before, speeds_before) = self._last
+            if angles and angles_before:
+                turned = [joints.turned(a, b) for a, b in zip(angles_before, angles, strict=True)]
+            else:
+                pairs = zip(speeds_before or speeds, speeds or speeds_before, strict=True)
+                turned = [(a + b) / 2 * (stamp_s - before_s) for a, b in pairs]
+            self._angles_rad = [angle + more for angle, more in zip(self._angles_rad, turned, strict=True)]
+        self._last = stamp_s, told
+        return tuple(round(angle * self._per_rad) for angle in self._angles_rad)
+
+
+# Front and rear, left and right, as words of a joint's name, or by their letters: fl, rear_left, wheel_lf_joint.
+_CORNERS = tuple(
+    re.compile(
+        rf"({end})[_\-.]?{side}|{side}[_\-.]?({end})|(?:^|[_\-/.])(?:[{letters}]{side[0]}|{side[0]}[{letters}])(?:$|[_\-/.\d])",
+        re.IGNORECASE,
+    )
+    for end, letters in (("front|fore|upper", "fu"), ("rear|back|aft|lower", "rb"))
+    for side in ("left", "right")
+)
+
+
+def corner_joints(names: Sequence[str]) -> tuple[str, ...] | None:
+    """Of four wheels at the corners of a base: front left, front right, rear left, rear right; None where unknown."""
+    wheels = [name for name in names if not _CASTER.search(name)]
+    found = [[name for name in wheels if corner.search(name)] for corner in _CORNERS]
+    if any(len(one) != 1 for one in found):
+        return None
+    places = tuple(one[0] for one in found)
+    return places if len(set(places)) == len(places) else None
 
 
 def wheel_joints(names: Sequence[str]) -> Joints | None:
