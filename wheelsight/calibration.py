@@ -156,6 +156,13 @@ class Calibration:
         return self.wheels if self.holonomic is None else self.holonomic
 
     @property
+    def lacks_two_wheels(self) -> str:
+        """Why what needs two driven wheels cannot be had, as "has …"; empty where there are two."""
+        if self.holonomic is not None:
+            return "has the wheels of a holonomic base, and this needs two driven wheels"
+        return "" if self.wheels is not None else "has no wheels"
+
+    @property
     def T_color_camera(self) -> FloatArray:
         """(4, 4) that maps points of the camera frame into the colour camera's: the identity where both are one."""
         return np.eye(4) if self.T_color_depth is None else self.T_color_depth

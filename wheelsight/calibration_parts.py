@@ -245,7 +245,8 @@ class HolonomicWheels:
     def _check_layout(self) -> None:
         needed, optional = HOLONOMIC_LAYOUTS[self.layout]
         of_layouts = {name for names in HOLONOMIC_LAYOUTS.values() for name in (*names[0], *names[1])}
-        given = {name for name in of_layouts if getattr(self, name) not in (None, (), 0)}
+        values = {name: getattr(self, name) for name in of_layouts}
+        given = {name for name, value in values.items() if value is not None and (np.size(value) and np.any(value))}
         for name in needed:
             if name not in given:
                 raise CalibrationError(f"{name} is missing", fix=f"layout {self.layout} needs {', '.join(needed)}")

@@ -125,9 +125,8 @@ def show_steps() -> Iterator[Callable[[str], None]]:
 
 def _wheels(calibration: Calibration) -> Wheels:
     if calibration.wheels is None:
-        raise CalibrationError(
-            f"the calibration ({calibration.source}) has no wheels", fix="give nominal ones by --calibration"
-        )
+        problem = f"the calibration ({calibration.source}) {calibration.lacks_two_wheels}"
+        raise CalibrationError(problem, fix="give nominal ones by --calibration")
     return calibration.wheels
 
 

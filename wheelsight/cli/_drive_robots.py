@@ -127,6 +127,8 @@ def _check_firmware(robot: LinkRobot, link: WheelLink) -> None:
 
 def _check_mount(calibration: Calibration, path: Path) -> None:
     """Refuse a robot of which nobody knows how it is built. Raises CalibrationError."""
+    if calibration.holonomic is not None:
+        raise CalibrationError(calibration.lacks_two_wheels, path=path, fix="wheelsight run localizes such a base")
     if calibration.wheels is None:
         raise CalibrationError("has no wheels", path=path, fix="wheelsight calibrate wheels finds their sizes")
     if calibration.T_base_camera is None:

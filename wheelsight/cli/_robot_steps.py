@@ -112,6 +112,8 @@ def loop_check(folder: Path, file: Path, topics: Sequence[str] | None) -> tuple[
     from wheelsight.odometry.wheels import check_loop, drive_of, with_sigmas
 
     source = open_for(folder, [str(file)], topics)
+    if source.calibration.holonomic is not None:
+        raise RecordingError(source.calibration.lacks_two_wheels, path=folder, fix="a robot with two driven wheels")
     if source.calibration.wheels is None:
         raise RecordingError("has no wheels, and FILE tells none", path=folder, fix="calibrate the wheels first")
     likely = ErrorStateSettings()

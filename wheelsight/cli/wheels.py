@@ -179,7 +179,10 @@ def _wheels_of(path: Path) -> Wheels:
     from wheelsight.calibration import load_calibration
     from wheelsight.errors import CalibrationError
 
-    wheels = load_calibration(path).wheels
+    calibration = load_calibration(path)
+    wheels = calibration.wheels
+    if calibration.holonomic is not None:
+        raise CalibrationError(calibration.lacks_two_wheels, path=path, fix="a robot with two driven wheels")
     if wheels is None:
         raise CalibrationError("holds no wheels", path=path, fix="add the field wheels: radii, track, ticks a turn")
     return wheels

@@ -69,7 +69,8 @@ class LinkRobot:
         period_s: float = PERIOD_S,
     ) -> None:
         if calibration.wheels is None:
-            raise ArgumentError("the calibration has no wheels", fix="calibrate them: docs/wheel-calibration.md")
+            fix = "a robot with two driven wheels, calibrated: docs/wheel-calibration.md"
+            raise ArgumentError(f"the calibration {calibration.lacks_two_wheels}", fix=fix)
         self._link, self._frames, self._calibration, self._period_s = link, frames, calibration, period_s
         self._control = VelocityControl(calibration.wheels.never_rolling_over, limits, control)
         self._restarts = link.report().restarts

@@ -79,7 +79,8 @@ class Senses:
         settings: NavigationSettings,
     ) -> None:
         if calibration.wheels is None:
-            raise ArgumentError("the calibration has no wheels", fix="calibrate them: docs/wheel-calibration.md")
+            fix = "a robot with two driven wheels, calibrated: docs/wheel-calibration.md"
+            raise ArgumentError(f"the calibration {calibration.lacks_two_wheels}", fix=fix)
         self._localization, self._floor, self._monitor = localization, floor, monitor
         self._footprint, self._settings, self._outline = footprint, settings, outline_of(footprint)
         self._viewer = DepthViewer(calibration, footprint, settings.view, settings.live)

@@ -243,6 +243,9 @@ class LiveSource:
 def _check(sensors: LiveSensors) -> None:
     if sensors.camera is None and sensors.link is None:
         raise ConfigError("there is no sensor to listen to", fix="--camera NAME, --wheels PORT, or both")
+    if sensors.link is not None and sensors.calibration.holonomic is not None:
+        problem = f"wheels at {sensors.link.port} are two, and the calibration has a holonomic base"
+        raise ConfigError(problem, fix="record its odometry in a bag, or leave out --wheels")
     if sensors.link is not None and sensors.calibration.wheels is None:
         problem = f"wheels at {sensors.link.port} tell nothing while their size is not known"
         raise ConfigError(problem, fix="--calibration FILE with wheels, or leave out --wheels")

@@ -79,6 +79,6 @@ def speeds_of_wheels(wheels: Wheels, stamp_s: float, forward_m_s: float, yaw_rat
 def need_wheels(calibration: Calibration) -> Wheels:
     """The calibration's wheels. Raises CalibrationError where there are none."""
     if calibration.wheels is None:
-        problem = f"the calibration ({calibration.source}) has no wheels"
+        problem = f"the calibration ({calibration.source}) {calibration.lacks_two_wheels}"
         raise CalibrationError(problem, fix="give a calibration.yaml with wheels by --calibration")
     return calibration.wheels

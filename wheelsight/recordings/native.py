@@ -5,6 +5,7 @@ A recording of wheels alone has no lists of images.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -96,24 +97,31 @@ def _read_readings(
     Which columns it has goes by the calibration's wheels; the pose by a base's own odometry is read beside any
     holonomic wheels.
     """
-    names, holonomic = column_names(path, ("stamp_s",)), calibration.holonomic
-    if set(_ODOMETRY) <= set(names) and (holonomic is not None or calibration.wheels is None):
+    holonomic = calibration.holonomic
+    names = () if holonomic is None else holonomic.wheel_names
+    if _has_columns(path, _ODOMETRY) and not _has_columns(path, names or ("left", "right")):
+        if calibration.wheels is not None:
+            fix = "say `kind: holonomic` of wheels in calibration.yaml, or write stamp_s,left,right"
+            raise RecordingError(f"has {', '.join(_ODOMETRY)}, which two wheels have not", path=path, fix=fix)
         table, warnings = read_columns(path, numbers=_ODOMETRY)
         poses = list(map(OdometryReading, table.stamps_s, *(table[name] for name in _ODOMETRY)))
         growing_poses, more = keep_growing(poses, table.lines, path)
         return tuple(growing_poses), warnings + more
-    if holonomic is not None and holonomic.wheel_names:
-        table, warnings = read_columns(path, counts=holonomic.wheel_names)
-        rows = zip(*(table[name] for name in holonomic.wheel_names), strict=True)
+    if names:
+        table, warnings = read_columns(path, counts=names)
+        rows = zip(*(table[name] for name in names), strict=True)
         counts = list(map(WheelCounts, table.stamps_s, rows))
         growing_counts, more = keep_growing(counts, table.lines, path)
         return tuple(growing_counts), warnings + more
-    if holonomic is None and "left" not in names and len(names) > 3:
-        problem = f"has {', '.join(names)}, which are no two wheels' columns"
-        fix = "say `kind: holonomic` of wheels in calibration.yaml, or write stamp_s,left,right"
-        raise RecordingError(problem, path=path, fix=fix)
     ticks, warnings = read_wheels(path)
     return tuple(ticks), warnings
+
+
+def _has_columns(path: Path, names: Sequence[str]) -> bool:
+    try:
+        return bool(column_names(path, ("stamp_s", *names)))
+    except RecordingError:
+        return False
 
 
 def _read_yaw_rates(folder: Path, calibration: Calibration) -> tuple[list[YawRate], list[str]]:

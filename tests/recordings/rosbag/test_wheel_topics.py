@@ -223,7 +223,8 @@ def test_sideways_motion_of_two_wheels_is_said_with_its_share_and_the_camera_lea
 
 
 def test_a_run_by_two_wheels_that_went_sideways_is_not_green(opened, own_wheels: str, tmp_path_factory) -> None:
-    records = run_each(opened(aside(1.0), calibration=own_wheels), Config(odometry=("wheels",)), tmp_path_factory.mktemp("run"))
+    recording = opened(aside(1.0), calibration=own_wheels)
+    records = run_each(recording, Config(odometry=("wheels",)), tmp_path_factory.mktemp("run"))
     assert "goes sideways" in records[0].faults[0]
     assert verdict_of_run(records).tone is not Tone.GREEN
 
@@ -261,7 +262,7 @@ def holonomic_end_of(recording) -> tuple[float, float, float]:
 def by_poses() -> Drive:
     drive = Drive()
     for at_s in STAMPS_S:
-        drive.add(at_s, "/odom", drive.make.odometry(at_s, moved(at_s), TWIST[[0, 2]]))
+        drive.add(at_s, "/odom", drive.make.odometry(at_s, moved(at_s), (TWIST[0], TWIST[2])))
     return drive
 
 

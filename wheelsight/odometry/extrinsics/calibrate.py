@@ -93,7 +93,7 @@ def calibrate_base(
     nominal = recording.calibration
     if nominal.wheels is None:
         raise CalibrationError(
-            f"the calibration of {recording.name} ({nominal.source}) has no wheels",
+            f"the calibration of {recording.name} ({nominal.source}) {nominal.lacks_two_wheels}",
             fix="give nominal ones in a calibration.yaml by --calibration: radii, track width, ticks a turn",
         )
     nominal.cameras  # noqa: B018  refuses a recording without, before anything is read
