@@ -25,6 +25,7 @@ from wheelsight.cli._recording_facts import clock_facts, frame_drops, topic_fact
 if TYPE_CHECKING:
     from wheelsight.recordings import AssociationReport
     from wheelsight.recordings.inspection import Inspection
+    from wheelsight.recordings.motion_clocks import MotionOffset
     from wheelsight.recordings.registration import RegistrationOffset
 
 _GAPS_SHOWN = 5
@@ -99,8 +100,16 @@ def _facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
         yield from _image_facts(inspection)
     if inspection.clock is not None:
         yield from clock_facts(inspection.clock)
+    if inspection.motion is not None:
+        yield "camera and wheels", _motion(inspection.motion)
     if inspection.ground_truth is None:
         yield "ground truth", "none"
+
+
+def _motion(motion: MotionOffset) -> str:
+    if motion.offset_s is None:
+        return f"whether their clocks are apart is not known: {motion.why_not}"
+    return f"by their turns the camera's stamps are {motion}"
 
 
 def _image_facts(inspection: Inspection) -> Iterator[tuple[str, str]]:

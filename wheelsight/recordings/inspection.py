@@ -15,6 +15,7 @@ from wheelsight.events import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame, Wh
 from wheelsight.geometry import Float32Array, FloatArray
 from wheelsight.recordings.clock_mapping import ClockMapping, clock_mapping
 from wheelsight.recordings.frame_clocks import read_frame_clocks
+from wheelsight.recordings.motion_clocks import MotionClock, MotionOffset
 from wheelsight.recordings.protocol import AssociationReport, ListsTopics, RecordedTopic, Recording
 from wheelsight.recordings.registration import FAR_FROM_CALIBRATED, OffsetMeter, RegistrationOffset, off_calibrated
 from wheelsight.recordings.repeats import Repeats
@@ -62,6 +63,7 @@ class Inspection:
         topics: of a bag, all of them and what each is used as; else none.
         clock: how the clock of the live camera that it is from was mapped; None where that is not known.
         repeated: how many frames show the image of the frame before.
+        motion: how far the camera's stamps are ahead of the wheels', by the turns of both; None without either.
     """
 
     name: str
@@ -86,6 +88,7 @@ class Inspection:
     topics: tuple[RecordedTopic, ...] = ()
     clock: ClockMapping | None = None
     repeated: int = 0
+    motion: MotionOffset | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """All of it as plain nested values; may hold NaN."""
@@ -106,6 +109,7 @@ def inspect_recording(recording: Recording, on_event: Callable[[], None] | None 
     stamps_s = np.array(tally.stamps_s, float)
     period_s = float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else float("nan")
     truth, calibration = recording.ground_truth, recording.calibration
+    motion = tally.turns.offset() if tally.wheel_readings and recording.frame_count else None
     offset = tally.offset_meter.offset()
     return Inspection(
         name=recording.name,
@@ -126,11 +130,24 @@ def inspect_recording(recording: Recording, on_event: Callable[[], None] | None 
         offset=offset,
         association=recording.association,
         ground_truth=sequence_statistics(truth) if truth is not None and len(truth) > 1 else None,
-        warnings=(*recording.warnings, *_warnings(tally, offset, recording)),
+        warnings=(*recording.warnings, *_warnings(tally, offset, recording), *_clock_warnings(motion, recording)),
         topics=tuple(recording.topics) if isinstance(recording, ListsTopics) else (),
         clock=clock_mapping(read_frame_clocks(recording.path)) if recording.path.is_dir() else None,
         repeated=tally.repeated,
+        motion=motion,
     )
+
+
+def _clock_warnings(motion: MotionOffset | None, recording: Recording) -> list[str]:
+    """That the clocks of camera and wheels are apart, by the turns of both."""
+    if motion is None or motion.offset_s is None or not motion.is_apart:
+        return []
+    wheels = recording.calibration.any_wheels
+    delay_s = (0.0 if wheels is None else wheels.delay_s) - motion.offset_s
+    return [
+        f"By the turns of both, the camera's stamps are {motion} of the wheels': the clocks are apart. "
+        f"Say `delay_s: {delay_s:.3f}` of the calibration's wheels."
+    ]
 
 
 def _warnings(tally: _Tally, offset: RegistrationOffset | None, recording: Recording) -> list[str]:
@@ -173,12 +190,16 @@ class _Tally:
     histogram: FloatArray = field(default_factory=lambda: np.zeros(len(_DEPTH_EDGES_M) - 1))
     offset_meter: OffsetMeter = field(default_factory=lambda: OffsetMeter())
 
+    def __post_init__(self) -> None:
+        self.turns = MotionClock(self.recording.calibration)
+
     @property
     def counted(self) -> tuple[type, ...]:
         """The events whose times are told of: frames, or where there are none the wheels' readings."""
         return (RgbdFrame, SkippedFrame) if self.recording.frame_count else WHEEL_READINGS
 
     def add(self, event: Event) -> None:
+        self.turns.add(event)
         if isinstance(event, self.counted):
             self.stamps_s.append(event.stamp_s)
         self.wheel_readings += isinstance(event, WheelReading)

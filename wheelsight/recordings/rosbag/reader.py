@@ -19,6 +19,7 @@ from wheelsight.matches import SpeedVariances
 from wheelsight.recordings._cameras import load_camera
 from wheelsight.recordings._wheel_recording import need_wheels, shipped_robot
 from wheelsight.recordings.clocks import FRAMES, WHEELS, stamp_warnings
+from wheelsight.recordings.motion_clocks import MotionClock
 from wheelsight.recordings.protocol import Layout, OpenOptions, RecordedTopic
 from wheelsight.recordings.rosbag.files import parts_of
 from wheelsight.recordings.rosbag.gravity import up_of_gyro
@@ -79,32 +80,53 @@ def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
     calibration = _calibrated(bag, roles, robot, options)
     wheels, of_wheels, variances = _wheels(bag, roles, calibration)
     truth, of_truth = _truth(bag, roles, robot, clocks, calibration)
-    plan = BagPlan(roles, clocks, wheels, up, options)
-    ends = _ends(bag, roles, clocks, lasts)
+    topics = _used_topics(bag, roles)
+
+    def recording(clocks: dict[str, TopicClock], of_motions: Sequence[str] = ()) -> BagRecording:
+        ends = _ends(bag, roles, clocks, lasts)
+        told = (*bag.warnings, *roles.warnings, *warnings, *of_motions, *robot.warnings, *of_gravity, *of_wheels)
+        told = (*told, *of_truth, *stamp_warnings(_outer(ends)))
+        plan = BagPlan(roles, clocks, wheels, up, options)
+        return BagRecording(bag.path, calibration, plan, topics, ends, told, variances, truth)
+
+    found = recording(clocks)
+    if roles.color is None or roles.depth is None:
+        return found
+    begins_ns = max(bag.first(image.name)[0].receipt_ns for image in (roles.color, roles.depth))
+    found.try_frames(bag, begins_ns + round(1e9 * settings.first_frames_s))
+    clocks, of_motions = _by_motions(found.turns(bag), roles, clocks)
+    return recording(clocks, of_motions) if of_motions else found
+
+
+def _used_topics(bag: OpenBag, roles: Roles) -> tuple[RecordedTopic, ...]:
     used_as = {name: " and ".join(r for r, n in roles.used.items() if n == name) for name in roles.used.values()}
-    recording = BagRecording(
-        bag.path,
-        calibration,
-        plan,
-        tuple(RecordedTopic(topic.name, topic.type, topic.count, used_as.get(topic.name, "")) for topic in bag.topics),
-        ends,
-        (
-            *bag.warnings,
-            *roles.warnings,
-            *warnings,
-            *robot.warnings,
-            *of_gravity,
-            *of_wheels,
-            *of_truth,
-            *stamp_warnings(_outer(ends)),
-        ),
-        variances,
-        truth,
+    return tuple(
+        RecordedTopic(topic.name, topic.type, topic.count, used_as.get(topic.name, "")) for topic in bag.topics
     )
-    if roles.color is not None and roles.depth is not None:
-        begins_ns = max(bag.first(image.name)[0].receipt_ns for image in (roles.color, roles.depth))
-        recording.try_frames(bag, begins_ns + round(1e9 * settings.first_frames_s))
-    return recording
+
+
+def _by_motions(
+    turns: MotionClock, roles: Roles, clocks: dict[str, TopicClock]
+) -> tuple[dict[str, TopicClock], list[str]]:
+    """Clocks of wheels and gyroscope that go with the camera's turns, and what was decided; as before where none."""
+    found = {role: turns.offset(sensor) for role, sensor in (("wheels", "wheels"), ("gyro", "gyroscope"))}
+    if found["gyro"].offset_s is None:
+        found["gyro"] = found["wheels"]  # one computer reads both
+    clocks, told = dict(clocks), []
+    for role, of in (("wheels", "wheels"), ("right wheel", "wheels"), ("gyro", "gyro")):
+        topic, offset = roles.used.get(role), found[of]
+        if topic is None or roles.color is None or offset.offset_s is None:
+            continue
+        # What receipt has taken out it knows but to within its delay: turns know better.
+        by_receipt = clocks[topic].shift_s != clocks[roles.color.name].shift_s
+        if not (offset.is_apart or (by_receipt and abs(offset.offset_s) > 3 * offset.sigma_s)):
+            continue
+        clocks[topic] = TopicClock(clocks[topic].shift_s + offset.offset_s, clocks[topic].by_receipt)
+        told.append(
+            f"{topic}: by the turns that both show, the camera's stamps are {offset}: the clocks are apart. "
+            "The difference is taken out."
+        )
+    return clocks, told
 
 
 def _calibrated(bag: OpenBag, roles: Roles, robot: Robot, options: OpenOptions) -> Calibration:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,6 +20,7 @@ from wheelsight.geometry import FloatArray
 from wheelsight.matches import Match, SpeedVariances
 from wheelsight.recordings._calibrated import corrected_depth
 from wheelsight.recordings._read_ahead import read_ahead
+from wheelsight.recordings.motion_clocks import MotionClock
 from wheelsight.recordings.protocol import AssociationReport, ListedFrame, OpenOptions, RecordedTopic
 from wheelsight.recordings.rosbag.definitions import are_measured
 from wheelsight.recordings.rosbag.images import color_of, depth_of
@@ -35,6 +37,8 @@ _WHEELS = ("wheels", "right wheel")
 _MOST_LOST = 0.02
 # At a walk the view has moved on by centimetres: colour and depth that are further apart are no frame.
 _LARGEST_SENSIBLE_GAP_S = 0.1
+# The turns of camera and wheels are compared over so many seconds, or fewer where they turned so far: a second of work.
+_MOST_COMPARED_S, _COMPARED_S, _ENOUGH_TURNED_RAD = 60.0, 20.0, 4.0
 _WRONG_SIZE = "choose its CameraInfo by --topic, or give --camera"
 
 
@@ -295,6 +299,22 @@ class BagRecording:
         raise RecordingError(
             f"{problem}: {_why_alone(passing.pairing)}", path=self.path, fix=_pairs_fix(passing.pairing)
         )
+
+    def turns(self, bag: OpenBag) -> MotionClock:
+        """What camera, wheels and gyroscope show of the robot's turns at the beginning."""
+        turns, passing, begin_s = MotionClock(self.calibration), _Pass(bag, self._plan), math.inf
+        for item in passing.items(images=True):
+            begin_s = min(begin_s, item.stamp_s)
+            if isinstance(item, RawFrame):
+                if turns.wants(item.stamp_s):
+                    with suppress(RecordingError):  # of a damaged image the pass over all frames tells
+                        turns.see(item.stamp_s, color_of(bag.decode(item.color), self.path))
+            else:
+                turns.add(item)
+            compared_s = item.stamp_s - begin_s
+            if compared_s > _MOST_COMPARED_S or (compared_s > _COMPARED_S and turns.turned_rad > _ENOUGH_TURNED_RAD):
+                break
+        return turns
 
     def _pass(self, images: bool = True) -> Iterator[Event | ListedFrame]:
         """One pass; frames do not know yet which one comes next. What it found is kept once it is through."""
