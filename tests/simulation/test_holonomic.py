@@ -37,7 +37,7 @@ def of(**changes: object) -> SimulationSettings:
 
 
 def readings_of(drive: Drive) -> list[HolonomicReading]:
-    return [reading for reading in drive.ticks if isinstance(reading, HolonomicReading)]
+    return list(drive.holonomic)
 
 
 def twists_of(drive: Drive) -> FloatArray:
@@ -63,7 +63,7 @@ def test_wheels_that_do_not_slip_lead_where_the_base_went(base: BaseName) -> Non
     T_world_base = drive.truth.T_frame_body[0] @ odometry.T_odom_base
     np.testing.assert_allclose(T_world_base[:3, 3], drive.truth.positions_m[-1], atol=0.01)
     kind = OdometryReading if base == "increments" else WheelCounts
-    assert {type(reading) for reading in drive.ticks} == {kind}
+    assert {type(reading) for reading in drive.holonomic} == {kind}
     assert not odometry.is_slipping
 
 

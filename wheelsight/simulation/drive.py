@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from wheelsight.events import WheelReading, YawRate
+from wheelsight.events import HolonomicReading, WheelReading, WheelTicks, YawRate
 from wheelsight.trajectory import Trajectory
 
 
@@ -18,13 +18,20 @@ class Drive:
         yaw_rates: of the gyroscope; empty where the robot has none.
         is_complete: False where the driver gave up or the time limit ended the drive before the route's end.
         reason: why not, in words; empty where it is complete.
+        holonomic: in place of `ticks`, the readings of a holonomic base.
     """
 
     truth: Trajectory
-    ticks: tuple[WheelReading, ...]
+    ticks: tuple[WheelTicks, ...]
     yaw_rates: tuple[YawRate, ...] = ()
     is_complete: bool = True
     reason: str = ""
+    holonomic: tuple[HolonomicReading, ...] = ()
+
+    @property
+    def readings(self) -> tuple[WheelReading, ...]:
+        """Of the wheels, whichever the base has."""
+        return self.holonomic or self.ticks
 
     @property
     def duration_s(self) -> float:

@@ -101,7 +101,7 @@ def simulate_holonomic_drive(
     truth = Trajectory(stamps_s, se3.from_plane(*poses.T), body="base")
     reason = "" if is_complete else f"the time limit of {settings.duration_s:g} s came before the end of the route"
     yaw_rates = _yaw_rates(settings, stamps_s, steps) if settings.robot.has_gyro else ()
-    return Drive(truth, readings, yaw_rates, is_complete, reason)
+    return Drive(truth, (), yaw_rates, is_complete, reason, readings)
 
 
 def _poses(paths: list[Path2d], settings: SimulationSettings) -> tuple[FloatArray, bool]:

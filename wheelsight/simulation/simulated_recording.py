@@ -91,7 +91,7 @@ class SimulatedRecording:
     @property
     def wheel_count(self) -> int:
         """How many wheel readings `events()` will yield."""
-        return len(self.drive.ticks)
+        return len(self.drive.readings)
 
     @property
     def association(self) -> AssociationReport:
@@ -129,9 +129,9 @@ class SimulatedRecording:
         """Of gyroscope and wheels, as they are stamped."""
         realism, drive, seed = realism_of(self.settings.realism), self.drive, self.settings.day_seed
         if realism is None:
-            return drive.yaw_rates, drive.ticks
+            return drive.yaw_rates, drive.readings
         gyro, wheels = stream(seed, "gyro stamps"), stream(seed, "wheel stamps")
-        return as_stamped(drive.yaw_rates, realism.stamps, gyro), as_stamped(drive.ticks, realism.stamps, wheels)
+        return as_stamped(drive.yaw_rates, realism.stamps, gyro), as_stamped(drive.readings, realism.stamps, wheels)
 
     def area_at(self, stamp_s: float) -> str | None:
         """The area in which the base truly was."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from wheelsight.calibration import Wheels
+from wheelsight.calibration import HolonomicWheels, Wheels
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.odometry.extrinsics import Agreement, Culprit, height_below
 
@@ -220,3 +220,45 @@ def test_a_wall_that_fills_the_view_is_no_floor(wall_m: float, turned_deg: float
     floor_m = np.where(below > 0.05, 0.9 / np.maximum(below, 0.05), np.inf)
     before_it = height_below(rays, np.where(depth_m > 0, np.minimum(depth_m, floor_m), floor_m), up, 0.9)
     assert before_it is None or before_it == pytest.approx(0.9, rel=0.1)
+
+
+HOLONOMIC = HolonomicWheels("increments", distance_m=0.25)
+# Ahead, sideways, back and askew, turning or not.
+ASKEW = [(0.1, 0.0, 0.0)] * 4 + [(0.0, 0.1, 0.05)] * 6 + [(-0.07, 0.07, 0.0)] * 4 + [(0.0, 0.0, -0.1)] * 4
+
+
+def of_holonomic(
+    told: Callable[[FloatArray], FloatArray] = lambda twist: twist, by_camera: Callable[[FloatArray], FloatArray] = seen
+) -> Agreement:
+    agreement = Agreement(HOLONOMIC, T_BASE_CAMERA)
+    for way_m, left_m, turn_rad in ASKEW:
+        twist = np.array([way_m, left_m, 0.0, 0.0, 0.0, turn_rad])
+        assert agreement.add(se3.exp(told(twist)), by_camera(se3.exp(twist)), None)
+    return agreement
+
+
+def test_a_holonomic_base_agrees_wherever_it_goes() -> None:
+    assert of_holonomic().agrees()
+    assert found(of_holonomic(), 1.0) == {}
+
+
+def test_two_wheels_would_not_agree_with_what_goes_sideways() -> None:
+    agreement = Agreement(WHEELS, T_BASE_CAMERA)
+    for way_m, left_m, turn_rad in ASKEW:
+        T = se3.exp([way_m, left_m, 0.0, 0.0, 0.0, turn_rad])
+        agreement.add(T, seen(T), None)
+    assert not agreement.agrees()
+
+
+def test_wrong_sizes_signs_and_depth_of_a_holonomic_base_are_named() -> None:
+    wrong = of_holonomic(lambda twist: 1.5 * twist)
+    assert not wrong.agrees()
+    assert "1.5 times the true ones" in found(wrong, 1.0)[Culprit.WHEELS]
+    assert "all wheels count backwards" in found(of_holonomic(lambda twist: -twist), 1.0)[Culprit.WHEELS]
+    shallow = of_holonomic(by_camera=lambda T_base: seen(T_base, depth=0.5))
+    # About: what a turn moves the camera aside is not known by the direction of the way.
+    assert "depth is 0.47 times the true one" in found(shallow, 0.5)[Culprit.CAMERA]
+
+
+def test_a_camera_that_looks_elsewhere_on_a_holonomic_base_does_not_agree() -> None:
+    assert not of_holonomic(by_camera=turned(2, 40.0)).agrees()
