@@ -19,7 +19,9 @@ GIVEN = {
     "T_map_odom": ("FloatArray", "wheelsight.geometry"),
     "T_odom_body": ("FloatArray", "wheelsight.geometry"),
     "T_prev_now": ("FloatArray", "wheelsight.geometry"),
+    "DrawnRobot": ("type[Robot]", "wheelsight.robots"),
     "begin_s": ("float", ""),
+    "camera": ("PinholeCamera", "wheelsight"),
     "calibration": ("Calibration", "wheelsight"),
     "clockwise_m": ("FloatArray", "wheelsight.geometry"),
     "counter_clockwise_m": ("FloatArray", "wheelsight.geometry"),
@@ -31,6 +33,7 @@ GIVEN = {
     "frame": ("RgbdFrame", "wheelsight"),
     "grid": ("OccupancyGrid", "wheelsight.mapping"),
     "intrinsics": ("FloatArray", "wheelsight.geometry"),
+    "lead": ("_Callable[..., NavigationResult]", "wheelsight.navigation"),
     "layer": ("LiveLayer", "wheelsight.navigation"),
     "localization": ("Localization", "wheelsight.navigation.localization"),
     "localizer": ("Localizer", "wheelsight"),
@@ -39,6 +42,7 @@ GIVEN = {
     "my_robot": ("EventSource", "wheelsight"),
     "now_s": ("float", ""),
     "p_camera": ("FloatArray", "wheelsight.geometry"),
+    "paint": ("ByteArray", "wheelsight.geometry"),
     "path": ("Path", "pathlib"),
     "record": ("RunRecord", "wheelsight"),
     "recording": ("Recording", "wheelsight"),
@@ -86,10 +90,10 @@ def python_blocks(page: Path) -> Iterator[tuple[int, str]]:
 
 def declared(block: str) -> str:
     """The block below declarations of what it uses and nobody made. Raises KeyError for a name that is not GIVEN."""
-    lines = ["from typing import Any as _Any", "_given: _Any = None"]
+    lines = ["from typing import Any as _Any, Callable as _Callable", "_given: _Any = None"]
     for name in unmade(block):
         kind, module = GIVEN[name]
-        word = re.sub(r".*\[|\]", "", kind) or name
+        word = re.sub(r".*[\[ ]|\]", "", kind) or name
         lines += [f"from {module} import {word}"] if module else []
         lines += [f"{name}: {kind} = _given"] if kind else []
     return "\n".join([*dict.fromkeys(lines), block])
