@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+import pytest
 import yaml
 from typer.testing import Result
 
+from wheelsight.calibration import Calibration, Wheels
 from wheelsight.cli._drive_inputs import drive_settings
 from wheelsight.cli._drive_options import DriveOptions
 from wheelsight.config import Config, load_config
+from wheelsight.geometry import PinholeCamera
+from wheelsight.localizer import choose_odometry
 from wheelsight.settings.profiles import over_profile
 
 Command = Callable[..., Result]
@@ -54,3 +59,21 @@ def test_a_drive_goes_by_a_profile_and_by_what_is_set_over_it() -> None:
     options = DriveOptions(explore=True, out=Path("out"), profile="pi", set_=["navigation.mppi.rollouts=300"])
     config = drive_settings(options)
     assert (config.profile, config.navigation.mppi.rollouts, config.localizer.most_width_px) == ("pi", 300, 320)
+
+
+@pytest.mark.parametrize("change", ["", "features.reference=previous", "dense.threads=1", "features.seed=3"])
+def test_a_drive_chooses_its_odometry_as_a_run_does(change: str) -> None:
+    options = DriveOptions(explore=True, out=Path("out"), set_=[change] if change else [])
+    mount, wheels = np.eye(4), Wheels(0.1, 0.1, 0.4, 4000.0)
+    camera = PinholeCamera(160, 120, 130.0, 130.0, 79.5, 59.5)
+    robot = Calibration.registered_camera(camera, T_base_camera=mount, wheels=wheels)
+    name, _, value = change.partition("=")
+    chosen = choose_odometry(robot, load_config(overrides={name: value} if change else {}))
+    assert drive_settings(options).odometry == chosen.odometry
+    assert chosen.odometry == ("wheels", "features" if "reference" in change else "dense")
+    assert drive_settings(options).tracks[-1] == "joined"
+
+
+def test_a_drive_goes_by_the_odometry_that_is_named() -> None:
+    options = DriveOptions(explore=True, out=Path("out"), set_=["odometry=wheels,features"])
+    assert drive_settings(options).odometry == ("wheels", "features")

@@ -115,14 +115,7 @@ def choose_odometry(calibration: Calibration, config: Config, sensors: Sensors =
     Raises:
         ConfigError: a map is asked for, and there are wheels without images.
     """
-    defaults = Config(profile=config.profile)
-    # Threads change no result, and a seed is of all that is random: neither says which odometry is wanted.
-    dense = config.dense.model_copy(update={"threads": defaults.dense.threads})
-    features = config.features.model_copy(update={"seed": defaults.features.seed})
-    asks_dense = config.map is not None or dense != defaults.dense
-    by_features = features != defaults.features and not asks_dense
-    is_slow = config.profile == "pi" and not asks_dense
-    by_camera: tuple[OdometryName, ...] = ("features",) if by_features or is_slow else ("dense",)
+    by_camera = (_camera_odometry(config, beside_wheels=False),)
     frames, readings, elsewhere = sensors.frames, sensors.readings, sensors.wheels_from
     if not elsewhere and (readings == 0 or (readings is None and calibration.any_wheels is None)):
         return Choice(by_camera, _why_no_wheels(calibration, READINGS) if readings is None else "")
@@ -135,7 +128,23 @@ def choose_odometry(calibration: Calibration, config: Config, sensors: Sensors =
     unused = _why_no_wheels(calibration, f"wheels from {elsewhere}" if elsewhere else counted(readings, READINGS))
     if unused:
         return Choice(by_camera, unused)
-    return Choice(("wheels", "features" if by_features else "dense"))
+    return Choice(odometry_of_robot(config))
+
+
+def odometry_of_robot(config: Config) -> tuple[OdometryName, OdometryName]:
+    """What localizes a robot that has wheels and a camera whose place on it is known: both joined."""
+    return "wheels", _camera_odometry(config, beside_wheels=True)
+
+
+def _camera_odometry(config: Config, *, beside_wheels: bool) -> OdometryName:
+    """Dense odometry, or that by features: see `choose_odometry`."""
+    defaults = Config(profile=config.profile)
+    # Threads change no result, and a seed is of all that is random: neither says which odometry is wanted.
+    dense = config.dense.model_copy(update={"threads": defaults.dense.threads})
+    features = config.features.model_copy(update={"seed": defaults.features.seed})
+    asks_dense = config.map is not None or dense != defaults.dense
+    is_slow = config.profile == "pi" and not beside_wheels
+    return "features" if (features != defaults.features or is_slow) and not asks_dense else "dense"
 
 
 def _why_no_wheels(calibration: Calibration, what: str) -> str:
