@@ -282,3 +282,16 @@ def test_clean_headers_stay_as_they_are_and_wrong_ones_among_them_go(speed: floa
             settled += clock.end()
             np.testing.assert_array_equal([stamp_s for stamp_s, _ in settled], clean_s[right])
             assert (clock.left_out, clock.settings) == (120 - right.sum(), [])
+
+
+@pytest.mark.parametrize("camera_hz", [2.0, *FAST[1:]])
+@pytest.mark.parametrize("by_s", [2.0, 3.0])
+def test_a_recorder_whose_clock_is_set_back_loses_nothing(opened, by_s: float, camera_hz: float) -> None:
+    """What comes then is received at the times of what came before: both are mixed in the bag."""
+    drive = timed_drive(camera_hz, 12.0, lambda s, topic: on_time(s, topic) - (by_s if s >= 7 else 0))
+    recording = opened(drive)
+    for kind in (RgbdFrame, WheelSpeeds, YawRate):
+        np.testing.assert_allclose(stamps_of(recording, kind), expected(kind, 12.0, camera_hz), atol=2e-6)
+    told = [warning for warning in recording.warnings if "clock of the recorder was set back" in warning]
+    assert {warning.split(":")[0] for warning in told} == {COLOR, DEPTH, ODOM, IMU}
+    assert not any("left out" in warning or "lost" in warning for warning in recording.warnings)

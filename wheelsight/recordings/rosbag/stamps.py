@@ -21,6 +21,10 @@ _AGREES_S = 0.25
 # So many messages in a row that follow each other make a clock that was set; fewer are single wrong stamps.
 _RUN = 5
 _MOST_PENDING = 12
+# Single wrong stamps are ahead too, but not so many that follow each other, where others reach their beginning.
+_FEWEST_AHEAD = 3
+# What a recorder received after its clock was set back waits for what came before, so long and so much of a topic.
+_MOST_AHEAD_S, _MOST_AHEAD_BYTES = 60.0, 192 << 20
 # Headers of topics that are received together may differ by so much: more is no delay of a driver's.
 APART_S = 0.5
 _RECENT = 50
@@ -41,12 +45,16 @@ class TopicClock:
         left_out: how many messages were left out for headers that fit neither their neighbours nor receipt.
         unstamped: how many single headers were 0; receipt stands for them.
         settings: (after which stamp, by how many seconds) the clock was set forward; negative for back.
+        set_back: (after which stamp, by how many seconds) the clock of the recorder was set back.
         newest_s: the newest stamp by now.
     """
 
     def __init__(self, shift_s: float = 0.0, by_receipt: bool = False) -> None:
         self.shift_s, self.by_receipt = shift_s, by_receipt
         self.left_out = self.unstamped = 0
+        self.set_back: list[tuple[float, float]] = []
+        self._ahead: list[tuple[float, Message]] = []
+        self._ahead_bytes = 0
         self.settings: list[tuple[float, float]] = []
         self.newest_s = -np.inf
         self._begins_with = shift_s
@@ -74,19 +82,23 @@ class TopicClock:
         if self._recent and self._goes_on(header_s, message.receipt_s):
             settled = self._late_ones()
             self._recent.append((header_s, message.receipt_s))
-            return [*settled, self._stamped(header_s, message)]
+            return [*settled, self._stamped(header_s, message), *self._reached()]
         self._pending.append((header_s, message))
         return self._resolve(others_s)
 
     def end(self) -> list[Settled]:
         """The rest, after the last message."""
         if self._recent:
-            return self._late_ones()
+            settled = [*self._late_ones(), *self._reached(_LARGEST_STEP)]
+            self._leave_out_ahead()
+            return settled
         chain = self._chain()
         return self._accept(chain) if len(chain) > len(self._pending) / 2 else self._late_ones()
 
     def _resolve(self, others_s: Iterable[float]) -> list[Settled]:
         """What is pending, where it is a run of its own: the beginning, or a clock that was set."""
+        if len(self._pending) >= _RUN and (settled := self._reached(_LARGEST_STEP)):
+            return [*settled, *self._late_ones()]
         chain = self._chain()
         least = _RUN if self._recent else max(_RUN - 1, len(self._pending) // 2 + 1)
         if len(self._pending) >= _RUN and len(chain) >= least:
@@ -142,9 +154,44 @@ class TopicClock:
             ):
                 settled.append(self._stamped(header_s, message))
             else:
-                self.left_out += 1
+                self._put_ahead(header_s, message)
         self._pending = []
         return settled
+
+    def _put_ahead(self, header_s: float, message: Message) -> None:
+        """Keep a message whose header is ahead, while those ahead follow each other; others are left out.
+
+        A recorder whose clock is set back receives what comes then at the times of what came before: both are mixed in
+        the bag. The headers of each go on, and those of the first reach the beginning of the others.
+        """
+        if self._recent and header_s <= self._recent[-1][0]:
+            self.left_out += 1
+            return
+        if self._ahead:
+            last_s, first_s = self._ahead[-1][0], self._ahead[0][0]
+            goes_on = 0 < header_s - last_s <= max(_LARGEST_STEP * self._period_s(), _SMALLEST_STEP_S)
+            is_too_long = self._ahead_bytes > _MOST_AHEAD_BYTES or header_s - first_s > _MOST_AHEAD_S
+            if not goes_on or is_too_long:
+                self._leave_out_ahead()
+        self._ahead.append((header_s, message))
+        self._ahead_bytes += len(message.data)
+
+    def _leave_out_ahead(self) -> None:
+        self.left_out += len(self._ahead)
+        self._ahead, self._ahead_bytes = [], 0
+
+    def _reached(self, most_periods: float = 1.5) -> list[Settled]:
+        """What was ahead, once the headers of what came before have reached its beginning."""
+        if len(self._ahead) < _FEWEST_AHEAD or not self._recent:
+            return []
+        last_s, first_s = self._recent[-1][0], self._ahead[0][0]
+        if not 0 < first_s - last_s <= most_periods * self._period_s():
+            return []
+        self.set_back.append((last_s + self.shift_s, self._recent[-1][1] - self._ahead[0][1].receipt_s))
+        run, self._ahead, self._ahead_bytes = self._ahead, [], 0
+        self._recent.clear()  # receipt begins anew, too
+        self._recent.extend((header_s, message.receipt_s) for header_s, message in run)
+        return [self._stamped(header_s, message) for header_s, message in run]
 
     def _out_of_order_s(self) -> float:
         """How far a header may be from what is usual at its receipt, to be good though a younger one was received."""
@@ -398,6 +445,11 @@ def clock_findings(topic: str, clock: TopicClock) -> list[str]:
         )
     if clock.unstamped:
         found.append(f"{topic}: {clock.unstamped:,} headers are 0; receipt stands for them.")
+    for after_s, by_s in clock.set_back[:3]:
+        found.append(
+            f"{topic}: the clock of the recorder was set back by about {by_s:.1f} s after {after_s:.3f} s: its times "
+            "of receipt come twice. Headers go on, and are believed."
+        )
     for after_s, by_s in clock.settings[:3]:
         way = "forward" if by_s > 0 else "back"
         found.append(
