@@ -7,9 +7,18 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+from documentation_blocks import python_blocks
+from narrowing import not_none
 from room_drive import make_room_drive
 from synthetic import make_tum_recording
+from typer.testing import CliRunner
+
+import wheelsight
+from wheelsight import Event, Localizer, read_tum
+from wheelsight.cli import app
+from wheelsight.estimates import Estimate
 
 Example = Callable[..., str]
 
@@ -69,6 +78,53 @@ def test_a_camera_that_is_covered_on_the_way_and_sees_bare_walls(example: Exampl
     make_room_drive(tmp_path / "drive", frames=4)
     printed = example("step_by_step.py", tmp_path / "drive")
     assert float(re.findall(r"ATE ([\d.]+) m", printed)[0]) < 0.03
+
+
+@pytest.mark.slow
+def test_readme_examples_and_command_line_give_the_same_poses(
+    project_folder: Path, example: Example, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the bit, of a drive by wheels and camera, by what stands in README and examples. `step_by_step.py` is another
+    method, by hand.
+    """
+    drive, answered = tmp_path / "drive", list[Estimate]()
+    make_room_drive(drive, frames=8)
+    result = CliRunner().invoke(app, ["run", str(drive), "--out", str(tmp_path / "cli")])
+    assert result.exit_code == 0, result.output
+    told = example("all_in_one.py", drive, tmp_path / "example")
+    cli, by_example = tmp_path / "cli" / "joined", tmp_path / "example" / "joined"
+    for name in ("trajectory.txt", "odom.txt", "covariances.csv"):
+        assert (cli / name).read_bytes() == (by_example / name).read_bytes()
+    assert without_times(cli / "status.csv") == without_times(by_example / "status.csv")
+    odom = read_tum(cli / "odom.txt")
+    assert told.startswith(f"{len(odom)} of ")
+
+    class Watched(Localizer):
+        def process(self, event: Event) -> Estimate | None:
+            estimate = super().process(event)
+            if estimate is not None and estimate.T_odom_body is not None:
+                answered.append(estimate)
+            return estimate
+
+    monkeypatch.setattr(wheelsight, "Localizer", Watched, raising=False)
+    (block,) = (block for _, block in python_blocks(project_folder / "README.md") if "localizer.process" in block)
+    exec(compile(block.replace("path/to/recording", str(drive)), "README.md", "exec"), {})
+    by_stamp = {estimate.stamp_s: estimate.T_odom_body for estimate in answered}
+    np.testing.assert_allclose(list(by_stamp), odom.stamps_s, atol=1e-6)
+    np.testing.assert_allclose(np.array(list(by_stamp.values())), odom.T_frame_body, atol=2e-6)  # as files have them
+    in_map = [estimate for estimate in answered if estimate.T_map_body is not None]
+    lines = [line for line in example("frame_by_frame.py", drive).splitlines() if " base at " in line]
+    printed = np.array([re.findall(r"[+-]?\d+\.\d{3}", line)[:4] for line in lines], float)
+    places = [(estimate.stamp_s, *not_none(estimate.T_map_body)[:3, 3]) for estimate in in_map]
+    np.testing.assert_allclose(printed, np.array(places), atol=5.1e-4)
+    assert len(lines) > 100
+
+
+def without_times(status: Path) -> list[list[str]]:
+    """The fields of a status file but that of the milliseconds."""
+    rows = [line.split(",") for line in status.read_text().splitlines()]
+    (column,) = (number for number, name in enumerate(rows[0]) if name == "time_ms")
+    return [[field for number, field in enumerate(row) if number != column] for row in rows]
 
 
 def test_every_example_is_tried(project_folder: Path) -> None:
