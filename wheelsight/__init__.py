@@ -57,12 +57,14 @@ if TYPE_CHECKING:
     )
     from wheelsight.odometry.dense import DenseOdometry, DenseSettings
     from wheelsight.odometry.features import FeatureOdometry, FeatureSettings
+    from wheelsight.odometry.own import VisualOdometry
     from wheelsight.odometry.wheels import HolonomicOdometry, WheelOdometry
     from wheelsight.places import PlaceMatch, PlaceModel
     from wheelsight.recordings import OpenOptions, Recording, open_recording, write_recording
     from wheelsight.runs import run, run_each
     from wheelsight.simulation import SimulatedRecording, SimulationSettings, write_simulation
     from wheelsight.simulation.simulate import simulate
+    from wheelsight.slam.recognised import LoopDetector
     from wheelsight.sources import EventSource
     from wheelsight.trajectory import Trajectory, read_kitti, read_tum, write_kitti, write_tum
     from wheelsight.views import PredictedView, ReferenceModel
@@ -93,6 +95,7 @@ __all__ = [
     "LigockiFilter",
     "LigockiSettings",
     "Localizer",
+    "LoopDetector",
     "MotionEstimate",
     "OccupancyGrid",
     "OccupancyMapper",
@@ -115,6 +118,7 @@ __all__ = [
     "SurfelMap",
     "SurfelSettings",
     "Trajectory",
+    "VisualOdometry",
     "WheelCounts",
     "WheelOdometry",
     "WheelSpeeds",
@@ -169,11 +173,13 @@ _NAMES_OF = {
     ),
     "odometry.dense": ("DenseOdometry", "DenseSettings"),
     "odometry.features": ("FeatureOdometry", "FeatureSettings"),
+    "odometry.own": ("VisualOdometry",),
     "odometry.wheels": ("HolonomicOdometry", "WheelOdometry"),
     "places": ("PlaceMatch", "PlaceModel"),
     "recordings": ("OpenOptions", "Recording", "open_recording", "write_recording"),
     "sources": ("EventSource",),
     "runs": ("run", "run_each"),
+    "slam.recognised": ("LoopDetector",),
     "simulation": ("SimulatedRecording", "SimulationSettings", "simulate", "write_simulation"),
     "trajectory": ("Trajectory", "read_kitti", "read_tum", "write_kitti", "write_tum"),
     "views": ("PredictedView", "ReferenceModel"),

@@ -208,6 +208,7 @@ class OwnOdometry(OneCaller):
 
     def _is_plausible(self, last: _Reference, reference: _Reference, found: MotionEstimate, stamp_s: float) -> bool:
         """Whether a camera may have moved so since the last tracked frame."""
+        assert found.T_reference_current is not None
         T_map_camera = reference.T_map_frame(self.store) @ found.T_reference_current
         velocity = twist_between(last.T_map_frame(self.store), T_map_camera, stamp_s - last.frame.stamp_s)
         fast = np.linalg.norm(velocity[:3]) > self._settings.max_speed_m_s
@@ -249,8 +250,14 @@ class OwnOdometry(OneCaller):
 
     def _fail(self, stamp_s: float, failure: MotionEstimate) -> CameraEstimate:
         self._state = self._state.failed()
-        counts = {"matches": failure.matches, "inliers": failure.inliers}
-        return CameraEstimate(stamp_s, self._state.status, reason=failure.reason, motion=failure, **counts)
+        return CameraEstimate(
+            stamp_s,
+            self._state.status,
+            reason=failure.reason,
+            matches=failure.matches,
+            inliers=failure.inliers,
+            motion=failure,
+        )
 
     def _answer(self, motion: MotionEstimate) -> CameraEstimate:
         last = self._last
