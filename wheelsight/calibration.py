@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import MISSING, dataclass, field, fields
+from functools import lru_cache
 from pathlib import Path
 from types import UnionType
 from typing import Any
@@ -112,6 +113,7 @@ class Calibration:
         for name in ("color", "depth"):
             if (camera := getattr(self, name)) is not None:
                 _check_middle(name, camera)
+                _check_lens(name, camera)
         for name in _MOST_APART_M:
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _motion(name, getattr(self, name)))
@@ -390,6 +392,20 @@ def _motion(name: str, value: Any) -> FloatArray:
     check_range(f"the way of {name}", float(np.linalg.norm(T[:3, 3])), Range(0, _MOST_APART_M[name], "m"))
     T.setflags(write=False)
     return T
+
+
+def _check_lens(name: str, camera: PinholeCamera) -> None:
+    """Raise CalibrationError, with its numbers, for a distortion that is no lens's."""
+    fault = _lens_fault(camera)
+    if fault is not None:
+        numbers = ", ".join(f"{k:.5g}" for k in camera.distortion)
+        fix = "calibrate it: wheelsight calibrate camera; of images that are rectified leave the distortion out"
+        raise CalibrationError(f"the distortion ({numbers}) of {name} {fault}", fix=fix)
+
+
+@lru_cache(maxsize=64)  # a calibration is made again for each change of one of its parts
+def _lens_fault(camera: PinholeCamera) -> str | None:
+    return camera.lens_fault()
 
 
 def _check_middle(name: str, camera: PinholeCamera) -> None:

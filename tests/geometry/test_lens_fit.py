@@ -22,3 +22,4 @@ def test_what_it_cannot_bend_is_told(rng: np.random.Generator) -> None:
     xy = rng.uniform(-0.6, 0.6, (200, 2))
     moved = fitted_lens(xy, xy + (0.01, 0.0))
     assert 0.001 < moved.worst < 0.02
+    assert 0 < moved.median < moved.worst

@@ -234,7 +234,8 @@ class RealSenseDriver:
         rays = [self._rs.rs2_deproject_pixel_to_point(told, [float(u), float(v)], 1.0)[:2] for u, v in px]
         fit = lens_fit.fitted_lens(rays, camera.normalise(px))
         if fit.worst * told.fx > _LENS_OFF_PX:
-            warnings.append(f"The {name} lens is known to {fit.worst * told.fx:.1f} px at the image's edge.")
+            off = f"{fit.median * told.fx:.2f} px in the median, and by {fit.worst * told.fx:.1f} px at worst"
+            warnings.append(f"Five coefficients miss the {name} lens by {off}.")
         return _with_lens(camera, fit.distortion)
 
     def _depth_noise(self, sensor: Any, depth: PinholeCamera) -> DepthNoise:

@@ -11,10 +11,11 @@ from wheelsight.geometry.arrays import FloatArray
 
 
 class LensFit(NamedTuple):
-    """k1, k2, p1, p2, k3, and the largest distance that is left, on the plane z = 1."""
+    """k1, k2, p1, p2, k3, and the largest distance that is left and the median one, on the plane z = 1."""
 
     distortion: tuple[float, float, float, float, float]
     worst: float
+    median: float
 
 
 def fitted_lens(xy: ArrayLike, xy_distorted: ArrayLike) -> LensFit:
@@ -33,4 +34,5 @@ def fitted_lens(xy: ArrayLike, xy_distorted: ArrayLike) -> LensFit:
     found = np.linalg.lstsq(rows.reshape(-1, 5), shift.reshape(-1), rcond=None)[0]
     left = rows @ found - shift
     k1, k2, p1, p2, k3 = (float(k) for k in found)
-    return LensFit((k1, k2, p1, p2, k3), float(np.linalg.norm(left, axis=1).max()))
+    off = np.linalg.norm(left, axis=1)
+    return LensFit((k1, k2, p1, p2, k3), float(off.max()), float(np.median(off)))
