@@ -17,7 +17,7 @@ from rehearsed_drive import CALIBRATION
 from sessions.kept_views import write_map
 from typer.testing import CliRunner, Result
 
-from wheelsight.calibration import Calibration, save_calibration
+from wheelsight.calibration import Calibration, HolonomicWheels, save_calibration
 from wheelsight.cli import app
 from wheelsight.devices.cameras import LIVE_CAMERAS
 from wheelsight.devices.protocol import Command as Commanded
@@ -125,6 +125,17 @@ def of_robot(port: object, calibration: Path, kept: Path, *more: object) -> tupl
 def test_a_real_robot_without_its_camera_is_refused(refusal: Refusal, kept: Path, calibration: Path) -> None:
     told = refusal(*of_robot("/dev/null", calibration, kept, "--camera", "kinet"))
     assert told == f"no camera is called 'kinet' (one of {', '.join(LIVE_CAMERAS)})"
+
+
+def test_a_holonomic_base_is_not_driven(
+    refusal: Refusal, kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plug_in(monkeypatch, HandFedCamera())
+    path = tmp_path / "mecanum.yaml"
+    save_calibration(Calibration(holonomic=HolonomicWheels("increments")), path)
+    told = refusal(*of_robot("/dev/null", path, kept))
+    why = "has the wheels of a holonomic base, and this needs two driven wheels"
+    assert told == f"{path}: {why} (wheelsight run localizes such a base)"
 
 
 def test_a_robot_of_which_nobody_knows_how_it_is_built_is_refused(

@@ -60,6 +60,23 @@ def test_a_drive_is_real_unless_told_otherwise(wheelsight: Command, tmp_path: Pa
     assert [tick.stamp_s for tick in real.wheels] != [tick.stamp_s for tick in ideal.wheels]
 
 
+@pytest.mark.parametrize(
+    ("base", "columns"),
+    [("mecanum", "front_left,front_right,rear_left,rear_right"), ("increments", "x_m,y_m,yaw_rad")],
+)
+def test_a_holonomic_base_has_a_column_for_each_of_its_numbers(
+    wheelsight: Command, tmp_path: Path, base: str, columns: str
+) -> None:
+    out = tmp_path / "out"
+    result = wheelsight("simulate", "square", *SMALL, "--base", base, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert (out / "wheels.csv").read_text().splitlines()[0] == f"stamp_s,{columns}"
+    owned, true = (load_calibration(path) for path in (out / "calibration.yaml", out / "truth/calibration.yaml"))
+    assert owned.holonomic == true.holonomic
+    assert owned.wheels is None
+    assert open_recording(out).wheel_count == 26
+
+
 def test_an_unknown_realism_is_refused(refusal: Refusal, tmp_path: Path) -> None:
     told = refusal("simulate", "square", *TINY, "--realism", "reel", "--out", tmp_path / "out")
     assert told.rstrip() == "--realism is reel (did you mean real? choose from ideal, real)"
@@ -149,6 +166,9 @@ def test_help_shows_examples(wheelsight: Command) -> None:
         (("square", "--ice", "1,2,0"), "--ice is '1,2,0' (the radius must be over 0)"),
         (("square", "--unplug", "nan:3"), "--unplug is 'nan:3' ("),
         (("square", "--left-radius", -0.1), "left_radius_m is -0.1, no wheelchair's ("),
+        (("square", "--base", "tricycle"), "--base is 'tricycle' (one of differential, mecanum, omni-3, omni-4"),
+        (("square", "--base", "mecanum", "--track", 0.5), "--base mecanum has no such wheels (--left-radius, --right"),
+        (("square", "--base", "mecanum", "--lift", "0:1"), "--lift means nothing with --base mecanum (leave one of"),
         (("square", "--track", 20), "track_width_m is 20.0, no wheelchair's ("),
         (("square", "--drive", "absent.csv"), "absent.csv: is missing ("),
         (("square", "--doors", 3), "--doors is 3; in world square there is room for 0 to swing (choose flat, or"),
