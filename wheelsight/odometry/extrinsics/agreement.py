@@ -103,7 +103,7 @@ class Agreement:
         if gyro_rad is not None:
             turns = np.array([w[5], c[5], gyro_rad])
             self.of_gyro += np.outer(turns, turns)
-        slip = self._slip_rad2_per_m * ways_m[0]
+        slip = self._slip_rad2(float(ways_m[0]))
         self.drift += self.settings.slips * slip + (self.settings.drift_rad_per_m * ways_m.max()) ** 2
         self.products += np.outer(told, told)
         self.pieces += 1
@@ -111,12 +111,11 @@ class Agreement:
         self.turns_rad += turns_rad
         return True
 
-    @property
-    def _slip_rad2_per_m(self) -> float:
-        """Variance of a turn by the wheels' slip, a metre."""
+    def _slip_rad2(self, way_m: float) -> float:
+        """Variance of the turn by the wheels' slip over a way."""
         if isinstance(self.wheels, HolonomicWheels):
-            return self.wheels.turn_variance_per_m
-        return 2 * self.wheels.slip_m_per_sqrt_m**2 / self.wheels.track_width_m**2
+            return self.wheels.turn_variance_per_m * way_m
+        return 2 * self.wheels.slip_m_per_sqrt_m**2 * way_m / self.wheels.track_width_m**2
 
     def unexplained(self, expected: FloatArray) -> tuple[float, float]:
         """The shares of the ways and of the turns that are other than `expected` (6, 2) of the wheels."""
