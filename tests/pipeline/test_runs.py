@@ -3,6 +3,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import pickle
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from wheelsight.estimates import Estimate, Reason, Status
 from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.pipeline.track import DEPTH_MISPLACED, DEPTH_MISSING, DEPTH_SCARCE, Track
 from wheelsight.recordings import open_recording
+from wheelsight.recordings.protocol import LeftOut
 from wheelsight.report import summarise
 from wheelsight.runs import run
 from wheelsight.trajectory import Trajectory, read_tum
@@ -69,6 +71,27 @@ def test_frames_are_counted_by_what_became_of_them(tmp_path: Path, truth: Trajec
     assert [row["dropped"] for row in rows] == [*("0" * 3), "1", *("0" * 15), "1"]  # the last has what has no partner
     assert frames["dropped"]["total"] == 2
     assert len(read_tum(tmp_path / "trajectory.txt")) == 17
+
+
+def test_readings_that_were_left_out_are_counted_by_reason(tmp_path: Path, truth: Trajectory) -> None:
+    told = LeftOut("/odom: 30 messages came twice, and were left out.", 30, 100, "/odom: messages came twice")
+    few = LeftOut("wheels.csv:7: the last line is cut off", 1, 7000, "wheels.csv: the last line is cut off")
+    record = run(replace(MemoryRecording(frames_at(truth), truth), warnings=(told, few)), BY_FEATURES, tmp_path)
+    assert record.left_out == {told.reason: (30, 100), few.reason: (1, 7000)}
+    rows = status_in(tmp_path)
+    assert [row["left_out"] for row in rows[:-1]] == [""] * (len(rows) - 1)
+    assert rows[-1]["left_out"] == f"30 of 100: {told.reason}; 1 of 7000: {few.reason}"
+    metrics = metrics_in(tmp_path)
+    assert metrics["frames"]["left_out"][told.reason] == {"count": 30, "of": 100}
+    (finding,) = [one for one in metrics["verdict"]["findings"] if one["about"] == "left out"]
+    assert finding["tone"] == "amber"
+    assert f"30 of 100: {told.reason}" in finding["sentence"]
+
+
+def test_what_was_left_out_is_copied_with_its_counts() -> None:
+    told = LeftOut("a sentence", 3, 9, "why")
+    again = pickle.loads(pickle.dumps(told))
+    assert (again, again.gone, again.of, again.reason) == ("a sentence", 3, 9, "why")
 
 
 @pytest.mark.parametrize(

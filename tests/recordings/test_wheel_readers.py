@@ -13,6 +13,7 @@ from wheelsight.calibration import Calibration, Wheels, save_calibration
 from wheelsight.errors import CalibrationError, InputError, RecordingError
 from wheelsight.events import WheelSpeeds, WheelTicks, YawRate
 from wheelsight.recordings import OpenOptions, RecordingWriter, open_recording, write_recording
+from wheelsight.recordings.protocol import left_out_of
 from wheelsight.trajectory import Trajectory
 
 OWN = Calibration(wheels=Wheels(0.17, 0.17, 0.52, 3200.0), source="our robot")
@@ -123,10 +124,15 @@ def test_points_without_angles_are_no_poses(tmp_path: Path) -> None:
     assert recording.ground_truth is not None
     assert len(recording.ground_truth) == 1
     assert any("1 lines point2 have no angle" in warning for warning in recording.warnings)
+    assert left_out_of(recording.warnings) == {"Hall_GT.txt: lines point2 have no angle": (1, 2)}
+    lone = TRUTH.replace("point2 0.1 1.1 2 0 0 0 0\n", "")
+    recording = open_recording(make(tmp_path / "c", Hall_Input__txt=LINES, Hall_GT__txt=lone))
+    assert left_out_of(recording.warnings) == {"Hall_GT.txt: lines angle have no point2": (1, 2)}
     none = "point2 0.0 1 2 0 0 0 0\n"
     recording = open_recording(make(tmp_path / "b", Hall_Input__txt=LINES, Hall_GT__txt=none))
     assert recording.ground_truth is None
     assert any("no true poses" in warning for warning in recording.warnings)
+    assert left_out_of(recording.warnings) == {"Hall_GT.txt: lines point2 have no angle": (1, 1)}
 
 
 @pytest.mark.parametrize(

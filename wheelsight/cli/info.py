@@ -100,10 +100,16 @@ def _facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
         yield from _image_facts(inspection)
     if inspection.clock is not None:
         yield from clock_facts(inspection.clock)
-    if inspection.motion is not None:
-        yield "camera and wheels", _motion(inspection.motion)
+    yield from _reading_facts(inspection)
     if inspection.ground_truth is None:
         yield "ground truth", "none"
+
+
+def _reading_facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
+    for why, count, of in inspection.left_out:
+        yield "left out", f"{count} of {of}: {why}"
+    if inspection.motion is not None:
+        yield "camera and wheels", _motion(inspection.motion)
 
 
 def _motion(motion: MotionOffset) -> str:

@@ -166,6 +166,7 @@ def _frame_counts(record: RunRecord, source: EventSource) -> dict[str, Any]:
         "skipped": sum(frame.is_skipped for frame in frames),
         "repeated_images": len(record.frames) - len(frames),
         "dropped": None if record.drops is None else record.drops.to_dict(),
+        "left_out": {why: {"count": count, "of": of} for why, (count, of) in record.left_out.items()},
         "dropped_color_images": None if paired is None else paired.dropped_color,
         "dropped_depth_images": None if paired is None else paired.dropped_depth,
         "status": {status: statuses.count(status) for status in sorted(set(statuses))},

@@ -141,13 +141,18 @@ def _write_json(figures: dict[str, Any], path: Path) -> None:
 def _status_csv(record: RunRecord) -> str:
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["stamp_s", "status", "reason", "matches", "inliers", "time_ms", "flags", "note", "dropped"])
+    rows.writerow(
+        ["stamp_s", "status", "reason", "matches", "inliers", "time_ms", "flags", "note", "dropped", "left_out"]
+    )
     dropped = [frame.overtaken + frame.is_unread for frame in record.frames]
     if dropped and record.drops is not None:
         dropped[-1] += record.drops.total - sum(dropped)  # those after it, and those that never became a frame
-    for frame, lost in zip(record.frames, dropped, strict=True):
+    left_out = [""] * len(record.frames)
+    if left_out:  # of the recording as a whole: which row it was before is not known
+        left_out[-1] = "; ".join(f"{count} of {of}: {why}" for why, (count, of) in record.left_out.items())
+    for frame, lost, gone in zip(record.frames, dropped, left_out, strict=True):
         counts = (frame.matches, frame.inliers, f"{1e3 * frame.seconds:.3f}")
         # as in trajectory.txt, so that rows can be joined
         stamp = np.format_float_positional(frame.stamp_s, min_digits=6)
-        rows.writerow([stamp, frame.status, frame.reason or "", *counts, ";".join(frame.flags), frame.note, lost])
+        rows.writerow([stamp, frame.status, frame.reason or "", *counts, ";".join(frame.flags), frame.note, lost, gone])
     return text.getvalue()

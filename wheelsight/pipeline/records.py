@@ -22,7 +22,7 @@ from wheelsight.pipeline.rehearses import InRealTime
 from wheelsight.pipeline.run_record import RunRecord
 from wheelsight.pipeline.track import UNITS, Passage, Track
 from wheelsight.recordings import Recording, express_for
-from wheelsight.recordings.protocol import TellsWheelFaults
+from wheelsight.recordings.protocol import TellsWheelFaults, left_out_of
 from wheelsight.sources import EventSource
 from wheelsight.trajectory import Trajectory
 
@@ -106,6 +106,7 @@ def _record_of(track: Track, passage: Passage, source: EventSource, config: Conf
         faults=(*_wheel_faults(source, track), *track.localizer.warnings),
         known_map=_known_map(track, passage, config),
         is_interrupted=passage.interruption is not None,
+        left_out=left_out_of(source.warnings),
     )
 
 

@@ -184,6 +184,7 @@ class RunRecord:
         faults: what was found wrong with sensors and their clocks on the way, one sentence each; also in `warnings`.
         known_map: whether and where it found itself in the map of an earlier drive, or None without one.
         is_interrupted: whether it ended before its recording.
+        left_out: lines or messages of the recording that were not used: how many, and of how many, by reason.
     """
 
     recording: str
@@ -211,6 +212,7 @@ class RunRecord:
     faults: tuple[str, ...] = ()
     known_map: KnownMapRecord | None = None
     is_interrupted: bool = False
+    left_out: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     @property
     def drops(self) -> FrameDrops | None:

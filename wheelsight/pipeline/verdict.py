@@ -160,6 +160,7 @@ class Evidence:
         frames, posed, lost_episodes, lost_s: as `Summary` has them.
         failures: (reason, why, count) of frames without a motion of their own, most frequent first.
         drops: frames that were not used.
+        left_out: lines or messages of the recording that were not used: how many, and of how many, by reason.
         most_overtaken: share of frames overtaken in real time beyond which that is amber.
         slip, doubtful, degenerate: shares of the time, 0 to 1; None where the filter knows no such flag.
         coasting: share of the time by the wheels alone; `coasting_s` the stretches.
@@ -182,6 +183,7 @@ class Evidence:
     lost_s: float = 0.0
     failures: tuple[tuple[Reason, str, int], ...] = ()
     drops: FrameDrops = field(default_factory=FrameDrops)
+    left_out: dict[str, tuple[int, int]] = field(default_factory=dict)
     most_overtaken: float = _OVERTAKEN[0]
     slip: float | None = None
     doubtful: float | None = None
@@ -215,6 +217,7 @@ def evidence_of(record: RunRecord, records: Sequence[RunRecord] = ()) -> Evidenc
         "lost_s": summary.lost_s,
         "failures": tuple((reason, why, count) for (reason, why), count in by_reason.most_common()),
         "drops": record.drops or FrameDrops(),
+        "left_out": record.left_out,
         "most_overtaken": record.config.get("realtime", {}).get("dropped_share", _OVERTAKEN[0]),
         "known_map": record.known_map,
         "faults": record.faults,
@@ -300,6 +303,7 @@ def _findings(e: Evidence) -> Iterator[Finding]:
         yield _in_map(e.known_map)
     yield _poses(e)
     yield from _drops(e)
+    yield from _left_out(e)
     if e.is_joined:
         yield from _of_sensors(e)
     yield from _accuracy(e)
@@ -344,6 +348,18 @@ def _drops(e: Evidence) -> Iterator[Finding]:
         remedy = "record again, or copy the recording again: the notes say what is wrong with the images"
     short = f"{words.percent(drops.share)} of frames were dropped"
     yield Finding("drops", tone, short, f"{drops.sentence}.", "" if tone is Tone.GREEN else remedy)
+
+
+def _left_out(e: Evidence) -> Iterator[Finding]:
+    """Readings and true poses that the recording holds and that were not used."""
+    if not e.left_out:
+        return
+    share = max(count / max(of, 1) for count, of in e.left_out.values())
+    tone = _graded(share, _DROPPED)
+    causes = "; ".join(f"{count:,} of {of:,}: {why}" for why, (count, of) in e.left_out.items())
+    total = sum(count for count, _ in e.left_out.values())
+    remedy = "" if tone is Tone.GREEN else "see the notes: repair the stamps, or record again"
+    yield Finding("left out", tone, f"{total:,} readings were left out", f"Left out were {causes}.", remedy)
 
 
 def _of_sensors(e: Evidence) -> Iterator[Finding]:

@@ -12,7 +12,7 @@ import numpy as np
 from wheelsight.errors import CalibrationError, RecordingError, TrajectoryError
 from wheelsight.geometry import FloatArray, se3, so3
 from wheelsight.recordings._file_lists import ListedFile
-from wheelsight.recordings.protocol import OpenOptions
+from wheelsight.recordings.protocol import LeftOut, OpenOptions
 from wheelsight.recordings.text import read_lines
 from wheelsight.trajectory import Trajectory
 
@@ -78,7 +78,9 @@ def true_poses(poses: Sequence[WrittenPose], warnings: list[str]) -> Trajectory 
     """
     known = [pose for pose in poses if np.isfinite(pose.T).all()]
     if len(known) < len(poses):
-        warnings.append(f"{len(poses) - len(known)} of {len(poses)} true poses are not finite and were left out.")
+        gone = len(poses) - len(known)
+        told = f"{gone} of {len(poses)} true poses are not finite and were left out."
+        warnings.append(LeftOut(told, gone, len(poses), "true poses are not finite"))
     if not known:
         return None
     T = np.stack([pose.T for pose in known])

@@ -16,7 +16,7 @@ from wheelsight.geometry import Float32Array, FloatArray
 from wheelsight.recordings.clock_mapping import ClockMapping, clock_mapping
 from wheelsight.recordings.frame_clocks import read_frame_clocks
 from wheelsight.recordings.motion_clocks import MotionClock, MotionOffset
-from wheelsight.recordings.protocol import AssociationReport, ListsTopics, RecordedTopic, Recording
+from wheelsight.recordings.protocol import AssociationReport, ListsTopics, RecordedTopic, Recording, left_out_of
 from wheelsight.recordings.registration import FAR_FROM_CALIBRATED, OffsetMeter, RegistrationOffset, off_calibrated
 from wheelsight.recordings.repeats import Repeats
 
@@ -63,6 +63,7 @@ class Inspection:
         topics: of a bag, all of them and what each is used as; else none.
         clock: how the clock of the live camera that it is from was mapped; None where that is not known.
         repeated: how many frames show the image of the frame before.
+        left_out: (why, how many, of how many) lines or messages of readings and truth that were not used.
         motion: how far the camera's stamps are ahead of the wheels', by the turns of both; None without either.
     """
 
@@ -89,6 +90,7 @@ class Inspection:
     clock: ClockMapping | None = None
     repeated: int = 0
     motion: MotionOffset | None = None
+    left_out: tuple[tuple[str, int, int], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """All of it as plain nested values; may hold NaN."""
@@ -135,6 +137,7 @@ def inspect_recording(recording: Recording, on_event: Callable[[], None] | None 
         clock=clock_mapping(read_frame_clocks(recording.path)) if recording.path.is_dir() else None,
         repeated=tally.repeated,
         motion=motion,
+        left_out=tuple((why, *counts) for why, counts in left_out_of(recording.warnings).items()),
     )
 
 

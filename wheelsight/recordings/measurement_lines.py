@@ -16,7 +16,7 @@ from wheelsight.geometry import FloatArray, se3
 from wheelsight.matches import Match, SpeedVariances
 from wheelsight.recordings._cameras import choose_calibration
 from wheelsight.recordings._wheel_recording import WheelRecording, need_wheels, shipped_robot, speeds_of_wheels
-from wheelsight.recordings.protocol import Layout, OpenOptions
+from wheelsight.recordings.protocol import Layout, LeftOut, OpenOptions
 from wheelsight.recordings.text import keep_growing, read_lines
 from wheelsight.trajectory import Trajectory
 
@@ -103,13 +103,26 @@ def _read_truth(path: Path) -> tuple[Trajectory | None, list[str]]:
     stamps_s, angle_stamps_s = (np.array([m.stamp_s for m in kind]) for kind in (points, angles))
     beside = np.searchsorted(angle_stamps_s, stamps_s - _SAME_STAMP_S).clip(max=max(len(angles) - 1, 0))
     if not len(angles) or not len(points):
+        kind, missing = ("point2", "angle") if len(points) else ("angle", "point2")
+        count = max(len(points), len(angles))
+        warnings += [_without_partner(path, kind, missing, count, count)] if count else []
         return None, [*warnings, f"{path.name}: has no lines angle beside point2, so no true poses."]
     is_pose = np.abs(angle_stamps_s[beside] - stamps_s) < _SAME_STAMP_S
     if not is_pose.all():
-        warnings.append(f"{path.name}: {np.count_nonzero(~is_pose)} lines point2 have no angle and were left out.")
+        warnings.append(_without_partner(path, "point2", "angle", int(np.count_nonzero(~is_pose)), len(points)))
+    lone = len(angles) - len(np.unique(beside[is_pose]))
+    if lone:
+        warnings.append(_without_partner(path, "angle", "point2", lone, len(angles)))
     x, y = _column(points, 0)[is_pose], _column(points, 1)[is_pose]
     yaw_rad = _column(angles, 0)[beside][is_pose]
     return Trajectory(stamps_s[is_pose], se3.from_plane(x, y, yaw_rad), body="base"), warnings
+
+
+def _without_partner(path: Path, kind: str, missing: str, count: int, of: int) -> LeftOut:
+    reason = f"lines {kind} have no {missing}"
+    return LeftOut(
+        f"{path.name}: {count} {reason} of their stamp and were left out.", count, of, f"{path.name}: {reason}"
+    )
 
 
 def _column(measurements: list[_Measurement], column: int) -> FloatArray:

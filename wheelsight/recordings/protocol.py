@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from os import PathLike
@@ -136,6 +136,34 @@ class RecordedTopic:
     type: str
     count: int
     used_as: str = ""
+
+
+class LeftOut(str):
+    """A sentence among the warnings of a recording that says how much of it was left out, and why.
+
+    Attributes:
+        gone, of: so many lines or messages, of how many.
+        reason: what they are, and why they were left out.
+    """
+
+    gone: int
+    of: int
+    reason: str
+
+    def __new__(cls, text: str, gone: int, of: int, reason: str) -> LeftOut:
+        """The sentence `text`."""
+        made = super().__new__(cls, text)
+        made.gone, made.of, made.reason = gone, of, reason
+        return made
+
+    def __getnewargs__(self) -> tuple[str, int, int, str]:  # type: ignore[override]
+        """For copies and other processes."""
+        return str(self), self.gone, self.of, self.reason
+
+
+def left_out_of(warnings: Iterable[str]) -> dict[str, tuple[int, int]]:
+    """How many lines or messages of a recording were left out, and of how many, by reason."""
+    return {told.reason: (told.gone, told.of) for told in warnings if isinstance(told, LeftOut)}
 
 
 @runtime_checkable

@@ -15,6 +15,7 @@ import numpy as np
 
 from wheelsight.errors import RecordingError
 from wheelsight.inputs import Kind, as_number, plain_rows, unquoted
+from wheelsight.recordings.protocol import LeftOut
 from wheelsight.recordings.text import COMMENT, LARGEST_STAMP, LIST, parse_stamp, read_list
 from wheelsight.stamps import column_unit
 
@@ -167,7 +168,8 @@ def _rows(text: str, header: _Header, path: Path, warnings: list[str]) -> Iterat
             raise RecordingError(problem, path=path, line=last, fix=fix)
         yield Row(path, last, places, tuple(words), header.per_second)
     if COMMENT.sub("", _rest(text)).strip() and last + 1 > header.number:
-        warnings.append(f"{path.name}:{last + 1}: the last line is cut off and was left out")
+        told = f"{path.name}:{last + 1}: the last line is cut off and was left out"
+        warnings.append(LeftOut(told, 1, last + 1, f"{path.name}: the last line is cut off"))
 
 
 def _lines(text: str) -> Iterator[str]:

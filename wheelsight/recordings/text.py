@@ -12,6 +12,7 @@ from typing import Protocol, TypeVar
 
 from wheelsight.errors import RecordingError
 from wheelsight.inputs import Kind, as_number, lines_of, read_text, unquoted
+from wheelsight.recordings.protocol import LeftOut
 from wheelsight.stamps import column_unit
 
 _SHARE_OUT_OF_ORDER_ALLOWED = 0.01
@@ -118,8 +119,10 @@ def keep_growing(items: Sequence[S], lines: Sequence[int], path: Path) -> tuple[
         raise RecordingError(
             problem, path=path, line=lines[first], fix="sort the lines by stamp and keep one of each stamp"
         )
-    count = f"{len(items) - len(kept)} of {len(items)} lines"
-    return [items[i] for i in kept], [f"{path.name}:{lines[first]}: {problem}; {count} like it were left out"]
+    gone = len(items) - len(kept)
+    told = f"{path.name}:{lines[first]}: {problem}; {gone} of {len(items)} lines like it were left out"
+    reason = f"{path.name}: stamps repeat others or are out of order"
+    return [items[i] for i in kept], [LeftOut(told, gone, len(items), reason)]
 
 
 def _refuse_clock_set_back(stamps_s: Sequence[float], lines: Sequence[int], path: Path) -> None:

@@ -237,7 +237,10 @@ def test_wrong_stamps_are_left_out_alone_and_counted(opened, wrong: dict[float, 
     right_s = [taken_s for taken_s in expected(WheelSpeeds) if round(taken_s, 3) not in wrong]
     np.testing.assert_allclose(stamps_of(recording, WheelSpeeds), right_s, atol=2e-6)
     assert any(warning.startswith(f"{ODOM}: {len(wrong)} messages were left out") for warning in recording.warnings)
-    assert inspect_recording(recording).wheel_readings == 200 - len(wrong)
+    inspection = inspect_recording(recording)
+    assert inspection.wheel_readings == 200 - len(wrong)
+    why = f"{ODOM}: headers fit neither their neighbours nor receipt"
+    assert (why, len(wrong), 200) in inspection.left_out
     if not without:
         np.testing.assert_allclose(stamps_of(recording, RgbdFrame), expected(RgbdFrame), atol=2e-6)
 

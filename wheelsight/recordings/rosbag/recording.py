@@ -21,7 +21,7 @@ from wheelsight.matches import Match, SpeedVariances
 from wheelsight.recordings._calibrated import corrected_depth
 from wheelsight.recordings._read_ahead import read_ahead
 from wheelsight.recordings.motion_clocks import MotionClock
-from wheelsight.recordings.protocol import AssociationReport, ListedFrame, OpenOptions, RecordedTopic
+from wheelsight.recordings.protocol import AssociationReport, LeftOut, ListedFrame, OpenOptions, RecordedTopic
 from wheelsight.recordings.rosbag.definitions import are_measured
 from wheelsight.recordings.rosbag.images import color_of, depth_of
 from wheelsight.recordings.rosbag.order import EventQueue, MessageQueue, Pairing, RawFrame
@@ -363,18 +363,25 @@ _KINDS = {
 def _findings(passing: _Pass) -> tuple[str, ...]:
     """What a pass that went through has to say, one sentence each: nothing is left out without being counted."""
     told = _lost_pairs(passing)
+    counts = {topic.name: topic.count for topic in passing.bag.topics if topic.name in passing.clocks}
     for topic, clock in passing.clocks.items():
-        told += clock_findings(topic, clock)
-        if count := passing.messages.twice[topic]:
-            told.append(f"{topic}: {count:,} messages came twice, or with the stamp of another, and were left out.")
-        if count := passing.messages.late[topic]:
-            told.append(f"{topic}: {count:,} messages came too late to be put in order, and were left out.")
+        of = counts.get(topic, 0)
+        told += clock_findings(topic, clock, of)
+        for count, why in (
+            (passing.messages.twice[topic], "came twice, or with the stamp of another"),
+            (passing.messages.late[topic], "came too late to be put in order"),
+        ):
+            if count:
+                sentence = f"{topic}: {count:,} messages {why}, and were left out."
+                told.append(LeftOut(sentence, count, of, f"{topic}: messages {why}"))
     for kind, words in _KINDS.items():
         if count := passing.events.late[kind.__name__]:
-            told.append(f"{count:,} {words} were known of too late to be put in order, and were left out.")
+            why = f"{words} were known of too late to be put in order"
+            told.append(LeftOut(f"{count:,} {why}, and were left out.", count, sum(counts.values()), why))
     unusable = passing.unusable + (0 if passing.speeds is None else passing.speeds.unusable)
     if unusable:
-        told.append(f"{unusable:,} messages hold no numbers of wheels or gyroscope and were left out.")
+        why = "messages hold no numbers of wheels or gyroscope"
+        told.append(LeftOut(f"{unusable:,} {why} and were left out.", unusable, sum(counts.values()), why))
     return tuple(told)
 
 

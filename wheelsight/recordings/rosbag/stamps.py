@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from wheelsight.geometry import FloatArray
+from wheelsight.recordings.protocol import LeftOut
 from wheelsight.recordings.rosbag.storage import Message
 
 # A step of so many usual periods needs no other witness: one message was lost.
@@ -435,14 +436,13 @@ def _shift_sentence(topic: str, shift_s: float, reference: str, count: int) -> s
     )
 
 
-def clock_findings(topic: str, clock: TopicClock) -> list[str]:
-    """What a pass found of one topic's headers, one sentence each."""
-    found = []
+def clock_findings(topic: str, clock: TopicClock, count: int) -> list[str]:
+    """What a pass found of the headers of one topic with so many messages, one sentence each."""
+    found: list[str] = []
     if clock.left_out:
-        found.append(
-            f"{topic}: {clock.left_out:,} messages were left out: "
-            "their headers fit neither their neighbours nor receipt."
-        )
+        why = "headers fit neither their neighbours nor receipt"
+        told = f"{topic}: {clock.left_out:,} messages were left out: their {why}."
+        found.append(LeftOut(told, clock.left_out, count, f"{topic}: {why}"))
     if clock.unstamped:
         found.append(f"{topic}: {clock.unstamped:,} headers are 0; receipt stands for them.")
     for after_s, by_s in clock.set_back[:3]:
