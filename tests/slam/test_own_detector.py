@@ -13,7 +13,7 @@ import pytest
 from narrowing import not_none
 from places.seen_room import EXACT, kept, seen
 from room_drive import make_room_drive
-from slam.test_live import SETTINGS, WAY, lived
+from test_live import SETTINGS, WAY, lived
 
 from wheelsight import Localizer, load_config, run
 from wheelsight.errors import ConfigError, PartError
