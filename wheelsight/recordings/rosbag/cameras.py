@@ -14,6 +14,8 @@ from wheelsight.recordings.rosbag.definitions import are_measured
 
 _BROWN = ("plumb_bob", "radtan", "")
 _RATIONAL = "rational_polynomial"
+# As the RealSense SDK names models of lenses.
+_BROWN_OF_SDK, _INVERSE = ("brown conrady", "modified brown conrady"), "inverse brown conrady"
 _GRID = 25
 # A point was found that comes back to its pixel as near; so many steps from the middle to each, with Newton's at each.
 _INVERSE_PX, _INVERSE_STEPS, _NEWTON_STEPS, _DERIVATIVE_STEP = 0.01, 20, 4, 1e-6
@@ -43,7 +45,9 @@ def camera_of(info: Any, is_rectified: bool, lens_px: float) -> tuple[PinholeCam
     if is_rectified or not D.any():
         return PinholeCamera(*size, *lens), None
     model = str(info.distortion_model)
-    if model in _BROWN and len(D) <= 5:
+    if model.lower() == _INVERSE and len(D) == 5:
+        return _of_inverse(PinholeCamera(*size, *lens, tuple(D.tolist())), lens_px)
+    if (model in _BROWN or model.lower() in _BROWN_OF_SDK) and len(D) <= 5:
         k1, k2, p1, p2, k3 = (*D.tolist(), 0.0, 0.0, 0.0, 0.0, 0.0)[:5]
         return _checked(PinholeCamera(*size, *lens, (k1, k2, p1, p2, k3)), D), None
     if model not in (_RATIONAL, *_BROWN):
@@ -60,6 +64,19 @@ def _pixels(info: Any, K: FloatArray) -> tuple[tuple[int, int], tuple[float, flo
     left, top = (int(region.x_offset), int(region.y_offset)) if region.width else (0, 0)
     cx, cy = (K[0, 2] - left + 0.5) / across - 0.5, (K[1, 2] - top + 0.5) / down - 0.5
     return (width // across, height // down), (float(K[0, 0] / across), float(K[1, 1] / down), float(cx), float(cy))
+
+
+def _of_inverse(camera: PinholeCamera, lens_px: float) -> tuple[PinholeCamera, str | None]:
+    """Brown's coefficients nearest to those of a camera that lead from where points are shown to where they are."""
+    u, v = np.meshgrid(*(np.linspace(0, side - 1, _GRID) for side in (camera.width, camera.height)))
+    seen = (np.stack([u.ravel(), v.ravel()], axis=1) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    xy = (camera.denormalise(seen) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    fit = fitted_lens(xy, seen)
+    fitted = _checked(replace(camera, distortion=fit.distortion), np.array(fit.distortion))
+    if fit.worst * camera.fx <= lens_px:
+        return fitted, None
+    by = f"{fit.median * camera.fx:.2f} px in the median, and by {fit.worst * camera.fx:.1f} px at worst"
+    return fitted, f"five coefficients miss the lens that is described from image to ray by {by}"
 
 
 @np.errstate(all="ignore")  # of numbers that describe no lens

@@ -23,6 +23,7 @@ from wheelsight.recordings.motion_clocks import MotionClock
 from wheelsight.recordings.protocol import Layout, OpenOptions, RecordedTopic
 from wheelsight.recordings.rosbag.files import parts_of
 from wheelsight.recordings.rosbag.gravity import up_of_gyro
+from wheelsight.recordings.rosbag.realsense_sdk import depth_units_m
 from wheelsight.recordings.rosbag.recording import BagPlan, BagRecording
 from wheelsight.recordings.rosbag.robot import Robot, camera_frame, lacks_sizes, read_robot
 from wheelsight.recordings.rosbag.stamps import TopicClock, clocks_of
@@ -81,6 +82,9 @@ def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
     wheels, of_wheels, variances = _wheels(bag, roles, calibration)
     truth, of_truth = _truth(bag, roles, robot, clocks, calibration)
     topics = _used_topics(bag, roles)
+    units_m = None if roles.depth is None else depth_units_m(bag, roles.depth.name)
+    if units_m is not None and options.depth_factor is None:
+        options = replace(options, depth_factor=1 / units_m)
 
     def recording(clocks: dict[str, TopicClock], of_motions: Sequence[str] = ()) -> BagRecording:
         ends = _ends(bag, roles, clocks, lasts)

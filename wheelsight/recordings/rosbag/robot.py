@@ -13,6 +13,7 @@ from wheelsight.geometry import FloatArray, PinholeCamera
 from wheelsight.recordings._wheel_recording import shipped_robot
 from wheelsight.recordings.rosbag.cameras import camera_of
 from wheelsight.recordings.rosbag.definitions import TF
+from wheelsight.recordings.rosbag.realsense_sdk import joined
 from wheelsight.recordings.rosbag.settings import BagSettings
 from wheelsight.recordings.rosbag.storage import OpenBag
 from wheelsight.recordings.rosbag.topics import ImageTopic, Roles
@@ -150,6 +151,11 @@ def _cameras(
     source = f"CameraInfo of {bag.path.name}"
     if depth.says_registered:
         return Calibration.registered_camera(color_camera, source=source)
+    T_color_depth = joined(bag, color.name, depth.name)
+    if T_color_depth is not None:
+        warnings.append(f"{depth.name} is not registered to {color.name}: they are joined as the RealSense SDK has it.")
+        own = _camera(bag, depth, roles.depth_info, settings, warnings)
+        return Calibration(color_camera, own, T_color_depth, source=source)
     is_one = depth.frame == color.frame
     depth_camera = color_camera if is_one and roles.depth_info is None else None
     if depth_camera is None:

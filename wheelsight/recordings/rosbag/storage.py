@@ -224,6 +224,10 @@ class OpenBag:
             raise RecordingError(problem, path=self.path, fix="leave the topic out with --topic") from error
         return Header(seconds + 1e-9 * ns, frame.lstrip("/"))
 
+    def has_units(self, topic: str, data: bytes) -> bool:
+        """Whether the bytes of an Image are followed by its units, as the RealSense SDK has it: see `realsense_sdk`."""
+        return self.is_ros1 and topic.startswith("/device_") and data[12:17] == b"\x01\0\0\x001"
+
     def _carries(self, part: TransformTopic, data: bytes) -> bool:
         try:
             return part.found_in(self.decode(Message(part.of, 0, data))) is not None
@@ -255,8 +259,9 @@ class OpenBag:
             problem = f"a message of {message.topic} has {len(message.data):,} bytes, more than {_LARGEST_MESSAGE:,}"
             raise RecordingError(problem, path=self.path, fix="leave the topic out with --topic")
         try:
-            store = self._store(connection)
-            return (store.deserialize_ros1 if self.is_ros1 else store.deserialize_cdr)(message.data, type_)
+            store, data = self._store(connection), message.data
+            data = data[:-4] if type_ == IMAGE and self.has_units(message.topic, data) else data
+            return (store.deserialize_ros1 if self.is_ros1 else store.deserialize_cdr)(data, type_)
         except Exception as error:  # rosbags lets through what struct, numpy, its parser and its own asserts raise
             why = error.problem if isinstance(error, RecordingError) else f"{type(error).__name__} {error}"
             problem = f"a message of {message.topic} is no {type_}: {why}"
