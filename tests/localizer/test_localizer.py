@@ -11,7 +11,7 @@ from wheelsight.calibration import Calibration, Wheels
 from wheelsight.config import load_config
 from wheelsight.errors import CalibrationError, ConfigError
 from wheelsight.estimates import Reason, Status
-from wheelsight.events import SkippedFrame, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.events import WHEEL_READINGS, SkippedFrame, WheelTicks, YawRate
 from wheelsight.geometry import se3
 from wheelsight.localizer import Localizer
 from wheelsight.odometry.dense import DenseOdometry
@@ -71,7 +71,7 @@ def test_without_a_name_all_sensors_that_go_together_are_joined(
 
 
 def test_wheels_alone_are_followed_where_there_is_no_camera() -> None:
-    assert Localizer(Calibration(wheels=Wheels(0.17, 0.17, 0.52, 3200.0))).answers == (WheelTicks, WheelSpeeds)
+    assert Localizer(Calibration(wheels=Wheels(0.17, 0.17, 0.52, 3200.0))).answers == WHEEL_READINGS
 
 
 def test_a_frame_is_answered_by_odometry(truth: Trajectory) -> None:

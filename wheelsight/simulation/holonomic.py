@@ -51,8 +51,8 @@ _WHEELS = {
     ),
 }
 _INCREMENTS = HolonomicWheels("increments", distance_m=0.27)
-# The base looks to both sides of its way by so much, once in so many metres.
-_LOOKING_ASIDE_RAD, _LOOKING_EVERY_M = 1.0, 6.0
+# The base looks to both sides of its way by so much, once in so many metres: at 0.8 m/s that turns it by 0.5 rad/s.
+_LOOKING_ASIDE_RAD, _LOOKING_EVERY_M = 0.8, 8.0
 # 1/s: how fast the base turns to where it is to look, critically damped.
 _TURNING_PER_S = 2.0
 # On ice a wheel spins on by this share of its way.
