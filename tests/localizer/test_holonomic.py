@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from grids import mostly_slow
 from localizer.joined_drives import CALIBRATION as WITH_CAMERA
 from localizer.joined_drives import Eye, joined
 from narrowing import not_none, of_type
@@ -79,7 +80,7 @@ def test_a_wheel_that_spins_is_said() -> None:
     assert not any(notes[:300])
 
 
-@pytest.mark.parametrize("kind", ["dense", "features"])
+@pytest.mark.parametrize("kind", mostly_slow(["dense", "features"], ["dense"]))
 def test_joined_with_a_camera_the_way_to_the_side_is_believed(monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
     """The camera sees the truth: wheels that go sideways contradict nothing, and no slip is suspected."""
     drive, truth = driven(), driven().truth

@@ -115,6 +115,7 @@ def fused_nees(seed: int) -> list[float]:
     return found
 
 
+@pytest.mark.slow
 def test_joined_with_a_camera_it_says_how_far_off_it_is() -> None:
     """Wheels 1 % off are known to be so, and the way to the side is believed as the one ahead is."""
     nees = np.array([fused_nees(seed) for seed in range(4)])
