@@ -109,6 +109,12 @@ def made_with() -> dict[str, str]:
     return {"processor": llvmlite.binding.get_host_cpu_name(), "python": platform.python_version(), **found}
 
 
+def commit() -> str:
+    """The commit of the tree; "" outside of a clone."""
+    command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "--short", "HEAD"]
+    return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+
+
 # From files and values to rows ---------------------------------------------------------------------------------------
 
 
@@ -422,6 +428,7 @@ def main(words: Sequence[str] | None = None) -> int:
         others = {name: one for name, one in before.items() if name.split("/")[0] not in asked.only}
         golden[length.name] = others | {name: one.to_dict() for name, one in results.items()}
         golden["made_with"] = made_with()
+        golden["commits"] = golden.get("commits", {}) | {length.name: commit()}
         asked.golden.write_text(json.dumps(golden, indent=1, sort_keys=True) + "\n", encoding="utf-8")
         return 0
     for name, was in golden["made_with"].items():
