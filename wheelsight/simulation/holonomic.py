@@ -53,8 +53,8 @@ _WHEELS = {
 _INCREMENTS = HolonomicWheels("increments", distance_m=0.27)
 # The base looks to both sides of its way by so much, once in so many metres: at 0.8 m/s that turns it by 0.5 rad/s.
 _LOOKING_ASIDE_RAD, _LOOKING_EVERY_M = 0.8, 8.0
-# 1/s: how fast the base turns to where it is to look, critically damped.
-_TURNING_PER_S = 2.0
+# 1/s: how fast the base turns to where it is to look, within the yaw rate and its change of the other drivers.
+_TURNING_PER_S, _FASTEST_RAD_S, _FASTEST_RAD_S2 = 2.0, 0.8, 1.5
 # On ice a wheel spins on by this share of its way.
 _SPINNING = 0.5
 
@@ -124,8 +124,9 @@ def _poses(paths: list[Path2d], settings: SimulationSettings) -> tuple[FloatArra
             driven_m += v_m_s * TRUTH_PERIOD_S
             target = ahead + turned
             aside = _LOOKING_ASIDE_RAD * math.sin(2 * math.pi * driven_m / _LOOKING_EVERY_M)
-            pull = _TURNING_PER_S**2 * (target + aside - yaw) - 2 * _TURNING_PER_S * rate
-            rate += pull * TRUTH_PERIOD_S
+            asked = min(max(_TURNING_PER_S * (target + aside - yaw), -_FASTEST_RAD_S), _FASTEST_RAD_S)
+            change = _FASTEST_RAD_S2 * TRUTH_PERIOD_S
+            rate += min(max(asked - rate, -change), change)
             yaw += rate * TRUTH_PERIOD_S
     return np.array(found), True
 
