@@ -17,7 +17,9 @@ from wheelsight.errors import ArgumentError, ConfigError, PartError
 from wheelsight.estimates import Estimate
 from wheelsight.events import Event
 from wheelsight.geometry import FloatArray, se3
+from wheelsight.keyframes import Keyframe, KeyframeId
 from wheelsight.odometry.own import OwnOdometry
+from wheelsight.pipeline import RealTimeRecording
 from wheelsight.recordings import Recording, open_recording
 from wheelsight.trajectory import Trajectory
 
@@ -234,3 +236,42 @@ def test_what_is_no_part_is_refused(room: Room) -> None:
         Localizer(room[0].calibration, visual_odometry=Told)  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="loop_detector is a Told, not an object with a method candidates"):
         Localizer(room[0].calibration, loop_detector=Told(room))  # type: ignore[arg-type]
+
+
+class Earlier:
+    """A loop detector to which all earlier keyframes look alike."""
+
+    def __init__(self) -> None:
+        self.shown: list[int] = []
+
+    def candidates(self, number: KeyframeId, keyframe: Keyframe) -> list[int]:
+        self.shown.append(number)
+        return [one for one in self.shown if one < number]
+
+
+@pytest.mark.slow
+def test_it_finds_itself_in_a_known_map_by_a_detector_of_a_users_own(room: Room, tmp_path: Path) -> None:
+    recording, events, truth = room
+    run(recording, load_config(overrides={"map": "surfels", "loops.source": "keyframes"}), tmp_path / "one")
+    known = {"known_map.path": str(tmp_path / "one"), "loops.seen.apart_s": 0.5, "loops.latency_s": 0.1}
+    part, detector = Told(room), Earlier()
+    record = run(
+        recording, load_config(overrides=known), tmp_path / "two", visual_odometry=part, loop_detector=detector
+    )
+    assert detector.shown == list(range(len(detector.shown)))
+    found = not_none(record.known_map)
+    T = truth.at([np.clip(events[0].stamp_s + not_none(found.after_s), *truth.stamps_s[[0, -1]])])[0]
+    assert (found.x_m, found.y_m) == pytest.approx(T[:2, 3], abs=0.05)
+    assert found.keyframes_placed == found.keyframes
+
+
+@pytest.mark.slow
+def test_it_is_played_in_real_time_and_is_not_shown_the_frames_of_the_rehearsal(room: Room, tmp_path: Path) -> None:
+    recording, events, _ = room
+    part = Told(room)
+    record = run(RealTimeRecording(recording), Config(), tmp_path / "out", visual_odometry=part)
+    assert record.odometry == "joined"
+    frames = sum(isinstance(event, RgbdFrame) for event in events)
+    assert 0 < len(part.priors) < 3 * frames  # by the joined track alone
+    assert {path.name for path in (tmp_path / "out").iterdir()} >= {"joined", "wheels"}
+    assert not (tmp_path / "out" / "own").exists()
