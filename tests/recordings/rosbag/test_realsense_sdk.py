@@ -90,7 +90,7 @@ def test_older_bags_have_millimetres(tmp_path: Path) -> None:
 
 
 def test_without_transforms_it_is_said_what_reads_them(tmp_path: Path) -> None:
-    with pytest.raises(CalibrationError, match="--camera realsense:bare.bag"):
+    with pytest.raises(CalibrationError, match=r"--camera realsense:bare\.bag"):
         open_recording(sdk_bag(tmp_path / "bare.bag", with_tf=False))
 
 
