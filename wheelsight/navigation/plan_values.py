@@ -148,7 +148,7 @@ class Plan:
 class PathPlanner(Protocol):
     """Finds a way over a costmap; `Planner` is the built-in one, and `Navigator` takes another as `planner`.
 
-    What it answers is driven as any plan is: the navigator looks at the way ahead and asks anew where something
+    What it answers is driven as any plan is: the navigator looks at the way ahead and asks again where something
     stands there, and the collision monitor has the last word. A path through a wall ends before the wall.
     """
 
@@ -162,7 +162,7 @@ class PathPlanner(Protocol):
         Args:
             costmap: `state` and `is_lethal` (H, W), `distance_m` to what stands; not to be written to.
             start: (3,) x, y, yaw of `base` in the frame of the costmap.
-            goal: likewise; or (2,), where any heading will do.
+            goal: (3,) in that frame; or (2,), where any heading will do.
         """
         ...
 

@@ -175,7 +175,7 @@ class LiveLoops:
     def finish(self) -> ClosedLoops:
         """Wait for all that was handed over, judge all loops once more, and end the thread; it may go on all the same.
 
-        Raises what went wrong in the thread, but for a part of a user's own, of which it warns.
+        Raises what went wrong in the thread; an error of a part of a user's own is a warning here.
         """
         try:
             self.close()
