@@ -34,13 +34,13 @@ class Ceiling(NamedTuple):
 
 
 CEILINGS = {
-    "modules": Ceiling(831, 330),
-    "lines without the simulator": Ceiling(101_700, 78_000),
-    "lines of the simulator": Ceiling(13_700, 11_000),
+    "modules": Ceiling(833, 330),
+    "lines without the simulator": Ceiling(102_700, 78_000),
+    "lines of the simulator": Ceiling(13_800, 11_000),
     "share of private functions used in one place": Ceiling(0.642, 0.40),
     "class names with two or more meanings": Ceiling(70, 0),
     "settings": Ceiling(937, 200),
-    "decision pages": Ceiling(131, 15),
+    "decision pages": Ceiling(133, 15),
     "benchmark files in the root": Ceiling(13, 1),
     "words of the changelog": Ceiling(11_600, 500),
     "files of a joined frame": Ceiling(85, 24),
