@@ -98,6 +98,8 @@ def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
         return found
     begins_ns = max(bag.first(image.name)[0].receipt_ns for image in (roles.color, roles.depth))
     found.try_frames(bag, begins_ns + round(1e9 * settings.first_frames_s))
+    if roles.wheels is None:
+        return found  # a gyroscope counts beside wheels alone
     clocks, of_motions = _by_motions(found.turns(bag), roles, clocks)
     return recording(clocks, of_motions) if of_motions else found
 
