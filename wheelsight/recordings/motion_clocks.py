@@ -143,15 +143,15 @@ class MotionClock:
         turned = _turned(headings, shifts, offset_s)
         turned_rad = float(np.abs(turned[0]).sum())
         others = found[np.abs(lags_s - offset_s) > _OTHER_S]
-        told = 0.0, float(found[best]), turned_rad
+        shown = 0.0, float(found[best]), turned_rad
         if turned_rad < _LEAST_TURN_RAD or len(turned[0]) < _FEWEST:
-            return MotionOffset(None, *told, f"{turned_rad:.2f} rad were turned, {_LEAST_TURN_RAD:g} show it")
+            return MotionOffset(None, *shown, f"{turned_rad:.2f} rad were turned, {_LEAST_TURN_RAD:g} show it")
         if found[best] < _LEAST_AGREEMENT:
             why_not = f"turns agree by {found[best]:.2f} at best, {_LEAST_AGREEMENT:g} would show it"
-            return MotionOffset(None, *told, why_not)
+            return MotionOffset(None, *shown, why_not)
         if 1 - max(others.max(initial=0.0), 0.0) ** 2 < _LEAST_RATIO * (1 - found[best] ** 2):
-            return MotionOffset(None, *told, "they agree at other differences nearly as well")
-        return MotionOffset(offset_s, _sigma_s(headings, shifts, offset_s), *told[1:])
+            return MotionOffset(None, *shown, "they agree at other differences nearly as well")
+        return MotionOffset(offset_s, _sigma_s(headings, shifts, offset_s), *shown[1:])
 
     def _read(self, reading: WheelTicks | WheelSpeeds | OdometryReading) -> None:
         before, self._reading = self._reading, reading

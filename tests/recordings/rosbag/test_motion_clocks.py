@@ -84,15 +84,15 @@ def begins_s(recording: Any) -> dict[type, float]:
 @pytest.mark.parametrize("ahead_s", [0.1, 0.3, 1.0, -0.4])
 def test_turns_show_how_far_clocks_are_apart(opened: Any, ahead_s: float, is_converted: bool) -> None:
     recording = opened(drive(wandering, ahead_s, is_converted=is_converted))
-    (told,) = [w for w in recording.warnings if w.startswith(ODOM) and "by the turns" in w] or [""]
+    (sentence,) = [w for w in recording.warnings if w.startswith(ODOM) and "by the turns" in w] or [""]
     begin = begins_s(recording)
     # A frame and readings of one moment have one stamp: the first frame is 0.05 s after the first readings.
     assert begin[RgbdFrame] - begin[WheelSpeeds] == pytest.approx(0.05, abs=0.01)
     assert begin[RgbdFrame] - begin[YawRate] == pytest.approx(0.05, abs=0.01)
-    # Where receipt has told, to within its delay of 0.04 s, turns find the rest.
+    # Where receipt shows it, to within its delay of 0.04 s, turns find the rest.
     rest_s = ahead_s if is_converted or abs(ahead_s) < 0.5 else 0.038
-    found = re.search(r"stamps are (\d\.\d+) s (ahead|behind) \(σ 0\.00\d s, correlation", told)
-    assert found is not None, told
+    found = re.search(r"stamps are (\d\.\d+) s (ahead|behind) \(σ 0\.00\d s, correlation", sentence)
+    assert found is not None, sentence
     assert float(found[1]) == pytest.approx(abs(rest_s), abs=0.01)
     assert found[2] == ("ahead" if rest_s > 0 else "behind")
 

@@ -39,8 +39,8 @@ def joined(bag: OpenBag, color: str, depth: str) -> FloatArray | None:
         begin, found = f"{stream[1]}/tf/", {}
         for topic in bag.topics:
             if topic.name.startswith(begin) and topic.type == _TRANSFORM and topic.count:
-                told = bag.decode(bag.first(topic.name)[0])
-                T_stream_group = motion_of(told.translation, told.rotation)
+                message = bag.decode(bag.first(topic.name)[0])
+                T_stream_group = motion_of(message.translation, message.rotation)
                 if T_stream_group is not None:
                     found[topic.name.removeprefix(begin)] = T_stream_group
         into.append(found)
