@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from wheelsight.calibration import Calibration
 from wheelsight.estimates import WheelEstimate
-from wheelsight.events import Event, WheelReading, WheelTicks, YawRate
+from wheelsight.events import Event, WheelReading, WheelSpeeds, YawRate
 from wheelsight.fusion import ErrorStateFilter
 from wheelsight.localizer.by_wheels import ByWheels
 from wheelsight.odometry.wheels import ReadingTimes, WheelSettings
@@ -26,8 +26,8 @@ class BaseSensors:
     def __init__(self, calibration: Calibration, settings: WheelSettings) -> None:
         self._wheels = ByWheels(calibration, settings.model_copy(update={"gyro": False}))
         self._with_gyro = ByWheels(calibration, settings)
-        two = calibration.wheels
-        self._times = None if two is None else ReadingTimes(two, settings.reading_times)
+        assert calibration.any_wheels is not None  # ByWheels has refused it
+        self._times = ReadingTimes(calibration.any_wheels, settings.reading_times)
         self._uses_gyro, self._hears_gyro, self._was_trusted = settings.gyro, False, False
         self.deaf = ""
         self._last_s = -math.inf
@@ -45,13 +45,12 @@ class BaseSensors:
     @property
     def noise_s(self) -> float:
         """By which the times of readings are uncertain."""
-        return 0.0 if self._times is None else self._times.noise_s
+        return self._times.noise_s
 
     def process(self, reading: WheelReading) -> tuple[WheelEstimate | None, str]:
         """What the wheels tell by themselves, stamped by when they did it, and a note of the gyroscope."""
         self._last_s = reading.stamp_s
-        # Speeds, and the pose by a base's own odometry, have no ways of counts to find the time by.
-        if isinstance(reading, WheelTicks) and self._times is not None:
+        if not isinstance(reading, WheelSpeeds):  # speeds have no ways of their own to find the time by
             reading = replace(reading, stamp_s=self._times.time_of(reading))
         wheels, note = self._wheels.process(reading)
         return wheels, self._with_gyro.process(reading)[1] if self._hears_gyro else note

@@ -22,8 +22,9 @@ from wheelsight.odometry.dense.settings import DenseSettings
 from wheelsight.odometry.velocity import twist_between
 from wheelsight.threads import Rows
 
-# Of a twist (v, ω) in the base's frame, what two wheels do not roll, sideways, up, roll and pitch; and what none do.
-_NOT_ROLLED, _NOT_ROLLED_BY_ANY = [1, 2, 3, 4], [2, 3, 4]
+# Of a twist (v, ω) in the base's frame, what wheels do not roll: sideways, up, roll and pitch. A holonomic base is held
+# so too: where hardly anything shows a way to the side, a guess confirms itself and slides along a plain wall.
+_NOT_ROLLED = [1, 2, 3, 4]
 _FREE = (np.inf, np.inf)
 _UPPER = np.triu_indices(6)
 _DIVERGED_M = 1e3
@@ -86,7 +87,6 @@ class Aligner:
         self._starts = settings.starts
         T_base_camera = calibration.T_base_camera
         self._T_base_camera = None if T_base_camera is None else se3.nearest(T_base_camera)
-        self._is_holonomic = calibration.holonomic is not None
         self._Ad_base_camera = np.eye(6) if self._T_base_camera is None else se3.adjoint(self._T_base_camera)
         self._color_sigma_px = calibration.color_sigma_px / (1 << gridder.halvings)
 
@@ -209,8 +209,7 @@ class Aligner:
         way, turn = twist @ T_base_camera[:3, :3].T
         # By the camera's own way: where the guess turns about the camera, the base's has what tilting moved it.
         ahead_m = way[0] + turn[2] * T_base_camera[1, 3]
-        left_m = way[1] - turn[2] * T_base_camera[0, 3] if self._is_holonomic else 0.0
-        moved = se3.exp([ahead_m, left_m, 0.0, 0.0, 0.0, turn[2]])
+        moved = se3.exp([ahead_m, 0.0, 0.0, 0.0, 0.0, turn[2]])
         return step.T_reference_previous @ se3.invert(T_base_camera) @ moved @ T_base_camera
 
     def _hold(
@@ -222,7 +221,7 @@ class Aligner:
         """
         T_held, sigmas = self._rolled(T_reference_frame, step), np.full(6, held_m[0])
         if self._T_base_camera is not None:
-            sigmas[_NOT_ROLLED_BY_ANY if self._is_holonomic else _NOT_ROLLED] = held_m[1]
+            sigmas[_NOT_ROLLED] = held_m[1]
         A = (DEGENERATE_SCALE / sigmas)[:, None] * (self._Ad_base_camera @ se3.adjoint(se3.invert(T_held)))
         return T_held, np.asarray(self._settings.correlation * A.T @ A)
 

@@ -12,10 +12,14 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from wheelsight.calibration import Wheels
+from wheelsight.calibration import HolonomicWheels, Wheels
 from wheelsight.calibration_parts import least_step
-from wheelsight.events import WheelTicks
+from wheelsight.events import OdometryReading, WheelCounts, WheelTicks
 from wheelsight.odometry.wheels.settings import ReadingTimesSettings
+
+
+Timed = WheelTicks | WheelCounts | OdometryReading
+"""Readings whose ways say how long they took; speeds have none of their own."""
 
 
 class ReadingTimes:
@@ -29,11 +33,10 @@ class ReadingTimes:
         late: how many readings were taken well before their stamp says.
     """
 
-    def __init__(self, wheels: Wheels, settings: ReadingTimesSettings | None = None) -> None:
+    def __init__(self, wheels: Wheels | HolonomicWheels, settings: ReadingTimesSettings | None = None) -> None:
         self.settings = settings or ReadingTimesSettings()
-        self._m_per_tick = (wheels.left_m_per_tick, wheels.right_m_per_tick)
-        self._span, self._slip_m_per_sqrt_m = wheels.counter_span, wheels.slip_m_per_sqrt_m
-        self._last: WheelTicks | None = None
+        self._wheels, self._slip_m_per_sqrt_m = wheels, wheels.slip_m_per_sqrt_m
+        self._last: Timed | None = None
         self._time_s = -math.inf
         self._steps: deque[tuple[float, float]] = deque(maxlen=self.settings.speed_steps)  # seconds, and way in metres
         self._variance_s2 = self.settings.least_noise_s**2
@@ -44,7 +47,7 @@ class ReadingTimes:
         """Standard deviation of the stamps, beyond what may be a change of speed; 0 where they are exact."""
         return math.sqrt(self._variance_s2) if self._variance_s2 > self.settings.exact_s**2 else 0.0
 
-    def time_of(self, reading: WheelTicks) -> float:
+    def time_of(self, reading: Timed) -> float:
         """When a reading was taken, in seconds; times grow where stamps do."""
         last, self._last = self._last, reading
         step_s = math.inf if last is None else reading.stamp_s - last.stamp_s
@@ -102,7 +105,20 @@ class ReadingTimes:
             return 0.0
         return sum(way_m for _, way_m in self._steps) / sum(seconds for seconds, _ in self._steps)
 
-    def _way_between(self, before: WheelTicks, now: WheelTicks) -> float:
-        """Mean of both wheels' ways, in metres."""
-        steps = (now.left - before.left, now.right - before.right)
-        return sum(abs(least_step(n, self._span) * m) for n, m in zip(steps, self._m_per_tick, strict=True)) / 2
+    def _way_between(self, before: Timed, now: Timed) -> float:
+        """Mean of all wheels' ways, in metres; of a base's own odometry, that of a wheel, about."""
+        of = self._wheels
+        if isinstance(of, Wheels) and isinstance(before, WheelTicks) and isinstance(now, WheelTicks):
+            steps = (now.left - before.left, now.right - before.right)
+            sizes_m = (of.left_m_per_tick, of.right_m_per_tick)
+            return sum(abs(least_step(n, of.counter_span) * m) for n, m in zip(steps, sizes_m, strict=True)) / 2
+        if not isinstance(of, HolonomicWheels):
+            return 0.0  # no reading of these wheels, as odometry says
+        if isinstance(before, OdometryReading) and isinstance(now, OdometryReading):
+            turn_rad = abs(math.remainder(now.yaw_rad - before.yaw_rad, 2 * math.pi))
+            return math.hypot(now.x_m - before.x_m, now.y_m - before.y_m) + of.lever_m * turn_rad
+        if not (isinstance(before, WheelCounts) and isinstance(now, WheelCounts)):
+            return 0.0
+        span = 1 << of.counter_bits if of.counter_bits else 0
+        counts = [abs(least_step(a - b, span)) for a, b in zip(now.counts, before.counts, strict=False)]
+        return of.m_per_tick * sum(counts) / max(len(counts), 1)
