@@ -9,8 +9,8 @@ import pytest
 from changed_settings import numbers, variants
 from drives import simulate
 
-from wheelsight.calibration import Wheels
-from wheelsight.events import WheelTicks
+from wheelsight.calibration import HolonomicWheels, Wheels
+from wheelsight.events import WheelCounts, WheelTicks
 from wheelsight.odometry.wheels import ReadingTimes, ReadingTimesSettings
 from wheelsight.simulation.clock_faults import ClockFault, ReadingsJitter, ReadingsStalled, ReadingsTogether
 
@@ -105,3 +105,16 @@ def test_each_setting_changes_what_is_told(name: str) -> None:
 
     changed = (one for one in variants(ReadingTimesSettings, name) if isinstance(one, ReadingTimesSettings))
     assert any(told(one) != told(ReadingTimesSettings()) for one in changed)
+
+
+def test_counts_of_a_holonomic_base_that_waited_are_timed_by_their_way() -> None:
+    """Sideways at an even speed; one reading waits 20 ms for the next, which it arrives with."""
+    wheels = HolonomicWheels("mecanum", radius_m=0.05, half_length_m=0.2, half_width_m=0.15, ticks_per_turn=4096)
+    ways = wheels.jacobian @ [0.0, 0.5, 0.0] / wheels.m_per_tick
+    times, off_s = ReadingTimes(wheels), []
+    for index in range(200):
+        taken_s = 0.02 * index
+        stamp_s = taken_s + (0.018 if index % 50 == 49 else 0.0)
+        counts = tuple(int(count) for count in np.rint(ways * taken_s))
+        off_s.append(abs(times.time_of(WheelCounts(stamp_s, counts)) - taken_s))
+    assert max(off_s[100:]) < 0.01

@@ -17,7 +17,6 @@ from wheelsight.calibration_parts import least_step
 from wheelsight.events import OdometryReading, WheelCounts, WheelTicks
 from wheelsight.odometry.wheels.settings import ReadingTimesSettings
 
-
 Timed = WheelTicks | WheelCounts | OdometryReading
 """Readings whose ways say how long they took; speeds have none of their own."""
 
