@@ -143,7 +143,7 @@ class RobotTopics:
         yield Sent(event.stamp_s, JOINT_STATES, joints)
 
     def _of_holonomic(self, event: HolonomicReading) -> Iterator[Sent]:
-        """JointState of all wheels, or Odometry of what the base's own told."""
+        """JointState of all wheels, or the pose by the base's own odometry."""
         wheels = None if self._calibration is None else self._calibration.holonomic
         if isinstance(event, OdometryReading):
             T = se3.from_plane(event.x_m, event.y_m, event.yaw_rad)

@@ -32,7 +32,7 @@ TRANSFORM = "geometry_msgs/msg/TransformStamped"
 TEXT = "std_msgs/msg/String"
 # Text of a calibration.yaml, which wheelsight's own bags carry; an Odometry beside it is its estimate.
 CALIBRATION = "/wheelsight/calibration"
-# What a holonomic base's own odometry told, in wheelsight's own bags.
+# The pose by a holonomic base's own odometry, in wheelsight's own bags.
 WHEEL_ODOMETRY = "/wheelsight/wheel_odometry"
 NONE = "none"
 _TYPES = {
@@ -381,7 +381,7 @@ def _as_it_moves(
 def _holonomic(
     bag: OpenBag, filled: Sequence[Topic], choices: Choices, wheels: HolonomicWheels, warnings: list[str]
 ) -> WheelSource | None:
-    """What tells of a holonomic base whose wheels a calibration has: counts of all of them, else its own odometry."""
+    """The source of a holonomic base that a calibration states: counts of all its wheels, else its own odometry."""
     name = choices.topics.get("wheels")
     if name == NONE:
         return None
