@@ -30,7 +30,7 @@ from __future__ import annotations
 import sys
 from types import TracebackType
 
-from wheelsight.errors import WheelsightError
+from wheelsight.core.errors import WheelsightError
 
 
 def tell(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

@@ -18,8 +18,8 @@ from benchmarks.run import Result, run
 from benchmarks.sequences import Sequence, default_data_folder, find_sequences
 from benchmarks.table import document, problems_of, results_sheets, targets_sheet
 from benchmarks.targets import Target, judge
-from wheelsight.errors import WheelsightError
-from wheelsight.files import write_text
+from wheelsight.core.errors import WheelsightError
+from wheelsight.core.files import write_text
 
 # Where the output is piped, as wide as the tables need.
 _CONSOLE = Console(width=None if sys.stdout.isatty() else 140)

@@ -21,11 +21,11 @@ from benchmarks import contenders
 from benchmarks.measure import Feed, keep_to, measure
 from benchmarks.sequences import Sequence, default_data_folder, find_sequences
 from benchmarks.table import Sheet
-from wheelsight.errors import CalibrationError
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
-from wheelsight.recordings import open_recording
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.geometry import FloatArray, PinholeCamera, se3, so3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings import open_recording
 
 _GAPS = (15, 30, 60)
 _EVERY = 10

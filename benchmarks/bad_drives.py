@@ -9,34 +9,40 @@ from functools import partial
 
 import numpy as np
 
-from wheelsight.events import Event
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.simulation import (
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.messages import Event
+from wheelsight_sim import (
     ManualVelocities,
+    RealismName,
     Renderer,
     Robot,
     SimulatedRecording,
     SimulationSettings,
     build_world,
     camera_model,
+    realism_of,
     simulate_drive,
 )
-from wheelsight.simulation.camera_faults import (
+from wheelsight_sim.drivers import Driver, follow_route
+from wheelsight_sim.faults import (
     CableOut,
     CameraFault,
     Covered,
+    DarkRoom,
     DepthHoles,
+    DirectSun,
     ExposureSteps,
     FramesDropped,
+    GlassWall,
     LightsOff,
     LowRate,
+    Mirror,
+    Silence,
+    StillView,
     StuckImage,
+    WheelsStand,
 )
-from wheelsight.simulation.drivers import Driver, follow_route
-from wheelsight.simulation.passersby import Passersby
-from wheelsight.simulation.realism import RealismName, realism_of
-from wheelsight.simulation.scene_faults import DarkRoom, DirectSun, GlassWall, Mirror, Silence, StillView, WheelsStand
-from wheelsight.simulation.walking import RADIUS_M
+from wheelsight_sim.people import RADIUS_M, Passersby
 
 _SIZE = (320, 240)
 _BEGIN_S, _END_S = 4.0, 7.0

@@ -17,16 +17,16 @@ from scipy.stats import chi2
 from benchmarks.bad_drives import DRIVES, BadDrive, Case
 from benchmarks.table import Sheet
 from benchmarks.targets import Target
-from wheelsight.calibration import Calibration
 from wheelsight.config import Config, load_config
-from wheelsight.estimates import Estimate, Status
-from wheelsight.events import Event, RgbdFrame
-from wheelsight.geometry import BoolArray, FloatArray, se3, so3
-from wheelsight.localizer import Localizer
-from wheelsight.recordings import express_for
-from wheelsight.simulation.camera_faults import events_with
-from wheelsight.simulation.realism import RealismName, realism_names
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.geometry import BoolArray, FloatArray, se3, so3
+from wheelsight.core.messages import Event, RgbdFrame
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.estimation import Localizer
+from wheelsight.io.recordings import express_for
+from wheelsight_sim import RealismName, realism_names
+from wheelsight_sim.faults import events_with
 
 MAPPER, JOINED = "surfels", "wheels, dense"
 WRONG_M, WRONG_RAD = 0.10, np.deg2rad(5.0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wheelsight.devices.protocol import Counts, FrameDecoder, encode_message
+from wheelsight.io.devices.wire_formats import Counts, FrameDecoder, encode_message
 
 _DAMAGED, _DROPPED, _REPEATED = 0.10, 0.05, 0.05
 _MOST_FLIPS = 8

@@ -21,13 +21,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.extras import needed
-from wheelsight.geometry import PinholeCamera
-from wheelsight.recordings import open_recording
-from wheelsight.recordings.rosbag.robot_topics import ImageForm, RobotTopics
-from wheelsight.recordings.rosbag.writing import new_bag
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.runtime import needed
+from wheelsight.io.recordings import open_recording
+from wheelsight.io.recordings.bags.writing import ImageForm, RobotTopics, new_bag
 
 FRAMES_PER_S, WRITTEN_PER_S, OPEN_S = 150.0, 100.0, 2.0
 _WIDTH, _HEIGHT, _FRAME_HZ, _WHEELS_HZ = 640, 480, 30, 50

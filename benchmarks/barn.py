@@ -33,9 +33,9 @@ from benchmarks.navigation_page import write_section
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
 from wheelsight.config import load_config
-from wheelsight.localizer import Localizer, LocalizerInStep
+from wheelsight.estimation import Localizer, LocalizerInStep
 from wheelsight.navigation import CostmapSettings, GrowingFloor, NavigationSettings, Navigator
-from wheelsight.simulation import SimulationSettings, Simulator
+from wheelsight_sim import SimulationSettings, Simulator
 
 SUCCESS_PERCENT, COLLISION_PERCENT, SCORE = 95.0, 1.0, 0.42
 GOAL_M, LONGEST_S = 1.0, 100.0 * SCALE * 2.0

@@ -19,10 +19,10 @@ import cv2
 import numpy as np
 
 from benchmarks.box_worlds import Box, hall
-from wheelsight.geometry import BoolArray, IntArray
+from wheelsight.core.geometry import BoolArray, IntArray
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import Costmap, NavigationSettings, Plan, Planner, StaticLayer
-from wheelsight.simulation import World
+from wheelsight_sim import World
 
 SCALE = 1.75
 CELL_M, SIDE_CELLS, WAY_M = 0.15 * SCALE, 33, 10.0 * SCALE

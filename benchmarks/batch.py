@@ -26,10 +26,10 @@ from rich.console import Console
 from benchmarks import machine
 from benchmarks.table import Sheet, targets_sheet, write_page
 from benchmarks.targets import Target
-from wheelsight.batch import Plan, plan_of, run_batch, run_job, run_on_processes
+from wheelsight.app.batch import Plan, plan_of, run_batch, run_job, run_on_processes
+from wheelsight.app.run.kernels import compile_kernels, missing_parts, parts_of
 from wheelsight.config import load_config
-from wheelsight.pipeline.kernels import compile_kernels, missing_parts, parts_of
-from wheelsight.simulation import SimulationSettings, simulate, write_simulation
+from wheelsight_sim import SimulationSettings, simulate, write_simulation
 
 TIMES = 1.9
 SETTINGS = "odometry: wheels,dense\n"

@@ -15,11 +15,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from wheelsight.camera_calibration.board import Board, board_from
-from wheelsight.camera_calibration.readings import reading_m
-from wheelsight.camera_calibration.views import Corners, View, ViewSet
-from wheelsight.depth_error import DepthError
-from wheelsight.geometry import BoolArray, Float32Array, FloatArray, PinholeCamera, se3, so3
+from wheelsight.core.depth_errors import DepthError
+from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, PinholeCamera, se3, so3
+from wheelsight.vision.camera_calibration.board import Board, board_from
+from wheelsight.vision.camera_calibration.calibration import reading_m
+from wheelsight.vision.camera_calibration.views import Corners, View, ViewSet
 
 BOARD = board_from("8x5:60mm")  # on A2
 _PLATE_M = 0.09

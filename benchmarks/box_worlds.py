@@ -10,9 +10,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from wheelsight.areas import AreaMap
-from wheelsight.geometry import FloatArray
-from wheelsight.simulation import Surface, World
+from wheelsight.core.areas import AreaMap
+from wheelsight.core.geometry import FloatArray
+from wheelsight_sim import Surface, World
 
 CEILING_M = 2.8
 _THICK_M = 0.2

@@ -11,11 +11,10 @@ from dataclasses import dataclass, fields, replace
 from types import TracebackType
 from typing import Self
 
-from wheelsight.calibration import Calibration
-from wheelsight.commands import VelocityCommand
-from wheelsight.events import Event, RgbdFrame
-from wheelsight.simulation import SimulatedRecording
-from wheelsight.simulation.simulator import Simulator
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.messages import Event, RgbdFrame, VelocityCommand
+from wheelsight_sim import SimulatedRecording
+from wheelsight_sim.simulator import Simulator
 
 
 def freed(events: Iterable[Event], calibration: Calibration) -> Iterator[Event]:

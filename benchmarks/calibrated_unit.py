@@ -22,21 +22,19 @@ import numpy as np
 from benchmarks.board_views import BOARD
 from benchmarks.calibrated_sources import with_calibration
 from benchmarks.unit_views import VIEWS, bench_of, views_of
-from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration, save_layer
-from wheelsight.camera_calibration.calibrate import calibrate_camera
-from wheelsight.camera_calibration.fields import camera_fields
-from wheelsight.camera_calibration.result import CameraCalibration
-from wheelsight.camera_calibration.settings import CameraCalibrationSettings, RefusalSettings
-from wheelsight.camera_calibration.task import CameraSetup
-from wheelsight.camera_calibration.views import ViewSet
-from wheelsight.geometry import FloatArray, PinholeCamera, se3
-from wheelsight.odometry.camera_errors import typical_motion_errors
-from wheelsight.odometry.extrinsics import Sightings, calibrate_base, mount_values
-from wheelsight.odometry.wheels import fit_wheels
-from wheelsight.odometry.wheels.squares import square_run, umbmark_from_runs
-from wheelsight.recordings.bodies import express_for
-from wheelsight.simulation import SimulatedRecording, SimulationSettings, camera_model, simulate
-from wheelsight.simulation.realism import stream
+from wheelsight.core.calibration import Calibration, load_calibration, save_calibration, save_layer
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.camera_errors import typical_motion_errors
+from wheelsight.core.geometry import FloatArray, PinholeCamera, se3
+from wheelsight.io.recordings.recording import express_for
+from wheelsight.vision.camera_calibration.calibration import CameraCalibration, calibrate_camera, camera_fields
+from wheelsight.vision.camera_calibration.model import CameraSetup
+from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings, RefusalSettings
+from wheelsight.vision.camera_calibration.views import ViewSet
+from wheelsight.vision.extrinsics import Sightings, calibrate_base, mount_values
+from wheelsight.wheels import fit_wheels
+from wheelsight.wheels.umbmark import square_run, umbmark_from_runs
+from wheelsight_sim import SimulatedRecording, SimulationSettings, camera_model, simulate, stream
 
 DISTANCES_M = (0.8, 1.2, 2.0, 3.0, 4.0)
 _SENSORS = {"kinect-v1": "structured-light", "kinect-v2": "tof"}

@@ -19,14 +19,13 @@ from benchmarks import machine
 from benchmarks.board_views import BOARD, RIGS, Rig, board_views
 from benchmarks.sequences import default_data_folder
 from benchmarks.table import Sheet
-from wheelsight.camera_calibration.board import board_from
-from wheelsight.camera_calibration.calibrate import calibrate_camera
-from wheelsight.camera_calibration.folders import read_views
-from wheelsight.camera_calibration.result import CameraCalibration
-from wheelsight.camera_calibration.settings import CameraCalibrationSettings, RefusalSettings
-from wheelsight.camera_calibration.task import CameraSetup
-from wheelsight.files import write_text
-from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
+from wheelsight.core.files import write_text
+from wheelsight.core.geometry import FloatArray, PinholeCamera, se3, so3
+from wheelsight.vision.camera_calibration.board import board_from
+from wheelsight.vision.camera_calibration.calibration import CameraCalibration, calibrate_camera
+from wheelsight.vision.camera_calibration.model import CameraSetup
+from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings, RefusalSettings
+from wheelsight.vision.camera_calibration.views import read_views
 
 SEEDS, VIEWS = 10, 40
 DISTANCES_M = (0.8, 1.2, 2.0, 3.0, 4.0)

@@ -8,15 +8,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from wheelsight.calibration import Calibration
-from wheelsight.events import Event, WheelTicks
-from wheelsight.recordings import Recording, open_recording
-from wheelsight.simulation import SimulationSettings, simulate, write_simulation
-from wheelsight.simulation.camera_faults import CameraFault, LowRate
-from wheelsight.simulation.clock_faults import (
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.messages import Event, WheelTicks
+from wheelsight.io.recordings import Recording, open_recording
+from wheelsight_sim import SimulationSettings, simulate, write_simulation
+from wheelsight_sim.faults import (
+    CameraFault,
     ClockFault,
     ClockLeaps,
     ColorLate,
+    LowRate,
     ReadingsJitter,
     ReadingsStalled,
     ReadingsTogether,

@@ -19,14 +19,14 @@ from scipy.stats import chi2
 
 from benchmarks.clock_rows import Row, TimedTicks, timed
 from benchmarks.joined_runs import CAMERA, JOINED, WHEELS
-from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
-from wheelsight.estimates import Estimate, Reason, Status
-from wheelsight.events import Event, RgbdFrame
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.localizer import Localizer
-from wheelsight.recordings import Recording
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Estimate, Reason, Status
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.messages import Event, RgbdFrame
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.estimation import Localizer
+from wheelsight.io.recordings import Recording
 
 ODOMETRY = {WHEELS: "wheels", CAMERA: "dense", JOINED: "wheels,dense"}
 # A sensor with poses at fewer of the frames is none to compare with.

@@ -25,8 +25,8 @@ from benchmarks.clock_rows import DRIVE, ROWS, Row, drive_of
 from benchmarks.clock_runs import COVERAGE, PLUS_M, TIMES, ClockFigures, Errors, measure_drive
 from benchmarks.joined_runs import CAMERA, JOINED, WHEELS
 from benchmarks.table import Sheet
-from wheelsight.files import write_text
-from wheelsight.simulation import SimulationSettings
+from wheelsight.core.files import write_text
+from wheelsight_sim import SimulationSettings
 
 SEEDS = 10
 _MADE = (

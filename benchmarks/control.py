@@ -22,18 +22,16 @@ from benchmarks.navigation_page import write_section
 from benchmarks.plain_rollouts import plain_costs
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
-from wheelsight.commands import VelocityCommand
-from wheelsight.estimates import Status
-from wheelsight.geometry import BoolArray, FloatArray
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import BoolArray, FloatArray
+from wheelsight.core.messages import VelocityCommand
 from wheelsight.navigation import Footprint, RobotLimits
+from wheelsight.navigation.clearance_kernels import CostField
 from wheelsight.navigation.collision_monitor import CollisionMonitor
-from wheelsight.navigation.control_settings import FollowSettings, MppiSettings
-from wheelsight.navigation.control_values import Controller, MotionState
-from wheelsight.navigation.fields import CostField, outline_of
-from wheelsight.navigation.following import Situation
-from wheelsight.navigation.mppi import MppiController, Rollouts
-from wheelsight.navigation.pure_pursuit import PurePursuitController
-from wheelsight.navigation.segments import cut
+from wheelsight.navigation.controllers import MppiController, PurePursuitController, Rollouts
+from wheelsight.navigation.footprint import outline_of
+from wheelsight.navigation.path_following import Controller, MotionState, Situation, cut
+from wheelsight.navigation.settings import FollowSettings, MppiSettings
 from wheelsight.navigation.surroundings import DepthView
 
 CHAIR = Footprint.rectangle(0.8, 0.3, 0.6)

@@ -13,21 +13,21 @@ import shapely
 
 from benchmarks.exploration_truth import CELL_M, TruePlan, tour_m
 from benchmarks.session_starts import Building
+from wheelsight.app.run.exploring import exploring
 from wheelsight.config import Config, load_config
+from wheelsight.core.files import write_bytes
+from wheelsight.core.geometry import BoolArray, ByteArray, FloatArray, se2, se3
+from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import ate
-from wheelsight.files import write_bytes
-from wheelsight.geometry import BoolArray, ByteArray, FloatArray, se2, se3
-from wheelsight.mapping.mount import camera_over_floor
+from wheelsight.mapping.occupancy import camera_over_floor
 from wheelsight.navigation import DepthViewer, KnownFloor, NavigationResult, StaticLayer, planar_pose
 from wheelsight.navigation.costmap import CellState
-from wheelsight.navigation.sight import Sight
-from wheelsight.pipeline.exploring import exploring
-from wheelsight.simulation import SimulationSettings
-from wheelsight.simulation.simulator import Simulator
-from wheelsight.simulation.world import World
-from wheelsight.simulation.worlds.clearance import obstacles
-from wheelsight.slam.sessions import MapFolder, driven_way, occupancy_of
-from wheelsight.trajectory import Trajectory
+from wheelsight.navigation.exploration import Sight
+from wheelsight.slam.maps import MapFolder, driven_way, occupancy_of
+from wheelsight_sim import SimulationSettings
+from wheelsight_sim.clearance import obstacles
+from wheelsight_sim.simulator import Simulator
+from wheelsight_sim.world import World
 
 SHARE_PERCENT = 97.0
 # Nearer to open floor than this, a cell that is called free is off by rounding alone: a cell's diagonal.

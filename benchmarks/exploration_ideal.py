@@ -22,15 +22,15 @@ from benchmarks.sequences import default_data_folder
 from benchmarks.sessions import buildings_of
 from benchmarks.table import Sheet
 from wheelsight.config import load_config
-from wheelsight.geometry import FloatArray, IntArray
-from wheelsight.geometry.se2 import wrap_angle
+from wheelsight.core.geometry import FloatArray, IntArray
+from wheelsight.core.geometry.se2 import wrap_angle
 from wheelsight.navigation import Costmap, Exploration, NavigationSettings, StaticLayer, planar_pose
 from wheelsight.navigation.costmap import CellState
-from wheelsight.navigation.grid_search import cost_to_go
-from wheelsight.navigation.sight import Sight
-from wheelsight.simulation import SimulationSettings
-from wheelsight.simulation.simulate import world_of
-from wheelsight.simulation.stepping import start_of
+from wheelsight.navigation.exploration import Sight
+from wheelsight.navigation.planner import cost_to_go
+from wheelsight_sim import SimulationSettings
+from wheelsight_sim.physics import start_of
+from wheelsight_sim.simulate import world_of
 
 CAMERA_M, WALLS_FROM_M, HALF_RAD = 0.9, 0.3, 0.5
 # A Kinect on the chair sees floor from here on, and the map takes depth up to there.

@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import shapely
 
-from wheelsight.geometry import BoolArray, ByteArray, FloatArray, IntArray
+from wheelsight.core.geometry import BoolArray, ByteArray, FloatArray, IntArray
 from wheelsight.navigation import Footprint
-from wheelsight.navigation.grid_search import cost_to_go
-from wheelsight.navigation.sight import Sight, marks
-from wheelsight.simulation.world import World
-from wheelsight.simulation.worlds.clearance import footprints, obstacles
+from wheelsight.navigation.exploration import Sight, marks
+from wheelsight.navigation.planner import cost_to_go
+from wheelsight_sim.clearance import footprints, obstacles
+from wheelsight_sim.world import World
 
 CELL_M = 0.05
 _AROUND_M = 1.0

@@ -9,11 +9,12 @@ import numpy as np
 import shapely
 
 from benchmarks.fault_robot import STRAIGHT_ON_FROM_S, Fault, FaultKind, FaultyRobot, Leader
-from wheelsight.commands import STOP
 from wheelsight.config import load_config
-from wheelsight.errors import WheelsightError
-from wheelsight.geometry import FloatArray
-from wheelsight.localizer import Localizer, LocalizerInStep
+from wheelsight.core.errors import WheelsightError
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import STOP
+from wheelsight.core.robots import RobotLimits
+from wheelsight.estimation import Localizer, LocalizerInStep
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import (
     CollisionMonitor,
@@ -24,10 +25,9 @@ from wheelsight.navigation import (
     Navigator,
     planar_pose,
 )
+from wheelsight.navigation.navigator import VelocityRamp
 from wheelsight.navigation.senses import Senses
-from wheelsight.navigation.velocity_ramp import VelocityRamp
-from wheelsight.robot_limits import RobotLimits
-from wheelsight.simulation.simulator import PERIOD_S
+from wheelsight_sim.simulator import PERIOD_S
 
 CELL_M = 0.05
 # After the fault; with a wrong map until the task is over, or so long.

@@ -10,12 +10,11 @@ from types import TracebackType
 import numpy as np
 
 from benchmarks.box_worlds import Box, hall
-from wheelsight.calibration import Calibration
-from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.events import Event, RgbdFrame
-from wheelsight.robot_limits import RobotLimits
-from wheelsight.simulation import SimulationSettings, Simulator, WheelFaults, World
-from wheelsight.simulation.simulator import PERIOD_S
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.messages import STOP, Event, RgbdFrame, VelocityCommand
+from wheelsight.core.robots import RobotLimits
+from wheelsight_sim import SimulationSettings, Simulator, WheelFaults, World
+from wheelsight_sim.simulator import PERIOD_S
 
 WATCHDOG_S, STALL_S = 0.25, 1.0
 """The firmware takes the motors' voltage after so long without a command (docs/serial-link.md); a stall, issue 32."""

@@ -30,15 +30,15 @@ from benchmarks.run import child_environment
 from benchmarks.sequences import PROJECT
 from benchmarks.table import Sheet, targets_sheet, write_page
 from benchmarks.targets import Target
+from wheelsight.app.run import LiveSensors, LiveSource
+from wheelsight.app.run.run_record import FrameRecord
+from wheelsight.app.run.track import begin_all, follow
 from wheelsight.config import load_config
-from wheelsight.devices import host_clock
-from wheelsight.devices.live_camera import CameraReport, CameraStatus, LiveFrame
-from wheelsight.estimates import Status
-from wheelsight.events import RgbdFrame, WheelTicks
-from wheelsight.pipeline import LiveSensors, LiveSource
-from wheelsight.pipeline.run_record import FrameRecord
-from wheelsight.pipeline.track import begin_all, follow
-from wheelsight.simulation import SimulatedRecording, SimulationSettings, simulate
+from wheelsight.core.estimates import Status
+from wheelsight.core.messages import RgbdFrame, WheelTicks
+from wheelsight.io.devices import host_clock
+from wheelsight.io.devices.live_camera import CameraReport, CameraStatus, LiveFrame
+from wheelsight_sim import SimulatedRecording, SimulationSettings, simulate
 
 FIRST_POSE_S, SLOWEST_MS = 3.0, 100.0
 PROFILES: tuple[str, ...] = ("default", "pi")

@@ -16,12 +16,12 @@ from benchmarks.table import Sheet
 from benchmarks.targets import Target
 from benchmarks.true_surface import SurfaceBuilder, TrueSurface
 from wheelsight.config import load_config
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray
-from wheelsight.localizer import Localizer
-from wheelsight.recordings import express_for
-from wheelsight.simulation import SimulatedRecording, SimulationSettings, simulate
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.estimation import Localizer
+from wheelsight.io.recordings import express_for
+from wheelsight_sim import SimulatedRecording, SimulationSettings, simulate
 
 ATE_M = 0.01
 MEAN_M, COVERED_PERCENT = 0.008, 95.0

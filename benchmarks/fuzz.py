@@ -37,7 +37,7 @@ from rich.console import Console
 
 from benchmarks.fuzz_damage import changed_files, damaged, replace_with_no_file
 from benchmarks.fuzz_files import Target, controls, targets
-from wheelsight.errors import WheelsightError
+from wheelsight.core.errors import WheelsightError
 
 LONGEST_S = 5.0
 MOST_BYTES = 1 << 30

@@ -29,27 +29,46 @@ from benchmarks.fuzz_recordings import (
     sqlite3_bag,
 )
 from benchmarks.fuzz_records import first_journal
-from wheelsight.areas import Area, AreaMap, load_areas, save_areas
-from wheelsight.batch import Case, Job, Outcome, Row, Spread, read_rows
-from wheelsight.batch.kept import KeptOutcomes
-from wheelsight.batch.table import csv_text, rows_of
-from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
-from wheelsight.camera_calibration.board import board_from
-from wheelsight.camera_calibration.folders import read_views
-from wheelsight.camera_calibration.settings import DetectionSettings
+from wheelsight.app.batch import Case, Job, Outcome, Row, Spread, read_rows
+from wheelsight.app.batch.batches import KeptOutcomes
+from wheelsight.app.batch.table import csv_text, rows_of
+from wheelsight.app.exports import BagParts, export_bag, exported_at
+from wheelsight.app.page.session import parsed, says_stop
+from wheelsight.app.run import CORRECTED_FILE, MAP_FILE
+from wheelsight.app.run.runs import (
+    COVARIANCES_FILE,
+    METRICS_FILE,
+    ODOM_FILE,
+    STATUS_FILE,
+    TRAJECTORY_FILE,
+    write_covariances,
+)
 from wheelsight.config import Config, load_config, save_config
-from wheelsight.devices.cameras import open_live_camera
-from wheelsight.devices.protocol import Ack, Counts, Version, encode_message
-from wheelsight.devices.recognition import LineDecoder
-from wheelsight.devices.source import TelemetryReader, TicksFile
-from wheelsight.errors import DeviceError, EvaluationError, RecordingError, WheelsightError
+from wheelsight.core.areas import Area, AreaMap, load_areas, save_areas
+from wheelsight.core.calibration import Calibration, load_calibration, save_calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import DeviceError, EvaluationError, RecordingError, WheelsightError
+from wheelsight.core.geometry import PinholeCamera, se3
+from wheelsight.core.inputs import Kind, read_bytes
+from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId
+from wheelsight.core.messages import RgbdFrame, WheelTicks
+from wheelsight.core.settings import LiveCameraSettings
+from wheelsight.core.trajectory import Trajectory, read_kitti, read_tum, write_kitti, write_tum
 from wheelsight.evaluation import evaluate
-from wheelsight.events import RgbdFrame, WheelTicks
-from wheelsight.exports import BagParts, export_bag, exported_at
-from wheelsight.geometry import PinholeCamera, se3
-from wheelsight.inputs import Kind, read_bytes
-from wheelsight.keyframes import Keyframe, KeyframeFeatures, KeyframeId
-from wheelsight.live_page.messages import parsed, says_stop
+from wheelsight.io.devices.cameras import open_live_camera
+from wheelsight.io.devices.wheel_source import TelemetryReader, TicksFile
+from wheelsight.io.devices.wire_formats import Ack, Counts, LineDecoder, Version, encode_message
+from wheelsight.io.recordings import (
+    OpenOptions,
+    RecordingWriter,
+    camera_turns,
+    find_recordings,
+    matches_of,
+    open_recording,
+    read_matches,
+)
+from wheelsight.io.recordings.inspection import inspect_recording
+from wheelsight.io.ros_map import read_ros_map
 from wheelsight.mapping import (
     EditKind,
     MapEdit,
@@ -62,10 +81,6 @@ from wheelsight.mapping import (
     load_map,
     save_map,
 )
-from wheelsight.odometry.wheels.squares import read_return_errors
-from wheelsight.pipeline import CORRECTED_FILE, MAP_FILE
-from wheelsight.pipeline.covariances import COVARIANCES_FILE, write_covariances
-from wheelsight.pipeline.outputs import METRICS_FILE, ODOM_FILE, STATUS_FILE, TRAJECTORY_FILE
 from wheelsight.places import (
     ForestSettings,
     HistogramDescriber,
@@ -76,32 +91,15 @@ from wheelsight.places import (
     train_places,
 )
 from wheelsight.places.recognition import Recognizer
-from wheelsight.recordings import (
-    OpenOptions,
-    RecordingWriter,
-    camera_turns,
-    find_recordings,
-    matches_of,
-    open_recording,
-    read_matches,
-)
-from wheelsight.recordings.inspection import inspect_recording
-from wheelsight.ros_map import read_ros_map
-from wheelsight.settings import LiveCameraSettings
-from wheelsight.simulation import read_manual_velocities
 from wheelsight.slam import RelativePose
-from wheelsight.slam.sessions import (
-    MapFolder,
-    SessionSettings,
-    driven_way,
-    info_of,
-    occupancy_of,
-    rebuild,
-    save_occupancy,
-)
-from wheelsight.slam.sessions.images import DepthSteps
-from wheelsight.slam.sessions.map_folder import OCCUPANCY_FILE
-from wheelsight.trajectory import Trajectory, read_kitti, read_tum, write_kitti, write_tum
+from wheelsight.slam.maps import MapFolder, SessionSettings, driven_way, info_of, occupancy_of, rebuild, save_occupancy
+from wheelsight.slam.maps.folder import OCCUPANCY_FILE
+from wheelsight.slam.maps.keyframes import DepthSteps
+from wheelsight.vision.camera_calibration.board import board_from
+from wheelsight.vision.camera_calibration.settings import DetectionSettings
+from wheelsight.vision.camera_calibration.views import read_views
+from wheelsight.wheels.umbmark import read_return_errors
+from wheelsight_sim import read_manual_velocities
 
 Files = Mapping[str, bytes]
 _CAMERA = PinholeCamera(16, 12, 14.0, 14.0, 7.5, 5.5)

@@ -21,11 +21,9 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 
-from wheelsight.calibration import Calibration
-from wheelsight.events import Event, RgbdFrame, WheelTicks, YawRate
-from wheelsight.recordings.rosbag.messages import Messages, nanoseconds
-from wheelsight.recordings.rosbag.robot_topics import RobotTopics, Sent
-from wheelsight.recordings.rosbag.writing import new_bag
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.messages import Event, RgbdFrame, WheelTicks, YawRate
+from wheelsight.io.recordings.bags.writing import Messages, RobotTopics, Sent, nanoseconds, new_bag
 
 _FRAMES = 3
 _LENS = (0.5, 0.5, 0.49, 0.49, 0.1, -0.02, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1e-4, -2e-4)

@@ -14,7 +14,7 @@ from benchmarks.run import read_passage, run_process
 from benchmarks.sequences import Sequence
 from benchmarks.table import Sheet
 from benchmarks.targets import Target
-from wheelsight.recordings import open_recording
+from wheelsight.io.recordings import open_recording
 
 GROWTH_PERCENT = 10.0
 MEMORY_MB = 1000.0

@@ -47,10 +47,10 @@ from benchmarks.joined_kept import KeptFigures
 from benchmarks.joined_runs import CAMERA, JOINED, PAPER, WHEELS, run_all
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
-from wheelsight.events import Event
-from wheelsight.files import write_text
-from wheelsight.simulation import FloorPlan, SimulatedRecording
-from wheelsight.simulation.camera_faults import events_with
+from wheelsight.core.files import write_text
+from wheelsight.core.messages import Event
+from wheelsight_sim import FloorPlan, SimulatedRecording
+from wheelsight_sim.faults import events_with
 
 SEEDS = 10
 _ORDINARY, _FAULT, _TOLD, _END_PERCENT = 0.5, 1.2, 95.0, 0.5

@@ -8,9 +8,10 @@ from enum import Enum
 
 import numpy as np
 
-from wheelsight.calibration import Calibration
-from wheelsight.geometry import FloatArray
-from wheelsight.simulation import (
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.trajectory import Trajectory
+from wheelsight_sim import (
     FloorPlan,
     Patch,
     Renderer,
@@ -21,15 +22,13 @@ from wheelsight.simulation import (
     build_world,
     camera_model,
     follow_route,
+    realism_of,
     simulate,
     simulate_drive,
 )
-from wheelsight.simulation.camera_faults import CameraFault, Covered, FramesDropped, LateClock
-from wheelsight.simulation.realism import realism_of
-from wheelsight.simulation.realism.wheel_sizes import WheelSizeSettings, as_calibrated
-from wheelsight.simulation.robot import NOMINAL_RADIUS_M, NOMINAL_TRACK_WIDTH_M
-from wheelsight.simulation.worlds.blank import BLANK_M
-from wheelsight.trajectory import Trajectory
+from wheelsight_sim.faults import CameraFault, Covered, FramesDropped, LateClock
+from wheelsight_sim.robot import NOMINAL_RADIUS_M, NOMINAL_TRACK_WIDTH_M, WheelSizeSettings, as_calibrated
+from wheelsight_sim.worlds.small_worlds import BLANK_M
 
 DURATION_S, RATE_HZ, SIZE = 45.0, 10.0, (320, 240)
 LONG_M = 200.0

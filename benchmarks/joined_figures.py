@@ -11,11 +11,11 @@ from scipy.stats import chi2
 
 from benchmarks.joined_cases import Case, Expected
 from benchmarks.joined_runs import CAMERA, JOINED, WHEELS, Answers
-from wheelsight.calibration import Wheels
-from wheelsight.estimates import Status
-from wheelsight.geometry import BoolArray, FloatArray, se3
-from wheelsight.simulation import Drive
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import BoolArray, FloatArray, se3
+from wheelsight.core.trajectory import Trajectory
+from wheelsight_sim import Drive
 
 # So long a status may take to notice that something goes wrong, and to be well again.
 NOTICE_S, BACK_S = 0.5, 2.0

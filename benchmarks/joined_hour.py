@@ -21,11 +21,11 @@ from benchmarks.joined_runs import JOINED, localizer_of
 from benchmarks.measure import keep_to
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
-from wheelsight.estimates import Status
-from wheelsight.events import Event, RgbdFrame
-from wheelsight.localizer import Localizer
-from wheelsight.simulation import SimulatedRecording, SimulationSettings, simulate
-from wheelsight.simulation.robot import TICK_PERIOD_S
+from wheelsight.core.estimates import Status
+from wheelsight.core.messages import Event, RgbdFrame
+from wheelsight.estimation import Localizer
+from wheelsight_sim import SimulatedRecording, SimulationSettings, simulate
+from wheelsight_sim.robot import TICK_PERIOD_S
 
 _RATE_HZ, _SEED = 5.0, 1
 _LAP_S = 140.0  # or somewhat longer

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.lib.format import open_memmap
 
-from wheelsight.events import Event, RgbdFrame
-from wheelsight.simulation import SimulatedRecording
+from wheelsight.core.messages import Event, RgbdFrame
+from wheelsight_sim import SimulatedRecording
 
 
 def kept_events(recording: SimulatedRecording, folder: Path) -> Iterator[Event]:

@@ -19,11 +19,11 @@ from benchmarks.joined_cases import RATE_HZ, SIZE, recorded_along, robot_of
 from benchmarks.joined_figures import Accuracy, accuracy_of
 from benchmarks.joined_images import kept_events
 from benchmarks.joined_runs import CAMERA, JOINED, PAPER, WHEELS, Answers, run_all
-from wheelsight.files import write_bytes
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.simulation import SimulatedRecording, SimulationSettings, WheelFaults, World
-from wheelsight.simulation.camera_faults import Covered, events_with
-from wheelsight.simulation.worlds.clearance import footprints
+from wheelsight.core.files import write_bytes
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight_sim import SimulatedRecording, SimulationSettings, WheelFaults, World
+from wheelsight_sim.clearance import footprints
+from wheelsight_sim.faults import Covered, events_with
 
 _SEED = 3
 # Up one corridor, along another, and into the kitchen and hall of `floor4`.

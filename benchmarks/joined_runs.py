@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
-from wheelsight.estimates import Estimate, Status
-from wheelsight.events import Event
-from wheelsight.fusion import FusedEstimate
-from wheelsight.geometry import BoolArray, FloatArray
-from wheelsight.localizer import Localizer
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.geometry import BoolArray, FloatArray
+from wheelsight.core.messages import Event
+from wheelsight.estimation import FusedEstimate, Localizer
 
 WHEELS, CAMERA, PAPER, JOINED = "wheels", "camera", "paper's filter", "joined"
 

@@ -12,9 +12,9 @@ from benchmarks.joined_runs import CAMERA, JOINED, WHEELS, localizer_of
 from benchmarks.table import Sheet
 from benchmarks.targets import Target
 from wheelsight import Localizer
-from wheelsight.estimates import Status
-from wheelsight.events import Event, RgbdFrame
-from wheelsight.simulation import SimulatedRecording, SimulationSettings, simulate
+from wheelsight.core.estimates import Status
+from wheelsight.core.messages import Event, RgbdFrame
+from wheelsight_sim import SimulatedRecording, SimulationSettings, simulate
 
 FRAMES_HZ, OVERHEAD_MS = 30.0, 0.5
 _SIZE, _RATE_HZ, _SECONDS, _SEED = (640, 480), 30.0, 21.0, 1

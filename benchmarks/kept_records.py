@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from wheelsight.errors import InputError
-from wheelsight.files import write_text
+from wheelsight.core.errors import InputError
+from wheelsight.core.files import write_text
 
 
 @dataclass(frozen=True)

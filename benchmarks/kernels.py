@@ -14,9 +14,9 @@ from benchmarks.run import child_environment
 from benchmarks.sequences import PROJECT
 from benchmarks.table import Sheet
 from benchmarks.targets import Target
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import PinholeCamera, se3
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import PinholeCamera, se3
+from wheelsight.core.messages import RgbdFrame
 
 FIRST_S = 60.0
 _PROGRAM = "from benchmarks.kernels import map_two_frames; map_two_frames()"
@@ -45,7 +45,7 @@ def measure_kernels() -> KernelTimes:
 def map_two_frames() -> None:
     """See one wall twice, with a lens, a shutter and a colour camera of its own, so that every kernel is called."""
     from wheelsight.config import load_config
-    from wheelsight.localizer import Localizer
+    from wheelsight.estimation import Localizer
 
     camera = PinholeCamera(*_SIZE, 525.0, 525.0, 319.5, 239.5, (0.01, 0.0, 0.0, 0.0, 0.0))
     beside = np.eye(4)

@@ -21,17 +21,17 @@ from benchmarks import machine
 from benchmarks.sequences import default_data_folder
 from benchmarks.session_starts import WRONG_M, beside_nearest, found_by
 from benchmarks.table import Sheet
-from wheelsight.calibration import Calibration
+from wheelsight.app.run.maps import open_known
+from wheelsight.app.runs import run_each
 from wheelsight.config import load_config
-from wheelsight.estimates import Estimate
-from wheelsight.events import Event, RgbdFrame
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.localizer import Localizer
-from wheelsight.pipeline.known_maps import open_known
-from wheelsight.recordings import Recording, open_recording
-from wheelsight.runs import run_each
-from wheelsight.slam.sessions import MapFolder, find_map
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Estimate
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.messages import Event, RgbdFrame
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.estimation import Localizer
+from wheelsight.io.recordings import Recording, open_recording
+from wheelsight.slam.maps import MapFolder, find_map
 
 NAME = "rgbd_dataset_freiburg1_desk"
 SEEN_S, LEFT_S = 4.0, 6.0

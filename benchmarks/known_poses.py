@@ -7,18 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.localizer.map_builder import Thinning
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import PredictedView, Surface
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.threads import Rows
+from wheelsight.estimation.camera_localizer import Thinning
 from wheelsight.mapping import SurfelMap
-from wheelsight.odometry.dense import DenseSettings
-from wheelsight.odometry.dense.grid import Gridder
-from wheelsight.odometry.dense.reference import ReferenceMaker
-from wheelsight.odometry.velocity import twist_between
-from wheelsight.simulation import SimulatedRecording
-from wheelsight.threads import Rows
-from wheelsight.views import PredictedView, Surface
+from wheelsight.vision.dense import DenseSettings
+from wheelsight.vision.dense.pyramid import Gridder, ReferenceMaker
+from wheelsight.vision.tracking_state import twist_between
+from wheelsight_sim import SimulatedRecording
 
 VOXEL_M = 0.006
 _BLOCK_VOXELS = 16

@@ -29,15 +29,15 @@ from benchmarks.session_starts import Building, drive_in
 from benchmarks.sessions import buildings_of
 from benchmarks.table import Sheet, targets_sheet, write_page
 from benchmarks.targets import Target
+from wheelsight.app.run.loops import CorrectionRecord
+from wheelsight.app.run.run_record import RunRecord
+from wheelsight.app.runs import run_each
 from wheelsight.config import load_config
-from wheelsight.estimates import Status
-from wheelsight.geometry import BoolArray, FloatArray, IntArray, se3
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import BoolArray, FloatArray, IntArray, se3
 from wheelsight.mapping import load_map
-from wheelsight.pipeline.loops import CorrectionRecord
-from wheelsight.pipeline.run_record import RunRecord
-from wheelsight.runs import run_each
-from wheelsight.simulation import SimulatedRecording
 from wheelsight.slam.graph import RelativePose
+from wheelsight_sim import SimulatedRecording
 
 MODES = {"camera alone": ("dense", "dense"), "joined": ("joined", "wheels,dense")}
 FALSE_M, FALSE_DEG, BEYOND = 0.5, 10.0, 1e-4

@@ -7,9 +7,9 @@ from scipy.spatial import KDTree
 
 from benchmarks.flat import SEEN_M
 from benchmarks.true_surface import SurfaceBuilder, TrueSurface
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.simulation import SimulatedRecording
-from wheelsight.simulation.scene import Scene
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight_sim import SimulatedRecording
+from wheelsight_sim.scene import Scene
 
 WITHIN_M = 0.02
 _A_SECOND = 3.0

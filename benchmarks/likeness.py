@@ -19,16 +19,15 @@ from benchmarks.likeness_residuals import Residuals, residuals
 from benchmarks.likeness_ways import QUANTILES, placed, upright
 from benchmarks.sequences import Accuracy, Sequence, default_data_folder, find_sequences
 from benchmarks.table import Sheet
-from wheelsight.calibration import Calibration
-from wheelsight.estimates import CameraEstimate
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray
-from wheelsight.odometry.dense import DenseOdometry
-from wheelsight.odometry.features import FeatureOdometry
-from wheelsight.recordings import express_for, open_recording
-from wheelsight.simulation import SimulationSettings, replay
-from wheelsight.simulation.realism import RealismName
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import CameraEstimate
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings import express_for, open_recording
+from wheelsight.vision.dense import DenseOdometry
+from wheelsight.vision.features import FeatureOdometry
+from wheelsight_sim import RealismName, SimulationSettings, replay
 
 _SEED = 7
 _KINECT = SimulationSettings(size=(640, 480), rate_hz=30.0, seed=_SEED)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from wheelsight.areas import AreaMap
-from wheelsight.geometry import FloatArray
-from wheelsight.simulation import Surface, World
+from wheelsight.core.areas import AreaMap
+from wheelsight.core.geometry import FloatArray
+from wheelsight_sim import Surface, World
 
 _TOP_M = 0.74
 _DESK_M = 3.0, 1.7

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import Trajectory
 
 _STRIDE_PX = 4
 _LARGEST_JUMP = 0.1  # of the depth: beyond, another surface is seen

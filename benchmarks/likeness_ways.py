@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
-from wheelsight.simulation import World
-from wheelsight.simulation.scene import Scene
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.geometry import FloatArray, PinholeCamera, se3, so3
+from wheelsight.core.trajectory import Trajectory
+from wheelsight_sim import World
+from wheelsight_sim.scene import Scene
 
 QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)
 _CAMERA = PinholeCamera(32, 24, 29.3, 29.3, 15.5, 11.5)  # Kinect v1's field of view

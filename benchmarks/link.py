@@ -16,10 +16,11 @@ from typing import Protocol
 import numpy as np
 
 from benchmarks.bad_lines import Outcome, decode_damaged, decode_noise
-from wheelsight.calibration import Calibration, Wheels, save_calibration
-from wheelsight.devices import FrameDecoder, LineDecoder
-from wheelsight.devices.protocol import Counts, Message, encode_message
-from wheelsight.geometry import FloatArray
+from wheelsight.core.calibration import Calibration, save_calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.geometry import FloatArray
+from wheelsight.io.devices import FrameDecoder, LineDecoder
+from wheelsight.io.devices.wire_formats import Counts, Message, encode_message
 
 _NOISE_BYTES, _DAMAGED_FRAMES = 10_000_000, 1_000_000
 _DECODED_FRAMES, _REPEATS = 200_000, 5

@@ -27,12 +27,12 @@ from benchmarks.sequences import default_data_folder
 from benchmarks.table import Sheet, targets_sheet, write_page
 from benchmarks.targets import Target
 from wheelsight.config import load_config
-from wheelsight.errors import InputError
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray
-from wheelsight.keyframes import KeyframeId
-from wheelsight.localizer import Localizer
-from wheelsight.recordings import open_recording
+from wheelsight.core.errors import InputError
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.estimation import Localizer
+from wheelsight.io.recordings import open_recording
 
 RECORDINGS = "rgbd_dataset_freiburg1_desk", "freiburg1_rpy_part", "red_kitchen"
 WITHOUT, WITH = "without", "with"

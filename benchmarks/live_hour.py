@@ -23,16 +23,14 @@ from benchmarks.joined_hour import events_apart, hour_recording
 from benchmarks.measure import keep_to
 from benchmarks.table import Sheet
 from benchmarks.targets import Target
-from wheelsight.calibration import Calibration
+from wheelsight.app.run import run_each
+from wheelsight.app.run.kernels import DrawnDrive, Rehearses
+from wheelsight.app.run.run_record import FrameRecord, RealTimeRecord
+from wheelsight.app.run.track import Track
 from wheelsight.config import load_config
-from wheelsight.estimates import Status
-from wheelsight.events import Event, RgbdFrame
-from wheelsight.pipeline import run_each
-from wheelsight.pipeline.realtime_record import RealTimeRecord
-from wheelsight.pipeline.rehearsal import DrawnDrive
-from wheelsight.pipeline.rehearses import Rehearses
-from wheelsight.pipeline.run_record import FrameRecord
-from wheelsight.pipeline.track import Track
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Status
+from wheelsight.core.messages import Event, RgbdFrame
 
 SETTINGS = {"odometry": "wheels,dense", "map": "surfels", "loops.source": "keyframes"}
 HOUR_MB, SLOWER_PERCENT = 1000.0, 10.0

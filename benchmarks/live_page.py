@@ -30,14 +30,12 @@ from benchmarks import machine, page_clients
 from benchmarks.page_requests import abroad, at_home, refusals
 from benchmarks.table import Sheet, targets_sheet, write_page
 from benchmarks.targets import Target
-from wheelsight.commands import VelocityCommand
+from wheelsight.app.page import Access, DriveMaps, Session
+from wheelsight.app.page.server import PageServer, page_app
 from wheelsight.config import load_config
-from wheelsight.events import Event
-from wheelsight.live_page import Access, DriveMaps, Session
-from wheelsight.live_page.app import page_app
-from wheelsight.live_page.server import PageServer
-from wheelsight.simulation import SimulationSettings
-from wheelsight.simulation.simulator import PERIOD_S, Simulator
+from wheelsight.core.messages import Event, VelocityCommand
+from wheelsight_sim import SimulationSettings
+from wheelsight_sim.simulator import PERIOD_S, Simulator
 
 MOVING_S, UPDATES_HZ, SHARE_PERCENT, STOP_MS, REFUSED = 0.5, 10.0, 10.0, 50.0, 24
 CLIENTS, GOAL, MOVES = 3, (1.8, 0.0), 0.02

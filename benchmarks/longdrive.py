@@ -13,8 +13,8 @@ from benchmarks.growth import Growth, growth_of, growth_sheet, judge_growth
 from benchmarks.known_poses import KnownSurfels, TruePoses
 from benchmarks.measure import Passage, keep_to, peak_memory_mb
 from benchmarks.table import targets_sheet
-from wheelsight.events import RgbdFrame
-from wheelsight.simulation import SimulatedRecording, SimulationSettings, simulate
+from wheelsight.core.messages import RgbdFrame
+from wheelsight_sim import SimulatedRecording, SimulationSettings, simulate
 
 _LAPS = 8
 

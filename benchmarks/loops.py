@@ -15,17 +15,16 @@ import numpy as np
 
 from benchmarks.sequences import default_data_folder
 from wheelsight.config import load_config
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.estimation import Localizer
 from wheelsight.evaluation import ate
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import KeyframeId
-from wheelsight.localizer import Localizer
-from wheelsight.recordings import GivesMatches, OpenOptions, matches_of, open_recording
-from wheelsight.slam.correction import correct
+from wheelsight.io.recordings import GivesMatches, OpenOptions, matches_of, open_recording
 from wheelsight.slam.graph import PoseGraph, Prior, RelativePose
-from wheelsight.slam.loops import LoopCloser, LoopReport
-from wheelsight.slam.own_solver import OwnPoseGraph
-from wheelsight.slam.pose_graph import GtsamPoseGraph
-from wheelsight.trajectory import Trajectory
+from wheelsight.slam.loop_closing import correct
+from wheelsight.slam.loop_gate import LoopCloser, LoopReport
+from wheelsight.slam.solvers import GtsamPoseGraph, OwnPoseGraph
 
 SOLVERS: dict[str, Callable[[], PoseGraph]] = {"gtsam": GtsamPoseGraph, "own": OwnPoseGraph}
 _STEP_SIGMAS = np.array([0.02, 0.01, 0.005, 0.002, 0.002, 0.01])

@@ -15,8 +15,8 @@ from rich.console import Console
 
 from benchmarks.known_poses import KnownSurfels, TruePoses, frame_pairs
 from benchmarks.table import Sheet
-from wheelsight.geometry import BoolArray, FloatArray
-from wheelsight.simulation import SimulatedRecording, SimulationSettings, simulate, world_names
+from wheelsight.core.geometry import BoolArray, FloatArray
+from wheelsight_sim import SimulatedRecording, SimulationSettings, simulate, world_names
 
 EDGES_M = np.array([1.0, 2.0, 3.0, 4.0, 4.5, 5.0, 5.5, 6.0])
 # Deviations of a curve of 1/z from a line, which is what a plane makes, beyond which pixels span an edge.

@@ -19,13 +19,13 @@ import numpy as np
 
 from benchmarks import contenders
 from benchmarks.contenders import Tracker
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.files import write_text
-from wheelsight.geometry import FloatArray, se3, so3
-from wheelsight.recordings import Recording, open_recording
-from wheelsight.recordings.image_recording import ImageRecording
-from wheelsight.trajectory import Trajectory, write_tum
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.files import write_text
+from wheelsight.core.geometry import FloatArray, se3, so3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import Trajectory, write_tum
+from wheelsight.io.recordings import Recording, open_recording
+from wheelsight.io.recordings.image_recording import ImageRecording
 
 THREADS = 2
 _WARM_UP_FRAMES = 5

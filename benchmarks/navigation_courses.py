@@ -12,10 +12,10 @@ import numpy as np
 
 from benchmarks.box_worlds import Box
 from benchmarks.session_starts import Building, FirstDay, beside_nearest
-from wheelsight.geometry import FloatArray, se3
+from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import Costmap, KnownFloor, NavigationSettings, Plan, Planner, planar_pose
-from wheelsight.slam.sessions import MapFolder, driven_way, occupancy_of
+from wheelsight.slam.maps import MapFolder, driven_way, occupancy_of
 
 ROUND_M = 0.05
 _HEADINGS, _TRIES = 8, 200

@@ -13,17 +13,17 @@ from benchmarks.box_worlds import with_boxes
 from benchmarks.calibrated_sources import CalibratedRobot
 from benchmarks.calibrated_unit import calibration_for
 from benchmarks.navigation_courses import ROUND_M, Course, KnownBuilding
+from wheelsight.app.run.maps import open_known
 from wheelsight.config import load_config
-from wheelsight.errors import ConfigError
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.geometry.se2 import wrap_angle
-from wheelsight.localizer import Localizer, LocalizerInStep
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.geometry.se2 import wrap_angle
+from wheelsight.core.robots import Robot
+from wheelsight.estimation import Localizer, LocalizerInStep
 from wheelsight.navigation import Navigator
-from wheelsight.pipeline.known_maps import open_known
-from wheelsight.robots import Robot
-from wheelsight.simulation import SimulationSettings
-from wheelsight.simulation.simulate import world_of
-from wheelsight.simulation.simulator import Simulator
+from wheelsight_sim import SimulationSettings
+from wheelsight_sim.simulate import world_of
+from wheelsight_sim.simulator import Simulator
 
 ARRIVED_M, ARRIVED_DEG = 0.15, 10.0
 _LONGEST_S = 240.0

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from benchmarks.table import Sheet
-from wheelsight.files import write_text
+from wheelsight.core.files import write_text
 
 
 def write_section(path: Path, title: str, told: str, about: Mapping[str, str], sheets: Sequence[Sheet]) -> None:

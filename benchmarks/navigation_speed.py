@@ -32,12 +32,12 @@ from benchmarks.navigation_page import write_section
 from benchmarks.played_drive import PlayedDrive, PlayedRobot, rendered
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
-from wheelsight.calibration import Calibration
 from wheelsight.config import Config, load_config
-from wheelsight.estimates import Estimate, Status
-from wheelsight.events import Event, RgbdFrame
-from wheelsight.keyframes import KeyframeStore
-from wheelsight.localizer import Localizer, LocalizerApart, LocalizerBeside
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.keyframes import KeyframeStore
+from wheelsight.core.messages import Event, RgbdFrame
+from wheelsight.estimation import Localizer, LocalizerApart, LocalizerBeside
 from wheelsight.navigation import (
     CostmapSettings,
     GrowingFloor,
@@ -48,8 +48,8 @@ from wheelsight.navigation import (
     WheelCheckSettings,
     WorkerBeside,
 )
-from wheelsight.simulation import SimulationSettings, simulate
-from wheelsight.simulation.simulator import PERIOD_S
+from wheelsight_sim import SimulationSettings, simulate
+from wheelsight_sim.simulator import PERIOD_S
 
 PERIOD_MS, WITHIN_PERCENT, FRAMES_HZ, GROWTH_PERCENT = 1e3 * PERIOD_S, 99.0, 15.0, 10.0
 _QUARTERS, _TRUSTED_M = 4, 2.5

@@ -16,8 +16,10 @@ from sklearn.ensemble import RandomForestClassifier
 from benchmarks import machine
 from benchmarks.table import Sheet
 from benchmarks.targets import Target
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
+from wheelsight.core.geometry import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings import OpenOptions, open_recording
 from wheelsight.places import (
     Describer,
     ForestSettings,
@@ -29,8 +31,6 @@ from wheelsight.places import (
     describe_all,
     train_places,
 )
-from wheelsight.recordings import OpenOptions, open_recording
-from wheelsight.trajectory import Trajectory
 
 TRAINING_FRAMES = 1433  # as many as in the paper
 AREAS = 8

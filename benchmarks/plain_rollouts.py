@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from wheelsight.geometry import Float32Array, FloatArray
-from wheelsight.navigation.fields import CostField
-from wheelsight.navigation.mppi import Begin, Dynamics, Way, Weights
+from wheelsight.core.geometry import Float32Array, FloatArray
+from wheelsight.navigation.clearance_kernels import CostField
+from wheelsight.navigation.mppi_kernels import Begin, Dynamics, Way, Weights
 
 
 def plain_costs(

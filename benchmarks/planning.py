@@ -25,7 +25,8 @@ from benchmarks.navigation_page import write_section
 from benchmarks.sequences import default_data_folder
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
-from wheelsight.geometry import BoolArray, ByteArray, Float32Array, FloatArray
+from wheelsight.core.geometry import BoolArray, ByteArray, Float32Array, FloatArray
+from wheelsight.io.ros_map import FREE, OCCUPIED, read_ros_map
 from wheelsight.mapping.occupancy import CellKind, OccupancyGrid
 from wheelsight.navigation import (
     Costmap,
@@ -37,7 +38,6 @@ from wheelsight.navigation import (
     StaticLayer,
     cost_to_go,
 )
-from wheelsight.ros_map import FREE, OCCUPIED, read_ros_map
 
 CHAIR = Footprint.rectangle(front_m=0.8, back_m=0.3, width_m=0.6)
 BARE_RESOLUTION_M = 0.05

@@ -12,14 +12,13 @@ from types import TracebackType
 
 import numpy as np
 
-from wheelsight.calibration import Calibration
-from wheelsight.commands import VelocityCommand
-from wheelsight.events import Event, RgbdFrame, WheelTicks
-from wheelsight.geometry import FloatArray
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import Event, RgbdFrame, VelocityCommand, WheelTicks
+from wheelsight.core.trajectory import Trajectory
 from wheelsight.navigation import planar_pose
-from wheelsight.simulation import SimulatedRecording
-from wheelsight.simulation.simulator import PERIOD_S
-from wheelsight.trajectory import Trajectory
+from wheelsight_sim import SimulatedRecording
+from wheelsight_sim.simulator import PERIOD_S
 
 _AHEAD = 8
 

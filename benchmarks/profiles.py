@@ -28,16 +28,16 @@ from benchmarks.measure import keep_to
 from benchmarks.sequences import default_data_folder
 from benchmarks.table import Sheet, write_page
 from wheelsight.config import Config, load_config
-from wheelsight.errors import EvaluationError
-from wheelsight.estimates import Estimate
+from wheelsight.core.errors import EvaluationError
+from wheelsight.core.estimates import Estimate
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import Event, RgbdFrame
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.estimation import Localizer
 from wheelsight.evaluation import ate
-from wheelsight.events import Event, RgbdFrame
-from wheelsight.geometry import FloatArray
-from wheelsight.localizer import Localizer
-from wheelsight.navigation.mppi import MppiController
-from wheelsight.recordings import express_for, open_recording
-from wheelsight.simulation import SimulationSettings, simulate
-from wheelsight.trajectory import Trajectory
+from wheelsight.io.recordings import express_for, open_recording
+from wheelsight.navigation.controllers import MppiController
+from wheelsight_sim import SimulationSettings, simulate
 
 RECORDINGS = "rgbd_dataset_freiburg1_desk", "freiburg1_rpy_part", "red_kitchen"
 PROFILE = "pi"

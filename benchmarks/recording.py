@@ -27,14 +27,13 @@ from benchmarks.measure import keep_to
 from benchmarks.sequences import default_data_folder
 from benchmarks.table import Sheet, targets_sheet, write_page
 from benchmarks.targets import Target
-from wheelsight.calibration import Calibration
-from wheelsight.devices.played_camera import PlayedCamera
-from wheelsight.devices.recorder import LiveRecorder
-from wheelsight.devices.recording_session import RecordingSession
-from wheelsight.events import RgbdFrame
-from wheelsight.recordings import RecordingWriter, open_recording
-from wheelsight.recordings.image_files import FAST_PNG, JPEG_QUALITY, ColorFormat
-from wheelsight.recordings.tum import DEPTH_FACTOR
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.devices.cameras import PlayedCamera
+from wheelsight.io.devices.recorder import LiveRecorder, RecordingSession
+from wheelsight.io.recordings import RecordingWriter, open_recording
+from wheelsight.io.recordings.images import FAST_PNG, JPEG_QUALITY, ColorFormat
+from wheelsight.io.recordings.tum_datasets import DEPTH_FACTOR
 
 RECORDING = "rgbd_dataset_freiburg1_desk"
 RATE_HZ, SECONDS, FRAMES, NOISE = 30.0, 20.0, 40, 3

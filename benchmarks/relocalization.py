@@ -27,19 +27,17 @@ from benchmarks.sequences import Sequence as Recorded
 from benchmarks.sequences import default_data_folder, find_sequences
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, se3, so3
-from wheelsight.keyframes import Keyframe, KeyframeFeatures, KeyframeId
-from wheelsight.odometry.dense import DenseOdometry, DenseSettings, GridFrame
-from wheelsight.odometry.dense.alignment import Aligner
-from wheelsight.odometry.dense.grid import Level
-from wheelsight.odometry.dense.reference import ReferenceMaker
-from wheelsight.places.finding import PlaceFinder, Search
-from wheelsight.places.recognition import Recognizer
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import FloatArray, se3, so3
+from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.recordings import open_recording
+from wheelsight.places.place_finder import PlaceFinder, Search
+from wheelsight.places.recognition import Recognizer, SeenView, ViewMaker
 from wheelsight.places.verification import PlaceVerifier
-from wheelsight.places.views import SeenView, ViewMaker
-from wheelsight.recordings import open_recording
+from wheelsight.vision.dense import DenseOdometry, DenseSettings, GridFrame
+from wheelsight.vision.dense.alignment import Aligner
+from wheelsight.vision.dense.pyramid import Level, ReferenceMaker
 
 NAMES = ("red_kitchen", "rgbd_dataset_freiburg1_desk")
 KEYFRAME_EVERY, QUERY_EVERY, WITHHELD = 8, 4, 90

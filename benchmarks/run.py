@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.contenders import Contender
 from benchmarks.measure import THREADS, Feed, Passage
 from benchmarks.sequences import PROJECT, Accuracy, Sequence
-from wheelsight.trajectory import Trajectory, read_tum
+from wheelsight.core.trajectory import Trajectory, read_tum
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _TIME_LIMIT_S = 3600

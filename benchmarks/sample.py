@@ -14,9 +14,9 @@ from tempfile import TemporaryDirectory
 
 import cv2
 
-from wheelsight.files import StrPath, write_bytes, write_text
-from wheelsight.recordings import SAMPLE
-from wheelsight.simulation import SimulationSettings, simulate, write_simulation
+from wheelsight.core.files import StrPath, write_bytes, write_text
+from wheelsight.io.recordings import SAMPLE
+from wheelsight_sim import SimulationSettings, simulate, write_simulation
 
 SETTINGS = SimulationSettings("flat", "kinect-v1", (208, 156), rate_hz=4.0, seed=2, speed_m_s=1.0, realism="real")
 LARGEST_BYTES = 3_000_000

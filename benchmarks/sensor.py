@@ -16,21 +16,15 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from wheelsight.calibration import Calibration
-from wheelsight.estimates import Reason
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, IntArray, se3
-from wheelsight.odometry.features import FeatureOdometry, FeatureSettings
-from wheelsight.odometry.features.alignment import PointPairs, find_motion, refine_motion
-from wheelsight.odometry.features.extraction import (
-    FeatureExtractor,
-    Features,
-    keypoint_sigma_px,
-    straighten,
-)
-from wheelsight.odometry.features.matching import match_all
-from wheelsight.odometry.velocity import twist_between
-from wheelsight.recordings import Recording, open_recording
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Reason
+from wheelsight.core.geometry import FloatArray, IntArray, se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.recordings import Recording, open_recording
+from wheelsight.vision.features import FeatureOdometry, FeatureSettings
+from wheelsight.vision.features.extraction import FeatureExtractor, Features, keypoint_sigma_px, straighten
+from wheelsight.vision.features.tracking import PointPairs, find_motion, match_all, refine_motion
+from wheelsight.vision.tracking_state import twist_between
 
 SHUTTERS_S = (0.0, 0.005, 0.010, 0.015, 0.018, 0.021, 0.024, 0.027, 0.030, 0.035)
 GAP = 3

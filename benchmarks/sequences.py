@@ -6,10 +6,10 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from wheelsight.errors import EvaluationError, RecordingError
+from wheelsight.core.errors import EvaluationError, RecordingError
+from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import ate, rpe
-from wheelsight.recordings import express_for, find_recordings, open_recording
-from wheelsight.trajectory import Trajectory
+from wheelsight.io.recordings import express_for, find_recordings, open_recording
 
 PROJECT = Path(__file__).resolve().parent.parent
 

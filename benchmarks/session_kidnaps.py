@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.session_starts import MODES, WRONG_DEG, WRONG_M, FirstDay, SecondDay, localizer_in, off_by
-from wheelsight.calibration import Calibration
-from wheelsight.estimates import Estimate, Status
-from wheelsight.events import Event, RgbdFrame, WheelTicks, YawRate
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.messages import Event, RgbdFrame, WheelTicks, YawRate
 
 FIND_S, DARK_S, NOTICE_S, WATCHED_S = 8.0, 4.0, 3.0, 10.0
 

@@ -11,18 +11,18 @@ import numpy as np
 
 from benchmarks.calibrated_sources import with_calibration
 from benchmarks.calibrated_unit import calibration_for
-from wheelsight.calibration import Calibration
+from wheelsight.app.run.maps import open_known
+from wheelsight.app.runs import run_each
 from wheelsight.config import load_config
-from wheelsight.estimates import Estimate, Status
-from wheelsight.events import Event, RgbdFrame
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import KeyframeId
-from wheelsight.localizer import Localizer
-from wheelsight.pipeline.known_maps import open_known
-from wheelsight.runs import run_each
-from wheelsight.simulation import FloorPlan, SimulatedRecording, SimulationSettings, simulate
-from wheelsight.slam.sessions import MapFolder, find_map, lie_together
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.core.messages import Event, RgbdFrame
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.estimation import Localizer
+from wheelsight.slam.maps import MapFolder, find_map, lie_together
+from wheelsight_sim import FloorPlan, SimulatedRecording, SimulationSettings, simulate
 
 ALONE, JOINED = "camera alone", "joined"
 MODES = (ALONE, JOINED)

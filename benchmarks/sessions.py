@@ -39,8 +39,8 @@ from benchmarks.session_maps import kept_day, kept_one
 from benchmarks.session_starts import MODES, Building, FirstDay, SecondDay, Start, moments_of, second_day, start_at
 from benchmarks.table import Sheet, targets_sheet, write_page
 from benchmarks.targets import Target
-from wheelsight.calibration import Calibration
-from wheelsight.simulation import FloorPlan
+from wheelsight.core.calibration import Calibration
+from wheelsight_sim import FloorPlan
 
 FOUND_PERCENT, WITHIN_S, MEDIAN_M, MEDIAN_DEG = 95.0, 5.0, 0.05, 1.0
 UNNOTICED_PERCENT = 1.0

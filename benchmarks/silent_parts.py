@@ -39,15 +39,16 @@ from benchmarks import machine
 from benchmarks.navigation_page import write_section
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
-from wheelsight.calibration import Calibration, Wheels
 from wheelsight.config import load_config
-from wheelsight.devices import LinkRobot, LinkStatus, WheelLink
-from wheelsight.devices.camera_driver import DeviceImages, OpenedDevice
-from wheelsight.devices.simulated_controller import SimulatedController
-from wheelsight.devices.streaming import StreamingCamera
-from wheelsight.errors import DeviceError, WheelsightError
-from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera, se3
-from wheelsight.localizer import Localizer, LocalizerApart, LocalizerBeside
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import DeviceError, WheelsightError
+from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera, se3
+from wheelsight.estimation import Localizer, LocalizerApart, LocalizerBeside
+from wheelsight.io.devices import LinkRobot, LinkStatus, WheelLink
+from wheelsight.io.devices.camera_driver import DeviceImages, OpenedDevice
+from wheelsight.io.devices.live_camera import StreamingCamera
+from wheelsight.io.devices.simulated_controller import SimulatedController
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import KnownFloor, Navigator, Planned, WorkerBeside
 

@@ -14,8 +14,8 @@ from rich.console import Console
 from benchmarks import machine
 from benchmarks.table import Sheet
 from benchmarks.targets import Target
-from wheelsight.events import RgbdFrame
-from wheelsight.simulation import SimulationSettings, simulate
+from wheelsight.core.messages import RgbdFrame
+from wheelsight_sim import SimulationSettings, simulate
 
 SMALL, LARGE = (320, 240), (640, 480)
 SMALL_HZ, LARGE_HZ = 20.0, 6.0

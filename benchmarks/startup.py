@@ -12,7 +12,7 @@ from benchmarks.run import child_environment
 
 _BARE = "pass"
 _IMPORT = "import wheelsight"
-_HELP = "import sys; sys.argv = ['wheelsight', '--help']; from wheelsight.cli import main; main()"
+_HELP = "import sys; sys.argv = ['wheelsight', '--help']; from wheelsight.app.cli import main; main()"
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from wheelsight.geometry import BoolArray, Float32Array, FloatArray, PinholeCamera
+from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, PinholeCamera
 
 CELL_M = 0.02
 _STRIDE_PX = 4

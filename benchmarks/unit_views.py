@@ -12,14 +12,13 @@ from functools import cached_property
 import numpy as np
 
 from benchmarks.board_views import BOARD, board_corners, on_plate
-from wheelsight.camera_calibration.board import Board
-from wheelsight.camera_calibration.views import View, ViewSet
-from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera, se3, so3
-from wheelsight.simulation import camera_model
-from wheelsight.simulation.realism import CameraUnit, realism_of, stream, unit_of
-from wheelsight.simulation.realism.depth_distortion import DepthDistortion
-from wheelsight.simulation.settings import SimulationSettings
-from wheelsight.simulation.view import View as Seen
+from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera, se3, so3
+from wheelsight.vision.camera_calibration.board import Board
+from wheelsight.vision.camera_calibration.views import View, ViewSet
+from wheelsight_sim import CameraUnit, camera_model, realism_of, stream, unit_of
+from wheelsight_sim.depth_sensor import DepthDistortion
+from wheelsight_sim.scene import View as Seen
+from wheelsight_sim.settings import SimulationSettings
 
 VIEWS = 40
 NEAR_M, FAR_M = 0.7, 4.0

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wheelsight.calibration import Wheels
-from wheelsight.events import WheelTicks
-from wheelsight.odometry.wheels import WheelOdometry, integrate_log
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.messages import WheelTicks
+from wheelsight.wheels import WheelOdometry, integrate_log
 
 _SAMPLES = 1_000_000
 _UPDATES = 50_000

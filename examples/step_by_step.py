@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from wheelsight import RgbdFrame, Trajectory, evaluate, open_recording
-from wheelsight.geometry import align_points, se3
-from wheelsight.recordings import express_for
+from wheelsight.core.geometry import align_points, se3
+from wheelsight.io.recordings import express_for
 
 INLIER_M = 0.03
 FEWEST_PAIRS = 20  # fewer determine no motion: something lies on the camera

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from wheelsight.geometry import BoolArray, ByteArray, Float32Array, FloatArray
+from wheelsight.core.geometry import BoolArray, ByteArray, Float32Array, FloatArray
 from wheelsight.mapping import ColoredView, SurfelMap
 
 SIZE = (1280, 960)

@@ -13,17 +13,17 @@ from typing import Any, Self
 import numpy as np
 
 import wheelsight
-from wheelsight.calibration import Wheels
-from wheelsight.errors import InputError
-from wheelsight.events import RgbdFrame
-from wheelsight.files import atomic_write
-from wheelsight.geometry import Float32Array, FloatArray, IntArray, se3
-from wheelsight.odometry.wheels import integrate_log
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import InputError
+from wheelsight.core.files import atomic_write
+from wheelsight.core.geometry import Float32Array, FloatArray, IntArray, se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import Trajectory
 from wheelsight.places import HistogramDescriber, LayoutDescriber
-from wheelsight.places.describer import has_depth, size_of
-from wheelsight.simulation import SimulatedRecording, SimulationSettings
-from wheelsight.simulation.simulate import simulate
-from wheelsight.trajectory import Trajectory
+from wheelsight.places.describers import has_depth, size_of
+from wheelsight.wheels import integrate_log
+from wheelsight_sim import SimulatedRecording, SimulationSettings
+from wheelsight_sim.simulate import simulate
 
 HISTOGRAMS, LAYOUT = HistogramDescriber(), LayoutDescriber()
 _MADE_BY = (

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wheelsight.errors import InputError
-from wheelsight.files import atomic_write
-from wheelsight.geometry import FloatArray
-from wheelsight.simulation import World
+from wheelsight.core.errors import InputError
+from wheelsight.core.files import atomic_write
+from wheelsight.core.geometry import FloatArray
+from wheelsight_sim import World
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -83,7 +83,7 @@ def _floor(axes: Axes, world: World, truth: FloatArray) -> None:
     import shapely
     from matplotlib.collections import PolyCollection
 
-    from wheelsight.simulation.worlds.clearance import footprints
+    from wheelsight_sim.clearance import footprints
 
     seen = [thing for thing in footprints(world) if thing.bottom_m < _EYE_M and thing.top_m > _THIN_M]
     seen = [thing for thing in seen if thing.is_solid or thing.name.startswith(("wall_", "sill_"))]

@@ -9,20 +9,13 @@ from typing import Any, get_args
 import numpy as np
 from _trinh_drives import HISTOGRAMS, LAYOUT, DescribedDrive
 
-from wheelsight.areas import AreaMap
-from wheelsight.calibration import Wheels
-from wheelsight.events import WheelTicks
-from wheelsight.fusion import (
-    AreaRectifier,
-    OdometryTerm,
-    PaperRectifier,
-    TrainingDrive,
-    Weights,
-    fit_weights,
-)
-from wheelsight.geometry import FloatArray, IntArray
-from wheelsight.odometry.wheels import WheelOdometry
+from wheelsight.core.areas import AreaMap
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.geometry import FloatArray, IntArray
+from wheelsight.core.messages import WheelTicks
+from wheelsight.estimation import AreaRectifier, OdometryTerm, PaperRectifier, TrainingDrive, Weights, fit_weights
 from wheelsight.places import Describer, ForestSettings, PlaceModel, calibration_curve, grow_forest, train_places
+from wheelsight.wheels import WheelOdometry
 
 ODOMETRY_TERMS: tuple[OdometryTerm, ...] = get_args(OdometryTerm)
 DESCRIBERS: dict[str, Describer] = {"histograms": HISTOGRAMS, "layout": LAYOUT}

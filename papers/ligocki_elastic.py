@@ -20,20 +20,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from _ligocki_view import Viewpoint, frustum_of, outside, picture_of
 
-from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
-from wheelsight.errors import EvaluationError, InputError, WheelsightError
-from wheelsight.estimates import Estimate, Status
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import EvaluationError, InputError, WheelsightError
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.files import atomic_write, make_output_folder, write_text
+from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray
+from wheelsight.core.messages import RgbdFrame, SkippedFrame
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.estimation import Localizer
 from wheelsight.evaluation import evaluate
-from wheelsight.events import RgbdFrame, SkippedFrame
-from wheelsight.files import atomic_write, make_output_folder, write_text
-from wheelsight.geometry import ByteArray, Float32Array, FloatArray
-from wheelsight.localizer import Localizer
+from wheelsight.io.recordings import Recording, open_recording
 from wheelsight.mapping import SurfelMap
-from wheelsight.mapping.upright import upward
-from wheelsight.recordings import Recording, open_recording
-from wheelsight.simulation import SimulationSettings, simulate, write_simulation
-from wheelsight.trajectory import Trajectory
+from wheelsight.mapping.export import upward
+from wheelsight_sim import SimulationSettings, simulate, write_simulation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -20,9 +20,9 @@ import numpy as np
 from _trinh_drives import DescribedDrive, DriveSettings, make_drives
 from _trinh_trial import ODOMETRY_TERMS, Trial, run_trial
 
-from wheelsight.errors import InputError, WheelsightError
-from wheelsight.files import make_output_folder, write_text
-from wheelsight.simulation import Robot, SimulationSettings, World, build_world
+from wheelsight.core.errors import InputError, WheelsightError
+from wheelsight.core.files import make_output_folder, write_text
+from wheelsight_sim import Robot, SimulationSettings, World, build_world
 
 EXAMPLES = """examples:
   python papers/trinh_rectification.py

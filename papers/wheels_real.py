@@ -14,17 +14,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wheelsight.calibration import Calibration, Wheels
-from wheelsight.errors import CalibrationError, InputError, WheelsightError
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import CalibrationError, InputError, WheelsightError
+from wheelsight.core.files import atomic_write, make_output_folder
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.messages import WheelSpeeds, WheelTicks, YawRate
+from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import ate, rpe
-from wheelsight.events import WheelSpeeds, WheelTicks, YawRate
-from wheelsight.files import atomic_write, make_output_folder
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.odometry.wheels import Integration, integrate_log, mean_yaw_rates, ticks_from_speeds
-from wheelsight.odometry.wheels.drive import drive_of
-from wheelsight.odometry.wheels.fit import fit_wheels
-from wheelsight.recordings import Recording, open_recording
-from wheelsight.trajectory import Trajectory
+from wheelsight.io.recordings import Recording, open_recording
+from wheelsight.wheels import Integration, integrate_log, mean_yaw_rates, ticks_from_speeds
+from wheelsight.wheels.calibration import fit_wheels
+from wheelsight.wheels.drive import drive_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wheelsight.errors import InputError, WheelsightError
+from wheelsight.core.errors import InputError, WheelsightError
+from wheelsight.core.files import atomic_write, make_output_folder
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.trajectory import Trajectory, read_tum
 from wheelsight.evaluation import AbsoluteError, Evaluation, SequenceStatistics, evaluate, sequence_statistics
-from wheelsight.files import atomic_write, make_output_folder
-from wheelsight.geometry import FloatArray
-from wheelsight.trajectory import Trajectory, read_tum
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -96,7 +96,7 @@ def track(sequence: Path, name: str, out: Path, force: bool) -> dict[str, Trajec
         return {}
     from wheelsight import run
     from wheelsight.config import load_config
-    from wheelsight.recordings import open_recording
+    from wheelsight.io.recordings import open_recording
 
     recording = open_recording(sequence)
     print(f"\ntracking {recording.frame_count} frames of {recording.name} ...")

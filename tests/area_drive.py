@@ -11,13 +11,14 @@ from drives import simulate
 from places.made import NAMES, frame_of, trained
 from stand_ins import CAMERA, MemoryRecording
 
-from wheelsight.areas import Area, AreaMap, save_areas
-from wheelsight.calibration import Calibration, Wheels
 from wheelsight.config import Config, load_config
-from wheelsight.events import Event, RgbdFrame, WheelTicks
-from wheelsight.geometry import se3
-from wheelsight.recordings import RecordingWriter
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.areas import Area, AreaMap, save_areas
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import Event, RgbdFrame, WheelTicks
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings import RecordingWriter
 
 TRUE_WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
 BELIEVED_WHEELS = replace(TRUE_WHEELS, right_radius_m=0.1713)

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
 from wheelsight.config import Config
-from wheelsight.settings import Settings
+from wheelsight.core.settings import Settings
 
 
 def leaves(settings: Settings, name: str = "") -> Iterator[tuple[str, Any, FieldInfo]]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import typer
 
-from wheelsight.cli import app
+from wheelsight.app.cli import app
 
 # What stands for any command or any option in tables.
 _PLACEHOLDERS = ("COMMAND", "…", "info,", "--help", "--ply|--mesh")

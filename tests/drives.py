@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from wheelsight.calibration import Calibration, Wheels, save_calibration
-from wheelsight.geometry import FloatArray, IntArray, se3, so3
-from wheelsight.trajectory import Trajectory, write_tum
+from wheelsight.core.calibration import Calibration, save_calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.geometry import FloatArray, IntArray, se3, so3
+from wheelsight.core.trajectory import Trajectory, write_tum
 
 RATE_HZ = 50
 Leg = tuple[float, float, float]  # seconds, m/s, rad/s

@@ -8,11 +8,11 @@ from typing import Self
 
 import numpy as np
 
-from wheelsight.calibration import Calibration
-from wheelsight.devices import host_clock
-from wheelsight.devices.live_camera import CameraReport, CameraStatus, LiveFrame
-from wheelsight.events import AngularVelocity, RgbdFrame, SkippedFrame
-from wheelsight.geometry import PinholeCamera
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.core.messages import AngularVelocity, RgbdFrame, SkippedFrame
+from wheelsight.io.devices import host_clock
+from wheelsight.io.devices.live_camera import CameraReport, CameraStatus, LiveFrame
 
 CAMERA = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
 CALIBRATION = Calibration.registered_camera(CAMERA, source="the camera itself")

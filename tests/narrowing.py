@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from wheelsight.events import Event, RgbdFrame
+from wheelsight.core.messages import Event, RgbdFrame
 
 T = TypeVar("T")
 

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from synthetic import CAMERA, make_tum_recording, render_room, wobbling_trajectory
 
-from wheelsight.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera
-from wheelsight.trajectory import Trajectory, write_tum
+from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera
+from wheelsight.core.trajectory import Trajectory, write_tum
 
 FINE_JPEG = (cv2.IMWRITE_JPEG_QUALITY, 98, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 

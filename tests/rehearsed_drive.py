@@ -6,14 +6,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wheelsight.calibration import Calibration, Wheels
+from wheelsight.app.run.drive_record import DriveRecord, DriveRecorder
+from wheelsight.app.run.drives import Drive, OnEvents, WatchedRobot
+from wheelsight.app.run.kernel_process import DrawnRobot, ToldPlace, drawn_room
 from wheelsight.config import Config, load_config
-from wheelsight.geometry import PinholeCamera
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.geometry import PinholeCamera
 from wheelsight.navigation import KnownFloor, Navigator, Transition
-from wheelsight.pipeline.drive_record import DriveRecord
-from wheelsight.pipeline.drive_recorder import DriveRecorder
-from wheelsight.pipeline.drives import Drive, OnEvents, WatchedRobot
-from wheelsight.pipeline.navigation_rehearsal import DrawnRobot, ToldPlace, drawn_room
 
 CAMERA = PinholeCamera(320, 240, 262.0, 260.0, 160.0, 120.0)
 T_BASE_CAMERA = np.array([[0.0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.2], [0, 0, 0, 1]])

@@ -10,11 +10,12 @@ import numpy as np
 from drives import simulate
 from synthetic import CAMERA, render_room
 
-from wheelsight.calibration import Calibration, Wheels
-from wheelsight.events import RgbdFrame, WheelTicks
-from wheelsight.geometry import se3
-from wheelsight.recordings import RecordingWriter
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import RgbdFrame, WheelTicks
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings import RecordingWriter
 
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
 T_BASE_CAMERA = np.array([[0.0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.2], [0, 0, 0, 1]])

@@ -8,12 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from drives import MIXED, Leg, simulate
 
-from wheelsight.calibration import Calibration, DepthNoise, PointErrors, Wheels
-from wheelsight.geometry import FloatArray, PinholeCamera, se3
-from wheelsight.odometry.extrinsics import FloorViews, Sightings
-from wheelsight.odometry.wheels import drive_from_ticks
-from wheelsight.simulation import Robot
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import DepthNoise, Wheels
+from wheelsight.core.depth_errors import PointErrors
+from wheelsight.core.geometry import FloatArray, PinholeCamera, se3
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.vision.extrinsics import FloorViews, Sightings
+from wheelsight.wheels import drive_from_ticks
+from wheelsight_sim import Robot
 
 CAMERA = PinholeCamera(320, 240, 262.5, 262.5, 159.5, 119.5)
 NOISE = DepthNoise()

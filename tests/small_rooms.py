@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from wheelsight.areas import AreaMap
-from wheelsight.geometry import FloatArray
-from wheelsight.simulation.world import Surface, World
+from wheelsight.core.areas import AreaMap
+from wheelsight.core.geometry import FloatArray
+from wheelsight_sim.world import Surface, World
 
 WHITE = Surface("plain", (0.8, 0.8, 0.8), infrared=0.6)
 

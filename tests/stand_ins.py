@@ -11,15 +11,15 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from wheelsight.calibration import Calibration
-from wheelsight.estimates import Estimate, Reason, Status
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
-from wheelsight.files import write_text
-from wheelsight.geometry import FloatArray, PinholeCamera, se3
-from wheelsight.keyframes import KeyframeStore
-from wheelsight.odometry.features import FeatureEstimate, MatchedPixels
-from wheelsight.recordings import AssociationReport
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Estimate, Reason, Status
+from wheelsight.core.files import write_text
+from wheelsight.core.geometry import FloatArray, PinholeCamera, se3
+from wheelsight.core.keyframes import KeyframeStore
+from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelTicks
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings import AssociationReport
+from wheelsight.vision.features import FeatureEstimate, MatchedPixels
 
 CAMERA = PinholeCamera(32, 24, 26.0, 26.0, 15.5, 11.5)
 
@@ -117,4 +117,6 @@ class TrueOdometry:
 def leave_pages_bare(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let runs write a page without figures: drawing them takes most of a short run's time, and has its own tests."""
     for name in ("write_report", "write_comparison"):
-        monkeypatch.setattr(f"wheelsight.report.pages.{name}", lambda records, path: write_text(path, "<html></html>"))
+        monkeypatch.setattr(
+            f"wheelsight.app.report.comparison.{name}", lambda records, path: write_text(path, "<html></html>")
+        )

@@ -13,9 +13,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from wheelsight.calibration import Calibration, save_calibration
-from wheelsight.geometry import ByteArray, Float32Array, FloatArray, IntArray, PinholeCamera, se3, so3
-from wheelsight.trajectory import Trajectory, write_tum
+from wheelsight.core.calibration import Calibration, save_calibration
+from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, IntArray, PinholeCamera, se3, so3
+from wheelsight.core.trajectory import Trajectory, write_tum
 
 CAMERA = PinholeCamera(320, 240, 262.0, 260.0, 161.3, 118.4)
 

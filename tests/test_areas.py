@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.areas import Area, AreaMap, load_areas, save_areas
-from wheelsight.errors import AreaError, OutputError
+from wheelsight.core.areas import Area, AreaMap, load_areas, save_areas
+from wheelsight.core.errors import AreaError, OutputError
 
 
 def box(name: str, left: float, bottom: float, right: float, top: float, **told: float) -> Area:

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
-from wheelsight.association import associate
-from wheelsight.errors import InputError
+from wheelsight.core.errors import InputError
+from wheelsight.core.stamps import associate
 
 
 def stamps(largest: int, max_size: int):

@@ -13,18 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from narrowing import not_none
 
-from wheelsight.calibration import (
-    FORMAT,
-    Calibration,
-    DepthNoise,
-    Gyro,
-    HolonomicWheels,
-    Wheels,
-    load_calibration,
-    save_calibration,
-)
-from wheelsight.errors import CalibrationError, OutputError
-from wheelsight.geometry import PinholeCamera, se3
+from wheelsight.core.calibration import FORMAT, Calibration, load_calibration, save_calibration
+from wheelsight.core.calibration_parts import DepthNoise, Gyro, HolonomicWheels, Wheels
+from wheelsight.core.errors import CalibrationError, OutputError
+from wheelsight.core.geometry import PinholeCamera, se3
 
 COLOR = PinholeCamera(640, 480, 517.3, 516.5, 318.6, 255.3, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633))
 DEPTH = PinholeCamera(512, 424, 365.0, 365.5, 255.0, 211.0)

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 import yaml
 
-from wheelsight.calibration import Calibration, Gyro, Wheels, load_calibration, save_calibration
-from wheelsight.errors import CalibrationError
-from wheelsight.geometry import PinholeCamera, se3
+from wheelsight.core.calibration import Calibration, load_calibration, save_calibration
+from wheelsight.core.calibration_parts import Gyro, Wheels
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.geometry import PinholeCamera, se3
 
 COLOR = PinholeCamera(640, 480, 517.3, 516.5, 318.6, 255.3, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633))
 DEPTH = PinholeCamera(512, 424, 365.0, 365.5, 255.0, 211.0)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from numba import types
 
-from wheelsight.compiled import kernel, made_of
+from wheelsight.core.compiled import kernel, made_of
 
 LOW = """
 from wheelsight.compiled import kernel

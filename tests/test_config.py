@@ -9,8 +9,8 @@ import yaml
 from configuration_page import PAGE, page
 
 from wheelsight.config import Config, load_config, save_config
-from wheelsight.errors import ConfigError
-from wheelsight.files import settings_text
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.files import settings_text
 
 
 def write(folder: Path, text: str) -> Path:

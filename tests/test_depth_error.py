@@ -12,13 +12,13 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.calibration import Calibration, DepthError, load_calibration, save_calibration
-from wheelsight.depth_error import NO_DISPARITY, depth_error_fields, depth_error_from, pattern_weights
-from wheelsight.errors import CalibrationError
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import PinholeCamera
-from wheelsight.recordings import RecordingWriter, open_recording
-from wheelsight.recordings.writer import write_recording
+from wheelsight.core.calibration import Calibration, load_calibration, save_calibration
+from wheelsight.core.depth_errors import NO_DISPARITY, DepthError, depth_error_fields, depth_error_from, pattern_weights
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.recordings import RecordingWriter, open_recording
+from wheelsight.io.recordings.native import write_recording
 
 CAMERA = PinholeCamera(64, 48, 60.0, 61.0, 31.0, 24.5, (0.1, -0.2, 0.001, -0.002, 0.05))
 FULL = DepthError(

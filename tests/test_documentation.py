@@ -29,12 +29,13 @@ from shared_folders import shared_folder
 from typer.testing import CliRunner
 from written_bags import robot_drive, write_bag
 
-from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
-from wheelsight.cli import app
-from wheelsight.devices.simulated_controller import SimulatedController
-from wheelsight.recordings import open_recording
-from wheelsight.simulation import SimulationSettings, simulate, write_simulation
-from wheelsight.trajectory import read_tum
+from wheelsight.app.cli import app
+from wheelsight.core.calibration import Calibration, load_calibration, save_calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.trajectory import read_tum
+from wheelsight.io.devices.simulated_controller import SimulatedController
+from wheelsight.io.recordings import open_recording
+from wheelsight_sim import SimulationSettings, simulate, write_simulation
 
 PROJECT = Path(__file__).resolve().parent.parent
 PAGES = ("README.md", "CONTRIBUTING.md", *(f"docs/{path.name}" for path in sorted((PROJECT / "docs").glob("*.md"))))
@@ -319,7 +320,7 @@ def test_what_blocks_take_for_given_is_declared() -> None:
     assert unmade("import a.b as c\nd = [e for e in c.f(g)]\nprint(lambda h: h, d)\n") == ["g"]
     assert declared("print(stamp_s)\n").endswith("stamp_s: float = _given\nprint(stamp_s)\n")
     assert declared("print(events)\n").splitlines()[2:4] == [
-        "from wheelsight.events import Event",
+        "from wheelsight.core.messages import Event",
         "events: list[Event] = _given",
     ]
     assert len(typed_blocks()) > 30

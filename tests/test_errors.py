@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from wheelsight import errors
-from wheelsight.errors import CalibrationError, InputError, RecordingError, WheelsightError
+from wheelsight.core import errors
+from wheelsight.core.errors import CalibrationError, InputError, RecordingError, WheelsightError
 
 ALL_ERRORS = [kind for _, kind in inspect.getmembers(errors, inspect.isclass) if issubclass(kind, Exception)]
 

@@ -17,8 +17,8 @@ from typer.testing import CliRunner
 
 import wheelsight
 from wheelsight import Event, Localizer, read_tum
-from wheelsight.cli import app
-from wheelsight.estimates import Estimate
+from wheelsight.app.cli import app
+from wheelsight.core.estimates import Estimate
 
 Example = Callable[..., str]
 

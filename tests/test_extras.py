@@ -13,11 +13,11 @@ from pipeline.made import wheel_recording
 from typer.testing import CliRunner, Result
 
 import wheelsight
-from wheelsight.cli import app
-from wheelsight.errors import ConfigError
-from wheelsight.extras import needed, why_missing
-from wheelsight.pipeline import kernels
-from wheelsight.recordings import write_recording
+from wheelsight.app.cli import app
+from wheelsight.app.run import kernels
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.runtime import needed, why_missing
+from wheelsight.io.recordings import write_recording
 
 LIBRARIES = ("plotly", "rerun", "sklearn", "skops")
 ROOT = Path(wheelsight.__file__).parent

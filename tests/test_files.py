@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from wheelsight.errors import OutputError
-from wheelsight.files import (
+from wheelsight.core.errors import OutputError
+from wheelsight.core.files import (
     atomic_write,
     make_output_folder,
     new_output_folder,
@@ -201,7 +201,7 @@ def test_an_output_folder_that_is_a_file(tmp_path: Path) -> None:
 
 
 def test_an_output_folder_that_cannot_be_written_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("wheelsight.files.tempfile.TemporaryFile", raising(errno.EACCES))
+    monkeypatch.setattr("wheelsight.core.files.tempfile.TemporaryFile", raising(errno.EACCES))
     with pytest.raises(OutputError, match="no permission"):
         make_output_folder(tmp_path)
 

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from wheelsight.interrupts import ENDING, until_stopped, whole_step
+from wheelsight.core.runtime import ENDING, until_stopped, whole_step
 
 
 @pytest.fixture(autouse=True)

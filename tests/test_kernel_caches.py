@@ -1,6 +1,6 @@
 """Kernels are made of few files: a change of any other compiles none of them again.
 
-What a kernel file imports is compiled into it, and `wheelsight.compiled` follows all of it. A kernel file that
+What a kernel file imports is compiled into it, and `wheelsight.core.compiled` follows all of it. A kernel file that
 imported a whole part would be compiled for a minute after each change of that part.
 """
 
@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 import wheelsight
-from wheelsight.compiled import made_of
-from wheelsight.pipeline.kernels import kernel_files
+from wheelsight.app.run.kernels import kernel_files
+from wheelsight.core.compiled import made_of
 
 PACKAGE = Path(wheelsight.__file__).parent
 FILES = sorted(PACKAGE.rglob("*_kernels.py"))

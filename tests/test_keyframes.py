@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wheelsight.errors import ArgumentError
-from wheelsight.geometry import se3
-from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.core.errors import ArgumentError
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
 
 INTRINSICS = np.array([10.0, 10.0, 3.5, 2.5])
 

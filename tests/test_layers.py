@@ -14,65 +14,21 @@ from sources import imports_in
 PACKAGE = Path(__file__).resolve().parent.parent / "wheelsight"
 LAYERS = (
     "_version",
-    "errors",
-    "extras",
-    "settings",
-    "files",
-    "inputs",
-    "compiled",
-    "geometry",
-    "events",
-    "commands",
-    "robot_limits",
-    "calibration_fields",
-    "calibration_layers",
-    "calibration_history",
-    "calibration_parts",
-    "depth_error",
-    "point_errors",
-    "calibration",
-    "wheel_control",
-    "robots",
-    "checks",
-    "association",
-    "stamps",
-    "trajectory",
-    "areas",
-    "matches",
-    "ros_map",
-    "interrupts",
-    "threads",
-    "keyframes",
-    "estimates",
-    "clocks",
-    "views",
+    "core",
     "evaluation",
-    "sources",
-    "recordings",
-    "camera_calibration",
-    "devices",
-    "simulation",
-    "mapping",
-    "odometry",
+    "io",
+    "wheels",
+    "vision",
     "places",
-    "fusion",
+    "mapping",
     "slam",
     "navigation",
     "config",
-    "localizer",
-    "telemetry",
-    "pipeline",
-    "viewer",
-    "exports",
-    "report",
-    "live_page",
-    "runs",
-    "batch",
-    "cli",
+    "estimation",
+    "app",
     "__main__",
 )
 SOURCES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
-LONGEST_COMMAND = 250
 
 
 def imports_of(source: str) -> Iterator[tuple[int, str]]:
@@ -171,26 +127,39 @@ def test_a_circle_is_found(back: str) -> None:
     assert set(found) == {"wheelsight.places.model", "wheelsight.places.forest"}
 
 
-def test_a_command_is_thin() -> None:
-    lines = {path.name: len(path.read_text(encoding="utf-8").splitlines()) for path in PACKAGE.glob("cli/*.py")}
-    assert {name for name, count in lines.items() if count > LONGEST_COMMAND} == set()
+def test_the_simulator_is_loaded_by_the_applications_alone_and_knows_none_of_them() -> None:
+    simulator = PACKAGE.parent / "wheelsight_sim"
+    users = {
+        path.relative_to(PACKAGE).parts[0]
+        for path in SOURCES
+        for _, name in imports_of(path.read_text(encoding="utf-8"))
+        if name.partition(".")[0] == "wheelsight_sim"
+    }
+    assert users == {"app"}
+    used = {
+        name
+        for path in simulator.rglob("*.py")
+        for _, name in imports_of(path.read_text(encoding="utf-8"))
+        if layer_of(name) == "app"
+    }
+    assert used == set()
 
 
 @pytest.mark.parametrize(
     "source",
     [
-        "from wheelsight.cli import main",
-        "import wheelsight.odometry.features",
-        "def later():\n    from wheelsight import pipeline",
-        "if TYPE_CHECKING:\n    from wheelsight.pipeline.run_record import RunRecord",
+        "from wheelsight.app.cli import main",
+        "import wheelsight.vision.features",
+        "def later():\n    from wheelsight import app",
+        "if TYPE_CHECKING:\n    from wheelsight.app.run.records import RunRecord",
         "from wheelsight import Trajectory",
         "import wheelsight",
     ],
 )
 def test_the_check_finds_what_is_forbidden(source: str) -> None:
-    assert len(wrong_imports(source, "recordings")) == 1
+    assert len(wrong_imports(source, "io")) == 1
 
 
 def test_the_check_allows_what_stands_above() -> None:
-    source = "import numpy\nfrom wheelsight import __version__\nfrom wheelsight.geometry import se3\n"
-    assert not wrong_imports(source, "recordings")
+    source = "import numpy\nfrom wheelsight import __version__\nfrom wheelsight.core.geometry import se3\n"
+    assert not wrong_imports(source, "io")

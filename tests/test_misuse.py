@@ -13,17 +13,17 @@ import pytest
 from synthetic import CAMERA, render_room, wobbling_trajectory
 
 from wheelsight import Calibration, Localizer, RgbdFrame, Wheels, WheelTicks, YawRate, open_recording
-from wheelsight.calibration import DepthNoise, Gyro
 from wheelsight.config import load_config
-from wheelsight.errors import ArgumentError, CalibrationError, InputError, MapError
-from wheelsight.events import Event, WheelSpeeds
-from wheelsight.geometry import PinholeCamera, se3, so3
+from wheelsight.core.calibration_parts import DepthNoise, Gyro
+from wheelsight.core.errors import ArgumentError, CalibrationError, InputError, MapError
+from wheelsight.core.geometry import PinholeCamera, se3, so3
+from wheelsight.core.keyframes import Surface
+from wheelsight.core.messages import Event, WheelSpeeds
+from wheelsight.io.recordings import RecordingWriter
 from wheelsight.mapping import SurfelMap
-from wheelsight.odometry.dense import DenseOdometry
-from wheelsight.odometry.features import FeatureOdometry
-from wheelsight.odometry.wheels import WheelOdometry
-from wheelsight.recordings import RecordingWriter
-from wheelsight.views import Surface
+from wheelsight.vision.dense import DenseOdometry
+from wheelsight.vision.features import FeatureOdometry
+from wheelsight.wheels import WheelOdometry
 
 Process = Callable[[Event], Any]
 

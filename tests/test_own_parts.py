@@ -10,8 +10,8 @@ import pytest
 from documentation_blocks import python_blocks
 
 from wheelsight import EventSource
-from wheelsight.odometry.own import OwnOdometry
-from wheelsight.robots import Robot
+from wheelsight.core.robots import Robot
+from wheelsight.vision.visual_odometry import OwnOdometry
 
 # How far the robot of the page drives along x, metres.
 WAY_M = 0.6

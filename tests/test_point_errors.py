@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import yaml
 
-from wheelsight.calibration import Calibration, PointErrors, load_calibration, save_calibration, save_layer
-from wheelsight.errors import CalibrationError
-from wheelsight.geometry import FloatArray, PinholeCamera, so3
-from wheelsight.point_errors import MOST_MODES, NOMINAL_ERRORS, TERMS, mode_of
+from wheelsight.core.calibration import Calibration, load_calibration, save_calibration, save_layer
+from wheelsight.core.depth_errors import MOST_MODES, NOMINAL_ERRORS, TERMS, PointErrors, mode_of
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.geometry import FloatArray, PinholeCamera, so3
 
 CAMERA = PinholeCamera(640, 480, 525.0, 525.0, 319.5, 239.5)
 

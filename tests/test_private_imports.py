@@ -68,15 +68,15 @@ def test_private_things_stay_within_their_package() -> None:
 @pytest.mark.parametrize(
     ("line", "package", "found"),
     [
-        ("from wheelsight.places._layout import x", "wheelsight.report", "wheelsight.places._layout"),
+        ("from wheelsight.places._layout import x", "wheelsight.app.report", "wheelsight.places._layout"),
         ("from wheelsight.places import _layout as l", "wheelsight", "wheelsight.places._layout"),
-        ("from wheelsight.places.layout import _x", "wheelsight.report", "wheelsight.places.layout._x"),
-        ("from wheelsight.places.layout import _x", "wheelsight.places", None),
-        ("import wheelsight.odometry.dense._a.b", "wheelsight.odometry", "wheelsight.odometry.dense._a"),
-        ("from wheelsight.odometry.velocity import x", "wheelsight.odometry.dense", None),
+        ("from wheelsight.places.describers import _x", "wheelsight.app.report", "wheelsight.places.describers._x"),
+        ("from wheelsight.places.describers import _x", "wheelsight.places", None),
+        ("import wheelsight.vision.dense._a.b", "wheelsight.vision", "wheelsight.vision.dense._a"),
+        ("from wheelsight.vision.tracking_state import x", "wheelsight.vision.dense", None),
         ("from wheelsight.places import _layout", "wheelsight.places", None),
-        ("from wheelsight import __version__", "wheelsight.cli", None),
-        ("from numpy._core import x", "wheelsight.cli", None),
+        ("from wheelsight import __version__", "wheelsight.app.cli", None),
+        ("from numpy._core import x", "wheelsight.app.cli", None),
     ],
 )
 def test_an_import_across_packages_is_found(line: str, package: str, found: str | None) -> None:

@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from wheelsight.errors import MapError, OutputError
-from wheelsight.ros_map import FREE, OCCUPIED, UNKNOWN, Mode, RosMap, read_ros_map, write_ros_map
+from wheelsight.core.errors import MapError, OutputError
+from wheelsight.io.ros_map import FREE, OCCUPIED, UNKNOWN, Mode, RosMap, read_ros_map, write_ros_map
 
 YAML = "image: a.pgm\nresolution: 0.1\norigin: [1, 2, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
 # Black, grey as map_saver writes what is unknown, and the two whites in use; below it, what falls between.

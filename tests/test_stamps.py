@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wheelsight.stamps import NUMBERS, SECONDS, UNITS, StampUnit, column_unit, unit_of
+from wheelsight.core.stamps import NUMBERS, SECONDS, UNITS, StampUnit, column_unit, unit_of
 
 NAMES = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from narrowing import not_none
 
-from wheelsight.calibration import Wheels
-from wheelsight.estimates import Reason
-from wheelsight.events import WheelTicks
-from wheelsight.geometry import se3
-from wheelsight.odometry.wheels import WheelOdometry
-from wheelsight.telemetry import Telemetry, covariance_of_pose
+from wheelsight.app.telemetry import Telemetry, covariance_of_pose
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.estimates import Reason
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import WheelTicks
+from wheelsight.wheels import WheelOdometry
 
 WHEELS = Wheels(0.17, 0.17, 0.6, 3200.0, counter_bits=32, delay_s=0.01)
 M_PER_TICK = 2 * math.pi * 0.17 / 3200

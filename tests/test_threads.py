@@ -18,16 +18,16 @@ from synthetic import CAMERA, render_room, wobbling_trajectory
 
 from wheelsight import Calibration, Localizer, RgbdFrame, Wheels, WheelTicks
 from wheelsight.config import load_config
-from wheelsight.errors import ArgumentError
-from wheelsight.keyframes import KeyframeStore
-from wheelsight.localizer import LocalizerBeside, LocalizerInStep
+from wheelsight.core.errors import ArgumentError
+from wheelsight.core.keyframes import KeyframeStore
+from wheelsight.core.threads import OneCaller, ends, one_at_a_time, yield_to_others
+from wheelsight.estimation import LocalizerBeside, LocalizerInStep
+from wheelsight.io.recordings import RecordingWriter
 from wheelsight.navigation import Navigator
-from wheelsight.odometry.dense import DenseOdometry
-from wheelsight.odometry.features import FeatureOdometry
-from wheelsight.odometry.wheels import WheelOdometry
-from wheelsight.recordings import RecordingWriter
-from wheelsight.simulation.simulator import Simulator
-from wheelsight.threads import OneCaller, ends, one_at_a_time, yield_to_others
+from wheelsight.vision.dense import DenseOdometry
+from wheelsight.vision.features import FeatureOdometry
+from wheelsight.wheels import WheelOdometry
+from wheelsight_sim.simulator import Simulator
 
 MOUNT = np.array([[0.0, 0, 1, 0.3], [-1, 0, 0, 0], [0, -1, 0, 1.1], [0, 0, 0, 1]])
 _LESS_A_STEP = 1.25  # by which Linux divides a thread's share for each step of `nice`

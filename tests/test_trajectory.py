@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.errors import OutputError, TrajectoryError
-from wheelsight.geometry import se3, so3
-from wheelsight.trajectory import Trajectory, read_kitti, read_tum, write_kitti, write_tum
+from wheelsight.core.errors import OutputError, TrajectoryError
+from wheelsight.core.geometry import se3, so3
+from wheelsight.core.trajectory import Trajectory, read_kitti, read_tum, write_kitti, write_tum
 
 POSE = "0 0 0 0 0 0 1"
 EYE = "1 0 0 0 0 1 0 0 0 0 1 0"

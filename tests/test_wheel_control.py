@@ -8,12 +8,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from wheelsight.calibration import Wheels
-from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.events import WheelTicks
-from wheelsight.geometry import FloatArray
-from wheelsight.robot_limits import RobotLimits
-from wheelsight.wheel_control import Duties, LimitedVelocity, VelocityControl, WheelControlSettings
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import STOP, VelocityCommand, WheelTicks
+from wheelsight.core.robots import Duties, LimitedVelocity, RobotLimits, VelocityControl, WheelControlSettings
 
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200)
 M_PER_TICK = WHEELS.left_m_per_tick

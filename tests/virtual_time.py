@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import threading
 
-from wheelsight.pipeline import live_wheels, playing
+from wheelsight.app.run import realtime as live_wheels
+from wheelsight.app.run import realtime as playing
 
-THREADS = (playing.THREAD, live_wheels.THREAD)
+THREADS = (playing.THREAD, live_wheels.WHEELS_THREAD)
 _LOOK_S = 0.002
 _PATIENCE = 5000
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 
-from wheelsight.pipeline.kernels import compile_kernels, missing_parts, usable_parts
+from wheelsight.app.run.kernels import compile_kernels, missing_parts, usable_parts
 
 # The parts of a run share kernels, and go one after the other; the others share none with them.
 OF_RUNS = ("wheels", "dense", "joined", "loops", "features")

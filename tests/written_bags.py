@@ -14,7 +14,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from wheelsight.geometry import ByteArray
+from wheelsight.core.geometry import ByteArray
 
 WIDTH, HEIGHT, FOCAL_PX = 64, 48, 52.0
 START_S = 1_700_000_000.0

@@ -15,21 +15,17 @@ from typing import TYPE_CHECKING, Any
 from wheelsight._version import __version__
 
 if TYPE_CHECKING:
-    from wheelsight.areas import AreaMap, load_areas, save_areas
-    from wheelsight.calibration import (
-        Calibration,
-        Gyro,
-        HolonomicWheels,
-        Wheels,
-        load_calibration,
-        save_calibration,
-    )
-    from wheelsight.clocks import ClockSettings, SessionClock
+    from wheelsight.app.runs import run, run_each
     from wheelsight.config import Config, load_config, save_config
-    from wheelsight.errors import WheelsightError
-    from wheelsight.estimates import CameraEstimate, Estimate, MotionEstimate, Reason, Status
-    from wheelsight.evaluation import Evaluation, evaluate
-    from wheelsight.events import (
+    from wheelsight.core.areas import AreaMap, load_areas, save_areas
+    from wheelsight.core.calibration import Calibration, load_calibration, save_calibration
+    from wheelsight.core.calibration_parts import Gyro, HolonomicWheels, Wheels
+    from wheelsight.core.clocks import ClockSettings, SessionClock
+    from wheelsight.core.errors import WheelsightError
+    from wheelsight.core.estimates import CameraEstimate, Estimate, MotionEstimate, Reason, Status
+    from wheelsight.core.geometry import PinholeCamera
+    from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore, PredictedView, ReferenceModel
+    from wheelsight.core.messages import (
         Event,
         OdometryReading,
         RgbdFrame,
@@ -39,10 +35,18 @@ if TYPE_CHECKING:
         WheelTicks,
         YawRate,
     )
-    from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings, FusedEstimate, LigockiFilter, LigockiSettings
-    from wheelsight.geometry import PinholeCamera
-    from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
-    from wheelsight.localizer import Localizer
+    from wheelsight.core.robots import EventSource
+    from wheelsight.core.trajectory import Trajectory, read_kitti, read_tum, write_kitti, write_tum
+    from wheelsight.estimation import (
+        ErrorStateFilter,
+        ErrorStateSettings,
+        FusedEstimate,
+        LigockiFilter,
+        LigockiSettings,
+        Localizer,
+    )
+    from wheelsight.evaluation import Evaluation, evaluate
+    from wheelsight.io.recordings import OpenOptions, Recording, open_recording, write_recording
     from wheelsight.mapping import (
         OccupancyGrid,
         OccupancyMapper,
@@ -55,19 +59,14 @@ if TYPE_CHECKING:
         write_mesh_ply,
         write_ply,
     )
-    from wheelsight.odometry.dense import DenseOdometry, DenseSettings
-    from wheelsight.odometry.features import FeatureOdometry, FeatureSettings
-    from wheelsight.odometry.own import VisualOdometry
-    from wheelsight.odometry.wheels import HolonomicOdometry, WheelOdometry
     from wheelsight.places import PlaceMatch, PlaceModel
-    from wheelsight.recordings import OpenOptions, Recording, open_recording, write_recording
-    from wheelsight.runs import run, run_each
-    from wheelsight.simulation import SimulatedRecording, SimulationSettings, write_simulation
-    from wheelsight.simulation.simulate import simulate
-    from wheelsight.slam.recognised import LoopDetector
-    from wheelsight.sources import EventSource
-    from wheelsight.trajectory import Trajectory, read_kitti, read_tum, write_kitti, write_tum
-    from wheelsight.views import PredictedView, ReferenceModel
+    from wheelsight.slam.place_recognition import LoopDetector
+    from wheelsight.vision.dense import DenseOdometry, DenseSettings
+    from wheelsight.vision.features import FeatureOdometry, FeatureSettings
+    from wheelsight.vision.visual_odometry import VisualOdometry
+    from wheelsight.wheels import HolonomicOdometry, WheelOdometry
+    from wheelsight_sim import SimulatedRecording, SimulationSettings, write_simulation
+    from wheelsight_sim.simulate import simulate
 
 __all__ = [
     "AreaMap",
@@ -152,37 +151,120 @@ __all__ = [
 ]
 
 _NAMES_OF = {
-    "areas": ("AreaMap", "load_areas", "save_areas"),
-    "calibration": ("Calibration", "Gyro", "HolonomicWheels", "Wheels", "load_calibration", "save_calibration"),
-    "clocks": ("ClockSettings", "SessionClock"),
-    "config": ("Config", "load_config", "save_config"),
-    "errors": ("WheelsightError",),
-    "estimates": ("CameraEstimate", "Estimate", "MotionEstimate", "Reason", "Status"),
-    "evaluation": ("Evaluation", "evaluate"),
-    "events": (
-        *("Event", "OdometryReading", "RgbdFrame", "SkippedFrame"),
-        *("WheelCounts", "WheelSpeeds", "WheelTicks", "YawRate"),
+    "wheelsight.app.runs": (
+        "run",
+        "run_each",
     ),
-    "fusion": ("ErrorStateFilter", "ErrorStateSettings", "FusedEstimate", "LigockiFilter", "LigockiSettings"),
-    "geometry": ("PinholeCamera",),
-    "keyframes": ("Keyframe", "KeyframeId", "KeyframeStore"),
-    "localizer": ("Localizer",),
-    "mapping": (
-        *("OccupancyGrid", "OccupancyMapper", "OccupancySettings"),
-        *("SurfelMap", "SurfelSettings", "load_map", "mesh_of", "save_map", "write_mesh_ply", "write_ply"),
+    "wheelsight.config": (
+        "Config",
+        "load_config",
+        "save_config",
     ),
-    "odometry.dense": ("DenseOdometry", "DenseSettings"),
-    "odometry.features": ("FeatureOdometry", "FeatureSettings"),
-    "odometry.own": ("VisualOdometry",),
-    "odometry.wheels": ("HolonomicOdometry", "WheelOdometry"),
-    "places": ("PlaceMatch", "PlaceModel"),
-    "recordings": ("OpenOptions", "Recording", "open_recording", "write_recording"),
-    "sources": ("EventSource",),
-    "runs": ("run", "run_each"),
-    "slam.recognised": ("LoopDetector",),
-    "simulation": ("SimulatedRecording", "SimulationSettings", "simulate", "write_simulation"),
-    "trajectory": ("Trajectory", "read_kitti", "read_tum", "write_kitti", "write_tum"),
-    "views": ("PredictedView", "ReferenceModel"),
+    "wheelsight.core.areas": (
+        "AreaMap",
+        "load_areas",
+        "save_areas",
+    ),
+    "wheelsight.core.calibration": (
+        "Calibration",
+        "Gyro",
+        "HolonomicWheels",
+        "Wheels",
+        "load_calibration",
+        "save_calibration",
+    ),
+    "wheelsight.core.clocks": (
+        "ClockSettings",
+        "SessionClock",
+    ),
+    "wheelsight.core.errors": ("WheelsightError",),
+    "wheelsight.core.estimates": (
+        "CameraEstimate",
+        "Estimate",
+        "MotionEstimate",
+        "Reason",
+        "Status",
+    ),
+    "wheelsight.core.geometry": ("PinholeCamera",),
+    "wheelsight.core.keyframes": (
+        "Keyframe",
+        "KeyframeId",
+        "KeyframeStore",
+        "PredictedView",
+        "ReferenceModel",
+    ),
+    "wheelsight.core.messages": (
+        "Event",
+        "OdometryReading",
+        "RgbdFrame",
+        "SkippedFrame",
+        "WheelCounts",
+        "WheelSpeeds",
+        "WheelTicks",
+        "YawRate",
+    ),
+    "wheelsight.core.robots": ("EventSource",),
+    "wheelsight.core.trajectory": (
+        "Trajectory",
+        "read_kitti",
+        "read_tum",
+        "write_kitti",
+        "write_tum",
+    ),
+    "wheelsight.estimation": (
+        "ErrorStateFilter",
+        "ErrorStateSettings",
+        "FusedEstimate",
+        "LigockiFilter",
+        "LigockiSettings",
+        "Localizer",
+    ),
+    "wheelsight.evaluation": (
+        "Evaluation",
+        "evaluate",
+    ),
+    "wheelsight.io.recordings": (
+        "OpenOptions",
+        "Recording",
+        "open_recording",
+        "write_recording",
+    ),
+    "wheelsight.mapping": (
+        "OccupancyGrid",
+        "OccupancyMapper",
+        "OccupancySettings",
+        "SurfelMap",
+        "SurfelSettings",
+        "load_map",
+        "mesh_of",
+        "save_map",
+        "write_mesh_ply",
+        "write_ply",
+    ),
+    "wheelsight.places": (
+        "PlaceMatch",
+        "PlaceModel",
+    ),
+    "wheelsight.slam.place_recognition": ("LoopDetector",),
+    "wheelsight.vision.dense": (
+        "DenseOdometry",
+        "DenseSettings",
+    ),
+    "wheelsight.vision.features": (
+        "FeatureOdometry",
+        "FeatureSettings",
+    ),
+    "wheelsight.vision.visual_odometry": ("VisualOdometry",),
+    "wheelsight.wheels": (
+        "HolonomicOdometry",
+        "WheelOdometry",
+    ),
+    "wheelsight_sim": (
+        "SimulatedRecording",
+        "SimulationSettings",
+        "simulate",
+        "write_simulation",
+    ),
 }
 # A program that wants the library's records gives this logger a handler; without one nothing is printed.
 logging.getLogger(__name__).addHandler(logging.NullHandler())
@@ -192,7 +274,7 @@ _MODULE_OF = {name: module for module, names in _NAMES_OF.items() for name in na
 def __getattr__(name: str) -> Any:
     if name not in _MODULE_OF:
         raise AttributeError(f"module 'wheelsight' has no attribute {name!r}")
-    return getattr(import_module(f"wheelsight.{_MODULE_OF[name]}"), name)
+    return getattr(import_module(_MODULE_OF[name]), name)
 
 
 def __dir__() -> list[str]:

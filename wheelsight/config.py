@@ -7,30 +7,14 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    PlainSerializer,
-    ValidationError,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, PlainSerializer, ValidationError, model_validator
 
-from wheelsight.camera_calibration.settings import CameraCalibrationSettings
-from wheelsight.clocks import ClockSettings
-from wheelsight.errors import ConfigError
-from wheelsight.files import StrPath, settings_text, write_text
-from wheelsight.fusion import AxisWeights, FusionSettings, OdometryTerm, Weights
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.inputs import line_of, read_yaml
-from wheelsight.inputs.settings import Fault
-from wheelsight.mapping import SurfelSettings
-from wheelsight.navigation.navigator_settings import NavigationSettings
-from wheelsight.odometry.dense import DenseSettings
-from wheelsight.odometry.extrinsics import ExtrinsicsSettings
-from wheelsight.odometry.features import FeatureSettings
-from wheelsight.odometry.wheels import WheelSettings
-from wheelsight.recordings.settings import RecordingSettings as RecordingSettings
-from wheelsight.settings import (
+from wheelsight.core.clocks import ClockSettings
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.files import StrPath, settings_text, write_text
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.inputs import line_of, read_yaml
+from wheelsight.core.settings import (
     ASKED,
     CHOSEN,
     LiveCameraSettings,
@@ -45,9 +29,17 @@ from wheelsight.settings import (
     conflict,
     setting,
 )
-from wheelsight.settings.profiles import over_profile
-from wheelsight.slam.sessions.settings import SessionSettings
-from wheelsight.slam.settings import FROM_KEYFRAMES, LoopSettings
+from wheelsight.core.settings.base import Fault, over_profile
+from wheelsight.core.settings.fusion import AxisWeights, FusionSettings, OdometryTerm, Weights
+from wheelsight.io.recordings.recording import RecordingSettings
+from wheelsight.mapping import SurfelSettings
+from wheelsight.navigation.settings import NavigationSettings
+from wheelsight.slam.settings import FROM_KEYFRAMES, LoopSettings, SessionSettings
+from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings
+from wheelsight.vision.dense import DenseSettings
+from wheelsight.vision.extrinsics import ExtrinsicsSettings
+from wheelsight.vision.features import FeatureSettings
+from wheelsight.wheels import WheelSettings
 
 OdometryName = Literal["features", "dense", "wheels", "own"]
 TrackName = Literal["features", "dense", "wheels", "own", "rectified", "joined"]

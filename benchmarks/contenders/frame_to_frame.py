@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.contenders.plain_images import PlainImages
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import RgbdFrame
 
 
 class FrameToFrame(ABC):

@@ -9,9 +9,9 @@ import numpy as np
 
 from benchmarks.contenders.frame_to_frame import FrameToFrame
 from benchmarks.contenders.protocol import Contender
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import RgbdFrame
 
 
 class Open3dOdometry(FrameToFrame):

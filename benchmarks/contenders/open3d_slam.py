@@ -9,9 +9,9 @@ import numpy as np
 
 from benchmarks.contenders.plain_images import PlainImages
 from benchmarks.contenders.protocol import Contender
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import RgbdFrame
 
 # As of Open3D's own example, dense_slam.py.
 _DEPTH_MIN_M, _DEPTH_MAX_M = 0.1, 3.0

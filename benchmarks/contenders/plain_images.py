@@ -7,9 +7,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera
+from wheelsight.core.messages import RgbdFrame
 
 
 class PlainImages:

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import RgbdFrame
 
 
 class Tracker(Protocol):

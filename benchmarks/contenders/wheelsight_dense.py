@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING
 import cv2
 
 from benchmarks.contenders.protocol import Contender
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import RgbdFrame
 
 if TYPE_CHECKING:
-    from wheelsight.odometry.dense import DenseSettings
+    from wheelsight.vision.dense import DenseSettings
 
 
 class WheelsightDense:
     """`DenseOdometry` as a user gets it."""
 
     def __init__(self, calibration: Calibration) -> None:
-        from wheelsight.odometry.dense import DenseOdometry
+        from wheelsight.vision.dense import DenseOdometry
 
         self._odometry = DenseOdometry(calibration, _as_many_threads())
 
@@ -38,7 +38,7 @@ class WheelsightSurfels:
 
     def __init__(self, calibration: Calibration) -> None:
         from wheelsight.config import load_config
-        from wheelsight.localizer import Localizer
+        from wheelsight.estimation import Localizer
 
         threads = cv2.getNumThreads()
         settings = {"odometry": "dense", "map": "surfels", "dense.threads": threads, "surfels.threads": threads}
@@ -56,7 +56,7 @@ class WheelsightSurfels:
 
 def _as_many_threads() -> DenseSettings:
     """Default settings, but for the threads that measure.py holds all libraries to: OpenCV tells how many."""
-    from wheelsight.odometry.dense import DenseSettings
+    from wheelsight.vision.dense import DenseSettings
 
     return DenseSettings(threads=cv2.getNumThreads())
 

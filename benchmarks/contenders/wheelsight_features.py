@@ -6,9 +6,9 @@ from functools import partial
 from typing import Literal
 
 from benchmarks.contenders.protocol import Contender
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import RgbdFrame
 
 SEED = 0
 
@@ -17,7 +17,7 @@ class WheelsightFeatures:
     """`FeatureOdometry` as a user gets it."""
 
     def __init__(self, calibration: Calibration, reference: Literal["keyframes", "previous"]) -> None:
-        from wheelsight.odometry.features import FeatureOdometry, FeatureSettings
+        from wheelsight.vision.features import FeatureOdometry, FeatureSettings
 
         self._odometry = FeatureOdometry(calibration, FeatureSettings(reference=reference, seed=SEED))
 

@@ -9,11 +9,10 @@ from pathlib import Path
 import pytest
 from batch_jobs import write_wheels
 
-from wheelsight.batch import BatchSettings, jobs, named_recordings, plan_of
-from wheelsight.batch.inputs import digest_of
-from wheelsight.batch.jobs import is_random, short_names
+from wheelsight.app.batch import BatchSettings, jobs, named_recordings, plan_of
+from wheelsight.app.batch.jobs import digest_of, is_random, short_names
 from wheelsight.config import load_config
-from wheelsight.errors import ConfigError
+from wheelsight.core.errors import ConfigError
 
 
 @pytest.fixture

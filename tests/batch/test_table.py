@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from batch_jobs import FIGURES
 
-from wheelsight.batch import Case, Outcome, Row, Spread, compare, read_rows
-from wheelsight.batch.kept import KeptOutcomes
-from wheelsight.batch.table import csv_text, markdown_text, rows_of
-from wheelsight.errors import ConfigError
+from wheelsight.app.batch import Case, Outcome, Row, Spread, compare, read_rows
+from wheelsight.app.batch.batches import KeptOutcomes
+from wheelsight.app.batch.table import csv_text, markdown_text, rows_of
+from wheelsight.core.errors import ConfigError
 
 CASES = (
     Case("a | b", "dense", "joined", ("1", "2", "3")),

@@ -12,10 +12,10 @@ import synthetic
 
 from benchmarks.agreement import Agreement, DepthPairs, agreement, agreement_sheet, main
 from benchmarks.sequences import Sequence
-from wheelsight.errors import CalibrationError
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import se3
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import Trajectory
 
 # Not loaded here: each process that tests are shared between would, at most one of which needs it.
 pytestmark = pytest.mark.skipif(find_spec("open3d") is None, reason="Open3D is not installed: pip install '.[bench]'")

@@ -16,12 +16,12 @@ from benchmarks.bad_input import (
     judge_bad_input,
     measure_case,
 )
-from wheelsight.estimates import Estimate, Reason, Status
-from wheelsight.events import Event, RgbdFrame, WheelTicks
-from wheelsight.fusion import FusedEstimate
-from wheelsight.geometry import FloatArray, se3, so3
-from wheelsight.simulation.camera_faults import CableOut
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.estimates import Estimate, Reason, Status
+from wheelsight.core.geometry import FloatArray, se3, so3
+from wheelsight.core.messages import Event, RgbdFrame, WheelTicks
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.estimation import FusedEstimate
+from wheelsight_sim.faults import CableOut
 
 FRAMES = 60
 STAMPS_S = np.arange(FRAMES) / 10

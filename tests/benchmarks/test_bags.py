@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks import bags
-from wheelsight.recordings import open_recording
-from wheelsight.recordings.rosbag.robot_topics import ImageForm
+from wheelsight.io.recordings import open_recording
+from wheelsight.io.recordings.bags.writing import ImageForm
 
 
 @pytest.mark.parametrize("kind", bags.KINDS, ids=lambda kind: kind.name)

@@ -13,7 +13,7 @@ from benchmarks import barn
 from benchmarks.barn_worlds import CELL_M, SIDE_CELLS, WAY_CELLS, WAY_M, automaton, field_of, grid_of, opened, smoothed
 from wheelsight.mapping import CellKind
 from wheelsight.navigation import CostmapSettings, NavigationSettings
-from wheelsight.simulation.worlds.clearance import obstacles
+from wheelsight_sim.clearance import obstacles
 
 COSTLY = NavigationSettings(costmap=CostmapSettings(unknown="costly"))
 CROSSED = barn.Crossing(0, 0.2, 3, 1, 20.0, 30.0, 21.0, 0.9, (), 0.1, "at the goal")

@@ -8,9 +8,9 @@ from synthetic import render_room, wobbling_trajectory
 
 from benchmarks import contenders
 from benchmarks.contenders import Contender, frame_to_frame, open3d_slam
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import FloatArray, PinholeCamera, se3, so3
+from wheelsight.core.messages import RgbdFrame
 
 CAMERA = PinholeCamera(640, 480, 524.0, 520.0, 322.6, 236.8)
 REGISTERED = Calibration.registered_camera(CAMERA)

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 import benchmarks
-from wheelsight.errors import ConfigError
+from wheelsight.core.errors import ConfigError
 
 
 def test_a_world_that_is_not_there_is_one_line() -> None:

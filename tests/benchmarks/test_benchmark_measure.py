@@ -15,12 +15,12 @@ from benchmarks.measure import Feed, Passage, measure, peak_memory_mb, there_and
 from benchmarks.run import child_environment, figures_of, run
 from benchmarks.sequences import Sequence, find_sequences
 from benchmarks.startup import measure_startup
-from wheelsight.calibration import Calibration
-from wheelsight.errors import RecordingError
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.recordings import open_recording
-from wheelsight.trajectory import Trajectory, write_tum
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import RecordingError
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import Trajectory, write_tum
+from wheelsight.io.recordings import open_recording
 
 
 class Still:

@@ -20,8 +20,8 @@ from benchmarks.run import Figures, Result
 from benchmarks.sequences import Accuracy
 from benchmarks.table import Sheet
 from benchmarks.true_surface import SurfaceBuilder, TrueSurface
-from wheelsight.geometry import PinholeCamera, se3, so3
-from wheelsight.simulation import SimulatedRecording, SimulationSettings, simulate
+from wheelsight.core.geometry import PinholeCamera, se3, so3
+from wheelsight_sim import SimulatedRecording, SimulationSettings, simulate
 
 CAMERA = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
 

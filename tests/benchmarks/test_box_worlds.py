@@ -7,8 +7,8 @@ import pytest
 import shapely
 
 from benchmarks.box_worlds import Box, hall, with_boxes
-from wheelsight.simulation import build_world
-from wheelsight.simulation.worlds.clearance import footprints, obstacles
+from wheelsight_sim import build_world
+from wheelsight_sim.clearance import footprints, obstacles
 
 SIZE_M = (-1.0, -2.0, 5.0, 2.0)
 TURNED = Box(2.0, 0.5, 0.6, 0.2, 0.7, yaw_rad=np.pi / 2)

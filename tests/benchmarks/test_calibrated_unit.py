@@ -12,15 +12,15 @@ from narrowing import not_none
 from benchmarks.calibrated_sources import CalibratedRobot, freed, with_calibration
 from benchmarks.calibrated_unit import by_board, by_squares, by_way, calibrating_drive, of_size
 from benchmarks.unit_views import bench_of, views_of
-from wheelsight.calibration import Calibration, DepthError, load_calibration, save_layer
-from wheelsight.camera_calibration.fields import camera_fields
-from wheelsight.commands import VelocityCommand
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import se3
-from wheelsight.odometry.extrinsics import calibrate_base, mount_values
-from wheelsight.odometry.wheels import fit_wheels
-from wheelsight.simulation import SimulatedRecording, SimulationSettings, simulate
-from wheelsight.simulation.simulator import Simulator
+from wheelsight.core.calibration import Calibration, load_calibration, save_layer
+from wheelsight.core.depth_errors import DepthError
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import RgbdFrame, VelocityCommand
+from wheelsight.vision.camera_calibration.calibration import camera_fields
+from wheelsight.vision.extrinsics import calibrate_base, mount_values
+from wheelsight.wheels import fit_wheels
+from wheelsight_sim import SimulatedRecording, SimulationSettings, simulate
+from wheelsight_sim.simulator import Simulator
 
 REAL = SimulationSettings("flat", rate_hz=5.0, seed=5, realism="real", size=(64, 48))
 FORMAT = {"format": "wheelsight-calibration-1"}

@@ -16,15 +16,16 @@ from benchmarks.clock_rows import DRIVE, ROWS, Row, TimedTicks, timed
 from benchmarks.clock_runs import ClockFigures, Errors, measure_drive
 from benchmarks.clocks import clocks_sheet, measure_clocks
 from benchmarks.joined_runs import CAMERA, JOINED, WHEELS
-from wheelsight.calibration import Calibration, Wheels
 from wheelsight.config import Config
-from wheelsight.estimates import Estimate, Reason, Status
-from wheelsight.events import Event, RgbdFrame, WheelTicks
-from wheelsight.geometry import se3
-from wheelsight.localizer import Localizer
-from wheelsight.recordings import Recording
-from wheelsight.simulation.clock_faults import ClockLeaps, Sensors
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.estimates import Estimate, Reason, Status
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import Event, RgbdFrame, WheelTicks
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.estimation import Localizer
+from wheelsight.io.recordings import Recording
+from wheelsight_sim.faults import ClockLeaps, Sensors
 
 WHEELS_TRUE = Wheels(0.2, 0.2, 0.5, 2 * math.pi * 0.2 * 1000)  # a tick a millimetre
 STAMPS_S = np.arange(0, 4 + 1e-9, 0.1)

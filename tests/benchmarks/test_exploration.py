@@ -14,7 +14,7 @@ from benchmarks.exploration_ideal import SIGHT as CHAIRS
 from benchmarks.exploration_ideal import explored
 from benchmarks.exploration_truth import CELL_M, TruePlan, tour_m
 from wheelsight.navigation import Footprint, NavigationSettings
-from wheelsight.navigation.sight import Sight
+from wheelsight.navigation.exploration import Sight
 
 CHAIR = Footprint.rectangle(0.8, 0.3, 0.6)
 START = np.array([2.0, 2.0, 0.0])

@@ -18,14 +18,14 @@ from benchmarks.joined_cases import CASES, Case, Expected, Way, robot_of
 from benchmarks.joined_figures import Accuracy, JoinedFigures, accuracy_of, figures_of, slip_spans_s
 from benchmarks.joined_kept import KeptFigures
 from benchmarks.joined_runs import CAMERA, JOINED, PAPER, WHEELS, Answers
-from wheelsight.calibration import Wheels
-from wheelsight.errors import InputError
-from wheelsight.estimates import Estimate, Status
-from wheelsight.events import WheelTicks
-from wheelsight.fusion import FusedEstimate
-from wheelsight.geometry import se3, so3
-from wheelsight.simulation import Drive, Robot
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import InputError
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.geometry import se3, so3
+from wheelsight.core.messages import WheelTicks
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.estimation import FusedEstimate
+from wheelsight_sim import Drive, Robot
 
 SECONDS = 10.0
 STAMPS_S = np.arange(0, SECONDS + 1e-9, 0.02)

@@ -12,15 +12,15 @@ from benchmarks.joined_cases import CASES, Way, drive_of
 from benchmarks.joined_hour import Quarter, hour_sheet, judge_hour, memory_mb, quarters_of
 from benchmarks.joined_images import kept_events
 from benchmarks.joined_runs import JOINED, localizer_of
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray
-from wheelsight.simulation import SimulatedRecording
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import RgbdFrame
+from wheelsight_sim import SimulatedRecording
 
 
 @pytest.fixture(scope="module")
 def recording() -> SimulatedRecording:
     pytest.importorskip("mujoco")
-    from wheelsight.simulation import SimulationSettings, simulate
+    from wheelsight_sim import SimulationSettings, simulate
 
     return simulate(SimulationSettings("flat", size=(64, 48), rate_hz=5, duration_s=2.0, seed=1))
 
@@ -46,7 +46,7 @@ def test_drives_of_a_plan_are_in_its_building_but_for_the_blank_corridor(tmp_pat
     pytest.importorskip("mujoco")
     from floor_plans import two_rooms, write_plan
 
-    from wheelsight.simulation import FloorPlan
+    from wheelsight_sim import FloorPlan
 
     plan = FloorPlan(write_plan(tmp_path, two_rooms()))
     forward, backward = (drive_of(Way.CLEAN, seed, 2.0, plan) for seed in (1, 3))
@@ -58,7 +58,7 @@ def test_drives_of_a_plan_are_in_its_building_but_for_the_blank_corridor(tmp_pat
 @pytest.mark.slow
 def test_a_corridor_counts_as_blind_only_where_nothing_but_paint_is_in_reach() -> None:
     pytest.importorskip("mujoco")
-    from wheelsight.simulation.worlds.blank import BLANK_M
+    from wheelsight_sim.worlds.small_worlds import BLANK_M
 
     recording = drive_of(Way.BLANK, 1)
     case = next(case for case in CASES if case.way is Way.BLANK)

@@ -26,7 +26,7 @@ def test_what_joining_takes_is_shared_by_all_events() -> None:
 @pytest.mark.slow
 def test_every_localizer_is_timed_by_the_same_events_once_it_is_warm() -> None:
     pytest.importorskip("mujoco")
-    from wheelsight.simulation import SimulationSettings, simulate
+    from wheelsight_sim import SimulationSettings, simulate
 
     recording = simulate(SimulationSettings("flat", size=(160, 120), rate_hz=5, duration_s=3.0, seed=1))
     spent = spent_on(recording)

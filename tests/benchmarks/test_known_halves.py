@@ -10,8 +10,8 @@ from synthetic import make_tum_recording
 
 from benchmarks.known_halves import Half
 from benchmarks.session_starts import beside_nearest
-from wheelsight.geometry import se3
-from wheelsight.recordings import open_recording
+from wheelsight.core.geometry import se3
+from wheelsight.io.recordings import open_recording
 
 
 def test_halves_share_no_frame_and_leave_none_out(tmp_path: Path) -> None:

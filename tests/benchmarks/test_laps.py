@@ -11,11 +11,11 @@ import pytest
 from benchmarks import laps
 from benchmarks.laps_surface import share_within, surface_of
 from benchmarks.table import Sheet, write_page
-from wheelsight.errors import InputError
-from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeId
-from wheelsight.simulation import SimulationSettings, simulate
+from wheelsight.core.errors import InputError
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import KeyframeId
 from wheelsight.slam.graph import RelativePose
+from wheelsight_sim import SimulationSettings, simulate
 
 # x of a camera that looks along z is to its right; it stands upright in a world whose z is up.
 LOOKS_ALONG_X = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])

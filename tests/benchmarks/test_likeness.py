@@ -9,11 +9,11 @@ from small_rooms import looking, room, wall
 from benchmarks.likeness_desk import desk_world
 from benchmarks.likeness_residuals import residuals
 from benchmarks.likeness_ways import QUANTILES, placed, upright
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import PinholeCamera, se3, so3
-from wheelsight.simulation.scene import Scene
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import PinholeCamera, se3, so3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import Trajectory
+from wheelsight_sim.scene import Scene
 
 CAMERA = PinholeCamera(160, 120, 146, 146, 79.5, 59.5)
 

@@ -9,8 +9,8 @@ import pytest
 
 from benchmarks.live import WITH, WITHOUT, Drive, judge, sheets_of, timed
 from benchmarks.live_hour import Hour, Minute
-from wheelsight.geometry import FloatArray
-from wheelsight.keyframes import KeyframeId
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.keyframes import KeyframeId
 
 
 class _Moves:

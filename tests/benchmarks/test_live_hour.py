@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from benchmarks.live_hour import Hour, Minute, drive_hour, hour_sheets, judge_hour, memory_of, peak_mb
-from wheelsight.calibration import Calibration, Wheels
-from wheelsight.geometry import PinholeCamera
-from wheelsight.pipeline.rehearsal import DrawnDrive
+from wheelsight.app.run.kernels import DrawnDrive
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.geometry import PinholeCamera
 
 _CAMERA = PinholeCamera(320, 240, 262.0, 260.0, 160.0, 120.0)
 CALIBRATION = Calibration.registered_camera(_CAMERA, T_base_camera=np.eye(4), wheels=Wheels(0.17, 0.17, 0.52, 3200.0))

@@ -12,11 +12,10 @@ from benchmarks import navigation_faults
 from benchmarks.box_worlds import Box
 from benchmarks.fault_drives import FaultDrive, braking_way_m, is_free_to_stop, map_of
 from benchmarks.fault_robot import STALL_S, WATCHDOG_S, Fault, FaultKind, FaultyRobot, Leader, drawn
-from wheelsight.commands import VelocityCommand
-from wheelsight.events import RgbdFrame, WheelTicks
+from wheelsight.core.messages import RgbdFrame, VelocityCommand, WheelTicks
+from wheelsight.core.robots import RobotLimits
 from wheelsight.mapping import CellKind
 from wheelsight.navigation import NavigationSettings
-from wheelsight.robot_limits import RobotLimits
 
 AHEAD = VelocityCommand(0.8, 0.0)
 STOOD = FaultDrive(0, "camera covered", "straight on", 1.0, 2.0, True, (), 0.0, 0.25, 0.8, "no fresh depth frame")

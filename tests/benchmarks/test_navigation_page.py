@@ -9,7 +9,7 @@ import pytest
 from benchmarks.kept_records import KeptRecords
 from benchmarks.navigation_page import sections_of, write_section
 from benchmarks.table import Sheet
-from wheelsight.errors import InputError
+from wheelsight.core.errors import InputError
 
 
 def sheet(figure: str) -> Sheet:

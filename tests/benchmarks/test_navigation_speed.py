@@ -12,11 +12,10 @@ import pytest
 from benchmarks import navigation_speed
 from benchmarks.navigation_speed import Quarter, judge
 from benchmarks.played_drive import PlayedDrive, PlayedRobot, played_of
-from wheelsight.calibration import Calibration
-from wheelsight.commands import STOP
-from wheelsight.events import Event, RgbdFrame, WheelTicks
-from wheelsight.geometry import PinholeCamera, se3
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import PinholeCamera, se3
+from wheelsight.core.messages import STOP, Event, RgbdFrame, WheelTicks
+from wheelsight.core.trajectory import Trajectory
 
 CAMERA = PinholeCamera(4, 3, 4.0, 4.0, 1.5, 1.0)
 

@@ -8,9 +8,9 @@ from synthetic import CAMERA, render_room, wobbling_trajectory
 
 from benchmarks.first_pose import Followed, judge
 from benchmarks.profiles import Cost, configs, costs_of, ratio_sheet
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.localizer import Localizer
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.estimation import Localizer
 
 
 def test_both_settings_follow_the_same_frames_and_are_told_apart() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import sessions
 from benchmarks.session_kidnaps import FIND_S, Kidnapping, carried_off
-from wheelsight.events import Event, RgbdFrame, WheelTicks, YawRate
+from wheelsight.core.messages import Event, RgbdFrame, WheelTicks, YawRate
 
 SIZE = (3, 4)
 

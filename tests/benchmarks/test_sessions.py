@@ -11,10 +11,10 @@ from benchmarks import session_maps, session_starts, sessions
 from benchmarks.kept_records import KeptRecords
 from benchmarks.session_kidnaps import Kidnapping
 from benchmarks.session_starts import ALONE, JOINED, FirstDay, Start
-from wheelsight.errors import InputError
-from wheelsight.estimates import Estimate, Status
-from wheelsight.geometry import se3
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.errors import InputError
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.geometry import se3
+from wheelsight.core.trajectory import Trajectory
 
 FOUND = Start("flat", ALONE, 4.0, 1.5, 0.03, 0.4, 0.02, 0.3, 0.05, 0.6, (100.0, 200.0))
 NOT_FOUND = Start("flat", JOINED, 8.0, None, nan, nan, nan, nan, nan, nan, ())

@@ -7,9 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from wheelsight.camera_calibration.board import Board
-from wheelsight.camera_calibration.printing import draw_board
-from wheelsight.geometry import PinholeCamera, se3, so3
+from wheelsight.core.geometry import PinholeCamera, se3, so3
+from wheelsight.vision.camera_calibration.board import Board, draw_board
 
 PX_PER_MM = 4
 

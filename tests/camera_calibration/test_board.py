@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from wheelsight.camera_calibration.board import Board, board_from
-from wheelsight.camera_calibration.printing import Drawing, as_pdf, as_svg, draw_board
-from wheelsight.errors import ConfigError
+from wheelsight.core.errors import ConfigError
+from wheelsight.vision.camera_calibration.board import Board, Drawing, as_pdf, as_svg, board_from, draw_board
 
 PX_PER_MM = 6
 

@@ -11,17 +11,21 @@ from grids import mostly_slow
 
 from benchmarks.board_views import BOARD, RIGS, Rig, board_views, kinect_v1
 from benchmarks.camera_calibration import measure_real
-from wheelsight.calibration import Calibration
-from wheelsight.camera_calibration.board import board_from
-from wheelsight.camera_calibration.calibrate import calibrate_camera
-from wheelsight.camera_calibration.fields import camera_calibration, camera_fields, measured
-from wheelsight.camera_calibration.result import CameraCalibration
-from wheelsight.camera_calibration.settings import CameraCalibrationSettings, RefusalSettings
-from wheelsight.camera_calibration.task import CameraSetup
-from wheelsight.camera_calibration.views import Corners, View, ViewSet
-from wheelsight.errors import CalibrationError, ConfigError
-from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
-from wheelsight.point_errors import PointErrors, mode_of
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.depth_errors import PointErrors, mode_of
+from wheelsight.core.errors import CalibrationError, ConfigError
+from wheelsight.core.geometry import FloatArray, PinholeCamera, se3, so3
+from wheelsight.vision.camera_calibration.board import board_from
+from wheelsight.vision.camera_calibration.calibration import (
+    CameraCalibration,
+    calibrate_camera,
+    camera_calibration,
+    camera_fields,
+    measured,
+)
+from wheelsight.vision.camera_calibration.model import CameraSetup
+from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings, RefusalSettings
+from wheelsight.vision.camera_calibration.views import Corners, View, ViewSet
 
 VIEWS = 24
 # Of Kinect v1 without infrared images, depth is stated to 1 % of the distance, which is refused else.
@@ -181,7 +185,7 @@ def test_a_depth_lens_is_bent_where_no_infrared_image_shows_it(seed: int) -> Non
 
 
 def camera_calibration_of(rig: Rig):
-    from wheelsight.calibration import Calibration
+    from wheelsight.core.calibration import Calibration
 
     depth = replace(rig.depth, fx=rig.depth.fx * 1.01, fy=rig.depth.fy * 1.01)
     return Calibration(color=rig.color, depth=depth, T_color_depth=np.eye(4))

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from camera_calibration.drawn_boards import pose
 
-from wheelsight.camera_calibration.board import board_from
-from wheelsight.camera_calibration.coach import advise, covered_share, largest_tilt_deg
-from wheelsight.camera_calibration.settings import CoachSettings
-from wheelsight.camera_calibration.views import Corners
-from wheelsight.geometry import PinholeCamera, se3
+from wheelsight.core.geometry import PinholeCamera, se3
+from wheelsight.vision.camera_calibration.board import board_from
+from wheelsight.vision.camera_calibration.live_views import advise, covered_share, largest_tilt_deg
+from wheelsight.vision.camera_calibration.settings import CoachSettings
+from wheelsight.vision.camera_calibration.views import Corners
 
 BOARD = board_from("9x6:25mm")
 CAMERA = PinholeCamera(640, 480, 556.8, 556.8, 319.5, 239.5)

@@ -10,13 +10,18 @@ import numpy as np
 import pytest
 from camera_calibration.drawn_boards import pose, seen_board
 
-from wheelsight.camera_calibration.board import Board, board_from
-from wheelsight.camera_calibration.detection import as_grey, edge_width_px, find_corners
-from wheelsight.camera_calibration.folders import find_view_files, read_views
-from wheelsight.camera_calibration.settings import DetectionSettings
-from wheelsight.camera_calibration.views import Corners
-from wheelsight.errors import RecordingError
-from wheelsight.geometry import PinholeCamera, se3
+from wheelsight.core.errors import RecordingError
+from wheelsight.core.geometry import PinholeCamera, se3
+from wheelsight.vision.camera_calibration.board import Board, board_from
+from wheelsight.vision.camera_calibration.settings import DetectionSettings
+from wheelsight.vision.camera_calibration.views import (
+    Corners,
+    as_grey,
+    edge_width_px,
+    find_corners,
+    find_view_files,
+    read_views,
+)
 
 CAMERA = PinholeCamera(640, 480, 530.0, 530.0, 319.5, 239.5)
 CHECKERS, CHARUCO = board_from("9x6:35mm"), board_from("charuco:9x6:38mm:28mm")

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from camera_calibration.drawn_boards import pose, seen_board
 
-from wheelsight.camera_calibration.board import board_from
-from wheelsight.camera_calibration.folders import read_views
-from wheelsight.camera_calibration.live_views import ViewTaker, save_view
-from wheelsight.camera_calibration.settings import CameraCalibrationSettings, CoachSettings, DetectionSettings
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import PinholeCamera
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.vision.camera_calibration.board import board_from
+from wheelsight.vision.camera_calibration.live_views import ViewTaker, save_view
+from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings, CoachSettings, DetectionSettings
+from wheelsight.vision.camera_calibration.views import read_views
 
 BOARD = board_from("9x6:35mm")
 CAMERA = PinholeCamera(320, 240, 265.0, 265.0, 161.0, 118.0)

@@ -8,14 +8,11 @@ import numpy as np
 import pytest
 
 from benchmarks.board_views import BOARD, RIGS, board_views
-from wheelsight.camera_calibration.assemble import filled
-from wheelsight.camera_calibration.model import Cells, Model, Points, Sigmas
-from wheelsight.camera_calibration.residuals import Residuals
-from wheelsight.camera_calibration.settings import CameraCalibrationSettings
-from wheelsight.camera_calibration.solve import solve
-from wheelsight.camera_calibration.start import poses_in
-from wheelsight.camera_calibration.views import RAW_DISPARITY
-from wheelsight.geometry import FloatArray, PinholeCamera, se3
+from wheelsight.core.geometry import FloatArray, PinholeCamera, se3
+from wheelsight.vision.camera_calibration.model import Cells, Model, Points, Sigmas, filled, poses_in
+from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings
+from wheelsight.vision.camera_calibration.solver import Residuals, solve
+from wheelsight.vision.camera_calibration.views import RAW_DISPARITY
 
 CAMERA = PinholeCamera(512, 424, 365.0, 365.0, 255.5, 211.5)
 KNOTS_M = np.linspace(0.5, 4.5, 17)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from wheelsight.camera_calibration.splines import cubic_grid_weights, cubic_weights, finer
-from wheelsight.geometry import PinholeCamera
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.vision.camera_calibration.model import cubic_grid_weights, cubic_weights, finer
 
 KNOTS = np.linspace(0.5, 4.5, 9)
 

@@ -13,13 +13,14 @@ from synthetic import make_tum_recording
 from typer.main import get_command
 from typer.testing import CliRunner, Result
 
-from wheelsight.calibration import Calibration, Wheels
-from wheelsight.cli import app
-from wheelsight.events import WheelTicks
-from wheelsight.odometry.wheels import integrate_log
-from wheelsight.pipeline import kernels
-from wheelsight.recordings import RecordingWriter
-from wheelsight.trajectory import Trajectory
+from wheelsight.app.cli import app
+from wheelsight.app.run import kernels
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.messages import WheelTicks
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings import RecordingWriter
+from wheelsight.wheels import integrate_log
 
 
 @pytest.fixture(autouse=True)

@@ -17,9 +17,8 @@ from typer.main import get_command
 from typer.testing import CliRunner, Result
 
 from wheelsight import __version__
-from wheelsight.cli import app
-from wheelsight.cli._help import laid_out
-from wheelsight.cli._takes import takes
+from wheelsight.app.cli import app
+from wheelsight.app.cli.console import laid_out, takes
 
 Command = Callable[..., Result]
 
@@ -36,7 +35,7 @@ def python(code: str, **environment: str) -> str:
 def test_help_names_every_command_and_loads_nothing_heavy() -> None:
     code = (
         "import sys\n"
-        "from wheelsight.cli import app\n"
+        "from wheelsight.app.cli import app\n"
         "app(['--help'], standalone_mode=False)\n"
         "print('loaded:', *sys.modules)\n"
     )
@@ -149,7 +148,7 @@ def test_compiled_kernels_that_can_be_kept_nowhere_are_told_in_one_line(room: Pa
     code = (
         "from numba.core import caching\n"
         "caching.CompileResultCacheImpl._locator_classes = []\n"
-        "from wheelsight.cli import main\n"
+        "from wheelsight.app.cli import main\n"
         "main()\n"
     )
     command = [sys.executable, "-c", code, "run", str(room), "--out", str(tmp_path / "out")]
@@ -175,7 +174,7 @@ def test_a_bug_keeps_its_traceback(wheelsight: Command, monkeypatch: pytest.Monk
     def broken(*_: object) -> None:
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr("wheelsight.recordings.open_recording", broken)
+    monkeypatch.setattr("wheelsight.io.recordings.open_recording", broken)
     result = wheelsight("info", room)
     assert isinstance(result.exception, ZeroDivisionError)
 

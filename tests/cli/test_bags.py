@@ -10,9 +10,10 @@ import pytest
 from typer.testing import Result
 from written_bags import COLOR, DEPTH, camera_drive, circle, odometry_drive, robot_drive, write_bag
 
-from wheelsight.calibration import Calibration, Wheels, save_calibration
-from wheelsight.recordings import open_recording
-from wheelsight.trajectory import read_tum
+from wheelsight.core.calibration import Calibration, save_calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.trajectory import read_tum
+from wheelsight.io.recordings import open_recording
 
 Command = Callable[..., Result]
 

@@ -12,10 +12,11 @@ from browser import open_page
 from drives import simulate, square_legs, write_recording
 from typer.testing import Result
 
-from wheelsight.calibration import Calibration, Gyro, Wheels, load_calibration, save_calibration
-from wheelsight.geometry import PinholeCamera
-from wheelsight.odometry.wheels.umbmark import corrected
-from wheelsight.trajectory import Trajectory, read_tum, write_tum
+from wheelsight.core.calibration import Calibration, load_calibration, save_calibration
+from wheelsight.core.calibration_parts import Gyro, Wheels
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.core.trajectory import Trajectory, read_tum, write_tum
+from wheelsight.wheels.umbmark import corrected
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]

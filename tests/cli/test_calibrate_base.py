@@ -15,12 +15,12 @@ from html_page import Page
 from sighted_drives import MOUNT, NOMINAL, USUAL, nominal, sighted
 from typer.testing import Result
 
-from wheelsight.calibration import Calibration, load_calibration, read_layer, save_calibration
 from wheelsight.config import load_config
-from wheelsight.odometry import extrinsics
-from wheelsight.odometry.extrinsics import BaseCalibration, ExtrinsicsSettings, base_from, mount_values
-from wheelsight.recordings import OpenOptions, Recording, open_recording
-from wheelsight.simulation import Robot, SimulationSettings, simulate, write_simulation
+from wheelsight.core.calibration import Calibration, load_calibration, read_layer, save_calibration
+from wheelsight.io.recordings import OpenOptions, Recording, open_recording
+from wheelsight.vision import extrinsics
+from wheelsight.vision.extrinsics import BaseCalibration, ExtrinsicsSettings, base_from, mount_values
+from wheelsight_sim import Robot, SimulationSettings, simulate, write_simulation
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]

@@ -18,13 +18,14 @@ from drives import simulate, write_recording
 from hand_fed_camera import HandFedCamera
 from typer.testing import CliRunner, Result
 
-from wheelsight.calibration import Calibration, Wheels, load_calibration, read_layer, save_calibration
-from wheelsight.camera_calibration.board import board_from
-from wheelsight.cli import app
-from wheelsight.devices.cameras import LIVE_CAMERAS
-from wheelsight.devices.live_camera import CameraStatus, LiveFrame
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import PinholeCamera
+from wheelsight.app.cli import app
+from wheelsight.core.calibration import Calibration, load_calibration, read_layer, save_calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.devices.cameras import LIVE_CAMERAS
+from wheelsight.io.devices.live_camera import CameraStatus, LiveFrame
+from wheelsight.vision.camera_calibration.board import board_from
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]

@@ -10,13 +10,14 @@ import pytest
 import yaml
 from typer.testing import Result
 
-from wheelsight.calibration import Calibration, Wheels
-from wheelsight.cli._drive_inputs import drive_settings
-from wheelsight.cli._drive_options import DriveOptions
+from wheelsight.app.cli.drive import drive_settings
+from wheelsight.app.cli.drive_options import DriveOptions
 from wheelsight.config import Config, load_config
-from wheelsight.geometry import PinholeCamera
-from wheelsight.localizer import choose_odometry
-from wheelsight.settings.profiles import over_profile
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.core.settings.base import over_profile
+from wheelsight.estimation import choose_odometry
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]

@@ -7,9 +7,9 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from wheelsight.cli import app
-from wheelsight.devices import plugged_in
-from wheelsight.devices.plugged_in import PluggedIn
+from wheelsight.app.cli import app
+from wheelsight.io.devices import plugged_in
+from wheelsight.io.devices.plugged_in import PluggedIn
 
 FOUND = [
     PluggedIn("camera", "RealSense D435 123", "--camera realsense:123"),

@@ -17,16 +17,16 @@ from rehearsed_drive import CALIBRATION
 from sessions.kept_views import write_map
 from typer.testing import CliRunner, Result
 
-from wheelsight.calibration import Calibration, HolonomicWheels, save_calibration
-from wheelsight.cli import app
-from wheelsight.devices.cameras import LIVE_CAMERAS
-from wheelsight.devices.protocol import Command as Commanded
-from wheelsight.devices.robot_camera import ANY, open_robot_camera
-from wheelsight.devices.simulated_controller import SimulatedController
-from wheelsight.errors import DeviceError
-from wheelsight.settings import LiveCameraSettings
-from wheelsight.trajectory import read_tum
-from wheelsight.viewer import why_no_rerun
+from wheelsight.app.cli import app
+from wheelsight.app.viewer import why_no_rerun
+from wheelsight.core.calibration import Calibration, save_calibration
+from wheelsight.core.calibration_parts import HolonomicWheels
+from wheelsight.core.errors import DeviceError
+from wheelsight.core.settings import LiveCameraSettings
+from wheelsight.core.trajectory import read_tum
+from wheelsight.io.devices.cameras import ANY, LIVE_CAMERAS, open_robot_camera
+from wheelsight.io.devices.simulated_controller import SimulatedController
+from wheelsight.io.devices.wire_formats import Command as Commanded
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]
@@ -286,7 +286,7 @@ def test_a_robot_drives_to_a_place_of_a_flat_that_was_mapped_before(
 def test_ctrl_c_stops_the_robot_first_and_says_so(
     flat: tuple[Path, np.ndarray, np.ndarray], wheelsight: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from wheelsight.simulation.simulator import Simulator
+    from wheelsight_sim.simulator import Simulator
 
     stopped: list[float] = []
     stop, step = Simulator.stop, Simulator.step
@@ -349,7 +349,7 @@ def test_a_real_robot_stands_while_its_camera_shows_nothing(
 def test_a_goal_for_which_the_map_has_no_room_is_refused_before_anything_moves(
     flat: tuple[Path, np.ndarray, np.ndarray], wheelsight: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from wheelsight.simulation.simulator import Simulator
+    from wheelsight_sim.simulator import Simulator
 
     moved: list[object] = []
     monkeypatch.setattr(Simulator, "step", lambda robot, command: moved.append(command))

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from typer.testing import Result
 
-from wheelsight.ros_map import FREE, OCCUPIED, read_ros_map
-from wheelsight.slam.sessions import MapFolder, find_map
+from wheelsight.io.ros_map import FREE, OCCUPIED, read_ros_map
+from wheelsight.slam.maps import MapFolder, find_map
 
 Command = Callable[..., Result]
 # The smallest world, by small images: two rooms, in the order of three minutes of its time.

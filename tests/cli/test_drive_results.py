@@ -9,11 +9,11 @@ import pytest
 import typer
 from rehearsed_drive import recorded, rehearsed_drive
 
-from wheelsight.cli._drive_results import tell
-from wheelsight.errors import MapError
-from wheelsight.pipeline.drive_outputs import drive_dict
-from wheelsight.pipeline.drives import Goal
-from wheelsight.report.drive_page import verdict
+from wheelsight.app.cli.drive import tell
+from wheelsight.app.report.drive_page import verdict
+from wheelsight.app.run.drive_record import drive_dict
+from wheelsight.app.run.drives import Goal
+from wheelsight.core.errors import MapError
 
 
 def test_periods_that_came_late_are_told_where_they_are_many(capsys: pytest.CaptureFixture[str]) -> None:

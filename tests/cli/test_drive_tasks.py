@@ -14,12 +14,12 @@ from rehearsed_drive import CALIBRATION, QUICK, rehearsed_drive
 from sessions.kept_views import write_map
 from typer.testing import Result
 
-from wheelsight.calibration import save_calibration
-from wheelsight.geometry import se3
-from wheelsight.geometry.se2 import wrap_angle
-from wheelsight.pipeline.drives import Drive
-from wheelsight.pipeline.navigation_rehearsal import DrawnRobot, ToldPlace
-from wheelsight.trajectory import Trajectory, read_tum, write_tum
+from wheelsight.app.run.drives import Drive
+from wheelsight.app.run.kernel_process import DrawnRobot, ToldPlace
+from wheelsight.core.calibration import save_calibration
+from wheelsight.core.geometry import se3
+from wheelsight.core.geometry.se2 import wrap_angle
+from wheelsight.core.trajectory import Trajectory, read_tum, write_tum
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]
@@ -45,8 +45,8 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> tuple[Drive, DrawnRobot]:
     """What any drive in a map is from now on; one that is lost gives up soon."""
     monkeypatch.setitem(QUICK, "navigation.navigator.lost_s", 1.0)
     drive, robot, _ = rehearsed_drive()
-    monkeypatch.setattr("wheelsight.cli._driving.robot_of", lambda *_: nullcontext(robot))
-    monkeypatch.setattr("wheelsight.pipeline.drives.drive_in_map", lambda *_, **__: nullcontext(drive))
+    monkeypatch.setattr("wheelsight.app.cli.drive.robot_of", lambda *_: nullcontext(robot))
+    monkeypatch.setattr("wheelsight.app.run.drives.drive_in_map", lambda *_, **__: nullcontext(drive))
     return drive, robot
 
 

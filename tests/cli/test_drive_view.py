@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wheelsight.cli._drive_plan import Sign, as_text, plan_signs
-from wheelsight.cli._drive_view import SoFar, line_of
-from wheelsight.commands import STOP
-from wheelsight.estimates import Status
+from wheelsight.app.cli.drive_view import Sign, SoFar, as_text, line_of, plan_signs
+from wheelsight.core.estimates import Status
+from wheelsight.core.messages import STOP
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import (
     Feedback,

@@ -12,7 +12,7 @@ from room_drive import make_room_drive
 from synthetic import wobbling_trajectory
 from typer.testing import Result
 
-from wheelsight.trajectory import Trajectory, read_tum, write_tum
+from wheelsight.core.trajectory import Trajectory, read_tum, write_tum
 
 Command = Callable[..., Result]
 

@@ -16,11 +16,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from typer.testing import Result
 from written_bags import odometry_drive, write_bag
 
-from wheelsight.events import RgbdFrame, WheelSpeeds, WheelTicks
-from wheelsight.geometry import se3
-from wheelsight.recordings import open_recording
-from wheelsight.recordings.rosbag import writing
-from wheelsight.trajectory import read_tum
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import RgbdFrame, WheelSpeeds, WheelTicks
+from wheelsight.core.trajectory import read_tum
+from wheelsight.io.recordings import open_recording
+from wheelsight.io.recordings.bags import writing
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]

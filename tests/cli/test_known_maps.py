@@ -9,9 +9,9 @@ import pytest
 from synthetic import CAMERA, make_tum_recording
 from typer.testing import Result
 
-from wheelsight.calibration import Calibration, save_calibration
-from wheelsight.geometry import PinholeCamera
-from wheelsight.trajectory import Trajectory, read_tum
+from wheelsight.core.calibration import Calibration, save_calibration
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.core.trajectory import Trajectory, read_tum
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]

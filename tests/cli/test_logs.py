@@ -9,7 +9,7 @@ import pytest
 from synthetic import make_tum_recording
 from typer.testing import CliRunner
 
-from wheelsight.cli import app
+from wheelsight.app.cli import app
 
 LOGGER = logging.getLogger("wheelsight")
 
@@ -33,9 +33,9 @@ def test_a_log_holds_status_and_errors_with_times(room: Path, tmp_path: Path) ->
     code, _, _ = invoke("--log", log, "run", tmp_path / "nowhere", "--out", tmp_path / "none")
     assert code == 2
     lines = log.read_text().splitlines()
-    assert any("INFO wheelsight.localizer" in line and "dense is tracking, was initializing" in line for line in lines)
-    assert any("INFO wheelsight.pipeline.runs: room, dense: 3 poses; 4 frames" in line for line in lines)
-    assert any("ERROR wheelsight.cli" in line and "nowhere" in line for line in lines)
+    assert any("INFO wheelsight.estimation" in line and "dense is tracking, was initializing" in line for line in lines)
+    assert any("INFO wheelsight.app.run.runs: room, dense: 3 poses; 4 frames" in line for line in lines)
+    assert any("ERROR wheelsight.app.cli" in line and "nowhere" in line for line in lines)
     assert all(line[:4].isdigit() for line in lines)
 
 

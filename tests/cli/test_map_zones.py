@@ -14,15 +14,15 @@ from sessions.kept_views import write_map
 from sessions.mounted_maps import WAY, drive
 from typer.testing import Result
 
-from wheelsight.areas import Area, AreaMap, save_areas
-from wheelsight.cli._map_goals import poses_of
-from wheelsight.errors import MapError
-from wheelsight.geometry import FloatArray, se3
+from wheelsight.app.cli.drive import poses_of
+from wheelsight.core.areas import Area, AreaMap, save_areas
+from wheelsight.core.errors import MapError
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.io.ros_map import FREE, OCCUPIED, read_ros_map
 from wheelsight.mapping import EditKind
 from wheelsight.navigation import Costmap, Footprint, KnownFloor, Plan, Planner
-from wheelsight.ros_map import FREE, OCCUPIED, read_ros_map
-from wheelsight.slam.sessions import MapFolder, occupancy_of
-from wheelsight.slam.sessions.parts import edits_as_known
+from wheelsight.slam.maps import MapFolder, occupancy_of
+from wheelsight.slam.maps.contents import edits_as_known
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]

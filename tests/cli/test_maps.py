@@ -14,9 +14,9 @@ from sessions.mounted_maps import WAY, drive
 from sessions.seen_maps import RING, aside, write_seen
 from typer.testing import Result
 
-from wheelsight.ros_map import read_ros_map
-from wheelsight.slam.sessions import MapFolder
-from wheelsight.slam.sessions.journal import read_journal
+from wheelsight.io.ros_map import read_ros_map
+from wheelsight.slam.maps import MapFolder
+from wheelsight.slam.maps.journal import read_journal
 
 Command = Callable[..., Result]
 

@@ -17,7 +17,7 @@ from other_formats import (
 )
 from typer.testing import Result
 
-from wheelsight.trajectory import Trajectory, read_tum
+from wheelsight.core.trajectory import Trajectory, read_tum
 
 Command = Callable[..., Result]
 FRAMES = 4

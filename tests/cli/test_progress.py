@@ -16,13 +16,13 @@ from cli.test_record_camera import LINK, LOOK
 from pseudo_terminal import Screen, terminal
 from sessions.seen_maps import RING, aside, write_seen
 
-from wheelsight.batch import Done, Outcome
-from wheelsight.cli import app
-from wheelsight.cli._batch_view import BatchProgress
-from wheelsight.cli._calibrate_live import _shown
-from wheelsight.cli._drive_view import DriveView
-from wheelsight.cli._progress import FrameProgress, left_text
-from wheelsight.cli._record_view import shown_looks
+from wheelsight.app.batch import Done, Outcome
+from wheelsight.app.cli import app
+from wheelsight.app.cli.batch_run import BatchProgress
+from wheelsight.app.cli.calibrate_camera import _shown
+from wheelsight.app.cli.drive_view import DriveView
+from wheelsight.app.cli.progress import FrameProgress, left_text
+from wheelsight.app.cli.record import shown_looks
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import NavigationState, Navigator, StaticLayer, Transition
 
@@ -96,7 +96,7 @@ def test_time_left(seconds: float | None, told: str) -> None:
 @COLUMNS
 def test_a_batch(columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
     now_s = [1000.0]
-    monkeypatch.setattr("wheelsight.cli._batch_view.time.monotonic", lambda: now_s[0])
+    monkeypatch.setattr("wheelsight.app.cli.batch_run.time.monotonic", lambda: now_s[0])
     with terminal(columns, monkeypatch) as screen, BatchProgress() as progress:
         progress.show(Done(1000, 2000, 0, 100, None, None))
         now_s[0] += 60
@@ -135,7 +135,7 @@ def navigator() -> Navigator:
 def test_an_exploration(columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Plan and facts fit the screen; how long it has taken, how fast that goes, and how long to the next view."""
     now_s = [100.0]
-    monkeypatch.setattr("wheelsight.cli._drive_view.time.monotonic", lambda: now_s[0])
+    monkeypatch.setattr("wheelsight.app.cli.drive_view.time.monotonic", lambda: now_s[0])
     with terminal(columns, monkeypatch) as screen, DriveView(CHAIR) as view:
         for second in range(3):
             now_s[0] += 2.0

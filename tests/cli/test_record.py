@@ -14,10 +14,11 @@ import pytest
 from full_disk import FullDisk
 from typer.testing import Result
 
-from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
-from wheelsight.devices import open_wheels
-from wheelsight.devices.simulated_controller import SimulatedController
-from wheelsight.recordings import open_recording
+from wheelsight.core.calibration import Calibration, load_calibration, save_calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.io.devices import open_wheels
+from wheelsight.io.devices.simulated_controller import SimulatedController
+from wheelsight.io.recordings import open_recording
 
 Command = Callable[..., Result]
 

@@ -19,13 +19,14 @@ from bag_contents import on_topic, whole_messages_in
 from hand_fed_camera import CALIBRATION, live_frame
 from typer.testing import Result
 
-from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
-from wheelsight.devices.simulated_controller import SimulatedController
-from wheelsight.errors import CalibrationError, OutputError, RecordingError
-from wheelsight.events import AngularVelocity, RgbdFrame, WheelTicks
-from wheelsight.recordings import open_recording
-from wheelsight.recordings.rosbag import writing
-from wheelsight.recordings.rosbag.live import LiveBag
+from wheelsight.core.calibration import Calibration, load_calibration, save_calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import CalibrationError, OutputError, RecordingError
+from wheelsight.core.messages import AngularVelocity, RgbdFrame, WheelTicks
+from wheelsight.io.devices.simulated_controller import SimulatedController
+from wheelsight.io.recordings import open_recording
+from wheelsight.io.recordings.bags import writing
+from wheelsight.io.recordings.bags.writing import LiveBag
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]

@@ -19,19 +19,19 @@ import pytest
 from hand_fed_camera import CALIBRATION, HandFedCamera, live_frame
 from typer.testing import Result
 
-from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
-from wheelsight.cli._record_view import line_of
-from wheelsight.devices import LineStatistics, LinkReport, LinkStatus, host_clock
-from wheelsight.devices.cameras import LIVE_CAMERAS
-from wheelsight.devices.live_camera import CameraReport, CameraStatus
-from wheelsight.devices.recorder import RecorderReport
-from wheelsight.devices.recording_session import SessionLook
-from wheelsight.devices.simulated_controller import SimulatedController
-from wheelsight.errors import OutputError
-from wheelsight.events import AngularVelocity, RgbdFrame
-from wheelsight.files import write_text
-from wheelsight.recordings import RecordingWriter, open_recording
-from wheelsight.recordings.frame_clocks import read_frame_clocks
+from wheelsight.app.cli.record import line_of
+from wheelsight.core.calibration import Calibration, load_calibration, save_calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import OutputError
+from wheelsight.core.files import write_text
+from wheelsight.core.messages import AngularVelocity, RgbdFrame
+from wheelsight.io.devices import LineStatistics, LinkReport, LinkStatus, host_clock
+from wheelsight.io.devices.cameras import LIVE_CAMERAS
+from wheelsight.io.devices.live_camera import CameraReport, CameraStatus
+from wheelsight.io.devices.recorder import RecorderReport, SessionLook
+from wheelsight.io.devices.simulated_controller import SimulatedController
+from wheelsight.io.recordings import RecordingWriter, open_recording
+from wheelsight.io.recordings.native import read_frame_clocks
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]
@@ -167,7 +167,7 @@ def test_a_full_disk_is_one_line_and_what_was_recorded_stays(
         write_text(path, "x")
         raise OutputError("no space left on the disk", path=path, fix="free some space, or choose another folder")
 
-    monkeypatch.setattr("wheelsight.recordings.writer.write_units", fills)
+    monkeypatch.setattr("wheelsight.io.recordings.native.write_units", fills)
     result = wheelsight("record", "--camera", "fake", "--out", tmp_path / "out", "--seconds", 60)
     assert result.exit_code == 2
     assert "no space left on the disk (free some space" in result.stderr.splitlines()[-1]

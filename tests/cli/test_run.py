@@ -14,7 +14,7 @@ import yaml
 from synthetic import make_tum_recording, wobbling_trajectory
 from typer.testing import Result
 
-from wheelsight.trajectory import Trajectory, read_tum
+from wheelsight.core.trajectory import Trajectory, read_tum
 
 Command = Callable[..., Result]
 
@@ -188,7 +188,7 @@ def test_ctrl_c_keeps_what_was_found(tmp_path: Path) -> None:
         "        os.kill(os.getpid(), signal.SIGINT)\n"
         "    return process(self, event)\n"
         "localizer.Localizer.process = counted\n"
-        "from wheelsight.cli import main\n"
+        "from wheelsight.app.cli import main\n"
         "main()\n"
     )
     answer = subprocess.run(

@@ -10,11 +10,12 @@ import pytest
 from hand_fed_camera import CALIBRATION, HandFedCamera
 from typer.testing import Result
 
-from wheelsight.calibration import Calibration, Wheels, save_calibration
-from wheelsight.devices.cameras import LIVE_CAMERAS
-from wheelsight.devices.live_camera import CameraStatus
-from wheelsight.devices.simulated_controller import SimulatedController
-from wheelsight.recordings import open_recording
+from wheelsight.core.calibration import Calibration, save_calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.io.devices.cameras import LIVE_CAMERAS
+from wheelsight.io.devices.live_camera import CameraStatus
+from wheelsight.io.devices.simulated_controller import SimulatedController
+from wheelsight.io.recordings import open_recording
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]

@@ -8,9 +8,9 @@ import pytest
 from synthetic import make_tum_recording
 from typer.testing import Result
 
-from wheelsight.cli._run_status import RunStatus, count
-from wheelsight.estimates import Status
-from wheelsight.pipeline import FrameRecord
+from wheelsight.app.cli.run import RunStatus, count
+from wheelsight.app.run import FrameRecord
+from wheelsight.core.estimates import Status
 
 Command = Callable[..., Result]
 MAPPED = ("--odometry", "dense", "--map", "surfels")

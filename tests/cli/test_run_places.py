@@ -8,7 +8,7 @@ import pytest
 from area_drive import write_area_drive
 from typer.testing import Result
 
-from wheelsight.areas import AreaMap, load_areas, save_areas
+from wheelsight.core.areas import AreaMap, load_areas, save_areas
 
 Command = Callable[..., Result]
 BY_PLACES = ("--odometry", "wheels", "--places")

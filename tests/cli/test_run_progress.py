@@ -7,7 +7,7 @@ from pipeline.live import Live
 from pipeline.made import BOTH
 from synthetic import wobbling_trajectory
 
-from wheelsight.cli._run_progress import expected
+from wheelsight.app.cli.run import expected
 from wheelsight.config import Config
 
 

@@ -12,11 +12,11 @@ from room_drive import make_room_drive
 from stand_ins import MemoryRecording
 from typer.testing import Result
 
-from wheelsight.cli._run_progress import played, words
-from wheelsight.devices.simulated_controller import SimulatedController
-from wheelsight.pipeline import RealTimeRecording
-from wheelsight.recordings import open_recording
-from wheelsight.settings import RealTimeSettings
+from wheelsight.app.cli.run import played, words
+from wheelsight.app.run import RealTimeRecording
+from wheelsight.core.settings import RealTimeSettings
+from wheelsight.io.devices.simulated_controller import SimulatedController
+from wheelsight.io.recordings import open_recording
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]

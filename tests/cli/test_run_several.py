@@ -10,7 +10,7 @@ from room_drive import make_room_drive
 from typer.testing import Result
 
 from wheelsight.config import load_config
-from wheelsight.recordings import open_recording
+from wheelsight.io.recordings import open_recording
 
 Command = Callable[..., Result]
 

@@ -10,8 +10,9 @@ import pytest
 import yaml
 from typer.testing import Result
 
-from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
-from wheelsight.trajectory import read_tum
+from wheelsight.core.calibration import Calibration, load_calibration, save_calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.trajectory import read_tum
 
 Command = Callable[..., Result]
 

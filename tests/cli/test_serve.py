@@ -17,10 +17,9 @@ from urllib.request import urlopen
 import pytest
 from sessions.kept_views import write_map
 
-from wheelsight.cli._serve_options import PageOptions
-from wheelsight.cli._serving import Refusals, access_of, addresses
-from wheelsight.errors import ConfigError
-from wheelsight.viewer import why_no_rerun
+from wheelsight.app.cli.serve import PageOptions, Refusals, access_of, addresses
+from wheelsight.app.viewer import why_no_rerun
+from wheelsight.core.errors import ConfigError
 
 Refusal = Callable[..., str]
 
@@ -103,7 +102,7 @@ def test_a_terminal_that_takes_nothing_holds_up_no_thread(monkeypatch: pytest.Mo
         goes_on.wait(20)
         printed.append(line)
 
-    monkeypatch.setattr("wheelsight.cli._serving.print_warning", hangs)
+    monkeypatch.setattr("wheelsight.app.cli.serve.print_warning", hangs)
     with Refusals() as refusals:
         for _ in range(1000):
             refusals.tell("refused 10.0.0.7: no token")

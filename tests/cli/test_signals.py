@@ -17,12 +17,12 @@ from pathlib import Path
 import pytest
 from synthetic import make_tum_recording
 
-from wheelsight.devices import open_wheels
-from wheelsight.devices.protocol import Command
-from wheelsight.devices.simulated_controller import SimulatedController
-from wheelsight.interrupts import ENDING
-from wheelsight.recordings import open_recording
-from wheelsight.trajectory import read_tum
+from wheelsight.core.runtime import ENDING
+from wheelsight.core.trajectory import read_tum
+from wheelsight.io.devices import open_wheels
+from wheelsight.io.devices.simulated_controller import SimulatedController
+from wheelsight.io.devices.wire_formats import Command
+from wheelsight.io.recordings import open_recording
 
 # A command whose localizer takes a tenth of a second for each event, and writes into a file how many it has got.
 SLOW_RUN = """

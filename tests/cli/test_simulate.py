@@ -17,13 +17,13 @@ from floor_plans import rooms_in_colours, two_rooms, write_plan
 from narrowing import of_type
 from typer.testing import Result
 
-from wheelsight.areas import load_areas
-from wheelsight.calibration import load_calibration
-from wheelsight.cli._simulation_inputs import size_of
-from wheelsight.events import SkippedFrame
-from wheelsight.recordings import open_recording
-from wheelsight.recordings.image_recording import ImageRecording
-from wheelsight.simulation import camera_names, world_names
+from wheelsight.app.cli.simulate import size_of
+from wheelsight.core.areas import load_areas
+from wheelsight.core.calibration import load_calibration
+from wheelsight.core.messages import SkippedFrame
+from wheelsight.io.recordings import open_recording
+from wheelsight.io.recordings.image_recording import ImageRecording
+from wheelsight_sim import camera_names, world_names
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]
@@ -231,7 +231,7 @@ def test_ctrl_c_keeps_what_is_there(wheelsight: Command, tmp_path: Path, monkeyp
         if len(advances) == 3:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("wheelsight.cli._progress.FrameProgress.advance", advance)
+    monkeypatch.setattr("wheelsight.app.cli.progress.FrameProgress.advance", advance)
     result = wheelsight("simulate", "square", *SMALL, "--out", tmp_path / "out")
     assert result.exit_code == 130
     assert result.stderr == f"interrupted; {tmp_path / 'out'} holds the drive up to there, 3 frames\n"
@@ -244,7 +244,7 @@ def test_ctrl_c_before_the_first_frame_promises_nothing(
     def interrupt(self: object, index: int) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("wheelsight.simulation.renderer.Renderer.frame", interrupt)
+    monkeypatch.setattr("wheelsight_sim.frames.Renderer.frame", interrupt)
     result = wheelsight("simulate", "square", *SMALL, "--out", tmp_path / "out")
     assert result.exit_code == 130
     assert result.stderr == "interrupted\n"

@@ -13,12 +13,11 @@ import pytest
 from places.made_recording import write_drive
 from typer.testing import Result
 
-from wheelsight.cli import _compiling
-from wheelsight.errors import OutputError
+from wheelsight.app.cli import compiling as _compiling
+from wheelsight.app.run import kernels
+from wheelsight.app.run.kernels import PartCost, floor_map
+from wheelsight.core.errors import OutputError
 from wheelsight.mapping import save_map
-from wheelsight.pipeline import kernels
-from wheelsight.pipeline.kernels import PartCost
-from wheelsight.pipeline.rehearsal import floor_map
 
 Command = Callable[..., Result]
 UNSURE = ", more on a slow or busy computer"

@@ -18,11 +18,12 @@ from pathlib import Path
 import pytest
 from typer.testing import Result
 
-from wheelsight.calibration import Calibration, Wheels, save_calibration
-from wheelsight.cli._monitor import Meter, live_line
-from wheelsight.devices import WheelLink, open_wheels
-from wheelsight.devices.simulated_controller import SimulatedController
-from wheelsight.events import WheelTicks
+from wheelsight.app.cli.wheels import Meter, live_line
+from wheelsight.core.calibration import Calibration, save_calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.messages import WheelTicks
+from wheelsight.io.devices import WheelLink, open_wheels
+from wheelsight.io.devices.simulated_controller import SimulatedController
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wheelsight.calibration import Calibration
-from wheelsight.devices.camera_driver import DeviceImages, OpenedDevice, PlaybackEndedError
-from wheelsight.errors import DeviceError
-from wheelsight.geometry import PinholeCamera
-from wheelsight.settings import LiveCameraSettings
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import DeviceError
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.core.settings import LiveCameraSettings
+from wheelsight.io.devices.camera_driver import DeviceImages, OpenedDevice, PlaybackEndedError
 
 CAMERA = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
 # Times short enough for a test, in the defaults' proportions.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wheelsight.devices.camera_clock import CameraClock
-from wheelsight.settings import LiveCameraSettings
+from wheelsight.core.settings import LiveCameraSettings
+from wheelsight.io.devices.host_clock import CameraClock
 
 SETTINGS = LiveCameraSettings()
 

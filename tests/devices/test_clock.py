@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wheelsight.devices.clock import ClockMap
+from wheelsight.io.devices.host_clock import ClockMap
 
 PERIOD_S = 0.02
 

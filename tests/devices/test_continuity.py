@@ -9,10 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.devices.continuity import TickTracker
-from wheelsight.devices.paper import Pulses
-from wheelsight.devices.protocol import Counts
-from wheelsight.events import WheelTicks
+from wheelsight.core.messages import WheelTicks
+from wheelsight.io.devices.tick_tracking import TickTracker
+from wheelsight.io.devices.wire_formats import Counts, Pulses
 
 PERIOD_US = 20_000
 WORD = 1 << 32

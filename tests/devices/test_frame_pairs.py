@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wheelsight.devices.frame_pairs import FramePairs
+from wheelsight.io.devices.camera_driver import FramePairs
 
 
 def pairs_of(color_s: list[float], depth_s: list[float], gap_s: float = 0.02) -> list[tuple[float, float]]:

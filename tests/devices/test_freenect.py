@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from devices.oni_files import MAY_BE_MISSING
 
-from wheelsight.devices import freenect
-from wheelsight.devices.freenect import FreenectDriver
-from wheelsight.errors import DeviceError
-from wheelsight.settings import LiveCameraSettings
+from wheelsight.core.errors import DeviceError
+from wheelsight.core.settings import LiveCameraSettings
+from wheelsight.io.devices import freenect
+from wheelsight.io.devices.freenect import FreenectDriver
 
 FAKENECT = next(iter(sorted(Path("/usr/lib").glob("*/fakenect/libfreenect.so.0.5"))), None)
 needs_fakenect = pytest.mark.skipif(

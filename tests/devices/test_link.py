@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from wheelsight.devices import Format, LinkStatus, WheelLink
-from wheelsight.devices.protocol import Command, Counts, drive_body, encode_message
-from wheelsight.devices.simulated_controller import SimulatedController
-from wheelsight.errors import DeviceError
-from wheelsight.events import WheelTicks
+from wheelsight.core.errors import DeviceError
+from wheelsight.core.messages import WheelTicks
+from wheelsight.io.devices import Format, LinkStatus, WheelLink
+from wheelsight.io.devices.simulated_controller import SimulatedController
+from wheelsight.io.devices.wire_formats import Command, Counts, drive_body, encode_message
 
 
 @pytest.fixture
@@ -346,7 +346,7 @@ def test_not_a_port(tmp_path: Path) -> None:
 def test_ticks_that_nobody_fetches_are_dropped_from_the_oldest(
     controller: SimulatedController, port: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("wheelsight.devices.link._MOST_QUEUED", 5)
+    monkeypatch.setattr("wheelsight.io.devices.wheel_link._MOST_QUEUED", 5)
     controller.speeds = (1, 1)
     with WheelLink(port) as link:
         wait(lambda: link.report().overrun >= 10)

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from devices.oni_files import needs_openni2, record_dummy
 
-from wheelsight.devices.camera_driver import PlaybackEndedError
-from wheelsight.devices.cameras import open_live_camera
-from wheelsight.devices.live_camera import CameraStatus
-from wheelsight.devices.oni_player import OniPlayer
-from wheelsight.errors import DeviceError, InputError, RecordingError
-from wheelsight.settings import LiveCameraSettings
+from wheelsight.core.errors import DeviceError, InputError, RecordingError
+from wheelsight.core.settings import LiveCameraSettings
+from wheelsight.io.devices.camera_driver import PlaybackEndedError
+from wheelsight.io.devices.cameras import open_live_camera
+from wheelsight.io.devices.live_camera import CameraStatus
+from wheelsight.io.devices.oni_player import OniPlayer
 
 SMALL = LiveCameraSettings(width_px=320, height_px=240, kept_frames=100)
 # Stands in for OpenNI2, which cannot be made to hang at will: it answers as the player does, as long as a test wants.
@@ -47,9 +47,9 @@ def player(path: Path, monkeypatch: pytest.MonkeyPatch):
     made: list[OniPlayer] = []
 
     def playing(script: str) -> OniPlayer:
-        monkeypatch.setattr("wheelsight.devices.oni_player._HANGING_S", 1.0)
+        monkeypatch.setattr("wheelsight.io.devices.oni_player._HANGING_S", 1.0)
         command = [sys.executable, "-c", STAND_IN + script, calibration_text(path.parent)]
-        monkeypatch.setattr("wheelsight.devices.oni_player._COMMAND", command)
+        monkeypatch.setattr("wheelsight.io.devices.oni_player._COMMAND", command)
         made.append(OniPlayer(str(path), SMALL))
         return made[-1]
 
@@ -59,8 +59,8 @@ def player(path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 def calibration_text(folder: Path) -> str:
-    from wheelsight.calibration import Calibration, save_calibration
-    from wheelsight.geometry import PinholeCamera
+    from wheelsight.core.calibration import Calibration, save_calibration
+    from wheelsight.core.geometry import PinholeCamera
 
     save_calibration(Calibration.registered_camera(PinholeCamera(4, 2, 3.0, 3.0, 1.5, 0.5)), folder / "c.yaml")
     return (folder / "c.yaml").read_text()
@@ -108,7 +108,7 @@ def test_what_the_process_does_is_said_in_one_line(player, path: Path, script: s
 
 
 def test_a_process_that_does_not_even_begin_is_ended(player, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("wheelsight.devices.oni_player._OPENING_S", 1.0)
+    monkeypatch.setattr("wheelsight.io.devices.oni_player._OPENING_S", 1.0)
     with pytest.raises(DeviceError, match="hung on this file and was ended"):
         player("time.sleep(60)").open()
 

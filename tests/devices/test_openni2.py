@@ -14,13 +14,12 @@ import numpy as np
 import pytest
 from devices.oni_files import needs_openni2, record_dummy
 
-from wheelsight.devices import _openni2_library as openni2_library
-from wheelsight.devices.cameras import open_live_camera
-from wheelsight.devices.live_camera import CameraStatus, LiveFrame
-from wheelsight.devices.nominal_cameras import kinect_v2, structured_light
-from wheelsight.devices.openni2 import OpenNI2Driver
-from wheelsight.errors import DeviceError
-from wheelsight.settings import LiveCameraSettings
+from wheelsight.core.errors import DeviceError
+from wheelsight.core.settings import LiveCameraSettings
+from wheelsight.io.devices import openni2 as openni2_library
+from wheelsight.io.devices.cameras import open_live_camera
+from wheelsight.io.devices.live_camera import CameraStatus, LiveFrame
+from wheelsight.io.devices.openni2 import OpenNI2Driver, kinect_v2, structured_light
 
 SMALL = LiveCameraSettings(width_px=320, height_px=240, kept_frames=100)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from wheelsight.devices.pair_clock import PairClock
+from wheelsight.io.devices.tick_tracking import PairClock
 
 PERIOD_S = 0.02003
 SETTLED = 250  # pairs after which the period is known

@@ -5,9 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wheelsight.devices.paper import PaperDecoder, Pulses
-from wheelsight.devices.protocol import Ack, Counts, Message, encode_message
-from wheelsight.devices.recognition import Format, LineDecoder, Told
+from wheelsight.io.devices.wire_formats import (
+    Ack,
+    Counts,
+    Format,
+    LineDecoder,
+    Message,
+    PaperDecoder,
+    Pulses,
+    Told,
+    encode_message,
+)
 
 PERIOD_S = 0.02
 Got = list[Told]

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from wheelsight.devices import TelemetryPipe
-from wheelsight.errors import DeviceError, OutputError
+from wheelsight.core.errors import DeviceError, OutputError
+from wheelsight.io.devices import TelemetryPipe
 
 
 class Reader:

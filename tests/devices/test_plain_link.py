@@ -12,8 +12,8 @@ from itertools import pairwise
 
 import pytest
 
-from wheelsight.devices import Format, LinkStatus, WheelLink
-from wheelsight.errors import DeviceError
+from wheelsight.core.errors import DeviceError
+from wheelsight.io.devices import Format, LinkStatus, WheelLink
 
 PERIOD_S = 0.02
 

@@ -10,11 +10,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.devices.continuity import TickTracker
-from wheelsight.devices.plain_text import PlainReading, is_plain_line, parse_line
-from wheelsight.devices.protocol import Counts, Version, encode_message
-from wheelsight.devices.recognition import Format, LineDecoder, Told
-from wheelsight.events import WheelTicks
+from wheelsight.core.messages import WheelTicks
+from wheelsight.io.devices.tick_tracking import TickTracker
+from wheelsight.io.devices.wire_formats import (
+    Counts,
+    Format,
+    LineDecoder,
+    PlainReading,
+    Told,
+    Version,
+    encode_message,
+    is_plain_line,
+    parse_line,
+)
 
 PERIOD_S = 0.02
 Positions = Callable[[float], tuple[int, int]]

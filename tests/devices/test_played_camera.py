@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from hand_fed_camera import CALIBRATION, live_frame
 
-from wheelsight.devices import host_clock
-from wheelsight.devices.live_camera import CameraStatus, HasGyro, LiveCamera, LiveFrame
-from wheelsight.devices.played_camera import PlayedCamera
-from wheelsight.events import AngularVelocity, RgbdFrame
-from wheelsight.recordings import RecordingWriter
-from wheelsight.settings import LiveCameraSettings
+from wheelsight.core.messages import AngularVelocity, RgbdFrame
+from wheelsight.core.settings import LiveCameraSettings
+from wheelsight.io.devices import host_clock
+from wheelsight.io.devices.cameras import PlayedCamera
+from wheelsight.io.devices.live_camera import CameraStatus, HasGyro, LiveCamera, LiveFrame
+from wheelsight.io.recordings import RecordingWriter
 
 
 def film(count: int, rate_hz: float = 50.0) -> Iterator[RgbdFrame]:

@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 from devices.oni_files import needs_openni2
 
-from wheelsight.devices import freenect, plugged_in
-from wheelsight.devices.cameras import LIVE_CAMERAS, open_live_camera
-from wheelsight.devices.plugged_in import PluggedIn, cameras_plugged_in
-from wheelsight.devices.usb import UsbDevice, udev_rule, usb_devices, users_of
-from wheelsight.errors import DeviceError
+from wheelsight.core.errors import DeviceError
+from wheelsight.io.devices import freenect, plugged_in
+from wheelsight.io.devices.camera_driver import UsbDevice, udev_rule, usb_devices, users_of
+from wheelsight.io.devices.cameras import LIVE_CAMERAS, open_live_camera
+from wheelsight.io.devices.plugged_in import PluggedIn, cameras_plugged_in
 
 
 def plug(system: Path, number: int, ids: tuple[int, int], *, speed: str = "5000", **texts: str) -> None:

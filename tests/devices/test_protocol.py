@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.devices.protocol import (
+from wheelsight.io.devices.wire_formats import (
     Ack,
     Command,
     Counts,

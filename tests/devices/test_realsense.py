@@ -12,13 +12,12 @@ import numpy as np
 import pytest
 from devices.oni_files import MAY_BE_MISSING
 
-from wheelsight.devices.camera_driver import DeviceImages, GyroDriver
-from wheelsight.devices.cameras import open_live_camera
-from wheelsight.devices.live_camera import CameraStatus, LiveFrame
-from wheelsight.devices.realsense import RealSenseDriver
-from wheelsight.devices.streaming import StreamingCamera
-from wheelsight.errors import DeviceError
-from wheelsight.settings import LiveCameraSettings
+from wheelsight.core.errors import DeviceError
+from wheelsight.core.settings import LiveCameraSettings
+from wheelsight.io.devices.camera_driver import DeviceImages, GyroDriver
+from wheelsight.io.devices.cameras import open_live_camera
+from wheelsight.io.devices.live_camera import CameraStatus, LiveFrame, StreamingCamera
+from wheelsight.io.devices.realsense import RealSenseDriver
 
 if MAY_BE_MISSING:
     pytest.importorskip("pyrealsense2", reason="needs pyrealsense2 (the extra realsense)")

@@ -14,14 +14,14 @@ import pytest
 from hand_fed_camera import CALIBRATION, live_frame
 from narrowing import not_none
 
-from wheelsight.calibration import Calibration, save_calibration
-from wheelsight.devices.recorder import LiveRecorder
-from wheelsight.errors import OutputError
-from wheelsight.events import AngularVelocity, RgbdFrame, WheelTicks, YawRate
-from wheelsight.recordings import RecordingWriter, open_recording
-from wheelsight.recordings.frame_clocks import FrameClock, read_frame_clocks
-from wheelsight.recordings.image_files import write_color
-from wheelsight.settings import RecorderSettings
+from wheelsight.core.calibration import Calibration, save_calibration
+from wheelsight.core.errors import OutputError
+from wheelsight.core.messages import AngularVelocity, RgbdFrame, WheelTicks, YawRate
+from wheelsight.core.settings import RecorderSettings
+from wheelsight.io.devices.recorder import LiveRecorder
+from wheelsight.io.recordings import RecordingWriter, open_recording
+from wheelsight.io.recordings.images import write_color
+from wheelsight.io.recordings.native import FrameClock, read_frame_clocks
 
 BEGIN_S = 1_700_000_000.0
 
@@ -91,7 +91,7 @@ class SlowDisk:
             assert self.goes_on.wait(60)
             return write_color(*given)  # type: ignore[arg-type]
 
-        monkeypatch.setattr("wheelsight.recordings.writer.write_color", slowly)
+        monkeypatch.setattr("wheelsight.io.recordings.native.write_color", slowly)
 
 
 def test_a_slow_disk_drops_frames_counts_them_and_holds_nobody_up(
@@ -135,7 +135,7 @@ def test_a_full_disk_ends_the_writing_and_leaves_what_was_written(
         def full(*_: object) -> int:
             raise OutputError("no space left on the disk")
 
-        monkeypatch.setattr("wheelsight.recordings.writer.write_units", full)
+        monkeypatch.setattr("wheelsight.io.recordings.native.write_units", full)
         for number in range(1, 6):
             recorder.add_frame(live_frame(number, BEGIN_S + number))
         wait(lambda: recorder.report().problem is not None)
@@ -150,7 +150,7 @@ def test_a_fault_that_nobody_thought_of_is_told_too(tmp_path: Path, monkeypatch:
     def broken(*_: object) -> int:
         raise MemoryError("no memory")
 
-    monkeypatch.setattr("wheelsight.recordings.writer.write_units", broken)
+    monkeypatch.setattr("wheelsight.io.recordings.native.write_units", broken)
     with LiveRecorder(RecordingWriter(tmp_path / "r", CALIBRATION)) as recorder:
         recorder.add_frame(live_frame(0, BEGIN_S))
         wait(lambda: recorder.report().problem is not None)

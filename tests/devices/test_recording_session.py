@@ -12,14 +12,13 @@ from pathlib import Path
 import pytest
 from hand_fed_camera import CALIBRATION, HandFedCamera, live_frame
 
-from wheelsight.devices import WheelLink, host_clock
-from wheelsight.devices.live_camera import CameraStatus
-from wheelsight.devices.recorder import LiveRecorder
-from wheelsight.devices.recording_session import RecordingSession, SessionLook
-from wheelsight.devices.simulated_controller import SimulatedController
-from wheelsight.errors import OutputError
-from wheelsight.recordings import RecordingWriter, open_recording
-from wheelsight.settings import RecorderSettings
+from wheelsight.core.errors import OutputError
+from wheelsight.core.settings import RecorderSettings
+from wheelsight.io.devices import WheelLink, host_clock
+from wheelsight.io.devices.live_camera import CameraStatus
+from wheelsight.io.devices.recorder import LiveRecorder, RecordingSession, SessionLook
+from wheelsight.io.devices.simulated_controller import SimulatedController
+from wheelsight.io.recordings import RecordingWriter, open_recording
 
 QUICK = RecorderSettings(watch_s=0.02, rate_span_s=0.5)
 
@@ -134,7 +133,7 @@ def test_it_ends_where_nothing_more_can_be_written(tmp_path: Path, monkeypatch: 
     def full(*_: object) -> int:
         raise OutputError("no space left on the disk")
 
-    monkeypatch.setattr("wheelsight.recordings.writer.write_units", full)
+    monkeypatch.setattr("wheelsight.io.recordings.native.write_units", full)
     with recording(tmp_path / "r") as session:
         session.camera.put(live_frame(0, host_clock.now_s()))
         session.join()

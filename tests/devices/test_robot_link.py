@@ -11,15 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wheelsight.calibration import Calibration, Wheels
-from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.devices import Format, LinkRobot, LinkStatus, WheelLink
-from wheelsight.devices.protocol import Command, drive_body
-from wheelsight.devices.simulated_controller import SimulatedController
-from wheelsight.errors import ArgumentError, DeviceError
-from wheelsight.events import AngularVelocity, Event, RgbdFrame, WheelTicks, YawRate
-from wheelsight.robots import Robot
-from wheelsight.wheel_control import WheelControlSettings
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import ArgumentError, DeviceError
+from wheelsight.core.messages import STOP, AngularVelocity, Event, RgbdFrame, VelocityCommand, WheelTicks, YawRate
+from wheelsight.core.robots import Robot, WheelControlSettings
+from wheelsight.io.devices import Format, LinkRobot, LinkStatus, WheelLink
+from wheelsight.io.devices.simulated_controller import SimulatedController
+from wheelsight.io.devices.wire_formats import Command, drive_body
 
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200)
 CALIBRATION = Calibration(wheels=WHEELS)

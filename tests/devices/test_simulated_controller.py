@@ -10,13 +10,21 @@ from pathlib import Path
 
 import pytest
 
-from wheelsight.calibration import Wheels
-from wheelsight.devices import Version, WheelLink
-from wheelsight.devices.plain_text import PlainReading, PlainText
-from wheelsight.devices.protocol import Ack, Command, FrameDecoder, Message, drive_body, encode_command
-from wheelsight.devices.recognition import Format
-from wheelsight.devices.simulated_controller import Leg, Practice, SimulatedController, lap, turns
-from wheelsight.errors import DeviceError
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import DeviceError
+from wheelsight.io.devices import Version, WheelLink
+from wheelsight.io.devices.simulated_controller import Leg, Practice, SimulatedController, lap, turns
+from wheelsight.io.devices.wire_formats import (
+    Ack,
+    Command,
+    Format,
+    FrameDecoder,
+    Message,
+    PlainReading,
+    PlainText,
+    drive_body,
+    encode_command,
+)
 
 WHEELS = Wheels(0.17, 0.17, 0.58, 3200.0)
 M_PER_TICK = WHEELS.left_m_per_tick

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from wheelsight.calibration import Wheels
-from wheelsight.devices import TelemetryPipe, TelemetryReader, TicksFile, WheelLink, open_wheels
-from wheelsight.devices.simulated_controller import SimulatedController
-from wheelsight.errors import DeviceError, RecordingError
-from wheelsight.events import WheelTicks
-from wheelsight.recordings import RecordingWriter
-from wheelsight.telemetry import Telemetry
+from wheelsight.app.telemetry import Telemetry
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import DeviceError, RecordingError
+from wheelsight.core.messages import WheelTicks
+from wheelsight.io.devices import TelemetryPipe, TelemetryReader, TicksFile, WheelLink, open_wheels
+from wheelsight.io.devices.simulated_controller import SimulatedController
+from wheelsight.io.recordings import RecordingWriter
 
 WHEELS = Wheels(0.17, 0.17, 0.6, 3200.0, counter_bits=32)
 TICKS = [WheelTicks(1e9 + 0.02 * n, 100 * n, -50 * n) for n in range(50)]

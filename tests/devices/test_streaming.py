@@ -11,14 +11,20 @@ import numpy as np
 import pytest
 from devices.fake_camera import CAMERA, QUICK, FakeDriver, images
 
-from wheelsight.calibration import Calibration
-from wheelsight.devices import host_clock
-from wheelsight.devices.camera_driver import DeviceAngularVelocity
-from wheelsight.devices.live_camera import CameraStatus, HasGyro, LiveCamera, LiveFrame, take_angular_velocities
-from wheelsight.devices.streaming import StreamingCamera
-from wheelsight.errors import CalibrationError, DeviceError
-from wheelsight.events import AngularVelocity, RgbdFrame, SkippedFrame
-from wheelsight.geometry import PinholeCamera
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import CalibrationError, DeviceError
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.core.messages import AngularVelocity, RgbdFrame, SkippedFrame
+from wheelsight.io.devices import host_clock
+from wheelsight.io.devices.camera_driver import DeviceAngularVelocity
+from wheelsight.io.devices.live_camera import (
+    CameraStatus,
+    HasGyro,
+    LiveCamera,
+    LiveFrame,
+    StreamingCamera,
+    take_angular_velocities,
+)
 
 
 def eventually(holds: Callable[[], bool], seconds: float = 5.0) -> float:
@@ -122,7 +128,7 @@ def test_a_stalled_camera_yields_nothing_and_says_since_when(driver: FakeDriver)
 def test_a_library_that_hangs_is_told_as_stalled_and_closing_does_not_wait_for_it(
     driver: FakeDriver, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("wheelsight.devices.streaming._CLOSING_S", 0.1)
+    monkeypatch.setattr("wheelsight.io.devices.live_camera._CLOSING_S", 0.1)
     camera = StreamingCamera(driver, QUICK)
     driver.give(images(0))
     read(camera)

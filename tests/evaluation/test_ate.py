@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.errors import EvaluationError
+from wheelsight.core.errors import EvaluationError
+from wheelsight.core.geometry import align_points_with_scale, se3, so3
+from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import ate
-from wheelsight.geometry import align_points_with_scale, se3, so3
-from wheelsight.trajectory import Trajectory
 
 
 def winding_path(n: int = 60, seed: int = 0) -> Trajectory:

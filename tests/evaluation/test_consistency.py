@@ -5,10 +5,10 @@ import pytest
 from narrowing import not_none
 from scipy import stats
 
-from wheelsight.errors import EvaluationError
+from wheelsight.core.errors import EvaluationError
+from wheelsight.core.geometry import se3
+from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import THREE_SIGMA_RADIUS, consistency, position_covariances_m2
-from wheelsight.geometry import se3
-from wheelsight.trajectory import Trajectory
 
 T_TRUTH_START = se3.exp([3.0, -2.0, 0.0, 0.0, 0.0, 1.9])
 

@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wheelsight.association import associate
-from wheelsight.errors import EvaluationError
+from wheelsight.core.errors import EvaluationError
+from wheelsight.core.stamps import associate
+from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import frame_coverage, pairing_warning, time_coverage
-from wheelsight.trajectory import Trajectory
 
 
 def standing(*stamps_s: float) -> Trajectory:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wheelsight.errors import EvaluationError
+from wheelsight.core.errors import EvaluationError
+from wheelsight.core.geometry import se3, so3
+from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import evaluate
-from wheelsight.evaluation.doubts import doubts_of
-from wheelsight.geometry import se3, so3
-from wheelsight.trajectory import Trajectory
+from wheelsight.evaluation.evaluate import doubts_of
 
 GAP_S = 0.02
 

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from wheelsight.errors import EvaluationError
+from wheelsight.core.errors import EvaluationError
+from wheelsight.core.geometry import se3
+from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import ate, evaluate, rpe
-from wheelsight.geometry import se3
-from wheelsight.trajectory import Trajectory
 
 
 def path(n: int = 90, start_s: float = 100.0, body: str = "camera") -> Trajectory:

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from grids import mostly_slow
 
-from wheelsight.association import associate
+from wheelsight.core.stamps import associate
+from wheelsight.core.trajectory import Trajectory, read_kitti, read_tum
 from wheelsight.evaluation import Statistics, ate, rpe
-from wheelsight.trajectory import Trajectory, read_kitti, read_tum
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)  # of what evo itself imports

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wheelsight.errors import EvaluationError
+from wheelsight.core.errors import EvaluationError
+from wheelsight.core.geometry import se3, so3
+from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import rpe
-from wheelsight.geometry import se3, so3
-from wheelsight.trajectory import Trajectory
 
 RATE_HZ = 20.0
 

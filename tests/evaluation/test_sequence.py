@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wheelsight.errors import EvaluationError
+from wheelsight.core.errors import EvaluationError
+from wheelsight.core.geometry import se3
+from wheelsight.core.trajectory import Trajectory, read_tum
 from wheelsight.evaluation import sequence_statistics
-from wheelsight.geometry import se3
-from wheelsight.trajectory import Trajectory, read_tum
 
 
 def test_of_a_circle_at_constant_speed() -> None:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.errors import EvaluationError
+from wheelsight.core.errors import EvaluationError
 from wheelsight.evaluation import Statistics
 
 

@@ -18,18 +18,18 @@ from sessions.seen_maps import step
 from synthetic import make_tum_recording
 from typer.testing import CliRunner, Result
 
-from wheelsight.cli import app
+from wheelsight.app.cli import app
+from wheelsight.app.exports import BagParts, export_bag, exported_at
+from wheelsight.app.exports.sources import ColoredPoints, thinned
 from wheelsight.config import Config, save_config
-from wheelsight.errors import OutputError
-from wheelsight.events import RgbdFrame
-from wheelsight.exports import BagParts, export_bag, exported_at
-from wheelsight.exports.map_points import ColoredPoints, thinned
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
-from wheelsight.recordings import Recording, open_recording
-from wheelsight.ros_map import read_ros_map
-from wheelsight.slam.sessions import MapFolder, MapWriter
-from wheelsight.trajectory import Trajectory, write_tum
+from wheelsight.core.errors import OutputError
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import Trajectory, write_tum
+from wheelsight.io.recordings import Recording, open_recording
+from wheelsight.io.ros_map import read_ros_map
+from wheelsight.slam.maps import MapFolder, MapWriter
 
 Command = Callable[..., Result]
 STEP = se3.exp([0.3, -0.1, 0.05, 0.1, 0.2, 0.3])
@@ -244,7 +244,7 @@ def test_an_export_that_is_ended_over_another_has_no_index(
     def full(path: Path, data: bytes) -> None:
         raise OutputError("no space left on the disk", path=path)
 
-    monkeypatch.setattr("wheelsight.exports.views.write_bytes", full)
+    monkeypatch.setattr("wheelsight.app.exports.reconstruction.write_bytes", full)
     assert export(*asked, "--force").exit_code == 2
     assert (tmp_path / "out" / "images" / "000000.png").exists()
     assert not (tmp_path / "out" / index).exists()

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from firmware.simulation.simulated_chip import FIRMWARE, Chip
-from wheelsight.devices.continuity import TickTracker
-from wheelsight.devices.plain_text import PlainReading
-from wheelsight.devices.recognition import Format, LineDecoder
-from wheelsight.events import WheelTicks
+from wheelsight.core.messages import WheelTicks
+from wheelsight.io.devices.tick_tracking import TickTracker
+from wheelsight.io.devices.wire_formats import Format, LineDecoder, PlainReading
 
 UNO_HZ = 16_000_000
 BYTE_S = 10 / 115_200

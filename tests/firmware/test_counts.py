@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from firmware.simulation.simulated_chip import FASTEST_PULSES_PER_S, Chip, is_exact_at
-from wheelsight.devices.protocol import Command, drive_body
+from wheelsight.io.devices.wire_formats import Command, drive_body
 
 
 def last(chip: Chip) -> tuple[int, int]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from firmware.simulation.simulated_chip import CHIP_HZ, WATCHDOG_RESET, Chip
-from wheelsight.devices.protocol import Ack, Command, Counts, drive_body
+from wheelsight.io.devices.wire_formats import Ack, Command, Counts, drive_body
 
 UBRRL, UCSRA, UCSRC = 0x29, 0x2B, 0x40
 U2X, TWO_STOP_BITS, PARITY, EIGHT_BITS = 1 << 1, 1 << 3, 3 << 4, 3 << 1

@@ -12,9 +12,9 @@ from itertools import pairwise
 import pytest
 
 from firmware.simulation.simulated_chip import FASTEST_PULSES_PER_S, Chip
-from wheelsight.devices.link import LinkStatus, WheelLink
-from wheelsight.devices.recognition import Format
-from wheelsight.events import WheelTicks
+from wheelsight.core.messages import WheelTicks
+from wheelsight.io.devices.wheel_link import LinkStatus, WheelLink
+from wheelsight.io.devices.wire_formats import Format
 
 pytestmark = pytest.mark.slow
 
@@ -134,7 +134,7 @@ def test_a_change_of_format_is_no_motion(chip: Chip, port: str) -> None:
 def test_motors_rest_when_the_program_that_drives_is_killed(chip: Chip, port: str) -> None:
     program = (
         "import sys, time\n"
-        "from wheelsight.devices.link import WheelLink\n"
+        "from wheelsight.io.devices.wheel_link import WheelLink\n"
         "link = WheelLink(sys.argv[1])\n"
         "link.drive(0.4, 0.4)\n"
         "print(flush=True)\n"

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from firmware.simulation.simulated_chip import FASTEST_PULSES_PER_S, WATCHDOG_RESET, Chip, Reading
-from wheelsight.devices.protocol import Command, drive_body
+from wheelsight.io.devices.wire_formats import Command, drive_body
 
 DUTIES = (0, 1, -1, 2, 250, -250, 500, -500, 730, -999, 999, 1000, -1000)
 NEUTRAL = pytest.approx((0, 0), abs=1)

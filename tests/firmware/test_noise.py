@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from firmware.simulation.simulated_chip import FASTEST_PULSES_PER_S, Chip
-from wheelsight.devices.protocol import Command, drive_body, encode_frame
+from wheelsight.io.devices.wire_formats import Command, drive_body, encode_frame
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from firmware.simulation.simulated_chip import CHIP_HZ, FASTEST_PULSES_PER_S, Chip
-from wheelsight.devices.protocol import Ack, Command, Counts, FrameDecoder, drive_body
+from wheelsight.io.devices.wire_formats import Ack, Command, Counts, FrameDecoder, drive_body
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from firmware.simulation.simulated_chip import FASTEST_PULSES_PER_S, Chip
-from wheelsight.devices.protocol import Command, drive_body
+from wheelsight.io.devices.wire_formats import Command, drive_body
 
 FLASH, RAM = 8192, 1024
 

@@ -15,11 +15,10 @@ import pytest
 
 from firmware.simulation.simulated_chip import WATCHDOG_RESET
 from firmware.simulation.simulated_stm32 import DATA_SIZE, RAM_SIZE, Stm32
-from wheelsight.devices.continuity import TickTracker
-from wheelsight.devices.link import LinkStatus, WheelLink
-from wheelsight.devices.protocol import Command, drive_body, encode_frame
-from wheelsight.devices.recognition import Format
-from wheelsight.events import WheelTicks
+from wheelsight.core.messages import WheelTicks
+from wheelsight.io.devices.tick_tracking import TickTracker
+from wheelsight.io.devices.wheel_link import LinkStatus, WheelLink
+from wheelsight.io.devices.wire_formats import Command, Format, drive_body, encode_frame
 
 FASTEST_COUNTS_PER_S = 400_000  # 5000 lines, four counts a line, twenty turns a second
 DONE, UNKNOWN, BAD_LENGTH, OUT_OF_RANGE = range(4)

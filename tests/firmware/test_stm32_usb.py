@@ -10,7 +10,7 @@ import pytest
 
 from firmware.simulation.simulated_stm32 import SERIAL_NUMBER, Stm32
 from firmware.simulation.stm32_usb import UsbError, UsbHost
-from wheelsight.devices.protocol import Ack, Command, Counts, FrameDecoder, Message, drive_body, encode_command
+from wheelsight.io.devices.wire_formats import Ack, Command, Counts, FrameDecoder, Message, drive_body, encode_command
 
 VENDOR, PRODUCT = 0x1209, 0x0001
 

@@ -7,11 +7,11 @@ import pytest
 from narrowing import not_none
 from pydantic import ValidationError
 
-from wheelsight.errors import ConfigError
-from wheelsight.estimates import Reason, Status
-from wheelsight.fusion import LigockiFilter, LigockiSettings
-from wheelsight.fusion.ligocki import measurement_matrix, process_matrix
-from wheelsight.geometry import se2, se3
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.estimates import Reason, Status
+from wheelsight.core.geometry import se2, se3
+from wheelsight.estimation import LigockiFilter, LigockiSettings
+from wheelsight.estimation.ligocki import measurement_matrix, process_matrix
 
 
 def yaw_of(T):

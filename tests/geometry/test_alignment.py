@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from wheelsight.errors import DegenerateGeometryError
-from wheelsight.geometry import align_points, align_points_with_scale, se3, so3
+from wheelsight.core.errors import DegenerateGeometryError
+from wheelsight.core.geometry import align_points, align_points_with_scale, se3, so3
 
 seeds = st.integers(0, 2**32 - 1)
 MIRROR = np.diag([1.0, 1.0, -1.0])

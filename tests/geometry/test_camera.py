@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from synthetic import undistorted_by_opencv
 
-from wheelsight.errors import CalibrationError
-from wheelsight.geometry import PinholeCamera
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.geometry import PinholeCamera
 
 PLAIN = PinholeCamera(640, 480, 525.0, 524.0, 319.5, 239.5)
 FREIBURG1 = PinholeCamera(640, 480, 517.3, 516.5, 318.6, 255.3, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633))

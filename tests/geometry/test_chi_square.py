@@ -7,7 +7,7 @@ import math
 import pytest
 from scipy.special import chdtr
 
-from wheelsight.geometry.chi_square import quantile
+from wheelsight.core.geometry.chi_square import quantile
 
 
 @pytest.mark.parametrize("share", [0.01, 0.5, 0.95, 0.9999])

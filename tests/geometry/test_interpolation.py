@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from wheelsight.geometry import interpolate_at, se3
+from wheelsight.core.geometry import interpolate_at, se3
 
 
 @pytest.fixture

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wheelsight.geometry import PinholeCamera
-from wheelsight.geometry.lens_fit import fitted_lens
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.core.geometry.camera import fitted_lens
 
 
 def test_brown_is_found_again(rng: np.random.Generator) -> None:

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.geometry import motion_kernels as motions
-from wheelsight.geometry import se3
+from wheelsight.core.geometry import motion_kernels as motions
+from wheelsight.core.geometry import se3
 
 tangents = st.lists(st.floats(-1.7, 1.7), min_size=6, max_size=6).map(np.array)
 

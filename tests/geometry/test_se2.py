@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm, logm
 
-from wheelsight.geometry import se2, se3
+from wheelsight.core.geometry import se2, se3
 
 NEAR_ZERO = [0.0, 1e-300, -1e-12, 1e-8, 9.9e-5, -1.01e-4, 1e-3]
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from wheelsight.inputs import ArrayFile
+from wheelsight.core.inputs import ArrayFile
 
 MEGABYTE = 1 << 20
 

@@ -16,7 +16,7 @@ import lz4.frame
 import numpy as np
 import pytest
 
-from wheelsight.inputs import decompress_into, decompressed
+from wheelsight.core.inputs import decompress_into, decompressed
 
 if sys.version_info >= (3, 14):
     from compression import zstd

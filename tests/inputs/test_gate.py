@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from wheelsight.errors import RecordingError
-from wheelsight.inputs import Kind, lines_of, read_bytes, read_text
+from wheelsight.core.errors import RecordingError
+from wheelsight.core.inputs import Kind, lines_of, read_bytes, read_text
 
 KIND = Kind("a list", most_mb=1, most_lines=10, missing="is missing", fix="each recording needs it")
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from wheelsight.inputs import parse_json
+from wheelsight.core.inputs import parse_json
 
 
 def test_plain_json_is_read() -> None:

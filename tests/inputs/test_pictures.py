@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from wheelsight.inputs import picture_size, picture_within, scan_count
+from wheelsight.core.inputs import picture_size, picture_within, scan_count
 
 SIZE = (37, 21)
 

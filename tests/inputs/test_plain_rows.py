@@ -7,11 +7,11 @@ import importlib
 import numpy as np
 import pytest
 
-from wheelsight.inputs import plain_rows
+from wheelsight.core.inputs import plain_rows
 
 
 def test_numbers_are_those_that_python_reads(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importlib.import_module("wheelsight.inputs.plain_rows"), "_PIECE", 100)
+    monkeypatch.setattr(importlib.import_module("wheelsight.core.inputs.text"), "_PIECE", 100)
     values = [repr(x) for x in (rng.normal(size=500) * 10.0 ** rng.integers(-20, 20, 500)).tolist()]
     counts = rng.integers(-(2**62), 2**62, 500).tolist()
     text = "".join(f"{x} ; {n}\n" for x, n in zip(values, counts, strict=True))

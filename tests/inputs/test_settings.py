@@ -5,9 +5,9 @@ from typing import Any, Literal, Self
 import pytest
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from wheelsight.errors import MapError
-from wheelsight.inputs.settings import checked_settings
-from wheelsight.settings import conflict
+from wheelsight.core.errors import MapError
+from wheelsight.core.settings import conflict
+from wheelsight.core.settings.base import checked_settings
 
 
 class Lamp(BaseModel):

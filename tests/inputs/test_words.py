@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from wheelsight.inputs import as_number, split_words
+from wheelsight.core.inputs import as_number, split_words
 
 
 @pytest.mark.parametrize(

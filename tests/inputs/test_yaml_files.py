@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from wheelsight.errors import CalibrationError, ConfigError
-from wheelsight.inputs import line_of, parse_yaml
+from wheelsight.core.errors import CalibrationError, ConfigError
+from wheelsight.core.inputs import line_of, parse_yaml
 
 PATH = Path("robot.yaml")
 LAUGHS = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(

@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 from navigation.rooms import RoomRobot, Told, Walls, walls_about
 
-from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.errors import MapError
-from wheelsight.events import Event
-from wheelsight.geometry import FloatArray
-from wheelsight.live_page import Driven, Session, Watch
+from wheelsight.app.page import Driven, Session, Watch
+from wheelsight.core.errors import MapError
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import STOP, Event, VelocityCommand
+from wheelsight.core.robots import Robot
+from wheelsight.core.settings import LivePageSettings
 from wheelsight.navigation import KnownFloor, NavigationSettings, Navigator, Transition
-from wheelsight.robots import Robot
-from wheelsight.settings import LivePageSettings
 
 SIZE_M, BEGIN = (8.0, 6.0), (1.5, 3.0, 0.0)
 ROOM = Walls.of(*walls_about(*SIZE_M))

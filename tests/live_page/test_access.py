@@ -12,8 +12,8 @@ from live_page.room_session import SETTINGS, room_session
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from wheelsight.live_page import Access, is_loopback
-from wheelsight.live_page.app import page_app
+from wheelsight.app.page import Access, is_loopback
+from wheelsight.app.page.server import page_app
 
 HOME = "http://127.0.0.1:8765"
 LIVE = "ws://127.0.0.1:8765/live"

@@ -18,10 +18,9 @@ import pytest
 from live_page.room_session import GOAL, replaced, room_session
 from live_page.test_server import TOKEN, asked, opened, server
 
-from wheelsight.live_page import Access, door
-from wheelsight.live_page.app import page_app
-from wheelsight.live_page.door import PULSE, REFUSED, STOP, Budget, Door, Stranger, Strangers
-from wheelsight.live_page.server import PageServer
+from wheelsight.app.page import Access, door
+from wheelsight.app.page.door import PULSE, REFUSED, STOP, Budget, Door, Stranger, Strangers
+from wheelsight.app.page.server import PageServer, page_app
 
 HALF_SOCKET = (
     "GET /live HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"

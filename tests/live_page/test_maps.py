@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from sessions.kept_views import write_map
 
+from wheelsight.app.page import NEW, DriveMaps
+from wheelsight.app.page.maps import KnownPlaces, NewPlaces
 from wheelsight.config import load_config
-from wheelsight.errors import ConfigError, MapError
-from wheelsight.keyframes import KeyframeStore
-from wheelsight.live_page import NEW, DriveMaps
-from wheelsight.live_page.maps import KnownPlaces, NewPlaces
+from wheelsight.core.errors import ConfigError, MapError
+from wheelsight.core.keyframes import KeyframeStore
 from wheelsight.mapping import CellKind, EditKind, MapEdit, MapEdits, OccupancyGrid
-from wheelsight.slam.sessions import MapFolder
+from wheelsight.slam.maps import MapFolder
 
 CONFIG = load_config(overrides={"odometry": "wheels,dense", "loops.source": "keyframes"})
 HERE = np.array([0.5, 0.1, 1.0])

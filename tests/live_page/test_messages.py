@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from wheelsight.errors import ArgumentError
-from wheelsight.live_page.messages import ClearObstacles, GoToPose, NamePlace, parsed, says_stop
+from wheelsight.app.page.session import ClearObstacles, GoToPose, NamePlace, parsed, says_stop
+from wheelsight.core.errors import ArgumentError
 
 
 def test_a_goal_has_a_heading_or_none() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from wheelsight.live_page.pace import Pace
+from wheelsight.app.page.session import Pace
 
 
 class Clocks:

@@ -13,9 +13,8 @@ import pytest
 from live_page.browser import BrowserPage, browser
 from live_page.room_session import Served, replaced, room_session
 
-from wheelsight.live_page import NEW, Access, DriveMaps, Session
-from wheelsight.live_page.app import page_app
-from wheelsight.live_page.server import PageServer
+from wheelsight.app.page import NEW, Access, DriveMaps, Session
+from wheelsight.app.page.server import PageServer, page_app
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
@@ -209,8 +208,8 @@ def test_it_says_when_the_robots_program_hangs(chromium: str) -> None:
 
 def test_a_simulated_robot_drives_to_a_clicked_goal_in_a_map_that_it_makes(chromium: str, tmp_path: Path) -> None:
     from wheelsight.config import load_config
-    from wheelsight.simulation import SimulationSettings
-    from wheelsight.simulation.simulator import Simulator
+    from wheelsight_sim import SimulationSettings
+    from wheelsight_sim.simulator import Simulator
 
     config = load_config(overrides={"odometry": "wheels,dense", "loops.source": "keyframes"})
     settings = SimulationSettings("studio", realism="real", rate_hz=5.0, size=(160, 120), camera="kinect-v1")

@@ -16,10 +16,9 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from benchmarks.page_requests import abroad, at_home, refusals
-from wheelsight.errors import ConfigError
-from wheelsight.live_page import Access
-from wheelsight.live_page.app import page_app
-from wheelsight.live_page.server import PageServer
+from wheelsight.app.page import Access
+from wheelsight.app.page.server import PageServer, page_app
+from wheelsight.core.errors import ConfigError
 
 TOKEN = "a1b2c3d4e5f6a7b8"
 

@@ -11,21 +11,11 @@ from live_page.room_session import BEGIN, ObedientRobot, RoomMaps, RoomPlaces, S
 from narrowing import not_none
 from navigation.rooms import Told
 
-from wheelsight.commands import STOP
-from wheelsight.errors import DeviceError
-from wheelsight.events import Event
-from wheelsight.live_page import StopSwitch
-from wheelsight.live_page.messages import (
-    ClearObstacles,
-    Explore,
-    GoToName,
-    GoToPose,
-    NamePlace,
-    SaveMap,
-    StartMap,
-    Task,
-)
-from wheelsight.live_page.snapshot import Telling
+from wheelsight.app.page import StopSwitch
+from wheelsight.app.page.session import ClearObstacles, Explore, GoToName, GoToPose, NamePlace, SaveMap, StartMap, Task
+from wheelsight.app.page.snapshot import Telling
+from wheelsight.core.errors import DeviceError
+from wheelsight.core.messages import STOP, Event
 from wheelsight.navigation import Feedback, Navigator, Transition
 
 THERE = GoToPose(type="goal", x_m=5.0, y_m=3.0, yaw_rad=0.0)

@@ -10,10 +10,10 @@ from types import SimpleNamespace
 import pytest
 from live_page.room_session import ObedientRobot
 
-from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.errors import DeviceError
-from wheelsight.live_page import StoppableRobot, StopSwitch, stop_switch
-from wheelsight.live_page.stop_switch import Watchdog
+from wheelsight.app.page import StoppableRobot, StopSwitch, stop_switch
+from wheelsight.app.page.stop_switch import Watchdog
+from wheelsight.core.errors import DeviceError
+from wheelsight.core.messages import STOP, VelocityCommand
 
 AHEAD = VelocityCommand(0.4, 0.0)
 

@@ -12,9 +12,8 @@ from live_page.room_session import GOAL, Served, is_near, replaced, room_session
 from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
-from wheelsight.live_page import Access
-from wheelsight.live_page.app import page_app
-from wheelsight.live_page.viewers import GONE
+from wheelsight.app.page import Access
+from wheelsight.app.page.server import GONE, page_app
 
 Open = Callable[[], WebSocketTestSession]
 ALIVE = '{"type": "alive"}'

@@ -12,16 +12,16 @@ from drives import Leg, SimulatedDrive
 from drives import simulate as roll
 from stand_ins import CAMERA, frame
 
-from wheelsight.calibration import Calibration, Wheels
 from wheelsight.config import load_config
-from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
-from wheelsight.events import Event, RgbdFrame, WheelTicks, YawRate
-from wheelsight.fusion import FusedEstimate
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import KeyframeStore
-from wheelsight.localizer import Localizer
-from wheelsight.odometry.dense import DenseEstimate
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.estimates import Estimate, MotionEstimate, Reason, Status
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import KeyframeStore
+from wheelsight.core.messages import Event, RgbdFrame, WheelTicks, YawRate
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.estimation import FusedEstimate, Localizer
+from wheelsight.vision.dense import DenseEstimate
 
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0, slip_m_per_sqrt_m=0.005)
 T_BASE_CAMERA = np.array([[0.0, 0, 1, 0.2], [-1, 0, 0, 0.05], [0, -1, 0, 1.0], [0, 0, 0, 1]])
@@ -259,9 +259,9 @@ def joined(
     """A localizer by wheels and this eye, which stands for odometry of that kind, and its map."""
     kept = MapOfFrames()
     dense = Eye if kind == "dense" else type("Dense", (), {})
-    monkeypatch.setattr("wheelsight.localizer._fused_camera.DenseOdometry", dense)
+    monkeypatch.setattr("wheelsight.estimation.camera_localizer.DenseOdometry", dense)
     camera = (eye, kept if kind == "dense" else None)
-    monkeypatch.setattr("wheelsight.localizer._fused_camera.camera_odometry", lambda *_: camera)
+    monkeypatch.setattr("wheelsight.estimation.camera_localizer.camera_odometry", lambda *_: camera)
     return Localizer(calibration, load_config(overrides={"odometry": f"wheels,{kind}"} | settings)), kept
 
 

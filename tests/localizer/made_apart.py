@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from wheelsight.calibration import Calibration
 from wheelsight.config import Config
-from wheelsight.errors import ConfigError, MapError
-from wheelsight.estimates import Estimate, Status
-from wheelsight.events import Event, RgbdFrame, WheelTicks
-from wheelsight.geometry import se3
-from wheelsight.keyframes import Keyframe, KeyframeStore
-from wheelsight.localizer import Localizer
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import ConfigError, MapError
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import Keyframe, KeyframeStore
+from wheelsight.core.messages import Event, RgbdFrame, WheelTicks
+from wheelsight.estimation import Localizer
 
 CAMERA = np.array([2.0, 2.0, 0.5, 0.5])
 RAISES, CANNOT_BE_SENT, DIES, MOVES, IS_ENDED = 13.0, 14.0, 15.0, 16.0, 17.0

@@ -29,12 +29,12 @@ from localizer.made_apart import (
 from narrowing import not_none
 from navigation.rooms import WHEELS
 
-from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
-from wheelsight.errors import ConfigError, DeviceError, MapError, WheelsightError
-from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeId
-from wheelsight.localizer import Localizer, LocalizerApart, LocalizerBeside
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import ConfigError, DeviceError, MapError, WheelsightError
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.estimation import Localizer, LocalizerApart, LocalizerBeside
 
 pytestmark = pytest.mark.slow  # each begins a process
 ENDING_S = 20.0
@@ -177,7 +177,7 @@ def test_where_the_robots_program_ends_what_was_made_is_closed(closed: Path, end
         "import os, sys, pathlib\n"
         f"sys.path.insert(0, {str(tests)!r})\n"
         "from localizer.made_apart import telling\n"
-        "from wheelsight.localizer import LocalizerApart\n"
+        "from wheelsight.estimation import LocalizerApart\n"
         "if __name__ == '__main__':\n"
         f"    subject = LocalizerApart(telling, pathlib.Path({str(closed)!r}))\n"
         f"    {ending}\n"

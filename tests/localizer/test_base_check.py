@@ -27,14 +27,13 @@ from localizer.joined_drives import (
     yaw_rates,
 )
 
-from wheelsight.calibration import Calibration
-from wheelsight.estimates import CameraEstimate, Reason, Status
-from wheelsight.events import Event, RgbdFrame, WheelTicks
-from wheelsight.fusion import ErrorStateFilter, FusedEstimate
-from wheelsight.geometry import FloatArray, so3
-from wheelsight.localizer import Localizer
-from wheelsight.localizer._base_check import BaseCheck
-from wheelsight.odometry.wheels import WheelOdometry
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import CameraEstimate, Reason, Status
+from wheelsight.core.geometry import FloatArray, so3
+from wheelsight.core.messages import Event, RgbdFrame, WheelTicks
+from wheelsight.estimation import ErrorStateFilter, FusedEstimate, Localizer
+from wheelsight.estimation.consistency_check import BaseCheck
+from wheelsight.wheels import WheelOdometry
 
 LEGS: tuple[Leg, ...] = ((3.0, 0.6, 0.0), (1.5, 0.5, 0.6), (1.5, 0.5, -0.6), (2.0, 0.6, 0.0))
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])

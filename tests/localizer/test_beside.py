@@ -7,10 +7,10 @@ import threading
 import numpy as np
 import pytest
 
-from wheelsight.errors import ArgumentError
-from wheelsight.estimates import Estimate, Status
-from wheelsight.events import Event, RgbdFrame, WheelTicks
-from wheelsight.localizer import LocalizerBeside, LocalizerInStep
+from wheelsight.core.errors import ArgumentError
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.messages import Event, RgbdFrame, WheelTicks
+from wheelsight.estimation import LocalizerBeside, LocalizerInStep
 
 
 class Slow:

@@ -9,11 +9,11 @@ from narrowing import not_none
 from room_drive import T_BASE_CAMERA, make_room_drive
 
 from wheelsight.config import load_config
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import se3
-from wheelsight.localizer import Localizer
-from wheelsight.odometry.dense import DenseEstimate
-from wheelsight.recordings import open_recording
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.estimation import Localizer
+from wheelsight.io.recordings import open_recording
+from wheelsight.vision.dense import DenseEstimate
 
 
 def test_the_base_hangs_on_the_camera_s_keyframe_and_no_answer_holds_its_frame(tmp_path: Path) -> None:

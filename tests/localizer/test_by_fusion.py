@@ -25,11 +25,11 @@ from localizer.joined_drives import (
 )
 from narrowing import not_none
 
-from wheelsight.estimates import Estimate, Reason, Status
-from wheelsight.events import Event, RgbdFrame, WheelTicks
-from wheelsight.fusion import FusedEstimate
-from wheelsight.geometry import FloatArray, se3, so3
-from wheelsight.keyframes import KeyframeId
+from wheelsight.core.estimates import Estimate, Reason, Status
+from wheelsight.core.geometry import FloatArray, se3, so3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.core.messages import Event, RgbdFrame, WheelTicks
+from wheelsight.estimation import FusedEstimate
 
 SHORT = ((2.0, 0.6, 0.2),)
 Run = tuple[Drive, Eye, list[tuple[Event, FusedEstimate]], dict[float, Any]]

@@ -11,13 +11,12 @@ from localizer.joined_drives import CALIBRATION, T_BASE_CAMERA, WHEELS, Drive, E
 from narrowing import as_frame, not_none
 from stand_ins import frame
 
-from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
-from wheelsight.estimates import Estimate, Reason, Status
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks, YawRate
-from wheelsight.fusion import LigockiFilter
-from wheelsight.geometry import se3
-from wheelsight.localizer import Localizer
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Estimate, Reason, Status
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelTicks, YawRate
+from wheelsight.estimation import LigockiFilter, Localizer
 
 CONFIG = load_config(overrides={"odometry": "wheels,features", "fusion": "ligocki"})
 DARK = Sight(Reason.TOO_FEW_KEYPOINTS)
@@ -28,7 +27,7 @@ def paper(monkeypatch: pytest.MonkeyPatch) -> Callable[[Eye], Localizer]:
     """A localizer by the paper's filter, and by this eye."""
 
     def make(eye: Eye, calibration: Calibration = CALIBRATION) -> Localizer:
-        monkeypatch.setattr("wheelsight.localizer.by_frames.camera_odometry", lambda *_: (eye, None))
+        monkeypatch.setattr("wheelsight.estimation.camera_localizer.camera_odometry", lambda *_: (eye, None))
         return Localizer(calibration, CONFIG)
 
     return make

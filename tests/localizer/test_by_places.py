@@ -11,15 +11,14 @@ from narrowing import not_none
 from places.made import trained
 from stand_ins import CAMERA
 
-from wheelsight.calibration import Calibration
 from wheelsight.config import Config, load_config
-from wheelsight.errors import CalibrationError, ConfigError, PlaceError
-from wheelsight.estimates import Estimate, Reason, Status
-from wheelsight.events import RgbdFrame, SkippedFrame, WheelTicks
-from wheelsight.fusion import PaperRectifier, RectifiedEstimate
-from wheelsight.geometry import se3
-from wheelsight.localizer import Localizer, Places, load_places
-from wheelsight.odometry.wheels import WheelOdometry
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import CalibrationError, ConfigError, PlaceError
+from wheelsight.core.estimates import Estimate, Reason, Status
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import RgbdFrame, SkippedFrame, WheelTicks
+from wheelsight.estimation import Localizer, PaperRectifier, Places, RectifiedEstimate, load_places
+from wheelsight.wheels import WheelOdometry
 
 PLACES = Places(trained(), AREAS, T_WORLD_START)
 

@@ -11,13 +11,14 @@ import pytest
 from grids import mostly_slow
 from narrowing import not_none
 
-from wheelsight.calibration import Calibration, Wheels
 from wheelsight.config import load_config
-from wheelsight.estimates import Estimate
-from wheelsight.events import Event, WheelTicks, YawRate
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.localizer import Localizer
-from wheelsight.simulation import Drive, Robot, SimulationSettings, simulate
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.estimates import Estimate
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.messages import Event, WheelTicks, YawRate
+from wheelsight.estimation import Localizer
+from wheelsight_sim import Drive, Robot, SimulationSettings, simulate
 
 CALIBRATION = Calibration(wheels=Wheels(0.17, 0.17, 0.52, 3200.0), source="tape measure")
 Change = Callable[[YawRate], YawRate | None]

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from narrowing import not_none
 
-from wheelsight.estimates import MotionEstimate, Reason
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.geometry import motion_kernels as motions
-from wheelsight.localizer._camera_map import Anchor, is_far, strayed
+from wheelsight.core.estimates import MotionEstimate, Reason
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.geometry import motion_kernels as motions
+from wheelsight.estimation.camera_map import Anchor, is_far, strayed
 
 _SCALE = np.array([1.0, 1, 1, 2, 2, 2])  # of degenerate directions (v, ω · 2 m)
 tangents = st.lists(st.floats(-1.2, 1.2), min_size=6, max_size=6).map(np.array)

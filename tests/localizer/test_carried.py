@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wheelsight.estimates import Status
-from wheelsight.fusion import FusedEstimate, JoiningSettings
-from wheelsight.geometry import se3
-from wheelsight.localizer._carried import Carried
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import se3
+from wheelsight.estimation import FusedEstimate, JoiningSettings
+from wheelsight.estimation.kidnap_detection import Carried
 
 ANSWER = FusedEstimate(10.0, Status.TRACKING, np.eye(4), 1e-6 * np.eye(6), body="base")
 ANSWER_SPREAD = FusedEstimate(10.0, Status.TRACKING, np.eye(4), np.eye(6), body="base")

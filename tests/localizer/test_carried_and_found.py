@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from localizer.joined_drives import Drive, Eye, Sight, answers_to, drive, joined, of_frames
 
-from wheelsight.estimates import Reason, Status
-from wheelsight.geometry import FloatArray
-from wheelsight.keyframes import Keyframe
+from wheelsight.core.estimates import Reason, Status
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.keyframes import Keyframe
 from wheelsight.slam.drive_graph import KeyframePlace, LivedKeyframe, PoseUpdate
-from wheelsight.slam.live import LiveLoops
+from wheelsight.slam.loop_closing import LiveLoops
 
 STOPS_S, DARK_S, LIGHT_S, LAID_S = 0.5, 1.5, 4.5, 6.0
 BLANK = np.ones((24, 32), np.float32)

@@ -6,14 +6,15 @@ import cv2
 import numpy as np
 import pytest
 
-from wheelsight.calibration import Calibration, Wheels
-from wheelsight.estimates import Status, WheelEstimate
-from wheelsight.events import RgbdFrame
-from wheelsight.fusion import ErrorStateFilter
-from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera, se3
-from wheelsight.localizer._base_check import BaseCheck
-from wheelsight.localizer._color_check import ColorCheck
-from wheelsight.odometry.extrinsics import Culprit
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.estimates import Status, WheelEstimate
+from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera, se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.estimation import ErrorStateFilter
+from wheelsight.estimation.color_delay import ColorCheck
+from wheelsight.estimation.consistency_check import BaseCheck
+from wheelsight.vision.extrinsics import Culprit
 
 CAMERA = PinholeCamera(80, 60, 73.0, 73.0, 39.5, 29.5)
 PERIOD_S, READING_S = 0.1, 0.02

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import se3
-from wheelsight.localizer._frame_gate import FrameGate, Refusal
-from wheelsight.settings import FrameGateSettings
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.settings import FrameGateSettings
+from wheelsight.estimation.camera_localizer import FrameGate, Refusal
 
 AHEAD = se3.exp([0.0, 0.0, 0.02, 0.0, 0.0, 0.0])
 TURNED = se3.exp([0.0, 0.0, 0.0, 0.0, 0.02, 0.0])

@@ -13,18 +13,17 @@ from localizer.joined_drives import Eye, joined
 from narrowing import not_none, of_type
 from stand_ins import frame
 
-from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
-from wheelsight.errors import ArgumentError
-from wheelsight.estimates import Estimate, Status
-from wheelsight.events import Event, WheelTicks
-from wheelsight.fusion import FusedEstimate
-from wheelsight.localizer import Localizer, choose_odometry
-from wheelsight.simulation import Patch, Robot, SimulationSettings, WheelFaults
-from wheelsight.simulation.drive import Drive
-from wheelsight.simulation.holonomic import nominal_wheels, simulate_holonomic_drive
-from wheelsight.simulation.simulate import world_of
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import ArgumentError
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.messages import Event, WheelTicks
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.estimation import FusedEstimate, Localizer, choose_odometry
+from wheelsight_sim import Patch, Robot, SimulationSettings, WheelFaults
+from wheelsight_sim.physics import nominal_wheels, simulate_holonomic_drive
+from wheelsight_sim.robot import Drive
+from wheelsight_sim.simulate import world_of
 
 SETTINGS = SimulationSettings(world="flat", base="mecanum", duration_s=15.0, robot=Robot(has_gyro=True))
 CALIBRATION = Calibration(holonomic=nominal_wheels(SETTINGS), source="data sheet")

@@ -24,14 +24,14 @@ from localizer.joined_drives import (
 from narrowing import not_none
 from stand_ins import CAMERA, frame
 
-from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
-from wheelsight.errors import CalibrationError
-from wheelsight.estimates import Reason, Status
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, YawRate
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.localizer import Localizer
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.estimates import Reason, Status
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelSpeeds, YawRate
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.estimation import Localizer
 
 SHORT = ((2.0, 0.6, 0.2),)
 FUSIONS = pytest.mark.parametrize("fusion", ["default", "ligocki"])

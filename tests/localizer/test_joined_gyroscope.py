@@ -12,14 +12,14 @@ from grids import mostly_slow
 from localizer.joined_drives import CALIBRATION, WHEELS, Drive, Sight, answers_to, drive, joined, yaw_rates
 from narrowing import not_none
 
-from wheelsight.calibration import Gyro
 from wheelsight.config import load_config
-from wheelsight.estimates import Reason
-from wheelsight.events import Event, WheelTicks, YawRate
-from wheelsight.fusion import ErrorStateFilter, FusedEstimate
-from wheelsight.geometry import se3, so3
-from wheelsight.localizer.by_fusion import ByFusion
-from wheelsight.odometry.wheels import WheelOdometry
+from wheelsight.core.calibration_parts import Gyro
+from wheelsight.core.estimates import Reason
+from wheelsight.core.geometry import se3, so3
+from wheelsight.core.messages import Event, WheelTicks, YawRate
+from wheelsight.estimation import ErrorStateFilter, FusedEstimate
+from wheelsight.estimation.fusion_localizer import ByFusion
+from wheelsight.wheels import WheelOdometry
 
 JOINED = {"odometry": "wheels,dense"}
 SHORT = ((2.0, 0.6, 0.2),)
@@ -33,7 +33,7 @@ def dark_after(begin_s: float, seconds: float) -> Sight:
 def test_the_gyroscope_is_taken_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """By the filter alone, to the last bit, and not by the wheels before it as well."""
     made = drive(SHORT)
-    monkeypatch.setattr("wheelsight.localizer.by_wheels.ByWheels.trusts_gyro", True)
+    monkeypatch.setattr("wheelsight.estimation.wheel_localizer.ByWheels.trusts_gyro", True)
     readings = [event for event in made.events() if isinstance(event, WheelTicks)]
     told: list[Event] = [*readings, *yaw_rates(made, 0.01)]
     events = sorted(told, key=lambda event: event.stamp_s)
@@ -51,7 +51,7 @@ def test_the_gyroscope_is_taken_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_gyroscope_that_is_not_wanted_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     made = drive(SHORT)
-    monkeypatch.setattr("wheelsight.localizer.by_wheels.ByWheels.trusts_gyro", True)
+    monkeypatch.setattr("wheelsight.estimation.wheel_localizer.ByWheels.trusts_gyro", True)
     both = sorted([*made.events(), *yaw_rates(made, 0.5)], key=lambda event: event.stamp_s)
     without = answers_to(joined(monkeypatch, made.eye())[0], made.events())
     off: dict[str, Any] = {"wheels.gyro": False}

@@ -12,15 +12,14 @@ from localizer.joined_drives import off_m, spread_m
 from room_drive import T_BASE_CAMERA, make_room_drive
 from synthetic import render_room
 
-from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
-from wheelsight.estimates import Reason, Status
-from wheelsight.events import Event, RgbdFrame, WheelTicks
-from wheelsight.fusion import FusedEstimate
-from wheelsight.geometry import se3
-from wheelsight.localizer import Localizer
-from wheelsight.recordings import open_recording
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Reason, Status
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import Event, RgbdFrame, WheelTicks
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.estimation import FusedEstimate, Localizer
+from wheelsight.io.recordings import open_recording
 
 DARK_S = (1.2, 2.2)  # since the begin; it drives from 1.0 to 2.6 s
 Answers = list[tuple[RgbdFrame, FusedEstimate, int]]

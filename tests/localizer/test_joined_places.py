@@ -17,12 +17,11 @@ from narrowing import not_none
 from places.made import trained
 
 from wheelsight.config import load_config
-from wheelsight.errors import ConfigError, PlaceError
-from wheelsight.estimates import Estimate, Reason, Status
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks, YawRate
-from wheelsight.fusion import FusedEstimate
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.localizer import Localizer, Places
+from wheelsight.core.errors import ConfigError, PlaceError
+from wheelsight.core.estimates import Estimate, Reason, Status
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelTicks, YawRate
+from wheelsight.estimation import FusedEstimate, Localizer, Places
 from wheelsight.places import PlaceMatch, PlaceModel
 
 DARK = Sight(Reason.TOO_LITTLE_DEPTH)
@@ -45,7 +44,7 @@ class Forest:
 def made() -> Iterator[Callable[..., Localizer]]:
     """Makes a localizer by wheels, a camera that sees the truth but where it is blind, and places."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("wheelsight.localizer._fused_camera.DenseOdometry", Eye)
+        patch.setattr("wheelsight.estimation.camera_localizer.DenseOdometry", Eye)
         yield partial(make, patch)
 
 
@@ -57,7 +56,7 @@ def make(
     kept: MapOfFrames | None = None,
 ) -> Localizer:
     eye = Eye(area_drive().truth, sight, np.eye(4))
-    patch.setattr("wheelsight.localizer._fused_camera.camera_odometry", lambda *_: (eye, kept))
+    patch.setattr("wheelsight.estimation.camera_localizer.camera_odometry", lambda *_: (eye, kept))
     settings: dict[str, Any] = {"odometry": "wheels,dense"}
     if forest is None:
         return Localizer(calibration(), load_config(overrides=settings))

@@ -11,16 +11,16 @@ from narrowing import not_none
 from places.seen_room import frame_at, standing
 from synthetic import CAMERA
 
-from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
-from wheelsight.errors import ConfigError
-from wheelsight.estimates import Estimate, Status
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, se3, so3
-from wheelsight.keyframes import KeyframeId, KeyframeStore
-from wheelsight.localizer import Localizer
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.geometry import FloatArray, se3, so3
+from wheelsight.core.keyframes import KeyframeId, KeyframeStore
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.estimation import Localizer
 from wheelsight.places.recognition import Recognizer
-from wheelsight.slam.known import KnownMap
+from wheelsight.slam.place_recognition import KnownMap
 
 RATE_HZ, STEP_RAD = 15.0, np.radians(4.0)
 CALIBRATION = Calibration.registered_camera(CAMERA)

@@ -8,14 +8,14 @@ from localizer.joined_drives import CALIBRATION, T_BASE_CAMERA, Drive, Sight, an
 from narrowing import not_none
 
 from wheelsight.config import load_config
-from wheelsight.estimates import Reason, Status
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
-from wheelsight.localizer import Localizer
+from wheelsight.core.estimates import Reason, Status
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.estimation import Localizer
 from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.drive_graph import DriveGraph, LivedKeyframe
-from wheelsight.slam.known import KnownMap
+from wheelsight.slam.place_recognition import KnownMap
 from wheelsight.slam.settings import LoopSettings
 
 T_START = se3.from_plane(3.0, -1.5, 2.0)
@@ -31,7 +31,7 @@ def known(T_map_base: FloatArray | None) -> KnownMap:
 def localizer(monkeypatch: pytest.MonkeyPatch, made: Drive, given: KnownMap) -> Localizer:
     eye = made.eye()
     eye.store = given.store
-    monkeypatch.setattr("wheelsight.localizer._fused_camera.camera_odometry", lambda *_: (eye, None))
+    monkeypatch.setattr("wheelsight.estimation.camera_localizer.camera_odometry", lambda *_: (eye, None))
     config = load_config(overrides={"odometry": "wheels,dense", "loops.source": "keyframes"})
     return Localizer(CALIBRATION, config, known=given, waits=True)
 

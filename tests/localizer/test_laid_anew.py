@@ -9,16 +9,15 @@ import pytest
 import synthetic
 from narrowing import not_none
 
-from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
-from wheelsight.estimates import CameraEstimate, MotionEstimate, Status
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
-from wheelsight.localizer._laid_anew import laid_anew
-from wheelsight.localizer._loops import LoopsBeside
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import CameraEstimate, MotionEstimate, Status
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.estimation.loop_updates import LoopsBeside, laid_anew
 from wheelsight.slam.drive_graph import LivedKeyframe
 from wheelsight.slam.graph import RelativePose
-from wheelsight.slam.live import LiveLoops
+from wheelsight.slam.loop_closing import LiveLoops
 
 PROBABILITY = 0.999
 C = np.diag(np.square([0.01, 0.01, 0.01, 0.005, 0.005, 0.005]))

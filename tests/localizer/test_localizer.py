@@ -7,23 +7,24 @@ import pytest
 from narrowing import not_none
 from stand_ins import CAMERA, TrueOdometry, frame
 
-from wheelsight.calibration import Calibration, Wheels
 from wheelsight.config import load_config
-from wheelsight.errors import CalibrationError, ConfigError
-from wheelsight.estimates import Reason, Status
-from wheelsight.events import WHEEL_READINGS, SkippedFrame, WheelTicks, YawRate
-from wheelsight.geometry import se3
-from wheelsight.localizer import Localizer
-from wheelsight.odometry.dense import DenseOdometry
-from wheelsight.odometry.wheels import WheelOdometry
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import CalibrationError, ConfigError
+from wheelsight.core.estimates import Reason, Status
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import WHEEL_READINGS, SkippedFrame, WheelTicks, YawRate
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.estimation import Localizer
+from wheelsight.vision.dense import DenseOdometry
+from wheelsight.wheels import WheelOdometry
 
 
 @pytest.fixture(autouse=True)
 def truth(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> Trajectory:
     motions = se3.exp(0.1 * rng.standard_normal((10, 6)))
     TrueOdometry.truth = Trajectory(np.arange(10.0), motions)
-    monkeypatch.setattr("wheelsight.localizer._camera.FeatureOdometry", TrueOdometry)
+    monkeypatch.setattr("wheelsight.estimation.camera_localizer.FeatureOdometry", TrueOdometry)
     return TrueOdometry.truth
 
 
@@ -237,7 +238,7 @@ def test_dense_odometry_answers_frames_as_features_do(monkeypatch: pytest.Monkey
             super().__init__(calibration, settings)
             made.append(settings)
 
-    monkeypatch.setattr("wheelsight.localizer._camera.DenseOdometry", Dense)
+    monkeypatch.setattr("wheelsight.estimation.camera_localizer.DenseOdometry", Dense)
     config = load_config(overrides={"odometry": "dense", "dense.levels": 2})
     subject = Localizer(Calibration.registered_camera(CAMERA), config)
     assert made == [config.dense]

@@ -11,20 +11,20 @@ from grids import mostly_slow
 from narrowing import not_none
 from room_drive import make_room_drive
 
-from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
-from wheelsight.estimates import CameraEstimate, Estimate, MotionEstimate, Status
-from wheelsight.events import Event, RgbdFrame
-from wheelsight.geometry import se3
-from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
-from wheelsight.localizer import Localizer
-from wheelsight.localizer._loops import LoopsBeside
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import CameraEstimate, Estimate, MotionEstimate, Status
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.core.messages import Event, RgbdFrame
+from wheelsight.estimation import Localizer
+from wheelsight.estimation.loop_updates import LoopsBeside
+from wheelsight.io.recordings import Recording, open_recording
 from wheelsight.places.recognition import Recognizer
-from wheelsight.recordings import Recording, open_recording
 from wheelsight.slam.drive_graph import KeyframePlace, LivedKeyframe, PoseUpdate, SeenAgain
 from wheelsight.slam.graph import RelativePose
-from wheelsight.slam.known import KnownMap
-from wheelsight.slam.live import LiveLoops
+from wheelsight.slam.loop_closing import LiveLoops
+from wheelsight.slam.place_recognition import KnownMap
 
 FAR = se3.exp([3.0, -2.0, 1.0, 0.4, -0.6, 0.8])
 WAYS = {

@@ -7,12 +7,12 @@ import synthetic
 from narrowing import not_none
 from places.seen_room import standing
 
-from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
-from wheelsight.estimates import Estimate, Status
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, se3, so3
-from wheelsight.localizer import Localizer
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.geometry import FloatArray, se3, so3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.estimation import Localizer
 
 RATE_HZ, STEP_RAD = 15.0, np.radians(3.0)
 LOOKED, DARK, ELSEWHERE = 24, 14, 70

@@ -12,9 +12,9 @@ from room_drive import T_BASE_CAMERA, make_room_drive
 from synthetic import make_tum_recording, render_room
 
 from wheelsight.config import load_config
-from wheelsight.events import Event, RgbdFrame, SkippedFrame
-from wheelsight.localizer import Localizer
-from wheelsight.recordings import open_recording
+from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame
+from wheelsight.estimation import Localizer
+from wheelsight.io.recordings import open_recording
 
 MAPPED = {"odometry": "dense", "map": "surfels", "surfels.stable_confidence": 2.0, "surfels.fused_way_m": 0.0}
 

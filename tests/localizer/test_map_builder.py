@@ -10,15 +10,14 @@ import synthetic
 from numpy.testing import assert_array_equal
 from odometry.dense.scenes import SMALL, Plane, frame_of
 
-from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
-from wheelsight.estimates import CameraEstimate, Estimate, Status
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import se3
-from wheelsight.localizer.by_frames import ByFrames
-from wheelsight.localizer.map_builder import MapBuilder, Thinning
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import CameraEstimate, Estimate, Status
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.estimation.camera_localizer import ByFrames, MapBuilder, Thinning
 from wheelsight.mapping import SurfelSettings
-from wheelsight.odometry.dense import DenseOdometry
+from wheelsight.vision.dense import DenseOdometry
 
 TRUTH = synthetic.wobbling_trajectory(6)
 

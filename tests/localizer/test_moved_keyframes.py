@@ -9,13 +9,14 @@ from grids import mostly_slow
 from narrowing import not_none
 from stand_ins import CAMERA
 
-from wheelsight.calibration import Calibration, Wheels
 from wheelsight.config import load_config
-from wheelsight.estimates import Estimate, Status
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import KeyframeId
-from wheelsight.localizer import Localizer
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.estimation import Localizer
 
 TRUTH = synthetic.wobbling_trajectory(24)
 FAR = se3.exp([3.0, -2.0, 1.0, 0.4, -0.6, 0.8])

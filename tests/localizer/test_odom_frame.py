@@ -10,10 +10,10 @@ import pytest
 from localizer.joined_drives import BEND, Drive, Sight, answers_to, drive, joined, spinning
 from narrowing import not_none
 
-from wheelsight.estimates import Estimate, Reason, Status, WheelEstimate
-from wheelsight.fusion import FusedEstimate
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.localizer._odom_frame import FusedOdom, OdomFrame
+from wheelsight.core.estimates import Estimate, Reason, Status, WheelEstimate
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.estimation import FusedEstimate
+from wheelsight.estimation.wheel_localizer import FusedOdom, OdomFrame
 
 LEGS = (*BEND, (4.0, 0.6, 0.1))
 # What a camera that fails, or a slip that is told once a frame, may be off in one frame of 0.04 s, at these speeds.

@@ -13,15 +13,15 @@ from narrowing import not_none
 from room_drive import make_room_drive
 
 from wheelsight import Config, Localizer, MotionEstimate, Reason, RgbdFrame, Status, load_config, run
-from wheelsight.errors import ArgumentError, ConfigError, PartError
-from wheelsight.estimates import Estimate
-from wheelsight.events import Event
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import Keyframe, KeyframeId
-from wheelsight.odometry.own import OwnOdometry
-from wheelsight.pipeline import RealTimeRecording
-from wheelsight.recordings import Recording, open_recording
-from wheelsight.trajectory import Trajectory
+from wheelsight.app.run import RealTimeRecording
+from wheelsight.core.errors import ArgumentError, ConfigError, PartError
+from wheelsight.core.estimates import Estimate
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import Keyframe, KeyframeId
+from wheelsight.core.messages import Event
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings import Recording, open_recording
+from wheelsight.vision.visual_odometry import OwnOdometry
 
 SIGMAS = np.array([2e-3] * 3 + [1e-3] * 3)
 ALONE = Config(odometry=("own",))

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from grids import mostly_slow
 
-from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
-from wheelsight.estimates import Estimate, Reason, Status
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.checks import Repeats
+from wheelsight.core.estimates import Estimate, Reason, Status
+from wheelsight.core.messages import Event, RgbdFrame, WheelSpeeds, WheelTicks
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.estimation import Localizer
 from wheelsight.evaluation import ate
-from wheelsight.events import Event, RgbdFrame, WheelSpeeds, WheelTicks
-from wheelsight.localizer import Localizer
-from wheelsight.odometry.dense import DenseOdometry
-from wheelsight.odometry.wheels import WheelOdometry
-from wheelsight.recordings import Recording, open_recording
-from wheelsight.recordings.repeats import Repeats
-from wheelsight.trajectory import Trajectory
+from wheelsight.io.recordings import Recording, open_recording
+from wheelsight.vision.dense import DenseOdometry
+from wheelsight.wheels import WheelOdometry
 
 pytestmark = pytest.mark.data
 # Looking ahead from 1 m above the floor.

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import synthetic
 
-from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import Float32Array, FloatArray
-from wheelsight.localizer import Localizer
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import Float32Array, FloatArray
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.estimation import Localizer
 
 FRAMES = 100
 CALIBRATION = Calibration.registered_camera(synthetic.CAMERA)

@@ -9,7 +9,7 @@ import pytest
 from grids import mostly_slow
 
 from wheelsight import Calibration, Config, Event, Localizer, PinholeCamera, RgbdFrame, Status, Wheels, WheelTicks
-from wheelsight.geometry import FloatArray, se3
+from wheelsight.core.geometry import FloatArray, se3
 
 _CAMERA = PinholeCamera(160, 120, 130.0, 130.0, 79.5, 59.5)
 _T_BASE_CAMERA = np.array([[0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 0.5], [0, 0, 0, 1.0]])

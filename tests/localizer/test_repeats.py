@@ -14,12 +14,12 @@ from stand_ins import MemoryRecording
 from synthetic import make_tum_recording
 
 from wheelsight.config import load_config
-from wheelsight.errors import ArgumentError
-from wheelsight.estimates import Estimate, Reason, Status
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
-from wheelsight.localizer import Localizer
-from wheelsight.odometry.extrinsics.sightings import watch
-from wheelsight.recordings import Recording, open_recording
+from wheelsight.core.errors import ArgumentError
+from wheelsight.core.estimates import Estimate, Reason, Status
+from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.estimation import Localizer
+from wheelsight.io.recordings import Recording, open_recording
+from wheelsight.vision.extrinsics.calibration import watch
 
 CAMERAS: tuple[dict[str, Any], ...] = (
     {"odometry": "features"},

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wheelsight.errors import MapError
-from wheelsight.keyframes import Keyframe, KeyframeFeatures, KeyframeId, KeyframeStore
-from wheelsight.localizer._resting_keyframes import RestingKeyframes
+from wheelsight.core.errors import MapError
+from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId, KeyframeStore
+from wheelsight.estimation.localizer import RestingKeyframes
 
 MOST, COUNT = 4, 20
 

@@ -10,8 +10,8 @@ from drives import Leg
 from localizer.joined_drives import Drive, Eye, answers_to, drive, joined, of_frames, off_m, spread_m
 from localizer.test_base_check import with_floor
 
-from wheelsight.estimates import Reason, Status
-from wheelsight.geometry import FloatArray
+from wheelsight.core.estimates import Reason, Status
+from wheelsight.core.geometry import FloatArray
 
 BEND: tuple[Leg, ...] = ((4.5, 0.6, 0.4),)
 # So much less than by default that the drive is short.

@@ -9,11 +9,11 @@ import pytest
 from grids import mostly_slow
 
 from wheelsight.config import load_config
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import se3, so3
-from wheelsight.localizer import Localizer
-from wheelsight.recordings import express_for
-from wheelsight.simulation import (
+from wheelsight.core.geometry import se3, so3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.estimation import Localizer
+from wheelsight.io.recordings import express_for
+from wheelsight_sim import (
     ManualVelocities,
     Renderer,
     Robot,

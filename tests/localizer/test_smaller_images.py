@@ -9,13 +9,13 @@ import pytest
 from narrowing import not_none
 from synthetic import CAMERA, render_room, wobbling_trajectory
 
-from wheelsight.calibration import Calibration
 from wheelsight.config import load_config
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, PinholeCamera, se3
-from wheelsight.localizer import Localizer
-from wheelsight.localizer._smaller_images import SmallerImages
-from wheelsight.odometry.features import MatchedPixels
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import FloatArray, PinholeCamera, se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.estimation import Localizer
+from wheelsight.estimation.localizer import SmallerImages
+from wheelsight.vision.features import MatchedPixels
 
 LENS = replace(CAMERA, distortion=(0.1, -0.05, 0.001, -0.002, 0.01))
 ROBOT = Calibration.registered_camera(CAMERA, color_sigma_px=0.4)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from localizer.joined_drives import Drive, Eye, Sight, answers_to, drive, joined, of_frames, off_m, pushed, spread_m
 
-from wheelsight.estimates import CameraEstimate, Reason, Status
-from wheelsight.fusion import FusedEstimate
-from wheelsight.geometry import FloatArray
-from wheelsight.keyframes import KeyframeId
-from wheelsight.localizer import by_fusion
-from wheelsight.simulation.scene_faults import Silence
+from wheelsight.core.estimates import CameraEstimate, Reason, Status
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.estimation import FusedEstimate
+from wheelsight.estimation import fusion_localizer as by_fusion
+from wheelsight_sim.faults import Silence
 
 pytestmark = pytest.mark.slow  # one to three seconds each
 STOPS = ((2.0, 0.6, 0.0), (5.0, 0.0, 0.0), (3.0, 0.6, 0.1))

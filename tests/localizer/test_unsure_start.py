@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wheelsight.estimates import Reason, Status
-from wheelsight.fusion import FusedEstimate, JoiningSettings
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.localizer._carried import UnsureStart
+from wheelsight.core.estimates import Reason, Status
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.estimation import FusedEstimate, JoiningSettings
+from wheelsight.estimation.kidnap_detection import UnsureStart
 
 T_ODOM_BASE = se3.from_plane(5.0, -2.0, 1.0)
 

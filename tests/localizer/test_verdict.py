@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wheelsight.calibration import Wheels
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.localizer._pieces import Pieces
-from wheelsight.localizer._verdict import Verdict
-from wheelsight.odometry.extrinsics import AgreementSettings, Culprit
-from wheelsight.settings import BaseCheckSettings
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.settings import BaseCheckSettings
+from wheelsight.estimation.consistency_check import Pieces, Verdict
+from wheelsight.vision.extrinsics import AgreementSettings, Culprit
 
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
 T_BASE_CAMERA = np.array([[0.0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.0], [0, 0, 0, 1]])

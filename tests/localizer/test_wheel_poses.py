@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from wheelsight.geometry import se3
-from wheelsight.localizer._wheel_poses import WheelPoses
+from wheelsight.core.geometry import se3
+from wheelsight.estimation.consistency_check import WheelPoses
 
 
 def rolled(seconds: float, kept_s: float = 3.0) -> WheelPoses:

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wheelsight.calibration import Calibration, DepthNoise
-from wheelsight.geometry import BoolArray, Float32Array, FloatArray, PinholeCamera, se3, so3
-from wheelsight.keyframes import Keyframe, KeyframeId
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import DepthNoise
+from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, PinholeCamera, se3, so3
+from wheelsight.core.keyframes import Keyframe, KeyframeId
 from wheelsight.mapping import OccupancyMapper, OccupancySettings
 
 CAMERA = PinholeCamera(160, 120, 131.0, 131.0, 79.5, 59.5)

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from wheelsight.calibration import DepthNoise
-from wheelsight.geometry import Float32Array, FloatArray, se3, so3
-from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.core.calibration_parts import DepthNoise
+from wheelsight.core.geometry import Float32Array, FloatArray, se3, so3
+from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore, Surface
 from wheelsight.mapping import FusedFrame, SurfelMap, Surfels, SurfelSettings
-from wheelsight.views import Surface
 
 GRID = np.array([131.0, 131.0, 80.2, 59.4])
 SHAPE = (120, 160)

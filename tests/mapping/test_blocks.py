@@ -9,11 +9,15 @@ import pytest
 from mapping.scenes import GRID, NOISE, SHAPE, Wall, fuse, look_at, made_map, pose, see
 from odometry.plain_kernels import plain
 
-from wheelsight.geometry import FloatArray, se3, so3
-from wheelsight.mapping import Surfels, _block_kernels, _fusion_kernels, _match_kernels, _view_kernels, blocks, surfels
-from wheelsight.mapping._block_kernels import PAGE, STRAY_M, SurfelArrays
+from wheelsight.core.geometry import FloatArray, se3, so3
+from wheelsight.core.threads import Rows
+from wheelsight.mapping import Surfels, blocks, surfels
+from wheelsight.mapping import block_kernels as _block_kernels
+from wheelsight.mapping import fusion_kernels as _fusion_kernels
+from wheelsight.mapping import fusion_kernels as _match_kernels
+from wheelsight.mapping import view_kernels as _view_kernels
+from wheelsight.mapping.block_kernels import PAGE, STRAY_M, SurfelArrays
 from wheelsight.mapping.blocks import Blocks
-from wheelsight.threads import Rows
 
 RULES = np.array([8.0, 3.0, 60.0, 1.0])
 

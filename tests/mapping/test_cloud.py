@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wheelsight.geometry import FloatArray
+from wheelsight.core.geometry import FloatArray
 from wheelsight.mapping import Surfels
-from wheelsight.mapping.cloud import cloud_of
+from wheelsight.mapping.export import cloud_of
 
 
 def sheet(count: int, x: float, normal_x: float, color: float, rng: np.random.Generator) -> Surfels:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mapping.scenes import Wall, look_at, made_map, pose
 
-from wheelsight.errors import ConfigError, MapError
+from wheelsight.core.errors import ConfigError, MapError
 from wheelsight.mapping import Mesh, SurfelMap, export, mesh_of, write_mesh_ply, write_ply
 
 TYPES = {"float": "<f4", "uchar": "u1"}

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.spatial import KDTree
 
-from wheelsight.geometry import BoolArray, FloatArray
+from wheelsight.core.geometry import BoolArray, FloatArray
 from wheelsight.mapping import CellKind, OccupancyGrid, roomiest_place
 
 CELL_M = 0.05

@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from wheelsight.errors import ArgumentError, MapError
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import KeyframeId
+from wheelsight.core.errors import ArgumentError, MapError
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.io.ros_map import FREE, OCCUPIED
 from wheelsight.mapping import CellKind, EditKind, MapEdit, MapEdits, OccupancyGrid
-from wheelsight.ros_map import FREE, OCCUPIED
 
 SQUARE = np.array([[0.2, 0.2], [0.6, 0.2], [0.6, 0.6], [0.2, 0.6]])
 LIMIT = 0.3

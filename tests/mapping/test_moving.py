@@ -9,9 +9,9 @@ import pytest
 from mapping.scenes import FRAME_S, GRID, SHAPE, Wall, fuse, kept_keyframes, pose, see
 from numpy.testing import assert_allclose, assert_array_equal
 
-from wheelsight.errors import MapError
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import KeyframeId, KeyframeStore
+from wheelsight.core.errors import MapError
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import KeyframeId, KeyframeStore
 from wheelsight.mapping import SurfelMap, Surfels, SurfelSettings, load_map, save_map
 
 FIRST, SECOND = KeyframeId(0), KeyframeId(1)

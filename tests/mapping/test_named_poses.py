@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from wheelsight.errors import ArgumentError, MapError
-from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeId
+from wheelsight.core.errors import ArgumentError, MapError
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import KeyframeId
 from wheelsight.mapping import NamedPose, NamedPoses
 
 KITCHEN = NamedPose("kitchen", np.array([3.2, 1.5, 0.5]))

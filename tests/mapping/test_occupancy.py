@@ -12,15 +12,15 @@ from hypothesis import strategies as st
 from mapping.floor_scenes import CAMERA, ROBOT, ROOM, Box, at, depth_of, keyframe, mapped, mount, robot, turning
 from numpy.testing import assert_array_equal
 
-from wheelsight.calibration import Calibration
-from wheelsight.errors import ArgumentError, MapError
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import ArgumentError, MapError
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.recordings import open_recording
+from wheelsight.io.ros_map import FREE, OCCUPIED, UNKNOWN
 from wheelsight.mapping import CellKind, OccupancyGrid, OccupancyMapper, OccupancySettings
-from wheelsight.mapping.seen_depths import SeenDepth
-from wheelsight.recordings import open_recording
-from wheelsight.ros_map import FREE, OCCUPIED, UNKNOWN
+from wheelsight.mapping.occupancy import SeenDepth
 
 CELL_M = 0.05
 TABLE_TOP = Box((1.32, -0.5, 0.58), (2.1, 0.5, 0.73))

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from odometry.plain_kernels import plain
 
-from wheelsight.mapping import _occupancy_kernels as kernels
+from wheelsight.mapping import occupancy_kernels as kernels
 
 SIDE, CHANNELS, CELL_M = 60, 12, 0.1
 BANDS = kernels.Bands(CELL_M, 0.05, 0.1, 0.015, 0.1, 1.05, 2.0, 5.0, 0.15, 0.5)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from wheelsight.mapping import CellKind, OccupancyGrid
-from wheelsight.mapping.occupancy_picture import PlanLine, picture_of
+from wheelsight.mapping.occupancy import PlanLine, picture_of
 
 
 def test_the_picture_has_the_colours_of_its_kinds_and_y_up() -> None:

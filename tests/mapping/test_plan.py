@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wheelsight.geometry import FloatArray, se3, so3
+from wheelsight.core.geometry import FloatArray, se3, so3
 from wheelsight.mapping import Surfels
-from wheelsight.mapping.plan import Plan, plan_of
+from wheelsight.mapping.export import Plan, plan_of
 
 UP, RIGHT = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 NOWHERE = np.empty((0, 3))

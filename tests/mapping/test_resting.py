@@ -8,8 +8,8 @@ import numpy as np
 from mapping.scenes import GRID, SHAPE, Wall, fuse, pose, see
 from numpy.testing import assert_allclose, assert_array_equal
 
-from wheelsight.geometry import se3
-from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.mapping import SurfelMap, Surfels, SurfelSettings, load_map, save_map
 from wheelsight.mapping.columns import columns_of
 

@@ -7,10 +7,10 @@ import pytest
 import synthetic
 from scipy.spatial import KDTree
 
-from wheelsight.calibration import DepthNoise
-from wheelsight.geometry import FloatArray
+from wheelsight.core.calibration_parts import DepthNoise
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.keyframes import Surface
 from wheelsight.mapping import SurfelMap
-from wheelsight.views import Surface
 
 CAMERA = synthetic.CAMERA
 GRID = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])

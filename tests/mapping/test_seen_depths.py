@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from wheelsight.errors import MapError
-from wheelsight.keyframes import KeyframeId
-from wheelsight.mapping.seen_depths import SeenDepth, SeenDepths
+from wheelsight.core.errors import MapError
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.mapping.occupancy import SeenDepth, SeenDepths
 
 
 def seen(number: int) -> SeenDepth:

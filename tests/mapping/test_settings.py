@@ -10,8 +10,8 @@ import pytest
 from mapping.scenes import GRID, SHAPE, Wall, look_at, made_map, pose
 
 import wheelsight.mapping as package
-from wheelsight.mapping import _match_kernels as match
-from wheelsight.mapping import _view_kernels as view
+from wheelsight.mapping import fusion_kernels as match
+from wheelsight.mapping import view_kernels as view
 
 KERNELS = sorted(Path(package.__file__).parent.glob("*_kernels.py"))
 # What shapes no map: numbers as kernels take them, places in arrays, and what keeps from a division by zero.

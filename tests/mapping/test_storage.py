@@ -29,7 +29,7 @@ from mapping.scenes import (
     see,
 )
 
-from wheelsight.errors import MapError, OutputError
+from wheelsight.core.errors import MapError, OutputError
 from wheelsight.mapping import SurfelMap, Surfels, SurfelSettings, load_map, save_map, storage, surfels
 from wheelsight.mapping.columns import COLUMNS, columns_of, packed, unpacked
 

@@ -9,9 +9,9 @@ import pytest
 from mapping.scenes import FRAME_S, GRID, NOISE, SHAPE, Wall, fuse, look_at, made_map, pose, rays, see
 from scipy.spatial import KDTree
 
-from wheelsight.errors import MapError
+from wheelsight.core.errors import MapError
+from wheelsight.core.keyframes import Surface
 from wheelsight.mapping import SurfelMap, Surfels
-from wheelsight.views import Surface
 
 FRAMES = 20
 FIELDS = ("position", "normal", "radius_m", "color", "grey", "confidence", "variance_m2", "first_s", "last_s")

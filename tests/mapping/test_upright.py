@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.geometry import FloatArray, so3
+from wheelsight.core.geometry import FloatArray, so3
 from wheelsight.mapping import Surfels
-from wheelsight.mapping.upright import upward
+from wheelsight.mapping.export import upward
 
 # A camera held upright in a world whose z points up, looking along x.
 LEVEL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])

@@ -7,7 +7,7 @@ import pytest
 from mapping.scenes import GRID, SHAPE, Wall, look_at, made_map, pose, see
 from narrowing import not_none
 
-from wheelsight.errors import MapError
+from wheelsight.core.errors import MapError
 from wheelsight.mapping import Surfels
 
 FRAMES = 12

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from navigation.unicycle import Unicycle
 
-from wheelsight.calibration import Calibration, Wheels
-from wheelsight.commands import VelocityCommand
-from wheelsight.estimates import Estimate, Status
-from wheelsight.events import Event, RgbdFrame, WheelSpeeds
-from wheelsight.geometry import BoolArray, FloatArray, PinholeCamera, se3
-from wheelsight.keyframes import KeyframeStore
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.geometry import BoolArray, FloatArray, PinholeCamera, se3
+from wheelsight.core.keyframes import KeyframeStore
+from wheelsight.core.messages import Event, RgbdFrame, VelocityCommand, WheelSpeeds
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import KnownFloor, NavigationSettings, Navigator, Planned, Transition, Worker
-from wheelsight.simulation.robot import Robot
+from wheelsight_sim.robot import Robot
 
 CELL_M = 0.05
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)

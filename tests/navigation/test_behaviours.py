@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wheelsight.commands import VelocityCommand
-from wheelsight.estimates import Status
+from wheelsight.core.estimates import Status
+from wheelsight.core.messages import VelocityCommand
 from wheelsight.navigation import Behaviour, BehaviourSettings, Straight, Turn, Wait
-from wheelsight.navigation.behaviours import Series, when_blocked, when_lost
-from wheelsight.navigation.open_way import OpenWay
+from wheelsight.navigation.behaviours import OpenWay, Series, when_blocked, when_lost
 
 PERIOD_S = 0.05
 WIDE = OpenWay(0.5, 3.0)

@@ -12,14 +12,13 @@ from navigation.rooms import CALIBRATION, CELL_M, RoomRobot, Told, Walls
 from navigation.test_collision_monitor import NOTHING, Ride
 from navigation.unicycle import CHAIR, Camera
 
-from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.events import RgbdFrame
+from wheelsight.core.messages import STOP, RgbdFrame, VelocityCommand
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import CellState, CostmapSettings, KnownFloor, NavigationSettings
 from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason
-from wheelsight.navigation.live_layer import LiveObstacles
-from wheelsight.navigation.monitor_settings import MonitorSettings
+from wheelsight.navigation.costmap import LiveObstacles
 from wheelsight.navigation.senses import Senses
+from wheelsight.navigation.settings import MonitorSettings
 
 SETTINGS = MonitorSettings()
 KINECT = Camera(half_angle_rad=0.47, near_m=1.9)

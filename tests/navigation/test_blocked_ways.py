@@ -9,9 +9,8 @@ import pytest
 from narrowing import not_none
 
 from wheelsight.navigation import CellState, Costmap, Footprint, NavigationSettings, Plan, StaticLayer
-from wheelsight.navigation.blocked_ways import BlockedWays
-from wheelsight.navigation.navigator_settings import BlockedSettings
-from wheelsight.navigation.route_planner import RoutePlanner
+from wheelsight.navigation.planning import BlockedWays, RoutePlanner
+from wheelsight.navigation.settings import BlockedSettings
 
 ROBOT, SETTINGS = Footprint.rectangle(0.8, 0.3, 0.6), BlockedSettings()
 CELL_M = 0.05

@@ -8,10 +8,10 @@ from navigation.floors import CHAIR, room
 from navigation.floors import costmap_of as floor_of
 from navigation.test_plan_view import EYE
 
-from wheelsight.geometry import FloatArray
+from wheelsight.core.geometry import FloatArray
 from wheelsight.navigation import CellState, Costmap, NavigationSettings, Plan, StaticLayer
-from wheelsight.navigation.cautious_planner import CautiousPlan, CautiousPlanner
-from wheelsight.navigation.plan_view import PlanView
+from wheelsight.navigation.planning import CautiousPlan, CautiousPlanner
+from wheelsight.navigation.surroundings import PlanView
 
 SETTINGS, VIEW = NavigationSettings(), PlanView(CHAIR, EYE)
 PLANNER = CautiousPlanner(CHAIR, SETTINGS, VIEW)

@@ -14,14 +14,19 @@ from hypothesis import strategies as st
 from navigation.unicycle import CHAIR, Camera, Unicycle, clearance_m
 from scipy.stats import qmc
 
-from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.estimates import Status
-from wheelsight.geometry import FloatArray
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import STOP, VelocityCommand
 from wheelsight.navigation import RobotLimits
-from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason, MonitorResult, MonitorState
-from wheelsight.navigation.monitor_settings import MonitorSettings, WheelCheckSettings
+from wheelsight.navigation.collision_monitor import (
+    CollisionMonitor,
+    MonitorReason,
+    MonitorResult,
+    MonitorState,
+    WheelCheck,
+)
+from wheelsight.navigation.settings import MonitorSettings, WheelCheckSettings
 from wheelsight.navigation.surroundings import DepthView
-from wheelsight.navigation.wheel_check import WheelCheck
 
 NOTHING = np.empty((0, 2))
 # A camera that sees all around, for closed forms; nothing is blind.

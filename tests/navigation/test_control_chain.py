@@ -7,7 +7,7 @@ from grids import mostly_slow
 from navigation.test_controllers import WAYS
 from navigation.unicycle import CHAIR, NOBODY, Camera, Unicycle, centres_of, clearance_m, field_of
 
-from wheelsight.estimates import Status
+from wheelsight.core.estimates import Status
 from wheelsight.navigation import CollisionMonitor, ControlReason, MonitorState, MppiController, VelocityRamp
 
 

@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 from scipy import ndimage
 
 from benchmarks.plain_rollouts import plain_costs
-from wheelsight.geometry import BoolArray
+from wheelsight.core.geometry import BoolArray
 from wheelsight.navigation import Footprint, RobotLimits
-from wheelsight.navigation._field_kernels import (
+from wheelsight.navigation.clearance_kernels import (
     apart_from,
     clearance_at,
     distance_at,
@@ -22,13 +22,11 @@ from wheelsight.navigation._field_kernels import (
     people_apart,
     toward,
 )
-from wheelsight.navigation._mppi_kernels import blend
-from wheelsight.navigation.control_settings import FollowSettings, MppiSettings
-from wheelsight.navigation.control_values import MotionState
-from wheelsight.navigation.fields import outline_of
-from wheelsight.navigation.following import Situation
-from wheelsight.navigation.mppi import Rollouts, noise_of
-from wheelsight.navigation.segments import cut
+from wheelsight.navigation.controllers import Rollouts, noise_of
+from wheelsight.navigation.footprint import outline_of
+from wheelsight.navigation.mppi_kernels import blend
+from wheelsight.navigation.path_following import MotionState, Situation, cut
+from wheelsight.navigation.settings import FollowSettings, MppiSettings
 
 OUTLINE = outline_of(CHAIR)
 MARGIN_M = 0.04

@@ -23,15 +23,14 @@ from navigation.unicycle import (
     with_door,
 )
 
-from wheelsight.commands import STOP
-from wheelsight.geometry import BoolArray, FloatArray
+from wheelsight.core.geometry import BoolArray, FloatArray
+from wheelsight.core.messages import STOP
 from wheelsight.navigation import Costmap, NavigationSettings, Plan, RobotLimits
-from wheelsight.navigation.control_settings import FollowSettings, MppiSettings
-from wheelsight.navigation.control_values import Controller, ControlReason, MotionState
-from wheelsight.navigation.fields import CostField
-from wheelsight.navigation.mppi import MppiController
-from wheelsight.navigation.pure_pursuit import PurePursuitController
-from wheelsight.navigation.route_planner import RoutePlanner
+from wheelsight.navigation.clearance_kernels import CostField
+from wheelsight.navigation.controllers import MppiController, PurePursuitController
+from wheelsight.navigation.path_following import Controller, ControlReason, MotionState
+from wheelsight.navigation.planning import RoutePlanner
+from wheelsight.navigation.settings import FollowSettings, MppiSettings
 
 QUARTER = np.pi / 2
 MAKERS = [MppiController, PurePursuitController]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from navigation.floors import CHAIR, costmap_of, static_of
 from scipy.ndimage import distance_transform_edt
 
-from wheelsight.errors import ArgumentError
+from wheelsight.core.errors import ArgumentError
 from wheelsight.mapping.map_edits import EditKind, MapEdit, MapEdits
 from wheelsight.mapping.occupancy import CellKind, OccupancyGrid
 from wheelsight.navigation import CellState, Costmap, CostmapSettings, LiveObstacles, StaticLayer

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from odometry.plain_kernels import plain
 
-from wheelsight.geometry import BoolArray, FloatArray
-from wheelsight.navigation import _costmap_kernels as costmap_kernels
-from wheelsight.navigation import _floor_kernels as floor_kernels
-from wheelsight.navigation import _live_kernels as live_kernels
+from wheelsight.core.geometry import BoolArray, FloatArray
+from wheelsight.navigation import costmap_kernels
+from wheelsight.navigation import costmap_kernels as floor_kernels
+from wheelsight.navigation import costmap_kernels as live_kernels
 
 FREE, UNKNOWN, OCCUPIED = 0, 1, 2
 turns = st.floats(-4.0, 4.0)

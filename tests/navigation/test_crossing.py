@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from navigation.rooms import Ride, Walls
 
-from wheelsight.geometry import FloatArray
+from wheelsight.core.geometry import FloatArray
 from wheelsight.navigation import NavigationSettings, PeopleSettings, ViewSettings
 
 WIDTH_M, HEIGHT_M = 12.0, 8.0

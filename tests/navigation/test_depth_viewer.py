@@ -8,11 +8,11 @@ from navigation.floors import CHAIR
 from navigation.test_live_layer import CALIBRATION, CAMERA, T_BASE_CAMERA, Box, depth_of
 from odometry.plain_kernels import plain
 
-from wheelsight.geometry import FloatArray
+from wheelsight.core.geometry import FloatArray
 from wheelsight.navigation import DepthViewer
-from wheelsight.navigation import _depth_view_kernels as kernels
-from wheelsight.navigation.fields import outline_of
-from wheelsight.navigation.monitor_settings import MonitorSettings
+from wheelsight.navigation import view_kernels as kernels
+from wheelsight.navigation.footprint import outline_of
+from wheelsight.navigation.settings import MonitorSettings
 from wheelsight.navigation.surroundings import DepthView, Surroundings
 
 AHEAD_M, HEIGHT_M = float(T_BASE_CAMERA[0, 3]), float(T_BASE_CAMERA[2, 3])

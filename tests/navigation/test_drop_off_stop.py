@@ -10,11 +10,11 @@ from narrowing import not_none
 from navigation.rooms import CAMERA, SENSES_M, Ride, Walls, walls_about
 from navigation.unguarded import FULL, Asks, without_monitor
 
-from wheelsight.geometry import FloatArray
+from wheelsight.core.geometry import FloatArray
 from wheelsight.navigation import MonitorReason, MonitorState, NavigationSettings
-from wheelsight.navigation.control_values import ControlResult
-from wheelsight.navigation.live_layer import LiveLayer
-from wheelsight.navigation.people_settings import PeopleSettings
+from wheelsight.navigation.costmap import LiveLayer
+from wheelsight.navigation.path_following import ControlResult
+from wheelsight.navigation.settings import PeopleSettings
 
 SIZE_M = (9.0, 6.0)
 ROOM = walls_about(*SIZE_M)

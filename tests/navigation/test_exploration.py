@@ -7,7 +7,7 @@ import pytest
 
 from wheelsight.navigation import Costmap, Exploration, Footprint, NavigationSettings, StaticLayer
 from wheelsight.navigation.costmap import CellState
-from wheelsight.navigation.navigator_settings import ExplorationSettings
+from wheelsight.navigation.settings import ExplorationSettings
 
 CELL_M, NEAR_M, HALF_RAD = 0.1, 1.0, 0.5
 CHAIR = Footprint.rectangle(0.8, 0.3, 0.6)

@@ -8,8 +8,8 @@ from narrowing import not_none
 from navigation.rooms import CALIBRATION, Walls
 from numpy.testing import assert_array_equal
 
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import (
     Costmap,

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from wheelsight.errors import ArgumentError
+from wheelsight.core.errors import ArgumentError
 from wheelsight.navigation import Footprint
 
 CHAIR = Footprint.rectangle(0.85, 0.25, 0.6)

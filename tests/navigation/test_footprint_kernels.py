@@ -12,8 +12,8 @@ from navigation.plain_polygons import cells_under, placed
 from odometry.plain_kernels import plain
 
 from wheelsight.navigation import Footprint, PlannerSettings
-from wheelsight.navigation import _footprint_kernels as kernels
-from wheelsight.navigation._drivable import Drivable
+from wheelsight.navigation import planner_kernels as kernels
+from wheelsight.navigation.path_smoothing import Drivable
 
 PENTAGON = Footprint.of([(0.5, 0.0), (0.2, 0.35), (-0.3, 0.3), (-0.3, -0.3), (0.2, -0.35)])
 ANGLES = st.floats(-np.pi, np.pi)

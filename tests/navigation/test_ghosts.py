@@ -9,19 +9,14 @@ import pytest
 from narrowing import not_none
 from navigation.rooms import Ride, Walls, is_near, walls_about
 
-from wheelsight.calibration import Calibration, DepthNoise
-from wheelsight.errors import ArgumentError
-from wheelsight.geometry import PinholeCamera
-from wheelsight.navigation import (
-    Footprint,
-    LiveLayer,
-    NavigationReason,
-    NavigationSettings,
-    NavigatorSettings,
-)
-from wheelsight.navigation.costmap_settings import LiveLayerSettings
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import DepthNoise
+from wheelsight.core.errors import ArgumentError
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.navigation import Footprint, LiveLayer, NavigationReason, NavigationSettings, NavigatorSettings
 from wheelsight.navigation.senses import Senses
-from wheelsight.navigation.words import monitor_words
+from wheelsight.navigation.settings import LiveLayerSettings
+from wheelsight.navigation.task import monitor_words
 
 SIZE_M = (8.0, 6.0)
 OPEN = (*walls_about(*SIZE_M), ((4.0, 0.0), (4.0, 2.3)), ((4.0, 3.7), (4.0, 6.0)))

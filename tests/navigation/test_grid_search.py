@@ -10,9 +10,9 @@ from odometry.plain_kernels import plain
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from wheelsight.errors import ArgumentError
-from wheelsight.navigation import _cost_to_go_kernels as kernels
+from wheelsight.core.errors import ArgumentError
 from wheelsight.navigation import cost_to_go
+from wheelsight.navigation import planner_kernels as kernels
 
 
 def some_costs(seed: int, rows: int, columns: int, blocked: float) -> np.ndarray:

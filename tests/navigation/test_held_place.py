@@ -8,12 +8,11 @@ from narrowing import not_none
 from navigation.rooms import WHEELS
 from navigation.test_where_now import SPEED_M_S, ticks
 
-from wheelsight.estimates import Status
-from wheelsight.fusion import FusedEstimate
-from wheelsight.geometry import se2, se3
-from wheelsight.navigation.held_place import HeldPlace
-from wheelsight.navigation.localization import WhereNow
-from wheelsight.navigation.navigator_settings import HoldSettings
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import se2, se3
+from wheelsight.estimation import FusedEstimate
+from wheelsight.navigation.localization import HeldPlace, WhereNow
+from wheelsight.navigation.settings import HoldSettings
 
 SETTINGS = HoldSettings()
 LEAP_M = 0.3

@@ -12,8 +12,9 @@ import pytest
 from narrowing import not_none
 from navigation.rooms import CELL_M, Ride, Walls, walls_about
 
-from wheelsight.errors import ArgumentError
-from wheelsight.estimates import Status
+from wheelsight.core.errors import ArgumentError
+from wheelsight.core.estimates import Status
+from wheelsight.core.robots import RobotLimits
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import (
     BehaviourSettings,
@@ -30,7 +31,6 @@ from wheelsight.navigation import (
     WorkerInStep,
 )
 from wheelsight.navigation.goals import Goals, Poses
-from wheelsight.robot_limits import RobotLimits
 
 SIZE_M, BEGIN, GOAL, NEAR = (8.0, 6.0), (1.5, 3.0, 0.0), (6.0, 3.0, 0.0), (2.5, 3.0, 0.0)
 ROOM = walls_about(*SIZE_M)

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from navigation.floors import CHAIR, costmap_of, room
 from odometry.plain_kernels import plain
 
-from wheelsight.geometry import se2
+from wheelsight.core.geometry import se2
 from wheelsight.navigation import PlannerSettings, cost_to_go
-from wheelsight.navigation import _drive_kernels as drive
-from wheelsight.navigation import _lattice_kernels as lattice
-from wheelsight.navigation._drivable import Drivable
+from wheelsight.navigation import planner_kernels as drive
+from wheelsight.navigation import planner_kernels as lattice
+from wheelsight.navigation.path_smoothing import Drivable
 
 SETTINGS = PlannerSettings(margin_m=0.05, headings=24, place_m=0.25, most_states=3000)
 ROOM = Drivable.of(costmap_of(room(4, 5)), CHAIR, SETTINGS)

@@ -9,9 +9,8 @@ from documentation_blocks import python_blocks
 from narrowing import not_none
 from navigation.rooms import Ride, RoomRobot, Told, Walls, is_near, walls_about
 
-from wheelsight.commands import VelocityCommand
-from wheelsight.errors import ArgumentError
-from wheelsight.events import Event
+from wheelsight.core.errors import ArgumentError
+from wheelsight.core.messages import Event, VelocityCommand
 from wheelsight.navigation import Feedback, KnownFloor, NavigationReason, NavigationState, Navigator
 
 SIZE_M = (8.0, 6.0)

@@ -10,11 +10,12 @@ import pytest
 from navigation.floors import CHAIR
 from odometry.plain_kernels import plain
 
-from wheelsight.calibration import Calibration, DepthNoise
-from wheelsight.errors import ArgumentError, CalibrationError, MapError
-from wheelsight.geometry import PinholeCamera
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import DepthNoise
+from wheelsight.core.errors import ArgumentError, CalibrationError, MapError
+from wheelsight.core.geometry import PinholeCamera
 from wheelsight.navigation import LiveLayer, LiveLayerSettings
-from wheelsight.navigation import _live_kernels as kernels
+from wheelsight.navigation import costmap_kernels as kernels
 
 CAMERA = PinholeCamera(160, 120, 138.0, 138.0, 79.5, 59.5)
 CAMERA_HALF_RAD = math.atan(80 / 138)

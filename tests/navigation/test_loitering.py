@@ -6,8 +6,8 @@ import numpy as np
 from narrowing import not_none
 from navigation.rooms import Ride, Walls
 
-from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.geometry import FloatArray
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import STOP, VelocityCommand
 from wheelsight.navigation import (
     BehaviourSettings,
     MonitorReason,
@@ -18,8 +18,8 @@ from wheelsight.navigation import (
     NavigationState,
     NavigatorSettings,
 )
-from wheelsight.navigation.control_values import ControlResult, DrivenPath, MotionState
-from wheelsight.navigation.fields import CostField
+from wheelsight.navigation.clearance_kernels import CostField
+from wheelsight.navigation.path_following import ControlResult, DrivenPath, MotionState
 
 ROOM = Walls.of(((0.0, 0.0), (8.0, 0.0)), ((7.99, 0.0), (7.99, 6.0)), ((8.0, 5.99), (0.0, 5.99)))
 SETTINGS = NavigationSettings(

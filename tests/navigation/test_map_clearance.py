@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from navigation.rooms import Ride, Walls, walls_about
 
-from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.estimates import Status
-from wheelsight.geometry import FloatArray
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import STOP, VelocityCommand
 from wheelsight.navigation import Costmap, Footprint, NavigationSettings, NavigationState, StaticLayer
+from wheelsight.navigation.behaviours import keeps_clear
 from wheelsight.navigation.costmap import CellState
-from wheelsight.navigation.fields import outline_of
-from wheelsight.navigation.map_clearance import keeps_clear
-from wheelsight.navigation.navigator_settings import BehaviourSettings
+from wheelsight.navigation.footprint import outline_of
+from wheelsight.navigation.settings import BehaviourSettings
 
 CELL_M, SETTINGS = 0.05, BehaviourSettings()
 CHAIR = Footprint.rectangle(0.8, 0.3, 0.6)

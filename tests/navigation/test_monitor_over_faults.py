@@ -13,26 +13,18 @@ from navigation.rooms import Ride, Walls, walls_about
 from navigation.unguarded import FULL, Asks, without_monitor
 from navigation.unicycle import clearance_m, field_of
 
-from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.estimates import Estimate
-from wheelsight.events import Event
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.navigation import (
-    MonitorReason,
-    MonitorResult,
-    MonitorState,
-    NavigationSettings,
-    NavigatorSettings,
-)
-from wheelsight.navigation.cautious_planner import CautiousPlan, CautiousPlanner
-from wheelsight.navigation.control_values import Controller, ControlReason, ControlResult, DrivenPath, MotionState
-from wheelsight.navigation.fields import CostField
-from wheelsight.navigation.live_layer import LiveLayer
-from wheelsight.navigation.people_settings import PeopleSettings
-from wheelsight.navigation.plan_values import Plan
-from wheelsight.navigation.planning import Look, Planning
-from wheelsight.navigation.pure_pursuit import PurePursuitController
+from wheelsight.core.estimates import Estimate
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.messages import STOP, Event, VelocityCommand
+from wheelsight.navigation import MonitorReason, MonitorResult, MonitorState, NavigationSettings, NavigatorSettings
+from wheelsight.navigation.clearance_kernels import CostField
+from wheelsight.navigation.controllers import PurePursuitController
+from wheelsight.navigation.costmap import LiveLayer
+from wheelsight.navigation.path_following import Controller, ControlReason, ControlResult, DrivenPath, MotionState
+from wheelsight.navigation.planner import Plan
+from wheelsight.navigation.planning import CautiousPlan, CautiousPlanner, Look, Planning
 from wheelsight.navigation.senses import Senses
+from wheelsight.navigation.settings import PeopleSettings
 
 SIZE_M = (9.0, 6.0)
 ROOM = walls_about(*SIZE_M)

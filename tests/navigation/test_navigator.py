@@ -11,9 +11,9 @@ import pytest
 from narrowing import not_none
 from navigation.rooms import Ride, Walls, is_near, walls_about
 
-from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.errors import ArgumentError
-from wheelsight.estimates import Estimate, Status
+from wheelsight.core.errors import ArgumentError
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.messages import STOP, VelocityCommand
 from wheelsight.navigation import (
     BehaviourSettings,
     NavigationReason,
@@ -21,11 +21,11 @@ from wheelsight.navigation import (
     NavigationState,
     NavigatorSettings,
 )
-from wheelsight.navigation.control_values import ControlReason, ControlResult, MotionState
+from wheelsight.navigation.controllers import PurePursuitController
 from wheelsight.navigation.goals import Poses
-from wheelsight.navigation.navigator_settings import HoldSettings
-from wheelsight.navigation.plan_values import Plan
-from wheelsight.navigation.pure_pursuit import PurePursuitController
+from wheelsight.navigation.path_following import ControlReason, ControlResult, MotionState
+from wheelsight.navigation.planner import Plan
+from wheelsight.navigation.settings import HoldSettings
 
 SIZE_M = (8.0, 6.0)
 ROOM = walls_about(*SIZE_M)

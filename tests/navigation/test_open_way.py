@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from wheelsight.navigation import Costmap, Footprint, LiveObstacles
-from wheelsight.navigation.fields import outline_of
-from wheelsight.navigation.open_way import OpenWay, open_way
+from wheelsight.navigation.behaviours import OpenWay, open_way
+from wheelsight.navigation.footprint import outline_of
 
 ROBOT = Footprint.rectangle(0.8, 0.3, 0.6)
 MARGIN_M = 0.1

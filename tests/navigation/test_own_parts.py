@@ -10,9 +10,9 @@ import pytest
 from narrowing import not_none
 from navigation.rooms import Ride, RoomRobot, Told, Walls, is_near, walls_about
 
-from wheelsight.commands import VelocityCommand
-from wheelsight.errors import ArgumentError
-from wheelsight.geometry import FloatArray
+from wheelsight.core.errors import ArgumentError
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import VelocityCommand
 from wheelsight.navigation import (
     ControlReason,
     ControlResult,
@@ -26,7 +26,7 @@ from wheelsight.navigation import (
     PlanReason,
     WorkerBeside,
 )
-from wheelsight.navigation.plan_values import OwnPlanner
+from wheelsight.navigation.planner import OwnPlanner
 
 SIZE_M = (8.0, 6.0)
 ROOM = walls_about(*SIZE_M)

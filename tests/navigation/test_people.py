@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from navigation.unicycle import Camera
 from scipy.stats import chi2
 
-from wheelsight.geometry import FloatArray
+from wheelsight.core.geometry import FloatArray
 from wheelsight.navigation import PeopleSettings, PeopleTracker, Person
-from wheelsight.navigation.constant_velocity import Track
-from wheelsight.navigation.people import discs_of
+from wheelsight.navigation.people import Track, discs_of
 from wheelsight.navigation.surroundings import DepthView
 
 FRAME_S = 0.1

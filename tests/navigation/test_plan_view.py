@@ -9,9 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from navigation.floors import CHAIR, costmap_of
 
-from wheelsight.geometry import FloatArray
+from wheelsight.core.geometry import FloatArray
 from wheelsight.navigation.costmap import Costmap
-from wheelsight.navigation.plan_view import Eye, PlanView
+from wheelsight.navigation.surroundings import PlanView
+from wheelsight.navigation.view_kernels import Eye
 
 EYE = Eye(x=0.35, y=0.0, half_rad=0.47, near_m=0.5, far_m=3.0)
 VIEW = PlanView(CHAIR, EYE)

@@ -7,12 +7,12 @@ import pytest
 from navigation.test_collision_monitor import ALL_AROUND, FULL, NOTHING, Ride, monitor_before, wall
 from navigation.unicycle import CHAIR, Camera
 
-from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.estimates import Status
-from wheelsight.geometry import FloatArray
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import STOP, VelocityCommand
 from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason, MonitorState
-from wheelsight.navigation.fields import outline_of
-from wheelsight.navigation.monitor_settings import MonitorSettings
+from wheelsight.navigation.footprint import outline_of
+from wheelsight.navigation.settings import MonitorSettings
 from wheelsight.navigation.surroundings import Surroundings
 
 KINECT = Camera(half_angle_rad=0.47, near_m=1.9)

@@ -9,7 +9,7 @@ import pytest
 from narrowing import not_none
 from navigation.rooms import Ride, Walls, walls_about
 
-from wheelsight.estimates import Status
+from wheelsight.core.estimates import Status
 from wheelsight.navigation import (
     BehaviourSettings,
     MonitorState,

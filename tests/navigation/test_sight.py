@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wheelsight.navigation.costmap import CellState
-from wheelsight.navigation.sight import Sight, marks
+from wheelsight.navigation.exploration import Sight, marks
 
 CELL_M = 0.05
 SIGHT = Sight(1.0, 3.0, 0.5)

@@ -9,18 +9,17 @@ import pytest
 from narrowing import not_none
 from rehearsed_drive import QUICK, T_BASE_CAMERA
 
-from wheelsight.calibration import Calibration
-from wheelsight.commands import VelocityCommand
+from wheelsight.app.run.kernel_process import DrawnRobot, ToldPlace, drawn_room
+from wheelsight.app.run.kernels import WHEELS
 from wheelsight.config import load_config
-from wheelsight.errors import DeviceError
-from wheelsight.estimates import Estimate, Status
-from wheelsight.events import Event, RgbdFrame, WheelTicks
-from wheelsight.geometry import PinholeCamera
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import DeviceError
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.core.messages import Event, RgbdFrame, VelocityCommand, WheelTicks
+from wheelsight.core.robots import STOPPED
 from wheelsight.navigation import KnownFloor, NavigationReason, NavigationState, Navigator, Planned, WorkerInStep
 from wheelsight.navigation.collision_monitor import CAMERA_SILENT_S, MonitorReason, MonitorState
-from wheelsight.pipeline.navigation_rehearsal import DrawnRobot, ToldPlace, drawn_room
-from wheelsight.pipeline.rehearsal import WHEELS
-from wheelsight.robots import STOPPED
 
 THERE, BACK = (0.9, 0.5), (-1.3, -0.4)
 # As in rehearsed drives, but small: frames are drawn for a minute of driving.

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import settings as examples
 from hypothesis import strategies as st
 
-from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.errors import ArgumentError
+from wheelsight.core.errors import ArgumentError
+from wheelsight.core.messages import STOP, VelocityCommand
 from wheelsight.navigation import RobotLimits
-from wheelsight.navigation.velocity_ramp import VelocityRamp
+from wheelsight.navigation.navigator import VelocityRamp
 
 LIMITS = RobotLimits()
 anything = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-2, 2)

@@ -9,11 +9,11 @@ import pytest
 from narrowing import not_none
 from navigation.rooms import WHEELS
 
-from wheelsight.estimates import Estimate, Status
-from wheelsight.events import WheelTicks
-from wheelsight.geometry import se3
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import WheelTicks
 from wheelsight.navigation.localization import WhereNow
-from wheelsight.navigation.navigator_settings import HoldSettings
+from wheelsight.navigation.settings import HoldSettings
 
 SPEED_M_S = 0.5
 PER_M = WHEELS.ticks_per_turn / (2 * np.pi * 0.17)

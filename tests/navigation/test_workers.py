@@ -13,9 +13,9 @@ from narrowing import not_none
 from navigation.rooms import CALIBRATION, Ride, Walls, is_near, walls_about
 from navigation.test_floors import CHAIR, Seen
 
-from wheelsight.errors import MapError
-from wheelsight.estimates import Estimate
-from wheelsight.geometry import se3
+from wheelsight.core.errors import MapError
+from wheelsight.core.estimates import Estimate
+from wheelsight.core.geometry import se3
 from wheelsight.navigation import (
     GrowingFloor,
     NavigationSettings,

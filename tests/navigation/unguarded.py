@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import pytest
 from navigation.rooms import Ride
 
-from wheelsight.commands import VelocityCommand
-from wheelsight.geometry import FloatArray
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import VelocityCommand
+from wheelsight.core.robots import RobotLimits
 from wheelsight.navigation import MonitorResult, MonitorState
-from wheelsight.navigation.control_values import ControlResult, DrivenPath, MotionState
-from wheelsight.navigation.fields import CostField
-from wheelsight.robot_limits import RobotLimits
+from wheelsight.navigation.clearance_kernels import CostField
+from wheelsight.navigation.path_following import ControlResult, DrivenPath, MotionState
 
 FULL = VelocityCommand(RobotLimits().forward_m_s, 0.0)
 

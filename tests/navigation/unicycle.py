@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from wheelsight.commands import VelocityCommand
-from wheelsight.geometry import BoolArray, FloatArray
+from wheelsight.core.geometry import BoolArray, FloatArray
+from wheelsight.core.messages import VelocityCommand
 from wheelsight.navigation import Footprint, RobotLimits
-from wheelsight.navigation.control_values import Controller, ControlReason, DrivenPath, MotionState
-from wheelsight.navigation.fields import CostField
+from wheelsight.navigation.clearance_kernels import CostField
+from wheelsight.navigation.path_following import Controller, ControlReason, DrivenPath, MotionState
 from wheelsight.navigation.surroundings import DepthView
 
 CHAIR = Footprint.rectangle(0.8, 0.3, 0.6)

@@ -9,12 +9,12 @@ from odometry.views import room_frames
 from scipy.spatial.transform import Rotation
 from synthetic import CAMERA, wobbling_trajectory
 
-from wheelsight.calibration import Calibration
-from wheelsight.errors import CalibrationError
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.odometry.dense import DenseOdometry
-from wheelsight.odometry.features import FeatureOdometry
-from wheelsight.odometry.frame_error import frame_covariance, with_frame_error
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.camera_errors import frame_covariance, with_frame_error
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.vision.dense import DenseOdometry
+from wheelsight.vision.features import FeatureOdometry
 
 
 def calibration(sigma_m: float, sigma_rad: float) -> Calibration:

@@ -9,11 +9,11 @@ import numpy as np
 from narrowing import not_none
 from synthetic import CAMERA, render_room
 
-from wheelsight.calibration import Calibration
-from wheelsight.estimates import Estimate
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
-from wheelsight.odometry.features import FeatureOdometry, FeatureSettings
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Estimate
+from wheelsight.core.geometry import FloatArray, PinholeCamera, se3, so3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.vision.features import FeatureOdometry, FeatureSettings
 
 FRAME_S = 1 / 30
 E_co = TypeVar("E_co", bound=Estimate, covariant=True)

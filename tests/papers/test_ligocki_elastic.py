@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from synthetic import make_tum_recording
 
-from wheelsight.geometry import FloatArray, so3
+from wheelsight.core.geometry import FloatArray, so3
 from wheelsight.mapping import SurfelMap, Surfels
 
 pytest.importorskip("matplotlib", reason="the papers' scripts need the extra 'papers'")

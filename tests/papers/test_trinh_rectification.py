@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 import pytest
 
-from wheelsight.errors import InputError
-from wheelsight.geometry import se3
+from wheelsight.core.errors import InputError
+from wheelsight.core.geometry import se3
 
 pytest.importorskip("matplotlib", reason="the papers' scripts need the extra 'papers'")
 pytest.importorskip("mujoco", reason="this script simulates")
@@ -38,7 +38,7 @@ def parts(project_folder: Path) -> Iterator[dict[str, ModuleType]]:
 
 @pytest.fixture(scope="module")
 def world() -> Any:
-    from wheelsight.simulation import build_world
+    from wheelsight_sim import build_world
 
     return build_world("floor4", 0)
 
@@ -160,7 +160,7 @@ def test_answers_for_weights_come_from_forests_that_have_not_seen_the_drive(
 def test_drives_are_kept_and_not_made_again(
     parts: dict[str, ModuleType], world: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from wheelsight.simulation import SimulationSettings
+    from wheelsight_sim import SimulationSettings
 
     drives = parts["_trinh_drives"]
     wanted = [drives.DriveSettings(SimulationSettings(seed=seed), 40) for seed in (1, 2)]

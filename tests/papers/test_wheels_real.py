@@ -10,11 +10,12 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from wheelsight.calibration import Calibration, Wheels
-from wheelsight.events import WheelTicks, YawRate
-from wheelsight.odometry.wheels import integrate_log
-from wheelsight.recordings import RecordingWriter
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.messages import WheelTicks, YawRate
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings import RecordingWriter
+from wheelsight.wheels import integrate_log
 
 pytest.importorskip("matplotlib", reason="the papers' scripts need the extra 'papers'")
 

@@ -12,8 +12,8 @@ import pytest
 from matplotlib.text import Text
 from synthetic import make_tum_recording
 
-from wheelsight.geometry import se3
-from wheelsight.trajectory import Trajectory, read_tum, write_tum
+from wheelsight.core.geometry import se3
+from wheelsight.core.trajectory import Trajectory, read_tum, write_tum
 
 pytest.importorskip("matplotlib", reason="the papers' scripts need the extra 'papers'")
 

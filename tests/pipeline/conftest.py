@@ -6,7 +6,7 @@ import pytest
 from stand_ins import TrueOdometry, leave_pages_bare
 from synthetic import wobbling_trajectory
 
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.trajectory import Trajectory
 
 
 @pytest.fixture
@@ -18,7 +18,7 @@ def truth() -> Trajectory:
 def true_odometry(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, truth: Trajectory) -> None:
     if "real_odometry" not in request.fixturenames:
         TrueOdometry.truth = truth
-        monkeypatch.setattr("wheelsight.localizer._camera.FeatureOdometry", TrueOdometry)
+        monkeypatch.setattr("wheelsight.estimation.camera_localizer.FeatureOdometry", TrueOdometry)
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ from itertools import count
 
 from stand_ins import CAMERA, frame
 
-from wheelsight.calibration import Calibration
-from wheelsight.events import Event, WheelTicks
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.messages import Event, WheelTicks
+from wheelsight.core.trajectory import Trajectory
 
 CAMERA_ALONE = Calibration.registered_camera(CAMERA)
 

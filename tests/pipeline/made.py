@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 from stand_ins import MemoryRecording, frame
 
-from wheelsight.calibration import Calibration, Wheels
 from wheelsight.config import load_config
-from wheelsight.events import Event, WheelTicks
-from wheelsight.geometry import se3
-from wheelsight.odometry.wheels import integrate_log
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import Event, WheelTicks
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.wheels import integrate_log
 
 FILES = {"trajectory.txt", "covariances.csv", "status.csv", "metrics.json", "config.yaml", "report.html"}
 OF_ONE = {"trajectory.txt", "covariances.csv", "status.csv", "metrics.json"}

@@ -12,17 +12,16 @@ from navigation.rooms import CELL_M, MOUNT, WHEELS, Ride, RoomRobot, Told, Wall,
 from places.seen_room import frame_at, kept, seen
 from synthetic import BOXES, CAMERA, ROOM
 
-from wheelsight.calibration import Calibration
-from wheelsight.commands import VelocityCommand
 from wheelsight.config import KnownMapSettings, load_config
-from wheelsight.events import Event
-from wheelsight.geometry import se3
-from wheelsight.keyframes import Keyframe, KeyframeStore
-from wheelsight.localizer import Localizer, LocalizerInStep
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import Keyframe, KeyframeStore
+from wheelsight.core.messages import Event, VelocityCommand
+from wheelsight.estimation import Localizer, LocalizerInStep
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import KnownFloor, Navigator, Transition
 from wheelsight.places.recognition import Recognizer
-from wheelsight.slam.known import KnownMap
+from wheelsight.slam.place_recognition import KnownMap
 
 Pose = tuple[float, float, float]
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from narrowing import not_none
 
+from wheelsight.app.run.drives import drive_in_map
+from wheelsight.app.run.exploring import exploring
 from wheelsight.config import Config, load_config
 from wheelsight.navigation import NavigationState, Navigator
-from wheelsight.pipeline.drives import drive_in_map
-from wheelsight.pipeline.exploring import exploring
-from wheelsight.simulation import SimulationSettings, Simulator
-from wheelsight.slam.sessions import MapFolder
+from wheelsight.slam.maps import MapFolder
+from wheelsight_sim import SimulationSettings, Simulator
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 # Simulated time goes on faster than frames are answered; a robot's does not.

@@ -14,16 +14,16 @@ from narrowing import not_none
 from room_drive import make_room_drive
 from typer.testing import CliRunner
 
-from wheelsight.cli import app
+from wheelsight.app.cli import app
+from wheelsight.app.run import Choice, default_odometry, resolved
+from wheelsight.app.run.run_source import unused_of
+from wheelsight.app.runs import run, run_each
 from wheelsight.config import Config, OdometryName, load_config
-from wheelsight.errors import ConfigError
-from wheelsight.estimates import Estimate
-from wheelsight.localizer import Localizer
-from wheelsight.pipeline import Choice, default_odometry, resolved
-from wheelsight.pipeline.choice import unused_of
-from wheelsight.recordings import open_recording
-from wheelsight.recordings.image_recording import ImageRecording
-from wheelsight.runs import run, run_each
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.estimates import Estimate
+from wheelsight.estimation import Localizer
+from wheelsight.io.recordings import open_recording
+from wheelsight.io.recordings.image_recording import ImageRecording
 
 
 @pytest.fixture(scope="module")

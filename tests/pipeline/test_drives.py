@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from rehearsed_drive import recorded, rehearsed_drive
 
+from wheelsight.app.run.drive_record import write_drive
+from wheelsight.app.run.drives import Drive, Goal, drive_in_map
+from wheelsight.app.run.kernel_process import DrawnRobot
 from wheelsight.config import load_config
-from wheelsight.errors import ArgumentError, ConfigError, DeviceError
+from wheelsight.core.errors import ArgumentError, ConfigError, DeviceError
+from wheelsight.core.trajectory import read_tum
 from wheelsight.navigation import Feedback, NavigationReason, NavigationState
-from wheelsight.pipeline.drive_outputs import write_drive
-from wheelsight.pipeline.drives import Drive, Goal, drive_in_map
-from wheelsight.pipeline.navigation_rehearsal import DrawnRobot
-from wheelsight.trajectory import read_tum
 
 NEAR = Goal.of((-0.7, -0.4), "the middle")
 

@@ -8,7 +8,7 @@ from narrowing import not_none
 from navigation.rooms import Ride, is_near
 from pipeline.painted_drives import Pose, painted_ride
 
-from wheelsight.localizer import Localizer
+from wheelsight.estimation import Localizer
 from wheelsight.navigation import NavigationReason, NavigationState
 
 pytestmark = pytest.mark.slow

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.joined_hour import memory_mb
-from wheelsight.pipeline.free_memory import give_back
+from wheelsight.app.run.track import give_back
 
 PIECE, COUNT = 50_000, 2_000  # 100 MB in pieces that come from the heap
 

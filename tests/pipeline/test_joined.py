@@ -12,13 +12,13 @@ from localizer.joined_drives import CALIBRATION, Drive, Sight, drive, spinning
 from pipeline.made import OF_JOINED, OF_ONE, metrics_in, names_in, status_in
 from stand_ins import MemoryRecording
 
+from wheelsight.app.run import RunRecord
+from wheelsight.app.runs import run_each
 from wheelsight.config import load_config
-from wheelsight.errors import CalibrationError, ConfigError
-from wheelsight.estimates import Reason, Status
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
-from wheelsight.pipeline import RunRecord
-from wheelsight.runs import run_each
-from wheelsight.trajectory import read_tum
+from wheelsight.core.errors import CalibrationError, ConfigError
+from wheelsight.core.estimates import Reason, Status
+from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelTicks
+from wheelsight.core.trajectory import read_tum
 
 JOINED = load_config(overrides={"odometry": "wheels,features"})
 BLACKOUT = Sight(Reason.TOO_LITTLE_DEPTH)
@@ -34,7 +34,7 @@ def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Runner:
     """Runs wheels, the camera that sees a drive, and both joined; their records by name, the files in `tmp_path`."""
 
     def run(made: Drive, given: MemoryRecording | None = None, **settings: object) -> dict[str, RunRecord]:
-        monkeypatch.setattr("wheelsight.localizer._camera.FeatureOdometry", lambda *_, **__: made.eye())
+        monkeypatch.setattr("wheelsight.estimation.camera_localizer.FeatureOdometry", lambda *_, **__: made.eye())
         config = load_config(overrides={"odometry": "wheels,features"} | settings)
         return {record.odometry: record for record in run_each(given or recording(made), config, tmp_path)}
 

@@ -15,16 +15,16 @@ from room_drive import make_room_drive
 from stand_ins import MemoryRecording
 from synthetic import make_tum_recording
 
+from wheelsight.app.run import MAP_FILE, run_each
+from wheelsight.app.runs import run
 from wheelsight.config import Config, load_config
-from wheelsight.errors import OutputError
-from wheelsight.geometry import se3
-from wheelsight.pipeline import MAP_FILE, run_each
-from wheelsight.recordings import open_recording
-from wheelsight.ros_map import FREE, UNKNOWN, read_ros_map
-from wheelsight.runs import run
+from wheelsight.core.errors import OutputError
+from wheelsight.core.geometry import se3
+from wheelsight.io.recordings import open_recording
+from wheelsight.io.ros_map import FREE, UNKNOWN, read_ros_map
 from wheelsight.slam import GtsamPoseGraph, OwnPoseGraph
 from wheelsight.slam.graph import Prior
-from wheelsight.slam.sessions import MapFolder, find_map
+from wheelsight.slam.maps import MapFolder, find_map
 
 pytestmark = pytest.mark.usefixtures("real_odometry")
 KEPT = {"odometry": "dense", "sessions.keep_map": True, "dense.keyframe_way_m": 0.01, "dense.keyframe_overlap": 0.97}

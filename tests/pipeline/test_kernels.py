@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from wheelsight import open_recording
+from wheelsight.app.run import kernels
+from wheelsight.app.run.kernels import write_rehearsal
 from wheelsight.config import load_config
-from wheelsight.errors import OutputError
-from wheelsight.events import RgbdFrame
-from wheelsight.pipeline import kernels
-from wheelsight.pipeline.rehearsal import write_rehearsal
-from wheelsight.simulation import SimulationSettings, WheelFaults, simulate, write_simulation
+from wheelsight.core.errors import OutputError
+from wheelsight.core.messages import RgbdFrame
+from wheelsight_sim import SimulationSettings, WheelFaults, simulate, write_simulation
 
 
 @pytest.fixture

@@ -16,14 +16,14 @@ from pipeline.two_days import CALIBRATION, FIRST_DAY, OTHER_ROOM, SECOND_DAY, co
 from stand_ins import MemoryRecording
 from synthetic import CAMERA
 
-from wheelsight.calibration import Calibration
+from wheelsight.app.run import RunRecord, Tone, verdict_of
+from wheelsight.app.runs import run
 from wheelsight.config import Config, load_config
-from wheelsight.errors import MapError
-from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
-from wheelsight.pipeline import RunRecord, Tone, verdict_of
-from wheelsight.runs import run
-from wheelsight.slam.sessions import MapFolder, lie_together
-from wheelsight.trajectory import read_tum
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import MapError
+from wheelsight.core.geometry import FloatArray, PinholeCamera, se3, so3
+from wheelsight.core.trajectory import read_tum
+from wheelsight.slam.maps import MapFolder, lie_together
 
 pytestmark = pytest.mark.usefixtures("real_odometry")
 SETTINGS = {"odometry": "dense", "loops.source": "keyframes", "loops.latency_s": 0.3, "loops.seen.apart_s": 2.5}

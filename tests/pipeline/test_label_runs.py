@@ -5,7 +5,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.pipeline.label_runs import runs
+from wheelsight.app.run.verdict import runs
 
 
 @given(st.lists(st.sampled_from("ab"), max_size=60))

@@ -11,16 +11,16 @@ from pipeline.live import Live
 from pipeline.made import BOTH, BY_FEATURES, FILES, WHEELS, frames_at, metrics_in, mixed_recording
 from stand_ins import CAMERA, MemoryRecording
 
-from wheelsight.calibration import Calibration
+from wheelsight.app.run import Choice, default_odometry
+from wheelsight.app.runs import run, run_each
 from wheelsight.config import Config, load_config
-from wheelsight.errors import ConfigError
-from wheelsight.events import RgbdFrame
-from wheelsight.localizer import Localizer
-from wheelsight.pipeline import Choice, default_odometry
-from wheelsight.recordings import Recording
-from wheelsight.runs import run, run_each
-from wheelsight.sources import EventSource
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.robots import EventSource
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.estimation import Localizer
+from wheelsight.io.recordings import Recording
 
 MOUNT = np.array([[0.0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.2], [0, 0, 0, 1]])
 

@@ -13,17 +13,18 @@ import numpy as np
 import pytest
 from hand_fed_camera import CALIBRATION, HandFedCamera, live_frame
 
-from wheelsight.calibration import Calibration, Wheels
+from wheelsight.app.run import Choice, InRealTime, LiveSensors, LiveSource, default_odometry
+from wheelsight.app.run.kernels import DrawnDrive
 from wheelsight.config import Config
-from wheelsight.devices import WheelLink, host_clock
-from wheelsight.devices.live_camera import CameraStatus
-from wheelsight.devices.recorder import LiveRecorder
-from wheelsight.devices.simulated_controller import SimulatedController
-from wheelsight.errors import ConfigError
-from wheelsight.events import AngularVelocity, Event, RgbdFrame, WheelTicks, YawRate
-from wheelsight.pipeline import Choice, InRealTime, LiveSensors, LiveSource, default_odometry
-from wheelsight.pipeline.rehearsal import DrawnDrive
-from wheelsight.recordings import Recording, RecordingWriter, open_recording
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.messages import AngularVelocity, Event, RgbdFrame, WheelTicks, YawRate
+from wheelsight.io.devices import WheelLink, host_clock
+from wheelsight.io.devices.live_camera import CameraStatus
+from wheelsight.io.devices.recorder import LiveRecorder
+from wheelsight.io.devices.simulated_controller import SimulatedController
+from wheelsight.io.recordings import Recording, RecordingWriter, open_recording
 
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0, counter_bits=16)
 MOUNT = np.array([[0.0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.2], [0, 0, 0, 1]])

@@ -11,10 +11,10 @@ import pytest
 from mapping.scenes import peak_bytes
 from narrowing import not_none
 
-from wheelsight.estimates import Estimate, Status
-from wheelsight.geometry import se3
-from wheelsight.pipeline import lived_poses
-from wheelsight.pipeline.lived_poses import LivedPoses
+from wheelsight.app.run import track as lived_poses
+from wheelsight.app.run.track import LivedPoses
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.geometry import se3
 
 COUNT = 50
 

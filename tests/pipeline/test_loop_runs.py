@@ -10,12 +10,12 @@ import pytest
 from pipeline.made import FILES, metrics_in, names_in, wheel_recording
 from room_drive import make_room_drive
 
+from wheelsight.app.report import sections as loop_figures
+from wheelsight.app.runs import run
 from wheelsight.config import load_config
-from wheelsight.errors import ConfigError
-from wheelsight.recordings import OpenOptions, open_recording
-from wheelsight.report import loop_figures
-from wheelsight.runs import run
-from wheelsight.trajectory import read_tum
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.trajectory import read_tum
+from wheelsight.io.recordings import OpenOptions, open_recording
 
 BY_MATCHES = load_config(overrides={"odometry": "wheels", "loops.source": "matches"})
 
@@ -60,7 +60,7 @@ def test_a_run_leaves_both_ways_and_says_what_became_of_matches(tmp_path: Path) 
     assert loops["matches"] == 3 * len(rows) / 2
     assert loops["not_judged"] == {"its score is low": len(rows) / 2}
     assert record.correction is not None
-    page = loop_figures.section(record)
+    page = loop_figures.loop_section(record)
     assert all(part in page for part in ("as lived", "as known at the end", record.correction.sentence))
     ways = {trace.name for trace in loop_figures.loops_figure(record).data}
     assert {"ground truth", f"kept: {loops['kept']}", f"refused: {loops['refused']}"} <= ways
@@ -119,7 +119,7 @@ def test_loops_of_a_camera_are_closed_on_the_way_and_reported(room: Path, tmp_pa
     assert len(rows) == told["matches"]
     assert all(float(row["stamp_b_s"]) - float(row["stamp_a_s"]) >= 0.3 for row in rows)
     assert record.correction is not None
-    assert "as known at the end" in loop_figures.section(record)
+    assert "as known at the end" in loop_figures.loop_section(record)
     # The same recording gives the same bytes, whatever the thread's pace was.
     run(open_recording(room), load_config(overrides=overrides | loops), tmp_path / "again")
     for name in ("trajectory.txt", "trajectory_corrected.txt", "loops_judged.csv"):

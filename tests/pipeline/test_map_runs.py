@@ -13,14 +13,14 @@ from room_drive import make_room_drive
 from stand_ins import MemoryRecording
 from synthetic import make_tum_recording
 
+from wheelsight.app.run import MAP_FILE
+from wheelsight.app.runs import run, run_each
 from wheelsight.config import Config, load_config
-from wheelsight.errors import RecordingError
-from wheelsight.events import Event, RgbdFrame
+from wheelsight.core.errors import RecordingError
+from wheelsight.core.messages import Event, RgbdFrame
+from wheelsight.io.recordings import Recording, open_recording
 from wheelsight.mapping import SurfelMap, load_map
-from wheelsight.pipeline import MAP_FILE
-from wheelsight.recordings import Recording, open_recording
-from wheelsight.runs import run, run_each
-from wheelsight.slam.sessions import MapFolder
+from wheelsight.slam.maps import MapFolder
 
 pytestmark = pytest.mark.usefixtures("real_odometry")
 

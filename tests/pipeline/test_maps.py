@@ -13,18 +13,18 @@ from numpy.testing import assert_allclose, assert_array_equal
 from room_drive import make_room_drive
 from stand_ins import frame
 
-from wheelsight.calibration import Calibration
+from wheelsight.app.run import MAP_FILE, run_each
+from wheelsight.app.run.maps import Stops, map_record_of
+from wheelsight.app.run.run_source import spread
 from wheelsight.config import load_config
-from wheelsight.estimates import Estimate, Status
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, se3
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import read_tum
+from wheelsight.io.recordings import open_recording
+from wheelsight.io.recordings.image_recording import ImageRecording
 from wheelsight.mapping import SurfelMap, load_map, surfels
-from wheelsight.pipeline import MAP_FILE, run_each
-from wheelsight.pipeline.maps import Stops, map_record_of
-from wheelsight.pipeline.origin import spread
-from wheelsight.recordings import open_recording
-from wheelsight.recordings.image_recording import ImageRecording
-from wheelsight.trajectory import read_tum
 
 
 def seen_along(T_odom_map: list[FloatArray]) -> tuple[Stops, SurfelMap]:

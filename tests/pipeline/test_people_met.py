@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from rehearsed_drive import recorded, rehearsed_drive
 
+from wheelsight.app.run.drives import Goal
 from wheelsight.navigation.people import Person
-from wheelsight.pipeline.drives import Goal
 
 
 def test_a_person_beside_the_robot_is_kept_with_his_distance(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,15 +11,15 @@ from pipeline.made import OF_JOINED, OF_ONE, metrics_in, names_in, status_in
 from places.made import trained
 from stand_ins import MemoryRecording
 
-from wheelsight.areas import Area, AreaMap, save_areas
+from wheelsight.app.run import RectificationRecord, RunRecord
+from wheelsight.app.runs import run, run_each
 from wheelsight.config import load_config
-from wheelsight.errors import AreaError, InputError, PlaceError
-from wheelsight.events import RgbdFrame, SkippedFrame, WheelTicks
-from wheelsight.geometry import PinholeCamera, se3
-from wheelsight.pipeline import RectificationRecord, RunRecord
+from wheelsight.core.areas import Area, AreaMap, save_areas
+from wheelsight.core.errors import AreaError, InputError, PlaceError
+from wheelsight.core.geometry import PinholeCamera, se3
+from wheelsight.core.messages import RgbdFrame, SkippedFrame, WheelTicks
+from wheelsight.core.trajectory import Trajectory, read_tum
 from wheelsight.places import read_labels
-from wheelsight.runs import run, run_each
-from wheelsight.trajectory import Trajectory, read_tum
 
 pytestmark = pytest.mark.usefixtures("real_odometry")
 

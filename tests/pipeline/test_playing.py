@@ -9,11 +9,11 @@ import pytest
 from stand_ins import frame
 from virtual_time import VirtualClock
 
-from wheelsight.errors import RecordingError
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks, YawRate
-from wheelsight.pipeline.playing import THREAD, MonotonicClock, Playing
-from wheelsight.recordings import ListedFrame
-from wheelsight.settings import RealTimeSettings
+from wheelsight.app.run.realtime import THREAD, MonotonicClock, Playing
+from wheelsight.core.errors import RecordingError
+from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelTicks, YawRate
+from wheelsight.core.settings import RealTimeSettings
+from wheelsight.io.recordings import ListedFrame
 
 START_S = 5e8
 Said = tuple[float, Event]

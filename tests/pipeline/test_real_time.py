@@ -19,19 +19,18 @@ from room_drive import make_room_drive
 from stand_ins import MemoryRecording, TrueOdometry, frame
 from virtual_time import VirtualClock
 
-from wheelsight.calibration import Wheels
+from wheelsight.app.run import FrameRecord, RealTimeRecording, RunRecord, in_real_time
+from wheelsight.app.run.realtime import THREAD, LiveWheels
+from wheelsight.app.runs import run, run_each
+from wheelsight.app.telemetry import Telemetry
 from wheelsight.config import load_config
-from wheelsight.devices import TelemetryPipe
-from wheelsight.devices.simulated_controller import SimulatedController
-from wheelsight.errors import ConfigError, DeviceError, RecordingError
-from wheelsight.events import RgbdFrame, WheelTicks
-from wheelsight.pipeline import FrameRecord, RealTimeRecording, RunRecord, in_real_time
-from wheelsight.pipeline.live_wheels import LiveWheels
-from wheelsight.pipeline.playing import THREAD
-from wheelsight.recordings import ListedFrame, Recording, open_recording
-from wheelsight.runs import run, run_each
-from wheelsight.telemetry import Telemetry
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import ConfigError, DeviceError, RecordingError
+from wheelsight.core.messages import RgbdFrame, WheelTicks
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.devices import TelemetryPipe
+from wheelsight.io.devices.simulated_controller import SimulatedController
+from wheelsight.io.recordings import ListedFrame, Recording, open_recording
 
 JOINED = load_config(overrides={"odometry": "wheels,features"})
 BY_PAPER = load_config(overrides={"odometry": "wheels,features", "fusion": "ligocki"})  # asks little of a stand-in

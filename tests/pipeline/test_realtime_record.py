@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from wheelsight.pipeline import RealTimeRecord
+from wheelsight.app.run import RealTimeRecord
 
 
 def test_the_sentence_says_rate_and_latency() -> None:

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from rehearsed_drive import CALIBRATION, recorded, rehearsed_drive
 
-from wheelsight.calibration import Calibration
-from wheelsight.errors import ArgumentError, CalibrationError, TrajectoryError
-from wheelsight.geometry import se3
+from wheelsight.app.run.drives import read_way
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import ArgumentError, CalibrationError, TrajectoryError
+from wheelsight.core.geometry import se3
+from wheelsight.core.trajectory import Trajectory, write_tum
+from wheelsight.io.recordings import express_for
 from wheelsight.navigation import NavigationState
-from wheelsight.pipeline.recorded_ways import read_way
-from wheelsight.recordings import express_for
-from wheelsight.trajectory import Trajectory, write_tum
 
 WAY = np.array([(-1.3, -0.4, 0.0), (-1.0, -0.4, 0.1), (-0.7, -0.37, 0.1)])
 

@@ -21,16 +21,16 @@ from pipeline.made import (
 from stand_ins import MemoryRecording, TrueOdometry
 from synthetic import make_tum_recording
 
+from wheelsight.app.report import summarise
+from wheelsight.app.run.track import DEPTH_MISPLACED, DEPTH_MISSING, DEPTH_SCARCE, Track
+from wheelsight.app.runs import run
 from wheelsight.config import Config, load_config
-from wheelsight.errors import OutputError, RecordingError
-from wheelsight.estimates import Estimate, Reason, Status
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
-from wheelsight.pipeline.track import DEPTH_MISPLACED, DEPTH_MISSING, DEPTH_SCARCE, Track
-from wheelsight.recordings import open_recording
-from wheelsight.recordings.protocol import LeftOut
-from wheelsight.report import summarise
-from wheelsight.runs import run
-from wheelsight.trajectory import Trajectory, read_tum
+from wheelsight.core.errors import OutputError, RecordingError
+from wheelsight.core.estimates import Estimate, Reason, Status
+from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelTicks
+from wheelsight.core.trajectory import Trajectory, read_tum
+from wheelsight.io.recordings import open_recording
+from wheelsight.io.recordings.recording import LeftOut
 
 
 def test_a_run_leaves_every_file_and_a_true_trajectory(tmp_path: Path, truth: Trajectory) -> None:

@@ -18,11 +18,11 @@ from pipeline.made import (
 from room_drive import make_room_drive
 from stand_ins import MemoryRecording
 
+from wheelsight.app.runs import run, run_each
 from wheelsight.config import load_config
-from wheelsight.errors import ConfigError
-from wheelsight.recordings import image_recording, open_recording
-from wheelsight.runs import run, run_each
-from wheelsight.trajectory import Trajectory, read_tum
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.trajectory import Trajectory, read_tum
+from wheelsight.io.recordings import image_recording, open_recording
 
 
 @pytest.mark.slow

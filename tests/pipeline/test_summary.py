@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from run_example import empty_run, example_run
 
-from wheelsight.estimates import Reason, Status
-from wheelsight.pipeline import FrameRecord, RunRecord
-from wheelsight.report import summarise
+from wheelsight.app.report import summarise
+from wheelsight.app.run import FrameRecord, RunRecord
+from wheelsight.core.estimates import Reason, Status
 
 
 def _with_statuses(*statuses: str) -> RunRecord:

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 from room_drive import make_room_drive
 
+from wheelsight.app.runs import run
 from wheelsight.config import Config, load_config
-from wheelsight.keyframes import Keyframe
-from wheelsight.recordings import open_recording
-from wheelsight.runs import run
+from wheelsight.core.keyframes import Keyframe
+from wheelsight.io.recordings import open_recording
 
 ODOMETRIES = [load_config(overrides={"odometry": name}) for name in ("features", "dense")]
 BY_NAME = pytest.mark.parametrize("config", ODOMETRIES, ids=lambda config: config.odometry[0])

@@ -13,9 +13,7 @@ from joined_example import joined_run, joined_runs
 from narrowing import not_none
 from run_example import START_S, empty_run, example_run, wheel_run
 
-from wheelsight.estimates import Reason, Status
-from wheelsight.events import NOTHING_MEASURED
-from wheelsight.pipeline import (
+from wheelsight.app.run import (
     Evidence,
     Finding,
     FrameDrops,
@@ -29,10 +27,12 @@ from wheelsight.pipeline import (
     verdict_of,
     verdict_of_run,
 )
-from wheelsight.pipeline.kept_map_record import KnownMapRecord
-from wheelsight.pipeline.track import DEPTH_MISPLACED
-from wheelsight.pipeline.verdict import notes
-from wheelsight.recordings import AssociationReport
+from wheelsight.app.run.run_record import KnownMapRecord
+from wheelsight.app.run.track import DEPTH_MISPLACED
+from wheelsight.app.run.verdict import notes
+from wheelsight.core.estimates import Reason, Status
+from wheelsight.core.messages import NOTHING_MEASURED
+from wheelsight.io.recordings import AssociationReport
 
 JOINED = Evidence(is_joined=True, frames=100, posed=100, slip=0.0, doubtful=0.0, degenerate=0.0)
 GREEN, AMBER, RED = Tone.GREEN, Tone.AMBER, Tone.RED

@@ -16,11 +16,11 @@ from pipeline.made import (
 )
 from stand_ins import MemoryRecording
 
-from wheelsight.errors import CalibrationError, ConfigError
-from wheelsight.estimates import Status
-from wheelsight.events import WheelTicks
-from wheelsight.runs import run
-from wheelsight.trajectory import Trajectory, read_tum
+from wheelsight.app.runs import run
+from wheelsight.core.errors import CalibrationError, ConfigError
+from wheelsight.core.estimates import Status
+from wheelsight.core.messages import WheelTicks
+from wheelsight.core.trajectory import Trajectory, read_tum
 
 
 def test_wheels_leave_every_file_too(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.pipeline import words
+from wheelsight.app.run import words
 
 
 @pytest.mark.parametrize(

@@ -9,10 +9,10 @@ from places.seen_room import frame_at, standing
 from stand_ins import MemoryRecording
 from synthetic import CAMERA
 
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import Trajectory
 
 RATE_HZ, STEP_RAD = 15.0, np.radians(4.0)
 CALIBRATION = Calibration.registered_camera(CAMERA)

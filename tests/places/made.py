@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from wheelsight.events import RgbdFrame
+from wheelsight.core.messages import RgbdFrame
 from wheelsight.places import (
     ForestSettings,
     HistogramDescriber,

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from places.made import NAMES, frame_of
 
-from wheelsight.areas import Area, AreaMap, save_areas
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import PinholeCamera
-from wheelsight.recordings import RecordingWriter
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.areas import Area, AreaMap, save_areas
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings import RecordingWriter
 
 RATE_HZ = 10.0
 ROOM_M = 3.0

@@ -7,12 +7,12 @@ from functools import lru_cache
 import numpy as np
 from synthetic import CAMERA, render_room
 
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, se3, so3
-from wheelsight.keyframes import Keyframe
-from wheelsight.odometry.dense import DenseSettings
-from wheelsight.places.views import SeenView, ViewMaker
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import FloatArray, se3, so3
+from wheelsight.core.keyframes import Keyframe
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.places.recognition import SeenView, ViewMaker
+from wheelsight.vision.dense import DenseSettings
 
 EXACT = Calibration.registered_camera(CAMERA, frame_sigma_m=0.0, frame_sigma_rad=0.0)
 _FORWARDS = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])

@@ -10,10 +10,10 @@ from places.made import NAMES, frame_of
 from places.made_recording import write_drive
 from stand_ins import MemoryRecording
 
-from wheelsight.errors import PlaceError
-from wheelsight.events import SkippedFrame
+from wheelsight.core.errors import PlaceError
+from wheelsight.core.messages import SkippedFrame
+from wheelsight.io.recordings import open_recording
 from wheelsight.places import chosen_frames, label_source, make_sheet, stamps_of
-from wheelsight.recordings import open_recording
 
 
 def test_frames_are_chosen_in_the_middle_of_each_part() -> None:

@@ -11,9 +11,10 @@ from places.made import NAMES, QUICK, SMALL_HISTOGRAMS, frame_of
 from places.made_recording import rooms, straight, write_drive
 from stand_ins import MemoryRecording
 
-from wheelsight.areas import AreaMap, save_areas
-from wheelsight.errors import AreaError, PlaceError
-from wheelsight.events import Event, SkippedFrame, WheelTicks
+from wheelsight.core.areas import AreaMap, save_areas
+from wheelsight.core.errors import AreaError, PlaceError
+from wheelsight.core.messages import Event, SkippedFrame, WheelTicks
+from wheelsight.io.recordings import open_recording
 from wheelsight.places import (
     ForestSettings,
     check_every_area,
@@ -25,7 +26,6 @@ from wheelsight.places import (
     stamps_of,
     train_on_drives,
 )
-from wheelsight.recordings import open_recording
 
 TRUE = [0] * 20 + [1] * 20 + [2] * 20
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from places.seen_room import EXACT, kept, maker, ring, seen, standing
 
-from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeId, KeyframeStore
-from wheelsight.places.finding import PlaceFinder
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import KeyframeId, KeyframeStore
+from wheelsight.places.place_finder import PlaceFinder
 from wheelsight.places.recognition import Recognizer
 from wheelsight.places.verification import PlaceVerifier, Refusal, RefusedPlace, VerifiedPlace
 

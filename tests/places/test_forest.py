@@ -10,10 +10,10 @@ from odometry.plain_kernels import plain
 from places.made import overlapped
 from sklearn.ensemble import RandomForestClassifier
 
-from wheelsight.errors import PlaceError
+from wheelsight.core.errors import PlaceError
 from wheelsight.places import Forest, ForestSettings, grow_forest
-from wheelsight.places import _kernels as compiled
-from wheelsight.places.forest import flatten
+from wheelsight.places import describer_kernels as compiled
+from wheelsight.places.model import flatten
 
 
 def entropy(labels: np.ndarray) -> float:

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.calibration import DepthNoise
-from wheelsight.geometry import se3
-from wheelsight.odometry.dense.grid import Level
-from wheelsight.places.free_space import intrusion, shown_share
-from wheelsight.settings import PlaceVerificationSettings
+from wheelsight.core.calibration_parts import DepthNoise
+from wheelsight.core.geometry import se3
+from wheelsight.core.settings import PlaceVerificationSettings
+from wheelsight.places.verification import intrusion, shown_share
+from wheelsight.vision.dense.pyramid import Level
 
 NOISE, SETTINGS = DepthNoise(0.001, 0.001425, 0.3, 10.0), PlaceVerificationSettings()
 SHAPE, INTRINSICS = (60, 80), np.array([65.0, 65.0, 39.5, 29.5])

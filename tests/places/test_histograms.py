@@ -10,10 +10,10 @@ from odometry.plain_kernels import plain
 from places.made import frame_of
 from pydantic import ValidationError
 
-from wheelsight.errors import PlaceError
-from wheelsight.events import RgbdFrame
+from wheelsight.core.errors import PlaceError
+from wheelsight.core.messages import RgbdFrame
 from wheelsight.places import HistogramDescriber, HistogramSettings, describer_from
-from wheelsight.places import _kernels as compiled
+from wheelsight.places import describer_kernels as compiled
 
 COUNTS = HistogramSettings(scale="counts", missing="own_bin", step_px=1)
 

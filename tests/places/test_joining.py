@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeId
-from wheelsight.places.joining import distance_chi2, joined
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.core.settings import PlaceVerificationSettings
+from wheelsight.places.place_finder import distance_chi2, joined
 from wheelsight.places.verification import VerifiedPlace
-from wheelsight.settings import PlaceVerificationSettings
 
 SETTINGS, CERTAIN = PlaceVerificationSettings(), np.zeros((6, 6))
 T_FIRST_SECOND = se3.exp([0.4, -0.1, 0.2, 0.05, 0.3, -0.02])

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from places.made_recording import rooms, straight
 
-from wheelsight.errors import AreaError
+from wheelsight.core.errors import AreaError
 from wheelsight.places import labels_on_the_way, read_labels
-from wheelsight.places.labels import natural_order
+from wheelsight.places.dataset import natural_order
 
 NAMES = ("corridor", "hall", "lift")
 STAMPS_S = np.arange(0, 10, 0.5)

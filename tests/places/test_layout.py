@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from odometry.plain_kernels import plain
 from places.made import frame_of
 
-from wheelsight.events import RgbdFrame
+from wheelsight.core.messages import RgbdFrame
 from wheelsight.places import LayoutDescriber, LayoutSettings, describer_from
-from wheelsight.places import _layout_kernels as compiled
+from wheelsight.places import describer_kernels as compiled
 
 FOCAL = 0.9
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from places.made import NAMES, QUICK, SMALL_HISTOGRAMS, drive_through, frame_of, overlapped, trained
 
-from wheelsight.areas import Area, AreaMap
-from wheelsight.errors import PlaceError
-from wheelsight.events import RgbdFrame
+from wheelsight.core.areas import Area, AreaMap
+from wheelsight.core.errors import PlaceError
+from wheelsight.core.messages import RgbdFrame
 from wheelsight.places import (
     ForestSettings,
     HistogramDescriber,

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from benchmarks import places
-from wheelsight.geometry import se3
+from wheelsight.core.geometry import se3
+from wheelsight.core.trajectory import Trajectory
 from wheelsight.places import HistogramDescriber, HistogramSettings
-from wheelsight.trajectory import Trajectory
 
 TIMES = places.PlaceTimes("histograms", 0.3, 0.4, 8.0, 2.0)
 

@@ -11,14 +11,15 @@ from hypothesis import strategies as st
 from places.seen_room import kept, ring, seen, standing
 from pydantic import ValidationError
 
-from wheelsight.errors import ArgumentError, MapError
-from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeId
-from wheelsight.places import _likeness_kernels, _word_kernels, kept_words
-from wheelsight.places.ferns import Ferns
-from wheelsight.places.recognition import Recognizer
+from wheelsight.core.errors import ArgumentError, MapError
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.core.settings import FernSettings, RecognitionSettings, WordSettings
+from wheelsight.places import recognition_kernels as _likeness_kernels
+from wheelsight.places import recognition_kernels as _word_kernels
+from wheelsight.places import vocabulary as kept_words
+from wheelsight.places.recognition import Ferns, Recognizer
 from wheelsight.places.vocabulary import Vocabulary
-from wheelsight.settings import FernSettings, RecognitionSettings, WordSettings
 
 SETTINGS = WordSettings(split_at=8, branching=3)
 
@@ -193,7 +194,7 @@ def test_light_changes_few_ferns_and_another_view_changes_most():
     dimmed = ferns.code(depth_m, np.where(grey > 0, 0.5 * grey + 20, grey).astype(np.float32))
     codes = np.stack([dimmed, ferns.code(*_images(seen(ring()[15])))])
     like = np.empty(2, np.float32)
-    _likeness_kernels.likeness(codes, ferns.code(depth_m, grey), like)
+    _likeness_kernels.likeness_kernel(codes, ferns.code(depth_m, grey), like)
     assert like[0] > 0.98
     assert like[1] < 0.5
 
@@ -214,7 +215,7 @@ def test_likeness_counts_ferns_of_four_bits(seed):
     few = rng.integers(0, 4, (6, 32), np.uint8)  # of few values, so that some are alike
     packed = (few.reshape(6, 2, 16).astype(np.uint64) << np.arange(0, 64, 4, dtype=np.uint64)).sum(axis=2)
     like = np.empty(6, np.float32)
-    _likeness_kernels.likeness(packed.astype(np.uint64), packed[0].astype(np.uint64), like)
+    _likeness_kernels.likeness_kernel(packed.astype(np.uint64), packed[0].astype(np.uint64), like)
     assert like == pytest.approx((few == few[0]).mean(axis=1))
 
 

@@ -15,8 +15,9 @@ from places.made import NAMES, QUICK, drive_through, frame_of, trained
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.preprocessing import FunctionTransformer
 
-from wheelsight.errors import OutputError, PlaceError
-from wheelsight.places import HistogramDescriber, LayoutDescriber, PlaceModel, describe_all, storage, train_places
+from wheelsight.core.errors import OutputError, PlaceError
+from wheelsight.places import HistogramDescriber, LayoutDescriber, PlaceModel, describe_all, train_places
+from wheelsight.places import model as storage
 
 
 @pytest.fixture

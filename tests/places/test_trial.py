@@ -10,8 +10,8 @@ import pytest
 from places.made import drive_through, frame_of, trained
 from sklearn.metrics import confusion_matrix
 
-from wheelsight.errors import PlaceError
-from wheelsight.events import RgbdFrame
+from wheelsight.core.errors import PlaceError
+from wheelsight.core.messages import RgbdFrame
 from wheelsight.places import PlaceTrial, answer_all, predictions_csv, read_labels, try_places
 
 

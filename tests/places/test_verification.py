@@ -8,13 +8,13 @@ from odometry.dense.scenes import Plane, render
 from places.seen_room import EXACT, frame_at, kept, maker, seen, standing
 from synthetic import CAMERA
 
-from wheelsight.calibration import PointErrors
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import se3, so3
-from wheelsight.keyframes import KeyframeFeatures, KeyframeId
-from wheelsight.odometry.dense.observability import judge as real_judge
+from wheelsight.core.depth_errors import PointErrors
+from wheelsight.core.geometry import se3, so3
+from wheelsight.core.keyframes import KeyframeFeatures, KeyframeId
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.places.recognition import SeenView
 from wheelsight.places.verification import PlaceVerifier, Refusal, RefusedPlace, VerifiedPlace
-from wheelsight.places.views import SeenView
+from wheelsight.vision.dense.alignment import judge as real_judge
 
 ID = KeyframeId(4)
 HOME = standing(-1.2, 0.0, 0.0)

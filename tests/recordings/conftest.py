@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from synthetic import make_tum_recording
 
-from wheelsight.geometry import PinholeCamera
+from wheelsight.core.geometry import PinholeCamera
 
 SMALL_CAMERA = PinholeCamera(64, 48, 52.0, 52.0, 31.5, 23.5)
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from narrowing import of_type
 
-from wheelsight.errors import RecordingError
-from wheelsight.recordings import open_recording
-from wheelsight.recordings.image_recording import ImageRecording
+from wheelsight.core.errors import RecordingError
+from wheelsight.io.recordings import open_recording
+from wheelsight.io.recordings.image_recording import ImageRecording
 
 
 def columns(folder: Path) -> tuple[list[str], list[str]]:

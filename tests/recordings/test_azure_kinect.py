@@ -13,12 +13,12 @@ import pytest
 from synthetic import undistorted_by_opencv
 
 from benchmarks.fuzz_recordings import azure_kinect
-from wheelsight.errors import CalibrationError, InputError, RecordingError
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import PinholeCamera
-from wheelsight.recordings import OpenOptions, open_recording
-from wheelsight.recordings._azure_calibration import Lens, Registration, read_lenses
-from wheelsight.recordings.registration import OffsetMeter
+from wheelsight.core.errors import CalibrationError, InputError, RecordingError
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.recordings import OpenOptions, open_recording
+from wheelsight.io.recordings.azure_kinect import Lens, Registration, read_lenses
+from wheelsight.io.recordings.inspection import OffsetMeter
 
 
 def lens(camera: PinholeCamera, coefficients: Any = (0.0,) * 8, T: Any = None) -> Lens:

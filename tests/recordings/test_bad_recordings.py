@@ -11,11 +11,11 @@ import pytest
 from narrowing import not_none, of_type
 from synthetic import make_tum_recording
 
-from wheelsight.errors import RecordingError, TrajectoryError
-from wheelsight.events import RgbdFrame, SkippedFrame
-from wheelsight.geometry import PinholeCamera
-from wheelsight.recordings import open_recording
-from wheelsight.recordings.inspection import inspect_recording
+from wheelsight.core.errors import RecordingError, TrajectoryError
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.core.messages import RgbdFrame, SkippedFrame
+from wheelsight.io.recordings import open_recording
+from wheelsight.io.recordings.inspection import inspect_recording
 
 
 def images(folder, kind):

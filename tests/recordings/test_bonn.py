@@ -7,11 +7,11 @@ import pytest
 from narrowing import not_none
 from other_formats import BONN_CAMERA, make_bonn
 
-from wheelsight.errors import CalibrationError
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import se3
-from wheelsight.recordings import open_recording
-from wheelsight.trajectory import Trajectory, write_tum
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import Trajectory, write_tum
+from wheelsight.io.recordings import open_recording
 
 T_ROS = np.array([[-1.0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 T_M = [[1.0157, 0.1828, -0.2389], [0.0009, -0.8431, -0.6413], [-0.3009, 0.6147, -0.8085]]

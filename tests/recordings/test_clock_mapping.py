@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from wheelsight.recordings.clock_mapping import clock_mapping
-from wheelsight.recordings.frame_clocks import FrameClock
+from wheelsight.io.recordings.inspection import clock_mapping
+from wheelsight.io.recordings.native import FrameClock
 
 PERIOD_S, OFFSET_S = 1 / 30, 1000.0
 

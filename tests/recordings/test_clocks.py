@@ -10,13 +10,21 @@ import pytest
 from room_drive import make_room_drive
 from synthetic import make_tum_recording
 
+from wheelsight.app.run import in_real_time
+from wheelsight.app.runs import run_each
 from wheelsight.config import load_config
-from wheelsight.errors import ConfigError, InputError, RecordingError
-from wheelsight.odometry.extrinsics import calibrate_base
-from wheelsight.pipeline import in_real_time
-from wheelsight.recordings import OpenOptions, open_recording
-from wheelsight.recordings.clocks import FRAMES, TRUTH, WHEELS, apart, listed_stamps, refuse_if_apart, stamp_warnings
-from wheelsight.runs import run_each
+from wheelsight.core.errors import ConfigError, InputError, RecordingError
+from wheelsight.io.recordings import OpenOptions, open_recording
+from wheelsight.io.recordings.clock_checks import (
+    FRAMES,
+    TRUTH,
+    WHEELS,
+    apart,
+    listed_stamps,
+    refuse_if_apart,
+    stamp_warnings,
+)
+from wheelsight.vision.extrinsics import calibrate_base
 
 APART = "share 0.0 s: their clocks count from different moments"
 LISTS, READINGS = ("rgb.txt", "depth.txt"), ("wheels.csv",)

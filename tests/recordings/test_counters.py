@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wheelsight.calibration import Calibration, Wheels
-from wheelsight.events import WheelSpeeds, WheelTicks
-from wheelsight.odometry.wheels import drive_of
-from wheelsight.recordings import RecordingWriter, open_recording
-from wheelsight.recordings.counters import counter_warnings
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.messages import WheelSpeeds, WheelTicks
+from wheelsight.io.recordings import RecordingWriter, open_recording
+from wheelsight.io.recordings.clock_checks import counter_warnings
+from wheelsight.wheels import drive_of
 
 SMALL = Wheels(0.033, 0.033, 0.16, 4096.0)
 

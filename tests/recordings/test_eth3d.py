@@ -9,10 +9,10 @@ from narrowing import not_none
 from other_formats import make_eth3d, rendered
 from synthetic import CAMERA
 
-from wheelsight.calibration import Calibration, save_calibration
-from wheelsight.errors import CalibrationError, RecordingError
-from wheelsight.events import RgbdFrame
-from wheelsight.recordings import OpenOptions, open_recording
+from wheelsight.core.calibration import Calibration, save_calibration
+from wheelsight.core.errors import CalibrationError, RecordingError
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.recordings import OpenOptions, open_recording
 
 
 @pytest.fixture

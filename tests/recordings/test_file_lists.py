@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from wheelsight.errors import RecordingError
-from wheelsight.recordings import open_recording
-from wheelsight.recordings._file_lists import read_file_list
+from wheelsight.core.errors import RecordingError
+from wheelsight.io.recordings import open_recording
+from wheelsight.io.recordings.tables import read_file_list
 
 SOUND = "1.5 rgb/1.png\n2.5 rgb/2.png\n"
 

@@ -7,16 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wheelsight.calibration import Calibration, HolonomicWheels, Wheels
+from wheelsight.app.exports.bag import export_bag
+from wheelsight.app.exports.sources import exported_at
+from wheelsight.app.run import run_each
 from wheelsight.config import Config
-from wheelsight.errors import OutputError, RecordingError
-from wheelsight.events import Event, HolonomicReading, OdometryReading, WheelCounts, WheelTicks, YawRate
-from wheelsight.exports.bag import export_bag
-from wheelsight.exports.sources import exported_at
-from wheelsight.geometry import se2
-from wheelsight.pipeline import run_each
-from wheelsight.recordings import OpenOptions, RecordingWriter, open_recording
-from wheelsight.recordings.inspection import inspect_recording
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import HolonomicWheels, Wheels
+from wheelsight.core.errors import OutputError, RecordingError
+from wheelsight.core.geometry import se2
+from wheelsight.core.messages import Event, HolonomicReading, OdometryReading, WheelCounts, WheelTicks, YawRate
+from wheelsight.io.recordings import OpenOptions, RecordingWriter, open_recording
+from wheelsight.io.recordings.inspection import inspect_recording
 
 MECANUM = HolonomicWheels("mecanum", radius_m=0.05, half_length_m=0.2, half_width_m=0.15, ticks_per_turn=4096)
 OMNI = HolonomicWheels("omni", radius_m=0.05, distance_m=0.2, angles_rad=(1.0472, 3.1416, 5.236), ticks_per_turn=4096)

@@ -7,10 +7,10 @@ import pytest
 from narrowing import not_none
 from other_formats import ICL_CAMERA, make_icl_nuim, rendered
 
-from wheelsight.errors import RecordingError
-from wheelsight.events import RgbdFrame, SkippedFrame
-from wheelsight.recordings import OpenOptions, open_recording
-from wheelsight.trajectory import read_tum
+from wheelsight.core.errors import RecordingError
+from wheelsight.core.messages import RgbdFrame, SkippedFrame
+from wheelsight.core.trajectory import read_tum
+from wheelsight.io.recordings import OpenOptions, open_recording
 
 
 @pytest.mark.parametrize("as_rendered", [False, True])

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from wheelsight.geometry import ByteArray
-from wheelsight.recordings.image_files import FAST_PNG, write_color, write_units
+from wheelsight.core.geometry import ByteArray
+from wheelsight.io.recordings.images import FAST_PNG, write_color, write_units
 
 
 @pytest.fixture

@@ -12,13 +12,13 @@ from grids import mostly_slow
 from stand_ins import MemoryRecording
 from synthetic import CAMERA, make_tum_recording, render_room, wobbling_trajectory
 
-from wheelsight.calibration import Calibration, DepthNoise
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
-from wheelsight.geometry import ByteArray
-from wheelsight.recordings import OpenOptions, open_recording
-from wheelsight.recordings._images import DepthEncoding, read_depth
-from wheelsight.recordings.inspection import Inspection, inspect_recording
-from wheelsight.recordings.registration import RegistrationOffset
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import DepthNoise
+from wheelsight.core.geometry import ByteArray
+from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelTicks
+from wheelsight.io.recordings import OpenOptions, open_recording
+from wheelsight.io.recordings.images import DepthEncoding, read_depth
+from wheelsight.io.recordings.inspection import Inspection, RegistrationOffset, inspect_recording
 
 REGISTERED = Calibration.registered_camera(CAMERA)
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from room_drive import make_room_drive
 
-from wheelsight.events import RgbdFrame, SkippedFrame
-from wheelsight.recordings import ListedFrame, ListsFrames, open_recording
+from wheelsight.core.messages import RgbdFrame, SkippedFrame
+from wheelsight.io.recordings import ListedFrame, ListsFrames, open_recording
 
 
 def test_listed_are_the_very_events_with_frames_still_to_be_decoded(tmp_path: Path) -> None:

@@ -3,8 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wheelsight.errors import RecordingError
-from wheelsight.recordings import OpenOptions, matches_of, open_recording, read_matches
+from wheelsight.core.errors import RecordingError
+from wheelsight.io.recordings import OpenOptions, matches_of, open_recording, read_matches
 
 LINES = "odom2 0.0 0.5 0.01 0.2 0.1 0.2 0.3\nodom2 0.1 0.4 0 0 0.1 0.2 0.3\nloop 0.1 0.0 0.9\n"
 TRUTH = "point2 0.0 1 2 0 0 0 0\nangle 0.0 0.5 0\n"

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import wheelsight
-from wheelsight.events import Event, RgbdFrame
-from wheelsight.recordings import Recording, open_recording
-from wheelsight.recordings.motion_clocks import MotionClock, MotionOffset
+from wheelsight.core.messages import Event, RgbdFrame
+from wheelsight.io.recordings import Recording, open_recording
+from wheelsight.io.recordings.clock_checks import MotionClock, MotionOffset
 
 # The controller of the sample stamps its counts so long after the wheels stood so, as real ones do.
 _LATENCY_S = 0.016

@@ -7,10 +7,10 @@ import pytest
 from narrowing import as_frame, not_none
 from synthetic import make_tum_recording
 
-from wheelsight.errors import CalibrationError, RecordingError
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import se3
-from wheelsight.recordings import open_recording
+from wheelsight.core.errors import CalibrationError, RecordingError
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.recordings import open_recording
 
 SENSORS = """%YAML:1.0
 t265_fisheye1_optical_frame:

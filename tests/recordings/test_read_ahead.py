@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from wheelsight.recordings._read_ahead import read_ahead
+from wheelsight.io.recordings.images import read_ahead
 
 
 def threads():

@@ -8,9 +8,9 @@ from grids import mostly_slow
 from narrowing import as_frame
 from stand_ins import MemoryRecording
 
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import se3
-from wheelsight.recordings import find_recordings, open_recording, write_recording
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.recordings import find_recordings, open_recording, write_recording
 
 pytestmark = pytest.mark.data
 

@@ -8,9 +8,9 @@ import pytest
 from narrowing import not_none
 from other_formats import REDWOOD_CAMERA, make_redwood, rendered
 
-from wheelsight.errors import InputError, RecordingError
-from wheelsight.events import RgbdFrame
-from wheelsight.recordings import open_recording
+from wheelsight.core.errors import InputError, RecordingError
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.recordings import open_recording
 
 LOG = "livingroom1-traj.log"
 

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from narrowing import not_none
 
-from wheelsight.calibration import load_calibration
-from wheelsight.errors import CalibrationError, RecordingError
-from wheelsight.geometry import se3
-from wheelsight.recordings import (
+from wheelsight.core.calibration import load_calibration
+from wheelsight.core.errors import CalibrationError, RecordingError
+from wheelsight.core.geometry import se3
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings import (
     camera_names,
     express_for,
     find_recordings,
@@ -20,7 +21,6 @@ from wheelsight.recordings import (
     reader_names,
     registry,
 )
-from wheelsight.trajectory import Trajectory
 
 
 def test_names_are_sorted():

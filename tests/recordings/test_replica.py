@@ -10,9 +10,9 @@ from narrowing import not_none
 from other_formats import make_replica, rendered
 from synthetic import CAMERA
 
-from wheelsight.errors import CalibrationError, InputError, RecordingError, TrajectoryError
-from wheelsight.events import RgbdFrame
-from wheelsight.recordings import OpenOptions, open_recording
+from wheelsight.core.errors import CalibrationError, InputError, RecordingError, TrajectoryError
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.recordings import OpenOptions, open_recording
 
 
 @pytest.fixture

@@ -7,11 +7,12 @@ from pathlib import Path
 import pytest
 from hand_fed_camera import CALIBRATION, live_frame
 
-from wheelsight.calibration import Calibration, Wheels
-from wheelsight.errors import OutputError, RecordingError
-from wheelsight.events import RgbdFrame, WheelTicks
-from wheelsight.geometry import PinholeCamera
-from wheelsight.recordings import RecordingWriter, open_recording
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import OutputError, RecordingError
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.core.messages import RgbdFrame, WheelTicks
+from wheelsight.io.recordings import RecordingWriter, open_recording
 
 BEGIN_S = 1_700_000_000.0
 

@@ -12,11 +12,11 @@ from typer.testing import CliRunner
 
 from benchmarks.sample import LARGEST_BYTES, write_sample
 from wheelsight import open_recording
-from wheelsight.cli import app
-from wheelsight.errors import RecordingError
-from wheelsight.events import RgbdFrame
-from wheelsight.recordings import SAMPLE, SAMPLE_NAME
-from wheelsight.trajectory import read_tum
+from wheelsight.app.cli import app
+from wheelsight.core.errors import RecordingError
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import read_tum
+from wheelsight.io.recordings import SAMPLE, SAMPLE_NAME
 
 
 def test_it_is_small_and_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,9 +10,9 @@ from narrowing import not_none
 from other_formats import SENS_COLOR, SENS_DEPTH, make_scannet
 from synthetic import render_room
 
-from wheelsight.errors import InputError, RecordingError
-from wheelsight.events import RgbdFrame, SkippedFrame
-from wheelsight.recordings import OpenOptions, open_recording
+from wheelsight.core.errors import InputError, RecordingError
+from wheelsight.core.messages import RgbdFrame, SkippedFrame
+from wheelsight.io.recordings import OpenOptions, open_recording
 
 HEAD = 4 + 8 + 9  # before the matrices
 SIZES = HEAD + 4 * 64

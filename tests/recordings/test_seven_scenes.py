@@ -6,10 +6,10 @@ import pytest
 from narrowing import not_none
 from synthetic import render_room, wobbling_trajectory
 
-from wheelsight.errors import CalibrationError, RecordingError, TrajectoryError
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import PinholeCamera
-from wheelsight.recordings import open_recording
+from wheelsight.core.errors import CalibrationError, RecordingError, TrajectoryError
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.recordings import open_recording
 
 CAMERA = PinholeCamera(640, 480, 585.0, 585.0, 320.0, 240.0)
 TRUTH = wobbling_trajectory(3)

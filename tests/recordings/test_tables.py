@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wheelsight.errors import RecordingError
-from wheelsight.recordings.native import read_wheels
+from wheelsight.core.errors import RecordingError
+from wheelsight.io.recordings.native import read_wheels
 
 SOUND = "stamp_s,left,right\n0.0,1,2\n0.1,3,4\n0.2,5,-6\n"
 READINGS = [(0.0, 1, 2), (0.1, 3, 4), (0.2, 5, -6)]

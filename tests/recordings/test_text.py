@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.errors import RecordingError
-from wheelsight.recordings._file_lists import read_file_list
-from wheelsight.recordings.text import keep_growing, read_lines
+from wheelsight.core.errors import RecordingError
+from wheelsight.io.recordings.tables import keep_growing, read_file_list, read_lines
 
 
 @dataclass

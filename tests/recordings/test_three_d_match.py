@@ -8,9 +8,9 @@ from narrowing import not_none
 from other_formats import make_three_d_match, rendered
 from synthetic import CAMERA
 
-from wheelsight.errors import CalibrationError, RecordingError
-from wheelsight.events import RgbdFrame
-from wheelsight.recordings import open_recording
+from wheelsight.core.errors import CalibrationError, RecordingError
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.recordings import open_recording
 
 
 def test_reads_what_was_rendered(tmp_path: Path) -> None:

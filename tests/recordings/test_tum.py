@@ -7,9 +7,9 @@ import pytest
 from narrowing import as_frame, not_none
 from synthetic import make_tum_recording, render_room, wobbling_trajectory
 
-from wheelsight.errors import CalibrationError, ConfigError, RecordingError
-from wheelsight.events import RgbdFrame
-from wheelsight.recordings import OpenOptions, Recording, load_camera, open_recording
+from wheelsight.core.errors import CalibrationError, ConfigError, RecordingError
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.recordings import OpenOptions, Recording, load_camera, open_recording
 
 
 def test_reads_what_was_rendered(tum_folder, small_camera):

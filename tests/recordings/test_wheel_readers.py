@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from narrowing import not_none
 
-from wheelsight.calibration import Calibration, Wheels, save_calibration
-from wheelsight.errors import CalibrationError, InputError, RecordingError
-from wheelsight.events import WheelSpeeds, WheelTicks, YawRate
-from wheelsight.recordings import OpenOptions, RecordingWriter, open_recording, write_recording
-from wheelsight.recordings.protocol import left_out_of
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration, save_calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import CalibrationError, InputError, RecordingError
+from wheelsight.core.messages import WheelSpeeds, WheelTicks, YawRate
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings import OpenOptions, RecordingWriter, open_recording, write_recording
+from wheelsight.io.recordings.recording import left_out_of
 
 OWN = Calibration(wheels=Wheels(0.17, 0.17, 0.52, 3200.0), source="our robot")
 

@@ -16,16 +16,16 @@ from full_disk import FullDisk
 from narrowing import as_frame, not_none, of_type
 from synthetic import make_tum_recording, render_room, wobbling_trajectory
 
-from wheelsight.calibration import Calibration
-from wheelsight.errors import ArgumentError, CalibrationError, OutputError, RecordingError
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks
-from wheelsight.geometry import PinholeCamera, se3
-from wheelsight.recordings import RecordingWriter, open_recording, write_recording
-from wheelsight.recordings.growing_text import GrowingText
-from wheelsight.recordings.image_recording import ImageRecording
-from wheelsight.recordings.protocol import OpenOptions
-from wheelsight.recordings.tum import TumReader
-from wheelsight.trajectory import Trajectory, read_tum
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import ArgumentError, CalibrationError, OutputError, RecordingError
+from wheelsight.core.geometry import PinholeCamera, se3
+from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelTicks
+from wheelsight.core.trajectory import Trajectory, read_tum
+from wheelsight.io.recordings import RecordingWriter, open_recording, write_recording
+from wheelsight.io.recordings.image_recording import ImageRecording
+from wheelsight.io.recordings.recording import OpenOptions
+from wheelsight.io.recordings.tables import GrowingText
+from wheelsight.io.recordings.tum_datasets import TumReader
 
 T_BASE_CAMERA = np.array([[0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.1], [0, 0, 0, 1.0]])
 TRUTH = wobbling_trajectory(6, start_s=1305031229.123456)

@@ -9,12 +9,12 @@ import numpy as np
 from area_drive import AREAS, area_drive
 from run_example import wheel_run
 
-from wheelsight.estimates import Status
+from wheelsight.app.run import FrameRecord, Look, MapErrors, RectificationRecord, RunRecord
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import se3
+from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import evaluate
-from wheelsight.geometry import se3
-from wheelsight.pipeline import FrameRecord, Look, MapErrors, RectificationRecord, RunRecord
 from wheelsight.places import labels_on_the_way
-from wheelsight.trajectory import Trajectory
 
 
 def area_runs(way: str = "probabilistic", with_truth: bool = True) -> tuple[RunRecord, RunRecord]:

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from run_example import START_S, example_run, wheel_run
 
-from wheelsight.estimates import Reason, Status
+from wheelsight.app.run import FrameRecord, RunRecord
+from wheelsight.core.estimates import Reason, Status
+from wheelsight.core.geometry import se3
+from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import evaluate
-from wheelsight.geometry import se3
-from wheelsight.pipeline import FrameRecord, RunRecord
-from wheelsight.trajectory import Trajectory
 
 RATE_HZ, FRAMES = 10.0, 160
 COASTING, SLIPPING, DOUBTFUL = slice(40, 56), slice(80, 88), slice(77, 80)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wheelsight.areas import Area, AreaMap
+from wheelsight.core.areas import Area, AreaMap
 from wheelsight.places import (
     Answers,
     ContactSheet,
@@ -16,8 +16,7 @@ from wheelsight.places import (
     PlaceModel,
     PlaceTrial,
 )
-from wheelsight.places.calibration import ProbabilityScale
-from wheelsight.places.model import HeldOutFigures
+from wheelsight.places.model import HeldOutFigures, ProbabilityScale
 
 NAMES = ("1", "<lift> & co", "hall")
 

@@ -9,18 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from wheelsight.calibration import Wheels
-from wheelsight.errors import EvaluationError
-from wheelsight.estimates import Reason, Status
+from wheelsight.app.run import FrameRecord, MapPicture, MapRecord, MatchPicture, RunRecord
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import EvaluationError
+from wheelsight.core.estimates import Reason, Status
+from wheelsight.core.geometry import ByteArray, se3
+from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import evaluate
-from wheelsight.geometry import ByteArray, se3
+from wheelsight.io.recordings import AssociationReport
 from wheelsight.mapping import MapStatus
-from wheelsight.mapping.cloud import MapCloud
-from wheelsight.mapping.plan import Plan
-from wheelsight.odometry.wheels import integrate_log
-from wheelsight.pipeline import FrameRecord, MapPicture, MapRecord, MatchPicture, RunRecord
-from wheelsight.recordings import AssociationReport
-from wheelsight.trajectory import Trajectory
+from wheelsight.mapping.export import MapCloud, Plan
+from wheelsight.wheels import integrate_log
 
 START_S = 1305031102.17
 _RATE_HZ = 30.0

@@ -10,8 +10,8 @@ from html_page import Page, Plot
 from joined_example import joined_runs
 from run_example import empty_run, example_map, example_picture, example_run, wheel_run
 
-from wheelsight.pipeline import RunRecord
-from wheelsight.report import write_comparison, write_report
+from wheelsight.app.report import write_comparison, write_report
+from wheelsight.app.run import RunRecord
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 

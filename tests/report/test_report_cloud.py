@@ -18,11 +18,11 @@ from browser import WITH_WEBGL, WITHOUT_WEBGL, open_page
 from html_page import Page
 from run_example import example_cloud, example_map, example_run
 
-from wheelsight.geometry import FloatArray
-from wheelsight.mapping.cloud import MapCloud
-from wheelsight.pipeline import RunRecord
-from wheelsight.report import write_report
-from wheelsight.report.cloud_view import View, draw_cloud
+from wheelsight.app.report import write_report
+from wheelsight.app.report.pictures import View, draw_cloud
+from wheelsight.app.run import RunRecord
+from wheelsight.core.geometry import FloatArray
+from wheelsight.mapping.export import MapCloud
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "wheelsight" / "report"
 NO_LINES = np.zeros((0, 2, 3))

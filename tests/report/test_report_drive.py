@@ -9,12 +9,18 @@ import numpy as np
 import pytest
 from rehearsed_drive import recorded, rehearsed_drive
 
+from wheelsight.app.report.drive_page import (
+    apart,
+    drive_picture,
+    plan_figure,
+    render_drive,
+    time_line_figure,
+    verdict,
+    walked,
+)
+from wheelsight.app.run.drive_record import DriveRecord, StopRecord, drive_dict
+from wheelsight.app.run.drives import Goal
 from wheelsight.mapping import CellKind
-from wheelsight.pipeline.drive_outputs import drive_dict
-from wheelsight.pipeline.drive_record import DriveRecord, StopRecord
-from wheelsight.pipeline.drives import Goal
-from wheelsight.report.drive_figures import apart, plan_figure, time_line_figure, walked
-from wheelsight.report.drive_page import drive_picture, render_drive, verdict
 
 
 @pytest.fixture(scope="module")

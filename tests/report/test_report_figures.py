@@ -8,10 +8,7 @@ import pytest
 from narrowing import not_none
 from run_example import START_S, empty_run, example_run, wheel_run
 
-from wheelsight.errors import EvaluationError
-from wheelsight.estimates import Reason
-from wheelsight.geometry import se3
-from wheelsight.report import (
+from wheelsight.app.report import (
     certainty_figure,
     error_figure,
     matches_figure,
@@ -21,8 +18,11 @@ from wheelsight.report import (
     time_histogram_figure,
     trajectory_figure,
 )
-from wheelsight.report.figures import STATUS_COLOURS, VIEWS, standard_deviations
-from wheelsight.trajectory import Trajectory
+from wheelsight.app.report.figures import STATUS_COLOURS, VIEWS, standard_deviations
+from wheelsight.core.errors import EvaluationError
+from wheelsight.core.estimates import Reason
+from wheelsight.core.geometry import se3
+from wheelsight.core.trajectory import Trajectory
 
 
 def _trace(figure, name: str):

@@ -14,7 +14,7 @@ from html_page import Page, Plot
 from joined_example import joined_runs
 from run_example import example_map, example_run, wheel_run
 
-from wheelsight.report import time_figure, time_histogram_figure, write_comparison, write_report
+from wheelsight.app.report import time_figure, time_histogram_figure, write_comparison, write_report
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "wheelsight" / "report"
 # Of plotly.js-cartesian-dist-min 4.1.1 on npm.

@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from run_example import empty_run, example_map, example_run, wheel_run
 
-from wheelsight.pipeline import MapPicture
-from wheelsight.report import plan_figure, write_comparison, write_report
-from wheelsight.report.map_figures import bar_length_m, draw_view
+from wheelsight.app.report import plan_figure, write_comparison, write_report
+from wheelsight.app.report.sections import bar_length_m, draw_view
+from wheelsight.app.run import MapPicture
 
 
 def _page(folder: Path) -> Page:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from run_example import example_picture
 
-from wheelsight.report import draw_matches
-from wheelsight.report.pictures import INLIER_RGB, OUTLIER_RGB, data_uri
+from wheelsight.app.report import draw_matches
+from wheelsight.app.report.pictures import INLIER_RGB, OUTLIER_RGB, data_uri
 
 BLACK = np.zeros((240, 320, 3), np.uint8)
 

@@ -14,11 +14,11 @@ from html_page import Page
 from narrowing import not_none
 from run_example import example_run
 
-from wheelsight.areas import Area, AreaMap
-from wheelsight.pipeline import words
-from wheelsight.report import area_map_figure, area_time_figure, error_rows, map_error_figure, write_comparison
-from wheelsight.report.comparison import render_comparison
-from wheelsight.report.places_sheet import area_colour
+from wheelsight.app.report import area_map_figure, area_time_figure, error_rows, map_error_figure, write_comparison
+from wheelsight.app.report.comparison import render_comparison
+from wheelsight.app.report.places_page import area_colour
+from wheelsight.app.run import words
+from wheelsight.core.areas import Area, AreaMap
 
 
 def traces(figure: go.Figure, name: str) -> list:

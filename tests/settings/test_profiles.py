@@ -8,8 +8,8 @@ from typing import Any, get_args
 import pytest
 
 from wheelsight.config import Config, load_config, save_config
-from wheelsight.errors import ConfigError
-from wheelsight.settings.profiles import PI, PROFILES, differing, over_profile
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.settings.base import PI, PROFILES, differing, over_profile
 
 
 def value_of(config: Config, name: str) -> Any:

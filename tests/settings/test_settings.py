@@ -14,17 +14,17 @@ from changed_settings import all_leaves, bounds, sections
 from stand_ins import CAMERA, MemoryRecording
 
 import wheelsight
-from wheelsight.calibration import Calibration, Wheels
+from wheelsight.app.run import RealTimeRecording
 from wheelsight.config import Config, load_config, save_config
-from wheelsight.errors import ConfigError
-from wheelsight.events import YawRate
-from wheelsight.fusion.error_state import ErrorStateSettings
-from wheelsight.fusion.error_state.settings import FilterParameters
-from wheelsight.localizer import Localizer
-from wheelsight.odometry.extrinsics import AgreementSettings, FloorSettings
-from wheelsight.odometry.wheels import YawRateMeter
-from wheelsight.pipeline import RealTimeRecording
-from wheelsight.settings import FrameGateSettings, Settings
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.messages import YawRate
+from wheelsight.core.settings import FrameGateSettings, Settings
+from wheelsight.core.settings.fusion import FilterParameters
+from wheelsight.estimation import ErrorStateSettings, Localizer
+from wheelsight.vision.extrinsics import AgreementSettings, FloorSettings
+from wheelsight.wheels import YawRateMeter
 
 PACKAGE = Path(wheelsight.__file__).parent
 LEAVES = all_leaves()
@@ -60,7 +60,7 @@ MAY_STAY = {
     "odometry/wheels/loop_check.py": OFFLINE,
     "localizer/apart.py: _ENDING_S": "a process that gives no sign of life for so long hangs",
     "localizer/apart.py: _WRITING_S": "a process that writes for so long hangs",
-    "localizer/beside.py: _ENDING_S": "an event that takes so long hangs",
+    "localizer/beside.py: _EVENT_ENDING_S": "an event that takes so long hangs",
     "localizer/_apart_process.py: _BEAT_S": "a sign of life, several within what is waited for",
     "localizer/_odom_frame.py: _IDENTITY": "no motion",
     "localizer/_odom_frame.py: _READINGS": "a bound on memory",
@@ -250,7 +250,7 @@ def of_modules() -> list[Path]:
 def test_what_shapes_behaviour_is_no_constant_of_a_module(path: Path) -> None:
     module = path.relative_to(PACKAGE).as_posix()
     found = [name for name in constants(path) if module not in MAY_STAY and f"{module}: {name}" not in MAY_STAY]
-    assert not found, f"{module}: {', '.join(found)} should be settings (wheelsight/settings, or the part's own)"
+    assert not found, f"{module}: {', '.join(found)} should be settings (wheelsight/core/settings, or the part's own)"
 
 
 def test_the_list_of_what_may_stay_has_nothing_that_is_gone() -> None:

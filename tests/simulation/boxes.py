@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from wheelsight.geometry import FloatArray
-from wheelsight.simulation.appearance import Painter
-from wheelsight.simulation.view import Geoms, View
-from wheelsight.simulation.world import Surface
+from wheelsight.core.geometry import FloatArray
+from wheelsight_sim.appearance import Painter
+from wheelsight_sim.scene import Geoms, View
+from wheelsight_sim.world import Surface
 
 SURFACES = {
     "wall": Surface("plaster", (0.78, 0.76, 0.70), (0.25, 0.2, 0.16), 1.0, 0.5),

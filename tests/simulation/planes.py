@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from wheelsight.areas import AreaMap
-from wheelsight.calibration import Wheels
-from wheelsight.geometry import FloatArray
-from wheelsight.odometry.wheels import integrate_log
-from wheelsight.simulation.drive import Drive
-from wheelsight.simulation.world import World
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.areas import AreaMap
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.wheels import integrate_log
+from wheelsight_sim.robot import Drive
+from wheelsight_sim.world import World
 
 WALL = '<geom name="wall" type="box" pos="3 0 1" size="0.1 5 1"/>'
 

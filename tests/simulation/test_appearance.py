@@ -12,22 +12,19 @@ import pytest
 from odometry.plain_kernels import plain
 from simulation.boxes import SURFACES, albedo_painter, boxes, corridor, heading, see
 
-from wheelsight.errors import ConfigError
-from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera
-from wheelsight.simulation import (
-    _light_kernels,
-    _outline_kernels,
-    _paint_kernels,
-    _picture_kernels,
-    _texture_kernels,
-    _wall_kernels,
-)
-from wheelsight.simulation.appearance import Painter
-from wheelsight.simulation.color_sensor import ColorSensor
-from wheelsight.simulation.scene import Scene
-from wheelsight.simulation.view import Geoms, Outlines, View
-from wheelsight.simulation.world import Surface
-from wheelsight.simulation.worlds import build_world
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera
+from wheelsight_sim import light_kernels as _light_kernels
+from wheelsight_sim import texture_kernels as _picture_kernels
+from wheelsight_sim import texture_kernels as _texture_kernels
+from wheelsight_sim import texture_kernels as _wall_kernels
+from wheelsight_sim import view_kernels as _outline_kernels
+from wheelsight_sim import view_kernels as _paint_kernels
+from wheelsight_sim.appearance import Painter
+from wheelsight_sim.color_sensor import ColorSensor
+from wheelsight_sim.scene import Geoms, Outlines, Scene, View
+from wheelsight_sim.world import Surface
+from wheelsight_sim.worlds import build_world
 
 PATTERNED = sorted(set(SURFACES) - {"blank", "wall"})
 

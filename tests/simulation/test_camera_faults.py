@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.errors import ConfigError
-from wheelsight.events import Event, RgbdFrame, SkippedFrame, WheelTicks, YawRate
-from wheelsight.simulation.camera_faults import (
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelTicks, YawRate
+from wheelsight_sim.faults import (
     CableOut,
     Covered,
     DepthHoles,

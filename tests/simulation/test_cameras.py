@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from small_rooms import looking, room, wall
 
-from wheelsight.calibration import Calibration
-from wheelsight.errors import ConfigError
-from wheelsight.simulation.cameras import camera_model, camera_names
-from wheelsight.simulation.depth_sensors import IdealDepth, StructuredLight, TimeOfFlight
-from wheelsight.simulation.scene import Scene
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import ConfigError
+from wheelsight_sim.cameras import camera_model, camera_names
+from wheelsight_sim.depth_sensor import IdealDepth, StructuredLight, TimeOfFlight
+from wheelsight_sim.scene import Scene
 
 
 def test_there_are_two_kinects_and_an_ideal_camera() -> None:

@@ -11,11 +11,12 @@ import pytest
 from odometry.plain_kernels import plain
 from simulation.boxes import boxes, heading, see
 
-from wheelsight.errors import ConfigError
-from wheelsight.geometry import ByteArray, Float32Array, FloatArray, se3
-from wheelsight.simulation import _blur_kernels, _texture_kernels
-from wheelsight.simulation.color_sensor import ColorSensor, Exposure, image_flow
-from wheelsight.simulation.view import View
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, se3
+from wheelsight_sim import sensor_kernels as _blur_kernels
+from wheelsight_sim import texture_kernels as _texture_kernels
+from wheelsight_sim.color_sensor import ColorSensor, Exposure, image_flow
+from wheelsight_sim.scene import View
 
 WALL = boxes(("wall", "blank", (2.0, 0, 1), (0.5, 9, 9)))
 # So many electrons that noise is far below a byte; radiance 1 fills the sensor.

@@ -8,12 +8,11 @@ import pytest
 from odometry.plain_kernels import plain
 from small_rooms import looking, room, wall
 
-from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera
-from wheelsight.simulation import _depth_kernels as kernels
-from wheelsight.simulation.depth_sensors import DepthSensor, IdealDepth, StructuredLight, TimeOfFlight
-from wheelsight.simulation.scene import Scene
-from wheelsight.simulation.view import View
-from wheelsight.simulation.world import Surface
+from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera
+from wheelsight_sim import sensor_kernels as kernels
+from wheelsight_sim.depth_sensor import DepthSensor, IdealDepth, StructuredLight, TimeOfFlight
+from wheelsight_sim.scene import Scene, View
+from wheelsight_sim.world import Surface
 
 V1 = PinholeCamera(320, 240, 586, 586, 159.5, 119.5)
 V2 = PinholeCamera(256, 212, 365.5, 365.5, 127.5, 105.5)

@@ -15,18 +15,17 @@ from floor_plans import two_rooms, write_plan
 from grids import mostly_slow
 from small_rooms import looking, room
 
-from wheelsight.errors import ConfigError
-from wheelsight.geometry import FloatArray, PinholeCamera
-from wheelsight.simulation import SimulationSettings, simulate, write_simulation
-from wheelsight.simulation.doors import Doors, DoorSettings
-from wheelsight.simulation.drive import Drive
-from wheelsight.simulation.passersby import Passersby
-from wheelsight.simulation.scene import Scene
-from wheelsight.simulation.simulated_recording import SimulatedRecording
-from wheelsight.simulation.walking import RADIUS_M
-from wheelsight.simulation.world import Leaf, World
-from wheelsight.simulation.worlds.floor_plan import FloorPlan
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.geometry import FloatArray, PinholeCamera
+from wheelsight.core.trajectory import Trajectory
+from wheelsight_sim import SimulationSettings, simulate, write_simulation
+from wheelsight_sim.doors import Doors, DoorSettings
+from wheelsight_sim.people import RADIUS_M, Passersby
+from wheelsight_sim.robot import Drive
+from wheelsight_sim.scene import Scene
+from wheelsight_sim.simulated_recording import SimulatedRecording
+from wheelsight_sim.world import Leaf, World
+from wheelsight_sim.worlds import FloorPlan
 
 CAMERA = PinholeCamera(64, 48, 60, 60, 31.5, 23.5)
 HALF_M = 0.0225  # of a leaf's thickness

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import shapely
 
-from wheelsight.errors import ConfigError, InputError
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.simulation.drivers import (
+from wheelsight.core.errors import ConfigError, InputError
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight_sim.drivers import (
     COMMAND_PERIOD_S,
     Command,
     Driver,

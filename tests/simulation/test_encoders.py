@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from simulation.planes import plane
 
-from wheelsight.calibration import Gyro
-from wheelsight.events import WheelTicks
-from wheelsight.geometry import se3
-from wheelsight.odometry.wheels import integrate_log
-from wheelsight.simulation.drivers import ManualVelocities
-from wheelsight.simulation.encoders import Encoders, Gyroscope, Reckoning, is_during
-from wheelsight.simulation.physics import simulate_drive
-from wheelsight.simulation.robot import Robot, WheelFaults
+from wheelsight.core.calibration_parts import Gyro
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import WheelTicks
+from wheelsight.wheels import integrate_log
+from wheelsight_sim.drivers import ManualVelocities
+from wheelsight_sim.physics import simulate_drive
+from wheelsight_sim.readings import Encoders, Gyroscope, Reckoning, is_during
+from wheelsight_sim.robot import Robot, WheelFaults
 
 ROBOT = Robot()
 COUNTS_PER_RAD = 3200 / (2 * math.pi)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from narrowing import as_frame
 
-from wheelsight.events import RgbdFrame, WheelTicks
-from wheelsight.recordings import Recording
-from wheelsight.simulation import SimulationSettings, simulate
-from wheelsight.simulation.camera_faults import CableOut, Covered, FramesDropped, LateClock
-from wheelsight.simulation.faulty_recording import with_camera_faults
+from wheelsight.core.messages import RgbdFrame, WheelTicks
+from wheelsight.io.recordings import Recording
+from wheelsight_sim import SimulationSettings, simulate
+from wheelsight_sim.faults import CableOut, Covered, FramesDropped, LateClock
+from wheelsight_sim.simulated_recording import with_camera_faults
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,10 @@ import shapely
 from floor_plans import DOORWAYS_M, UNKNOWN, rooms_in_colours, two_rooms, write_plan
 from grids import mostly_slow
 
-from wheelsight.errors import AreaError, ConfigError, MapError
-from wheelsight.simulation import FloorPlan, Robot, SimulationSettings, World, simulate
-from wheelsight.simulation.worlds.clearance import find_collision, footprints
-from wheelsight.simulation.worlds.floor_plan import build_floor_plan
+from wheelsight.core.errors import AreaError, ConfigError, MapError
+from wheelsight_sim import FloorPlan, Robot, SimulationSettings, World, simulate
+from wheelsight_sim.clearance import find_collision, footprints
+from wheelsight_sim.worlds import build_floor_plan
 
 REAL = {
     "basement_fixed.map.yaml": None,

@@ -10,18 +10,17 @@ import numpy as np
 import pytest
 from grids import mostly_slow
 
-from wheelsight.errors import ConfigError
-from wheelsight.estimates import MotionEstimate
-from wheelsight.events import HolonomicReading, OdometryReading, WheelCounts
-from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.odometry.wheels import HolonomicOdometry
-from wheelsight.simulation import Patch, SimulationSettings, WheelFaults
-from wheelsight.simulation.drive import Drive
-from wheelsight.simulation.holonomic import nominal_wheels, owned_wheels, simulate_holonomic_drive
-from wheelsight.simulation.realism.wheel_sizes import WheelSizeSettings
-from wheelsight.simulation.settings import BaseName
-from wheelsight.simulation.simulate import world_of
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.estimates import MotionEstimate
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.messages import HolonomicReading, OdometryReading, WheelCounts
+from wheelsight.estimation import ErrorStateFilter, ErrorStateSettings
+from wheelsight.wheels import HolonomicOdometry
+from wheelsight_sim import Patch, SimulationSettings, WheelFaults
+from wheelsight_sim.physics import nominal_wheels, owned_wheels, simulate_holonomic_drive
+from wheelsight_sim.robot import Drive, WheelSizeSettings
+from wheelsight_sim.settings import BaseName
+from wheelsight_sim.simulate import world_of
 
 BASES: tuple[BaseName, ...] = ("mecanum", "omni-3", "omni-4", "increments")
 SETTINGS = SimulationSettings(world="flat", base="mecanum", duration_s=30.0)

@@ -11,16 +11,14 @@ import shapely
 from grids import mostly_slow
 from small_rooms import corridor, room
 
-from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.errors import ConfigError
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.simulation import Robot, SimulationSettings, Simulator
-from wheelsight.simulation.doors import DoorSettings
-from wheelsight.simulation.live_doors import LiveDoors
-from wheelsight.simulation.live_passersby import LivePassersby, LivePeopleSettings
-from wheelsight.simulation.outline import outline_at
-from wheelsight.simulation.walking import RADIUS_M, STEP_S
-from wheelsight.simulation.world import Leaf, World
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.messages import STOP, VelocityCommand
+from wheelsight_sim import Robot, SimulationSettings, Simulator
+from wheelsight_sim.doors import DoorSettings, LiveDoors
+from wheelsight_sim.people import RADIUS_M, STEP_S, LivePassersby, LivePeopleSettings
+from wheelsight_sim.robot import outline_at
+from wheelsight_sim.world import Leaf, World
 
 SETTINGS = SimulationSettings(seed=1)
 CARELESS, MINDING = LivePeopleSettings(careless=1.0), LivePeopleSettings(careless=0.0)

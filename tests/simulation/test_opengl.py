@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from small_rooms import looking, room
 
-from wheelsight.geometry import PinholeCamera
-from wheelsight.simulation.scene import Scene
-from wheelsight.simulation.world import World
-from wheelsight.simulation.worlds import build_world
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight_sim.scene import Scene
+from wheelsight_sim.world import World
+from wheelsight_sim.worlds import build_world
 
 CAMERA = PinholeCamera(320, 240, 260, 260, 159.5, 119.5)
 NEAR_M, FAR_M = 0.1, 40.0

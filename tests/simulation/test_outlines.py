@@ -12,14 +12,13 @@ from numpy.typing import ArrayLike
 from odometry.plain_kernels import plain
 from small_rooms import looking, room
 
-from wheelsight.geometry import BoolArray, Float32Array, FloatArray, PinholeCamera, se3
-from wheelsight.simulation import Drive, Renderer, SimulationSettings, build_world, camera_model
-from wheelsight.simulation import _outline_kernels as kernels
-from wheelsight.simulation.appearance import Painter
-from wheelsight.simulation.scene import Scene
-from wheelsight.simulation.view import Outlines, View
-from wheelsight.simulation.world import Surface, World
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, PinholeCamera, se3
+from wheelsight.core.trajectory import Trajectory
+from wheelsight_sim import Drive, Renderer, SimulationSettings, build_world, camera_model
+from wheelsight_sim import view_kernels as kernels
+from wheelsight_sim.appearance import Painter
+from wheelsight_sim.scene import Outlines, Scene, View
+from wheelsight_sim.world import Surface, World
 
 CAMERA = PinholeCamera(80, 60, 70, 70, 39.5, 29.5)
 BENT = replace(CAMERA, distortion=(0.2, -0.3, 0.002, -0.001, 0.1))

@@ -7,13 +7,13 @@ import pytest
 from odometry.plain_kernels import plain
 from small_rooms import corridor, looking, room
 
-from wheelsight.errors import ConfigError
-from wheelsight.geometry import FloatArray, PinholeCamera
-from wheelsight.simulation import _walk_kernels as kernels
-from wheelsight.simulation.drive import Drive
-from wheelsight.simulation.passersby import Passersby
-from wheelsight.simulation.scene import Scene
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.geometry import FloatArray, PinholeCamera
+from wheelsight.core.trajectory import Trajectory
+from wheelsight_sim import walking_kernels as kernels
+from wheelsight_sim.people import Passersby
+from wheelsight_sim.robot import Drive
+from wheelsight_sim.scene import Scene
 
 
 def drive_along(x_m: FloatArray, yaw_rad: FloatArray | float = 0.0) -> Drive:

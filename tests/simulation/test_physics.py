@@ -7,18 +7,16 @@ import numpy as np
 import pytest
 from simulation.planes import WALL, by_wheels, plane, yaws_rad
 
-from wheelsight.calibration import Wheels
-from wheelsight.errors import ConfigError
-from wheelsight.geometry import se3
-from wheelsight.odometry.wheels.drive import drive_from_ticks
-from wheelsight.odometry.wheels.squares import SquareRun, umbmark_from_runs
-from wheelsight.odometry.wheels.umbmark import corrected
-from wheelsight.simulation._chair import Chair
-from wheelsight.simulation.drive import Drive
-from wheelsight.simulation.drivers import ManualVelocities, StopAndTurn, follow_route
-from wheelsight.simulation.physics import simulate_drive
-from wheelsight.simulation.realism import Realism
-from wheelsight.simulation.robot import Patch, Robot, WheelFaults
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.geometry import se3
+from wheelsight.wheels.drive import drive_from_ticks
+from wheelsight.wheels.umbmark import SquareRun, corrected, umbmark_from_runs
+from wheelsight_sim import Realism
+from wheelsight_sim.drivers import ManualVelocities, StopAndTurn, follow_route
+from wheelsight_sim.physics import simulate_drive
+from wheelsight_sim.robot import Drive, Patch, Robot, WheelFaults
+from wheelsight_sim.wheelchair import Chair
 
 ROBOT = Robot()
 WORLD = plane()

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from wheelsight.errors import OutputError
-from wheelsight.simulation.plan import draw_plan
-from wheelsight.simulation.world import World
-from wheelsight.simulation.worlds import build_world, world_names
+from wheelsight.core.errors import OutputError
+from wheelsight_sim.clearance import draw_plan
+from wheelsight_sim.world import World
+from wheelsight_sim.worlds import build_world, world_names
 
 ROUTE_BGR, TRACK_BGR, MARK_BGR, WALL_BGR = (91, 24, 194), (192, 101, 21), (0, 0, 213), (77, 67, 61)
 LEGEND_PX = 130

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from narrowing import not_none
 
-from wheelsight.errors import ConfigError
-from wheelsight.geometry import se3
-from wheelsight.simulation import Drive, Renderer, SimulationSettings, build_world, camera_model
-from wheelsight.simulation.renderer import in_order
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.geometry import se3
+from wheelsight.core.trajectory import Trajectory
+from wheelsight_sim import Drive, Renderer, SimulationSettings, build_world, camera_model
+from wheelsight_sim.frames import in_order
 
 SETTINGS = SimulationSettings(world="square", size=(64, 48), rate_hz=10.0, seed=3)
 WORLD = build_world("square", 3)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from small_rooms import looking, room, wall
 
-from wheelsight.errors import ConfigError
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import se3
-from wheelsight.recordings import express_for
-from wheelsight.simulation import SimulationSettings, replay
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings import express_for
+from wheelsight_sim import SimulationSettings, replay
 
 SETTINGS = SimulationSettings(camera="ideal", size=(80, 60), rate_hz=10.0)
 

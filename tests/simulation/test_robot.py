@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wheelsight.simulation import Robot
+from wheelsight_sim import Robot
 
 
 def test_a_camera_that_leans_right_looks_left_and_down() -> None:

@@ -8,11 +8,10 @@ import pytest
 from odometry.plain_kernels import plain
 from small_rooms import looking, room
 
-from wheelsight.errors import ConfigError
-from wheelsight.geometry import FloatArray, PinholeCamera, se3
-from wheelsight.simulation import _ray_kernels as kernels
-from wheelsight.simulation.scene import Scene
-from wheelsight.simulation.view import View
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.geometry import FloatArray, PinholeCamera, se3
+from wheelsight_sim import view_kernels as kernels
+from wheelsight_sim.scene import Scene, View
 
 CAMERA = PinholeCamera(80, 60, 70, 70, 39.5, 29.5)
 NAMES = ("floor", "box", "ball", "ceiling")

@@ -7,18 +7,9 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from wheelsight.errors import ConfigError
-from wheelsight.events import Event, RgbdFrame, WheelTicks, YawRate
-from wheelsight.simulation.camera_faults import CameraFault
-from wheelsight.simulation.scene_faults import (
-    DarkRoom,
-    DirectSun,
-    GlassWall,
-    Mirror,
-    Silence,
-    StillView,
-    WheelsStand,
-)
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.messages import Event, RgbdFrame, WheelTicks, YawRate
+from wheelsight_sim.faults import CameraFault, DarkRoom, DirectSun, GlassWall, Mirror, Silence, StillView, WheelsStand
 
 FRAMES, RATE_HZ, WIDTH = 90, 30.0, 64
 OF_IMAGES = (DarkRoom, DirectSun, GlassWall, Mirror, StillView)

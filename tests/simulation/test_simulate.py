@@ -16,16 +16,16 @@ import yaml
 from full_disk import FullDisk
 from narrowing import as_frame, not_none
 
-from wheelsight.areas import load_areas
-from wheelsight.calibration import load_calibration
-from wheelsight.errors import ConfigError, InputError, OutputError
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import se3
-from wheelsight.recordings import open_recording
-from wheelsight.simulation import Patch, Robot, SimulationSettings, WheelFaults, simulate, write_simulation
-from wheelsight.simulation._way import driver_of, refuse_walls
-from wheelsight.simulation.worlds import build_world
-from wheelsight.trajectory import read_tum
+from wheelsight.core.areas import load_areas
+from wheelsight.core.calibration import load_calibration
+from wheelsight.core.errors import ConfigError, InputError, OutputError
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import read_tum
+from wheelsight.io.recordings import open_recording
+from wheelsight_sim import Patch, Robot, SimulationSettings, WheelFaults, simulate, write_simulation
+from wheelsight_sim.physics import driver_of, refuse_walls
+from wheelsight_sim.worlds import build_world
 
 ROBOT = Robot(right_radius_m=0.172, camera_height_m=0.93, has_gyro=True)
 SETTINGS = SimulationSettings(world="floor4", size=(64, 48), rate_hz=10.0, duration_s=1.0, seed=2, robot=ROBOT)

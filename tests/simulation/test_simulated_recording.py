@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from wheelsight import Config, run
-from wheelsight.errors import ConfigError
-from wheelsight.events import RgbdFrame, WheelTicks, YawRate
-from wheelsight.recordings import Recording, express_for
-from wheelsight.simulation import Robot, SimulationSettings, simulate
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.messages import RgbdFrame, WheelTicks, YawRate
+from wheelsight.io.recordings import Recording, express_for
+from wheelsight_sim import Robot, SimulationSettings, simulate
 
 ROBOT = Robot(left_radius_m=0.168, right_radius_m=0.171, track_width_m=0.53, has_gyro=True)
 SETTINGS = SimulationSettings(world="floor4", size=(64, 48), rate_hz=10.0, duration_s=1.5, seed=2, robot=ROBOT)

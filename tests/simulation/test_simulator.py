@@ -12,16 +12,24 @@ import numpy as np
 import pytest
 from narrowing import not_none
 
-from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.errors import ArgumentError, ConfigError
-from wheelsight.events import Event, RgbdFrame, WheelTicks, YawRate
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.robot_limits import RobotLimits
-from wheelsight.robots import Robot as RobotProtocol
-from wheelsight.simulation import Drive, Renderer, Robot, SimulationSettings, Simulator, WheelFaults, camera_model
-from wheelsight.simulation.realism import realism_of, stream
-from wheelsight.simulation.realism.mount import mounted
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.errors import ArgumentError, ConfigError
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.messages import STOP, Event, RgbdFrame, VelocityCommand, WheelTicks, YawRate
+from wheelsight.core.robots import Robot as RobotProtocol
+from wheelsight.core.robots import RobotLimits
+from wheelsight.core.trajectory import Trajectory
+from wheelsight_sim import (
+    Drive,
+    Renderer,
+    Robot,
+    SimulationSettings,
+    Simulator,
+    WheelFaults,
+    camera_model,
+    realism_of,
+    stream,
+)
+from wheelsight_sim.body_motion import mounted
 
 SETTINGS = SimulationSettings(world="square", size=(64, 48), rate_hz=10.0, seed=3, robot=Robot(has_gyro=True))
 REAL = replace(SETTINGS, world="flat", realism="real", passersby=2, doors=1)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from simulation.planes import WALL, plane
 
-from wheelsight.errors import ConfigError
-from wheelsight.simulation.robot import Robot
-from wheelsight.simulation.wheelchair import PREFIX, ROLLING, scene, wheelchair_mjcf
+from wheelsight.core.errors import ConfigError
+from wheelsight_sim.robot import Robot
+from wheelsight_sim.wheelchair import PREFIX, ROLLING, scene, wheelchair_mjcf
 
 UNEVEN = Robot(left_radius_m=0.171, right_radius_m=0.168, track_width_m=0.53)
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import shapely
 
-from wheelsight.errors import ConfigError
-from wheelsight.simulation.world import World
-from wheelsight.simulation.worlds import build_world, world_names
-from wheelsight.simulation.worlds.blank import BLANK_M
-from wheelsight.simulation.worlds.clearance import check_route, find_collision, footprints, obstacles
+from wheelsight.core.errors import ConfigError
+from wheelsight_sim.clearance import check_route, find_collision, footprints, obstacles
+from wheelsight_sim.world import World
+from wheelsight_sim.worlds import build_world, world_names
+from wheelsight_sim.worlds.small_worlds import BLANK_M
 
 WORLDS = {name: build_world(name) for name in ("floor4", "flat", "studio", "blank", "square")}
 EVERY_WORLD = pytest.mark.parametrize("name", WORLDS)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeId
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import KeyframeId
 from wheelsight.slam.graph import Prior, RelativePose
 
 STEP_SIGMAS = np.array([0.02, 0.01, 0.005, 0.002, 0.002, 0.01])

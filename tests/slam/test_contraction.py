@@ -7,11 +7,11 @@ import pytest
 from graphs import ANCHOR, LOOP_SIGMAS, drive, measured, odometry, true_loops
 from numpy.testing import assert_allclose
 
-from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeId
-from wheelsight.slam.contraction import composed, inverse, without
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import KeyframeId
 from wheelsight.slam.graph import Prior, RelativePose
-from wheelsight.slam.own_solver import OwnPoseGraph
+from wheelsight.slam.maps.rebuilding import composed, inverse, without
+from wheelsight.slam.solvers import OwnPoseGraph
 
 T = drive(laps=2, side=4)
 NONE = 0.0 * LOOP_SIGMAS

@@ -1,17 +1,16 @@
 import numpy as np
 import pytest
 
-from wheelsight.errors import ArgumentError
-from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeId
-from wheelsight.matches import Match, SpeedVariances
-from wheelsight.slam.correction import Unused, carried, correct, corrected_by
+from wheelsight.core.errors import ArgumentError
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.core.messages import Match, SpeedVariances
+from wheelsight.core.trajectory import Trajectory
 from wheelsight.slam.drive_graph import SeenAgain
-from wheelsight.slam.live import ClosedLoops
-from wheelsight.slam.loops import LoopReport
-from wheelsight.slam.own_solver import OwnPoseGraph
+from wheelsight.slam.loop_closing import ClosedLoops, Unused, carried, correct, corrected_by
+from wheelsight.slam.loop_gate import LoopReport
 from wheelsight.slam.settings import LoopSettings, MatchSettings
-from wheelsight.trajectory import Trajectory
+from wheelsight.slam.solvers import OwnPoseGraph
 
 SPEED_M_S, SIDE_S, STEP_S = 1.0, 12.0, 0.1
 TURN_SIGMA = 0.05  # rad/s of each reading

@@ -3,14 +3,13 @@
 import numpy as np
 from narrowing import not_none
 
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.drive_graph import DriveGraph, LivedKeyframe, SeenAgain
-from wheelsight.slam.graph import RelativePose
-from wheelsight.slam.known import KnownMap
+from wheelsight.slam.graph import ANCHOR_SIGMA, RelativePose
+from wheelsight.slam.place_recognition import KnownMap
 from wheelsight.slam.settings import LoopSettings
-from wheelsight.slam.steps import ANCHOR_SIGMA
 
 STEP = np.diag(np.square([0.02] * 3 + [0.01] * 3))
 SEEN = np.diag(np.square([0.03] * 3 + [0.02] * 3))

@@ -9,15 +9,14 @@ import pytest
 from narrowing import not_none
 from places.seen_room import EXACT, kept, ring, seen
 
-from wheelsight.errors import MapError
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
-from wheelsight.slam.correction import corrected_by
+from wheelsight.core.errors import MapError
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.core.trajectory import Trajectory
 from wheelsight.slam.drive_graph import LivedKeyframe, PoseUpdate, SeenAgain
 from wheelsight.slam.graph import RelativePose
-from wheelsight.slam.live import LiveLoops
+from wheelsight.slam.loop_closing import LiveLoops, corrected_by
 from wheelsight.slam.settings import LoopSettings, SeenSettings
-from wheelsight.trajectory import Trajectory
 
 # Half round the room and the same way again, some centimetres aside; a keyframe a second.
 WAY = [T for lap in (0.0, 0.06) for T in (pose @ se3.exp([lap, 0, 0, 0, 0, 0]) for pose in ring(16)[:8])]

@@ -12,14 +12,12 @@ from graphs import (
     true_loops,
 )
 
-from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeId
-from wheelsight.slam.clusters import clusters_of
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import KeyframeId
 from wheelsight.slam.graph import Prior, RelativePose
-from wheelsight.slam.loops import LoopCloser, chi_squared
-from wheelsight.slam.own_solver import OwnPoseGraph
-from wheelsight.slam.pose_graph import GtsamPoseGraph
+from wheelsight.slam.loop_gate import LoopCloser, chi_squared, clusters_of
 from wheelsight.slam.settings import LoopSettings
+from wheelsight.slam.solvers import GtsamPoseGraph, OwnPoseGraph
 
 SOLVERS = [OwnPoseGraph, GtsamPoseGraph]
 

@@ -16,15 +16,15 @@ from room_drive import make_room_drive
 from test_live import SETTINGS, WAY, lived
 
 from wheelsight import Localizer, load_config, run
-from wheelsight.errors import ConfigError, PartError
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
-from wheelsight.localizer.choice import OwnParts
-from wheelsight.pipeline import run_each
+from wheelsight.app.run import run_each
+from wheelsight.core.errors import ConfigError, PartError
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.estimation.odometry_choice import OwnParts
+from wheelsight.io.recordings import open_recording
 from wheelsight.places.recognition import Recognizer
-from wheelsight.recordings import open_recording
-from wheelsight.slam.live import LiveLoops
-from wheelsight.slam.recognised import PlaceWatcher
+from wheelsight.slam.loop_closing import LiveLoops
+from wheelsight.slam.place_recognition import PlaceWatcher
 from wheelsight.slam.settings import SeenSettings
 
 LAP = 8

@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import KeyframeId
-from wheelsight.slam.graph import RelativePose
-from wheelsight.slam.piece_graph import PieceGraph
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.slam.drive_graph import PieceGraph
+from wheelsight.slam.graph import RelativePose, anchor
 from wheelsight.slam.settings import LoopSettings
-from wheelsight.slam.steps import anchor
 
 COUNT, STEP_M = 5, 0.4
 C = 1e-4 * np.eye(6)

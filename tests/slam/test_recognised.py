@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from places.seen_room import EXACT, kept, ring, seen
 
-from wheelsight.errors import MapError
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.core.errors import MapError
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.slam.graph import RelativePose
-from wheelsight.slam.recognised import PlaceWatcher
+from wheelsight.slam.place_recognition import PlaceWatcher
 from wheelsight.slam.settings import SeenSettings
 
 # Half round the room and the same way again, some centimetres aside; a keyframe a second.

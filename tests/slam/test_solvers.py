@@ -4,15 +4,13 @@ from graphs import ANCHOR, dead_reckoned, drive, false_loops, filled, odometry, 
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wheelsight.errors import ArgumentError, ConfigError
-from wheelsight.extras import needed
-from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeId
-from wheelsight.slam import pose_graph
-from wheelsight.slam.errors_of_edges import arrays_of, edge_errors, edge_jacobians, inverse_left_jacobian
-from wheelsight.slam.graph import Prior, RelativePose
-from wheelsight.slam.own_solver import OwnPoseGraph
-from wheelsight.slam.pose_graph import GtsamPoseGraph, new_pose_graph
+from wheelsight.core.errors import ArgumentError, ConfigError
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.core.runtime import needed
+from wheelsight.slam import solvers as pose_graph
+from wheelsight.slam.graph import Prior, RelativePose, arrays_of, edge_errors, edge_jacobians, inverse_left_jacobian
+from wheelsight.slam.solvers import GtsamPoseGraph, OwnPoseGraph, new_pose_graph
 
 SOLVERS = [OwnPoseGraph, GtsamPoseGraph]
 

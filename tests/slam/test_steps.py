@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeId
-from wheelsight.slam.graph import RelativePose
-from wheelsight.slam.own_solver import OwnPoseGraph
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.slam.graph import RelativePose, along_floor, step_edge
 from wheelsight.slam.settings import StepSettings
-from wheelsight.slam.steps import along_floor, step_edge
+from wheelsight.slam.solvers import OwnPoseGraph
 
 # The camera looks ahead: its y axis points down.
 UP = np.array([0.0, -1.0, 0.0])

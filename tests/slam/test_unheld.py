@@ -7,16 +7,15 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeId
-from wheelsight.slam import own_solver, piece_graph
-from wheelsight.slam.graph import RelativePose
-from wheelsight.slam.loops import LoopCloser, Refusal
-from wheelsight.slam.own_solver import OwnPoseGraph
-from wheelsight.slam.piece_graph import PieceGraph
-from wheelsight.slam.pose_graph import GtsamPoseGraph
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.slam import drive_graph as piece_graph
+from wheelsight.slam import solvers as own_solver
+from wheelsight.slam.drive_graph import PieceGraph
+from wheelsight.slam.graph import RelativePose, anchor
+from wheelsight.slam.loop_gate import LoopCloser, Refusal
 from wheelsight.slam.settings import LoopSettings
-from wheelsight.slam.steps import anchor
+from wheelsight.slam.solvers import GtsamPoseGraph, OwnPoseGraph
 
 SOLVERS = [OwnPoseGraph, GtsamPoseGraph]
 C = 1e-6 * np.eye(6)

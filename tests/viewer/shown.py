@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from rerun.chunk import RrdReader
 
-from wheelsight.geometry import se3
+from wheelsight.core.geometry import se3
 
 
 class Shown:

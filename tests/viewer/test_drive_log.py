@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from rehearsed_drive import CALIBRATION, rehearsed_drive
 
-from wheelsight.geometry import se2
+from wheelsight.app.run.drives import Drive, Goal
+from wheelsight.app.viewer import open_drive_log
+from wheelsight.core.geometry import se2
+from wheelsight.core.settings import ViewerSettings
 from wheelsight.navigation import Feedback, NavigationState
-from wheelsight.pipeline.drives import Drive, Goal
-from wheelsight.settings import ViewerSettings
-from wheelsight.viewer import open_drive_log
 
 pytest.importorskip("rerun", reason="rerun-sdk is not installed")
 from viewer.shown import Shown

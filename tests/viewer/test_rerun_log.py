@@ -16,16 +16,16 @@ from pipeline.made import frames_at, mixed_recording, wheel_recording
 from stand_ins import MemoryRecording, TrueOdometry, leave_pages_bare
 from synthetic import make_tum_recording, wobbling_trajectory
 
+from wheelsight.app.run import RunRecord
+from wheelsight.app.runs import run_each
+from wheelsight.app.viewer import SPAWN, open_rerun, start_viewer, why_no_rerun
 from wheelsight.config import Config, load_config
-from wheelsight.errors import ConfigError, OutputError
-from wheelsight.geometry import se3
-from wheelsight.pipeline import RunRecord
-from wheelsight.recordings import open_recording
-from wheelsight.runs import run_each
-from wheelsight.settings import ViewerSettings
-from wheelsight.sources import EventSource
-from wheelsight.trajectory import Trajectory
-from wheelsight.viewer import SPAWN, open_rerun, start_viewer, why_no_rerun
+from wheelsight.core.errors import ConfigError, OutputError
+from wheelsight.core.geometry import se3
+from wheelsight.core.robots import EventSource
+from wheelsight.core.settings import ViewerSettings
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings import open_recording
 
 pytest.importorskip("rerun", reason="rerun-sdk is not installed")
 from rerun.chunk import RrdReader
@@ -43,7 +43,7 @@ def bare_pages(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def truth(monkeypatch: pytest.MonkeyPatch) -> Trajectory:
     TrueOdometry.truth = wobbling_trajectory(20)
-    monkeypatch.setattr("wheelsight.localizer._camera.FeatureOdometry", TrueOdometry)
+    monkeypatch.setattr("wheelsight.estimation.camera_localizer.FeatureOdometry", TrueOdometry)
     return TrueOdometry.truth
 
 

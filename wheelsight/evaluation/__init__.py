@@ -9,11 +9,9 @@ from wheelsight.evaluation.consistency import (
     position_covariances_m2,
     start_alignment,
 )
-from wheelsight.evaluation.coverage import frame_coverage, pairing_warning, time_coverage
-from wheelsight.evaluation.evaluate import Evaluation, evaluate
+from wheelsight.evaluation.evaluate import Evaluation, evaluate, frame_coverage, pairing_warning, time_coverage
 from wheelsight.evaluation.rpe import RelativeError, rpe
-from wheelsight.evaluation.sequence import SequenceStatistics, sequence_statistics
-from wheelsight.evaluation.statistics import Statistics
+from wheelsight.evaluation.statistics import SequenceStatistics, Statistics, sequence_statistics
 
 __all__ = [
     "THREE_SIGMA_RADIUS",

@@ -6,11 +6,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wheelsight.errors import DegenerateGeometryError, EvaluationError
-from wheelsight.evaluation._pairing import matched
-from wheelsight.evaluation.statistics import Statistics
-from wheelsight.geometry import FloatArray, align_points, align_points_with_scale, se3, so3
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.errors import DegenerateGeometryError, EvaluationError
+from wheelsight.core.geometry import FloatArray, align_points, align_points_with_scale, se3, so3
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.evaluation.statistics import Statistics, matched
 
 # How far the points stand from a pose that settle the roll about a straight path, as a share of its extent:
 # long enough to be seen by the alignment, too short to pull positions off (their share of the cost is its square).

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wheelsight.errors import EvaluationError
-from wheelsight.geometry import BoolArray, FloatArray, se3
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.errors import EvaluationError
+from wheelsight.core.geometry import BoolArray, FloatArray, se3
+from wheelsight.core.trajectory import Trajectory
 
 # What two dimensions stay within as probably as one within 3σ: χ² of two degrees of freedom, to 0.9973.
 THREE_SIGMA_RADIUS = math.sqrt(11.83)

@@ -7,12 +7,10 @@ from typing import Literal
 
 import numpy as np
 
-from wheelsight.errors import EvaluationError
-from wheelsight.evaluation._pairing import matched
-from wheelsight.evaluation._steps import steps_along
-from wheelsight.evaluation.statistics import Statistics
-from wheelsight.geometry import FloatArray, IntArray, se3, so3
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.errors import EvaluationError
+from wheelsight.core.geometry import FloatArray, IntArray, se3, so3
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.evaluation.statistics import Statistics, matched, steps_along
 
 Unit = Literal["frames", "seconds", "metres"]
 

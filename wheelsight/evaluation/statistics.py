@@ -1,4 +1,6 @@
-"""Statistics: what a list of errors comes to."""
+"""Statistics of errors and of sequences (Zhang's Table 2), the pairing of estimated and true poses, and steps along
+time or distance.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,12 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from wheelsight.errors import EvaluationError
+from wheelsight.core.errors import EvaluationError
+from wheelsight.core.geometry import FloatArray, IntArray, so3
+from wheelsight.core.stamps import associate
+from wheelsight.core.trajectory import Trajectory
+
+# Statistics: what a list of errors comes to.
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,3 +55,136 @@ class Statistics:
     def to_dict(self) -> dict[str, float]:
         """The fields by name, for metrics.json."""
         return asdict(self)
+
+
+# What a sequence is like: Zhang's Table 2.
+
+
+# Seconds since 1970 as float64 are exact to a quarter of this.
+_STAMP_ROUNDING_S = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceStatistics:
+    """A trajectory in a few figures.
+
+    Attributes:
+        duration_s: from the first stamp to the last.
+        posed_duration_s: how long poses were known: their number times their usual period.
+        length_m: of the path through all poses, shaking and measurement noise included.
+        windowed_length_m: of the path in whole steps of `window_s`, averaged over where the first step starts;
+            shorter, since it cuts corners and leaves out the last, broken step.
+        mean_speed_m_per_s: over windows of `window_s`, averaged over all of them.
+        mean_angular_speed_rad_per_s: likewise.
+        extent_m: along the map's x, y and z.
+        window_s: of the windows; the duration, where that is shorter than what was asked for.
+    """
+
+    duration_s: float
+    posed_duration_s: float
+    length_m: float
+    windowed_length_m: float
+    mean_speed_m_per_s: float
+    mean_angular_speed_rad_per_s: float
+    extent_m: tuple[float, float, float]
+    window_s: float
+
+
+def sequence_statistics(trajectory: Trajectory, window_s: float = 1.0) -> SequenceStatistics:
+    """Duration, length, speeds and extent of a trajectory (Zhang, Table 2).
+
+    Zhang's figures are those of the TUM benchmark's page, which does not define them. The speeds defined here, over
+    a window from each pose to the one nearest to `window_s` later, give every digit of them for fr1/desk
+    (0.413 m/s, 23.327 °/s). Its length of 9.263 m is no path through all poses, which is 10.599 m long, but
+    within 4 mm the windowed length, 9.260 m. Every digit has the sum of what was moved in each of these windows,
+    divided by the mean number of poses that one goes on for (9.2635 m), which is no length of shorter trajectories.
+
+    Raises:
+        EvaluationError: fewer than two poses.
+    """
+    if len(trajectory) < 2:
+        raise EvaluationError(f"a motion needs two poses; the trajectory has {len(trajectory)}")
+    duration_s = trajectory.duration_s
+    window_s = min(window_s, duration_s)
+    speed, angular_speed = _mean_speeds(trajectory, window_s)
+    whole_steps_s = duration_s - window_s if duration_s > window_s else window_s
+    x, y, z = np.ptp(trajectory.positions_m, axis=0).tolist()
+    return SequenceStatistics(
+        duration_s=duration_s,
+        posed_duration_s=float(len(trajectory) * np.median(np.diff(trajectory.stamps_s))),
+        length_m=trajectory.length_m,
+        windowed_length_m=speed * whole_steps_s,
+        mean_speed_m_per_s=speed,
+        mean_angular_speed_rad_per_s=angular_speed,
+        extent_m=(x, y, z),
+        window_s=window_s,
+    )
+
+
+def _mean_speeds(trajectory: Trajectory, window_s: float) -> tuple[float, float]:
+    """Mean speed (m/s) and angular speed (rad/s) over all windows that end within the trajectory."""
+    stamps_s, R = trajectory.stamps_s, trajectory.T_frame_body[:, :3, :3]
+    start, end = steps_along(stamps_s, window_s)
+    whole = stamps_s[start] + window_s <= stamps_s[-1] + _STAMP_ROUNDING_S
+    start, end = start[whole], end[whole]
+    elapsed_s = stamps_s[end] - stamps_s[start]
+    moved_m = np.linalg.norm(trajectory.positions_m[end] - trajectory.positions_m[start], axis=1)
+    turned_rad = so3.angle(np.swapaxes(R[start], 1, 2) @ R[end])
+    return float(np.mean(moved_m / elapsed_s)), float(np.mean(turned_rad / elapsed_s))
+
+
+# Which pose of the estimate stands beside which true pose.
+
+
+_FEWEST_PAIRS = 3
+
+
+def matched(estimate: Trajectory, truth: Trajectory, max_gap_s: float) -> tuple[Trajectory, Trajectory]:
+    """The poses of both that belong together (M each), at most `max_gap_s` seconds apart, each used once.
+
+    Raises:
+        EvaluationError: the two describe different bodies, or share fewer than three pairs: says what they span.
+    """
+    if estimate.body != truth.body:
+        raise EvaluationError(
+            f"the estimate is T_{estimate.frame}_{estimate.body} but the ground truth T_{truth.frame}_{truth.body}: "
+            f"the {estimate.body} and the {truth.body} move differently (convert one by T_base_camera; where a file's "
+            "header does not name its frames, say --body)"
+        )
+    pairs = associate(estimate.stamps_s, truth.stamps_s, max_gap_s)
+    if len(pairs) < _FEWEST_PAIRS:
+        raise EvaluationError(_too_few(estimate, truth, len(pairs), max_gap_s))
+    return estimate.select(pairs[:, 0]), truth.select(pairs[:, 1])
+
+
+def _too_few(estimate: Trajectory, truth: Trajectory, pairs: int, max_gap_s: float) -> str:
+    spans = f"the estimate spans {_span(estimate)}, the ground truth {_span(truth)}"
+    shared_s = 0.0
+    if len(estimate) and len(truth):
+        start_s, end_s = max(estimate.stamps_s[0], truth.stamps_s[0]), min(estimate.stamps_s[-1], truth.stamps_s[-1])
+        shared_s = end_s - start_s
+    overlap = f"they share {shared_s:.3f} s" if shared_s > 0 else "they do not overlap in time"
+    found = f"{pairs} of the estimate's poses within {max_gap_s:g} s of a true one, {_FEWEST_PAIRS} needed"
+    return f"{found}: {spans}; {overlap}"
+
+
+def _span(trajectory: Trajectory) -> str:
+    if not len(trajectory):
+        return "nothing (no poses)"
+    return f"{trajectory.stamps_s[0]:.3f} to {trajectory.stamps_s[-1]:.3f} s"
+
+
+# Steps of one length along a growing quantity: time, or distance travelled.
+
+
+def steps_along(along: FloatArray, delta: float) -> tuple[IntArray, IntArray]:
+    """From each of values (N,) that never fall to the later one nearest to `delta` further on: indices (N-1,) twice.
+
+    Of equally near ones it is the first. How near it is, the caller must judge.
+    """
+    start = np.arange(len(along) - 1)
+    wanted = along[:-1] + delta
+    after = np.searchsorted(along, wanted).clip(1, len(along) - 1)
+    end = np.where(wanted - along[after - 1] <= along[after] - wanted, after - 1, after)
+    end = np.searchsorted(along, along[end])
+    return start, np.maximum(end, start + 1)

@@ -1,16 +1,12 @@
 """Mapping: surfels that frames are fused into, views predicted from them, files and meshes; occupancy of the floor."""
 
 from wheelsight.mapping.export import Mesh, colors_of, mesh_of, write_mesh_ply, write_ply
-from wheelsight.mapping.floor_polygons import roomiest_place
-from wheelsight.mapping.map_edits import EditKind, MapEdit, MapEdits
+from wheelsight.mapping.map_edits import EditKind, MapEdit, MapEdits, roomiest_place
 from wheelsight.mapping.named_poses import NamedPose, NamedPoses
-from wheelsight.mapping.occupancy import CellKind, OccupancyGrid
-from wheelsight.mapping.occupancy_mapper import OccupancyMapper
-from wheelsight.mapping.occupancy_settings import OccupancySettings
-from wheelsight.mapping.settings import SurfelSettings
+from wheelsight.mapping.occupancy import CellKind, OccupancyGrid, OccupancyMapper
+from wheelsight.mapping.settings import OccupancySettings, SurfelSettings
 from wheelsight.mapping.storage import load_map, save_map
-from wheelsight.mapping.surfels import SurfelMap
-from wheelsight.mapping.values import ColoredView, FusedFrame, MapStatus, Surfels
+from wheelsight.mapping.surfels import ColoredView, FusedFrame, MapStatus, SurfelMap, Surfels
 
 __all__ = [
     "CellKind",

@@ -1,33 +1,36 @@
-"""Surfels as columns of whole numbers that are small on disk, and back.
-
-Steps are far below what a depth camera tells:
-
-| column | of |
-|---|---|
-| `keyframe` | its number, -1 for none |
-| `normal_u`, `normal_v` | normal on an octahedron that is folded out to a square, from -127 to 127 |
-| `radius` | 16 · log2 of the radius over 1 mm |
-| `across_1`, `across_2` | position along the two axes that follow the normal's main axis, in steps of 0.5 mm · 2^e |
-| `along` | position along the normal's main axis, in steps of 0.5 mm |
-| `red_green`, `green`, `blue_green`, `grey` | colours less green, green and grey; -1 where they are unknown |
-| `confidence` | 4 · log2 of the confidence over that of stable surfels; from 0 on where it is stable |
-| `variance` | 4 · log2 of the variance over 1 mm² |
-| `first_age`, `last_age` | half seconds from when it was seen first and last to the map's time |
-
-The normal's main axis is the one it is nearest to, and e is radius // 16 - 1, at least 0: the step is a quarter of the
-radius or less. Position is rounded across that axis first. Then the surfel slides back into its own plane, and
-is rounded along the axis, so that a surface stays where it is.
-"""
+"""Quantized columns of surfels as map files hold them, and their buffers on the disk."""
 
 from __future__ import annotations
 
-from typing import Any
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wheelsight.geometry import ByteArray, Float32Array, FloatArray, IntArray
-from wheelsight.mapping.values import Surfels
+from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, IntArray
+from wheelsight.mapping.surfels import Surfels
+
+# Surfels as columns of whole numbers that are small on disk, and back.
+#
+# Steps are far below what a depth camera tells:
+#
+# | column | of | |---|---| | `keyframe` | its number, -1 for none | | `normal_u`, `normal_v` | normal on an
+# octahedron that is folded out to a square, from -127 to 127 | | `radius` | 16 · log2 of the radius over 1 mm | |
+# `across_1`, `across_2` | position along the two axes that follow the normal's main axis, in steps of 0.5 mm · 2^e |
+# | `along` | position along the normal's main axis, in steps of 0.5 mm | | `red_green`, `green`, `blue_green`, `grey`
+# | colours less green, green and grey; -1 where they are unknown | | `confidence` | 4 · log2 of the confidence over
+# that of stable surfels; from 0 on where it is stable | | `variance` | 4 · log2 of the variance over 1 mm² | |
+# `first_age`, `last_age` | half seconds from when it was seen first and last to the map's time |
+#
+# The normal's main axis is the one it is nearest to, and e is radius // 16 - 1, at least 0: the step is a quarter of
+# the radius or less. Position is rounded across that axis first. Then the surfel slides back into its own plane, and
+# is rounded along the axis, so that a surface stays where it is.
+
 
 # Name and type, in the order of the file: positions need what stands before them.
 COLUMNS = (
@@ -225,3 +228,65 @@ def _ages(stamp_s: float, seen_s: FloatArray) -> FloatArray:
 
 def _seen_s(stamp_s: float, age: NDArray[Any]) -> FloatArray:
     return np.asarray(stamp_s - _AGE_S * age, float)
+
+
+# ColumnFiles: columns of surfels on their way into a map's file, on the disk: in memory all are as half a map.
+
+
+_ROWS_AT_ONCE = 1 << 16
+
+
+class Compressor(Protocol):
+    """Such as `lzma.LZMACompressor`."""
+
+    def compress(self, data: bytes, /) -> bytes:
+        """What is known of the result by now."""
+        ...
+
+
+class ColumnFiles:
+    """Takes columns part by part, and gives them back one column after the other; a context, which removes the files.
+
+    The files have no name, so that none is left behind by a process that is killed.
+
+    Args:
+        folder: where they are. Raises OSError, as all methods do.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._open = ExitStack()
+        self._streams = {name: self._temporary(folder) for name, _ in COLUMNS}
+        self._last = {name: np.zeros(1, dtype) for name, dtype in COLUMNS}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._open.close()
+
+    def add(self, columns: Columns) -> None:
+        """Put these behind the others."""
+        for name, column in columns.items():
+            self._streams[name].write(steps_of(column, self._last[name][0]).tobytes())
+            self._last[name] = column[-1:] if len(column) else self._last[name]
+
+    def compressed(self, compressor: Compressor) -> bytes:
+        """All of them as `columns.packed` has them."""
+        return b"".join(
+            compressor.compress(piece)
+            for name, dtype in COLUMNS
+            for piece in _planes(self._streams[name], np.dtype(dtype).itemsize)
+        )
+
+    def _temporary(self, folder: Path) -> IO[bytes]:
+        return self._open.enter_context(tempfile.TemporaryFile(dir=folder))
+
+
+def _planes(stream: IO[bytes], width: int) -> Iterator[bytes]:
+    """All first bytes of the numbers of a file, then all second ones, and so on."""
+    for byte in range(width):
+        stream.seek(0)
+        while rows := stream.read(width * _ROWS_AT_ONCE):
+            yield rows[byte::width]

@@ -1,8 +1,4 @@
-"""Maps for other programs: points and triangle meshes as PLY, which Open3D, MeshLab and CloudCompare open.
-
-Triangles are by scikit-image's marching cubes (extra `mesh`): it is small, kept, and of a licence that lets a robot
-ship it. Open3D's and MeshLab's Poisson reconstructions close holes with surfaces that nobody saw.
-"""
+"""Exports of a map: PLY points and meshes, a point cloud for web pages, and a plan view from above."""
 
 from __future__ import annotations
 
@@ -13,12 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from wheelsight.errors import MapError
-from wheelsight.extras import needed
-from wheelsight.files import StrPath, atomic_write
-from wheelsight.geometry import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array
-from wheelsight.mapping.surfels import SurfelMap
-from wheelsight.mapping.values import FRAME, Surfels
+from wheelsight.core.errors import MapError
+from wheelsight.core.files import StrPath, atomic_write
+from wheelsight.core.geometry import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array, IntArray
+from wheelsight.core.runtime import needed
+from wheelsight.mapping.surfels import FRAME, Parts, SurfelMap, Surfels
+
+# Maps for other programs: points and triangle meshes as PLY, which Open3D, MeshLab and CloudCompare open.
+#
+# Triangles are by scikit-image's marching cubes (extra `mesh`): it is small, kept, and of a licence that lets a robot
+# ship it. Open3D's and MeshLab's Poisson reconstructions close holes with surfaces that nobody saw.
+
 
 _MarchingCubes = Callable[..., tuple[FloatArray, np.ndarray, np.ndarray, np.ndarray]]
 
@@ -138,7 +139,7 @@ def _triangles(
 
     Chunks share their outermost voxels, whose values are the same in both, so that surfaces meet.
     """
-    from wheelsight.mapping import _mesh_kernels as kernels
+    from wheelsight.mapping import view_kernels as kernels
 
     size = (CHUNK_VOXELS + 1,) * 3
     distance, weight, origin = np.zeros(size), np.zeros(size), first * voxel_m
@@ -208,3 +209,262 @@ def _ply_header(table: np.ndarray) -> bytes:
         kind = table.dtype[name].str.replace("|", "")
         lines.append(f"property {_PLY_TYPES[kind]} {name}")
     return ("\n".join(lines) + "\n").encode()
+
+
+# A map as so few points that a page can hold and turn them.
+
+
+# Edges of cubes are tried in steps of so much; a finer one would find hardly any more room for points.
+_STEP = 1.1
+# Keys are 64 bits: 20 for each coordinate, and 3 for the side that a surfel is seen from.
+_COORDINATE_BITS = 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapCloud:
+    """Points of a map, each the mean of the surfels that lie in one cube and are seen from one side.
+
+    Attributes:
+        position: (n, 3) float32 in metres, in the map frame.
+        normal: (n, 3) float32 of length 1, towards where they were seen from.
+        color: (n, 3) uint8 red, green, blue.
+        edge_m: of the cubes; 0 where each point is a surfel.
+        of: how many surfels there were.
+    """
+
+    position: Float32Array
+    normal: Float32Array
+    color: ByteArray
+    edge_m: float
+    of: int
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+
+def cloud_of(parts: Parts, most: int) -> MapCloud | None:
+    """At most `most` points of a map, evenly over its surfaces; None without surfels.
+
+    Surfels of both sides of a thin wall stay apart: they are told apart by the axis that their normal is nearest to.
+    """
+    count, low, high = 0, np.full(3, np.inf), np.full(3, -np.inf)
+    for surfels in parts():
+        count += len(surfels.grey)
+        low = np.minimum(low, surfels.position.min(axis=0, initial=np.inf))
+        high = np.maximum(high, surfels.position.max(axis=0, initial=-np.inf))
+    if not (count and most > 0):
+        return None
+    if count <= most:
+        pieces = [(surfels.position, surfels.normal, colors_of(surfels)) for surfels in parts()]
+        position, normal, color = (np.concatenate(column) for column in zip(*pieces, strict=True))
+        return MapCloud(position, normal, color, 0.0, count)
+    edge_m, cubes = _cubes(parts, (low, max(float((high - low).max()), 1e-6)), most)
+    sums, counts = np.zeros((len(cubes), 9)), np.zeros(len(cubes))
+    for surfels in parts():
+        cube = np.searchsorted(cubes, _keys(surfels, low, edge_m))
+        np.add.at(sums, cube, np.hstack([surfels.position, surfels.normal, colors_of(surfels)]).astype(float))
+        np.add.at(counts, cube, 1)
+    at, facing, mean_color = np.split(sums / counts[:, None], 3, axis=1)
+    facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
+    colors = np.rint(mean_color).astype(np.uint8)
+    return MapCloud(at.astype(np.float32), facing.astype(np.float32), colors, edge_m, count)
+
+
+def _sides(normal: Float32Array) -> IntArray:
+    """(n,) from 0 to 5."""
+    axis = np.abs(normal).argmax(axis=1)
+    return np.asarray(2 * axis + (normal[np.arange(len(normal)), axis] < 0), np.int64)
+
+
+def _cubes(parts: Parts, within: tuple[FloatArray, float], most: int) -> tuple[float, IntArray]:
+    """The shortest edge (but for a step) with which no more than `most` cubes are filled, and their keys in order.
+
+    All lie within so many metres of a lowest corner (3,).
+    """
+    low, extent_m = within
+    steps = int(np.log(2 ** (_COORDINATE_BITS + 1)) / np.log(_STEP)) + 1
+    edges_m = extent_m / 2**_COORDINATE_BITS * _STEP ** np.arange(steps)
+    first, last = 0, len(edges_m) - 1  # what fills too many cubes, and the shortest edge known not to
+    filled = _filled(parts, low, float(edges_m[last]), most)
+    while last - first > 1:
+        middle = (first + last) // 2
+        found = _filled(parts, low, float(edges_m[middle]), most)
+        if found is None:
+            first = middle
+        else:
+            last, filled = middle, found
+    assert filled is not None
+    return float(edges_m[last]), filled
+
+
+def _filled(parts: Parts, low: FloatArray, edge_m: float, most: int) -> IntArray | None:
+    """Keys of all cubes of an edge that are filled, in order; None where there are more than `most`."""
+    found = np.zeros(0, np.int64)
+    for surfels in parts():
+        more = np.unique(_keys(surfels, low, edge_m))
+        # Two rows that are in order are merged in one go by this kind of sorting.
+        both = np.sort(np.concatenate([found, more]), kind="stable")
+        found = both[np.diff(both, prepend=-1) > 0]
+        if len(found) > most:
+            return None
+    return found
+
+
+def _keys(surfels: Surfels, low: FloatArray, edge_m: float) -> IntArray:
+    """(n,) a number of each cube and side; neighbours along z follow each other."""
+    cells = np.floor((surfels.position - low) / edge_m).astype(np.int64)
+    x, y, z = cells.clip(0, 2**_COORDINATE_BITS - 1).T
+    side = _sides(surfels.normal)
+    return np.asarray(((x << _COORDINATE_BITS | y) << _COORDINATE_BITS | z) * 8 + side)
+
+
+# A map as a plan: seen from straight above and to scale, with the ceiling cut away.
+
+
+_LONGER_SIDE_PX = 1100
+_FINEST_M = 0.004
+_AIR_M = 0.25
+# Of the surfels, on each side: strays must not make a plan of a room as large as a town's.
+_STRAY_SHARE = 0.0005
+_CEILING = -0.3
+_LARGEST_PX = 4
+# What stands upright is drawn darker by so much, which makes walls lines.
+_SHADE = 0.55
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """A map seen from above.
+
+    Attributes:
+        image: (h, w, 3) uint8 red, green, blue; white where nothing is known.
+        is_known: (h, w).
+        m_per_px: how wide a pixel is.
+        R_plan_map: (3, 3): x to the right of the page, y up the page, z towards the reader.
+        corner_m: (2,) x and y in the plan of the middle of the image's first pixel.
+    """
+
+    image: ByteArray
+    is_known: BoolArray
+    m_per_px: float
+    R_plan_map: FloatArray
+    corner_m: FloatArray
+
+    def project(self, p_map: FloatArray) -> FloatArray:
+        """Pixels (n, 2), u to the right and v down, of points (n, 3) in the map."""
+        p_plan = p_map @ self.R_plan_map.T
+        return np.stack([p_plan[:, 0] - self.corner_m[0], self.corner_m[1] - p_plan[:, 1]], axis=-1) / self.m_per_px
+
+
+def plan_of(parts: Parts, up: FloatArray, below_m: float, shown: FloatArray, right: FloatArray) -> Plan | None:
+    """The plan of a map; None without surfels.
+
+    Args:
+        parts: of the map.
+        up: (3,) of length 1, in the map.
+        below_m: height along `up` above which nothing is drawn. Ceilings, which face down, never are.
+        shown: (n, 3) points in the map that the plan must hold too: a path.
+        right: (3,) what points to the right on the page, as far as it is level.
+    """
+    R_plan_map = _levelled(up, right)
+    extents = [_extent(parts, (up, below_m), axis, shown @ axis) for axis in R_plan_map[:2]]
+    if None in extents:
+        return None
+    low, high = np.array(extents).T
+    m_per_px = max(float((high - low).max()) / _LONGER_SIDE_PX, _FINEST_M)
+    width, height = (int(n) for n in np.ceil((high - low) / m_per_px).astype(int) + 1)
+    plan = Plan(*_blank(height, width), m_per_px, R_plan_map, np.array([low[0], high[1]]))
+    top_m = np.full(height * width, -np.inf)
+    for surfels in parts():
+        _draw(surfels, _is_drawn(surfels, up, below_m), plan, top_m)
+    return plan
+
+
+def _is_drawn(surfels: Surfels, up: FloatArray, below_m: float) -> BoolArray:
+    return (surfels.normal.astype(float) @ up > _CEILING) & (surfels.position.astype(float) @ up < below_m)
+
+
+def _draw(surfels: Surfels, kept: BoolArray, plan: Plan, top_m: FloatArray) -> None:
+    """Lay those that are kept over what has been drawn, whose heights (h · w,) are `top_m`."""
+    position, up = surfels.position[kept].astype(float), plan.R_plan_map[2]
+    px = np.rint(plan.project(position)).astype(np.int64)
+    reach_px = np.clip(np.rint(surfels.radius_m[kept] / plan.m_per_px), 1, _LARGEST_PX).astype(np.int64)
+    height_m = (position @ plan.R_plan_map.T)[:, 2]
+    at, highest = _highest(px, reach_px, height_m, plan.is_known.shape)
+    is_over = height_m[highest] >= top_m[at]
+    at, highest = at[is_over], highest[is_over]
+    facing = np.clip(surfels.normal[kept][highest].astype(float) @ up, 0, 1)[:, None]
+    shade = colors_of(surfels)[kept][highest] * (1 - _SHADE + _SHADE * facing)
+    top_m[at], plan.is_known.reshape(-1)[at] = height_m[highest], True
+    plan.image.reshape(-1, 3)[at] = np.rint(shade)
+
+
+def _blank(height: int, width: int) -> tuple[ByteArray, BoolArray]:
+    return np.full((height, width, 3), 255, np.uint8), np.zeros((height, width), bool)
+
+
+def _levelled(up: FloatArray, right: FloatArray) -> FloatArray:
+    """R_plan_map (3, 3)."""
+    level = right - (right @ up) * up
+    if np.linalg.norm(level) < 1e-3 * np.linalg.norm(right):
+        level = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    level /= np.linalg.norm(level)
+    return np.stack([level, np.cross(up, level), up])
+
+
+def _extent(
+    parts: Parts, drawn: tuple[FloatArray, float], axis: FloatArray, shown_m: FloatArray
+) -> tuple[float, float] | None:
+    """From where to where the plan reaches along an axis (3,); None where nothing is drawn."""
+    along = [(s.position[_is_drawn(s, *drawn)].astype(float) @ axis).astype(np.float32) for s in parts()]
+    all_m = np.concatenate([np.zeros(0, np.float32), *along])
+    if not len(all_m):
+        return None
+    low, high = np.quantile(all_m, [_STRAY_SHARE, 1 - _STRAY_SHARE], overwrite_input=True).astype(float)
+    return min([low, *shown_m]) - _AIR_M, max([high, *shown_m]) + _AIR_M
+
+
+def _highest(
+    px: IntArray, reach_px: IntArray, height_m: FloatArray, shape: tuple[int, ...]
+) -> tuple[IntArray, IntArray]:
+    """Pixels (k,) of all h · w that surfels cover, and which one is the highest there; each is a disk of `reach_px`."""
+    order = np.argsort(height_m, kind="stable")
+    rank = np.empty(len(order), np.int32)
+    rank[order] = np.arange(len(order))
+    top = np.full(shape[0] * shape[1], -1, np.int32)
+    for dv, du in np.ndindex(2 * _LARGEST_PX - 1, 2 * _LARGEST_PX - 1):
+        v, u = px[:, 1] + dv - _LARGEST_PX + 1, px[:, 0] + du - _LARGEST_PX + 1
+        near = (dv - _LARGEST_PX + 1) ** 2 + (du - _LARGEST_PX + 1) ** 2 < reach_px**2
+        near &= (v >= 0) & (v < shape[0]) & (u >= 0) & (u < shape[1])
+        np.maximum.at(top, v[near] * shape[1] + u[near], rank[near])
+    at = np.flatnonzero(top >= 0)
+    return at, order[top[at]]
+
+
+# Which way is up in a map that nobody has levelled.
+
+
+# Hand-held cameras look down by less; the narrower cones leave walls and slopes out that the widest let in.
+_CONES_DEG = (40.0, 20.0, 10.0)
+_LEAST_SURFELS = 100
+
+
+def upward(parts: Parts, R_map_camera: FloatArray) -> FloatArray:
+    """The direction (3,) of length 1 that floors and tables face, by the area of all that face about the camera's up.
+
+    Args:
+        parts: of the map.
+        R_map_camera: (3, 3) of a camera that was held upright, within 40°; where nothing faces up, its own up is
+            all that is known.
+    """
+    up = -np.asarray(R_map_camera, float)[:, 1]
+    for cone_deg in _CONES_DEG:
+        total, count = np.zeros(3), 0
+        for surfels in parts():
+            facing = surfels.normal @ up > np.cos(np.radians(cone_deg))
+            total += (surfels.normal[facing] * surfels.radius_m[facing, None].astype(float) ** 2).sum(axis=0)
+            count += int(np.count_nonzero(facing))
+        if count < _LEAST_SURFELS:
+            break
+        up = total / np.linalg.norm(total)
+    return up

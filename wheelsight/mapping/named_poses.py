@@ -1,23 +1,28 @@
-"""NamedPoses: what people call poses of a map, such as "kitchen"; each moves with the keyframe that it hangs on."""
+"""`NamedPoses` holds the named goals of a map, which move with keyframes. Also names of places, and the JSON files
+of annotations.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from wheelsight.errors import ArgumentError, MapError
-from wheelsight.files import StrPath, write_text
-from wheelsight.geometry import FloatArray, IntArray, se3
-from wheelsight.inputs import Kind
-from wheelsight.keyframes import KeyframeId
-from wheelsight.mapping.json_lists import read_list
-from wheelsight.mapping.place_names import checked_name, free_names, name_given_twice, unknown_name
+from wheelsight.core.errors import ArgumentError, MapError
+from wheelsight.core.files import StrPath, write_text
+from wheelsight.core.geometry import FloatArray, IntArray, se3
+from wheelsight.core.inputs import Kind, parse_json, read_text
+from wheelsight.core.keyframes import KeyframeId
+
+# NamedPoses: what people call poses of a map, such as "kitchen"; each moves with the keyframe that it hangs on.
+
 
 FORMAT, VERSION = "wheelsight-named-poses", 1
 _FILE = Kind("named poses of a map", most_mb=4, fix="give a file that NamedPoses.save wrote")
@@ -205,3 +210,91 @@ def _numbers(value: Any, name: str, shapes: tuple[tuple[int, ...], ...]) -> Floa
     if found.shape not in shapes or not np.isfinite(found).all():
         raise MapError(f"{name} is no pose", fix="finite numbers: [x, y] or [x, y, yaw]; of a keyframe (4, 4)")
     return found
+
+
+# What places and areas of a map may be called, and what is said of a name that none has.
+
+
+LONGEST_NAME = 60
+# For a space and a number behind a name.
+_ROOM = 6
+# In one line; wheelsight map name MAP --list shows all.
+_MOST_SHOWN = 50
+
+
+def checked_name(name: Any) -> str:
+    """A name, with one space between its words.
+
+    It has up to 60 letters, digits, spaces and signs, but no commas, by which coordinates are told.
+
+    Raises:
+        MapError: it is none.
+    """
+    text = " ".join(name.split()) if isinstance(name, str) else ""
+    if not text or "," in text or len(text) > LONGEST_NAME or not text.isprintable() or text.startswith("-"):
+        problem = f"{name!r} is no name for a place"
+        raise MapError(problem, fix=f"up to {LONGEST_NAME} letters, digits and spaces, without commas")
+    return text
+
+
+def free_names(names: Iterable[str | None], taken: Iterable[str]) -> Iterator[str | None]:
+    """Each name, or where it is taken, also by one before it, with a number behind it that is free, from 2 on."""
+    used, next_number = set(taken), dict[str, int]()
+    for name in names:
+        found, begin = name, "" if name is None else name[: LONGEST_NAME - _ROOM]
+        number = next_number.get(begin, 2)  # a search from 2 on for each would take the square of their number
+        while found in used:
+            found, number = f"{begin} {number}", number + 1
+        next_number[begin] = number
+        if found is not None:
+            used.add(found)
+        yield found
+
+
+def name_given_twice(names: Iterable[str]) -> str | None:
+    """The first of some names that is there more than once."""
+    return next((name for name, count in Counter(names).items() if count > 1), None)
+
+
+def unknown_name(name: str, known: Collection[str]) -> MapError:
+    """What to raise for a name that none of the known ones is; tells the nearest of them, and all."""
+    lower = {one.lower(): one for one in known}
+    near = get_close_matches(name.lower(), lower, n=1)
+    meant = f" (did you mean {lower[near[0]]}?)" if near else ""
+    fix = "the map has no names yet: wheelsight map name MAP NAME --at X,Y,YAW_DEG"
+    if known:
+        shown, more = sorted(known)[:_MOST_SHOWN], len(known) - _MOST_SHOWN
+        fix = f"known: {', '.join(shown)}" + (f" and {more:,} more" if more > 0 else "")
+    return MapError(f"no place of the map is called {name!r}{meant}", fix=fix)
+
+
+# What people said of a map, as JSON beside it: a format, its version, and a list.
+
+
+def read_list(path: Path, kind: Kind, written: tuple[str, int], field: str) -> list[Any]:
+    """The list of a file.
+
+    Args:
+        path: of the file.
+        kind: of it, for messages.
+        written: its format, and the newest version that is read.
+        field: name of the list.
+
+    Raises:
+        MapError: it is missing, of another format, newer, or has no list.
+    """
+    name, newest = written
+    try:
+        document = parse_json(read_text(path, kind, MapError))
+    except ValueError as error:
+        raise MapError(f"is no JSON: {error}", path=path, fix=kind.fix) from error
+    if not isinstance(document, dict) or document.get("format") != name:
+        raise MapError(f"is not of format {name!r}", path=path, fix=kind.fix)
+    version = document.get("version")
+    if type(version) is not int or not 1 <= version <= newest:
+        problem = f"its version is {version!r}, and this wheelsight reads {newest}"
+        raise MapError(problem, path=path, fix="open it with the wheelsight that wrote it, or a newer one")
+    listed = document.get(field)
+    if not isinstance(listed, list):
+        raise MapError(f"its {field} are no list", path=path, fix=kind.fix)
+    return listed

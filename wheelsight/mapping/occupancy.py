@@ -1,15 +1,34 @@
-"""OccupancyGrid: what is free, what is occupied, and where the floor is missing; as a value."""
+"""`OccupancyGrid` holds free, occupied and missing floor. `OccupancyMapper` builds it from the depth of keyframes
+and updates it when keyframes move. `picture_of` draws it.
+"""
 
 from __future__ import annotations
 
+import math
+import os
+import tempfile
+import weakref
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from math import ceil, floor
+from typing import Any, BinaryIO, Literal, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wheelsight.geometry import BoolArray, ByteArray, FloatArray, IntArray
-from wheelsight.ros_map import FREE, OCCUPIED, UNKNOWN, RosMap
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import DepthNoise
+from wheelsight.core.errors import ArgumentError, MapError
+from wheelsight.core.files import StrPath, write_bytes
+from wheelsight.core.geometry import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, se3
+from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.io.ros_map import FREE, OCCUPIED, UNKNOWN, RosMap
+from wheelsight.mapping import occupancy_kernels as kernels
+from wheelsight.mapping.settings import OccupancySettings
+
+# OccupancyGrid: what is free, what is occupied, and where the floor is missing; as a value.
 
 
 class CellKind(IntEnum):
@@ -82,3 +101,564 @@ class OccupancyGrid:
 def _occupancy(kind: ByteArray, is_free: BoolArray) -> NDArray[np.int8]:
     told = np.where(kind >= CellKind.OBSTACLE, OCCUPIED, np.where(kind == CellKind.FREE, FREE, UNKNOWN))
     return np.where((kind == CellKind.OVERHANG) & is_free, FREE, told).astype(np.int8)
+
+
+# OccupancyMapper: an occupancy map made of the depth of keyframes, and made anew where they moved.
+
+
+# Log-odds are kept in even steps: 3.5, the log-odds of 0.97, is 112, and int8 holds 127.
+_PAIRS_PER_UNIT = 16.0
+_MOST_PAIRS = 63
+_GROWTH_CELLS = 128
+# Cells of unknown floor all round what is known.
+_BORDER_CELLS = 2
+
+
+class OccupancyMapper:
+    """Log-odds that layers of height over the floor are occupied, by all keyframes that were added.
+
+    The floor is z = 0 of the base at each keyframe, so that a map may drift in height. Of each keyframe
+    some depth is kept, about 10 kB, mostly in a temporary file: where keyframes moved, all is made anew of that, and no
+    image is decoded.
+
+    Args:
+        calibration: of the robot: where its camera sits over the floor, and how its depth errs.
+        settings: or the defaults.
+
+    Raises:
+        MapError: the calibration does not say where the camera sits on the base.
+    """
+
+    def __init__(self, calibration: Calibration, settings: OccupancySettings | None = None) -> None:
+        T_base_camera = camera_over_floor(calibration)
+        self.settings = settings or OccupancySettings()
+        self._T_base_camera, self._noise = T_base_camera, calibration.depth_noise
+        self._T_camera_base = se3.invert(T_base_camera)
+        self._seen = SeenDepths()
+        self._T_map_keyframe: dict[KeyframeId, FloatArray] = {}
+        self._steps = _steps_of(self.settings)
+        self._bands = kernels.Bands(**{name: float(getattr(self.settings, name)) for name in kernels.Bands._fields})
+        n = self._noise
+        self._errs = kernels.Noise(n.constant_m, n.quadratic_per_m, self.settings.margin_sigmas)
+        self._reach = math.ceil(self.settings.far_m / self.settings.resolution_m) + 1
+        self._window = _window(2 * self._reach + 1, self._channels)
+        self._clear()
+
+    def __contains__(self, number: object) -> bool:
+        return number in self._seen
+
+    def __len__(self) -> int:
+        """How many keyframes it keeps."""
+        return len(self._seen)
+
+    def add(self, number: KeyframeId, keyframe: Keyframe, T_map_keyframe: ArrayLike) -> None:
+        """Add what a keyframe sees, at its pose (4, 4); once each.
+
+        Raises ArgumentError for a pose that is no rigid motion or a keyframe that is there, and MapError where the map
+        would have more cells than `most_cells`.
+        """
+        if number in self._seen:
+            raise ArgumentError(f"keyframe {number} is there already", fix="add each once, and move it")
+        T = _checked(T_map_keyframe, number)
+        self._make_room(T[None])
+        self.keep(number, keyframe)
+        self._T_map_keyframe[number] = T
+        self._put(self._seen[number], T)
+
+    def keep(self, number: KeyframeId, keyframe: Keyframe) -> None:
+        """Keep what a keyframe sees, of which nobody knows yet where it is; `move` adds it."""
+        self._seen[number] = SeenDepth.of(keyframe, self.settings.columns, self._noise)
+
+    def move(self, T_map_keyframe: ArrayLike, shown: ArrayLike | None = None) -> bool:
+        """Make the map anew where its keyframes are by now; whether anything had changed.
+
+        Args:
+            T_map_keyframe: poses (N, 4, 4) by number.
+            shown: (N,) whether each is to be in the map; None: all are.
+
+        Raises as `add` does; then the map is as it was.
+        """
+        table = np.asarray(T_map_keyframe, float)
+        if any(number >= len(table) for number in self._seen):
+            raise ArgumentError(f"poses of {len(table)} keyframes", fix="give those of all that were added, by number")
+        which = np.ones(len(table), bool) if shown is None else np.asarray(shown, bool)
+        now = _all_checked(table, [number for number in self._seen if which[number]])
+        was = self._T_map_keyframe
+        if now.keys() == was.keys() and all((now[number] == was[number]).all() for number in now):
+            return False
+        self._make_anew(now)
+        return True
+
+    def update(self, store: KeyframeStore, least_shift_m: float = 0.0) -> bool:
+        """Add a store's keyframes that are new, and make the map anew if others have moved; whether it did that.
+
+        Where none has moved by more than `least_shift_m`, a turn by a radian as 1.5 m, they stay where they were put.
+
+        Raises as `add` does, and what a store raises where a keyframe cannot be read.
+        """
+        # Others may come, and move, in the meantime: they are for the next time.
+        T = np.array(store.T_map_keyframe)
+        has_moved = bool(len(self)) and self._shift_m(T) > least_shift_m and self.move(T)
+        for number in map(KeyframeId, range(len(T))):
+            if number not in self:
+                self.add(number, store[number], T[number])
+        return has_moved
+
+    def _shift_m(self, T_map_keyframe: FloatArray) -> float:
+        """By how much the farthest keyframe has moved since it was put."""
+        numbers = list(self._T_map_keyframe)
+        before = np.array([self._T_map_keyframe[number] for number in numbers])
+        return float(se3.view_shift_m(se3.invert(before) @ T_map_keyframe[numbers]).max()) if numbers else 0.0
+
+    def grid(self) -> OccupancyGrid:
+        """The map as it is by now, cut to what is known; one unknown cell where nothing is."""
+        size_m = self.settings.resolution_m
+        kind, is_free = _kinds(self._log_odds, _log_odds(self.settings.occupied))
+        rows, columns = (np.flatnonzero((kind != CellKind.UNKNOWN).any(axis=axis)) for axis in (1, 0))
+        if not len(rows):
+            return OccupancyGrid.of_kinds(np.zeros((1, 1), np.uint8), np.zeros((1, 1), bool), size_m, (0.0, 0.0))
+        low = np.maximum([rows[0] - _BORDER_CELLS, columns[0] - _BORDER_CELLS], 0)
+        cut = slice(low[0], rows[-1] + 1 + _BORDER_CELLS), slice(low[1], columns[-1] + 1 + _BORDER_CELLS)
+        y_m, x_m = (size_m * (self._low + low)).tolist()
+        return OccupancyGrid.of_kinds(kind[cut], is_free[cut], size_m, (x_m, y_m))
+
+    @property
+    def _channels(self) -> int:
+        return self.settings.layers + 2
+
+    def _clear(self) -> None:
+        self._low: IntArray = np.zeros(2, np.int64)  # row and column of cell (0, 0), in cells from the map's origin
+        self._log_odds = np.zeros((0, 0, self._channels), np.int8)
+
+    def _make_anew(self, T_map_keyframe: dict[KeyframeId, FloatArray]) -> None:
+        before = self._low, self._log_odds
+        self._clear()
+        try:
+            self._make_room(np.array([*T_map_keyframe.values()]).reshape(-1, 4, 4))
+            for number, T in T_map_keyframe.items():
+                self._put(self._seen[number], T)
+        except MapError:
+            self._low, self._log_odds = before
+            raise
+        self._T_map_keyframe = T_map_keyframe
+
+    def _put(self, seen: SeenDepth, T_map_keyframe: FloatArray) -> None:
+        """Add what a keyframe sees; there is room."""
+        size_m = self.settings.resolution_m
+        first = self._cell_at(T_map_keyframe) - self._reach
+        M = np.empty((3, 4))
+        M[:2] = T_map_keyframe[:2] / size_m
+        M[:2, 3] -= first[::-1]
+        M[2] = self._T_base_camera[2]
+        kernels.trace(seen.rays(), M, self._bands, self._errs, self._window)
+        y, x = ((T_map_keyframe @ self._T_camera_base)[1::-1, 3] / size_m - first).tolist()
+        kernels.stand(self._window, x, y, self.settings.stood_m / size_m)
+        row, column = (first - self._low).tolist()
+        kernels.add(self._window, self._log_odds, row, column, self._steps)
+
+    def _cell_at(self, T_map_keyframe: FloatArray) -> IntArray:
+        """(..., 2) row and column, from the map's origin, of the cells in which cameras (..., 4, 4) are."""
+        return np.floor(T_map_keyframe[..., 1::-1, 3] / self.settings.resolution_m).astype(np.int64)
+
+    def _make_room(self, T_map_keyframe: FloatArray) -> None:
+        """For what cameras (K, 4, 4) may see."""
+        if not len(T_map_keyframe):
+            return
+        cells = self._cell_at(T_map_keyframe)
+        low, high = cells.min(axis=0) - self._reach, cells.max(axis=0) + self._reach + 1
+        old_low, old_high = self._low, self._low + self._log_odds.shape[:2]
+        if self._log_odds.size:
+            if (low >= old_low).all() and (high <= old_high).all():
+                return
+            low, high = (
+                np.where(low < old_low, low - _GROWTH_CELLS, old_low),
+                np.where(high > old_high, high + _GROWTH_CELLS, old_high),
+            )
+        if np.prod((high - low).astype(float)) > self.settings.most_cells:
+            size_m = (high - low) * self.settings.resolution_m
+            problem = f"the occupancy map would be {size_m[1]:.0f} × {size_m[0]:.0f} m large"
+            fix = f"larger cells than {self.settings.resolution_m:g} m, or a larger most_cells"
+            raise MapError(problem, fix=fix)
+        larger = np.zeros((*(high - low).tolist(), self._channels), np.int8)
+        if self._log_odds.size:
+            (row, column), (rows, columns) = (old_low - low).tolist(), self._log_odds.shape[:2]
+            larger[row : row + rows, column : column + columns] = self._log_odds
+        self._low, self._log_odds = low, larger
+
+
+def _window(side: int, channels: int) -> kernels.Window:
+    """Of nothing."""
+    seen, is_touched = np.zeros((side, side, channels), np.uint8), np.zeros((side, side), np.uint8)
+    return kernels.Window(seen, is_touched, np.zeros((side * side, 2), np.int32), np.zeros(1, np.int64))
+
+
+def _kinds(log_odds: NDArray[np.int8], occupied: int) -> tuple[NDArray[np.uint8], BoolArray]:
+    """(H, W) kinds, and where there is floor with nothing in the robot's way, of steps (H, W, channels)."""
+    ground, layers, above = log_odds[..., 0], log_odds[..., 1:-1].max(axis=2), log_odds[..., -1]
+    # What was met, and not yet passed often enough to be none, or was hidden alone, leaves the cell unknown.
+    is_free = (ground >= occupied) & (layers <= 0)
+    kind = np.where(is_free, CellKind.FREE, CellKind.UNKNOWN)
+    kind = np.where(above >= occupied, CellKind.OVERHANG, kind)
+    kind = np.where(ground <= -occupied, CellKind.DROP_OFF, kind)
+    kind = np.where(layers >= occupied, CellKind.OBSTACLE, kind)
+    return kind.astype(np.uint8), np.asarray(is_free, bool)
+
+
+def _log_odds(probability: float) -> int:
+    """In steps."""
+    pairs = round(_PAIRS_PER_UNIT * math.log(probability / (1 - probability)))
+    return 2 * min(max(pairs, -_MOST_PAIRS), _MOST_PAIRS)
+
+
+def _steps_of(settings: OccupancySettings) -> kernels.Steps:
+    return kernels.Steps(*map(_log_odds, (settings.hit, settings.passed, settings.least, settings.most)))
+
+
+def _all_checked(table: FloatArray, numbers: list[KeyframeId]) -> dict[KeyframeId, FloatArray]:
+    """Copies of poses (N, 4, 4) of a table, checked together; the first that is no rigid motion is named."""
+    T = table[numbers]
+    if T.shape[1:] != (4, 4) or not np.all(se3.is_valid(T)):
+        return {number: _checked(one, number) for number, one in zip(numbers, T, strict=True)}
+    return dict(zip(numbers, T, strict=True))
+
+
+def _checked(T_map_keyframe: ArrayLike, number: int) -> FloatArray:
+    T = np.asarray(T_map_keyframe, float)
+    if T.shape != (4, 4) or not se3.is_valid(T):
+        raise ArgumentError(f"the pose of keyframe {number} is no rigid motion", fix="give SE(3), (4, 4)")
+    return T.copy()
+
+
+# SeenDepths: what an occupancy map keeps of each keyframe, of which most rests in a temporary file.
+
+
+_UNITS_PER_M = 5000.0
+# 10 kB each: an hour of driving has some 4500, and those of a room need no file.
+_IN_MEMORY = 256
+_LOST = "make room on the disk, and make the map anew"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenDepth:
+    """Some of a keyframe's depth (h, w), in fifths of a millimetre, and the slopes (w,) and (h,) of its rays."""
+
+    depth: NDArray[np.uint16]
+    slope_x: Float32Array
+    slope_y: Float32Array
+
+    @classmethod
+    def of(cls, keyframe: Keyframe, columns: int, noise: DepthNoise) -> SeenDepth:
+        """What `noise` trusts of a keyframe, in about so many columns."""
+        depth_m = keyframe.depth_m
+        step = max(1, round(depth_m.shape[1] / columns))
+        v, u = (np.arange(step // 2, size, step) for size in depth_m.shape)
+        fx, fy, cx, cy = keyframe.intrinsics
+        some = depth_m[np.ix_(v, u)]
+        trusted = np.where((some >= noise.near_m) & (some <= noise.far_m), some, 0)
+        depth = np.clip(np.rint(trusted * _UNITS_PER_M), 0, np.iinfo(np.uint16).max).astype(np.uint16)
+        return cls(depth, ((u - cx) / fx).astype(np.float32), ((v - cy) / fy).astype(np.float32))
+
+    def rays(self) -> kernels.DepthRays:
+        """As kernels take them."""
+        return kernels.DepthRays(self.depth.astype(np.float32) / np.float32(_UNITS_PER_M), self.slope_x, self.slope_y)
+
+
+class _Rests(NamedTuple):
+    offset: int
+    shape: tuple[int, int]
+
+
+class SeenDepths:
+    """By keyframe, in the order in which they were put in. Where the file cannot be written, all stay in memory.
+
+    Args:
+        in_memory: how many stay there in any case, the first ones.
+    """
+
+    def __init__(self, in_memory: int = _IN_MEMORY) -> None:
+        self._all: dict[KeyframeId, SeenDepth | _Rests] = {}
+        self._most, self._end, self._has_disk = in_memory, 0, True
+        self._file: BinaryIO | None = None
+
+    def __contains__(self, number: object) -> bool:
+        return number in self._all
+
+    def __len__(self) -> int:
+        return len(self._all)
+
+    def __iter__(self) -> Iterator[KeyframeId]:
+        return iter(self._all)
+
+    def __setitem__(self, number: KeyframeId, seen: SeenDepth) -> None:
+        self._all[number] = seen
+        if len(self._all) > self._most and self._has_disk:
+            try:
+                self._all[number] = self._written(seen)
+            except OSError:
+                self._has_disk = False
+
+    def __getitem__(self, number: KeyframeId) -> SeenDepth:
+        """Raises MapError where the file has lost it."""
+        found = self._all[number]
+        return self._read(found) if isinstance(found, _Rests) else found
+
+    def _written(self, seen: SeenDepth) -> _Rests:
+        if self._file is None:
+            self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - as long as the map is made
+            weakref.finalize(self, self._file.close)
+        data = memoryview(b"".join(array.tobytes() for array in (seen.depth, seen.slope_x, seen.slope_y)))
+        begin = self._end
+        self._file.seek(begin)
+        while data:  # a disk that is nearly full takes a part
+            data = data[self._file.write(data) :]
+        self._end = self._file.tell()
+        height, width = seen.depth.shape
+        return _Rests(begin, (height, width))
+
+    def _read(self, rests: _Rests) -> SeenDepth:
+        assert self._file is not None
+        (height, width), begin = rests.shape, rests.offset
+        sizes = (2 * height * width, 4 * width, 4 * height)
+        try:
+            data = os.pread(self._file.fileno(), sum(sizes), begin)
+        except OSError as error:
+            raise MapError(f"the depth of a keyframe cannot be read again: {error}", fix=_LOST) from error
+        if len(data) != sum(sizes):
+            raise MapError("the depth of a keyframe that rests on disk is cut off", fix=_LOST)
+        slopes = np.frombuffer(data, np.float32, width + height, sizes[0])
+        depth = np.frombuffer(data, np.uint16, height * width).reshape(height, width)
+        return SeenDepth(depth, slopes[:width], slopes[width:])
+
+
+# Where a robot's camera sits over the floor: who makes maps of the floor cannot do without.
+
+
+def camera_over_floor(calibration: Calibration) -> FloatArray:
+    """T_base_camera (4, 4). Raises MapError where the calibration does not say it."""
+    if calibration.T_base_camera is None:
+        problem = "where the floor is nobody knows: the calibration does not say where the camera sits"
+        raise MapError(problem, fix="wheelsight calibrate base, or T_base_camera in the calibration")
+    return calibration.T_base_camera
+
+
+# An occupancy map as a picture: what is free, what is in the way, a scale, and the way that was driven.
+
+
+_LONGER_SIDE_PX = 1100
+_LEAST_WIDTH_PX, _MOST_PX_A_CELL = 640, 16
+# Told apart by people who see no red and green (Okabe & Ito 2008); red, green, blue.
+COLOURS = {
+    CellKind.UNKNOWN: (222, 222, 222),
+    CellKind.FREE: (255, 255, 255),
+    CellKind.OVERHANG: (190, 225, 245),
+    CellKind.OBSTACLE: (40, 40, 40),
+    CellKind.DROP_OFF: (213, 94, 0),
+    CellKind.KEEP_OUT: (204, 121, 167),
+}
+_WAY, _INK, _PAPER = (0, 114, 178), (40, 40, 40), (255, 255, 255)
+_CROSS, _LEAST_STEP_PX = (170, 170, 170), 70
+_SCALES_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+_STRIP_PX, _GAP_PX = 34, 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanLine:
+    """A line over the map.
+
+    Attributes:
+        points: (N, 2) in `map`; closed outlines have their first point at the end again.
+        colour: red, green, blue.
+        name: for the legend; empty for none.
+        width_px: of it.
+        text: in the middle of its points.
+    """
+
+    points: ArrayLike
+    colour: tuple[int, int, int]
+    name: str = ""
+    width_px: int = 2
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanMark:
+    """A place on the map.
+
+    Attributes:
+        xy: (2,) in `map`.
+        sign: its form.
+        colour: red, green, blue.
+        name: for the legend; empty for none.
+        text: beside it.
+    """
+
+    xy: ArrayLike
+    sign: Literal["circle", "square", "cross"]
+    colour: tuple[int, int, int]
+    name: str = ""
+    text: str = ""
+
+
+def picture_of(
+    grid: OccupancyGrid,
+    stretches: Sequence[ArrayLike] = (),
+    lines: Sequence[PlanLine] = (),
+    marks: Sequence[PlanMark] = (),
+    *,
+    has_axes: bool = False,
+) -> ByteArray:
+    """The map (h, w, 3) uint8 red, green, blue, y up the page, with a legend below.
+
+    Args:
+        grid: as it is.
+        stretches: of the way, (K, 2) places in `map` each: dots, joined by a line within a stretch. A circle is the
+            first of all, a square the last.
+        lines, marks: what else is drawn, in this order.
+        has_axes: whether x and y are written at its edges, by which places can be read off.
+    """
+    rows, columns = grid.kind.shape
+    px = min(max(_LONGER_SIDE_PX // max(rows, columns), 1), _MOST_PX_A_CELL)
+    colours = np.array([COLOURS[kind] for kind in CellKind], np.uint8)
+    image = colours[grid.kind[::-1]].repeat(px, axis=0).repeat(px, axis=1)
+    image = np.ascontiguousarray(image)
+    if has_axes:
+        _draw_axes(image, grid, px)
+    _draw_way(image, grid, [np.asarray(stretch, float).reshape(-1, 2) for stretch in stretches], px)
+    for line in lines:
+        _draw_line(image, grid, line, px)
+    for mark in marks:
+        _draw_mark(image, grid, mark, px)
+    wide = np.full((image.shape[0], max(image.shape[1], _LEAST_WIDTH_PX), 3), COLOURS[CellKind.UNKNOWN], np.uint8)
+    left = (wide.shape[1] - image.shape[1]) // 2
+    wide[:, left : left + image.shape[1]] = image
+    drawn: list[PlanLine | PlanMark] = [*lines, *marks]
+    named = [one for one in drawn if one.name]
+    below = [_named(named, wide.shape[1])] if named else []
+    return np.concatenate([wide, *below, _legend(grid, px, wide.shape[1])])
+
+
+def save_picture(image: ByteArray, path: StrPath) -> None:
+    """Write red, green, blue (h, w, 3) as PNG, atomically. Raises OutputError."""
+    written, code = cv2.imencode(".png", image[..., ::-1])
+    assert written
+    write_bytes(path, code.tobytes())
+
+
+def _draw_way(image: ByteArray, grid: OccupancyGrid, stretches: list[FloatArray], px: int) -> None:
+    if not sum(map(len, stretches)):
+        return
+    for stretch in stretches:
+        at = _pixels(grid, stretch, px)
+        cv2.polylines(image, [at], isClosed=False, color=_WAY, thickness=2, lineType=cv2.LINE_AA)
+        for dot in at.tolist():
+            cv2.circle(image, dot, 3, _WAY, -1, cv2.LINE_AA)
+    ends = _pixels(grid, np.concatenate(stretches)[[0, -1]], px)
+    cv2.circle(image, ends[0].tolist(), 6, _WAY, -1, cv2.LINE_AA)
+    cv2.rectangle(image, (ends[1] - 5).tolist(), (ends[1] + 5).tolist(), _WAY, -1)
+
+
+def _draw_axes(image: ByteArray, grid: OccupancyGrid, px: int) -> None:
+    """Crosses at whole steps of x and y, and what these are along the left and lower edge."""
+    a_metre, (height, width) = px / grid.resolution_m, image.shape[:2]
+    step_m = next((step for step in _SCALES_M if step * a_metre >= _LEAST_STEP_PX), _SCALES_M[-1])
+    x_m, y_m = (
+        step_m * np.arange(ceil(low / step_m), floor((low + size / a_metre) / step_m) + 1)
+        for low, size in zip(grid.origin, (width, height), strict=True)
+    )
+    for at in _pixels(grid, [(x, y) for x in x_m for y in y_m], px).tolist():
+        cv2.drawMarker(image, at, _CROSS, cv2.MARKER_CROSS, 9, 1, cv2.LINE_AA)
+    for x in x_m.tolist():
+        left = int(_pixels(grid, (x, 0.0), px)[0, 0])
+        cv2.line(image, (left, height - 6), (left, height), _INK, 1)
+        _write_beside(image, f"{x:g}", max(left - 4, 0), height - 10)
+    for y in y_m.tolist():
+        bottom = int(_pixels(grid, (0.0, y), px)[0, 1])
+        cv2.line(image, (0, bottom), (6, bottom), _INK, 1)
+        _write_beside(image, f"{y:g}", 10, bottom + 5)
+
+
+def _pixels(grid: OccupancyGrid, xy: ArrayLike, px: int) -> Any:
+    """(N, 2) int32 of places (N, 2) in `map`."""
+    cells = (np.asarray(xy, float).reshape(-1, 2) - grid.origin) / grid.resolution_m
+    return np.rint(px * np.stack([cells[:, 0], len(grid.kind) - cells[:, 1]], axis=-1)).astype(np.int32)
+
+
+def _draw_line(image: ByteArray, grid: OccupancyGrid, line: PlanLine, px: int) -> None:
+    at = _pixels(grid, line.points, px)
+    if len(at):
+        cv2.polylines(image, [at], False, line.colour, line.width_px, cv2.LINE_AA)
+        if line.text:
+            x, y = np.rint(np.unique(at, axis=0).mean(axis=0)).astype(int).tolist()
+            _write_beside(image, line.text, x - 4 * len(line.text), y)
+
+
+def _draw_mark(image: ByteArray, grid: OccupancyGrid, mark: PlanMark, px: int) -> None:
+    x, y = _pixels(grid, mark.xy, px)[0].tolist()
+    _sign(image, mark, x, y)
+    if mark.text:
+        _write_beside(image, mark.text, x + 11, y + 5)
+
+
+def _sign(image: ByteArray, mark: PlanMark, x: int, y: int) -> None:
+    """Upon a rim of paper, so that it is seen on lines of its own colour."""
+    if mark.sign == "circle":
+        cv2.circle(image, (x, y), 8, _PAPER, -1, cv2.LINE_AA)
+        cv2.circle(image, (x, y), 6, mark.colour, -1, cv2.LINE_AA)
+    elif mark.sign == "square":
+        cv2.rectangle(image, (x - 7, y - 7), (x + 7, y + 7), _PAPER, -1)
+        cv2.rectangle(image, (x - 5, y - 5), (x + 5, y + 5), mark.colour, -1)
+    else:
+        for colour, width in ((_PAPER, 6), (mark.colour, 3)):
+            cv2.drawMarker(image, (x, y), colour, cv2.MARKER_TILTED_CROSS, 13, width, cv2.LINE_AA)
+
+
+def _write_beside(image: ByteArray, text: str, left: int, bottom: int) -> None:
+    for colour, width in ((_PAPER, 4), (_INK, 1)):
+        cv2.putText(image, _plain(text), (left, bottom), cv2.FONT_HERSHEY_SIMPLEX, 0.43, colour, width, cv2.LINE_AA)
+
+
+def _plain(text: str) -> str:
+    """OpenCV's letters are ASCII."""
+    return text.replace("°", " deg").encode("ascii", "replace").decode()
+
+
+def _named(drawn: Iterable[PlanLine | PlanMark], width: int) -> ByteArray:
+    """(h, width, 3): names of lines and marks, each once; in more rows where they need them."""
+    strips, left = [np.full((_STRIP_PX, width, 3), 255, np.uint8)], _GAP_PX
+    for one in {one.name: one for one in drawn}.values():
+        span = 34 + 8 * len(one.name) + _GAP_PX
+        if left > _GAP_PX and left + span > width:
+            strips.append(np.full((_STRIP_PX, width, 3), 255, np.uint8))
+            left = _GAP_PX
+        if isinstance(one, PlanLine):
+            cv2.line(strips[-1], (left, 17), (left + 22, 17), one.colour, one.width_px + 1)
+        else:
+            _sign(strips[-1], one, left + 11, 17)
+        _write(strips[-1], one.name, left + 28)
+        left += span
+    return np.concatenate(strips)
+
+
+def _legend(grid: OccupancyGrid, px: int, width: int) -> ByteArray:
+    """(h, width, 3): the colours that occur, and a scale."""
+    shown = [kind for kind in CellKind if (grid.kind == kind).any()]
+    names = [kind.name.lower().replace("_", "-") for kind in shown]
+    spans = [28 + 8 * len(name) + _GAP_PX for name in names]
+    at = [_GAP_PX + sum(spans[:k]) for k in range(len(spans))]
+    a_metre = px / grid.resolution_m
+    scale_m = max([length for length in _SCALES_M if length * a_metre <= width / 5] or [_SCALES_M[0]])
+    length = ceil(scale_m * a_metre)
+    strip = np.full((_STRIP_PX, width, 3), 255, np.uint8)
+    for kind, name, left in zip(shown, names, at, strict=True):
+        cv2.rectangle(strip, (left, 9), (left + 16, 25), COLOURS[kind], -1)
+        cv2.rectangle(strip, (left, 9), (left + 16, 25), _INK, 1)
+        _write(strip, name, left + 22)
+    right = width - _GAP_PX
+    text = f"{scale_m:g} m"
+    cv2.line(strip, (right - length, 17), (right, 17), _INK, 3)
+    _write(strip, text, right - length - 9 * len(text) - 4)
+    return strip
+
+
+def _write(strip: ByteArray, text: str, left: int) -> None:
+    cv2.putText(strip, _plain(text), (left, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.43, _INK, 1, cv2.LINE_AA)

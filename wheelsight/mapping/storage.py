@@ -1,12 +1,4 @@
-"""Maps in files: one line that names the format, one line of JSON that says what follows, and then surfels, compressed.
-
-What is compressed, by LZMA in an .xz container, are the columns of `mapping.columns` in the order of the header's
-`columns`, and the poses T_map_keyframe (keyframes, 4, 4) of float64; numbers are in little-endian order. Whoever can
-read JSON and .xz can read a map. All of it is in the frame that the header names, which is `map`.
-
-Files of versions 1 and 2 have plain arrays instead, those of version 1 neither keyframes nor the name of a frame; their
-surfels hang on no keyframe.
-"""
+"""`save_map` and `load_map` write and read map files. Files of versions 1 and 2 can be read."""
 
 from __future__ import annotations
 
@@ -15,25 +7,83 @@ import lzma
 import math
 import zlib
 from collections.abc import Iterable, Iterator
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wheelsight.errors import MapError
-from wheelsight.files import StrPath, atomic_write
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.inputs import Kind, parse_json, read_bytes
-from wheelsight.inputs.settings import checked_settings
-from wheelsight.mapping import old_storage
-from wheelsight.mapping.column_files import ColumnFiles
-from wheelsight.mapping.columns import COLUMNS, columns_of, surfels_of, unpacked
+from wheelsight.core.errors import MapError
+from wheelsight.core.files import StrPath, atomic_write
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.inputs import Kind, parse_json, read_bytes
+from wheelsight.core.settings.base import checked_settings
+from wheelsight.mapping.columns import COLUMNS, ColumnFiles, columns_of, surfels_of, unpacked
 from wheelsight.mapping.settings import SurfelSettings
-from wheelsight.mapping.surfels import SurfelMap
-from wheelsight.mapping.values import FRAME, Surfels
+from wheelsight.mapping.surfels import FRAME, SurfelMap, Surfels
+
+# Bodies of map files of versions 1 and 2: plain arrays, row by row, in the order of the header's `fields`.
+
+
+FIRST_FORMAT, SECOND_FORMAT = "wheelsight-map-1", "wheelsight-map-2"
+# Name, type and number of columns; 0 for a flat array.
+_FIELDS: tuple[tuple[str, str, int], ...] = (
+    ("position", "<f4", 3),
+    ("normal", "<f4", 3),
+    ("radius_m", "<f4", 0),
+    ("color", "<f4", 3),
+    ("grey", "<f4", 0),
+    ("confidence", "<f4", 0),
+    ("variance_m2", "<f4", 0),
+    ("first_s", "<f8", 0),
+    ("last_s", "<f8", 0),
+    ("keyframe", "<i4", 0),
+)
+_OLD_STORAGE_POSE_BYTES = 16 * 8
+assert tuple(name for name, _, _ in _FIELDS) == tuple(field.name for field in fields(Surfels))
+
+
+def known_fields(header: dict[str, Any], version: str) -> bool:
+    """Whether a header has the fields of its version; to one of version 1 what that does not say is added."""
+    known = _FIELDS
+    if version == FIRST_FORMAT:
+        header |= {"frame": FRAME, "keyframes": 0}
+        known = _FIELDS[:-1]
+    return bool(header["fields"] == [list(field) for field in known])
+
+
+def contents_of(header: dict[str, Any], body: memoryview, damaged: str) -> tuple[Surfels, FloatArray]:
+    """Surfels, and T_map_keyframe (keyframes, 4, 4). Raises MapError, with what to do where it is damaged."""
+    n, keyframes, known = header["surfels"], header["keyframes"], header["fields"]
+    expected = n * sum(np.dtype(dtype).itemsize * max(columns, 1) for _, dtype, columns in known)
+    expected += keyframes * _OLD_STORAGE_POSE_BYTES
+    if len(body) != expected:
+        raise MapError(f"holds {len(body)} bytes of surfels and keyframes, not {expected}", fix=damaged)
+    if zlib.crc32(body) != header["crc32"]:
+        raise MapError("its checksum is wrong", fix=damaged)
+    arrays, begin = [], 0
+    for _, dtype, columns in known:
+        flat = np.frombuffer(body, dtype, n * max(columns, 1), begin)
+        begin += flat.nbytes
+        arrays.append(flat.reshape(n, columns).copy() if columns else flat.copy())
+    if len(known) < len(_FIELDS):
+        arrays.append(np.full(n, -1, np.int32))
+    return Surfels(*arrays), np.frombuffer(body, "<f8", 16 * keyframes, begin).reshape(-1, 4, 4).astype(float)
+
+
+# Maps in files: one line that names the format, one line of JSON that says what follows, and then surfels,
+# compressed.
+#
+# What is compressed, by LZMA in an .xz container, are the columns of `mapping.columns` in the order of the header's
+# `columns`, and the poses T_map_keyframe (keyframes, 4, 4) of float64; numbers are in little-endian order. Whoever
+# can read JSON and .xz can read a map. All of it is in the frame that the header names, which is `map`.
+#
+# Files of versions 1 and 2 have plain arrays instead, those of version 1 neither keyframes nor the name of a frame;
+# their surfels hang on no keyframe.
+
 
 FORMAT = "wheelsight-map-3"
-_VERSIONS = (FORMAT, old_storage.SECOND_FORMAT, old_storage.FIRST_FORMAT)
+_VERSIONS = (FORMAT, SECOND_FORMAT, FIRST_FORMAT)
 _LONGEST_HEADER = 1 << 16
 _NO_MAP = "give a file that `save_map` wrote"
 # Beyond 16 km, float32 no longer tells millimetres apart; the others are far beyond what a map ever holds.
@@ -165,7 +215,7 @@ def _split(data: bytes) -> tuple[str, dict[str, Any], memoryview]:
     if version == FORMAT:
         is_known = header["columns"] == [list(column) for column in COLUMNS]
     else:
-        is_known = old_storage.known_fields(header, version)
+        is_known = known_fields(header, version)
     if header["frame"] != FRAME or not is_known or not all(_is_count(header[name], _MOST[name]) for name in _COUNTS):
         raise MapError(f"its frame, fields or counts are not those of {version}", fix=_DAMAGED)
     return version, header, memoryview(data)[len(name) + len(text) + 2 :]
@@ -185,7 +235,7 @@ def _contents(
 ) -> tuple[Surfels, FloatArray]:
     """Surfels, and T_map_keyframe (keyframes, 4, 4)."""
     if version != FORMAT:
-        return old_storage.contents_of(header, body, _DAMAGED)
+        return contents_of(header, body, _DAMAGED)
     if len(body) != header["bytes"]:
         raise MapError(f"holds {len(body)} bytes of surfels and keyframes, not {header['bytes']}", fix=_DAMAGED)
     if zlib.crc32(body) != header["crc32"]:

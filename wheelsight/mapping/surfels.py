@@ -1,31 +1,41 @@
-"""SurfelMap: a model of what was seen, of small disks that frames are averaged into and that views are predicted from.
-
-Keller et al. 2013 for the surfels; Whelan et al. 2015 and 2016 for the window in time.
+"""`SurfelMap` fuses RGB-D frames into surfels and predicts views from them. Also the values that go in and out, and
+the checks of inputs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Literal
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 
-from wheelsight.calibration import DepthNoise
-from wheelsight.errors import MapError
-from wheelsight.geometry import BoolArray, Float32Array, FloatArray, Int32Array, se3
-from wheelsight.keyframes import KeyframeId, KeyframeStore
-from wheelsight.mapping import _fusion_kernels as fusion
-from wheelsight.mapping import _match_kernels as match
-from wheelsight.mapping import _view_kernels as view
-from wheelsight.mapping._block_kernels import CONFIDENCE, PAGE, InView, SurfelArrays
-from wheelsight.mapping._inputs import Frame, Pose, checked_frame, checked_motion, checked_pose, rays_of
-from wheelsight.mapping.blocks import Blocks
-from wheelsight.mapping.copies import SurfelCopies, views_of
-from wheelsight.mapping.resting import Nearness
+from wheelsight.core.calibration_parts import DepthNoise
+from wheelsight.core.checks import why_not_metres
+from wheelsight.core.errors import MapError
+from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, Int32Array, se3
+from wheelsight.core.keyframes import KeyframeId, KeyframeStore, PredictedView, Surface
+from wheelsight.core.threads import Rows
+from wheelsight.mapping import fusion_kernels as fusion
+from wheelsight.mapping import view_kernels as view
+from wheelsight.mapping.block_kernels import CONFIDENCE, PAGE, RADIUS, InView, SurfelArrays
+from wheelsight.mapping.blocks import Blocks, Nearness
+from wheelsight.mapping.fusion_kernels import (
+    READING,
+    Camera,
+    Candidates,
+    Rules,
+    Seen,
+    choose,
+    find_candidates,
+    find_new,
+)
 from wheelsight.mapping.settings import SurfelSettings
-from wheelsight.mapping.values import ColoredView, FusedFrame, MapStatus, Surfels
-from wheelsight.threads import Rows
-from wheelsight.views import PredictedView, Surface
+
+# SurfelMap: a model of what was seen, of small disks that frames are averaged into and that views are predicted from.
+#
+# Keller et al. 2013 for the surfels; Whelan et al. 2015 and 2016 for the window in time.
+
 
 _COPIED_AT_ONCE = 1 << 16  # 5 MB
 
@@ -259,30 +269,30 @@ class SurfelMap:
         s = self.settings
         return np.array([s.stable_confidence, s.unstable_s, s.active_s, s.unseen_s])
 
-    def _rules_for(self, sensor: Float32Array) -> match.Rules:
+    def _rules_for(self, sensor: Float32Array) -> Rules:
         """The settings as kernels read them, for a sensor of that noise."""
         s = self.settings
         turn, slant = np.cos(np.radians([s.max_angle_deg, s.max_slant_deg]))
-        named = (getattr(s, name) for name in match.Rules._fields if name in type(s).model_fields)
-        return match.Rules(*map(np.float32, (*named, turn, slant, self._laid_m(sensor), s.least_cosine**2)))
+        named = (getattr(s, name) for name in Rules._fields if name in type(s).model_fields)
+        return Rules(*map(np.float32, (*named, turn, slant, self._laid_m(sensor), s.least_cosine**2)))
 
     def _laid_m(self, sensor: Float32Array) -> float:
         """How far surfels are laid."""
         far_m = self.settings.far_m
         return far_m + self.settings.laid_sigmas * float(sensor[0] + sensor[1] * far_m**2)
 
-    def _camera(self, pose: Pose, shape: tuple[int, ...], noise: DepthNoise) -> match.Camera:
+    def _camera(self, pose: Pose, shape: tuple[int, ...], noise: DepthNoise) -> Camera:
         sensor = np.array([noise.constant_m, noise.quadratic_per_m, noise.near_m, noise.far_m], np.float32)
-        return match.Camera(pose.T32, pose.grid32, *rays_of(pose.grid, shape), pose.pitch, sensor)
+        return Camera(pose.T32, pose.grid32, *rays_of(pose.grid, shape), pose.pitch, sensor)
 
-    def _seen(self, frame: Frame, camera: match.Camera, grid: FloatArray, frames: int) -> match.Seen:
+    def _seen(self, frame: Frame, camera: Camera, grid: FloatArray, frames: int) -> Seen:
         """What each pixel says of the map, and the radius a surfel there would have."""
         height, width = frame.depth_m.shape
-        reading = self._room("reading", (frame.depth_m.size, match.READING), np.float32)
+        reading = self._room("reading", (frame.depth_m.size, READING), np.float32)
         radius = self._room("radius", (frame.depth_m.size,), np.float32)
         looks = (frame.color.reshape(-1, 3), frame.grey.reshape(-1))
         since_s = self.stamp_s - np.array([self.settings.unstable_s, self.settings.unseen_s, self.settings.active_s])
-        seen = match.Seen(frame.depth_m, reading, radius, *looks, self.stamp_s, np.float32(frames), since_s)
+        seen = Seen(frame.depth_m, reading, radius, *looks, self.stamp_s, np.float32(frames), since_s)
         given = (seen, frame.normal, self._weight(grid, (height, width)), camera, self._rules_for(camera.noise))
         self._rows.share(height, lambda a, b: fusion.read(a, b, *given))
         return seen
@@ -298,7 +308,7 @@ class SurfelMap:
             self._scratch["weight"] = np.exp(-share2 / (2 * self.settings.radial_sigma**2)).astype(np.float32)
         return self._scratch["weight"]
 
-    def _average(self, seen: match.Seen, camera: match.Camera, pose: Pose) -> tuple[int, int, int, np.ndarray]:
+    def _average(self, seen: Seen, camera: Camera, pose: Pose) -> tuple[int, int, int, np.ndarray]:
         """Match, average and merge; how many were matched, removed and merged, and which pixels (h, w) are new."""
         blocks, share, rules = self.blocks, self._rows.share, self._rules_for(camera.noise)
         height, width = seen.depth_m.shape
@@ -306,9 +316,9 @@ class SurfelMap:
         found, surfels = self._candidates(seen, camera, pages, rules), blocks.surfels
         best = self._room("best", (seen.depth_m.size,), np.float32)
         ranked = (found.pixel, found.rank, found.counts, best, found.chosen)
-        share(height, lambda a, b: match.choose(a, b, width, *ranked))
+        share(height, lambda a, b: choose(a, b, width, *ranked))
         is_new = self._room("is_new", (height, width), np.bool_)
-        share(height, lambda a, b: match.find_new(a, b, found, surfels, seen, camera.pitch, rules, is_new))
+        share(height, lambda a, b: find_new(a, b, found, surfels, seen, camera.pitch, rules, is_new))
         home = fusion.Home(blocks.page_cell, blocks.cell_xyz, blocks.cell_seen_s, blocks.block_m)
         share(len(pages), lambda a, b: fusion.update(a, b, found, surfels, home, camera, seen, rules))
         is_due = self.frames % self.settings.merged_every == 1 % self.settings.merged_every
@@ -317,18 +327,16 @@ class SurfelMap:
         blocks.count_deaths(died + died_then + merged)
         return matched, died + died_then, merged, is_new
 
-    def _merge(self, shape: tuple[int, int], rules: match.Rules, found: match.Candidates) -> int:
+    def _merge(self, shape: tuple[int, int], rules: Rules, found: Candidates) -> int:
         """Merge into the chosen surfels the candidates that are their like; how many."""
         merged, surfels = np.zeros(shape[0], np.int64), self.blocks.surfels
         self._rows.share(shape[0], lambda a, b: fusion.merge(a, b, shape[1], found, surfels, rules, merged))
         return int(merged.sum())
 
-    def _candidates(
-        self, seen: match.Seen, camera: match.Camera, pages: Int32Array, rules: match.Rules
-    ) -> match.Candidates:
+    def _candidates(self, seen: Seen, camera: Camera, pages: Int32Array, rules: Rules) -> Candidates:
         """The surfels that fit; who is chosen is not known yet."""
         blocks, entries = self.blocks, (len(pages) * PAGE,)
-        found = match.Candidates(
+        found = Candidates(
             self._room("slots", entries, np.int32),
             self._room("pixel", entries, np.int32),
             self._room("rank", entries, np.float32),
@@ -336,10 +344,10 @@ class SurfelMap:
             self._room("chosen", (seen.depth_m.size,), np.int32),
         )
         given = (InView(pages, blocks.page_fill), blocks.surfels, seen, camera, rules, found)
-        self._rows.share(len(pages), lambda a, b: match.find_candidates(a, b, *given))
+        self._rows.share(len(pages), lambda a, b: find_candidates(a, b, *given))
         return found
 
-    def _add_new(self, seen: match.Seen, is_new: np.ndarray, keyframe: int) -> int:
+    def _add_new(self, seen: Seen, is_new: np.ndarray, keyframe: int) -> int:
         n = int(np.count_nonzero(is_new))
         images = np.empty((n, 8), np.float32), np.empty((n, 4), np.float32), np.empty((n, 2))
         new = SurfelArrays(*images, np.empty(n, np.float32), np.full(n, keyframe, np.int32))
@@ -386,3 +394,235 @@ class SurfelMap:
 
 def _chosen(part: SurfelArrays, which: BoolArray) -> SurfelArrays:
     return SurfelArrays(*(array[which] for array in part))
+
+
+# What goes into a surfel map and comes out of it: surfels, views, and what was done.
+
+
+# In which positions and normals are, and that files say.
+FRAME = "map"
+
+
+@dataclass(frozen=True, slots=True)
+class FusedFrame:
+    """What fusing one frame did.
+
+    Attributes:
+        matched: surfels that pixels were averaged into.
+        added: new surfels.
+        removed: that were in free space, never became stable, or left their block.
+        merged: duplicates that became one with another.
+        dropped: given up for want of room, and new ones that found none.
+    """
+
+    matched: int
+    added: int
+    removed: int
+    merged: int
+    dropped: int
+
+
+@dataclass(frozen=True, slots=True)
+class MapStatus:
+    """How a map stands.
+
+    Attributes:
+        surfels: all; stable: those sure to be there; active: those seen within the window of time.
+        dropped: how many were given up so far for want of room.
+        memory_bytes: of all arrays.
+        resting: how many of all are on the disk, since they are far from the camera.
+    """
+
+    surfels: int
+    stable: int
+    active: int
+    dropped: int
+    memory_bytes: int
+    resting: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surfels:
+    """Surfels as flat arrays, copied out of a map.
+
+    Attributes:
+        position: (n, 3) float32 in metres, in the map frame.
+        normal: (n, 3) float32, of length 1, towards where they were seen from.
+        radius_m: (n,) float32.
+        color: (n, 3) float32 red, green, blue from 0 to 255; -1 where unknown.
+        grey: (n,) float32 from 0 to 255; -1 where unknown.
+        confidence: (n,) float32, how many frames saw it, up to 100.
+        variance_m2: (n,) float32 of the position along the normal.
+        first_s, last_s: (n,) when first and last seen.
+        keyframe: (n,) int32 number of that which each hangs on, -1 for none.
+    """
+
+    position: Float32Array
+    normal: Float32Array
+    radius_m: Float32Array
+    color: Float32Array
+    grey: Float32Array
+    confidence: Float32Array
+    variance_m2: Float32Array
+    first_s: FloatArray
+    last_s: FloatArray
+    keyframe: Int32Array
+
+
+Parts = Callable[[], Iterable[Surfels]]
+"""Gives the surfels of a map, a part after the other, as often as it is called: all at once they are a second map."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ColoredView(PredictedView):
+    """A predicted view with `color` (h, w, 3) float32 from 0 to 255; grey where only that is known, else -1."""
+
+    color: Float32Array
+
+
+# Frames and poses as they come to a surfel map: refused where they are none, else ready for its kernels.
+
+
+_NONE_LARGER_PX = 4096
+_KNOWN_POSES = "fuse, predict and move only where the pose is known"
+_UNITS = {
+    "depth_m": "divide raw depth by its units a metre: of millimetres, (depth / 1000).astype(np.float32)",
+    "normal": "unit vectors in the camera frame",
+    "grey": "0 to 255, -1 where unknown",
+    "color": "0 to 255, -1 where unknown",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """Depth (h, w), normals (h, w, 3), colour (h, w, 3) and grey (h, w) of a frame, as `SurfelMap.fuse` takes them.
+
+    Without colour, `color` is (0, 0, 3).
+    """
+
+    depth_m: Float32Array
+    normal: Float32Array
+    color: Float32Array
+    grey: Float32Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """T_map_camera (4, 4) and fx, fy, cx, cy (4,)."""
+
+    T: FloatArray
+    grid: FloatArray
+
+    @property
+    def T32(self) -> Float32Array:
+        return self.T.astype(np.float32)
+
+    @property
+    def grid32(self) -> Float32Array:
+        return self.grid.astype(np.float32)
+
+    @property
+    def pitch(self) -> np.float32:
+        """Size of a pixel at one metre."""
+        return np.float32(1 / min(self.grid[:2]))
+
+
+def rays_of(grid: FloatArray, shape: tuple[int, ...]) -> tuple[Float32Array, Float32Array]:
+    """Slopes of the columns (w,) and rows (h,) of a camera fx, fy, cx, cy."""
+    fx, fy, cx, cy = grid
+    x, y = (np.arange(shape[1]) - cx) / fx, (np.arange(shape[0]) - cy) / fy
+    return x.astype(np.float32), y.astype(np.float32)
+
+
+def checked_frame(surface: Surface, far_m: float) -> Frame:
+    """The frame, if its images are of one shape and its depth in metres; else MapError.
+
+    Pixels whose depth is no number add nothing.
+
+    Args:
+        far_m: as far as the camera is trusted.
+    """
+    given = {name: _array(name, getattr(surface, name)) for name in ("depth_m", "normal", "grey")}
+    depth_m = given["depth_m"]
+    if depth_m.ndim != 2 or not 0 < max(depth_m.shape) <= _NONE_LARGER_PX:
+        raise MapError(f"depth_m is of shape {depth_m.shape}, not (h, w)")
+    color = np.empty((0, 0, 3), np.float32) if surface.color is None else _array("color", surface.color)
+    for name, image in (given if surface.color is None else given | {"color": color}).items():
+        expected = (*depth_m.shape, 3) if name in ("normal", "color") else depth_m.shape
+        if image.shape != expected:
+            raise MapError(f"{name} is of shape {image.shape}, not {expected} as depth_m asks")
+    if wrong := why_not_metres(depth_m, far_m):
+        raise MapError(f"depth_m {wrong[0]}", fix=wrong[1])
+    return Frame(depth_m, given["normal"], color, given["grey"])
+
+
+def _array(name: str, image: Any) -> Float32Array:
+    if not isinstance(image, np.ndarray):
+        raise MapError(f"{name} is a {type(image).__name__}, not an array", fix="np.asarray(image, np.float32)")
+    is_bytes = name == "color" and image.dtype == np.uint8
+    if image.dtype.kind != "f" and not is_bytes:
+        raise MapError(f"{name} is of {image.dtype}, not float32", fix=_UNITS[name])
+    return np.ascontiguousarray(image, np.float32)
+
+
+def checked_pose(T_map_camera: FloatArray, intrinsics: FloatArray) -> Pose:
+    """The pose, if it is one; else MapError."""
+    T = checked_motion(T_map_camera, "T_map_camera")
+    try:
+        grid = np.ascontiguousarray(intrinsics, float)
+    except (TypeError, ValueError) as error:
+        raise MapError("intrinsics are not fx, fy, cx, cy") from error
+    if grid.shape != (4,) or not np.isfinite(grid).all() or min(grid[:2]) <= 0:
+        raise MapError("intrinsics are not fx, fy, cx, cy with positive focal lengths")
+    return Pose(T, grid)
+
+
+def checked_motion(T: FloatArray, name: str) -> FloatArray:
+    """The rigid motion (4, 4), if it is one; else MapError."""
+    try:
+        T = np.ascontiguousarray(T, float)
+    except (TypeError, ValueError) as error:
+        raise MapError(f"{name} is a {type(T).__name__}, not (4, 4) of numbers", fix=_KNOWN_POSES) from error
+    if wrong := se3.why_invalid(T, tolerance=1e-4):
+        raise MapError(f"{name} is not a rigid motion: {wrong[0]}", fix=f"{wrong[1]}; {_KNOWN_POSES}")
+    return T
+
+
+# SurfelCopies: surfels gathered from parts of a map, without a second copy of all of them meanwhile.
+
+
+def views_of(part: SurfelArrays) -> Surfels:
+    """The same as flat arrays, which are not copied."""
+    position, radius_m, normal, confidence = np.split(part.geometry, (3, RADIUS + 1, CONFIDENCE), axis=1)
+    color, grey, first_s, last_s = part.look[:, :3], part.look[:, 3], part.seen_s[:, 0], part.seen_s[:, 1]
+    told = radius_m[:, 0], color, grey, confidence[:, 0], part.variance, first_s, last_s, part.keyframe
+    return Surfels(position, normal, *told)
+
+
+class SurfelCopies:
+    """See the module.
+
+    Args:
+        most: how many there may be; room that is not needed is never touched, so that it takes no memory.
+    """
+
+    def __init__(self, most: int) -> None:
+        threes = [np.empty((most, 3), np.float32) for _ in range(3)]
+        ones = [np.empty(most, np.float32) for _ in range(4)]
+        position, normal, color = threes
+        radius, grey, confidence, variance = ones
+        seen = np.empty(most), np.empty(most)
+        keyframe = np.empty(most, np.int32)
+        self._all = Surfels(position, normal, radius, color, grey, confidence, variance, *seen, keyframe)
+        self._filled = 0
+
+    def add(self, part: SurfelArrays) -> None:
+        """Put a copy of these behind the others."""
+        begin, self._filled = self._filled, self._filled + len(part.geometry)
+        views = views_of(part)
+        for name in Surfels.__slots__:
+            getattr(self._all, name)[begin : self._filled] = getattr(views, name)
+
+    def all(self) -> Surfels:
+        """Those that were added, in order."""
+        return Surfels(*(getattr(self._all, name)[: self._filled] for name in Surfels.__slots__))

@@ -1,4 +1,6 @@
-"""Behaviours: what a robot does that cannot go on, one after another; each is asked once a period."""
+"""Recovery behaviours: wait, turn and drive straight. The module also finds open directions and checks commands
+against the map.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +8,20 @@ import math
 from dataclasses import dataclass, field
 from typing import Protocol
 
+import cv2
 import numpy as np
 
-from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.estimates import Status
-from wheelsight.geometry import FloatArray
-from wheelsight.geometry.se2 import wrap_angle
-from wheelsight.navigation.navigator_settings import BehaviourSettings
-from wheelsight.navigation.open_way import OpenWay
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.geometry.se2 import wrap_angle
+from wheelsight.core.messages import STOP, VelocityCommand
+from wheelsight.navigation.clearance_kernels import CostField, Outline, clearance_at, free_arc, moved
+from wheelsight.navigation.costmap import CellState, Costmap
+from wheelsight.navigation.footprint import checked
+from wheelsight.navigation.settings import BehaviourSettings
+
+# Behaviours: what a robot does that cannot go on, one after another; each is asked once a period.
+
 
 # Less than these is no way made, radians and metres.
 _LEAST_RAD, _LEAST_M = 0.02, 0.01
@@ -204,3 +212,79 @@ def when_lost(
         return Series(parts, f"look for a known place {way_m:.1f} m from here")
     sign = -1.0 if is_second else 1.0
     return Turn((sign * s.search_rad,), s.turn_rad_s, s.refused_s, "look for a known place")
+
+
+# OpenWay: where a robot that does not know its place may drive, by what it has seen about it.
+
+
+_DIRECTIONS = 24
+_STEP_M = 0.05
+# Beyond that one way is as good as another.
+_FAR_M = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class OpenWay:
+    """A turn on the spot, and so far straight on."""
+
+    turn_rad: float
+    way_m: float
+
+
+def open_way(costmap: Costmap, outline: Outline, pose: FloatArray, margin_m: float) -> OpenWay:
+    """The longest way straight on, after the least turn; whether it may turn there is not asked.
+
+    Args:
+        costmap: of what stands about the robot.
+        outline: of the robot.
+        pose: (3,) x, y, yaw in the costmap's frame.
+        margin_m: to obstacles.
+    """
+    field, nobody = checked(costmap.field), np.empty((0, 5))
+    turns = 2 * np.pi / _DIRECTIONS * np.arange(-(_DIRECTIONS // 2), _DIRECTIONS // 2)
+    x, y, yaw = map(float, pose)
+    arc = (_STEP_M, 0.0, 0.0, round(_FAR_M / _STEP_M))
+    steps = [
+        int(free_arc(field, outline, nobody, (x, y, float(np.cos(a)), float(np.sin(a))), arc, margin_m))
+        for a in yaw + turns
+    ]
+    best = min(range(_DIRECTIONS), key=lambda n: (-steps[n], abs(turns[n])))
+    return OpenWay(float(turns[best]), steps[best] * _STEP_M)
+
+
+# Whether a command leads a robot to what the map has: behaviours go by no plan, and a camera does not see all around.
+#
+# The collision monitor forgets what left the view some time ago, as it must for people. A robot that looked about
+# beside a kitchen's counter, 40 s after it had seen that, turned into it.
+
+
+_STEP_S = 0.1
+
+
+def keeps_clear(
+    costmap: Costmap,
+    outline: Outline,
+    pose: FloatArray,
+    command: VelocityCommand,
+    settings: BehaviourSettings,
+    *,
+    minds_unknown: bool = False,
+) -> bool:
+    """Whether a robot at a pose (3,) in the map, that obeys for `clear_s`, comes no nearer than `clear_m` to obstacles.
+
+    One that is nearer already may go where it is less near. Unknown floor is an obstacle with `minds_unknown` alone.
+    """
+    is_obstacle = costmap.state == CellState.OCCUPIED
+    if minds_unknown:
+        is_obstacle |= costmap.state == CellState.UNKNOWN
+    is_free = (~is_obstacle).astype(np.uint8)
+    distance_m = cv2.distanceTransform(is_free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * np.float32(costmap.resolution_m)
+    field = CostField(distance_m, np.zeros_like(distance_m), costmap.resolution_m, costmap.origin)
+    at = (float(pose[0]), float(pose[1]), float(np.cos(pose[2])), float(np.sin(pose[2])))
+    least_m = float(clearance_at(field, outline, at, settings.clear_m))
+    for _ in range(round(settings.clear_s / _STEP_S)):
+        at = moved(at, command.forward_m_s * _STEP_S, command.turn_rad_s * _STEP_S)
+        clearance_m = float(clearance_at(field, outline, at, settings.clear_m))
+        if clearance_m < min(settings.clear_m, least_m):
+            return False
+    return True

@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from wheelsight.errors import ArgumentError
-from wheelsight.geometry import FloatArray
+from wheelsight.core.errors import ArgumentError
+from wheelsight.core.geometry import FloatArray
 from wheelsight.navigation.costmap import Costmap, StaticLayer
 
 _DIMENSIONS = (2, 3)

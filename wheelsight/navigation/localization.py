@@ -1,4 +1,6 @@
-"""Localization as navigation asks for it, and WhereNow: where the robot is between two of its answers."""
+"""Localization interface of navigation. WhereNow: the pose between two estimates. HeldPlace: a short hold of the
+pose by the wheels.
+"""
 
 from __future__ import annotations
 
@@ -10,17 +12,18 @@ from typing import Protocol
 
 import numpy as np
 
-from wheelsight.calibration import Wheels
-from wheelsight.errors import ArgumentError
-from wheelsight.estimates import Estimate, Status
-from wheelsight.events import Event, WheelSpeeds, WheelTicks
-from wheelsight.fusion import FusedEstimate
-from wheelsight.geometry import FloatArray, se2, se3
-from wheelsight.keyframes import KeyframeStore
-from wheelsight.navigation.control_values import MotionState
-from wheelsight.navigation.held_place import HeldPlace
-from wheelsight.navigation.navigator_settings import HoldSettings
-from wheelsight.odometry.wheels import WheelOdometry
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import ArgumentError
+from wheelsight.core.estimates import Estimate, FusedEstimate, Status
+from wheelsight.core.geometry import FloatArray, se2, se3
+from wheelsight.core.keyframes import KeyframeStore
+from wheelsight.core.messages import Event, WheelSpeeds, WheelTicks
+from wheelsight.navigation.path_following import MotionState
+from wheelsight.navigation.settings import HoldSettings
+from wheelsight.wheels import WheelOdometry
+
+# Localization as navigation asks for it, and WhereNow: where the robot is between two of its answers.
+
 
 Answered = tuple[Event, Estimate | None]
 # How long the wheels' own way is kept: answers to frames come later than that only where nothing goes on.
@@ -276,3 +279,48 @@ def _worse_sigma_m(T: FloatArray, covariance: FloatArray) -> float:
     """Along the worse horizontal axis, of a pose (4, 4) with covariance (6, 6); 0 where rounding made it less."""
     C = se3.position_covariance(T, covariance)
     return float(np.sqrt(max(np.linalg.eigvalsh(C[:2, :2])[-1], 0.0)))
+
+
+# HeldPlace: a place in the map that the wheels carry on for a moment, while the localization is less sure than it
+# was.
+#
+# Somebody who walks past close to the camera contradicts the wheels for a second; until it is settled who was right,
+# the localization states tens of centimetres, and its place leaps by as much. Wheels are off by millimetres in that
+# time, unless it is they that slip.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldPlace:
+    """As the localization had it.
+
+    Attributes:
+        T_map_base: (3, 3) where the base was.
+        T_wheels: (3, 3) where the wheels alone had it then, in a frame of their own.
+        sigma_m: standard deviation along the worse axis, as the localization stated.
+        stamp_s: when.
+    """
+
+    T_map_base: FloatArray
+    T_wheels: FloatArray
+    sigma_m: float
+    stamp_s: float
+
+    def carried(self, T_wheels: FloatArray) -> FloatArray:
+        """(3, 3) where the base is once the wheels have it at (3, 3)."""
+        return np.asarray(self.T_map_base @ se2.invert(self.T_wheels) @ T_wheels)
+
+    def sigma_at(self, T_wheels: FloatArray, settings: HoldSettings) -> float:
+        """Metres: as sure as wheels leave it, once they have the base at (3, 3)."""
+        return float(np.hypot(self.sigma_m, settings.wheels_share * self._way_m(T_wheels)))
+
+    def holds(self, sigma_m: float, T_wheels: FloatArray, stamp_s: float, settings: HoldSettings) -> bool:
+        """Whether it is better still than what the localization states to be known to `sigma_m` now."""
+        s = settings
+        is_late = stamp_s - self.stamp_s > s.seconds or self._way_m(T_wheels) > s.way_m
+        is_sure = sigma_m <= max(self.sigma_at(T_wheels, s), s.sure_m)
+        return not is_late and not is_sure and np.isfinite(sigma_m)
+
+    def _way_m(self, T_wheels: FloatArray) -> float:
+        """As the crow flies, since."""
+        x, y, _ = se2.to_parts(se2.invert(self.T_wheels) @ T_wheels)
+        return float(np.hypot(x, y))

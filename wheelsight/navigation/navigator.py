@@ -1,7 +1,5 @@
-"""Navigator: drives a robot to its goals, period by period. The whole of it on one screen: `step`.
-
-A small explicit state machine over planner, controller and behaviours. What it asks for passes a `ControlChain`, whose
-collision monitor alone decides what the robot is told.
+"""Navigator: drives a robot to its goals, one control period after another. Its ControlChain passes each command
+through a velocity ramp and the collision monitor.
 """
 
 from __future__ import annotations
@@ -13,37 +11,43 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import ArrayLike
 
-from wheelsight.checks import need_method
-from wheelsight.commands import STOP, VelocityCommand
-from wheelsight.errors import ArgumentError, PartError, WheelsightError
-from wheelsight.geometry import FloatArray
+from wheelsight.core.checks import need_method
+from wheelsight.core.errors import ArgumentError, PartError, WheelsightError
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import STOP, VelocityCommand
+from wheelsight.core.robots import STOPPED, Robot, RobotLimits
+from wheelsight.core.threads import OneCaller, one_at_a_time
 from wheelsight.navigation.behaviours import beside_goal
-from wheelsight.navigation.collision_monitor import MonitorReason, MonitorState
-from wheelsight.navigation.control_chain import ControlChain, controller_of
-from wheelsight.navigation.control_values import Controller, ControlReason, ControlResult
+from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason, MonitorResult, MonitorState
+from wheelsight.navigation.controllers import MppiController, PurePursuitController
 from wheelsight.navigation.exploration import Exploration
-from wheelsight.navigation.floors import Floor
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.goals import Goals, Poses, Way, checked_goal
-from wheelsight.navigation.localization import Localization
-from wheelsight.navigation.navigator_settings import NavigationSettings
-from wheelsight.navigation.navigator_values import (
+from wheelsight.navigation.localization import Localization, WhereNow
+from wheelsight.navigation.path_following import Controller, ControlReason, ControlResult, OwnController
+from wheelsight.navigation.people import discs_of
+from wheelsight.navigation.planner import PathPlanner, Plan, PlanFailure
+from wheelsight.navigation.planning import Planned, Planning, to_go_m
+from wheelsight.navigation.senses import Senses
+from wheelsight.navigation.settings import NavigationSettings
+from wheelsight.navigation.static_map import Floor
+from wheelsight.navigation.task import (
     Feedback,
     NavigationReason,
     NavigationResult,
     NavigationState,
+    Task,
     Transition,
     stays_words,
 )
-from wheelsight.navigation.people import discs_of
-from wheelsight.navigation.plan_values import PathPlanner, Plan, PlanFailure
-from wheelsight.navigation.planning import Planned, Planning
-from wheelsight.navigation.route_planner import to_go_m
-from wheelsight.navigation.senses import Senses
-from wheelsight.navigation.task import Task
 from wheelsight.navigation.workers import Worker
-from wheelsight.robots import STOPPED, Robot
-from wheelsight.threads import OneCaller, one_at_a_time
+
+# Navigator: drives a robot to its goals, period by period. The whole of it on one screen: `step`.
+#
+# A small explicit state machine over planner, controller and behaviours. What it asks for passes a `ControlChain`,
+# whose collision monitor alone decides what the robot is told.
+
 
 _STOPPING_S = 5.0
 # So many goals are left out one after another before it is the robot that has to get out of something.
@@ -486,3 +490,145 @@ class Navigator(OneCaller):
     def _stands(self) -> bool:
         speed = self._senses.where.speed
         return self.settings.follow.stands(speed.forward_m_s, speed.turn_rad_s) or not math.isfinite(speed.stamp_s)
+
+
+# ControlChain: what a navigator asks for passes a ramp and the collision monitor, which decides on the command.
+
+
+class ControlChain:
+    """See the module.
+
+    Args:
+        settings: of the robot.
+
+    Attributes:
+        monitor: has the last word.
+        checked: what it made of the last command.
+        was_backward: whether the last command that it stopped led backward.
+    """
+
+    def __init__(self, settings: NavigationSettings) -> None:
+        self.monitor = CollisionMonitor(
+            settings.footprint.outline, settings.limits, settings.monitor, settings.wheel_check
+        )
+        self.checked = MonitorResult(STOP, MonitorState.FREE)
+        self._stopped: tuple[float, MonitorReason | None] = (-math.inf, None)
+        self.was_backward = False
+        self._ramp, self._period_s = VelocityRamp(settings.limits), settings.follow.period_s
+
+    @property
+    def command(self) -> VelocityCommand:
+        """What the robot is to be told."""
+        return self.checked.command
+
+    def ask(
+        self,
+        asked: VelocityCommand,
+        now_s: float,
+        where: WhereNow,
+        *,
+        stands_by_itself: bool,
+        silent: MonitorReason | None = None,
+    ) -> None:
+        """Take the command of a period; a robot that stands by itself does not obey it.
+
+        `silent` is the part that does not answer: the command is a stop.
+        """
+        if stands_by_itself:
+            # Told less and less while it stands by itself, it would seem not to obey, and would not be told to stand.
+            self._ramp.follow(STOP)
+        ramped = self._ramp.step(asked.forward_m_s, asked.turn_rad_s, self._period_s)
+        self.checked = self.monitor.check(ramped, now_s, _status_to_drive(where), silent)
+        if self.checked.state is not MonitorState.FREE:
+            self._ramp.follow(self.checked.command)
+        if self.checked.state is MonitorState.STOPPED:
+            self._stopped = now_s, self.checked.reason
+            self.was_backward = asked.forward_m_s < 0
+
+    def stopped_by(self, since_s: float) -> MonitorReason | None:
+        """Why the monitor last stopped the robot since then: a controller knows no more than that it does not move."""
+        return self._stopped[1] if self._stopped[0] >= since_s else None
+
+
+def controller_of(footprint: Footprint, settings: NavigationSettings, own: Controller | None = None) -> Controller:
+    """A user's own, else the one that settings name."""
+    if own is not None:
+        return OwnController(own, settings.follow.goal_m, settings.follow.goal_rad)
+    if settings.controller == "mppi":
+        return MppiController(footprint, settings.limits, settings.mppi, settings.follow)
+    return PurePursuitController(footprint, settings.limits, settings.pure_pursuit, settings.follow)
+
+
+def _status_to_drive(where: WhereNow) -> Status:
+    """For the monitor: whoever does not know where in the map it is, but how it moves, may turn and look about."""
+    is_searching = where.status is Status.INITIALIZING and where.is_rolling
+    return Status.COASTING if is_searching else where.status
+
+
+# VelocityRamp: commands that a base can follow, whatever is asked.
+
+
+class VelocityRamp:
+    """Keeps `RobotLimits`: speed, acceleration and jerk, from one command to the next.
+
+    Acceleration grows by jerk, and falls by it toward the speed that is asked. Whatever slows down is not delayed by
+    jerk: stops, and less speed asked, which takes acceleration away at once. Turns have a limit of acceleration alone.
+    """
+
+    def __init__(self, limits: RobotLimits | None = None) -> None:
+        self._limits = limits or RobotLimits()
+        self._given = STOP
+        self._acceleration_m_s2 = 0.0
+
+    @property
+    def given(self) -> VelocityCommand:
+        """The last command."""
+        return self._given
+
+    def follow(self, driven: VelocityCommand) -> None:
+        """Go on from a command that somebody made slower after this."""
+        self._given, self._acceleration_m_s2 = driven, 0.0
+
+    def step(self, forward_m_s: float, turn_rad_s: float, period_s: float) -> VelocityCommand:
+        """The command a period after the last one.
+
+        Args:
+            forward_m_s: asked; what is not finite asks for a stop of both.
+            turn_rad_s: asked.
+            period_s: since the last one, above 0.
+
+        Raises:
+            ArgumentError: a period that is none.
+        """
+        if not (math.isfinite(period_s) and period_s > 0):
+            raise ArgumentError(f"a period of {period_s} s", fix="give seconds since the last command, above 0")
+        if not (math.isfinite(forward_m_s) and math.isfinite(turn_rad_s)):
+            forward_m_s, turn_rad_s = 0.0, 0.0
+        most = self._limits
+        wanted = min(max(forward_m_s, -most.backward_m_s), most.forward_m_s)
+        forward = self._forward(wanted, period_s)
+        turn = min(max(turn_rad_s, -most.turn_rad_s), most.turn_rad_s)
+        change = most.turn_acceleration_rad_s2 * period_s
+        before = self._given.turn_rad_s
+        self._given = VelocityCommand(forward, before + min(max(turn - before, -change), change))
+        return self._given
+
+    def _forward(self, wanted: float, period_s: float) -> float:
+        speed, limits = self._given.forward_m_s, self._limits
+        slows = speed * (wanted - speed) < 0
+        if slows:
+            # To zero and no farther: beyond it lies the other direction, which begins with its own acceleration.
+            wanted = wanted if wanted * speed > 0 else 0.0
+            change = limits.braking_m_s2 * period_s
+            self._acceleration_m_s2 = 0.0
+            return speed + min(max(wanted - speed, -change), change)
+        sign = math.copysign(1.0, wanted - speed)
+        # While acceleration falls to zero by jerk, so much is gained still: a² / 2j + a period / 2, step by step.
+        # Only the step that reaches the speed may fall by an eighth more.
+        half = limits.jerk_m_s3 * period_s / 2
+        most = math.sqrt(half * half + 2 * limits.jerk_m_s3 * abs(wanted - speed)) - half
+        most = min(limits.acceleration_m_s2, most)
+        grown = max(self._acceleration_m_s2 * sign, 0.0) + limits.jerk_m_s3 * period_s
+        change = min(min(most, grown) * period_s, abs(wanted - speed))
+        self._acceleration_m_s2 = sign * change / period_s
+        return wanted if change == abs(wanted - speed) else speed + sign * change

@@ -1,8 +1,4 @@
-"""PeopleTracker: who walks about a robot, where to and how fast, by what its depth camera sees.
-
-What moves is followed in `odom`, which never jumps, from the pose of each frame. Something that stands is nobody who
-walks, and stays with the live layer of the costmap.
-"""
+"""PeopleTracker: detects walking people in depth images and tracks them with constant-velocity Kalman filters."""
 
 from __future__ import annotations
 
@@ -11,12 +7,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
-from wheelsight.geometry import BoolArray, FloatArray, chi_square, se2
-from wheelsight.navigation.constant_velocity import Track
-from wheelsight.navigation.people_settings import PeopleSettings
+from wheelsight.core.geometry import BoolArray, FloatArray, IntArray, chi_square, se2
+from wheelsight.navigation.settings import PeopleSettings
 from wheelsight.navigation.surroundings import DepthView
-from wheelsight.navigation.things import Thing, things_in
+
+# PeopleTracker: who walks about a robot, where to and how fast, by what its depth camera sees.
+#
+# What moves is followed in `odom`, which never jumps, from the pose of each frame. Something that stands is nobody
+# who walks, and stays with the live layer of the costmap.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,3 +133,167 @@ def _placed(thing: Thing, pose: FloatArray) -> Thing:
     T = se2.from_parts(*pose)
     R = T[:2, :2]
     return Thing(R @ thing.middle + T[:2, 2], R @ thing.covariance @ R.T, thing.radius_m)
+
+
+# Thing: something of a person's width that a depth image shows whole, on floor that is free in the map.
+
+
+# Columns beside a thing in which something nearer would hide a part of it.
+_BESIDE = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Thing:
+    """Seen in one depth image.
+
+    Attributes:
+        middle: (2,) of it in `base`, metres: as far behind what is seen of it as a person's is.
+        covariance: (2, 2) of that.
+        radius_m: half of how wide it is, and a person's at the least.
+    """
+
+    middle: FloatArray
+    covariance: FloatArray
+    radius_m: float
+
+
+def things_in(view: DepthView, is_on_floor: BoolArray, far_m: float, settings: PeopleSettings) -> list[Thing]:
+    """What may be a person in a view.
+
+    Args:
+        view: of the frame.
+        is_on_floor: (N,) of its points, whether the map has free floor there.
+        far_m: farther from the camera nothing is seen.
+        settings: of people.
+    """
+    if not is_on_floor.any():
+        return []
+    seen = _Seen.of(view)
+    number = np.full(len(view.points), -1)
+    number[is_on_floor] = _numbers(view.points[is_on_floor], settings.gap_m)
+    whole = [
+        which
+        for which in (number == at for at in range(int(number.max()) + 1))
+        if which.sum() >= settings.least_points and seen.is_whole(which, far_m, settings)
+    ]
+    camera = np.array(view.camera)
+    things = [_thing(view.points[which] - camera, camera, settings) for which in whole]
+    return [thing for thing in things if 2 * thing.radius_m <= settings.widest_m]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """Points as the camera has them: column and distance (N,), and how many columns there are."""
+
+    column: IntArray
+    range_m: FloatArray
+    columns: int
+
+    @classmethod
+    def of(cls, view: DepthView) -> _Seen:
+        apart = view.points - view.camera
+        turned = (np.arctan2(apart[:, 1], apart[:, 0]) - view.first_rad) % (2 * np.pi)
+        return cls(np.floor(turned / view.step_rad).astype(int), np.hypot(*apart.T), len(view.seen_m))
+
+    def is_whole(self, which: BoolArray, far_m: float, settings: PeopleSettings) -> bool:
+        """Whether neither the view's edge nor a nearer thing cuts it off: what is cut off moves as the camera does."""
+        low, high = int(self.column[which].min()), int(self.column[which].max())
+        if low < _BESIDE or high >= self.columns - _BESIDE or self.range_m[which].max() > far_m - settings.gap_m:
+            return False
+        near = ~which & (self.range_m < self.range_m[which].min())
+        return not (near & (self.column >= low - _BESIDE) & (self.column <= high + _BESIDE)).any()
+
+
+def _numbers(points: FloatArray, gap_m: float) -> IntArray:
+    """(N,) number of the thing that each point (N, 2) is of: they hang together by gaps of so much at most."""
+    pairs = cKDTree(points).query_pairs(gap_m, output_type="ndarray")
+    shape = len(points), len(points)
+    near = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape)
+    return np.asarray(connected_components(near, directed=False)[1])
+
+
+def _thing(points: FloatArray, camera: FloatArray, settings: PeopleSettings) -> Thing:
+    """Of points (N, 2) from the camera."""
+    seen = points.mean(axis=0)
+    range_m = float(np.hypot(*seen))
+    along = seen / max(range_m, 1e-6)
+    across = np.array([-along[1], along[0]])
+    # The middle of half a circle's line lies 2 / π of its radius before that of the circle.
+    middle = camera + seen + 2 / np.pi * settings.body_m * along
+    side = points @ across
+    off = settings.sigma_m**2 * np.eye(2) + (settings.sigma_rad * range_m) ** 2 * np.outer(across, across)
+    return Thing(middle, off, max(settings.body_m, float(np.ptp(side)) / 2))
+
+
+# Track: a Kalman filter of a thing that goes on as it goes, but for white noise in its acceleration.
+
+
+_SEEN = np.eye(2, 4)
+
+
+class Track:
+    """Where a thing is in the plane, and how it moves (Bar-Shalom, Li, Kirubarajan: Estimation, 6.2.2).
+
+    Args:
+        stamp_s: when it was seen first.
+        position: (2,) where, metres.
+        covariance: (2, 2) of that.
+        speed_sigma_m_s: standard deviation of its speed, of which nothing is known, along each axis.
+        change_m2_s3: power spectral density of its acceleration.
+
+    Attributes:
+        stamp_s: of what follows.
+        state: (4,) x, y, vx, vy.
+        covariance: (4, 4).
+    """
+
+    def __init__(
+        self,
+        stamp_s: float,
+        position: FloatArray,
+        covariance: FloatArray,
+        speed_sigma_m_s: float,
+        change_m2_s3: float,
+    ) -> None:
+        self.stamp_s = stamp_s
+        self.state: FloatArray = np.array([*position, 0.0, 0.0], float)
+        self.covariance: FloatArray = np.zeros((4, 4))
+        self.covariance[:2, :2], self.covariance[2:, 2:] = covariance, speed_sigma_m_s**2 * np.eye(2)
+        self._change = change_m2_s3
+
+    def at(self, stamp_s: float) -> tuple[FloatArray, FloatArray]:
+        """State (4,) and covariance (4, 4) at a time, by what is known now."""
+        step_s = stamp_s - self.stamp_s
+        F = np.kron(np.array([[1.0, step_s], [0.0, 1.0]]), np.eye(2))
+        ahead_s = abs(step_s)
+        noise = np.array([[ahead_s**3 / 3, step_s * ahead_s / 2], [step_s * ahead_s / 2, ahead_s]])
+        return F @ self.state, F @ self.covariance @ F.T + self._change * np.kron(noise, np.eye(2))
+
+    def predict(self, stamp_s: float) -> None:
+        """Go on to a later time."""
+        self.state, self.covariance = self.at(stamp_s)
+        self.stamp_s = stamp_s
+
+    def distance(self, position: FloatArray, covariance: FloatArray) -> float:
+        """Squared Mahalanobis distance of something seen now, (2,) with (2, 2): χ² of two degrees of freedom."""
+        off = position - self.state[:2]
+        return float(off @ np.linalg.solve(self.covariance[:2, :2] + covariance, off))
+
+    def correct(self, position: FloatArray, covariance: FloatArray) -> None:
+        """Take what is seen of it now."""
+        S = self.covariance[:2, :2] + covariance
+        K = np.linalg.solve(S, self.covariance[:2]).T
+        self.state = self.state + K @ (position - self.state[:2])
+        left = np.eye(4) - K @ _SEEN
+        # Joseph's form stays symmetric and positive.
+        self.covariance = left @ self.covariance @ left.T + K @ covariance @ K.T
+
+    @property
+    def speed_m_s(self) -> float:
+        """How fast it is."""
+        return float(np.hypot(*self.state[2:]))
+
+    @property
+    def speed_distance(self) -> float:
+        """Squared Mahalanobis distance of its velocity from none: χ² of two degrees of freedom where it stands."""
+        return float(self.state[2:] @ np.linalg.solve(self.covariance[2:, 2:], self.state[2:]))

@@ -1,24 +1,28 @@
-"""Planning: asks for plans by what is known now, and says when another is needed."""
+"""Planning: requests plans and decides when to replan. It plans through several poses, prefers observed floor, and
+avoids ways that were blocked.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wheelsight.geometry import FloatArray, se2
-from wheelsight.navigation.blocked_ways import BlockedWays
-from wheelsight.navigation.cautious_planner import CautiousPlanner
-from wheelsight.navigation.costmap import Costmap
-from wheelsight.navigation.floor_now import FloorNow
+from wheelsight.core.geometry import FloatArray, se2
+from wheelsight.core.geometry.se2 import wrap_angle
+from wheelsight.navigation.costmap import Costmap, FloorNow
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.goals import Goals
-from wheelsight.navigation.navigator_settings import NavigationSettings
-from wheelsight.navigation.plan_values import PathPlanner, Plan, PlanFailure, PlanReason
-from wheelsight.navigation.plan_view import PlanView
-from wheelsight.navigation.route_planner import to_go_m
+from wheelsight.navigation.path_smoothing import Drivable
+from wheelsight.navigation.planner import OwnPlanner, PathPlanner, Plan, PlanFailure, Planner, PlanReason
 from wheelsight.navigation.senses import Senses
+from wheelsight.navigation.settings import BlockedSettings, NavigationSettings
+from wheelsight.navigation.surroundings import PlanView
 from wheelsight.navigation.workers import Worker, WorkerInStep
+
+# Planning: asks for plans by what is known now, and says when another is needed.
+
 
 # A robot that drives by an older plan stops when the new one takes longer than this, and goes on when it comes. In a
 # flat a plan takes 0.1 to 0.25 s, over 1000 × 1000 cells 0.8 s. A limit by the longest plan before let the motors turn
@@ -212,3 +216,231 @@ class Planning:
         assert local is not None
         assert state is not None
         return local, state.pose
+
+
+# RoutePlanner: one plan through several poses, and whether what is left of it is still free.
+
+
+class RoutePlanner:
+    """Plans for one robot.
+
+    Args:
+        footprint, settings: of the robot.
+        own: a user's planner, in place of the built-in one.
+    """
+
+    def __init__(self, footprint: Footprint, settings: NavigationSettings, own: PathPlanner | None = None) -> None:
+        self._footprint, self._settings = footprint, settings
+        self._rules = settings.drivable
+        self._planner = Planner(footprint, self._rules, settings.limits)
+        self._path_planner: PathPlanner = self._planner if own is None else OwnPlanner(own)
+
+    def plan(self, costmap: Costmap, start: FloatArray, goals: Sequence[FloatArray]) -> Plan | PlanFailure:
+        """A plan from a pose (3,) through poses (3,) in their order; a yaw of NaN is any heading.
+
+        Poses on the way that cannot be reached are left out; the last one cannot.
+        """
+        plans: list[Plan] = []
+        begin = start
+        for number, goal in enumerate(goals):
+            found = self._path_planner.plan(costmap, begin, goal[:2] if np.isnan(goal[2]) else goal)
+            if isinstance(found, Plan):
+                plans.append(found)
+                begin = found.poses[-1]
+            elif number == len(goals) - 1 or found.reason is PlanReason.PART:
+                return found
+        return plans[0] if len(plans) == 1 else _joined(plans)
+
+    def why_no_room_near(self, costmap: Costmap, goal: FloatArray) -> PlanFailure | None:
+        """See `Planner.why_no_room_near`; of a goal in what stands in the costmap or is unknown, as of a map's wall."""
+        failure = self._planner.why_no_room_near(costmap, goal)
+        if failure is None or failure.reason is PlanReason.GOAL_OUTSIDE:
+            return failure
+        is_unknown = failure.reason is PlanReason.GOAL_UNKNOWN
+        what = "unknown floor" if is_unknown else "a wall, a thing or forbidden floor"
+        return PlanFailure(PlanReason.GOAL_IN_WALL, f"{what} is at ({goal[0]:.2f}, {goal[1]:.2f}) m")
+
+    def why_no_way(self, costmap: Costmap, start: FloatArray, goal: FloatArray) -> str:
+        """See `Planner.why_no_way`."""
+        return self._planner.why_no_way(costmap, start, goal)
+
+    def why_no_room(self, costmap: Costmap) -> str:
+        """See `Planner.why_no_room`."""
+        return self._planner.why_no_room(costmap)
+
+    def blocked_at(self, costmap: Costmap, plan: Plan, pose: FloatArray, reach_m: float) -> FloatArray | None:
+        """The first pose (3,) of so much of a plan, from a pose (3,) on, where the footprint does not pass; or None."""
+        drivable = Drivable.of(costmap, self._footprint, self._rules, self._settings.limits)
+        ahead = ahead_of(plan, pose, reach_m)
+        inside = ((costmap.cells_at(ahead[:, :2]) >= 0) & (costmap.cells_at(ahead[:, :2]) < costmap.state.shape)).all(1)
+        blocked = ahead[inside][~drivable.is_free(ahead[inside])]
+        return blocked[0] if len(blocked) else None
+
+
+def to_go_m(plan: Plan, pose: FloatArray) -> float:
+    """Along a plan from the place next to (3,) to its end."""
+    rest = plan.poses[_nearest(plan, pose) :, :2]
+    return float(np.hypot(*np.diff(rest, axis=0).T).sum())
+
+
+def ahead_of(plan: Plan, pose: FloatArray, reach_m: float) -> FloatArray:
+    """(N, 3) poses of a plan that come next, as far as so many metres along it."""
+    rest = plan.poses[_nearest(plan, pose) :]
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rest[:, :2], axis=0).T))])
+    return np.asarray(rest[along <= reach_m])
+
+
+def _nearest(plan: Plan, pose: FloatArray) -> int:
+    """Of places alike, as where a way crosses itself, the one whose heading is nearer, and then the later one."""
+    apart = np.hypot(*(plan.poses[:, :2] - pose[:2]).T)
+    off = np.abs(wrap_angle(plan.poses[:, 2] - pose[2]))
+    # A half turn counts as much as a metre.
+    score = apart + off / np.pi
+    return int(len(score) - 1 - score[::-1].argmin())
+
+
+def _joined(plans: Sequence[Plan]) -> Plan:
+    last = plans[-1]
+    return replace(
+        last,
+        poses=np.concatenate([plan.poses for plan in plans]),
+        directions=np.concatenate([plan.directions for plan in plans]),
+        length_m=sum(plan.length_m for plan in plans),
+        least_clearance_m=min(plan.least_clearance_m for plan in plans),
+        cost=sum(plan.cost for plan in plans),
+        states=sum(plan.states for plan in plans),
+    )
+
+
+# CautiousPlanner: plans that lead over no floor before the robot's camera has looked there, if there are any.
+
+
+# Each keeps away from where the one before would have gone blindly.
+_ROUNDS = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CautiousPlan:
+    """What was found.
+
+    Attributes:
+        found: a plan, or why there is none.
+        is_blind: whether it leads over floor beside the robot that no camera will have looked at by then, since none
+            leads past it.
+    """
+
+    found: Plan | PlanFailure
+    is_blind: bool = False
+
+
+class CautiousPlanner:
+    """Of one robot.
+
+    Args:
+        footprint, settings: of the robot.
+        view: what its camera looks at on the way.
+        own: see `RoutePlanner`.
+    """
+
+    def __init__(
+        self, footprint: Footprint, settings: NavigationSettings, view: PlanView, own: PathPlanner | None = None
+    ) -> None:
+        self._footprint, self._settings, self._view = footprint, settings, view
+        self.route = RoutePlanner(footprint, settings, own)
+
+    def plan(
+        self,
+        costmap: Costmap,
+        avoiding: Callable[[FloatArray], Costmap],
+        hidden: FloatArray,
+        pose: FloatArray,
+        goals: Sequence[FloatArray],
+    ) -> CautiousPlan:
+        """From a pose (3,) through goals.
+
+        Args:
+            costmap: of what stands.
+            avoiding: makes the same with obstacles at (N, 2) besides.
+            hidden: (M, 3) as `FloorNow`; empty where it does not matter.
+            pose, goals: as `RoutePlanner.plan`.
+        """
+        found = plain = self.route.plan(costmap, pose, goals)
+        if isinstance(plain, PlanFailure):
+            return CautiousPlan(plain)
+        avoided = hidden[:0, :2]
+        for _ in range(_ROUNDS):
+            if isinstance(found, PlanFailure) or (found.goal_change and found is not plain):
+                break
+            blind = self.blind_at(costmap, hidden, found, pose, self._settings.navigator.local_m / 2)
+            if blind is None:
+                return CautiousPlan(found)
+            reach_m = self._footprint.circumscribed_m + self._settings.follow.margin_m
+            near = np.hypot(*(hidden[:, :2] - blind[:2]).T) < reach_m
+            avoided = np.concatenate([avoided, hidden[near, :2]])
+            found = self.route.plan(avoiding(avoided), pose, goals)
+        # What is farther off is seen from nearer by.
+        near_m = self._footprint.circumscribed_m + self._settings.navigator.hidden_m
+        return CautiousPlan(plain, self.blind_at(costmap, hidden, plain, pose, near_m) is not None)
+
+    def blind_at(
+        self, costmap: Costmap, hidden: FloatArray, plan: Plan, pose: FloatArray, reach_m: float
+    ) -> FloatArray | None:
+        """The first pose (3,) of so much of a plan, from a pose (3,) on, that goes over what was not looked at."""
+        ahead = ahead_of(plan, pose, reach_m)
+        blind = self._view.first_blind(np.concatenate([pose[None], ahead]), hidden, costmap)
+        return None if blind is None else np.asarray(ahead[max(blind - 1, 0)])
+
+
+# BlockedWays: where plans turned out to be blocked a while ago, so that the next ones lead elsewhere where they can.
+#
+# What blocks a way is seen from close by alone: things behind others, floor that no camera has looked at, a gap that
+# is too narrow by a cell. From farther off it looks free again, and the shortest way leads back.
+
+
+# So many times at one place count, not more: it may be the only way.
+_MOST = 3
+
+
+@dataclass(frozen=True, slots=True)
+class BlockedWays:
+    """Places, and when each was found.
+
+    Attributes:
+        settings: how dear ways are there, and for how long.
+        free_visits: so many count for nothing: in a map of before it may have been somebody who stood there.
+        found: (x, y, stamp) in the map, one for each visit, at its end.
+    """
+
+    settings: BlockedSettings
+    free_visits: int = 0
+    found: tuple[tuple[float, float, float], ...] = ()
+
+    def with_place(self, xy: FloatArray, now_s: float) -> BlockedWays:
+        """And a way was found to be blocked with the axle at (2,)."""
+        kept = tuple(one for one in self.found if self._is_another_visit(one, xy, now_s))
+        return replace(self, found=(*kept, (float(xy[0]), float(xy[1]), now_s)))
+
+    def on(self, costmap: Costmap, now_s: float) -> Costmap:
+        """The same costmap, on which ways cost more there."""
+        times = np.zeros(costmap.state.shape, np.float32)
+        reach = int(np.ceil(self.settings.radius_m / costmap.resolution_m))
+        for x, y, stamp_s in self.found:
+            if now_s - stamp_s >= self.settings.seconds:
+                continue
+            row, column = costmap.cells_at((x, y)).tolist()
+            low = np.clip([row - reach, column - reach], 0, times.shape)
+            high = np.clip([row + reach + 1, column + reach + 1], 0, times.shape)
+            rows, columns = (np.arange(a, b) for a, b in zip(low.tolist(), high.tolist(), strict=True))
+            is_near = np.hypot(*np.meshgrid(rows - row, columns - column, indexing="ij")) <= reach
+            times[low[0] : high[0], low[1] : high[1]] += is_near
+        if times.max(initial=0) <= self.free_visits:
+            return costmap
+        return replace(
+            costmap, dearness=1 + np.float32(self.settings.cost) * np.clip(times - self.free_visits, 0, _MOST)
+        )
+
+    def _is_another_visit(self, one: tuple[float, float, float], xy: FloatArray, now_s: float) -> bool:
+        x, y, stamp_s = one
+        age_s = now_s - stamp_s
+        is_here = np.hypot(x - xy[0], y - xy[1]) <= self.settings.radius_m
+        return age_s < self.settings.seconds and not (is_here and age_s < self.settings.visit_s)

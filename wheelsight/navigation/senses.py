@@ -11,27 +11,21 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from wheelsight.calibration import Calibration
-from wheelsight.commands import VelocityCommand
-from wheelsight.errors import ArgumentError
-from wheelsight.events import Event, RgbdFrame, WheelSpeeds, WheelTicks
-from wheelsight.geometry import BoolArray, FloatArray, se2
-from wheelsight.keyframes import KeyframeStore
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import ArgumentError
+from wheelsight.core.geometry import BoolArray, FloatArray, se2
+from wheelsight.core.keyframes import KeyframeStore
+from wheelsight.core.messages import Event, RgbdFrame, VelocityCommand, WheelSpeeds, WheelTicks
+from wheelsight.navigation.behaviours import OpenWay, keeps_clear, open_way
 from wheelsight.navigation.collision_monitor import CollisionMonitor
-from wheelsight.navigation.costmap import CellState, Costmap
-from wheelsight.navigation.depth_viewer import DepthViewer
-from wheelsight.navigation.fields import outline_of
-from wheelsight.navigation.floor_now import FloorNow
-from wheelsight.navigation.floors import Floor
-from wheelsight.navigation.footprint import Footprint
-from wheelsight.navigation.live_layer import LiveLayer, LiveObstacles
+from wheelsight.navigation.costmap import CellState, Costmap, FloorNow, LiveLayer, LiveObstacles
+from wheelsight.navigation.footprint import Footprint, outline_of
 from wheelsight.navigation.localization import Localization, WhereNow, planar_pose
-from wheelsight.navigation.map_clearance import keeps_clear
-from wheelsight.navigation.navigator_settings import NavigationSettings
-from wheelsight.navigation.open_way import OpenWay, open_way
 from wheelsight.navigation.people import PeopleTracker, Person
-from wheelsight.navigation.plan_view import Eye
-from wheelsight.navigation.surroundings import DepthView
+from wheelsight.navigation.settings import NavigationSettings
+from wheelsight.navigation.static_map import Floor
+from wheelsight.navigation.surroundings import DepthView, DepthViewer
+from wheelsight.navigation.view_kernels import Eye
 
 # Views that wait for the localization to say where they were taken: two seconds of a Kinect's.
 _VIEWS = 60

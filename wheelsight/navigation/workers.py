@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
-from wheelsight.threads import yield_to_others
+from wheelsight.core.threads import yield_to_others
 
 _Answer = TypeVar("_Answer")
 # How long the end of a program waits for work that does not end; the thread is a daemon.

@@ -1,26 +1,226 @@
-"""Labelled drives: frames in numbers beside the areas they were taken in, from one recording or several."""
+"""Labelled drives for training: frames with the areas they show. Labels come from polygons, time ranges or single
+frames; `ContactSheet` shows a recording for labelling.
+"""
 
 from __future__ import annotations
 
+import csv
+import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
+from itertools import pairwise
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
+import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
-from wheelsight.areas import AreaMap, load_areas
-from wheelsight.errors import AreaError, PlaceError
-from wheelsight.events import RgbdFrame, SkippedFrame
-from wheelsight.files import StrPath
-from wheelsight.geometry import FloatArray, IntArray
-from wheelsight.inputs import is_there
-from wheelsight.places.describer import Describer
-from wheelsight.places.forest import ForestSettings
-from wheelsight.places.labels import LabelFile, labels_on_the_way, natural_order, read_labels
-from wheelsight.places.model import PlaceModel
+from wheelsight.core.areas import AreaMap, load_areas
+from wheelsight.core.errors import AreaError, PlaceError, RecordingError
+from wheelsight.core.files import StrPath
+from wheelsight.core.geometry import ByteArray, FloatArray, IntArray
+from wheelsight.core.inputs import Kind, as_number, is_there, lines_of, read_text
+from wheelsight.core.messages import RgbdFrame, SkippedFrame
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings import Recording
+from wheelsight.places.describers import Describer
+from wheelsight.places.model import ForestSettings, PlaceModel
 from wheelsight.places.training import DescribedFrames, describe_all, train_places
-from wheelsight.recordings import Recording
-from wheelsight.trajectory import Trajectory
+
+# Labels: which area each frame was taken in, by polygons and a trajectory, by ranges of time, or frame by frame.
+
+
+RANGES_HEADER = ("from_s", "to_s", "area")
+FRAMES_HEADER = ("stamp_s", "area")
+_FORMS = f"{','.join(RANGES_HEADER)} or {','.join(FRAMES_HEADER)}"
+# Stamps of one frame in two files differ by no more than their last decimal.
+_SAME_STAMP_S = 1e-3
+_NAMES_SHOWN = 12
+_FILE = Kind("a list of labels", most_mb=64, most_lines=500_000, fix=f"a CSV of {_FORMS}")
+_LARGEST_STAMP = 1e15
+_LONGEST_NUMBER = 18  # digits that are taken for one number
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A line of a label file: the area, "" for none, from a stamp to a stamp; of a single frame both are its own."""
+
+    line: int
+    from_s: float
+    to_s: float
+    area: str
+
+
+@dataclass(frozen=True, eq=False)
+class LabelFile:
+    """What a CSV of labels says: either areas over ranges of time, or the area of each frame.
+
+    Stamps are the recording's own. A frame where two ranges meet belongs to the later one; ranges may reach beyond
+    the recording's ends, and leave gaps, whose frames have no area.
+
+    Attributes:
+        path: of the file.
+        entries: its lines, in order of time.
+        is_of_frames: whether each line is of one frame.
+    """
+
+    path: Path
+    entries: tuple[Entry, ...]
+    is_of_frames: bool
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The areas that are named, in natural order: 2 before 10."""
+        return natural_order({entry.area for entry in self.entries if entry.area})
+
+    def check_names(self, names: Sequence[str]) -> None:
+        """Raises AreaError naming the line whose area is not among `names`."""
+        for entry in self.entries:
+            if entry.area and entry.area not in names:
+                close = get_close_matches(entry.area, names, 1)
+                shown = ", ".join(names[:_NAMES_SHOWN]) + (", …" if len(names) > _NAMES_SHOWN else "")
+                hint = f"did you mean {close[0]}?" if close else f"areas: {shown}"
+                raise self._error(entry, f"there is no area {entry.area!r}", hint)
+
+    def of_frames(self, stamps_s: ArrayLike, names: Sequence[str]) -> IntArray:
+        """The index in `names` of each frame's area (N,), -1 for none.
+
+        Args:
+            stamps_s: (N,) of all frames that the recording lists, growing.
+            names: of the areas.
+
+        Raises:
+            AreaError: a line whose area has another name, or that lies outside the recording; of a single frame,
+                one that is not there.
+        """
+        stamps_s = np.asarray(stamps_s, float)
+        self.check_names(names)
+        indices = {"": -1} | {name: index for index, name in enumerate(names)}
+        labels = np.full(len(stamps_s), -1, np.int64)
+        entries = self._without_interrupted(stamps_s) if self.is_of_frames else self.entries
+        for entry in entries:
+            self._check_inside(entry, stamps_s)
+            if self.is_of_frames:
+                labels[self._frame_at(entry, stamps_s)] = indices[entry.area]
+            else:
+                labels[(stamps_s >= entry.from_s) & (stamps_s <= entry.to_s)] = indices[entry.area]
+        return labels
+
+    def _without_interrupted(self, stamps_s: FloatArray) -> tuple[Entry, ...]:
+        """The lines but for a last one without its frame: recording may break off between the two."""
+        if self.entries and len(stamps_s) and self.entries[-1].from_s > stamps_s[-1] + _SAME_STAMP_S:
+            return self.entries[:-1]
+        return self.entries
+
+    def _check_inside(self, entry: Entry, stamps_s: FloatArray) -> None:
+        first_s, last_s = (stamps_s[0], stamps_s[-1]) if len(stamps_s) else (math.inf, -math.inf)
+        if entry.from_s > last_s + _SAME_STAMP_S or entry.to_s < first_s - _SAME_STAMP_S:
+            problem = f"{_span(entry)} lies outside the recording, {first_s:.3f} to {last_s:.3f} s"
+            raise self._error(entry, problem, "stamps are the recording's own, and each file is of one recording")
+
+    def _frame_at(self, entry: Entry, stamps_s: FloatArray) -> int:
+        nearest = int(np.abs(stamps_s - entry.from_s).argmin())
+        if abs(stamps_s[nearest] - entry.from_s) > _SAME_STAMP_S:
+            problem = f"no frame has the stamp {entry.from_s:.6f}; the nearest has {stamps_s[nearest]:.6f}"
+            raise self._error(entry, problem, "label the frames of this recording, or give ranges of time")
+        return nearest
+
+    def _error(self, entry: Entry, problem: str, fix: str) -> AreaError:
+        return AreaError(problem, path=self.path, line=entry.line, fix=fix)
+
+
+def labels_on_the_way(areas: AreaMap, trajectory: Trajectory, stamps_s: ArrayLike, max_gap_s: float = 0.5) -> IntArray:
+    """The index of the area that holds the robot at each stamp (N,), -1 in none and where no pose is known.
+
+    Args:
+        areas: polygons in the map frame.
+        trajectory: of the base, in the same frame; of a camera that is carried by hand, of the camera.
+        stamps_s: (N,) of frames.
+        max_gap_s: poses further apart tell nothing of the time between them.
+    """
+    stamps_s = np.asarray(stamps_s, float)
+    return areas.index_at(trajectory.at(stamps_s, max_gap_s)[:, :2, 3])
+
+
+def read_labels(path: StrPath) -> LabelFile:
+    """Read a CSV of labels, ranges of time or frames; its first line tells which. More columns may follow.
+
+    Raises:
+        AreaError: naming file and line: no such file, another first line, stamps that are none or out of order,
+            ranges that are empty or overlap.
+    """
+    path = Path(path)
+    header, rows = _read_rows(path)
+    is_of_frames = header == FRAMES_HEADER
+    entries = [_entry(path, line, words, header) for line, words in rows]
+    entries.sort(key=lambda entry: entry.from_s)
+    for before, after in pairwise(entries):
+        if is_of_frames and after.from_s <= before.from_s:
+            problem = f"stamp {after.from_s:.6f} is that of line {before.line} too"
+            raise AreaError(problem, path=path, line=after.line, fix="one line a frame")
+        if not is_of_frames and after.from_s < before.to_s:
+            problem = f"{_span(after)} overlaps line {before.line}, {_span(before)}"
+            raise AreaError(problem, path=path, line=after.line, fix="begin a range where the one before it ends")
+    return LabelFile(path, tuple(entries), is_of_frames)
+
+
+def natural_order(names: set[str]) -> tuple[str, ...]:
+    """Names sorted as a person would: numbers in them by their value."""
+
+    def key(name: str) -> list[tuple[int, int | str]]:
+        parts = re.split(rf"(\d{{1,{_LONGEST_NUMBER}}})", name.casefold())
+        return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts if part]
+
+    return tuple(sorted(names, key=lambda name: (key(name), name)))
+
+
+def _read_rows(path: Path) -> tuple[tuple[str, ...], list[tuple[int, list[str]]]]:
+    """Which of the two forms it is, and each line's number and words."""
+    text = read_text(path, _FILE, AreaError)
+    lines = [(number, line) for number, line in enumerate(lines_of(text), 1) if not line.lstrip().startswith("#")]
+    rows = [(number, _words(line)) for number, line in lines if line.strip()]
+    for header in (RANGES_HEADER, FRAMES_HEADER):
+        if rows and tuple(word.lower() for word in rows[0][1][: len(header)]) == header:
+            is_cut_off = header == FRAMES_HEADER and rows[-1][0] == len(lines_of(text))
+            return header, rows[1:-1] if is_cut_off else rows[1:]
+    line, told = (rows[0][0], ",".join(rows[0][1])) if rows else (1, "")
+    raise AreaError(f"the first line is {told!r}", path=path, line=line, fix=f"name the columns: {_FORMS}")
+
+
+def _words(line: str) -> list[str]:
+    """The words of a line; an area's name may have commas in quotes, or in a line with semicolons."""
+    between = ";" if ";" in line else ","
+    try:
+        words = next(csv.reader([line], delimiter=between))
+    except csv.Error:
+        words = line.split(between)
+    return [word.strip() for word in words]
+
+
+def _entry(path: Path, line: int, words: list[str], header: tuple[str, ...]) -> Entry:
+    if len(words) < len(header):
+        problem = f"{len(words)} values where {len(header)} are expected"
+        raise AreaError(problem, path=path, line=line, fix=",".join(header))
+    stamps_s = []
+    for column, word in zip(header[:-1], words, strict=False):
+        stamps_s.append(as_number(word))
+        if not abs(stamps_s[-1]) <= _LARGEST_STAMP:
+            raise AreaError(f"{column} is {word!r}, no stamp in seconds", path=path, line=line, fix=",".join(header))
+    from_s, to_s = stamps_s[0], stamps_s[-1]
+    if header == RANGES_HEADER and from_s >= to_s:
+        raise AreaError(f"the range {from_s:g} to {to_s:g} s is empty", path=path, line=line, fix="from_s before to_s")
+    return Entry(line, from_s, to_s, words[len(header) - 1])
+
+
+def _span(entry: Entry) -> str:
+    return f"{entry.from_s:.3f} s" if entry.from_s == entry.to_s else f"{entry.from_s:.3f} to {entry.to_s:.3f} s"
+
+
+# Labelled drives: frames in numbers beside the areas they were taken in, from one recording or several.
+
 
 AREAS_FILE = "areas.yaml"
 LABELS_FILE = "labels.csv"
@@ -216,3 +416,143 @@ def check_every_area(labels: Sequence[IntArray], names: Sequence[str], path: Str
             raise AreaError(f"area {name!r} has no training frames", path=path, fix=fix)
     if len(names) < 2:
         raise AreaError(f"{len(names)} areas cannot be told apart", path=path, fix="label at least two")
+
+
+# ContactSheet: a recording as thumbnails along time, each with the area that is proposed for its part of the drive.
+
+
+_WIDTH_PX = 240
+_MOST_UNASKED = 600
+
+
+@runtime_checkable
+class _Files(Protocol):
+    """A recording of which any frame can be read alone."""
+
+    def read_frame(self, index: int) -> RgbdFrame: ...
+
+
+@dataclass(frozen=True, eq=False)
+class ContactSheet:
+    """N thumbnails of a recording, in order of time.
+
+    Attributes:
+        name: of the recording.
+        frame_count: how many frames it lists.
+        every_s: seconds between thumbnails, about.
+        pictures: (N) images (h, w, 3) uint8, red green blue.
+        stamps_s: (N,).
+        borders_s: (N + 1,) where each thumbnail's part of the drive begins, and the last one's ends: halfway between
+            thumbnails or, where the proposed area changes once between them, between the two frames where it does.
+        labels: (N,) index of the area proposed for each, -1: none.
+        names: of the areas.
+        areas: their polygons, or None.
+        xy_m: (N, 2) where the robot was, NaN where that is not known.
+    """
+
+    name: str
+    frame_count: int
+    every_s: float
+    pictures: tuple[ByteArray, ...]
+    stamps_s: FloatArray
+    borders_s: FloatArray
+    labels: IntArray
+    names: tuple[str, ...]
+    areas: AreaMap | None
+    xy_m: FloatArray
+
+
+def make_sheet(
+    recording: Recording,
+    source: LabelSource,
+    every_s: float | None = None,
+    on_picture: Callable[[], None] = lambda: None,
+) -> ContactSheet:
+    """Thumbnails of a recording and what `source` says of them.
+
+    Args:
+        recording: with frames.
+        source: of the proposed areas.
+        every_s: seconds between thumbnails; None: one, or more where that would make over 600 of them.
+        on_picture: called after each thumbnail.
+
+    Raises:
+        PlaceError: a recording without usable frames.
+        AreaError: labels that do not belong to it.
+    """
+    stamps_s = np.array(stamps_of(recording), float)
+    if not len(stamps_s):
+        raise PlaceError(f"{recording.name} has no frames", fix="give a recording with colour and depth")
+    every_s = every_s or max(1.0, float(stamps_s[-1] - stamps_s[0]) / _MOST_UNASKED)
+    of_frames = source.of_frames(stamps_s.tolist(), source.names)
+    kept = [(frame.index, _shrunk(frame.color)) for frame in _pictured(recording, stamps_s, every_s, on_picture)]
+    if not kept:
+        raise PlaceError(f"{recording.name} has no usable frames", fix="wheelsight info tells why")
+    indices = np.array([index for index, _ in kept])
+    return ContactSheet(
+        recording.name,
+        len(stamps_s),
+        every_s,
+        tuple(picture for _, picture in kept),
+        stamps_s[indices],
+        _borders(stamps_s, of_frames, indices),
+        of_frames[indices],
+        source.names,
+        source.areas,
+        _positions(source, stamps_s[indices]),
+    )
+
+
+def chosen_frames(stamps_s: FloatArray, every_s: float) -> list[int]:
+    """Indices of frames about `every_s` apart: the one nearest to the middle of each such part of the drive."""
+    parts = max(round((stamps_s[-1] - stamps_s[0]) / every_s), 1)
+    middles_s = stamps_s[0] + (np.arange(parts) + 0.5) * every_s
+    after = np.searchsorted(stamps_s, middles_s).clip(0, len(stamps_s) - 1)
+    before = (after - 1).clip(0)
+    nearer = np.abs(stamps_s[before] - middles_s) < np.abs(stamps_s[after] - middles_s)
+    return sorted(set(np.where(nearer, before, after).tolist()))
+
+
+def _pictured(
+    recording: Recording, stamps_s: FloatArray, every_s: float, on_picture: Callable[[], None]
+) -> Iterator[RgbdFrame]:
+    """The chosen frames that can be used."""
+    chosen = chosen_frames(stamps_s, every_s)
+    for frame in _read(recording, chosen):
+        on_picture()
+        yield frame
+
+
+def _read(recording: Recording, chosen: Sequence[int]) -> Iterator[RgbdFrame]:
+    if not isinstance(recording, _Files):
+        wanted = set(chosen)
+        yield from (e for e in recording.events() if isinstance(e, RgbdFrame) and e.index in wanted)
+        return
+    for index in chosen:
+        try:
+            yield recording.read_frame(index)
+        except RecordingError:
+            continue  # its neighbours stand for it
+
+
+def _borders(stamps_s: FloatArray, labels: IntArray, indices: IntArray) -> FloatArray:
+    def between(left: int, right: int) -> float:
+        changes = np.flatnonzero(np.diff(labels[left : right + 1])) + left
+        if len(changes) != 1:
+            return float(stamps_s[left] + stamps_s[right]) / 2
+        return float(stamps_s[changes[0]] + stamps_s[changes[0] + 1]) / 2
+
+    inner = [between(left, right) for left, right in pairwise(indices.tolist())]
+    return np.array([stamps_s[0], *inner, stamps_s[-1]])
+
+
+def _positions(source: LabelSource, stamps_s: FloatArray) -> FloatArray:
+    if source.trajectory is None or source.areas is None:
+        return np.full((len(stamps_s), 2), np.nan)
+    return source.trajectory.at(stamps_s)[:, :2, 3]
+
+
+def _shrunk(color: ByteArray) -> ByteArray:
+    scale = min(_WIDTH_PX / color.shape[1], 1.0)
+    size = (max(round(color.shape[1] * scale), 1), max(round(color.shape[0] * scale), 1))
+    return np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)

@@ -1,29 +1,38 @@
-"""Recognizer: which keyframes may show the place that a view shows, by ferns and by words together."""
+"""`Recognizer` returns the keyframes that may show the same place as a view, by ferns and visual words. `SeenView`
+holds such a view.
+"""
 
 from __future__ import annotations
 
 import io
 import json
 from collections.abc import Collection
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wheelsight.errors import ArgumentError, MapError
-from wheelsight.files import StrPath, write_bytes
-from wheelsight.geometry import Float32Array
-from wheelsight.geometry.arrays import UInt64Array
-from wheelsight.inputs import ArrayFile, Kind, parse_json, read_bytes
-from wheelsight.keyframes import Keyframe, KeyframeId
-from wheelsight.places import _likeness_kernels, kept_words
-from wheelsight.places._word_kernels import BLOCK
-from wheelsight.places.ferns import Ferns
-from wheelsight.places.kept_words import Descriptors
-from wheelsight.places.views import NO_FEATURES, SeenView
-from wheelsight.places.vocabulary import Vocabulary
-from wheelsight.settings import RecognitionSettings
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import ArgumentError, MapError
+from wheelsight.core.files import StrPath, write_bytes
+from wheelsight.core.geometry import Float32Array, FloatArray, IntArray
+from wheelsight.core.geometry.arrays import UInt64Array
+from wheelsight.core.inputs import ArrayFile, Kind, parse_json, read_bytes
+from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.settings import FernSettings, RecognitionSettings
+from wheelsight.core.threads import Rows
+from wheelsight.places.recognition_kernels import BLOCK, best, likeness_kernel
+from wheelsight.places.vocabulary import Descriptors, Vocabulary, packed, unpacked
+from wheelsight.vision.dense.pyramid import Gridder, GridFrame, Level, coarser
+from wheelsight.vision.dense.settings import DenseSettings
+from wheelsight.vision.dense.views import KeypointTracker
+
+# Recognizer: which keyframes may show the place that a view shows, by ferns and by words together.
+
 
 FORMAT = "wheelsight-recognition-2"
 # It has all descriptors itself, and the room between them.
@@ -103,7 +112,7 @@ class Recognizer:
             return []
         code, descriptors = self._described(view)
         likeness = np.empty(rows, np.float32)
-        _likeness_kernels.likeness(self._codes, code, likeness)
+        likeness_kernel(self._codes, code, likeness)
         votes = self._words.vote(descriptors, rows)
         out = [self._rows[number] for number in forbidden if number in self._rows]
         likeness[out], votes[out] = -1, -1
@@ -118,7 +127,7 @@ class Recognizer:
         ferns = {"pixel": self._ferns.pixel, "grey": self._ferns.grey, "depth_m": self._ferns.depth_m}
         kept = {"keyframes": np.array(self._keyframes, np.int64), "codes": self._codes[: len(self)]}
         buffer = io.BytesIO()
-        told_words = kept_words.packed(self._words.arrays(), self._keyframes, on_disk)
+        told_words = packed(self._words.arrays(), self._keyframes, on_disk)
         words = {f"words_{name}": array for name, array in told_words.items()}
         arrays: dict[str, Any] = {**told, **ferns, **kept, **words}
         np.savez_compressed(buffer, **arrays)
@@ -173,7 +182,7 @@ class Recognizer:
         if len(made._rows) < len(keyframes):
             raise MapError("it knows a keyframe twice", fix=_REBUILD)
         if stated.format != _FIRST_FORMAT:
-            words = kept_words.unpacked(words, made._keyframes, on_disk)
+            words = unpacked(words, made._keyframes, on_disk)
         made._words = Vocabulary.from_arrays(words, made._settings.words, len(keyframes))
         made._codes = np.concatenate([codes, np.zeros((16, codes.shape[1]), np.uint64)])
         return made
@@ -195,7 +204,7 @@ class Recognizer:
         rank = self._settings.fused_rank
         for told in (likeness, votes):
             order = np.empty(self._settings.ranked, np.int64)
-            found = _likeness_kernels.best(told, order)
+            found = best(told, order)
             for place, row in enumerate(order[:found].tolist()):
                 scores[row] = scores.get(row, 0.0) + 0.5 * (rank + 1) / (rank + 1 + place)
         return sorted(scores.items(), key=lambda item: (-item[1], item[0]))
@@ -244,3 +253,150 @@ class _Stated:
         known = {"format": _LONGEST_TEXT, "settings": _LONGEST_TEXT, **most}
         rest = max(4 * nodes, _SMALL_BYTES)
         return {name: self._file.read(name, known.get(name, rest)) for name in self._file.headers}
+
+
+# SeenView: a frame or a keyframe as places are recognised by it: depth and grey at all scales, and keypoints.
+
+
+# Halving brings no two widths nearer than this factor.
+_ALIKE = np.sqrt(2)
+NO_FEATURES = KeyframeFeatures(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 4), np.uint64))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenView:
+    """What was seen from one place.
+
+    Attributes:
+        grid: depth and grey of the ideal camera, at all scales.
+        features: keypoints with their points in the camera's frame; none where there are none.
+    """
+
+    grid: GridFrame
+    features: KeyframeFeatures
+
+
+class ViewMaker:
+    """Makes views of frames, and of keyframes that odometry of the same camera has kept.
+
+    Args:
+        calibration: of the cameras. Raises CalibrationError as `FeatureExtractor` does.
+        settings: of dense odometry, whose grid it is.
+    """
+
+    def __init__(self, calibration: Calibration, settings: DenseSettings | None = None) -> None:
+        self.settings = settings or DenseSettings()
+        self.rows = Rows(self.settings.threads)
+        self.gridder = Gridder(calibration, self.settings, self.rows)
+        self._keypoints = KeypointTracker(calibration, self.settings.verification, has_landmarks=False)
+
+    def of_frame(self, frame: RgbdFrame, twist: FloatArray | None = None) -> SeenView:
+        """A frame of a camera that moves at `twist` (6,) in its own frame, or stands."""
+        twist = np.zeros(6) if twist is None else twist
+        raw = self._keypoints.look(frame).result()
+        features = self._keypoints.kept(self._keypoints.straightened(raw, twist))
+        return SeenView(self.gridder.on_grid(frame, twist), features)
+
+    def of_tracked(self, grid: GridFrame, features: KeyframeFeatures | None) -> SeenView:
+        """A frame that odometry has brought onto the grid already."""
+        return SeenView(grid, features or NO_FEATURES)
+
+    def of_keyframe(self, keyframe: Keyframe) -> SeenView:
+        """A keyframe; feature odometry keeps them as large as the camera has them, so that they are halved here."""
+        finest = Level(keyframe.intrinsics, keyframe.depth_m, known_grey(keyframe))
+        levels = coarser(finest, self.settings, self.rows)
+        while levels[0].depth_m.shape[1] > self.settings.finest_width_px:
+            levels = coarser(levels[1], self.settings, self.rows)
+        return SeenView(GridFrame(keyframe.stamp_s, levels, np.zeros(6)), keyframe.features or NO_FEATURES)
+
+    def of_one_size(self, first: SeenView, second: SeenView) -> tuple[SeenView, SeenView]:
+        """Both on grids that are about as wide, for surfaces are aligned level by level; the wider one is halved.
+
+        Keyframes of a known map may come of a run with other settings, such as those of a profile.
+        """
+        while _width(first) > _ALIKE * _width(second):
+            first = self._halved(first)
+        while _width(second) > _ALIKE * _width(first):
+            second = self._halved(second)
+        return first, second
+
+    def _halved(self, view: SeenView) -> SeenView:
+        levels = coarser(view.grid.levels[1], self.settings, self.rows)
+        return replace(view, grid=replace(view.grid, levels=levels))
+
+
+def _width(view: SeenView) -> int:
+    return int(view.grid.levels[0].depth_m.shape[1])
+
+
+def known_grey(keyframe: Keyframe) -> np.ndarray:
+    """Grey (h, w) float32 of a keyframe, -1 where it is unknown: it is kept as 0 there."""
+    grey = keyframe.grey
+    grey[grey == 0] = -1
+    return grey
+
+
+# Ferns: a code of a view by random comparisons on a tiny image of grey and depth (Glocker et al. 2015).
+
+
+_SHIFTS = np.arange(0, 64, 4, dtype=np.uint64)
+# Of an image far larger than the tiny one, pixels so many times as fine are enough for its means.
+_FINER = 2
+_BITS = np.array([1, 2, 4, 8], np.uint64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ferns:
+    """F ferns: each asks, at one pixel of the tiny image, twice how bright and twice how far it is.
+
+    The paper takes red, green, blue and depth at fixed thresholds. Grey is all that a keyframe keeps, and it is
+    compared with the mean and the spread of its own image, for light and exposure change from day to day.
+
+    Attributes:
+        size_px: width and height of the tiny image.
+        blur_px: standard deviation of the blur over it.
+        pixel: (F,) index into the tiny image.
+        grey: (F, 2) thresholds, in standard deviations of the image's grey off its mean.
+        depth_m: (F, 2) thresholds, metres.
+    """
+
+    size_px: tuple[int, int]
+    blur_px: float
+    pixel: IntArray
+    grey: FloatArray
+    depth_m: FloatArray
+
+    @classmethod
+    def drawn(cls, settings: FernSettings, seed: int) -> Ferns:
+        """At random, by a seed."""
+        rng = np.random.default_rng(seed)
+        size, count = (settings.width_px, settings.height_px), settings.ferns
+        pixel = rng.integers(0, size[0] * size[1], count)
+        grey = rng.uniform(-settings.grey_sigmas, settings.grey_sigmas, (count, 2))
+        depth_m = np.exp(rng.uniform(np.log(settings.nearest_m), np.log(settings.farthest_m), (count, 2)))
+        return cls(size, settings.blur_px, pixel, grey, depth_m)
+
+    def code(self, depth_m: Float32Array, grey: Float32Array) -> UInt64Array:
+        """(F / 16,) of depth (h, w) in metres and grey (h, w), 0 and below where unknown; unknown answers no."""
+        near, bright = self._tiny(depth_m).ravel(), self._tiny(grey).ravel()
+        known = bright > 0
+        if known.any():
+            spread = max(float(bright[known].std()), 1.0)
+            bright = np.where(known, (bright - bright[known].mean()) / spread, -np.inf)
+        else:
+            bright = np.full_like(bright, -np.inf)
+        is_brighter = bright[self.pixel, None] > self.grey
+        is_farther = near[self.pixel, None] > self.depth_m
+        four = np.concatenate([is_brighter, is_farther], axis=1) @ _BITS
+        shifted = four.reshape(-1, len(_SHIFTS)).astype(np.uint64) << _SHIFTS
+        return np.asarray(np.bitwise_or.reduce(shifted, axis=1), np.uint64)
+
+    def _tiny(self, image: Float32Array) -> Float32Array:
+        """Means (h, w) of what is known of an image; 0 where nothing is."""
+        stride = max(1, image.shape[1] // (_FINER * self.size_px[0]))
+        some = image[::stride, ::stride]
+        is_known = some > 0
+        both = np.dstack([np.where(is_known, some, np.float32(0)), is_known.astype(np.float32)])
+        both = cv2.resize(both, self.size_px, interpolation=cv2.INTER_AREA)
+        total, share = cv2.split(cv2.GaussianBlur(both, (0, 0), self.blur_px))
+        return np.where(share > 0.2, total / np.maximum(share, 0.2), np.float32(0))

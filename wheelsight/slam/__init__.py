@@ -1,11 +1,10 @@
 """Where keyframes are by all that is known of them: the pose graph, and which loops it takes in."""
 
-from wheelsight.slam.correction import Correction, Unused, correct
 from wheelsight.slam.graph import PoseGraph, Prior, RelativePose
-from wheelsight.slam.loops import JudgedLoop, LoopCloser, LoopReport
-from wheelsight.slam.own_solver import OwnPoseGraph
-from wheelsight.slam.pose_graph import GtsamPoseGraph, new_pose_graph
+from wheelsight.slam.loop_closing import Correction, Unused, correct
+from wheelsight.slam.loop_gate import JudgedLoop, LoopCloser, LoopReport
 from wheelsight.slam.settings import LoopSettings, MatchSettings
+from wheelsight.slam.solvers import GtsamPoseGraph, OwnPoseGraph, new_pose_graph
 
 __all__ = [
     "Correction",

@@ -1,19 +1,26 @@
-"""What a pose graph holds, and what every solver of one offers."""
+"""Contents and interface of a pose graph. The module also makes edges from odometry and computes whitened errors
+with Jacobians.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from wheelsight.errors import ArgumentError
-from wheelsight.geometry import FloatArray, IntArray, se3
-from wheelsight.geometry.motion_kernels import is_definite
-from wheelsight.keyframes import KeyframeId
+from wheelsight.core.errors import ArgumentError
+from wheelsight.core.geometry import BoolArray, FloatArray, IntArray, se3, so3
+from wheelsight.core.geometry import motion_kernels as motions
+from wheelsight.core.geometry.motion_kernels import is_definite
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.slam.settings import StepSettings
+
+# What a pose graph holds, and what every solver of one offers.
+
 
 # A turn known no better than this, as a standard deviation, is not known at all.
 _UNKNOWN_TURN_RAD = np.pi
@@ -208,3 +215,162 @@ class GraphContents:
     def _need_prior(self) -> None:
         if not self._priors:
             raise ArgumentError("the graph has no prior, so nothing tells where it lies", fix="add_prior at its begin")
+
+
+# What odometry says between two keyframes, as an edge of the graph; and what holds the first one.
+
+
+# The first keyframe holds the map where it began; so little, in metres and radians, is as good as exact.
+ANCHOR_SIGMA = 1e-4
+# Variances (m² or rad²) above the one tell nothing any more; those below that share of the largest are its rounding.
+_UNKNOWN, _ROUNDING = 1e6, 1e-15
+
+
+def anchor(keyframe: KeyframeId, T_map_keyframe: FloatArray) -> Prior:
+    """A keyframe (4, 4) that stays where it is."""
+    return Prior(keyframe, T_map_keyframe, ANCHOR_SIGMA**2 * np.eye(6))
+
+
+def step_edge(
+    ends: tuple[KeyframeId, KeyframeId],
+    before: tuple[FloatArray, FloatArray],
+    now: tuple[FloatArray, FloatArray],
+    settings: StepSettings,
+) -> RelativePose:
+    """From one keyframe to the next, by poses (4, 4) with covariances (6, 6) that grow along the way."""
+    T_step, _ = motions.between(*before, *now)
+    _, grown = motions.step_between(*before, *now)
+    return RelativePose(*ends, motions.mended(T_step), _with_least(grown, settings))
+
+
+def along_floor(edge: RelativePose, motion: tuple[FloatArray, FloatArray], up: FloatArray) -> RelativePose:
+    """An edge by poses that takes from a motion (4, 4), with its covariance (6, 6), what is in the floor's plane.
+
+    `up` (3,) is the plane's normal as the first keyframe has it. Height and tilt are those of the poses: that a floor
+    is level is known of each pose, and no motion between two tells it.
+    """
+    T, C = motion
+    floor, turn = np.eye(3) - np.outer(up, up), np.outer(up, up)
+    in_plane = np.zeros((6, 6))
+    in_plane[:3, :3], in_plane[3:, 3:] = floor, turn
+    out_of_plane = np.eye(6) - in_plane
+    ahead = in_plane @ motions.log(motions.times(T, motions.inverse(edge.T_first_second)))
+    covariance = in_plane @ C @ in_plane + out_of_plane @ edge.covariance @ out_of_plane
+    T_first_second = motions.mended(motions.times(motions.exp(ahead), edge.T_first_second))
+    return RelativePose(edge.first, edge.second, T_first_second, covariance + ANCHOR_SIGMA**2 * np.eye(6))
+
+
+def aligned_edge(
+    ends: tuple[KeyframeId, KeyframeId], T_first_second: FloatArray, covariance: FloatArray, settings: StepSettings
+) -> RelativePose:
+    """Between a keyframe and an older one that odometry has come back to: a loop, since neither is the other's next."""
+    return RelativePose(*ends, motions.mended(T_first_second), _with_least(covariance, settings), is_loop=True)
+
+
+def _with_least(C: FloatArray, settings: StepSettings) -> FloatArray:
+    """C (6, 6) with what no step is surer than."""
+    return _definite(C + np.diag(np.square([settings.plane_sigma_m] * 3 + [settings.plane_sigma_rad] * 3)))
+
+
+def _definite(C: FloatArray) -> FloatArray:
+    """C (6, 6), positive definite by more than rounding.
+
+    A camera before a bare wall was unsure by 10⁶ m along it, and rounding of that variance made others negative.
+    """
+    variances, axes = np.linalg.eigh((C + C.T) / 2)
+    bounded = (axes * np.clip(variances, _ROUNDING * variances[-1], _UNKNOWN)) @ axes.T
+    return np.asarray((bounded + bounded.T) / 2)
+
+
+# Errors of measured poses in a graph, whitened, with Jacobians: what both solvers and the gate mean by an error.
+#
+# The error of an edge is log(T_first⁻¹ · T_second · T_measured⁻¹), the left perturbation by which the poses depart
+# from what was measured; that of a prior log(T · T_measured⁻¹).
+
+
+# Below, Taylor series of the Jacobian's coefficients are exact to 1e-13; above, so are the closed forms.
+_SMALL_RAD = 0.3
+
+
+class EdgeArrays(NamedTuple):
+    """Edges as arrays: keyframes (E,), T_second_first (E, 4, 4) as measured, roots of information (E, 6, 6), loops."""
+
+    first: IntArray
+    second: IntArray
+    T_measured_inverse: FloatArray
+    whitening: FloatArray
+    is_loop: BoolArray
+
+
+def arrays_of(edges: Sequence[RelativePose]) -> EdgeArrays:
+    """The same, laid side by side."""
+    T = np.array([edge.T_first_second for edge in edges], float).reshape(-1, 4, 4)
+    return EdgeArrays(
+        np.array([edge.first for edge in edges], np.int64),
+        np.array([edge.second for edge in edges], np.int64),
+        se3.invert(T),
+        whitening_of(np.array([edge.covariance for edge in edges], float).reshape(-1, 6, 6)),
+        np.array([edge.is_loop for edge in edges], bool),
+    )
+
+
+def arrays_of_priors(priors: Sequence[Prior]) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Keyframes (P,), inverses of the poses (P, 4, 4), roots of information (P, 6, 6)."""
+    T = np.array([prior.T_map_keyframe for prior in priors], float).reshape(-1, 4, 4)
+    C = np.array([prior.covariance for prior in priors], float).reshape(-1, 6, 6)
+    return np.array([prior.keyframe for prior in priors], np.int64), se3.invert(T), whitening_of(C)
+
+
+def whitening_of(covariances: FloatArray) -> FloatArray:
+    """W (..., 6, 6) with WᵀW = C⁻¹."""
+    return np.linalg.inv(np.linalg.cholesky(covariances)) if len(covariances) else covariances
+
+
+def edge_errors(T: FloatArray, edges: EdgeArrays) -> FloatArray:
+    """Errors (E, 6) at poses (N, 4, 4), not whitened."""
+    return se3.log(se3.invert(T[edges.first]) @ T[edges.second] @ edges.T_measured_inverse)
+
+
+def edge_jacobians(T: FloatArray, edges: EdgeArrays, errors: FloatArray) -> FloatArray:
+    """(E, 6, 6) of the errors by the second pose's left perturbation; by the first one's it is the negative."""
+    return inverse_left_jacobian(errors) @ se3.adjoint(se3.invert(T[edges.first]))
+
+
+def cauchy_loss(chi2: FloatArray, scale: float) -> FloatArray:
+    """Half of squared whitened errors (...) under Cauchy's kernel: (c²/2) log(1 + χ²/c²)."""
+    return np.asarray(scale**2 / 2 * np.log1p(chi2 / scale**2))
+
+
+def inverse_left_jacobian(xi: FloatArray) -> FloatArray:
+    """(..., 6, 6) with log(exp(δ) · exp(ξ)) ≈ ξ + J δ (Barfoot, State Estimation for Robotics, 7.86 and 7.95)."""
+    J = so3.left_jacobian(xi[..., 3:])
+    J_inverse = np.linalg.inv(J)
+    found = np.zeros((*xi.shape[:-1], 6, 6))
+    found[..., :3, :3] = found[..., 3:, 3:] = J_inverse
+    found[..., :3, 3:] = -J_inverse @ _coupling(xi) @ J_inverse
+    return found
+
+
+def _coupling(xi: FloatArray) -> FloatArray:
+    """Q (..., 3, 3), how turning moves what is moved."""
+    V, W = so3.hat(xi[..., :3]), so3.hat(xi[..., 3:])
+    angle = np.linalg.norm(xi[..., 3:], axis=-1)
+    a, b, c = (factor[..., None, None] for factor in _factors(angle))
+    WVW = W @ V @ W
+    return np.asarray(
+        V / 2 + a * (W @ V + V @ W + WVW) - b * (W @ W @ V + V @ W @ W - 3 * WVW) - c / 2 * (WVW @ W + W @ WVW)
+    )
+
+
+def _factors(angle: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Coefficients of Q: (φ − sin φ)/φ³, (1 − φ²/2 − cos φ)/φ⁴, and that less 3(φ − sin φ − φ³/6)/φ⁵."""
+    s = angle**2
+    a = 1 / 6 - s / 120 + s**2 / 5040 - s**3 / 362880 + s**4 / 39916800
+    b = -1 / 24 + s / 720 - s**2 / 40320 + s**3 / 3628800 - s**4 / 479001600
+    d = -1 / 120 + s / 5040 - s**2 / 362880 + s**3 / 39916800 - s**4 / 6227020800
+    large = angle > _SMALL_RAD
+    phi = np.where(large, angle, 1.0)
+    a = np.where(large, (phi - np.sin(phi)) / phi**3, a)
+    b = np.where(large, (1 - phi**2 / 2 - np.cos(phi)) / phi**4, b)
+    d = np.where(large, (phi - np.sin(phi) - phi**3 / 6) / phi**5, d)
+    return a, b, b - 3 * d

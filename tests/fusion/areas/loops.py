@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wheelsight.areas import Area, AreaMap
-from wheelsight.fusion import AreaRectifier, AreaRectifierSettings
-from wheelsight.geometry import FloatArray, IntArray, se2, se3
+from wheelsight.core.areas import Area, AreaMap
+from wheelsight.core.geometry import FloatArray, IntArray, se2, se3
+from wheelsight.estimation import AreaRectifier, AreaRectifierSettings
 
 PERIOD_S, SPEED_M_S = 0.2, 0.8
 PLANE = np.ix_([0, 1, 5], [0, 1, 5])

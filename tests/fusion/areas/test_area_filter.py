@@ -9,8 +9,8 @@ import pytest
 from fusion.areas.loops import answers, box, loop
 from pydantic import ValidationError
 
-from wheelsight.areas import AreaMap
-from wheelsight.fusion import AreaFilter, AreaFilterSettings
+from wheelsight.core.areas import AreaMap
+from wheelsight.estimation import AreaFilter, AreaFilterSettings
 
 ROW = AreaMap((box("a", 0, 0, 4, 2, "y"), box("b", 4, 0, 8, 2, "xy"), box("c", 8, 0, 12, 2, "y")))
 SETTINGS = AreaFilterSettings(

@@ -10,9 +10,8 @@ from fusion.areas.loops import loop
 from odometry.plain_kernels import plain
 from scipy.stats import norm
 
-from wheelsight.fusion.areas import _kernels as kernels
-from wheelsight.fusion.areas._floor import FloorShares, reweighted
-from wheelsight.fusion.areas._plane_belief import PlaneBelief, pose_of
+from wheelsight.estimation import area_kernels as kernels
+from wheelsight.estimation.area_rectifier import FloorShares, PlaneBelief, pose_of, reweighted
 
 BELIEFS = {
     "within one area": ((7.0, 1.0), np.diag([0.04, 0.01])),

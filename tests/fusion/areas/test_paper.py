@@ -9,8 +9,9 @@ import pytest
 from fusion.areas.loops import answers, drive_round, error_m, looks, loop
 from narrowing import not_none
 
-from wheelsight.errors import AreaError, ConfigError
-from wheelsight.fusion import (
+from wheelsight.core.errors import AreaError, ConfigError
+from wheelsight.core.geometry import se3
+from wheelsight.estimation import (
     AxisWeights,
     PaperRectifier,
     TrainingDrive,
@@ -19,7 +20,6 @@ from wheelsight.fusion import (
     fit_weights,
     rectify_drive,
 )
-from wheelsight.geometry import se3
 
 WEIGHTS = Weights(AxisWeights(0.5, 0.3, 0.2), AxisWeights(0.4, 0.6))
 TERMS: list[Literal["absolute", "increment"]] = ["absolute", "increment"]

@@ -7,13 +7,12 @@ import pytest
 from fusion.areas.loops import PERIOD_S, answers, drive_round, error_m, looks, loop, rectify
 from narrowing import not_none
 
-from wheelsight.areas import AreaMap
-from wheelsight.errors import ConfigError
-from wheelsight.estimates import Reason
-from wheelsight.fusion import AreaRectifierSettings, ErrorStateFilter, PlaceMeter
-from wheelsight.fusion.areas._floor import FloorShares
-from wheelsight.fusion.areas.place_meter import equivalent
-from wheelsight.geometry import FloatArray, se3
+from wheelsight.core.areas import AreaMap
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.estimates import Reason
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.estimation import AreaRectifierSettings, ErrorStateFilter, PlaceMeter
+from wheelsight.estimation.area_rectifier import FloorShares, equivalent
 
 SOUTH, WEST = 0, 6
 

@@ -8,14 +8,14 @@ from fusion.areas.loops import PERIOD_S, PLANE, answers, drive_round, error_m, l
 from narrowing import not_none
 from pydantic import ValidationError
 
-from wheelsight.areas import AreaMap
-from wheelsight.calibration import Wheels
-from wheelsight.errors import ConfigError
-from wheelsight.estimates import Status, WheelEstimate
-from wheelsight.events import WheelTicks
-from wheelsight.fusion import AreaRectifier, AreaRectifierSettings
-from wheelsight.geometry import se2, se3
-from wheelsight.odometry.wheels import WheelOdometry
+from wheelsight.core.areas import AreaMap
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.estimates import Status, WheelEstimate
+from wheelsight.core.geometry import se2, se3
+from wheelsight.core.messages import WheelTicks
+from wheelsight.estimation import AreaRectifier, AreaRectifierSettings
+from wheelsight.wheels import WheelOdometry
 
 START = se3.from_plane(3.0, 1.0, 0.0)
 

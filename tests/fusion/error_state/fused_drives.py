@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from wheelsight.estimates import MotionEstimate, Reason
-from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings, FusedEstimate
-from wheelsight.fusion.error_state import _relative_pose_kernels as relative
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.geometry import motion_kernels as motions
+from wheelsight.core.estimates import MotionEstimate, Reason
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.geometry import motion_kernels as motions
+from wheelsight.estimation import ErrorStateFilter, ErrorStateSettings, FusedEstimate
+from wheelsight.estimation import filter_kernels as relative
 
 T_BASE_CAMERA = se3.from_parts(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), [0.1, 0.05, 0.8])
 PLANE = [0, 1, 5]

@@ -13,15 +13,14 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from narrowing import not_none
 
-from wheelsight.calibration import Gyro
-from wheelsight.estimates import Reason
-from wheelsight.fusion import ErrorStateFilter
-from wheelsight.fusion.error_state import _relative_pose_kernels as relative
-from wheelsight.fusion.error_state._measurements import WheelStep
-from wheelsight.fusion.error_state._pose_belief import CAMERA_ERRORS, PoseBelief
-from wheelsight.fusion.error_state.settings import FilterParameters
-from wheelsight.geometry import motion_kernels as motions
-from wheelsight.geometry import se3
+from wheelsight.core.calibration_parts import Gyro
+from wheelsight.core.estimates import Reason
+from wheelsight.core.geometry import motion_kernels as motions
+from wheelsight.core.geometry import se3
+from wheelsight.core.settings.fusion import FilterParameters
+from wheelsight.estimation import ErrorStateFilter
+from wheelsight.estimation import filter_kernels as relative
+from wheelsight.estimation.pose_belief import CAMERA_ERRORS, PoseBelief, WheelStep
 
 SETTINGS = FilterParameters()
 _STEPS = 2000
@@ -118,8 +117,8 @@ def test_a_motion_that_misses_what_is_known_to_be_missed_is_as_expected(
     told = se3.adjoint(T_reference) @ by_ratios(se3.exp(by))
     since = T_reference @ se3.exp(by), T_reference, told
     seen = se3.exp(-relative.expected(*since)[1] @ errors) @ se3.exp(by)
-    np.testing.assert_allclose(relative.apart(*since, seen, errors), 0, atol=1e-9)
-    assert np.abs(relative.apart(*since, seen, np.zeros(9))).max() <= 3e-3
+    np.testing.assert_allclose(relative.apart_kernel(*since, seen, errors), 0, atol=1e-9)
+    assert np.abs(relative.apart_kernel(*since, seen, np.zeros(9))).max() <= 3e-3
 
 
 @pytest.mark.slow

@@ -10,11 +10,10 @@ from fusion.error_state.fused_drives import T_BASE_CAMERA, Drive, Step, run, sim
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings
-from wheelsight.fusion.error_state._measurements import Innovation, RelativePose
-from wheelsight.fusion.error_state._pose_belief import LAG, PLANE, REST_SIZE, PoseBelief
-from wheelsight.fusion.error_state.settings import FilterParameters
-from wheelsight.geometry import se3
+from wheelsight.core.geometry import se3
+from wheelsight.core.settings.fusion import FilterParameters
+from wheelsight.estimation import ErrorStateFilter, ErrorStateSettings
+from wheelsight.estimation.pose_belief import LAG, PLANE, REST_SIZE, Innovation, PoseBelief, RelativePose
 
 SETTINGS = FilterParameters()
 twists = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array)

@@ -23,14 +23,14 @@ from hypothesis import strategies as st
 from narrowing import not_none
 from pydantic import ValidationError
 
-from wheelsight.calibration import Gyro, Wheels
-from wheelsight.errors import ArgumentError, ConfigError
-from wheelsight.estimates import MotionEstimate, Reason, Status
-from wheelsight.events import WheelTicks
-from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings
-from wheelsight.fusion.error_state.settings import FilterParameters
-from wheelsight.geometry import se3
-from wheelsight.odometry.wheels import WheelOdometry
+from wheelsight.core.calibration_parts import Gyro, Wheels
+from wheelsight.core.errors import ArgumentError, ConfigError
+from wheelsight.core.estimates import MotionEstimate, Reason, Status
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import WheelTicks
+from wheelsight.core.settings.fusion import FilterParameters
+from wheelsight.estimation import ErrorStateFilter, ErrorStateSettings
+from wheelsight.wheels import WheelOdometry
 
 SETTINGS = FilterParameters()
 NO_NOISE = np.zeros((6, 6))

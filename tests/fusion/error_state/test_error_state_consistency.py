@@ -12,8 +12,8 @@ from fusion.error_state.fused_drives import T_BASE_CAMERA, Drive, blind, error_o
 from narrowing import not_none
 from scipy.stats import chi2
 
-from wheelsight.calibration import Gyro
-from wheelsight.fusion import ErrorStateFilter, ErrorStateSettings
+from wheelsight.core.calibration_parts import Gyro
+from wheelsight.estimation import ErrorStateFilter, ErrorStateSettings
 
 # Gates off and no pull to level: what is left is a plain Kalman filter, whose NEES and NIS are χ².
 PLAIN = ErrorStateSettings(level_sigma_rad=None, confidence=1 - 1e-9, clock_sigma_s=0.0)

@@ -20,12 +20,12 @@ from fusion.error_state.fused_drives import (
 from narrowing import not_none
 from scipy.stats import chi2
 
-from wheelsight.estimates import Reason, Status
-from wheelsight.fusion import ErrorStateFilter
-from wheelsight.fusion.error_state._fault_detection import Fault
-from wheelsight.fusion.error_state.settings import FilterParameters
-from wheelsight.geometry import motion_kernels as motions
-from wheelsight.geometry import se3
+from wheelsight.core.estimates import Reason, Status
+from wheelsight.core.geometry import motion_kernels as motions
+from wheelsight.core.geometry import se3
+from wheelsight.core.settings.fusion import FilterParameters
+from wheelsight.estimation import ErrorStateFilter
+from wheelsight.estimation.fault_detection import Fault
 
 SETTINGS = FilterParameters()
 FLAT = SETTINGS.model_copy(update={"tilt_rad_per_sqrt_m": 0.002, "rise_m_per_sqrt_m": 0.001})

@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wheelsight.estimates import Reason
-from wheelsight.fusion.error_state._changed import changed
-from wheelsight.fusion.error_state._fault_detection import Fault, FaultDetection, updated
-from wheelsight.fusion.error_state._measurements import RelativePose, WheelStep
-from wheelsight.fusion.error_state._pose_belief import PoseBelief
-from wheelsight.fusion.error_state.settings import FilterParameters
-from wheelsight.geometry import se3
+from wheelsight.core.estimates import Reason
+from wheelsight.core.geometry import se3
+from wheelsight.core.settings.fusion import FilterParameters
+from wheelsight.estimation.fault_detection import Fault, FaultDetection, updated
+from wheelsight.estimation.pose_belief import PoseBelief, RelativePose, WheelStep, changed
 
 SETTINGS = FilterParameters()
 BEGUN_S, FRAME_S = 8.0, 0.1

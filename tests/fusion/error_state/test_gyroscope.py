@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from narrowing import not_none
 
-from wheelsight.calibration import Gyro
-from wheelsight.estimates import MotionEstimate, Reason
-from wheelsight.fusion import ErrorStateFilter, FusedEstimate
-from wheelsight.geometry import se3
+from wheelsight.core.calibration_parts import Gyro
+from wheelsight.core.estimates import MotionEstimate, Reason
+from wheelsight.core.geometry import se3
+from wheelsight.estimation import ErrorStateFilter, FusedEstimate
 
 WHEEL_HZ, FRAME_HZ, NOISE = 50, 30, 1e-3
 LOOK_SIGMAS = np.array([2e-3] * 3 + [1e-3] * 3)

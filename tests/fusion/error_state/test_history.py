@@ -8,7 +8,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.fusion.error_state._history import History
+from wheelsight.estimation.filter import History
 
 
 @dataclass(frozen=True)

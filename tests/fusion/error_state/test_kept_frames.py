@@ -11,10 +11,10 @@ from fusion.error_state.fused_drives import T_BASE_CAMERA, Drive, shifted, simul
 from narrowing import not_none
 from scipy.stats import chi2
 
-from wheelsight.fusion import ErrorStateFilter
-from wheelsight.fusion.error_state.settings import ErrorStateSettings, FilterParameters
-from wheelsight.geometry import motion_kernels as motions
-from wheelsight.geometry import se3
+from wheelsight.core.geometry import motion_kernels as motions
+from wheelsight.core.geometry import se3
+from wheelsight.core.settings.fusion import ErrorStateSettings, FilterParameters
+from wheelsight.estimation import ErrorStateFilter
 
 FLAT = FilterParameters().model_copy(update={"tilt_rad_per_sqrt_m": 0.002, "rise_m_per_sqrt_m": 0.001})
 FRAME_S, EVERY = 1 / 30, 5

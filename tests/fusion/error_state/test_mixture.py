@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from fusion.error_state.test_pose_belief import SETTINGS, belief_somewhere, difference, look_at
 
-from wheelsight.fusion.error_state._mixture import covering, covering_pose, mixed
-from wheelsight.fusion.error_state._pose_belief import LAG
-from wheelsight.geometry import se3
+from wheelsight.core.geometry import se3
+from wheelsight.estimation.fault_detection import covering, covering_pose, mixed
+from wheelsight.estimation.pose_belief import LAG
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])

@@ -9,9 +9,10 @@ import pytest
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from wheelsight.calibration import Gyro
-from wheelsight.fusion.error_state._measurements import RelativePose, WheelStep
-from wheelsight.fusion.error_state._pose_belief import (
+from wheelsight.core.calibration_parts import Gyro
+from wheelsight.core.geometry import se3
+from wheelsight.core.settings.fusion import FilterParameters
+from wheelsight.estimation.pose_belief import (
     CAMERA_ERRORS,
     ERRORS,
     LAG,
@@ -19,10 +20,10 @@ from wheelsight.fusion.error_state._pose_belief import (
     REST_SIZE,
     TWIST,
     PoseBelief,
+    RelativePose,
     Teaches,
+    WheelStep,
 )
-from wheelsight.fusion.error_state.settings import FilterParameters
-from wheelsight.geometry import se3
 
 SETTINGS = FilterParameters(level_sigma_rad=None)
 tangents = st.lists(st.floats(-1.7, 1.7), min_size=6, max_size=6).map(np.array)

@@ -9,13 +9,20 @@ import pytest
 from fusion.error_state.fused_drives import T_BASE_CAMERA, Drive, looked, simulate, wheel_covariance
 from narrowing import not_none
 
-from wheelsight.estimates import MotionEstimate, Reason
-from wheelsight.fusion import ErrorStateFilter
-from wheelsight.fusion.error_state._measurements import RelativePose, WheelStep
-from wheelsight.fusion.error_state._pose_belief import ERRORS, LAG, PoseBelief
-from wheelsight.fusion.error_state._wheel_noise import Odometer, Preintegration, WheelNoise
-from wheelsight.fusion.error_state.settings import FilterParameters
-from wheelsight.geometry import se3
+from wheelsight.core.estimates import MotionEstimate, Reason
+from wheelsight.core.geometry import se3
+from wheelsight.core.settings.fusion import FilterParameters
+from wheelsight.estimation import ErrorStateFilter
+from wheelsight.estimation.pose_belief import (
+    ERRORS,
+    LAG,
+    Odometer,
+    PoseBelief,
+    Preintegration,
+    RelativePose,
+    WheelNoise,
+    WheelStep,
+)
 
 SETTINGS = FilterParameters()
 # Wheels and camera err by noise alone: what is told of it is told of nothing else.

@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera, se3, so3
-from wheelsight.odometry.dense import DenseOdometry, DenseSettings, GridFrame
-from wheelsight.odometry.dense.alignment import Aligner, DenseAlignment
-from wheelsight.odometry.dense.grid import Gridder
-from wheelsight.odometry.dense.reference import Reference, ReferenceMaker
-from wheelsight.threads import Rows
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera, se3, so3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.threads import Rows
+from wheelsight.vision.dense import DenseOdometry, DenseSettings, GridFrame
+from wheelsight.vision.dense.alignment import Aligner, DenseAlignment
+from wheelsight.vision.dense.pyramid import Gridder, Reference, ReferenceMaker
 
 SMALL = PinholeCamera(320, 240, 262.0, 260.0, 161.3, 118.4)
 

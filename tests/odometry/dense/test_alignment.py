@@ -14,12 +14,12 @@ from odometry.dense.scenes import SMALL, Bench, Plane, apart, bench, dense, fram
 from odometry.views import room_frame, run
 from synthetic import CAMERA, render_room, wobbling_trajectory
 
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import PinholeCamera, se3, so3
-from wheelsight.odometry.dense.alignment import Step
-from wheelsight.odometry.dense.reference import Reference
-from wheelsight.views import PredictedView
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import PinholeCamera, se3, so3
+from wheelsight.core.keyframes import PredictedView
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.vision.dense.alignment import Step
+from wheelsight.vision.dense.pyramid import Reference
 
 TRUTH = wobbling_trajectory(30)
 T_WORLD_FIRST = np.array(TRUTH.T_frame_body[0])

@@ -15,11 +15,11 @@ from odometry.plain_kernels import plain
 from odometry.views import from_start, room_frame, run
 from synthetic import wobbling_trajectory
 
-from wheelsight.calibration import Calibration
-from wheelsight.estimates import Status
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import PinholeCamera, se3
-from wheelsight.odometry.dense import _grid_kernels
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import PinholeCamera, se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.vision.dense import pyramid_kernels as _grid_kernels
 
 WIDE = PinholeCamera(640, 480, 525.0, 524.0, 318.3, 241.6)
 LENS = replace(WIDE, distortion=(0.1, -0.2, 0.002, -0.001, 0.05))

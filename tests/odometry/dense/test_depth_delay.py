@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from odometry.dense.scenes import SMALL, Plane, frame_of
 
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import se3
-from wheelsight.odometry.dense import DenseSettings
-from wheelsight.odometry.dense.depth_delay import DepthDelay
-from wheelsight.odometry.dense.grid import Gridder
-from wheelsight.odometry.dense.settings_parts import DelaySettings
-from wheelsight.threads import Rows
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.threads import Rows
+from wheelsight.vision.dense import DenseSettings
+from wheelsight.vision.dense.odometry import DepthDelay
+from wheelsight.vision.dense.pyramid import Gridder
+from wheelsight.vision.dense.settings import DelaySettings
 
 CORNER = [Plane((0, 0, 1), 2.0), Plane((1, 0, 0), 0.7), Plane((0, 1, 0), 0.6)]
 

@@ -10,13 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from odometry.dense.scenes import Plane, bench, frame_of
 
-from wheelsight.estimates import MotionEstimate
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import KeyframeId
-from wheelsight.odometry.dense import DenseSettings
-from wheelsight.odometry.dense.fault_detection import FaultDetector
-from wheelsight.odometry.dense.prediction import Prediction
-from wheelsight.odometry.dense.tracked import Tracked
+from wheelsight.core.estimates import MotionEstimate
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.vision.dense import DenseSettings
+from wheelsight.vision.dense.tracking import FaultDetector
+from wheelsight.vision.dense.views import Prediction, Tracked
 
 STEP_S = 1 / 30
 FRAME = bench().grid(frame_of([Plane((0, 0, 1), 2.0)], np.eye(4), 0.0))

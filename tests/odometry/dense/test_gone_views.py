@@ -9,15 +9,14 @@ import pytest
 from narrowing import not_none
 from odometry.dense.scenes import EXACT, Plane, apart, bench, dense, frame_of
 
-from wheelsight.errors import MapError
-from wheelsight.estimates import Status
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import Keyframe, KeyframeId, KeyframeStore
-from wheelsight.odometry.dense.gone_views import GoneViews
-from wheelsight.odometry.dense.keypoints import KeypointTracker
-from wheelsight.odometry.dense.settings_parts import VerificationSettings
-from wheelsight.odometry.dense.views import KnownView
+from wheelsight.core.errors import MapError
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.vision.dense.keyframes import GoneViews
+from wheelsight.vision.dense.settings import VerificationSettings
+from wheelsight.vision.dense.views import KeypointTracker, KnownView
 
 WALL = [Plane((0, 0, 1), 2.0, is_painted=True)]
 BENCH = bench()

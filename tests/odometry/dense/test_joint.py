@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.odometry.dense.joint import Joint, SurfaceWeight, Told
-from wheelsight.odometry.dense.settings_parts import JointSettings
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.vision.dense.alignment import Joint, SurfaceWeight, Told
+from wheelsight.vision.dense.settings import JointSettings
 
 KEYPOINTS = np.diag([4.0, 9.0, 2.0, 30.0, 20.0, 50.0]) * 1e4
 SURFACES = np.diag([40.0, 5.0, 60.0, 90.0, 300.0, 80.0]) * 1e4

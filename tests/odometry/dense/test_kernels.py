@@ -12,12 +12,14 @@ from numba.core.dispatcher import Dispatcher
 from odometry.dense.scenes import Plane, bench, frame_of
 from odometry.plain_kernels import plain
 
-from wheelsight.geometry import PinholeCamera, se3, so3
+from wheelsight.core.geometry import PinholeCamera, se3, so3
 from wheelsight.mapping import SurfelSettings
-from wheelsight.odometry.dense import _alignment_kernels as kernels
-from wheelsight.odometry.dense import _grid_kernels, _reference_kernels, _shown_kernels
-from wheelsight.odometry.dense import _step_kernels as steps
-from wheelsight.odometry.dense import _turn_kernels as turns
+from wheelsight.vision.dense import alignment_kernels as _shown_kernels
+from wheelsight.vision.dense import alignment_kernels as kernels
+from wheelsight.vision.dense import alignment_kernels as steps
+from wheelsight.vision.dense import alignment_kernels as turns
+from wheelsight.vision.dense import pyramid_kernels as _grid_kernels
+from wheelsight.vision.dense import pyramid_kernels as _reference_kernels
 
 TINY = PinholeCamera(24, 20, 22.0, 21.0, 11.3, 9.8)
 GRID = np.array([TINY.fx, TINY.fy, TINY.cx, TINY.cy], np.float32)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from odometry.dense.scenes import Plane, apart, bench, dense, frame_of
 
-from wheelsight.estimates import Status
-from wheelsight.geometry import se3
-from wheelsight.odometry.dense.locating import fine_share
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import se3
+from wheelsight.vision.dense.tracking import fine_share
 
 WALL = [Plane((0, 0, 1), 4.0, is_painted=True), Plane((0, 1, 0), 0.8, is_painted=True)]
 

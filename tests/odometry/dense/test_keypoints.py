@@ -10,9 +10,9 @@ from odometry.dense.scenes import dense
 from odometry.views import room_frame
 from synthetic import wobbling_trajectory
 
-from wheelsight.estimates import Status
-from wheelsight.odometry.dense.keypoints import KeypointTracker
-from wheelsight.odometry.features.tracking import Fix, MapTracker, ViewTracker
+from wheelsight.core.estimates import Status
+from wheelsight.vision.dense.views import KeypointTracker
+from wheelsight.vision.features.tracking import Fix, MapTracker, ViewTracker
 
 TRUTH = wobbling_trajectory(6)
 

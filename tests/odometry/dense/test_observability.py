@@ -10,12 +10,11 @@ import pytest
 from narrowing import not_none
 from odometry.dense.scenes import Plane, apart, bench, dense, frame_of
 
-from wheelsight.estimates import Reason, Status
-from wheelsight.geometry import se3
-from wheelsight.odometry.dense import DenseEstimate, DenseSettings
-from wheelsight.odometry.dense.alignment import DenseAlignment
-from wheelsight.odometry.dense.keypoints import KeypointTracker
-from wheelsight.odometry.dense.observability import Prior, judge
+from wheelsight.core.estimates import Reason, Status
+from wheelsight.core.geometry import se3
+from wheelsight.vision.dense import DenseEstimate, DenseSettings
+from wheelsight.vision.dense.alignment import DenseAlignment, Prior, judge
+from wheelsight.vision.dense.views import KeypointTracker
 
 WALL = [Plane((0.0, 0.0, -1.0), -1.6)]
 PAINTED_WALL = [Plane((0.0, 0.0, -1.0), -1.6, is_painted=True)]

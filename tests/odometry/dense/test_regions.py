@@ -9,11 +9,11 @@ import pytest
 from odometry.dense.scenes import SMALL, Bench, apart, bench
 from odometry.views import room_frame
 
-from wheelsight.calibration import DepthNoise
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import BoolArray, FloatArray, se3
-from wheelsight.odometry.dense.regions import Misfits, misfits, without
-from wheelsight.odometry.dense.settings_parts import RegionSettings
+from wheelsight.core.calibration_parts import DepthNoise
+from wheelsight.core.geometry import BoolArray, FloatArray, se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.vision.dense.settings import RegionSettings
+from wheelsight.vision.dense.tracking import Misfits, misfits, without
 
 SETTINGS, NOISE = RegionSettings(), DepthNoise()
 MOTION = se3.exp([0.02, -0.01, 0.03, 0.004, 0.01, -0.006])

@@ -9,12 +9,13 @@ from odometry.dense.scenes import SMALL, Plane, apart, bench, dense, frame_of
 from odometry.views import covered_frame, from_start, room_frame, run
 from synthetic import wobbling_trajectory
 
-from wheelsight.calibration import Calibration
-from wheelsight.estimates import Estimate, MotionEstimate, Reason, Status
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.odometry.dense import DenseOdometry, _step_kernels
-from wheelsight.odometry.dense.keypoints import KeypointTracker
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Estimate, MotionEstimate, Reason, Status
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.vision.dense import DenseOdometry
+from wheelsight.vision.dense import alignment_kernels as _step_kernels
+from wheelsight.vision.dense.views import KeypointTracker
 
 TRUTH = wobbling_trajectory(24)
 IN_WORLD = from_start(np.array(TRUTH.T_frame_body))

@@ -17,11 +17,11 @@ from odometry.views import room_frame, run
 from pydantic import BaseModel
 from synthetic import wobbling_trajectory
 
-import wheelsight.odometry.dense as package
+import wheelsight.vision.dense as package
 from wheelsight.config import load_config, save_config
-from wheelsight.errors import ConfigError
-from wheelsight.geometry import FloatArray
-from wheelsight.odometry.dense import DenseSettings
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.geometry import FloatArray
+from wheelsight.vision.dense import DenseSettings
 
 FILES = [
     path

@@ -7,10 +7,10 @@ import pytest
 from numpy.testing import assert_allclose
 from odometry.dense.scenes import Plane, bench, frame_of
 
-from wheelsight.geometry import se3
-from wheelsight.odometry.dense import _shown_kernels as shown
-from wheelsight.odometry.dense._alignment_kernels import ALONG_U, ALONG_V, DEPTH, GREY, NX, OFFSET
-from wheelsight.odometry.dense.alignment import _symmetric
+from wheelsight.core.geometry import se3
+from wheelsight.vision.dense import alignment_kernels as shown
+from wheelsight.vision.dense.alignment import _symmetric
+from wheelsight.vision.dense.alignment_kernels import ALONG_U, ALONG_V, DEPTH, GREY, NX, OFFSET
 
 NOISE = np.array([1e-3, 2e-3, 0.1, 9.0])
 # Gate, scale of plane residuals, σ of grey, gain, Huber's limit, weight of grey, σ of the colour camera's place.

@@ -12,14 +12,14 @@ from odometry.dense.scenes import SMALL, Plane, apart, bench, dense, frame_of, r
 from odometry.views import covered_frame, from_start, nees, room_frame, run
 from synthetic import wobbling_trajectory
 
-from wheelsight.calibration import Calibration
-from wheelsight.estimates import Reason, Status
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import PinholeCamera, se3, so3
-from wheelsight.odometry.dense import DenseOdometry, DenseSettings
-from wheelsight.odometry.dense.grid import Level
-from wheelsight.odometry.dense.keypoints import KeypointTracker
-from wheelsight.views import PredictedView
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Reason, Status
+from wheelsight.core.geometry import PinholeCamera, se3, so3
+from wheelsight.core.keyframes import PredictedView
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.vision.dense import DenseOdometry, DenseSettings
+from wheelsight.vision.dense.pyramid import Level
+from wheelsight.vision.dense.views import KeypointTracker
 
 TRUTH = wobbling_trajectory(24)
 IN_WORLD = from_start(np.array(TRUTH.T_frame_body))

@@ -11,10 +11,11 @@ from odometry.dense.scenes import Plane, dense, frame_of
 from odometry.views import run
 from scipy.optimize import least_squares
 
-from wheelsight.estimates import MotionEstimate
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.odometry.dense import DenseSettings, keyframe_policy
-from wheelsight.odometry.dense.two_references import joined
+from wheelsight.core.estimates import MotionEstimate
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.vision.dense import DenseSettings
+from wheelsight.vision.dense import keyframes as keyframe_policy
+from wheelsight.vision.dense.keyframes import joined
 
 SETTINGS = DenseSettings().keyframes
 T_SHORT = se3.exp([0.4, 0.1, 0.9, 0.1, -0.3, 0.2])

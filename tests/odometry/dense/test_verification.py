@@ -11,17 +11,15 @@ from odometry.dense.scenes import SMALL, Plane, apart, bench, dense, frame_of
 from odometry.views import covered_frame, from_start, room_frame, run
 from synthetic import CAMERA, wobbling_trajectory
 
-from wheelsight.calibration import Calibration
-from wheelsight.estimates import Reason, Status
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import KeyframeId
-from wheelsight.odometry.dense import DenseSettings
-from wheelsight.odometry.dense.fault_detection import FaultDetector
-from wheelsight.odometry.dense.keypoint_pose import KeypointPose
-from wheelsight.odometry.dense.keypoints import KeypointTracker
-from wheelsight.odometry.dense.views import KnownView
-from wheelsight.simulation import Robot
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Reason, Status
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.vision.dense import DenseSettings
+from wheelsight.vision.dense.tracking import FaultDetector
+from wheelsight.vision.dense.views import KeypointPose, KeypointTracker, KnownView
+from wheelsight_sim import Robot
 
 TRUTH = wobbling_trajectory(24)
 IN_WORLD = from_start(np.array(TRUTH.T_frame_body))

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from odometry.dense.scenes import Plane, bench, frame_of
 
-from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeId
-from wheelsight.odometry.dense import DenseSettings
-from wheelsight.odometry.dense.views import KnownView, Views
-from wheelsight.odometry.state import TrackingState
-from wheelsight.odometry.stopwatch import Stopwatch
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.vision.dense import DenseSettings
+from wheelsight.vision.dense.views import KnownView, Views
+from wheelsight.vision.tracking_state import Stopwatch, TrackingState
 
 BENCH = bench()
 GRID = BENCH.grid(frame_of([Plane((0, 0, 1), 2.0)], np.eye(4), 0.0))

@@ -10,10 +10,10 @@ from narrowing import not_none
 from odometry.dense.scenes import SMALL, Plane, bench, dense, frame_of
 from odometry.views import run
 
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.odometry.dense import DenseSettings
-from wheelsight.odometry.dense.vignetting import Vignetting
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.vision.dense import DenseSettings
+from wheelsight.vision.dense.keyframes import Vignetting
 
 ROOM = [
     Plane((0, 0, 1), 4.0),

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from wheelsight.calibration import HolonomicWheels, Wheels
-from wheelsight.geometry import FloatArray, se3, so3
-from wheelsight.odometry.extrinsics import Agreement, Culprit, height_below
+from wheelsight.core.calibration_parts import HolonomicWheels, Wheels
+from wheelsight.core.geometry import FloatArray, se3, so3
+from wheelsight.vision.extrinsics import Agreement, Culprit, height_below
 
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
 T_BASE_CAMERA = np.array([[0.0, -0.1, 0.995, 0.3], [-1, 0, 0, 0.0], [0, -0.995, -0.1, 0.9], [0, 0, 0, 1]])

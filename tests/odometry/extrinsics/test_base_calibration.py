@@ -9,13 +9,13 @@ import pytest
 from drives import MIXED
 from sighted_drives import MOUNT, NOMINAL, USUAL, nominal, sighted, with_late_camera
 
-from wheelsight.errors import CalibrationError
-from wheelsight.geometry import FloatArray
-from wheelsight.odometry.extrinsics import QUANTITIES, Sightings, base_from, mount_values
-from wheelsight.odometry.extrinsics._observability import refuse_if_hardly_moving
-from wheelsight.odometry.wheels import Drive
-from wheelsight.simulation import Robot
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.vision.extrinsics import QUANTITIES, Sightings, base_from, mount_values
+from wheelsight.vision.extrinsics.calibration import refuse_if_hardly_moving
+from wheelsight.wheels import Drive
+from wheelsight_sim import Robot
 
 ON_THE_SPOT = [(4.0, 0.0, 0.8), (1.0, 0.0, 0.0), (4.0, 0.0, -0.8), (1.0, 0.0, 0.0)] * 3
 MOUNTS = {

@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from wheelsight.odometry.extrinsics import QUANTITIES, calibrate_base, mount_values
-from wheelsight.odometry.wheels import drive_of, fit_wheels
-from wheelsight.simulation import Robot, SimulationSettings, simulate
-from wheelsight.simulation.camera_faults import LateClock
-from wheelsight.simulation.faulty_recording import with_camera_faults
-from wheelsight.simulation.simulated_recording import SimulatedRecording
+from wheelsight.vision.extrinsics import QUANTITIES, calibrate_base, mount_values
+from wheelsight.wheels import drive_of, fit_wheels
+from wheelsight_sim import Robot, SimulationSettings, simulate
+from wheelsight_sim.faults import LateClock
+from wheelsight_sim.simulated_recording import SimulatedRecording, with_camera_faults
 
 ANGLE = np.radians(0.5)
 LIMITS: dict[str, float] = {"roll": ANGLE, "pitch": ANGLE, "yaw": ANGLE, "x": 0.01, "y": 0.01, "height": 0.01}

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from sighted_drives import MOUNT, NOISE, room_views
 
-from wheelsight.errors import CalibrationError
-from wheelsight.geometry import FloatArray, se3, so3
-from wheelsight.odometry.extrinsics import FloorViews, fit_floor, tilt_of
-from wheelsight.point_errors import NOMINAL_ERRORS, PointErrors
-from wheelsight.simulation import Robot
+from wheelsight.core.depth_errors import NOMINAL_ERRORS, PointErrors
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.geometry import FloatArray, se3, so3
+from wheelsight.vision.extrinsics import FloorViews, fit_floor, tilt_of
+from wheelsight_sim import Robot
 
 STAMPS_S = np.arange(0.0, 30.0, 0.5)
 YAW_RAD = np.linspace(0, 9, len(STAMPS_S))

@@ -7,10 +7,10 @@ import pytest
 from drives import MIXED
 from sighted_drives import MOUNT, NOMINAL, USUAL, Blur, sighted
 
-from wheelsight.calibration import Wheels
-from wheelsight.geometry import FloatArray, se2, se3
-from wheelsight.odometry.extrinsics import MountFit, Sightings, fit_mount
-from wheelsight.odometry.extrinsics.hand_eye import closed_form, cut_level, level_rotation, levelled
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.geometry import FloatArray, se2, se3
+from wheelsight.vision.extrinsics import MountFit, Sightings, fit_mount
+from wheelsight.vision.extrinsics.mount import closed_form, cut_level, level_rotation, levelled
 
 TRUE = np.array([0.28, 0.08, 0.15])
 

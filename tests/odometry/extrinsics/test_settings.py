@@ -10,10 +10,10 @@ import pytest
 from pydantic import ValidationError
 from sighted_drives import MOUNT, USUAL, nominal, sighted
 
-from wheelsight.calibration import Wheels
-from wheelsight.errors import CalibrationError
-from wheelsight.geometry import se3
-from wheelsight.odometry.extrinsics import (
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.geometry import se3
+from wheelsight.vision.extrinsics import (
     Agreement,
     AgreementSettings,
     ExtrinsicsSettings,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from sighted_drives import MOUNT, NOMINAL, USUAL, sighted, with_late_camera
 
-from wheelsight.odometry.extrinsics import common_turning
-from wheelsight.simulation import Robot
+from wheelsight.vision.extrinsics import common_turning
+from wheelsight_sim import Robot
 
 
 @pytest.mark.parametrize("late_s", [-4.0, -0.3, 0.0, 0.24, 7.5])

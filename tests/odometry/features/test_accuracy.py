@@ -8,9 +8,9 @@ import pytest
 from odometry.views import error_of, from_start, nees, odometry, room_frames, run
 from synthetic import CAMERA, wobbling_trajectory
 
-from wheelsight.calibration import Calibration
-from wheelsight.estimates import Status
-from wheelsight.geometry import PinholeCamera
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import PinholeCamera
 
 TRUTH = wobbling_trajectory(40)
 WORLD = from_start(TRUTH.T_frame_body)

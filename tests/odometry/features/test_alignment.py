@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from wheelsight.estimates import Reason
-from wheelsight.geometry import se3
-from wheelsight.odometry.features.alignment import PointPairs, find_motion, refine_motion
-from wheelsight.odometry.features.settings import FeatureSettings
+from wheelsight.core.estimates import Reason
+from wheelsight.core.geometry import se3
+from wheelsight.vision.features.extraction import FeatureSettings
+from wheelsight.vision.features.tracking import PointPairs, find_motion, refine_motion
 
 DEFAULTS = FeatureSettings()
 SIGMA_XY, TRIALS = 0.002, 300

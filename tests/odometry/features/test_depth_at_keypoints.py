@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from odometry.plain_kernels import plain
 
-from wheelsight.geometry import PinholeCamera, se3
-from wheelsight.odometry.features import _kernels as compiled
+from wheelsight.core.geometry import PinholeCamera, se3
+from wheelsight.vision.features import feature_kernels as compiled
 
 DEPTH = PinholeCamera(160, 120, 140.0, 142.0, 81.3, 58.4)
 COLOR = PinholeCamera(200, 150, 190.0, 188.0, 98.2, 76.1)

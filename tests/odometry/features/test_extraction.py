@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from odometry.views import covered_frame, room_frame
 from synthetic import CAMERA, wobbling_trajectory
 
-from wheelsight.calibration import Calibration, DepthNoise
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import PinholeCamera
-from wheelsight.odometry.features.extraction import FeatureExtractor, Features, spread
-from wheelsight.odometry.features.settings import FeatureSettings
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import DepthNoise
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.vision.features.extraction import FeatureExtractor, Features, FeatureSettings, spread
 
 T_WORLD_CAMERA = wobbling_trajectory(1).T_frame_body[0]
 

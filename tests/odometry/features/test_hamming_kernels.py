@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from odometry.plain_kernels import plain
 
-from wheelsight.geometry.hamming_kernels import hamming
-from wheelsight.odometry.features import _hamming_kernels as compiled
-from wheelsight.odometry.features.matching import match_all, match_near
-from wheelsight.odometry.features.settings import FeatureSettings
+from wheelsight.core.geometry.hamming_kernels import hamming
+from wheelsight.vision.features import feature_kernels as compiled
+from wheelsight.vision.features.extraction import FeatureSettings
+from wheelsight.vision.features.tracking import match_all, match_near
 
 in_python = plain(compiled)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from odometry.plain_kernels import plain
 
-from wheelsight.geometry import PinholeCamera, align_points, se3, so3
-from wheelsight.odometry.features import _kernels as compiled
+from wheelsight.core.geometry import PinholeCamera, align_points, se3, so3
+from wheelsight.vision.features import feature_kernels as compiled
 
 GATE = 16.3
 SIGMA_XY, SIGMA_M = 0.002, 0.01

@@ -7,12 +7,11 @@ import pytest
 from odometry.views import odometry, room_frames
 from synthetic import wobbling_trajectory
 
-from wheelsight.estimates import Status
-from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeId
-from wheelsight.odometry.features.extraction import Features
-from wheelsight.odometry.features.landmarks import LandmarkMap, View
-from wheelsight.odometry.features.settings import FeatureSettings
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.vision.features.extraction import Features, FeatureSettings
+from wheelsight.vision.features.tracking import LandmarkMap, View
 
 FIRST = KeyframeId(0)
 

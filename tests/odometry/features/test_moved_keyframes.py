@@ -8,12 +8,12 @@ from narrowing import not_none
 from odometry.views import error_of, from_start, odometry, room_frames, run
 from synthetic import CAMERA, wobbling_trajectory
 
-from wheelsight.calibration import Calibration
-from wheelsight.estimates import Status
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import PinholeCamera, se3
-from wheelsight.keyframes import KeyframeStore
-from wheelsight.odometry.features import FeatureEstimate, FeatureOdometry, FeatureSettings
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import PinholeCamera, se3
+from wheelsight.core.keyframes import KeyframeStore
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.vision.features import FeatureEstimate, FeatureOdometry, FeatureSettings
 
 TRUTH = wobbling_trajectory(60, speed=3.0).select(slice(0, 60, 2))
 TRUE = from_start(TRUTH.T_frame_body)

@@ -12,9 +12,9 @@ from narrowing import not_none
 from odometry.views import error_of, from_start, odometry, room_frames
 from synthetic import wobbling_trajectory
 
-from wheelsight.estimates import Status
-from wheelsight.geometry import se3
-from wheelsight.odometry.features.matching import match_all, match_near
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import se3
+from wheelsight.vision.features.tracking import match_all, match_near
 
 TRUTH = wobbling_trajectory(24, speed=2.0)
 WORLD = from_start(TRUTH.T_frame_body)
@@ -76,7 +76,7 @@ def test_a_prior_bounds_the_search(frames, monkeypatch):
         return search(*given)
 
     for search in (match_all, match_near):
-        monkeypatch.setattr(f"wheelsight.odometry.features.tracking.{search.__name__}", partial(spy, search))
+        monkeypatch.setattr(f"wheelsight.vision.features.tracking.{search.__name__}", partial(spy, search))
     subject = odometry(reference="previous")
     subject.process(frames[0])
     subject.process(frames[1], STEPS[0])

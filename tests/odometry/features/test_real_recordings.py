@@ -5,12 +5,12 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from wheelsight.estimates import Status
+from wheelsight.core.estimates import Status
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import ate
-from wheelsight.events import RgbdFrame
-from wheelsight.odometry.features import FeatureOdometry
-from wheelsight.recordings import open_recording
-from wheelsight.trajectory import Trajectory
+from wheelsight.io.recordings import open_recording
+from wheelsight.vision.features import FeatureOdometry
 
 pytestmark = pytest.mark.data
 

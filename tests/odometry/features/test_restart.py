@@ -8,10 +8,10 @@ from narrowing import not_none
 from odometry.views import FRAME_S, covered_frame, error_of, from_start, odometry, room_frame, room_frames, run
 from synthetic import wobbling_trajectory
 
-from wheelsight.calibration import Calibration
-from wheelsight.estimates import Reason, Status
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import PinholeCamera, se3
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.estimates import Reason, Status
+from wheelsight.core.geometry import PinholeCamera, se3
+from wheelsight.core.messages import RgbdFrame
 
 TRUTH = wobbling_trajectory(16)
 WORLD = from_start(TRUTH.T_frame_body)

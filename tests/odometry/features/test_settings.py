@@ -5,9 +5,9 @@ from odometry.views import FRAME_S, odometry, room_frames, run
 from pydantic import ValidationError
 from synthetic import CAMERA, wobbling_trajectory
 
-from wheelsight.calibration import Calibration
-from wheelsight.geometry import se3
-from wheelsight.odometry.features import FeatureEstimate, FeatureSettings
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import se3
+from wheelsight.vision.features import FeatureEstimate, FeatureSettings
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,10 @@ from narrowing import not_none
 from odometry.views import FRAME_S, covered_frame, error_of, from_start, odometry, room_frame, room_frames, run
 from synthetic import CAMERA, wobbling_trajectory
 
-from wheelsight.estimates import Estimate, Reason, Status
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import se3
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.estimates import Estimate, Reason, Status
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import Trajectory
 
 TRUTH = wobbling_trajectory(40)
 MODES = ["keyframes", "previous"]

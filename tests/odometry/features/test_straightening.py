@@ -7,13 +7,13 @@ import pytest
 from odometry.views import error_of, from_start
 from synthetic import CAMERA, render_room
 
-from wheelsight.calibration import Calibration
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import se3, so3
-from wheelsight.odometry.features import FeatureOdometry, FeatureSettings
-from wheelsight.odometry.features.extraction import Features, straighten
-from wheelsight.odometry.velocity import twist_between
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import se3, so3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.vision.features import FeatureOdometry, FeatureSettings
+from wheelsight.vision.features.extraction import Features, straighten
+from wheelsight.vision.tracking_state import twist_between
 
 SHUTTER_S = 0.03
 TWIST = np.array([0.4, -0.2, 0.3, 0.5, 1.2, -0.4])

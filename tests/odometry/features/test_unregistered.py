@@ -10,13 +10,13 @@ from narrowing import not_none
 from odometry.views import error_of, from_start
 from synthetic import render_room, wobbling_trajectory
 
-from wheelsight.calibration import Calibration
 from wheelsight.config import Config
-from wheelsight.errors import CalibrationError
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import PinholeCamera, se3
-from wheelsight.localizer import Localizer
-from wheelsight.odometry.features import FeatureOdometry, FeatureSettings
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.geometry import PinholeCamera, se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.estimation import Localizer
+from wheelsight.vision.features import FeatureOdometry, FeatureSettings
 
 COLOR = PinholeCamera(400, 300, 330.0, 331.0, 198.0, 151.0)
 DEPTH = PinholeCamera(320, 240, 250.0, 249.0, 163.0, 117.0)
@@ -82,7 +82,7 @@ def test_calling_the_sensor_registered_spoils_it(frames):
 
 
 def test_a_prior_of_the_depth_camera_is_turned_into_the_colour_camera_s(frames, monkeypatch):
-    monkeypatch.setattr("wheelsight.odometry.features.tracking.match_all", lambda *_: pytest.fail("the prior was off"))
+    monkeypatch.setattr("wheelsight.vision.features.tracking.match_all", lambda *_: pytest.fail("the prior was off"))
     subject = FeatureOdometry(calibration(), FeatureSettings(reference="previous", prior_radii=0.4))
     subject.process(frames[0])
     world = from_start(TRUTH.T_frame_body)

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from wheelsight.errors import CalibrationError
-from wheelsight.odometry.wheels import Encoder
+from wheelsight.core.errors import CalibrationError
+from wheelsight.wheels import Encoder
 
 WHEELCHAIR = Encoder(counts_per_turn=100, gear_ratio=32, wheel_radius_m=0.17)
 

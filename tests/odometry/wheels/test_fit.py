@@ -8,12 +8,12 @@ from drives import MIXED, SimulatedDrive, simulate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wheelsight.calibration import Wheels
-from wheelsight.errors import CalibrationError
-from wheelsight.geometry import se3
-from wheelsight.odometry.wheels.drive import Drive, drive_from_ticks, drive_path, yaw_at_readings
-from wheelsight.odometry.wheels.fit import PARAMETERS, WheelFit, fit_wheels
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.geometry import se3
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.wheels.calibration import PARAMETERS, WheelFit, fit_wheels
+from wheelsight.wheels.drive import Drive, drive_from_ticks, drive_path, yaw_at_readings
 
 NOMINAL = Wheels(left_radius_m=0.17, right_radius_m=0.17, track_width_m=0.58, ticks_per_turn=3200)
 TRUE = replace(NOMINAL, left_radius_m=0.171, right_radius_m=0.1695, track_width_m=0.615, delay_s=0.083)

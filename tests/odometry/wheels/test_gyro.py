@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wheelsight.calibration import Gyro, Wheels
-from wheelsight.events import WheelTicks
-from wheelsight.odometry.wheels import WheelOdometry, WheelTrack, YawRateMeter, integrate_log, mean_yaw_rates
+from wheelsight.core.calibration_parts import Gyro, Wheels
+from wheelsight.core.messages import WheelTicks
+from wheelsight.wheels import WheelOdometry, WheelTrack, YawRateMeter, integrate_log, mean_yaw_rates
 
 WHEELS = Wheels(0.1, 0.1, 0.5, 1000.0, slip_m_per_sqrt_m=0.02)
 

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from wheelsight.odometry.wheels import GyroCheck
-from wheelsight.odometry.wheels.gyro_check import Line
+from wheelsight.wheels import GyroCheck
+from wheelsight.wheels.gyroscope import Line
 
 WHEEL_S, GYRO_S = 0.02, 0.01
 Change = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]  # of stamps and rates

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.calibration import Gyro, HolonomicWheels
-from wheelsight.errors import ArgumentError
-from wheelsight.estimates import Reason, Status
-from wheelsight.events import HolonomicReading, OdometryReading, WheelCounts, WheelTicks
-from wheelsight.geometry import FloatArray, se2
-from wheelsight.odometry.wheels import HolonomicOdometry
+from wheelsight.core.calibration_parts import Gyro, HolonomicWheels
+from wheelsight.core.errors import ArgumentError
+from wheelsight.core.estimates import Reason, Status
+from wheelsight.core.geometry import FloatArray, se2
+from wheelsight.core.messages import HolonomicReading, OdometryReading, WheelCounts, WheelTicks
+from wheelsight.wheels import HolonomicOdometry
 
 FINE = 2e6  # counts a turn: rounding is nothing
 MECANUM = HolonomicWheels("mecanum", radius_m=0.05, half_length_m=0.2, half_width_m=0.15, ticks_per_turn=FINE)

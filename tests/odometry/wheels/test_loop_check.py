@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from drives import SimulatedDrive, simulate, square_legs
 
-from wheelsight.calibration import Wheels
-from wheelsight.errors import CalibrationError
-from wheelsight.odometry.wheels import Drive, LoopCause, LoopCheckSettings, check_loop, drive_from_ticks, with_sigmas
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import CalibrationError
+from wheelsight.wheels import Drive, LoopCause, LoopCheckSettings, check_loop, drive_from_ticks, with_sigmas
 
 # A tyre that grips, on wheels that are calibrated as well as `calibrate wheels` has it.
 WHEELS = Wheels(

@@ -9,10 +9,10 @@ import pytest
 from changed_settings import numbers, variants
 from drives import simulate
 
-from wheelsight.calibration import HolonomicWheels, Wheels
-from wheelsight.events import WheelCounts, WheelTicks
-from wheelsight.odometry.wheels import ReadingTimes, ReadingTimesSettings
-from wheelsight.simulation.clock_faults import ClockFault, ReadingsJitter, ReadingsStalled, ReadingsTogether
+from wheelsight.core.calibration_parts import HolonomicWheels, Wheels
+from wheelsight.core.messages import WheelCounts, WheelTicks
+from wheelsight.wheels import ReadingTimes, ReadingTimesSettings
+from wheelsight_sim.faults import ClockFault, ReadingsJitter, ReadingsStalled, ReadingsTogether
 
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0, slip_m_per_sqrt_m=0.002)
 LEGS = ((3.0, 0.6, 0.2), (2.0, 0.4, -0.5), (3.0, 0.7, 0.0))

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from drives import simulate, square_legs, write_recording
 
-from wheelsight.calibration import Wheels
-from wheelsight.errors import CalibrationError
-from wheelsight.geometry import se3
-from wheelsight.odometry.wheels.squares import (
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.geometry import se3
+from wheelsight.io.recordings import open_recording
+from wheelsight.wheels.umbmark import (
     SquareRun,
+    corrected,
     errors_on_unused_runs_m,
     read_return_errors,
     square_run,
     umbmark_from_runs,
 )
-from wheelsight.odometry.wheels.umbmark import corrected
-from wheelsight.recordings import open_recording
 
 NOMINAL = Wheels(0.17, 0.17, 0.6, 3200, slip_m_per_sqrt_m=0.001)
 TRUE = corrected(NOMINAL, 1.006, 1.02)

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wheelsight.calibration import Calibration, Wheels, load_calibration, save_calibration
-from wheelsight.errors import CalibrationError
-from wheelsight.fusion import ErrorStateSettings
-from wheelsight.odometry.wheels.sureness import FromDayToDay, stated
-from wheelsight.simulation.realism.wheel_sizes import WheelSizeSettings, as_calibrated
+from wheelsight.core.calibration import Calibration, load_calibration, save_calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import CalibrationError
+from wheelsight.estimation import ErrorStateSettings
+from wheelsight.wheels.calibration import FromDayToDay, stated
+from wheelsight_sim.robot import WheelSizeSettings, as_calibrated
 
 WHEELS = Wheels(0.17, 0.17, 0.5, 3200.0)
 SURE = replace(WHEELS, scale_sigma=0.003, drift_sigma_rad_per_m=0.001, turn_sigma=0.004)

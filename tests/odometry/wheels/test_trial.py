@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from drives import simulate, write_recording
 
-from wheelsight.calibration import Wheels
-from wheelsight.errors import CalibrationError
-from wheelsight.geometry import se3
-from wheelsight.odometry.wheels.trial import try_calibration
-from wheelsight.recordings import Recording, open_recording
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.geometry import se3
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings import Recording, open_recording
+from wheelsight.wheels.calibration import try_calibration
 
 NOMINAL = Wheels(left_radius_m=0.17, right_radius_m=0.17, track_width_m=0.58, ticks_per_turn=3200)
 TRUE = replace(NOMINAL, left_radius_m=0.171, right_radius_m=0.1695, track_width_m=0.615, slip_m_per_sqrt_m=0.002)

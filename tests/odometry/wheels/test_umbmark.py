@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.calibration import Wheels
-from wheelsight.errors import CalibrationError
-from wheelsight.geometry import FloatArray
-from wheelsight.odometry.wheels.umbmark import closed_form, corrected, umbmark
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.geometry import FloatArray
+from wheelsight.wheels.umbmark import closed_form, corrected, umbmark
 
 NOMINAL = Wheels(left_radius_m=0.17, right_radius_m=0.17, track_width_m=0.6, ticks_per_turn=3200)
 SIDE_M = 4.0

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from wheelsight.calibration import Gyro, Wheels
-from wheelsight.geometry import se2
-from wheelsight.odometry.wheels import _kernels as kernels
-from wheelsight.odometry.wheels import _state_kernels as at
-from wheelsight.odometry.wheels import integrate_log
-from wheelsight.odometry.wheels.odometry import Integration
+from wheelsight.core.calibration_parts import Gyro, Wheels
+from wheelsight.core.geometry import se2
+from wheelsight.wheels import integrate_log
+from wheelsight.wheels import odometry_kernels as kernels
+from wheelsight.wheels import state_kernels as at
+from wheelsight.wheels.odometry import Integration
 
 SLIP = 0.02
 WHEELS = Wheels(1 / (2 * math.pi), 1 / (2 * math.pi), 0.5, 1.0, slip_m_per_sqrt_m=SLIP)  # a tick is a metre

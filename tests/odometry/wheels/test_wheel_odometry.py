@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from narrowing import not_none
 from numpy.typing import ArrayLike
 
-from wheelsight.calibration import Gyro, Wheels
-from wheelsight.estimates import Reason, Status
-from wheelsight.events import WheelSpeeds, WheelTicks
-from wheelsight.geometry import se3
-from wheelsight.odometry.wheels import WheelOdometry, integrate_log, sides_of_four, ticks_from_speeds
-from wheelsight.odometry.wheels.odometry import Integration
+from wheelsight.core.calibration_parts import Gyro, Wheels
+from wheelsight.core.estimates import Reason, Status
+from wheelsight.core.geometry import se3
+from wheelsight.core.messages import WheelSpeeds, WheelTicks
+from wheelsight.wheels import WheelOdometry, integrate_log, sides_of_four, ticks_from_speeds
+from wheelsight.wheels.odometry import Integration
 
 METRE_TICKS = Wheels(1 / (2 * math.pi), 1 / (2 * math.pi), 0.5, 1.0)  # a tick is a metre
 WHEELCHAIR = Wheels(0.17, 0.17, 0.52, 3200.0)

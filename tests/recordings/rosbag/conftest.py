@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from written_bags import Drive, write_bag
 
-from wheelsight.recordings import OpenOptions, open_recording
-from wheelsight.recordings.rosbag.recording import BagRecording
+from wheelsight.io.recordings import OpenOptions, open_recording
+from wheelsight.io.recordings.bags.recording import BagRecording
 
 
 @pytest.fixture

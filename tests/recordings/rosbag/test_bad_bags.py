@@ -23,14 +23,14 @@ from written_bags import (
     write_bag,
 )
 
-from wheelsight.errors import InputError, RecordingError
-from wheelsight.events import RgbdFrame, SkippedFrame, WheelSpeeds
-from wheelsight.recordings import open_recording
-from wheelsight.recordings.clocks import FRAMES as FRAME_STAMPS
-from wheelsight.recordings.clocks import WHEELS, listed_stamps, refuse_if_apart
-from wheelsight.recordings.rosbag.images import depth_of
-from wheelsight.recordings.rosbag.storage import OpenBag
-from wheelsight.recordings.rosbag.writing import new_bag
+from wheelsight.core.errors import InputError, RecordingError
+from wheelsight.core.messages import RgbdFrame, SkippedFrame, WheelSpeeds
+from wheelsight.io.recordings import open_recording
+from wheelsight.io.recordings.bags.images import depth_of
+from wheelsight.io.recordings.bags.storage import OpenBag
+from wheelsight.io.recordings.bags.writing import new_bag
+from wheelsight.io.recordings.clock_checks import FRAMES as FRAME_STAMPS
+from wheelsight.io.recordings.clock_checks import WHEELS, listed_stamps, refuse_if_apart
 
 
 def test_metadata_of_gigabytes_is_not_read(tmp_path: Path) -> None:

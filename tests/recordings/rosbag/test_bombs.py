@@ -16,14 +16,14 @@ import lz4.frame
 import pytest
 from written_bags import ROS1, ROS2, camera_drive, odometry_drive, write_bag
 
-from wheelsight.errors import RecordingError
-from wheelsight.recordings import open_recording
-from wheelsight.recordings.rosbag import chunks, order
-from wheelsight.recordings.rosbag.chunks import Allowance
-from wheelsight.recordings.rosbag.definitions import store_of
-from wheelsight.recordings.rosbag.mcap import MAGIC
-from wheelsight.recordings.rosbag.order import EventQueue, MessageQueue, Pairing, RawFrame
-from wheelsight.recordings.rosbag.storage import Message
+from wheelsight.core.errors import RecordingError
+from wheelsight.io.recordings import open_recording
+from wheelsight.io.recordings.bags import chunks
+from wheelsight.io.recordings.bags import recording as order
+from wheelsight.io.recordings.bags.chunks import Allowance, store_of
+from wheelsight.io.recordings.bags.recording import EventQueue, MessageQueue, Pairing, RawFrame
+from wheelsight.io.recordings.bags.storage import Message
+from wheelsight.io.recordings.bags.storage_formats import MAGIC
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -181,7 +181,7 @@ def test_an_index_that_names_one_chunk_again_and_again_reads_it_once(tmp_path: P
 
 
 def chunks_of(path: Path):
-    from wheelsight.recordings.rosbag.ros1 import Ros1Reader
+    from wheelsight.io.recordings.bags.storage_formats import Ros1Reader
 
     return Ros1Reader(path)
 

@@ -23,12 +23,12 @@ from written_bags import (
     depth_mm,
 )
 
-from wheelsight.calibration import Calibration, save_calibration
-from wheelsight.errors import CalibrationError, RecordingError
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import PinholeCamera, se3
-from wheelsight.recordings.rosbag.cameras import camera_of
-from wheelsight.recordings.rosbag.settings import BagSettings
+from wheelsight.core.calibration import Calibration, save_calibration
+from wheelsight.core.errors import CalibrationError, RecordingError
+from wheelsight.core.geometry import PinholeCamera, se3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.recordings.bags.images import camera_of
+from wheelsight.io.recordings.recording import BagSettings
 
 MAKE, MAKE1 = Messages(is_ros1=False), Messages(is_ros1=True)
 INFO = "/camera/color/camera_info"

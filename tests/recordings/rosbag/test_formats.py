@@ -10,8 +10,8 @@ import pytest
 from narrowing import as_frame
 from written_bags import COLOR, FRAMES, START_S, camera_drive, color_image, depth_mm, halves, write_bag
 
-from wheelsight.events import RgbdFrame
-from wheelsight.recordings import ListedFrame, ListsFrames, Recording, find_recordings, open_recording
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.recordings import ListedFrame, ListsFrames, Recording, find_recordings, open_recording
 
 WAYS = {
     "ROS 1": (True, {}),

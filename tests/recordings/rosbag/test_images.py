@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from written_bags import DEPTH, HEIGHT, WIDTH, Messages, color_image, depth_mm, png
 
-from wheelsight.errors import RecordingError
-from wheelsight.recordings.rosbag.images import color_of, depth_of, is_depth
+from wheelsight.core.errors import RecordingError
+from wheelsight.io.recordings.bags.images import color_of, depth_of, is_depth
 
 BAG = Path("drive.bag")
 MAKE = Messages(is_ros1=False)

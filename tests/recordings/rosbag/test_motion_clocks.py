@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from written_bags import COLOR, DEPTH, FOCAL_PX, HEIGHT, OPTICAL, START_S, WIDTH, camera_drive, depth_mm
 
-from wheelsight.events import RgbdFrame, WheelSpeeds, YawRate
-from wheelsight.geometry import ByteArray, FloatArray
-from wheelsight.recordings.inspection import inspect_recording
+from wheelsight.core.geometry import ByteArray, FloatArray
+from wheelsight.core.messages import RgbdFrame, WheelSpeeds, YawRate
+from wheelsight.io.recordings.inspection import inspect_recording
 
 ODOM, IMU = "/odom", "/imu"
 SECONDS = 20.0

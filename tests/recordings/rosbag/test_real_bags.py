@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wheelsight.errors import RecordingError
-from wheelsight.events import WheelSpeeds, YawRate
-from wheelsight.recordings import open_recording
+from wheelsight.core.errors import RecordingError
+from wheelsight.core.messages import WheelSpeeds, YawRate
+from wheelsight.io.recordings import open_recording
 
 pytestmark = pytest.mark.data
 

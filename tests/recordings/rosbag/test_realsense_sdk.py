@@ -12,11 +12,11 @@ from narrowing import not_none
 from rosbags.rosbag1 import Writer
 from written_bags import ROS1, Messages, color_image, stamp_ns
 
-from wheelsight.errors import CalibrationError
-from wheelsight.events import RgbdFrame
-from wheelsight.geometry import FloatArray, PinholeCamera, se3, so3
-from wheelsight.recordings import OpenOptions, open_recording
-from wheelsight.recordings.rosbag.cameras import camera_of
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.geometry import FloatArray, PinholeCamera, se3, so3
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.recordings import OpenOptions, open_recording
+from wheelsight.io.recordings.bags.images import camera_of
 
 SENSORS = {"color": "/device_0/sensor_1/Color_0", "depth": "/device_0/sensor_0/Depth_0"}
 T_COLOR_DEPTH = se3.exp([0.015, -0.0002, 0.0004, 0.003, -0.002, 0.001])

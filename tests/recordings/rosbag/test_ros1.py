@@ -9,8 +9,8 @@ import pytest
 from rosbags.rosbag1 import Reader, Writer
 from written_bags import ROS1, camera_drive, odometry_drive, stamp_ns, write_bag
 
-from wheelsight.errors import RecordingError
-from wheelsight.recordings.rosbag.ros1 import Ros1Reader
+from wheelsight.core.errors import RecordingError
+from wheelsight.io.recordings.bags.storage_formats import Ros1Reader
 
 
 def write_chunks(path: Path, threshold: int) -> Path:

@@ -10,8 +10,7 @@ import pytest
 from rosbags.rosbag2 import Reader
 from written_bags import Drive, camera_drive, odometry_drive, stamp_ns, write_bag
 
-from wheelsight.recordings.rosbag.mcap import McapReader
-from wheelsight.recordings.rosbag.sqlite import SqliteReader
+from wheelsight.io.recordings.bags.storage_formats import McapReader, SqliteReader
 
 SPANS = pytest.mark.parametrize("span_s", [(None, None), (0.5, 1.5), (10.0, None)])
 TOPICS = pytest.mark.parametrize("topics", [("/odom",), ("/odom", "/camera/color/image_raw"), ()])

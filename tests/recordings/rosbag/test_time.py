@@ -19,11 +19,11 @@ from written_bags import (
     depth_mm,
 )
 
-from wheelsight.errors import RecordingError
-from wheelsight.events import RgbdFrame, WheelSpeeds, YawRate
-from wheelsight.recordings.inspection import inspect_recording
-from wheelsight.recordings.rosbag.stamps import TopicClock
-from wheelsight.recordings.rosbag.storage import Message
+from wheelsight.core.errors import RecordingError
+from wheelsight.core.messages import RgbdFrame, WheelSpeeds, YawRate
+from wheelsight.io.recordings.bags.stamps import TopicClock
+from wheelsight.io.recordings.bags.storage import Message
+from wheelsight.io.recordings.inspection import inspect_recording
 
 ODOM, IMU = "/odom", "/imu"
 # 5 Hz is here for its depth received 0.1 s late, 15 for a pause's sake; their images take longest to write.

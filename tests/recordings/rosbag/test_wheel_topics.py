@@ -10,14 +10,15 @@ import pytest
 from narrowing import not_none
 from written_bags import LOOKS_AHEAD, OPTICAL, Drive, camera_drive, circle, odometry_drive
 
-from wheelsight.calibration import Calibration, HolonomicWheels, Wheels, save_calibration
+from wheelsight.app.run import Tone, run_each, verdict_of_run
 from wheelsight.config import Config
-from wheelsight.errors import CalibrationError, ConfigError, RecordingError
+from wheelsight.core.calibration import Calibration, save_calibration
+from wheelsight.core.calibration_parts import HolonomicWheels, Wheels
+from wheelsight.core.errors import CalibrationError, ConfigError, RecordingError
+from wheelsight.core.geometry import se2
+from wheelsight.core.messages import OdometryReading, WheelCounts, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.evaluation import evaluate
-from wheelsight.events import OdometryReading, WheelCounts, WheelSpeeds, WheelTicks, YawRate
-from wheelsight.geometry import se2
-from wheelsight.odometry.wheels import HolonomicOdometry, WheelOdometry
-from wheelsight.pipeline import Tone, run_each, verdict_of_run
+from wheelsight.wheels import HolonomicOdometry, WheelOdometry
 
 OWN = Wheels(0.1, 0.1, 0.4, 1000.0)
 V, W = 0.5, 0.3

@@ -9,11 +9,12 @@ import pytest
 from narrowing import not_none
 from written_bags import START_S, Drive, Messages, camera_drive, circle, odometry_drive
 
-from wheelsight.calibration import Calibration, Wheels, save_calibration
-from wheelsight.errors import CalibrationError, ConfigError, RecordingError
-from wheelsight.events import WheelSpeeds, YawRate
-from wheelsight.odometry.wheels import WheelOdometry
-from wheelsight.recordings.rosbag.wheels import Joints, JointSpeeds, wheel_joints
+from wheelsight.core.calibration import Calibration, save_calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import CalibrationError, ConfigError, RecordingError
+from wheelsight.core.messages import WheelSpeeds, YawRate
+from wheelsight.io.recordings.bags.wheel_readings import Joints, JointSpeeds, wheel_joints
+from wheelsight.wheels import WheelOdometry
 
 LEFT, RIGHT = "left_wheel_joint", "right_wheel_joint"
 OWN = Wheels(0.1, 0.1, 0.4, 1000.0)

@@ -7,15 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wheelsight.errors import ConfigError
-from wheelsight.events import WheelTicks
-from wheelsight.geometry import PinholeCamera
-from wheelsight.simulation.cameras import camera_model
-from wheelsight.simulation.realism import Realism, realism_of, stream, unit_of
-from wheelsight.simulation.realism.control import ControlSettings, balance_of, exposure_of, response
-from wheelsight.simulation.realism.lens import LensSettings, lens_of
-from wheelsight.simulation.realism.pixels import PixelSettings, as_delivered
-from wheelsight.simulation.realism.stamps import StampSettings, as_stamped, exact_times, frame_times
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.geometry import PinholeCamera
+from wheelsight.core.messages import WheelTicks
+from wheelsight_sim import Realism, realism_of, stream, unit_of
+from wheelsight_sim.cameras import camera_model
+from wheelsight_sim.color_sensor import (
+    ControlSettings,
+    LensSettings,
+    PixelSettings,
+    as_delivered,
+    balance_of,
+    exposure_of,
+    lens_of,
+    response,
+)
+from wheelsight_sim.readings import StampSettings, as_stamped, exact_times, frame_times
 
 CAMERA = PinholeCamera(320, 240, 293, 293, 159.5, 119.5)
 

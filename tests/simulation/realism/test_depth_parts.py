@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from small_rooms import looking, room, wall
 
-from wheelsight.geometry import PinholeCamera, se3
-from wheelsight.simulation.realism.depth_distortion import (
+from wheelsight.core.geometry import PinholeCamera, se3
+from wheelsight_sim.appearance import Sunlight, SunlightSettings
+from wheelsight_sim.depth_sensor import (
     DisparityDistortion,
     DisparityDistortionSettings,
     PhaseDistortion,
     PhaseDistortionSettings,
+    Registration,
+    RegistrationSettings,
+    multipath_m,
 )
-from wheelsight.simulation.realism.multipath import multipath_m
-from wheelsight.simulation.realism.registration import Registration, RegistrationSettings
-from wheelsight.simulation.realism.sunlight import Sunlight, SunlightSettings
-from wheelsight.simulation.scene import Scene
-from wheelsight.simulation.view import View
+from wheelsight_sim.scene import Scene, View
 
 CAMERA = PinholeCamera(160, 120, 146, 146, 79.5, 59.5)
 STILL = np.zeros(6)

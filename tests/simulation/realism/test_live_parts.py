@@ -8,17 +8,14 @@ import numpy as np
 import pytest
 from small_rooms import room
 
-from wheelsight.events import WheelTicks, YawRate
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.simulation import Robot
-from wheelsight.simulation.delays import Delays
-from wheelsight.simulation.motors import Motors, MotorSettings
-from wheelsight.simulation.realism import Realism, realism_of, stream
-from wheelsight.simulation.realism.body import BodyMotion, BodySettings
-from wheelsight.simulation.realism.live_body import LiveBodyMotion
-from wheelsight.simulation.realism.stamps import StampSettings, as_stamped
-from wheelsight.trajectory import Trajectory
-from wheelsight.wheel_control import Duties
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.messages import WheelTicks, YawRate
+from wheelsight.core.robots import Duties
+from wheelsight.core.trajectory import Trajectory
+from wheelsight_sim import Realism, Robot, realism_of, stream
+from wheelsight_sim.body_motion import BodyMotion, BodySettings, LiveBodyMotion
+from wheelsight_sim.readings import Delays, StampSettings, as_stamped
+from wheelsight_sim.robot import Motors, MotorSettings
 
 PERIOD_S = 0.005
 CALM = BodySettings(roll_rad_s=(0.0,) * 6, pitch_rad_s=(0.0,) * 6, yaw_rad_s=(0.0,) * 6)

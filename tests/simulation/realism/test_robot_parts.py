@@ -9,19 +9,24 @@ import pytest
 from scipy.signal import bilinear, lfilter, welch
 from small_rooms import room
 
-from wheelsight.areas import Area, AreaMap
-from wheelsight.geometry import FloatArray, se3, so3
-from wheelsight.simulation import Robot, Surface, World, build_world
-from wheelsight.simulation._ground import drag_n
-from wheelsight.simulation.lighting import Lighting
-from wheelsight.simulation.realism import Realism, carriage_of
-from wheelsight.simulation.realism.body import BodyMotion, BodySettings, sprung
-from wheelsight.simulation.realism.floor import Floor, FloorSettings
-from wheelsight.simulation.realism.lights import Lights, LightSettings
-from wheelsight.simulation.realism.mount import MountSettings, mounted
-from wheelsight.simulation.realism.tyres import LoadedRadii, TyreSettings
-from wheelsight.simulation.scene import Scene
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.areas import Area, AreaMap
+from wheelsight.core.geometry import FloatArray, se3, so3
+from wheelsight.core.trajectory import Trajectory
+from wheelsight_sim import Realism, Robot, Surface, World, build_world, carriage_of
+from wheelsight_sim.appearance import Lighting, Lights, LightSettings
+from wheelsight_sim.body_motion import (
+    BodyMotion,
+    BodySettings,
+    Floor,
+    FloorSettings,
+    LoadedRadii,
+    MountSettings,
+    TyreSettings,
+    mounted,
+    sprung,
+)
+from wheelsight_sim.scene import Scene
+from wheelsight_sim.wheelchair import drag_n
 
 QUIET = BodySettings(roll_rad_s=(0.0,) * 6, pitch_rad_s=(0.0,) * 6, yaw_rad_s=(0.0,) * 6)
 CALM = BodySettings(pitch_rad_s2_m=0, roll_rad_s2_m=0)

@@ -9,15 +9,14 @@ import pytest
 from odometry.plain_kernels import plain
 from small_rooms import WHITE, looking, room
 
-from wheelsight.geometry import Float32Array, FloatArray, PinholeCamera
-from wheelsight.simulation import _shadow_kernels as kernels
-from wheelsight.simulation.doors import Doors
-from wheelsight.simulation.drive import Drive
-from wheelsight.simulation.lighting import Lighting
-from wheelsight.simulation.realism.shadows import Shadows, ShadowSettings
-from wheelsight.simulation.scene import Scene
-from wheelsight.simulation.world import Leaf
-from wheelsight.trajectory import Trajectory
+from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera
+from wheelsight.core.trajectory import Trajectory
+from wheelsight_sim import light_kernels as kernels
+from wheelsight_sim.appearance import Lighting, Shadows, ShadowSettings
+from wheelsight_sim.doors import Doors
+from wheelsight_sim.robot import Drive
+from wheelsight_sim.scene import Scene
+from wheelsight_sim.world import Leaf
 
 CAMERA = PinholeCamera(160, 120, 130, 130, 79.5, 59.5)
 LAMP_M, HALF_M = np.array([0.0, 0.0, 2.8]), (0.3, 0.3)

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from wheelsight.calibration import Calibration
-from wheelsight.geometry import PinholeCamera, se3
-from wheelsight.keyframes import Keyframe, KeyframeFeatures, KeyframeId
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import PinholeCamera, se3
+from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId
 from wheelsight.slam import RelativePose
-from wheelsight.slam.sessions import MapFolder, SessionSettings
+from wheelsight.slam.maps import MapFolder, SessionSettings
 
 CAMERA = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
 CALIBRATION = Calibration.registered_camera(CAMERA, source="made up")

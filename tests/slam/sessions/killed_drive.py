@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from sessions.kept_views import CALIBRATION, keyframe, pose
 
-from wheelsight.estimates import Estimate, Status
-from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeId, KeyframeStore
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import KeyframeId, KeyframeStore
+from wheelsight.core.settings import FernSettings, RecognitionSettings
 from wheelsight.places.recognition import Recognizer
-from wheelsight.settings import FernSettings, RecognitionSettings
-from wheelsight.slam.sessions import MapFolder, MapWriter, SessionSettings
+from wheelsight.slam.maps import MapFolder, MapWriter, SessionSettings
 
 # Two keyframes a second are what a drive makes at most; here a second takes less.
 KEYFRAMES_A_SECOND, SECONDS_A_SECOND = 2, 5

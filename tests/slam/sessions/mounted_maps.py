@@ -8,9 +8,9 @@ import numpy as np
 from mapping.floor_scenes import INTRINSICS, ROBOT, depth_of, turning
 from sessions.seen_maps import step
 
-from wheelsight.geometry import FloatArray
-from wheelsight.keyframes import Keyframe, KeyframeStore
-from wheelsight.slam.sessions import MapFolder, MapWriter, SessionSettings
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.keyframes import Keyframe, KeyframeStore
+from wheelsight.slam.maps import MapFolder, MapWriter, SessionSettings
 
 WAY = turning(6)
 

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from wheelsight.keyframes import Keyframe
-from wheelsight.slam.sessions import MapFolder, SessionSettings, journal
-from wheelsight.slam.sessions.images import DepthSteps, grey_numbers, halved
-from wheelsight.slam.sessions.records import Kind
+from wheelsight.core.keyframes import Keyframe
+from wheelsight.slam.maps import MapFolder, SessionSettings, journal
+from wheelsight.slam.maps.keyframes import DepthSteps, grey_numbers, halved
+from wheelsight.slam.maps.records import RecordKind
 
 
 def packed(keyframe: Keyframe, steps: DepthSteps, settings: SessionSettings) -> bytes:
@@ -41,5 +41,5 @@ def write_old(path: Path, like: MapFolder) -> None:
         patch.setattr(journal, "VERSION", 1)
         writer = journal.JournalWriter(path / "keyframes-00000.journal")
         for number, keyframe in keyframes.items():
-            writer.append(Kind.FIRST_KEYFRAME, number, packed(keyframe, steps, like.settings))
+            writer.append(RecordKind.FIRST_KEYFRAME, number, packed(keyframe, steps, like.settings))
         writer.close()

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from places.seen_room import EXACT, kept, ring, seen
 
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import KeyframeId
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import KeyframeId
 from wheelsight.slam import RelativePose
-from wheelsight.slam.sessions import MapFolder
+from wheelsight.slam.maps import MapFolder
 
 RING = ring(16)
 SIGMAS = np.array([0.01, 0.01, 0.01, 0.005, 0.005, 0.005])

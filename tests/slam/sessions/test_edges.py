@@ -6,10 +6,10 @@ import numpy as np
 from numpy.testing import assert_allclose
 from sessions.kept_views import SETTINGS, pose
 
-from wheelsight.estimates import Estimate, Status
-from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeId
-from wheelsight.slam.sessions import SeenKeyframe, odometry_edge
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.slam.maps import SeenKeyframe, odometry_edge
 
 T_KEYFRAME_BODY = se3.exp([0.1, -0.2, 0.05, 0.3, 0.1, -0.2])
 

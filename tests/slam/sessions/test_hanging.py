@@ -9,7 +9,7 @@ import numpy as np
 from numpy.testing import assert_array_equal
 from sessions.kept_views import CALIBRATION, SETTINGS, edge, keyframe, pose
 
-from wheelsight.slam.sessions import MapFolder, lie_together
+from wheelsight.slam.maps import MapFolder, lie_together
 
 
 def written(path: Path, ends: list[tuple[int, int]], count: int, sigma: float = 0.01) -> MapFolder:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from sessions.kept_views import CALIBRATION, CAMERA
 
-from wheelsight.calibration import Calibration
-from wheelsight.errors import MapError
-from wheelsight.slam.sessions import MapFolder
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import MapError
+from wheelsight.slam.maps import MapFolder
 
 
 def test_a_map_of_another_camera_is_told(written: Path) -> None:

@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from wheelsight.calibration import DepthNoise
-from wheelsight.errors import MapError
-from wheelsight.slam.sessions import images
-from wheelsight.slam.sessions.images import DepthSteps, grey_numbers, grey_of
+from wheelsight.core.calibration_parts import DepthNoise
+from wheelsight.core.errors import MapError
+from wheelsight.slam.maps import keyframes as images
+from wheelsight.slam.maps.keyframes import DepthSteps, grey_numbers, grey_of
 
 
 @given(

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from sessions.kept_views import CALIBRATION, edge, keyframe, pose, write_map
 
-from wheelsight.errors import MapError
-from wheelsight.slam.sessions import MapFolder, find_map, info_of
+from wheelsight.core.errors import MapError
+from wheelsight.slam.maps import MapFolder, find_map, info_of
 
 
 def test_figures_of_a_map(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ from full_disk import FullDisk
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.errors import MapError, OutputError
-from wheelsight.slam.sessions.journal import FIRST_RECORD, HEAD_BYTES, VERSION, JournalWriter, read_journal, read_record
+from wheelsight.core.errors import MapError, OutputError
+from wheelsight.slam.maps.journal import FIRST_RECORD, HEAD_BYTES, VERSION, JournalWriter, read_journal, read_record
 
 CONTENTS = (b"first", b"", b"\xf5WSR" * 9, bytes(range(256)))
 SIZES = [HEAD_BYTES + len(content) for content in CONTENTS]
@@ -155,6 +155,6 @@ def test_marks_alone_are_not_all_gone_through(tmp_path: Path) -> None:
 
 def test_more_records_than_a_writer_leaves_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written(tmp_path / "a.journal")
-    monkeypatch.setattr("wheelsight.slam.sessions.journal._MOST_RECORDS", len(CONTENTS) - 1)
+    monkeypatch.setattr("wheelsight.slam.maps.journal._MOST_RECORDS", len(CONTENTS) - 1)
     with pytest.raises(MapError, match="holds more than 3 records"):
         read_journal(tmp_path / "a.journal")

@@ -8,10 +8,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sessions.kept_views import COUNT, keyframe, pose
 from sessions.old_keyframes import write_old
 
-from wheelsight.errors import ArgumentError, MapError
-from wheelsight.keyframes import KeyframeId
-from wheelsight.slam.sessions import MapFolder, SessionSettings
-from wheelsight.slam.sessions.journal import HEAD_BYTES, read_journal
+from wheelsight.core.errors import ArgumentError, MapError
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.slam.maps import MapFolder, SessionSettings
+from wheelsight.slam.maps.journal import HEAD_BYTES, read_journal
 
 
 def last_graph(path: Path) -> Path:

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from sessions.kept_views import COUNT
 
-from wheelsight.errors import MapError
-from wheelsight.slam.sessions import MapFolder, discard_map
+from wheelsight.core.errors import MapError
+from wheelsight.slam.maps import MapFolder, discard_map
 
 
 def test_two_writers_never_write_one_map(copied: Path) -> None:

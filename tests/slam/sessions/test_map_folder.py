@@ -14,14 +14,14 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sessions.kept_views import CALIBRATION, COUNT, SETTINGS, edge, keyframe, pose
 from sessions.old_keyframes import write_old
 
-from wheelsight.errors import ArgumentError, MapError, OutputError
-from wheelsight.keyframes import KeyframeId
+from wheelsight.core.errors import ArgumentError, MapError, OutputError
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.core.settings import FernSettings, RecognitionSettings
 from wheelsight.mapping import SurfelMap, Surfels
 from wheelsight.places.recognition import Recognizer
-from wheelsight.settings import FernSettings, RecognitionSettings
-from wheelsight.slam.sessions import MapFolder, discard_map, records
-from wheelsight.slam.sessions.journal import FIRST_RECORD, HEAD_BYTES, JournalWriter, read_journal
-from wheelsight.slam.sessions.records import Kind, Place
+from wheelsight.slam.maps import MapFolder, discard_map, records
+from wheelsight.slam.maps.journal import FIRST_RECORD, HEAD_BYTES, JournalWriter, read_journal
+from wheelsight.slam.maps.records import Place, RecordKind
 
 
 def test_a_map_comes_back(written: Path) -> None:
@@ -241,11 +241,11 @@ def test_numbers_beyond_reason_ask_for_no_memory(copied: Path) -> None:
     number = 4_999_999
     graph, keyframes = JournalWriter(copied / "graph-00001.journal"), JournalWriter(copied / "keyframes-00009.journal")
     _, old = read_journal(copied / "keyframes-00000.journal").records[0]
-    keyframes.append(Kind.KEYFRAME, number, bytes(old))
-    keyframes.append(Kind.KEYFRAME, 1 << 60, b"")
+    keyframes.append(RecordKind.KEYFRAME, number, bytes(old))
+    keyframes.append(RecordKind.KEYFRAME, 1 << 60, b"")
     for key in (number, 1 << 61):
-        graph.append(Kind.PLACE, key, records.pack_place(Place(1.0, pose(0))))
-    graph.append(Kind.POSES, 0, records.pack_poses([number], pose(0)[None]))
+        graph.append(RecordKind.PLACE, key, records.pack_place(Place(1.0, pose(0))))
+    graph.append(RecordKind.POSES, 0, records.pack_poses([number], pose(0)[None]))
     graph.close()
     keyframes.close()
     found = MapFolder.open(copied)
@@ -254,7 +254,7 @@ def test_numbers_beyond_reason_ask_for_no_memory(copied: Path) -> None:
     assert (health.dropped, health.missing, health.beyond, health.is_whole) == (2, (), (number,), False)
     assert health.notes[-1] == f"Keyframes of impossible numbers are left out: {number}."
     graph = JournalWriter(copied / "graph-00002.journal")
-    graph.append(Kind.EDGES, 1 << 40, records.pack_edges([edge(0, 1)]))
+    graph.append(RecordKind.EDGES, 1 << 40, records.pack_edges([edge(0, 1)]))
     graph.close()
     with pytest.raises(MapError, match=r"graph-00002\.journal: its record at byte 16 holds edge 1099511627776"):
         MapFolder.open(copied)
@@ -265,8 +265,8 @@ def test_edges_of_high_numbers_take_the_room_of_few(copied: Path) -> None:
     graph = JournalWriter(copied / "graph-00001.journal")
     for _ in range(100):
         for first in (4_000_000, 0):
-            graph.append(Kind.EDGES, first, records.pack_edges([edge(0, 1)]))
-    graph.append(Kind.WITHDRAWN, 0, records.pack_numbers([4_000_000, -1]))
+            graph.append(RecordKind.EDGES, first, records.pack_edges([edge(0, 1)]))
+    graph.append(RecordKind.WITHDRAWN, 0, records.pack_numbers([4_000_000, -1]))
     graph.close()
     found = MapFolder.open(copied).contents
     assert (len(found.edges), found.edge_count) == (COUNT - 1, 4_000_001)
@@ -294,7 +294,7 @@ def test_other_files_with_names_like_a_journal_are_none(copied: Path, digits: st
 
 
 def test_a_long_graph_goes_into_several_journals(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("wheelsight.slam.sessions.map_folder._GRAPH_RECORDS", 2)
+    monkeypatch.setattr("wheelsight.slam.maps.folder._GRAPH_RECORDS", 2)
     folder = MapFolder.open(copied, read_only=False)
     for number in range(5):
         folder.append_edges([edge(number, number + 2)])

@@ -12,12 +12,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 from places.seen_room import EXACT, kept, seen
 from sessions.seen_maps import RING, SIGMAS, aside, step, write_seen
 
-from wheelsight.calibration import Calibration
-from wheelsight.errors import MapError, OutputError
-from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeId
-from wheelsight.slam.sessions import MapFolder, MergedMap, info_of, lie_together, merge
-from wheelsight.slam.sessions.journal import read_journal
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import MapError, OutputError
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.slam.maps import MapFolder, MergedMap, info_of, lie_together, merge
+from wheelsight.slam.maps.journal import read_journal
 
 MONDAY = RING[:6]
 TUESDAY = [aside(T, 0.06) for T in RING[2:9]]

@@ -13,12 +13,12 @@ from sessions.kept_views import write_map
 from sessions.mounted_maps import WAY, drive, view
 from sessions.seen_maps import RING, aside, step, write_seen
 
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import KeyframeId, KeyframeStore
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import KeyframeId, KeyframeStore
+from wheelsight.core.settings import FernSettings, RecognitionSettings
+from wheelsight.io.ros_map import FREE, OCCUPIED, read_ros_map
 from wheelsight.mapping import CellKind, EditKind, MapEdit, MapEdits, OccupancyMapper, OccupancySettings
-from wheelsight.ros_map import FREE, OCCUPIED, read_ros_map
-from wheelsight.settings import FernSettings, RecognitionSettings
-from wheelsight.slam.sessions import (
+from wheelsight.slam.maps import (
     MapFolder,
     MapWriter,
     SessionSettings,
@@ -30,7 +30,7 @@ from wheelsight.slam.sessions import (
     prune,
     rebuild,
 )
-from wheelsight.slam.sessions.journal import read_journal
+from wheelsight.slam.maps.journal import read_journal
 
 RECOGNITION = RecognitionSettings(ferns=FernSettings(ferns=64))
 FILES = {"occupancy.pgm", "occupancy.yaml"}

@@ -12,11 +12,11 @@ from places.seen_room import EXACT, kept, seen
 from sessions.kept_views import write_map
 from sessions.seen_maps import RING, SIGMAS, aside, step
 
-from wheelsight.errors import MapError, OutputError
-from wheelsight.geometry import FloatArray, se3
-from wheelsight.keyframes import KeyframeId
+from wheelsight.core.errors import MapError, OutputError
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import KeyframeId
 from wheelsight.slam import RelativePose
-from wheelsight.slam.sessions import MapFolder, fused_anew, info_of, prune
+from wheelsight.slam.maps import MapFolder, fused_anew, info_of, prune
 
 # The second time it goes on where the first one ends.
 WAY = [*RING[:5], *(aside(T, 0.03) for T in RING[:7])]

@@ -9,11 +9,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from sessions.kept_views import CALIBRATION, INTRINSICS, SETTINGS, edge, write_map
 
-from wheelsight.errors import MapError
-from wheelsight.geometry import se3
-from wheelsight.keyframes import Keyframe, KeyframeId
-from wheelsight.settings import FernSettings, RecognitionSettings
-from wheelsight.slam.sessions import MapFolder, fused_anew, rebuild
+from wheelsight.core.errors import MapError
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import Keyframe, KeyframeId
+from wheelsight.core.settings import FernSettings, RecognitionSettings
+from wheelsight.slam.maps import MapFolder, fused_anew, rebuild
 
 RECOGNITION = RecognitionSettings(ferns=FernSettings(ferns=64))
 WALL_M = 2.0

@@ -9,12 +9,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from sessions.kept_views import CAMERA, INTRINSICS, SETTINGS, edge, keyframe, pose
 
-from wheelsight.calibration import DepthNoise
-from wheelsight.errors import MapError
-from wheelsight.keyframes import Keyframe, KeyframeFeatures
-from wheelsight.slam.sessions import SessionSettings, keyframe_records, records
-from wheelsight.slam.sessions.images import DepthSteps
-from wheelsight.slam.sessions.records import Place
+from wheelsight.core.calibration_parts import DepthNoise
+from wheelsight.core.errors import MapError
+from wheelsight.core.keyframes import Keyframe, KeyframeFeatures
+from wheelsight.slam.maps import SessionSettings, records
+from wheelsight.slam.maps import keyframes as keyframe_records
+from wheelsight.slam.maps.keyframes import DepthSteps
+from wheelsight.slam.maps.records import Place
 
 NOISE = DepthNoise()
 STEPS = DepthSteps.of_noise(NOISE, SETTINGS.depth_sigmas)

@@ -20,12 +20,11 @@ from sessions.kept_views import CALIBRATION, COUNT, write_map
 from sessions.mounted_maps import WAY, drive
 from sessions.seen_maps import RING, aside, write_seen
 
-from wheelsight.errors import MapError, OutputError
-from wheelsight.settings import FernSettings, RecognitionSettings
-from wheelsight.slam.sessions import DRIVE, MapFolder, discard_map, find_map, info_of, merge, prune, rebuild
-from wheelsight.slam.sessions.header import MERGE, read_header
-from wheelsight.slam.sessions.journal import JournalWriter, Record
-from wheelsight.slam.sessions.lock import MapLock
+from wheelsight.core.errors import MapError, OutputError
+from wheelsight.core.settings import FernSettings, RecognitionSettings
+from wheelsight.slam.maps import DRIVE, MapFolder, discard_map, find_map, info_of, merge, prune, rebuild
+from wheelsight.slam.maps.folder import MapLock
+from wheelsight.slam.maps.journal import MERGE, JournalWriter, Record, read_header
 
 RECOGNITION = RecognitionSettings(ferns=FernSettings(ferns=64))
 EVENTS = ("open", "os.rename", "os.remove", "os.mkdir", "os.rmdir")

@@ -16,15 +16,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sessions.kept_views import CALIBRATION, SETTINGS, edge, keyframe, pose
 from sessions.killed_drive import KEYFRAMES_A_SECOND
 
-from wheelsight.estimates import Estimate, Status
-from wheelsight.geometry import se3
-from wheelsight.keyframes import KeyframeId, KeyframeStore
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import KeyframeId, KeyframeStore
+from wheelsight.core.settings import FernSettings, RecognitionSettings
 from wheelsight.mapping import SurfelMap
-from wheelsight.settings import FernSettings, RecognitionSettings
-from wheelsight.slam.sessions import MapFolder, MapWriter, SessionSettings
-from wheelsight.slam.sessions.journal import read_journal
-from wheelsight.slam.sessions.records import Kind, unpack_poses
-from wheelsight.slam.sessions.writer import THREAD
+from wheelsight.slam.maps import MapFolder, MapWriter, SessionSettings
+from wheelsight.slam.maps.journal import read_journal
+from wheelsight.slam.maps.records import RecordKind, unpack_poses
+from wheelsight.slam.maps.writer import THREAD
 
 RECOGNITION = RecognitionSettings(ferns=FernSettings(ferns=64))
 PROJECT = Path(__file__).resolve().parents[3]
@@ -115,7 +115,9 @@ def test_poses_that_move_all_the_time_do_not_fill_the_disk(tmp_path: Path) -> No
         writer.look(answer(19))
     writer.close()
     (graph,) = (tmp_path / "map").glob("graph-*")
-    told = [unpack_poses(bytes(held)) for record, held in read_journal(graph).records if record.kind == Kind.POSES]
+    told = [
+        unpack_poses(bytes(held)) for record, held in read_journal(graph).records if record.kind == RecordKind.POSES
+    ]
     while_driving, (last, _) = told[:-1], told[-1]
     assert 0 < sum(len(numbers) for numbers, _ in while_driving) <= 2 * 20
     assert all(7 in numbers for numbers, _ in while_driving)
@@ -208,7 +210,7 @@ def test_whatever_goes_wrong_the_drive_goes_on_and_it_is_told(tmp_path: Path, mo
     def fail(*_: object) -> None:
         raise ZeroDivisionError("nobody thought of this")
 
-    monkeypatch.setattr("wheelsight.slam.sessions.records.pack_place", fail)
+    monkeypatch.setattr("wheelsight.slam.maps.records.pack_place", fail)
     store = KeyframeStore()
     writer = MapWriter(MapFolder.create(tmp_path / "map", CALIBRATION, SETTINGS), store)
     drive(writer, store, 3)

@@ -1,0 +1,28 @@
+"""Many recordings at once: on the cores of this computer, or on many computers; one table of it all."""
+
+from wheelsight.app.batch.batches import PAGE_FILE, TABLE_FILE, Done, run_batch, run_job
+from wheelsight.app.batch.jobs import BatchSettings, Case, Job, Outcome, Plan, named_recordings, plan_of
+from wheelsight.app.batch.pool import run_on_fleet, run_on_processes
+from wheelsight.app.batch.table import Comparison, Row, Spread, compare, read_rows
+
+__all__ = [
+    "PAGE_FILE",
+    "TABLE_FILE",
+    "BatchSettings",
+    "Case",
+    "Comparison",
+    "Done",
+    "Job",
+    "Outcome",
+    "Plan",
+    "Row",
+    "Spread",
+    "compare",
+    "named_recordings",
+    "plan_of",
+    "read_rows",
+    "run_batch",
+    "run_job",
+    "run_on_fleet",
+    "run_on_processes",
+]

@@ -1,0 +1,202 @@
+"""A batch in a few verbs: what is done already, run the rest, keep each, make the table. `run_job` is what every
+process does with a job.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tempfile
+import time
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from contextlib import closing, suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+
+from wheelsight.app.batch.jobs import Job, Outcome, Plan, code_digest, main_track, problem_of
+from wheelsight.app.batch.table import Row, csv_text, markdown_text, rows_of
+from wheelsight.app.run import run_each
+from wheelsight.config import Config
+from wheelsight.core.errors import ConfigError, OutputError
+from wheelsight.core.files import StrPath, make_output_folder, write_text
+from wheelsight.core.inputs import Kind, read_text
+from wheelsight.io.recordings import open_recording
+
+# A batch in a few verbs: what is done already, run the rest, keep each, make the table.
+
+
+TABLE_FILE, PAGE_FILE = "table.csv", "table.md"
+
+
+class Done(NamedTuple):
+    """A step of a batch.
+
+    Attributes:
+        jobs, of_jobs: how many are done, those of an earlier call among them, and of how many.
+        weight, of_weight: bytes of recordings that this call is done with, and has to do in all.
+        outcome, job: what was just done, or None at the beginning.
+    """
+
+    jobs: int
+    of_jobs: int
+    weight: int
+    of_weight: int
+    outcome: Outcome | None
+    job: Job | None
+
+
+def run_batch(
+    plan: Plan,
+    out: StrPath,
+    runner: Callable[[Sequence[Job]], Generator[Outcome]],
+    on_done: Callable[[Done], None] = lambda done: None,
+) -> tuple[Row, ...]:
+    """Run what is not done yet, keep each outcome at once, and write table.csv and table.md at the end.
+
+    Whatever ends it, what was done stays in `out`, and the next call goes on with the rest.
+
+    Args:
+        plan: rows and jobs.
+        out: folder of the batch; made if need be.
+        runner: gives outcomes of jobs as they come, such as `run_on_processes`.
+        on_done: told once before the first job, and after each.
+
+    Raises:
+        OutputError: `out` holds something else, or cannot be written.
+    """
+    kept = KeptOutcomes(out)
+    outcomes = kept.found(plan.jobs)
+    todo = [job for job in plan.jobs.values() if job.id not in outcomes]
+    weight, count = sum(job.weight for job in todo), len(outcomes)
+    left = weight
+    on_done(Done(count, len(plan.jobs), 0, weight, None, None))
+    with closing(runner(todo)) as answers:  # an exception here ends its processes, too
+        for outcome in answers:
+            job = plan.jobs[outcome.job]
+            kept.keep(outcome, job)
+            outcomes[job.id] = outcome
+            left, count = left - job.weight, count + 1
+            on_done(Done(count, len(plan.jobs), weight - left, weight, outcome, job))
+    rows = rows_of(plan.cases, outcomes)
+    write_text(Path(out) / TABLE_FILE, csv_text(rows))
+    write_text(Path(out) / PAGE_FILE, markdown_text(rows))
+    return rows
+
+
+# What is done of a batch: a file a job, so that one that was broken off goes on where it was.
+
+
+JOBS_FOLDER = "jobs"
+_VERSION = 1
+_FILE = Kind("the outcome of a job", most_mb=64)
+
+
+class KeptOutcomes:
+    """Outcomes in a folder: those that ended well, which are not run again, and no others."""
+
+    def __init__(self, folder: StrPath) -> None:
+        """Of a batch's folder; made if need be. Raises OutputError: it holds something that is no batch's."""
+        folder = Path(folder)
+        self._folder = folder / JOBS_FOLDER
+        make_output_folder(folder, force=self._folder.is_dir())
+        make_output_folder(self._folder, force=True)
+
+    def keep(self, outcome: Outcome, job: Job) -> None:
+        """Write it, whole or not at all. Raises OutputError."""
+        if outcome.problem is None:
+            about = {"recording": job.recording, "seed": job.seed, "settings": job.settings}
+            document = {"version": _VERSION, **about, "outcome": asdict(outcome)}
+            write_text(self._path(job.id), json.dumps(document, indent=1) + "\n")
+
+    def found(self, jobs: Iterable[str]) -> dict[str, Outcome]:
+        """Those of these jobs that are done; a file that cannot be read is none, and its job is run again."""
+        found = dict[str, Outcome]()
+        for job in jobs:
+            try:
+                document = json.loads(read_text(self._path(job), _FILE, OutputError))
+                outcome = _outcome(document["outcome"])
+                if document["version"] == _VERSION and outcome.job == job:
+                    found[job] = outcome
+            except (OutputError, ValueError, KeyError, TypeError, RecursionError):
+                continue
+        return found
+
+    def _path(self, job: str) -> Path:
+        return self._folder / f"{job}.json"
+
+
+def _outcome(told: Any) -> Outcome:
+    """One of a job that ended well. Raises TypeError or ValueError for what is none."""
+    outcome = Outcome(**told)
+    figures, numbers = outcome.figures, (int, float, type(None))
+    is_sound = isinstance(figures, dict) and isinstance(outcome.metrics, dict) and outcome.problem is None
+    if not is_sound or not all(isinstance(value, numbers) for value in (*figures.values(), outcome.elapsed_s)):
+        raise ValueError(outcome.job)
+    return outcome
+
+
+# run_job: what every process does with a job, on this computer and on others.
+
+
+_FORGET_PEAK = "5"  # as Linux's proc(5) has it
+
+
+def run_job(job: Job) -> Outcome:
+    """Run a recording; what breaks is an outcome with a problem, never an exception."""
+    began_s = time.perf_counter()
+    try:
+        return _found(job, began_s)
+    except Exception as error:  # the jobs after this one must be run
+        return Outcome(job.id, problem_of(error), elapsed_s=time.perf_counter() - began_s)
+
+
+def _found(job: Job, began_s: float) -> Outcome:
+    if job.code != code_digest():
+        raise ConfigError("this computer has another wheelsight", fix="install the same on all of them")
+    cv2.setNumThreads(1)
+    _forget_peak()
+    config = Config.model_validate(job.settings)
+    recording = open_recording(job.recording, config.recording.open_options())
+    with tempfile.TemporaryDirectory(prefix="wheelsight-") as folder:
+        run_each(recording, config, folder)
+        metrics = json.loads((Path(folder) / "metrics.json").read_text(encoding="utf-8"))
+    peak_mb = _peak_mb()
+    metrics["peak_memory_mb"] = metrics["peak_memory_mb"] if peak_mb is None else peak_mb
+    figures = figures_of(metrics, main_track(config))
+    return Outcome(job.id, figures=figures, metrics=metrics, elapsed_s=time.perf_counter() - began_s)
+
+
+def figures_of(metrics: Mapping[str, Any], track: str) -> dict[str, float | None]:
+    """The figures of a table, of a metrics.json and the track in it that counts."""
+    own = metrics["odometry"][track] if "odometry" in metrics else metrics
+    counts = own["frames"] if "frames" in own else own["wheel_readings"]
+    return {
+        "ate_m": _error(own, "ate_m"),
+        "rpe_m": _error(own, "rpe_per_second_m"),
+        "rpe_deg": _error(own, "rpe_per_second_deg"),
+        "tracked": counts["with_pose_share"],
+        "frame_ms": own["timing"]["frame_median_ms"],
+        "memory_mb": metrics["peak_memory_mb"],
+    }
+
+
+def _error(own: Mapping[str, Any], name: str) -> float | None:
+    found = (own["evaluation"] or {}).get(name)
+    return None if found is None else float(found["rmse"])
+
+
+def _forget_peak() -> None:
+    """A process runs many jobs: from here on its peak of memory is that of the next one, where Linux runs."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text(_FORGET_PEAK)
+
+
+def _peak_mb() -> float | None:
+    """The most memory held since; None where the system does not tell."""
+    with suppress(OSError):
+        found = re.search(r"^VmHWM:\s*(\d+) kB", Path("/proc/self/status").read_text(), re.MULTILINE)
+        return None if found is None else int(found[1]) * 1024 / 1e6
+    return None

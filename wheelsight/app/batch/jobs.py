@@ -1,0 +1,412 @@
+"""Jobs: one recording, one configuration, one seed, named by a digest of all that shapes the outcome. With them
+stand the settings of a batch and Outcome.
+"""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import json
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+from wheelsight.app.run import resolved
+from wheelsight.app.run.verdict import JOINED
+from wheelsight.config import Config, load_config
+from wheelsight.core.errors import ConfigError, WheelsightError
+from wheelsight.core.files import StrPath
+from wheelsight.core.settings import CHOSEN, Settings, setting
+from wheelsight.io.recordings import find_recordings, open_recording
+from wheelsight.slam.settings import FROM_KEYFRAMES, FROM_MATCHES, FROM_NOWHERE
+
+# Jobs: one recording, one configuration, one seed; named by a digest of all that shapes the outcome.
+
+
+DEFAULTS = "defaults"
+"""What a batch without a file of settings calls its only configuration."""
+
+# Settings that name files, by section.
+_FILES = {
+    "recording": ("camera", "calibration"),
+    "places": ("model", "areas"),
+    "known_map": ("path",),
+    "loops": ("source",),
+}
+_NO_FILES = (FROM_NOWHERE, FROM_MATCHES, FROM_KEYFRAMES)
+_SEEDS = 2**32
+_Answer = TypeVar("_Answer")
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What a process is handed.
+
+    Attributes:
+        id: names it; the same recording, settings and code have the same.
+        recording: where it lies, absolute.
+        settings: all of them, as `Config.to_dict` gives them.
+        seed: how far the seeds are from those of the configuration.
+        code: of `code_digest`; another wheelsight must not run it.
+        weight: how many bytes the recording has, for what is left to do.
+    """
+
+    id: str
+    recording: str
+    settings: Mapping[str, Any]
+    seed: int
+    code: str
+    weight: int
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A row of the table: a recording by one configuration.
+
+    Attributes:
+        recording: its name, as much of its path as tells it apart.
+        config: the configuration's.
+        odometry: whose figures count: "joined" where sensors are, else "rectified", else the first that is named.
+        jobs: identities, one a seed.
+        problem: why there are none, or None.
+        chosen: what is followed where the configuration names nothing, such as "wheels,dense"; else empty.
+    """
+
+    recording: str
+    config: str
+    odometry: str = ""
+    jobs: tuple[str, ...] = ()
+    problem: str | None = None
+    chosen: str = ""
+
+
+class Plan(NamedTuple):
+    """All rows, and all jobs by their identity, the longest first: else one process is left with it at the end."""
+
+    cases: tuple[Case, ...]
+    jobs: dict[str, Job]
+
+
+def plan_of(
+    recordings: Sequence[StrPath], configs: Sequence[StrPath], seeds: int, settings: BatchSettings | None = None
+) -> Plan:
+    """Open each recording, resolve each configuration for it, and name what is to be run.
+
+    A recording that cannot be opened, or not be run by a configuration, is a case with a problem.
+
+    Args:
+        recordings: as `named_recordings` gives them.
+        configs: files of settings; of none, the defaults.
+        seeds: how many a case; where nothing is random, one.
+        settings: how files are told apart.
+
+    Raises:
+        ConfigError: a file of settings is wrong for any recording.
+    """
+    paths, given = [Path(path) for path in recordings], [Path(path) for path in configs]
+    files: tuple[Path | None, ...] = tuple(given) or (None,)
+    for file in files:
+        _refuse(load_config(file), file)
+    config_names = [DEFAULTS] if not given else short_names([file.with_suffix("") for file in given])
+    cases, jobs = [], dict[str, Job]()
+    for path, name in zip(paths, short_names(paths), strict=True):
+        digest = _told(partial(digest_of, path, settings))
+        for file, config_name in zip(files, config_names, strict=True):
+            case, made = _case(path, file, Case(name, config_name), digest, seeds)
+            cases.append(case)
+            jobs.update({job.id: job for job in made})
+    return Plan(tuple(cases), dict(sorted(jobs.items(), key=lambda item: -item[1].weight)))
+
+
+def short_names(paths: Sequence[Path]) -> list[str]:
+    """The last part of each path; where two have the same, as many parts as tell them apart."""
+    parts = [path.absolute().parts for path in paths]
+    deepest = max((len(one) for one in parts), default=0)
+    names = list[str]()
+    for own in parts:
+        others = [one for one in parts if one != own]
+        count = next((n for n in range(1, deepest) if all(one[-n:] != own[-n:] for one in others)), deepest)
+        names.append("/".join(own[-count:]))
+    return names
+
+
+def is_random(config: Config) -> bool:
+    """Whether a seed changes anything: RANSAC of features and of recognised places, and the ferns of these."""
+    return "features" in config.odometry or config.loops.source == FROM_KEYFRAMES
+
+
+def seeded(config: Config, seeds: int) -> Iterator[Config]:
+    """The configuration with its own seeds, and with those that follow; only once where nothing is random."""
+    for more in range(seeds if is_random(config) else 1):
+        features = config.features.model_copy(update={"seed": (config.features.seed + more) % _SEEDS})
+        recognition = config.recognition.model_copy(update={"seed": (config.recognition.seed + more) % _SEEDS})
+        yield config.model_copy(update={"features": features, "recognition": recognition})
+
+
+def _refuse(config: Config, file: Path | None) -> None:
+    """Raises ConfigError for what many runs must not do at once."""
+    if config.known_map.extend:
+        raise ConfigError(
+            "known_map.extend: a batch changes no map", path=file, fix="leave it out; or use wheelsight run"
+        )
+
+
+class _Problem(NamedTuple):
+    """Why there is no answer."""
+
+    text: str
+
+
+def _case(path: Path, file: Path | None, case: Case, digest: Digest | _Problem, seeds: int) -> tuple[Case, list[Job]]:
+    found = digest if isinstance(digest, _Problem) else _told(lambda: _jobs(path, file, digest, seeds))
+    if isinstance(found, _Problem):
+        return replace(case, problem=found.text), []
+    config, jobs = found
+    chosen = "" if load_config(file).odometry else ",".join(config.odometry)
+    return replace(case, odometry=main_track(config), chosen=chosen, jobs=tuple(job.id for job in jobs)), jobs
+
+
+def _told(work: Callable[[], _Answer]) -> _Answer | _Problem:
+    """What it answers, or why it cannot."""
+    try:
+        return work()
+    except Exception as error:  # one recording must not end the others
+        return _Problem(problem_of(error))
+
+
+def _jobs(path: Path, file: Path | None, digest: Digest, seeds: int) -> tuple[Config, list[Job]]:
+    """The configuration for it, and a job a seed. Raises InputError where it cannot be run."""
+    config = _resolved(path, file)
+    files = _named_files(config)
+    return config, [_job(path, one, seed, digest, files) for seed, one in enumerate(seeded(config, seeds))]
+
+
+def _resolved(path: Path, file: Path | None) -> Config:
+    """All settings for one recording, its odometry chosen where no file names one; one thread each."""
+    config = load_config(file, {"dense.threads": 1, "surfels.threads": 1})
+    recording = open_recording(path, config.recording.open_options())
+    return _absolute(resolved(recording, config))
+
+
+def _absolute(config: Config) -> Config:
+    """The same, files by their whole paths: another process may stand elsewhere."""
+    changed = {}
+    for section, names in _FILES.items():
+        old = getattr(config, section)
+        values = {name: _whole(getattr(old, name)) for name in names}
+        changed[section] = old.model_copy(update=values)
+    return config.model_copy(update=changed)
+
+
+def _whole(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return tuple(_whole(one) for one in value)
+    return str(Path(value).absolute()) if _is_file(value) else value
+
+
+def _is_file(value: Any) -> bool:
+    return isinstance(value, str) and value not in _NO_FILES and Path(value).exists()
+
+
+def _named_files(config: Config) -> tuple[str, ...]:
+    """Digests of all files that settings name."""
+    found = list[str]()
+    for section, names in _FILES.items():
+        for name in names:
+            value = getattr(getattr(config, section), name)
+            found += [digest_of(one).text for one in _several(value) if _is_file(one)]
+    return tuple(found)
+
+
+def _several(value: Any) -> Iterable[Any]:
+    return value if isinstance(value, tuple) else (value,)
+
+
+def _job(path: Path, config: Config, seed: int, digest: Digest, files: tuple[str, ...]) -> Job:
+    settings, code = config.to_dict(), code_digest()
+    shaping = json.dumps([digest.text, settings, files, code], sort_keys=True)
+    name = hashlib.sha256(shaping.encode()).hexdigest()[:20]
+    return Job(name, str(path.absolute()), settings, seed, code, digest.size)
+
+
+def main_track(config: Config) -> str:
+    """Whose figures count: joined sensors, else wheels that areas rectify, else the odometry that is named first."""
+    tracks = config.tracks
+    return next((track for track in (JOINED, "rectified") if track in tracks), tracks[0])
+
+
+# BatchSettings: what a batch goes by, with the reasons for the defaults.
+
+
+class BatchSettings(Settings):
+    """How recordings are told apart, and when a figure is worse than before.
+
+    Of a batch, not of a run: nothing here changes what a run finds, so it is no part of `Config`.
+    """
+
+    whole_bytes: int = setting(
+        1 << 20,
+        "files up to so many bytes are read whole to tell whether they changed: images and lists are smaller, and a "
+        "run reads them anyway",
+        CHOSEN,
+        ge=1,
+        le=1 << 40,
+    )
+    piece_bytes: int = setting(
+        1 << 16,
+        "of a larger one, such as a bag, its beginning, middle and end of so many bytes are, with its size and when it "
+        "was written",
+        CHOSEN,
+        ge=1,
+        le=1 << 30,
+    )
+    tries: int = setting(
+        2,
+        "a job whose process was killed is run so many times in all: memory may have been short by chance",
+        CHOSEN,
+        ge=1,
+        le=10,
+    )
+    tolerance: float = setting(
+        0.1, "share by which a figure may be worse than the baseline's", "asked for by issue 34", ge=0, le=100
+    )
+    least_error: float = setting(
+        1e-4,
+        "an error that grew by less is not worse, metres or degrees: two versions of a library differ so",
+        CHOSEN,
+        ge=0,
+        le=1,
+    )
+    least_share: float = setting(
+        0.005, "likewise, of the share of frames with a pose: a frame or two of a short recording", CHOSEN, ge=0, le=1
+    )
+    connect_s: float = setting(10.0, "how long a scheduler may take to answer, seconds", CHOSEN, gt=0, le=3600)
+
+
+# Which recordings are meant, and a digest that changes when one of their files does.
+
+
+_PACKAGE = Path(__file__).resolve().parents[2]
+
+
+class Digest(NamedTuple):
+    """Of files: text that stands for their content, and how many bytes they have."""
+
+    text: str
+    size: int
+
+
+def named_recordings(names: Sequence[str]) -> tuple[Path, ...]:
+    """Recordings by what a user names: paths, patterns such as "data/2026-*", folders that hold recordings.
+
+    In the order in which they were named, each once. A path at which nothing is stays, so that it is told.
+
+    Raises:
+        ConfigError: a pattern that fits nothing.
+    """
+    found: dict[Path, Path] = {}
+    for name in names:
+        for path in _expanded(name):
+            for recording in _at(path):
+                found.setdefault(recording.resolve(), recording)
+    return tuple(found.values())
+
+
+def _expanded(name: str) -> list[Path]:
+    path = Path(name)
+    if path.exists() or not glob.has_magic(name):
+        return [path]
+    fitting = sorted(Path(one) for one in glob.glob(name, recursive=True))  # noqa: PTH207 - absolute patterns, too
+    if not fitting:
+        raise ConfigError(f"nothing fits {name}", fix="check the pattern")
+    return fitting
+
+
+def _at(path: Path) -> list[Path]:
+    return (find_recordings(path) if path.is_dir() else []) or [path]
+
+
+def digest_of(path: StrPath, settings: BatchSettings | None = None) -> Digest:
+    """Of a file, or of all files below a folder: their names, sizes and content; not where they lie.
+
+    Raises:
+        OSError: something there cannot be read.
+    """
+    root, limits = Path(path), settings or BatchSettings()
+    whole, size = hashlib.sha256(), 0
+    for file in _files(root):
+        about = file.stat()
+        size += about.st_size
+        name = file.relative_to(root).as_posix() if file != root else ""
+        whole.update(f"{name}\0{about.st_size}\0".encode(errors="surrogateescape"))
+        if about.st_size <= limits.whole_bytes:
+            whole.update(hashlib.sha256(file.read_bytes()).digest())
+        else:
+            whole.update(f"{about.st_mtime_ns}\0".encode())
+            for piece in _pieces(file, about.st_size, limits.piece_bytes):
+                whole.update(piece)
+    return Digest(whole.hexdigest(), size)
+
+
+def _files(root: Path) -> Iterable[Path]:
+    if not root.is_dir():
+        return [root]
+    return (path for path in sorted(root.rglob("*")) if path.is_file())
+
+
+def _pieces(file: Path, size: int, length: int) -> Iterator[bytes]:
+    with file.open("rb") as stream:
+        for begin in (0, max(size // 2 - length // 2, 0), max(size - length, 0)):
+            stream.seek(begin)
+            yield stream.read(length)
+
+
+@cache
+def code_digest() -> str:
+    """Of wheelsight's own modules: what one version found is not taken for what another would find."""
+    whole = hashlib.sha256()
+    for path in sorted(_PACKAGE.rglob("*.py")):
+        whole.update(f"{path.relative_to(_PACKAGE).as_posix()}\0".encode())
+        whole.update(path.read_bytes())
+    return whole.hexdigest()
+
+
+# What became of a job: its figures, or why there are none.
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Of one job.
+
+    Attributes:
+        job: its identity.
+        problem: why it broke, one line, or None.
+        is_killed: whether its process ended without a word, rather than the recording being at fault.
+        figures: by their names in `table.FIGURES`; None where one cannot be had, as an ATE without ground truth.
+        metrics: what metrics.json of `wheelsight run` holds.
+        elapsed_s: how long it took.
+    """
+
+    job: str
+    problem: str | None = None
+    is_killed: bool = False
+    figures: Mapping[str, float | None] = field(default_factory=dict)
+    metrics: Mapping[str, Any] = field(default_factory=dict)
+    elapsed_s: float = 0.0
+
+
+def problem_of(error: BaseException) -> str:
+    """One line for a table: what a user did wrong, what the system refused, or where a bug showed."""
+    if isinstance(error, WheelsightError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return "memory ran out"
+    if isinstance(error, OSError):
+        where = "" if error.filename is None else f"{error.filename}: "
+        return f"{where}{error.strerror or error}"
+    last = traceback.extract_tb(error.__traceback__)[-1:]
+    where = "".join(f" ({Path(frame.filename).name}:{frame.lineno})" for frame in last)
+    return f"a bug: {type(error).__name__}: {' '.join(str(error).split())}{where}"

@@ -1,0 +1,263 @@
+"""Runs jobs on processes of this computer, or on the workers of a Dask scheduler. A process that is killed takes no
+other with it.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import tempfile
+from collections import Counter, deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from pathlib import Path
+from typing import Any, Protocol
+
+from wheelsight.app.batch.jobs import Job, Outcome, problem_of
+from wheelsight.app.batch.worker import serve
+from wheelsight.core.errors import DeviceError
+from wheelsight.core.files import StrPath
+from wheelsight.core.runtime import needed
+
+# Processes of this computer that run jobs, one each at a time; one that is killed takes no other with it.
+
+
+_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_END_S = 10.0
+
+
+class Work(Protocol):
+    """A function of a module, which another process can import."""
+
+    def __call__(self, job: Job, /) -> Outcome:
+        """Runs it."""
+
+
+@dataclass(slots=True)
+class _Worker:
+    """A process, the way to it, what it runs, and where its stderr goes."""
+
+    process: SpawnProcess
+    connection: Connection
+    log: Path
+    job: Job | None = None
+
+
+def run_on_processes(
+    jobs: Sequence[Job],
+    processes: int,
+    work: Work,
+    scratch: StrPath,
+    *,
+    tries: int = 2,
+    on_death: Callable[[Job, str], None] = lambda job, why: None,
+) -> Generator[Outcome]:
+    """Outcomes as they come; however the iteration ends, no process is left.
+
+    Ctrl-C and the end of a terminal reach this process alone, which ends the others.
+
+    Args:
+        jobs: in this order.
+        processes: how many at once.
+        work: what each does with a job.
+        scratch: folder for what they write meanwhile.
+        tries: how often a job is run whose process dies, each time in another one.
+        on_death: told of each job whose process died but is tried again, and how it died.
+    """
+    waiting, tried, workers = deque(jobs), Counter[str](), list[_Worker]()
+    try:
+        while waiting or any(worker.job is not None for worker in workers):
+            _hand_out(waiting, workers, processes, lambda: _start(work, Path(scratch)))
+            for worker in _heard(workers):
+                job, outcome = _take(worker)
+                if outcome is None:
+                    workers.remove(worker)
+                    why = _why_dead(worker)
+                    tried[job.id] += 1
+                    if tried[job.id] < tries:
+                        waiting.appendleft(job)
+                        on_death(job, why)
+                        continue
+                    outcome = Outcome(job.id, f"{why}, {_times(tried[job.id])}", is_killed=True)
+                yield outcome
+    finally:
+        for worker in workers:
+            _end(worker)
+
+
+def _heard(workers: Sequence[_Worker]) -> list[_Worker]:
+    """Waits until some of those that have a job have answered, or died."""
+    busy = [worker for worker in workers if worker.job is not None]
+    heard = wait([worker.connection for worker in busy])
+    return [worker for worker in busy if worker.connection in heard]
+
+
+def _hand_out(waiting: deque[Job], workers: list[_Worker], processes: int, start: Callable[[], _Worker]) -> None:
+    """A job to each worker that has none, and new workers as far as there are jobs and cores for them."""
+    for worker in [worker for worker in workers if worker.job is None]:
+        if waiting and not _give(worker, waiting):
+            workers.remove(worker)
+            _end(worker)
+    while waiting and len(workers) < processes:
+        worker = start()
+        workers.append(worker)
+        if not _give(worker, waiting):
+            worker.job = waiting.popleft()  # it died at its start, which counts as the job's
+
+
+def _give(worker: _Worker, waiting: deque[Job]) -> bool:
+    """Hand a worker the next job; False where it has died meanwhile."""
+    try:
+        worker.connection.send(waiting[0])
+    except OSError:
+        return False
+    worker.job = waiting.popleft()
+    return True
+
+
+def _take(worker: _Worker) -> tuple[Job, Outcome | None]:
+    """Of a worker that was heard, its job and the outcome; None where it has died. It is free then."""
+    job, worker.job = worker.job, None
+    assert job is not None
+    try:
+        answer = worker.connection.recv()
+    except (EOFError, OSError):
+        return job, None
+    assert isinstance(answer, Outcome)
+    return job, answer
+
+
+def _start(work: Work, scratch: Path) -> _Worker:
+    context = get_context("spawn")  # forked, it would inherit threads' locks, and kernels being compiled
+    folder = Path(tempfile.mkdtemp(prefix="worker-", dir=scratch))
+    ours, theirs = context.Pipe()
+    process = context.Process(target=serve, args=(theirs, work, str(folder)), daemon=True)
+    with _quiet_and_single():
+        process.start()
+    theirs.close()
+    return _Worker(process, ours, folder / "stderr.txt")
+
+
+@contextmanager
+def _quiet_and_single() -> Iterator[None]:
+    """A process started here gets no Ctrl-C and no SIGHUP from its first moment on; its libraries have one thread each.
+
+    What comes meanwhile comes here right after.
+    """
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGHUP]) if sys.platform != "win32" else None
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+        if held is not None and sys.platform != "win32":
+            signal.pthread_sigmask(signal.SIG_SETMASK, held)
+
+
+def _why_dead(worker: _Worker) -> str:
+    """How a process ended that was to answer."""
+    worker.process.join(_END_S)
+    code = worker.process.exitcode
+    _end(worker)
+    if code is not None and code < 0:
+        name = signal.Signals(-code).name if -code in list(signal.Signals) else f"signal {-code}"
+        hint = ", as the system does where memory runs out" if name == "SIGKILL" else ""
+        return f"its process was killed by {name}{hint}"
+    return f"its process ended with code {code}{_last_line(worker.log)}"
+
+
+def _last_line(log: Path) -> str:
+    lines = log.read_text(encoding="utf-8", errors="replace").split("\n") if log.exists() else []
+    said = [line.strip() for line in lines if line.strip()]
+    return f": {said[-1]}" if said else ""
+
+
+def _times(count: int) -> str:
+    return {1: "once", 2: "twice"}.get(count, f"{count} times")
+
+
+def _end(worker: _Worker) -> None:
+    worker.connection.close()
+    worker.process.kill()
+    worker.process.join(_END_S)
+
+
+# The same jobs on the workers of a Dask scheduler, on as many computers as they are.
+
+
+def run_on_fleet(
+    jobs: Sequence[Job],
+    address: str,
+    work: Work,
+    *,
+    connect_s: float = 10.0,
+    on_note: Callable[[str], None] = lambda note: None,
+) -> Generator[Outcome]:
+    """Outcomes as they come; however the iteration ends, what is not done is taken back.
+
+    A worker that dies takes nothing with it: the scheduler hands its job to another one, as often as its
+    `distributed.scheduler.allowed-failures` says (3 unless set).
+
+    Args:
+        jobs: in this order; workers find recordings and files of settings at the same paths.
+        address: of the scheduler, such as tcp://192.168.1.5:8786.
+        work: what each worker does with a job.
+        connect_s: how long the scheduler may take to answer, seconds.
+        on_note: told what is odd about the workers.
+
+    Raises:
+        ConfigError: the extra `fleet` is missing.
+        DeviceError: no scheduler answers, or it went away.
+    """
+    distributed = needed("distributed")
+    with _client(distributed, address, connect_s) as client:
+        _look_at(client.scheduler_info(n_workers=-1)["workers"], on_note)
+        futures = {
+            client.submit(work, job, key=f"wheelsight-{job.id}", pure=False, priority=-number): job
+            for number, job in enumerate(jobs)
+        }
+        try:
+            for future in distributed.as_completed(list(futures), loop=client.loop):
+                yield _outcome(future, futures[future], distributed)
+        finally:
+            if client.status == "running":
+                client.cancel([future for future in futures if not future.done()])
+
+
+def _client(distributed: Any, address: str, connect_s: float) -> Any:
+    try:
+        return distributed.Client(address, timeout=connect_s, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        fix = "start one: dask scheduler; its address is told then"
+        raise DeviceError(f"no scheduler answers at {address}", fix=fix) from error
+
+
+def _look_at(workers: dict[str, Any], on_note: Callable[[str], None]) -> None:
+    if not workers:
+        on_note("the scheduler has no worker yet; work begins when one comes: dask worker ADDRESS --nthreads 1")
+    elif any(worker["nthreads"] > 1 for worker in workers.values()):
+        on_note("workers run several jobs in one process: memory is theirs together (dask worker … --nthreads 1)")
+
+
+def _outcome(future: Any, job: Job, distributed: Any) -> Outcome:
+    try:
+        answer = future.result()
+    except distributed.KilledWorker as killed:
+        times = killed.allowed_failures + 1
+        return Outcome(job.id, f"{times} workers died while they ran it", is_killed=True)
+    except distributed.CancelledError as error:
+        raise DeviceError("the scheduler went away", fix="start it again; what is done is kept") from error
+    except Exception as error:  # the worker could not even begin: another wheelsight, or none
+        return Outcome(job.id, problem_of(error))
+    assert isinstance(answer, Outcome)
+    return answer

@@ -1,0 +1,256 @@
+"""The table of a batch: a row a recording and configuration, its figures over the seeds. `compare` holds it against
+an earlier one.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import statistics
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from wheelsight.app.batch.jobs import BatchSettings, Case, Outcome
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.files import StrPath
+from wheelsight.core.inputs import Kind, read_text
+
+# The table of a batch: a row a recording and configuration, its figures over the seeds.
+
+
+BROKEN, DONE = "broken", "ok"
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A column of the table.
+
+    Attributes:
+        name: in files, with its unit.
+        title: for people.
+        scale: by which it is multiplied for people.
+        digits: after the point, for people.
+        is_cost: whether it is a matter of the computer, too.
+        grows_better: whether more is better.
+    """
+
+    name: str
+    title: str
+    scale: float = 1.0
+    digits: int = 4
+    is_cost: bool = False
+    grows_better: bool = False
+
+
+FIGURES = (
+    Figure("ate_m", "ATE, m"),
+    Figure("rpe_m", "RPE, m/s"),
+    Figure("rpe_deg", "RPE, °/s", digits=3),
+    Figure("tracked", "posed, %", 100.0, 1, grows_better=True),
+    Figure("frame_ms", "ms", digits=2, is_cost=True),
+    Figure("memory_mb", "MB", digits=0, is_cost=True),
+)
+# 100 000 rows; and a figure that can still be scaled, rounded and compared.
+_FILE = Kind("a table of a batch", most_mb=16, fix="give the table.csv of an earlier --out")
+_LARGEST = 1e15
+_HEAD = ("recording", "config", "odometry", "seeds", "status", "problem")
+
+
+class Spread(NamedTuple):
+    """A figure over the seeds of a row."""
+
+    median: float
+    worst: float
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A recording by one configuration.
+
+    Attributes:
+        recording, config, odometry: as its `Case` names them.
+        seeds: how many ended well.
+        status: DONE; BROKEN; or "2 of 5 broken".
+        problem: the first reason, or "".
+        figures: by name; those that cannot be had are missing.
+    """
+
+    recording: str
+    config: str
+    odometry: str
+    seeds: int
+    status: str
+    problem: str
+    figures: Mapping[str, Spread]
+
+
+def rows_of(cases: Sequence[Case], outcomes: Mapping[str, Outcome]) -> tuple[Row, ...]:
+    """A row a case, of the outcomes of its jobs by their identity."""
+    return tuple(_row(case, [outcomes[job] for job in case.jobs]) for case in cases)
+
+
+def _row(case: Case, outcomes: Sequence[Outcome]) -> Row:
+    well = [outcome for outcome in outcomes if outcome.problem is None]
+    broken = [outcome.problem for outcome in outcomes if outcome.problem is not None]
+    status = DONE if not broken else f"{len(broken)} of {len(outcomes)} broken"
+    if not well:
+        status = BROKEN
+    problem = case.problem or next(iter(broken), "")
+    spreads = {figure.name: _spread(figure, well) for figure in FIGURES}
+    figures = {name: spread for name, spread in spreads.items() if spread is not None}
+    return Row(case.recording, case.config, case.odometry, len(well), status, problem, figures)
+
+
+def _spread(figure: Figure, outcomes: Sequence[Outcome]) -> Spread | None:
+    values = [value for outcome in outcomes if (value := outcome.figures.get(figure.name)) is not None]
+    if not values:
+        return None
+    return Spread(statistics.median(values), min(values) if figure.grows_better else max(values))
+
+
+def shown(figure: Figure, value: float) -> str:
+    """For people: rounded, small times with digits enough to be none of zero."""
+    scaled = figure.scale * value
+    places = -math.floor(math.log10(abs(scaled))) if scaled else 0
+    return f"{scaled:.{max(figure.digits, min(places, 4)) if figure.is_cost else figure.digits}f}"
+
+
+def csv_text(rows: Sequence[Row]) -> str:
+    """All figures in full, which `read_rows` reads back."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*_HEAD, *(f"{figure.name}_{of}" for figure in FIGURES for of in Spread._fields)])
+    for row in rows:
+        spreads = [row.figures.get(figure.name) for figure in FIGURES]
+        values = [value for spread in spreads for value in (("", "") if spread is None else map(repr, spread))]
+        writer.writerow([row.recording, row.config, row.odometry, row.seeds, row.status, row.problem, *values])
+    return text.getvalue()
+
+
+def markdown_text(rows: Sequence[Row]) -> str:
+    """For a page: median, and in brackets the worst where there are several seeds; reasons below."""
+    head = ["recording", "config", "odometry", "seeds", *(figure.title for figure in FIGURES), "status"]
+    lines = [head, ["---"] * 4 + ["---:"] * len(FIGURES) + ["---"]]
+    for row in rows:
+        figures = [_in_brackets(figure, row) for figure in FIGURES]
+        lines.append([row.recording, row.config, row.odometry, str(row.seeds), *figures, row.status])
+    text = "".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |\n" for line in lines)
+    reasons = [f"- {row.recording}, {row.config}: {row.problem}\n" for row in rows if row.problem]
+    return text + ("\n" + "".join(reasons) if reasons else "")
+
+
+def _in_brackets(figure: Figure, row: Row) -> str:
+    spread = row.figures.get(figure.name)
+    if spread is None:
+        return "–"
+    worst = f" ({shown(figure, spread.worst)})" if row.seeds > 1 else ""
+    return f"{shown(figure, spread.median)}{worst}"
+
+
+def read_rows(path: StrPath) -> tuple[Row, ...]:
+    """Rows of an earlier table.csv. Raises ConfigError, with the line, for a file that is none."""
+    path = Path(path)
+    reader = csv.DictReader(io.StringIO(read_text(path, _FILE, ConfigError), newline=""))
+    try:
+        if not {*_HEAD} <= {*(reader.fieldnames or ())}:
+            raise ConfigError("is no table of a batch", path=path, fix=_FILE.fix)
+        return tuple(_read(path, reader))
+    except csv.Error as error:
+        raise ConfigError("is no table of a batch", path=path, fix=_FILE.fix) from error
+
+
+def _read(path: Path, reader: csv.DictReader[str]) -> Iterator[Row]:
+    for cells in reader:
+        try:
+            figures = {figure.name: _spread_in(cells, figure.name) for figure in FIGURES}
+            told = {name: spread for name, spread in figures.items() if spread is not None}
+            own = (cells["recording"], cells["config"], cells["odometry"], int(cells["seeds"]), cells["status"])
+            yield Row(*own, cells["problem"], told)
+        except (TypeError, ValueError) as error:
+            raise ConfigError("holds no numbers where they should be", path=path, line=reader.line_num) from error
+
+
+def _spread_in(cells: Mapping[str, str], name: str) -> Spread | None:
+    values = [cells.get(f"{name}_{of}") or None for of in Spread._fields]
+    told = [float(value) for value in values if value is not None]
+    if not all(abs(value) < _LARGEST for value in told):
+        raise ValueError(name)
+    return Spread(*told) if len(told) == len(values) else None
+
+
+# A batch held against an earlier one: which figures are worse.
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """With a baseline.
+
+    Attributes:
+        worse: a line for each figure that is.
+        unmatched: a line for each row that only one of the two has.
+        compared: how many rows both have.
+    """
+
+    worse: tuple[str, ...]
+    unmatched: tuple[str, ...]
+    compared: int
+
+
+def compare(
+    rows: Sequence[Row],
+    baseline: Sequence[Row],
+    tolerance: float,
+    cost_tolerance: float | None = None,
+    settings: BatchSettings | None = None,
+) -> Comparison:
+    """Hold medians and worst against those of the baseline's row of the same recording and configuration.
+
+    Args:
+        rows: of now.
+        baseline: of before.
+        tolerance: share by which errors may grow, and the share of frames with a pose fall.
+        cost_tolerance: likewise of time and memory; of None they are not judged, since another computer has others.
+        settings: changes that are too small to count.
+    """
+    settings = settings or BatchSettings()
+    now, before = ({(row.recording, row.config): row for row in one} for one in (rows, baseline))
+    worse = [
+        f"{row.recording}, {row.config}: {what}"
+        for key, row in now.items()
+        if key in before
+        for what in _worse(row, before[key], tolerance, cost_tolerance, settings)
+    ]
+    lonely = [f"{', '.join(key)}: not in the baseline" for key in now if key not in before]
+    lonely += [f"{', '.join(key)}: in the baseline alone" for key in before if key not in now]
+    return Comparison(tuple(worse), tuple(lonely), len(now.keys() & before.keys()))
+
+
+def _worse(
+    row: Row, before: Row, tolerance: float, cost_tolerance: float | None, settings: BatchSettings
+) -> Iterator[str]:
+    if not row.seeds:
+        if before.seeds:
+            yield "broken"
+        return
+    for figure in FIGURES:
+        allowed = cost_tolerance if figure.is_cost else tolerance
+        was, found = before.figures.get(figure.name), row.figures.get(figure.name)
+        if allowed is None or was is None:
+            continue
+        if found is None:
+            yield f"no {figure.title} any more"
+            continue
+        for name in Spread._fields:
+            old, new = getattr(was, name), getattr(found, name)
+            if _is_worse(figure, old, new, allowed, settings):
+                yield f"{figure.title} {name} {shown(figure, new)}, was {shown(figure, old)}"
+                break
+
+
+def _is_worse(figure: Figure, old: float, new: float, allowed: float, settings: BatchSettings) -> bool:
+    grown = old - new if figure.grows_better else new - old
+    least = 0.0 if figure.is_cost else settings.least_share if figure.grows_better else settings.least_error
+    return grown > max(least, allowed * abs(old))

@@ -1,0 +1,153 @@
+"""The application: its commands, its version, and what becomes of errors."""
+
+from __future__ import annotations
+
+import logging
+from typing import Annotated, Any
+
+import typer
+
+from wheelsight._version import __version__
+from wheelsight.app.cli import (
+    batch,
+    calibrate,
+    drive,
+    evaluate,
+    export,
+    info,
+    maps,
+    places,
+    record,
+    run,
+    serve,
+    simulate,
+    wheels,
+)
+from wheelsight.app.cli.calibrate_camera import board_board
+from wheelsight.app.cli.compiling import warm_up_warm_up
+from wheelsight.app.cli.console import INPUT_IS_WRONG, Command, Group, prepare_streams, print_error
+from wheelsight.app.cli.run_options import config_config
+from wheelsight.app.cli.wheels import devices_devices
+from wheelsight.core.errors import WheelsightError
+from wheelsight.core.runtime import end_by_signals, exit_code, was_asked
+
+_LOG = logging.getLogger(__name__)
+
+
+class _Commands(Group):
+    """Tells a user's errors in one line; anything else is a bug and keeps its traceback."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """As the panels have them: typer would put all groups last."""
+        return [name for _, commands in _COMMANDS for _, name, _ in commands]
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except WheelsightError as error:
+            _LOG.error("%s", error)
+            print_error(str(error))
+            raise typer.Exit(INPUT_IS_WRONG) from error
+        except RuntimeError as error:
+            if "no locator available" not in str(error):
+                raise
+            print_error("no folder can keep the compiled kernels (set NUMBA_CACHE_DIR to one that you may write to)")
+            raise typer.Exit(INPUT_IS_WRONG) from error
+        except (KeyboardInterrupt, typer.Abort) as ending:
+            if isinstance(ending, typer.Abort) and not was_asked():
+                raise  # the answer to a question
+            print_error("interrupted")
+            raise typer.Exit(exit_code()) from ending
+
+
+app = typer.Typer(
+    cls=_Commands,
+    name="wheelsight",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+# Panels of the help in the order in which a newcomer needs them, and a line about each command.
+_COMMANDS: tuple[tuple[str, tuple[tuple[Any, str, str], ...]], ...] = (
+    (
+        "Run and look",
+        (
+            (info.info, "info", "What is in a recording, and what is wrong with it"),
+            (run.run, "run", "Where the robot or its camera went, a map, a report"),
+            (evaluate.evaluate, "evaluate", "A trajectory against the truth"),
+            (export.export, "export", "A run or its map for other programs"),
+            (simulate.simulate, "simulate", "A drive through a simulated world, with truth"),
+        ),
+    ),
+    (
+        "Record",
+        (
+            (devices_devices, "devices", "Cameras and serial ports that are plugged in"),
+            (record.record, "record", "A camera and wheels as a recording"),
+            (wheels.wheels_app, "wheels", "A wheel controller: monitor, serve, simulate"),
+        ),
+    ),
+    (
+        "Calibrate",
+        (
+            (calibrate.calibrate_app, "calibrate", "Camera, wheels, and where the camera sits"),
+            (board_board, "board", "A board to calibrate cameras by, for a printer"),
+        ),
+    ),
+    (
+        "Maps",
+        (
+            (maps.maps_app, "map", "A map of a run: info, name, export, merge, ..."),
+            (places.places_app, "places", "Areas of a building: label, train, test, predict"),
+        ),
+    ),
+    (
+        "Drive",
+        (
+            (drive.drive, "drive", "A robot goes to places of a map, or explores"),
+            (serve.serve, "serve", "A page to see a robot and lead it"),
+        ),
+    ),
+    ("Many recordings", ((batch.batch, "batch", "Many recordings by several settings, one table"),)),
+    (
+        "Set up",
+        (
+            (warm_up_warm_up, "warm-up", "Compile all kernels, once after installation"),
+            (config_config, "config", "The settings that a run would go by"),
+        ),
+    ),
+)
+for _panel, _commands in _COMMANDS:
+    for _command, _name, _told in _commands:
+        if isinstance(_command, typer.Typer):
+            app.add_typer(_command, name=_name, short_help=_told, rich_help_panel=_panel)
+        else:
+            app.command(_name, cls=Command, short_help=_told, rich_help_panel=_panel)(_command)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"wheelsight {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _about(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Where a wheeled robot is and what its place looks like, from its wheels and a depth camera.
+
+    Begin with [bold]wheelsight run sample --out first[/bold], a recording that comes along. Of yours:
+    [bold]wheelsight info RECORDING[/bold], then [bold]wheelsight run RECORDING --out DIR[/bold].
+    [bold]wheelsight COMMAND --help[/bold] shows examples.
+    """
+
+
+def main() -> None:
+    """The entry point of the command `wheelsight`."""
+    end_by_signals()
+    prepare_streams()
+    app()

@@ -1,0 +1,213 @@
+"""`wheelsight batch`: many recordings by several configurations, one table."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from wheelsight.app.cli.console import INPUT_IS_WRONG
+from wheelsight.app.cli.options import OUTPUT
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.runtime import exit_code
+
+if TYPE_CHECKING:
+    from wheelsight.app.batch import BatchSettings, Row
+
+
+# `wheelsight batch`: many recordings by several configurations, one table.
+
+
+_WORSE = 1
+
+
+def batch(
+    recordings: Recordings,
+    out: Out,
+    config: Configs = None,
+    seeds: Seeds = 1,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    baseline: Baseline = None,
+    tolerance: Tolerance = "10%",
+    cost_tolerance: CostTolerance = None,
+) -> None:
+    """Run many recordings by several configurations, several seeds each: one table of medians and worst.
+
+    A job is a recording, a configuration and a seed, on one thread of a process of its own. What is done stays in DIR:
+    the same command goes on where it was ended. A recording that breaks is a row with its reason; the rest goes on.
+
+    Exit code 0: all is well; 1: figures are worse than the baseline's; 2: something broke.
+
+    [bold]Examples[/bold]
+
+    wheelsight batch data/2026-11-* --out table
+
+    wheelsight batch monday tuesday --config features.yaml --config dense.yaml --seeds 5 --out table
+
+    wheelsight batch data --baseline accepted.csv --tolerance 5% --out table
+
+    wheelsight batch data --scheduler tcp://192.168.1.5:8786 --out table
+    """
+    from wheelsight.app.batch import BatchSettings, named_recordings, plan_of, read_rows
+    from wheelsight.app.cli.batch_run import run_plan, told_of
+    from wheelsight.app.cli.console import print_note
+
+    settings = BatchSettings()
+    allowed = share(tolerance, "--tolerance")
+    allowed_cost = None if cost_tolerance is None else share(cost_tolerance, "--cost-tolerance")
+    before = None if baseline is None else read_rows(baseline)
+    plan = plan_of(named_recordings(recordings), tuple(config or ()), seeds, settings)
+    try:
+        rows = run_plan(plan, out, jobs or cores(), scheduler, settings, told_of(plan, seeds))
+    except KeyboardInterrupt as interruption:
+        print_note(f"interrupted; what is done is kept in {out}, and the same command goes on")
+        raise typer.Exit(exit_code()) from interruption
+    is_broken = _print(rows, out)
+    is_worse = before is not None and _is_worse(rows, before, allowed, allowed_cost, settings)
+    if is_broken or is_worse:
+        raise typer.Exit(INPUT_IS_WRONG if is_broken else _WORSE)
+
+
+def _print(rows: Sequence[Row], out: Path) -> bool:
+    """The table and where it is; whether anything is broken."""
+    from wheelsight.app.batch import PAGE_FILE, TABLE_FILE
+    from wheelsight.app.batch.table import DONE
+    from wheelsight.app.cli.batch_run import batch_table
+    from wheelsight.app.cli.console import console
+
+    stdout = console()
+    stdout.print(batch_table(rows), soft_wrap=False)
+    broken = [row for row in rows if row.status != DONE]
+    for row in broken:
+        stdout.print(f"{row.recording}, {row.config}: {row.status}: {row.problem}")
+    stdout.print(
+        f"{len(rows) - len(broken)} of {len(rows)} rows are whole; table: {out / TABLE_FILE}, {out / PAGE_FILE}"
+    )
+    return bool(broken)
+
+
+def _is_worse(
+    rows: Sequence[Row],
+    before: Sequence[Row],
+    tolerance: float,
+    cost_tolerance: float | None,
+    settings: BatchSettings,
+) -> bool:
+    """Name what is worse than the baseline. Raises ConfigError where nothing can be compared."""
+    from wheelsight.app.batch import compare
+    from wheelsight.app.cli.console import console, print_warning
+    from wheelsight.core.errors import ConfigError
+
+    found = compare(rows, before, tolerance, cost_tolerance, settings)
+    if not found.compared:
+        raise ConfigError("the baseline has none of these recordings and configurations", fix="give another --baseline")
+    for line in found.unmatched:
+        print_warning(line)
+    stdout = console()
+    for line in found.worse:
+        stdout.print(f"worse: {line}")
+    judged = f"{found.compared} rows held against the baseline, {100 * tolerance:g} % allowed"
+    stdout.print(f"{judged}: {len(found.worse) or 'none'} of their figures worse")
+    return bool(found.worse)
+
+
+# The options of `wheelsight batch`.
+
+
+_RUNS, _BASELINE = "What is run", "Against a baseline"
+
+Recordings = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="RECORDING...",
+        help="Recordings, folders that hold some, or patterns such as 'data/2026-*'.",
+        show_default=False,
+    ),
+]
+Out = Annotated[
+    Path,
+    typer.Option(
+        metavar="DIR",
+        help="Folder for the table and what is done; made if need be.",
+        show_default=False,
+        rich_help_panel=OUTPUT,
+    ),
+]
+Configs = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--config",
+        metavar="FILE",
+        help="Settings in YAML. May be given again.",
+        show_default="the defaults alone",
+        rich_help_panel=_RUNS,
+    ),
+]
+Seeds = Annotated[
+    int,
+    typer.Option(
+        min=1, metavar="N", help="Runs of each; where nothing is random, one is made, not N.", rich_help_panel=_RUNS
+    ),
+]
+Jobs = Annotated[
+    int | None,
+    typer.Option(
+        "--jobs", min=1, metavar="N", help="Processes at once.", show_default="one a core", rich_help_panel=_RUNS
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Run on the workers of a Dask scheduler, such as tcp://192.168.1.5:8786.",
+        show_default="on this computer",
+        rich_help_panel=_RUNS,
+    ),
+]
+Baseline = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="CSV",
+        help="table.csv of an earlier batch; what is worse is named.",
+        show_default="none",
+        rich_help_panel=_BASELINE,
+    ),
+]
+Tolerance = Annotated[
+    str,
+    typer.Option(
+        metavar="SHARE",
+        help="By how much errors may grow, and frames with a pose get fewer.",
+        rich_help_panel=_BASELINE,
+    ),
+]
+CostTolerance = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SHARE",
+        help="By how much time and memory may grow; only where the baseline is of the same computer.",
+        show_default="not judged",
+        rich_help_panel=_BASELINE,
+    ),
+]
+
+
+def share(text: str, option: str) -> float:
+    """Of "10%" or "0.1". Raises ConfigError."""
+    try:
+        value = float(text.removesuffix("%").strip()) / (100 if text.endswith("%") else 1)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value >= 0):
+        raise ConfigError(f"{option} is {text}, not a share from 0 up", fix="such as 10% or 0.1")
+    return value
+
+
+def cores() -> int:
+    """How many this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,179 @@
+"""What `wheelsight batch` does once all is known: compile, run, show how far it is and the table."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Generator, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from rich.box import SIMPLE_HEAD
+from rich.progress import ProgressColumn, Task, TextColumn
+from rich.table import Table
+from rich.text import Text
+
+from wheelsight.app.batch import (
+    BatchSettings,
+    Done,
+    Job,
+    Outcome,
+    Plan,
+    Row,
+    run_batch,
+    run_job,
+    run_on_fleet,
+    run_on_processes,
+)
+from wheelsight.app.batch.batches import KeptOutcomes
+from wheelsight.app.batch.table import DONE, FIGURES, Figure, shown
+from wheelsight.app.cli.compiling import compile_missing
+from wheelsight.app.cli.console import print_note
+from wheelsight.app.cli.progress import left_text, progress_line, whole
+from wheelsight.app.run.kernels import parts_of
+from wheelsight.config import Config
+
+# What `wheelsight batch` does once all is known: compile, run, show how far it is.
+
+
+def run_plan(
+    plan: Plan, out: Path, processes: int, scheduler: str | None, settings: BatchSettings, notes: Sequence[str] = ()
+) -> Sequence[Row]:
+    """Rows of the table, with progress on stderr, after some notes; what is done already is not run again."""
+    done = KeptOutcomes(out).found(plan.jobs)  # refuses a folder of something else before anything is compiled
+    for note in notes:
+        print_note(note)
+    if scheduler is None:
+        _compile([job for job in plan.jobs.values() if job.id not in done])
+    with tempfile.TemporaryDirectory(prefix=".scratch-", dir=out) as scratch, BatchProgress() as progress:
+
+        def runner(jobs: Sequence[Job]) -> Generator[Outcome]:
+            if scheduler is not None:
+                return run_on_fleet(jobs, scheduler, run_job, connect_s=settings.connect_s, on_note=progress.tell)
+            tries = settings.tries
+            return run_on_processes(jobs, processes, run_job, Path(scratch), tries=tries, on_death=again)
+
+        def again(job: Job, why: str) -> None:
+            progress.tell(f"{_name(job)}: {why}; it is tried again")
+
+        def show(step: Done) -> None:
+            progress.show(step)
+            if step.job is not None and step.outcome is not None and step.outcome.problem is not None:
+                progress.tell(f"{_name(step.job)}: {step.outcome.problem}")
+
+        for case in plan.cases:
+            if case.problem is not None:
+                progress.tell(f"{case.recording}, {case.config}: {case.problem}")
+        return run_batch(plan, out, runner, show)
+
+
+def told_of(plan: Plan, seeds: int) -> list[str]:
+    """What is run otherwise than a user may expect, and which odometry it is where no configuration names one."""
+    told = []
+    if once := sum(0 < len(case.jobs) < seeds for case in plan.cases):
+        told.append(f"{once} of {len(plan.cases)} rows have nothing random, and are run once")
+    if chosen := Counter(case.chosen for case in plan.cases if case.chosen):
+        found = ", ".join(f"{name} of {count}" for name, count in chosen.most_common())
+        told.append(f"odometry by what a recording has: {found} (odometry: in a --config chooses otherwise)")
+    return told
+
+
+def _compile(jobs: Sequence[Job]) -> None:
+    """What all of them need, once: else each process would compile it by itself."""
+    parts = {part: None for job in jobs for part in parts_of(Config.model_validate(job.settings))}
+    if parts:
+        compile_missing(tuple(parts))
+
+
+def _name(job: Job) -> str:
+    return f"{Path(job.recording).name}, seed +{job.seed}"
+
+
+# What a terminal sees of a batch: how far it is, and its table.
+
+
+class _TimeLeft(ProgressColumn):
+    """By the bytes that are done, which tell long recordings from short ones; it counts down between jobs."""
+
+    def render(self, task: Task) -> Text:
+        """Such as "12:30 left"."""
+        ends_s = task.fields["ends_s"]
+        return Text(left_text(None if ends_s is None else ends_s - time.monotonic()))
+
+
+class BatchProgress:
+    """Jobs, rate, time left and how many are broken, on stderr while its `with` block runs; notes above it."""
+
+    def __init__(self) -> None:
+        self._progress = progress_line(
+            TextColumn("{task.fields[count]}", table_column=whole()),
+            TextColumn("{task.fields[rate]}", table_column=whole()),
+            _TimeLeft(table_column=whole()),
+        )
+        self._task = self._progress.add_task("batch", total=1, count="", rate="", ends_s=None, status="")
+        self._began_s = time.monotonic()
+        self._jobs = self._broken = 0
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._progress.stop()
+
+    def show(self, done: Done) -> None:
+        """A job more is done, or the batch begins."""
+        if done.outcome is None:
+            self._began_s = time.monotonic()
+        else:
+            self._jobs += 1
+            self._broken += done.outcome.problem is not None
+        passed_s = time.monotonic() - self._began_s
+        a_minute = 60 * self._jobs / passed_s if self._jobs and passed_s else None
+        share_left = (done.of_weight - done.weight) / done.weight if done.weight else None
+        self._progress.update(
+            self._task,
+            completed=done.jobs,
+            total=max(done.of_jobs, 1),
+            count=f"{done.jobs}/{done.of_jobs} jobs",
+            rate="" if a_minute is None else f"{a_minute:.1f} jobs/min",
+            ends_s=None if share_left is None else time.monotonic() + passed_s * share_left,
+            status=f"{self._broken} broken" if self._broken else "",
+        )
+
+    def tell(self, note: str) -> None:
+        """A warning, above the line of progress."""
+        self._progress.console.print(Text.assemble(("warning: ", "yellow"), note))
+
+
+def batch_table(rows: Sequence[Row]) -> Table:
+    """Two lines a row: the recording and medians, below them the configuration and the worst of several seeds."""
+    many = any(row.seeds > 1 for row in rows)
+    table = Table(
+        box=SIMPLE_HEAD,
+        caption="upper line: median over seeds; lower line: worst" if many else None,
+        caption_justify="left",
+        caption_style="",
+    )
+    table.add_column("recording\nconfig", min_width=12)  # what may be wrapped gives way, and its lines do not wrap
+    for figure in FIGURES:
+        table.add_column(figure.title.replace(", ", "\n"), justify="right", no_wrap=True)
+    table.add_column("status", overflow="fold", min_width=6)
+    for row in rows:
+        figures = [_two_lines(figure, row) for figure in FIGURES]
+        style = None if row.status == DONE else "red"
+        name = Text(f"{row.recording}\n{row.config}", no_wrap=True, overflow="ellipsis")
+        table.add_row(name, *figures, Text(row.status), style=style)
+    return table
+
+
+def _two_lines(figure: Figure, row: Row) -> str:
+    spread = row.figures.get(figure.name)
+    if spread is None:
+        return "–"
+    worst = f"\n{shown(figure, spread.worst)}" if row.seeds > 1 else ""
+    return f"{shown(figure, spread.median)}{worst}"

@@ -1,0 +1,354 @@
+"""What calibrations are worth, told and saved: squares, mount and wheels, the file's history, and the steps of a
+robot's calibration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from wheelsight.app.cli.console import console, print_warning
+from wheelsight.app.cli.options import open_for
+from wheelsight.app.report.camera_page import mount_rows
+from wheelsight.app.report.wheel_page import HEAD as CALIBRATION_HEAD
+from wheelsight.app.report.wheel_page import error_rows, fit_rows, square_rows
+from wheelsight.core.calibration import NOMINAL, Calibration, Measured, history_of, load_calibration, read_layer
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import CalibrationError, RecordingError
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.inputs import is_there
+from wheelsight.io.recordings import Recording
+from wheelsight.vision.extrinsics import BaseCalibration
+from wheelsight.wheels.calibration import WheelTrial
+from wheelsight.wheels.umbmark import (
+    Umbmark,
+    errors_on_unused_runs_m,
+    read_return_errors,
+    square_run,
+    umbmark,
+    umbmark_from_runs,
+)
+
+if TYPE_CHECKING:
+    from wheelsight.wheels import LoopCause, LoopCheck
+
+
+# What the commands of `wheelsight calibrate` share: squares from either source, results told and saved.
+
+
+@dataclass(frozen=True, eq=False)
+class Squares:
+    """UMBmark with what is told of it: errors that corrected wheels leave, of clockwise and of the other runs.
+
+    `nominal` is what was known before. `unused_m` are mean distances before and after, of each run by wheels corrected
+    without it; None for too few runs.
+    """
+
+    name: str
+    result: Umbmark
+    after_m: tuple[FloatArray, FloatArray]
+    nominal: Calibration
+    unused_m: tuple[float, float] | None = None
+    warnings: tuple[str, ...] = ()
+
+
+def squares_from_table(path: Path, calibration: Sequence[str] | None, side_m: float | None) -> Squares:
+    """From a table of return position errors. Raises CalibrationError where what it needs beside it is missing."""
+    if not calibration or side_m is None:
+        raise CalibrationError("a table tells neither wheels nor side", path=path, fix="add --calibration and --side")
+    nominal = load_calibration(*calibration)
+    result = umbmark(_wheels(nominal), *read_return_errors(path), side_m)
+    return Squares(path.name, result, result.errors_after_m, nominal)
+
+
+def squares_from_recordings(recordings: Sequence[Recording], side_m: float | None) -> Squares:
+    """From recordings of one square each, all of one robot."""
+    nominal = _wheels(recordings[0].calibration)
+    for recording in recordings[1:]:
+        if recording.calibration.wheels != nominal:
+            raise CalibrationError(
+                f"{recording.name} and {recordings[0].name} have different nominal wheels",
+                fix="give those of the robot by --calibration",
+            )
+    runs = [square_run(recording, nominal) for recording in recordings]
+    result = umbmark_from_runs(nominal, runs, side_m)
+    errors = np.array([run.error_m(result.wheels) for run in runs])
+    turns_left = np.array([run.turns_left(nominal) for run in runs])
+    left_out_m = errors_on_unused_runs_m(nominal, runs)
+    unused_m = None
+    if left_out_m is not None:
+        unused_m = (float(np.mean([np.hypot(*run.error_m(nominal)) for run in runs])), float(left_out_m.mean()))
+    name = f"{len(runs)} squares, {runs[0].name} to {runs[-1].name}"
+    told = tuple(dict.fromkeys(warning for recording in recordings for warning in recording.warnings))
+    after_m = (errors[~turns_left], errors[turns_left])
+    return Squares(name, result, after_m, recordings[0].calibration, unused_m, told)
+
+
+def print_trial(trial: WheelTrial, written: str, page: Path | None) -> None:
+    """Wheels and errors before and after, and where the files are."""
+    stdout, fit = console(), trial.fit
+    along, across, turn = fit.spread
+    slips = f"{len(fit.segments)} segments, {int(fit.is_slip.sum())} of them slips or jumps"
+    left = f"{1e3 * along:.1f} mm along, {1e3 * across:.1f} mm across, {np.degrees(turn):.2f}°"
+    stdout.print(table(f"{trial.recording}: wheels", CALIBRATION_HEAD, fit_rows(fit)))
+    stdout.print(f"{slips}; left unexplained in each: {left}")
+    title = f"errors on the {trial.held_out.length_m:.1f} m that the fit did not see, RMSE"
+    stdout.print()
+    stdout.print(table(title, ("", "nominal", "calibrated"), error_rows(trial)))
+    print_end(trial.warnings, written, page)
+
+
+def print_squares(squares: Squares, written: str, page: Path | None) -> None:
+    """The same for UMBmark."""
+    stdout, result = console(), squares.result
+    stdout.print(table(f"{squares.name}: wheels", CALIBRATION_HEAD, square_rows(result)))
+    before_m, after_m = result.largest_error_m, result.largest_error_after_m
+    stdout.print(f"E_max,syst, sides of {result.side_m:.3g} m: {before_m:.3f} m nominal, {after_m:.3f} m corrected")
+    if squares.unused_m is not None:
+        told = "mean error of each run by wheels corrected without it"
+        stdout.print(f"{told}: {squares.unused_m[0]:.3f} m nominal, {squares.unused_m[1]:.3f} m corrected")
+    print_end(squares.warnings, written, page)
+
+
+def print_mount(found: BaseCalibration, written: str, page: Path | None) -> None:
+    """A camera's mount before and after, and where the files are."""
+    stdout, fit = console(), found.fit
+    stdout.print(table(f"{found.recording}: where the camera sits", CALIBRATION_HEAD, mount_rows(found)))
+    pieces = f"{len(fit.segments)} pieces, {int(fit.is_slip.sum())} of them slips or jumps"
+    stdout.print(f"{pieces}; floor seen in {len(found.floor.tilts)} of {found.floor.view_count} views")
+    print_end(found.warnings, written, page)
+
+
+@contextmanager
+def show_steps() -> Iterator[Callable[[str], None]]:
+    """Says on stderr what is being done, where a terminal watches."""
+    stderr = console(stderr=True)
+    if not stderr.is_terminal:
+        yield lambda _: None
+        return
+    with stderr.status("starting") as status:
+        yield lambda step: status.update(step[: stderr.width - 2])
+
+
+def _wheels(calibration: Calibration) -> Wheels:
+    if calibration.wheels is None:
+        problem = f"the calibration ({calibration.source}) {calibration.lacks_two_wheels}"
+        raise CalibrationError(problem, fix="give nominal ones by --calibration")
+    return calibration.wheels
+
+
+def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """A table for a terminal: numbers to the right."""
+    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
+    for column in head:
+        table.add_column(column, justify="right" if column else "left")
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def print_end(warnings: Sequence[str], written: str, page: Path | None) -> None:
+    """What to know, and where the files are."""
+    for warning in warnings:
+        print_warning(warning)
+    console().print(f"calibration: {written}", markup=False)
+    if page is not None:
+        console().print(f"page: {page}", markup=False)
+
+
+# What calibrations are worth, as entries of a calibration file's history, and that history told.
+
+
+HEAD = ("", "by", "what", "figures")
+
+
+def measured_wheels(trial: WheelTrial) -> Measured:
+    """What wheels fitted to a reference are worth, for the history."""
+    before, after = (x.evaluation.ate.translation.rmse for x in (trial.before, trial.after))
+    figures = {"segments": float(len(trial.fit.segments)), "ate_nominal_m": before, "ate_m": after}
+    figures |= {f"sigma {name}": float(value) for name, value in trial.fit.sigmas.items()}
+    return Measured(f"wheels, on {trial.recording}", "calibrate wheels", figures)
+
+
+def measured_squares(squares: Squares) -> Measured:
+    """The same of UMBmark."""
+    before_m, after_m = squares.result.largest_error_m, squares.result.largest_error_after_m
+    figures = {"side_m": squares.result.side_m, "error_nominal_m": before_m, "error_m": after_m}
+    return Measured(f"wheels, by {squares.name}", "calibrate umbmark", figures)
+
+
+def measured_mount(found: BaseCalibration) -> Measured:
+    """The same of a camera's mount."""
+    figures = {"pieces": float(len(found.fit.segments)), "views_with_floor": float(len(found.floor.tilts))}
+    return Measured(f"T_base_camera, on {found.recording}", "calibrate base", figures)
+
+
+def history_rows(history: Sequence[Measured]) -> list[tuple[str, ...]]:
+    """A row an entry, the newest last."""
+    return [
+        (
+            entry.date,
+            entry.command,
+            entry.what,
+            ", ".join(f"{name} {value:.4g}" for name, value in entry.figures.items()),
+        )
+        for entry in history
+    ]
+
+
+# The steps of a robot's calibration, what each needs, and how a loop shows what they are worth.
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One part of a robot's calibration: whether it was measured, what is known of it, how to measure it.
+
+    Attributes:
+        is_done: whether a calibration of ours measured it.
+        is_known: whether the file has values of it, a ruler's or the maker's at least.
+        told: what those values are.
+    """
+
+    name: str
+    is_done: bool
+    is_known: bool
+    told: str
+    how: str
+    commands: tuple[str, ...]
+
+    @property
+    def state(self) -> str:
+        """In a word or two."""
+        return "measured" if self.is_done else "not measured" if self.is_known else "missing"
+
+
+def steps_of(file: Path) -> tuple[list[Step], tuple[Measured, ...]]:
+    """The steps in their order, and what was measured so far. Raises CalibrationError for a file that is none."""
+    known: dict[str, Any] = read_layer(file) if is_there(file) else {}
+    history = history_of(known)
+    by = {entry.command for entry in history}
+    force = " --force" if known else ""
+    return [
+        _camera(file, known, by, force),
+        _mount(file, known, by, force),
+        _robot_steps_wheels(file, known, by, force),
+    ], history
+
+
+def _camera(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
+    is_done = "calibrate camera" in by and "color" in known
+    is_known = "color" in known
+    told = "lenses, T_color_depth and depth_error, by a board" if is_done else "lenses as the maker has them"
+    how = (
+        "Print the board, measure the line on it, glue it to something flat. 20 to 40 views with all still: near and "
+        "far, tilted each way, in every corner of the image."
+    )
+    commands = (
+        "wheelsight board --out board.pdf",
+        f"wheelsight calibrate camera --camera any --board 9x6:25mm --plate --out {file}{force}",
+    )
+    return Step("camera", is_done, is_known, told if is_known else "a live camera's maker says them", how, commands)
+
+
+def _mount(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
+    is_done = "calibrate base" in by and "T_base_camera" in known
+    is_known = "T_base_camera" in known
+    told = "T_base_camera, found on a drive" if is_done else "T_base_camera, by a ruler" if is_known else "none"
+    how = (
+        "Drive two minutes over a flat floor that the camera sees: straight, turns both ways, some on the spot, stops "
+        "between. Wheels by a ruler will do."
+    )
+    given = f" --calibration {file}" if known else ""
+    if not _has_wheels(known):
+        given += " --calibration nominal.yaml"
+    return Step("mount", is_done, is_known, told, how, (f"wheelsight calibrate base DRIVE{given} --out {file}{force}",))
+
+
+def _robot_steps_wheels(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
+    is_done = bool({"calibrate wheels", "calibrate umbmark"} & by) and "wheels" in known
+    is_known = _has_wheels(known)
+    told = "radii, track width, delay" if is_done else "by a data sheet or a ruler" if is_known else "none"
+    # The camera's way tells of the wheels once it is known where on the robot the camera sits.
+    how = "The same drive, or another of some minutes: straight, turns both ways, some on the spot, stops between."
+    commands = (
+        f"wheelsight run DRIVE --odometry dense --calibration {file} --out visual",
+        f"wheelsight calibrate wheels DRIVE --reference visual/trajectory.txt --calibration {file} --out {file}{force}",
+    )
+    return Step("wheels", is_done, is_known, told, how, commands)
+
+
+def _has_wheels(known: dict[str, Any]) -> bool:
+    return "wheels" in known or "wheels" in known.get(NOMINAL, {})
+
+
+def loop_check(folder: Path, file: Path, topics: Sequence[str] | None) -> tuple[tuple[str, ...], bool]:
+    """What the wheels make of a drive that ends where it began, in lines, and whether a calibrated robot's does so.
+
+    Raises:
+        InputError: a recording without wheels, or a drive too short to tell.
+    """
+    from wheelsight.estimation import ErrorStateSettings
+    from wheelsight.wheels import check_loop, drive_of, with_sigmas
+
+    source = open_for(folder, [str(file)], topics)
+    if source.calibration.holonomic is not None:
+        raise RecordingError(source.calibration.lacks_two_wheels, path=folder, fix="a robot with two driven wheels")
+    if source.calibration.wheels is None:
+        raise RecordingError("has no wheels, and FILE tells none", path=folder, fix="calibrate the wheels first")
+    likely = ErrorStateSettings()
+    wheels = with_sigmas(source.calibration.wheels, likely.scale_sigma, likely.drift_sigma_rad_per_m, likely.turn_sigma)
+    try:
+        found = check_loop(drive_of(source, wheels), wheels)
+    except CalibrationError as error:
+        raise RecordingError(error.problem, path=folder, fix=error.fix) from error
+    is_stated = wheels is source.calibration.wheels
+    return (_loop_off(found), f"{_loop_against(found, is_stated)} {_loop_advice(found)}"), (
+        found.is_as_stated and found.is_good
+    )
+
+
+def _loop_off(found: LoopCheck) -> str:
+    degrees, count = np.degrees(found.off_rad), abs(found.turns)
+    way = "counter-clockwise" if found.turns > 0 else "clockwise"
+    turns = f"{count} turn{'s' if count > 1 else ''} {way}" if count else "no whole turn left over"
+    a_turn = f", {degrees / count:+.2f}° a turn" if count else ""
+    return (
+        f"loop of {found.way_m:.1f} m, {turns}: by the wheels alone it ends {found.off_m:.3f} m "
+        f"({1e3 * found.off_m / found.way_m:.1f} mm a metre) and {degrees:+.1f}° ({degrees / found.way_m:+.2f}° a metre"
+        f"{a_turn}) off its start."
+    )
+
+
+def _loop_against(found: LoopCheck, is_stated: bool) -> str:
+    whose = "The calibration's σ make" if is_stated else "The calibration states no σ; a data sheet's make"
+    likely = f"{whose} {found.sizes_sigma_m:.3f} m and {np.degrees(found.sizes_sigma_rad):.1f}° likely"
+    with_slip = f"with slip and the mark {found.off_sigma_m:.3f} m and {np.degrees(found.off_sigma_rad):.1f}°"
+    return f"{likely}, {with_slip}: {'no more than that is off.' if found.is_as_stated else 'it is off by more.'}"
+
+
+def _loop_advice(found: LoopCheck) -> str:
+    """The next thing to do."""
+    if found.is_as_stated:
+        return "" if found.is_good else "Those σ are large: calibrate the wheels, on a longer drive."
+    if not found.causes:
+        return "No size of the wheels explains it: a wheel slipped, or it did not end at its mark; drive it again."
+    told = " or ".join(_cause(cause, amount) for cause, amount in found.causes)
+    return (
+        f"It is as if {told}. Drive it the other way round: off to the same side again, the radii are unlike; to the "
+        "other side, it is the track width. Then calibrate the wheels anew."
+    )
+
+
+def _cause(cause: LoopCause, amount: float) -> str:
+    from wheelsight.wheels import LoopCause
+
+    if cause is LoopCause.DRIFT:
+        return f"the wheels turned it by {np.degrees(amount):+.2f}° a metre"
+    return f"the track width were {100 * abs(amount):.1f} % too {'narrow' if amount > 0 else 'wide'}"

@@ -1,0 +1,353 @@
+"""How the commands speak: tables on stdout, errors and progress on stderr, log, and help. Plain text where nobody
+watches.
+"""
+
+from __future__ import annotations
+
+import codecs
+import errno
+import inspect
+import io
+import json
+import logging
+import math
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
+
+import typer
+import typer.core
+
+from wheelsight.core.errors import OutputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+
+# How the commands speak: tables on stdout, errors and progress on stderr, plain text where nobody watches.
+
+
+@dataclass
+class Quiet:
+    """Whether -q was given."""
+
+    on: bool = False
+
+
+QUIET = Quiet()
+INPUT_IS_WRONG = 2
+_STDERR = 2
+_WIDTH_OF_FILES = 200
+_LETTERS = "wheelsight-letters"
+
+
+# Signs that encodings such as cp1252 lack, in letters that all have; others become a question mark.
+_IN_LETTERS = {"σ": "sigma", "α": "alpha", "β": "beta", "γ": "gamma", "≥": ">=", "≤": "<=", "−": "-", "→": "->"}
+_IN_LETTERS |= {"×": "x", "°": " deg", "µ": "u", "±": "+-", "·": "-", "…": "...", "✓": "ok", "²": "2", "³": "3"}
+
+
+def _speak_any_encoding() -> None:
+    """Signs that the encoding of stdout and stderr lacks are written in letters."""
+    codecs.register_error(_LETTERS, _told_in_letters)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "backslashreplace"):
+            stream.reconfigure(errors=_LETTERS)
+
+
+def _told_in_letters(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    missing = error.object[error.start : error.end]
+    return "".join(_IN_LETTERS.get(sign, "?") for sign in missing), error.end
+
+
+class _Loseable(io.FileIO):
+    """Drops what it can no longer write: whoever closes a terminal must not break off what its program still does.
+
+    A reader of stderr may go too. One of stdout, such as `head`, ends the program as ever.
+    """
+
+    def write(self, data: Any, /) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:
+            if error.errno != errno.EIO and not (error.errno == errno.EPIPE and self.fileno() == _STDERR):
+                raise
+            return memoryview(data).nbytes
+
+
+def prepare_streams() -> None:
+    """From now on stdout and stderr take any text, and go on without their terminal once that is closed."""
+    _speak_any_encoding()
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if sys.platform == "win32" or not isinstance(stream, io.TextIOWrapper):
+            continue  # on Windows a console that is closed ends its programs
+        stream.flush()
+        raw = _Loseable(stream.fileno(), "wb", closefd=False)
+        buffer: Any = raw if stream.write_through else io.BufferedWriter(raw)
+        how: dict[str, Any] = {"line_buffering": stream.line_buffering, "write_through": stream.write_through}
+        setattr(sys, name, io.TextIOWrapper(buffer, stream.encoding, stream.errors, **how))
+
+
+def console(stderr: bool = False) -> Console:
+    """A console for stdout or stderr; made anew each time, since either may have been redirected."""
+    from rich.console import Console
+
+    # No markup: what people name their folders, recordings and areas may look like it.
+    made = Console(stderr=stderr, highlight=False, markup=False, soft_wrap=True)
+    if not made.is_terminal:
+        made.width = max(made.width, _WIDTH_OF_FILES)
+    return made
+
+
+def print_error(message: str) -> None:
+    """Print "error: message" on stderr, on one line however narrow the terminal."""
+    _print_labelled("error", "bold red", message)
+
+
+def print_warning(message: str) -> None:
+    """Print "warning: message" on stderr, on one line however narrow the terminal."""
+    _print_labelled("warning", "yellow", message)
+
+
+def print_note(message: str) -> None:
+    """Print a message about the work itself on stderr, unless -q was given."""
+    if QUIET.on:
+        return
+    console(stderr=True).print(message, markup=False)
+
+
+def print_json(document: Any) -> None:
+    """Print nested values as JSON on stdout; numbers that JSON lacks (NaN) become null."""
+    import typer
+
+    typer.echo(json.dumps(_without_nan(document), indent=2, allow_nan=False))
+
+
+def facts_table(title: str, facts: Iterable[tuple[str, str]]) -> Table:
+    """A borderless table of names and values under a title."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(
+        title=Text(title, style="bold"), title_justify="left", box=None, show_header=False, padding=(0, 2, 0, 0)
+    )
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, value in facts:
+        table.add_row(name, Text(value))
+    return table
+
+
+def percent(share: float) -> str:
+    """A share as a percentage that says 100 only when it is all; "unknown" for NaN."""
+    if not math.isfinite(share):
+        return "unknown"
+    return "100 %" if share == 1 else f"{min(100 * share, 99.9):.1f} %"
+
+
+def _print_labelled(label: str, style: str, message: str) -> None:
+    from rich.text import Text
+
+    console(stderr=True).print(Text.assemble((f"{label}: ", style), message))
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+# -v, -q and --log, which every command has: what of the library's log is shown, and where it is kept.
+
+
+_LOGGER = logging.getLogger("wheelsight")
+_FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
+_LEVELS = (logging.WARNING, logging.INFO, logging.DEBUG)
+_KEY = "wheelsight.logs"
+
+
+class _Stderr(logging.Handler):
+    """Shows records on stderr, above a line of progress."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        try:
+            console(stderr=True).print(self.format(record))
+        except Exception:  # as the handlers of logging do
+            self.handleError(record)
+
+
+@dataclass
+class _Logs:
+    """What the options of one command line ask for; they may stand before the command and after it."""
+
+    verbose: int = 0
+    is_quiet: bool = False
+    file: str | None = None
+    handlers: tuple[logging.Handler, ...] = ()
+
+    def apply(self) -> None:
+        """Raises OutputError for a file that cannot be written."""
+        self.close()
+        QUIET.on = self.is_quiet
+        level = _LEVELS[min(self.verbose, len(_LEVELS) - 1)]
+        handlers: list[logging.Handler] = []
+        if self.verbose:
+            shown = _Stderr(level)
+            shown.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
+            handlers.append(shown)
+        if self.file is not None:
+            try:
+                kept: logging.Handler = logging.FileHandler(self.file, encoding="utf-8", errors="backslashreplace")
+            except (OSError, ValueError) as error:
+                why = getattr(error, "strerror", None) or str(error)
+                raise OutputError(f"{self.file}: no log can be written: {why}", fix="--log FILE") from error
+            kept.setFormatter(logging.Formatter(_FORMAT))
+            kept.setLevel(min(level, logging.INFO))
+            handlers.append(kept)
+        for handler in handlers:
+            _LOGGER.addHandler(handler)
+        if handlers:
+            _LOGGER.setLevel(min(handler.level for handler in handlers))
+        self.handlers = tuple(handlers)
+        if self.file is not None:
+            _LOGGER.info("wheelsight %s", " ".join(sys.argv[1:]))
+
+    def close(self) -> None:
+        """As if there had been no options."""
+        for handler in self.handlers:
+            _LOGGER.removeHandler(handler)
+            handler.close()
+        _LOGGER.setLevel(logging.NOTSET)
+        QUIET.on, self.handlers = False, ()
+
+
+def _take(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> None:
+    root: Any = ctx.find_root()
+    logs = root.meta.get(_KEY)
+    if logs is None:
+        logs = root.meta[_KEY] = _Logs()
+        root.call_on_close(logs.close)
+    if not value or ctx.resilient_parsing:
+        return
+    if param.name == "verbose":
+        logs.verbose += value
+    elif param.name == "quiet":
+        logs.is_quiet = True
+    else:
+        logs.file = value
+    logs.apply()
+
+
+def _options(
+    verbose: Annotated[
+        int,
+        typer.Option(
+            "-v",
+            "--verbose",
+            count=True,
+            show_default=False,
+            callback=_take,
+            help="Show the log: -v events, -vv details.",
+        ),
+    ] = 0,
+    quiet: Annotated[
+        bool,
+        typer.Option(
+            "-q", "--quiet", callback=_take, help="Neither progress nor notes; warnings, errors and results stay."
+        ),
+    ] = False,
+    log_file: Annotated[
+        str | None,
+        typer.Option("--log", metavar="FILE", callback=_take, help="Append the log to a file, with times."),
+    ] = None,
+) -> None:
+    """Options without a command."""
+
+
+@cache
+def log_options(panel: str | None) -> tuple[Any, ...]:
+    """The options, as parameters of a command; in its panel of the help."""
+    holder = typer.Typer(add_completion=False)
+    holder.command()(_options)
+    made = [param for param in typer.main.get_command(holder).params if param.name != "help"]
+    for param in made:
+        param.expose_value, param.rich_help_panel = False, panel  # type: ignore[attr-defined]
+        param.metavar = "FILE" if param.name == "log_file" else ""
+    return tuple(made)
+
+
+# How help is laid out: paragraphs as wide as the terminal, examples a line each, flags without a value.
+
+
+_EXAMPLES, _LAST = "[bold]Examples[/bold]", "Help"
+
+
+class _Readable:
+    """What commands and groups of commands have in common."""
+
+    help: str | None
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(*given, **named)
+        self.help = None if self.help is None else laid_out(self.help)
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """As ever; a flag is not shown as if it took a value, and where all others have panels, so has --help."""
+        params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for param in params:
+            if getattr(param, "is_flag", False):
+                param.metavar = ""
+        *others, last = params
+        options = [param for param in others if isinstance(param, typer.core.TyperOption)]
+        if options and all(param.rich_help_panel for param in options):
+            last.rich_help_panel = _LAST
+        return [*others, *log_options(last.rich_help_panel), last]
+
+
+class Command(_Readable, typer.core.TyperCommand):
+    """A command."""
+
+
+class Group(_Readable, typer.core.TyperGroup):
+    """A group of commands."""
+
+
+def laid_out(text: str) -> str:
+    """The lines of each paragraph as one, which the terminal wraps; examples, which come last, after a prompt each."""
+    told, heading, examples = inspect.cleandoc(text).partition(_EXAMPLES)
+    paragraphs = [" ".join(paragraph.split()) for paragraph in told.split("\n\n") if paragraph.strip()]
+    if heading:
+        commands = [f"$ {line.strip()}" for line in examples.splitlines() if line.strip()]
+        paragraphs.append("\n".join([heading, *commands]))
+    return "\n\n".join(paragraphs)
+
+
+# Commands of many options: these are the fields of a class, and the command is handed one value.
+
+
+Options = TypeVar("Options")
+
+
+def takes(kind: type[Options]) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
+    """Make a function of one dataclass a command whose options are the fields, with their annotations and defaults."""
+    # Of each class by the names of its own module: bases may come from others.
+    hints, named = get_type_hints(kind, include_extras=True), inspect.signature(kind).parameters
+    signature = inspect.Signature([one.replace(annotation=hints[name]) for name, one in named.items()])
+
+    def command_of(work: Callable[[Options], None]) -> Callable[..., None]:
+        def command(**given: Any) -> None:
+            work(kind(**given))
+
+        command.__name__, command.__doc__, command.__module__ = work.__name__, work.__doc__, work.__module__
+        command.__annotations__ = {}
+        command.__signature__ = signature  # type: ignore[attr-defined]
+        return command
+
+    return command_of

@@ -1,0 +1,634 @@
+"""`wheelsight drive`: a robot goes to places of a map by itself. Holds what its options mean, its robots and tasks,
+and what it says at the end.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from wheelsight.app.cli.console import print_error, print_note, print_warning, takes
+from wheelsight.app.cli.drive_options import DriveOptions
+from wheelsight.core.errors import CalibrationError, ConfigError, DeviceError, MapError
+from wheelsight.core.runtime import exit_code, until_stopped
+
+if TYPE_CHECKING:
+    from wheelsight.app.cli.drive_options import RobotOptions, SettingsOptions
+    from wheelsight.app.cli.drive_view import DriveWatch
+    from wheelsight.app.run.drive_record import DriveRecord
+    from wheelsight.app.run.drives import Drive, Goal, OnStep
+    from wheelsight.config import Config
+    from wheelsight.core.calibration import Calibration
+    from wheelsight.core.geometry import FloatArray
+    from wheelsight.core.robots import Robot
+    from wheelsight.io.devices import LinkRobot, WheelLink
+    from wheelsight.mapping import MapEdit, MapEdits, NamedPoses, OccupancyGrid
+    from wheelsight.navigation import Feedback
+    from wheelsight.slam.maps import MapFolder
+    from wheelsight_sim import FloorPlan
+
+
+# `wheelsight drive`: a robot goes to places of a map by itself.
+
+
+@takes(DriveOptions)
+def drive(options: DriveOptions) -> None:
+    """Drive to places of a known map, or explore: simulated, or with a robot on a serial port.
+
+    The robot finds itself in the map, plans, drives around what is in its way, and stops where it must; docs/safety.md
+    says what stops it and what does not. A terminal shows plan, state, speed and why it does what it does; else a line
+    a second tells. Ctrl-C stops the robot first.
+
+    --robot asks once before anything moves. It needs a live camera (wheelsight devices), whose own calibration is laid
+    under --calibration.
+
+    Exit code 0: arrived; 1: not, and why is said; 2: what was handed in is wrong; 130: interrupted.
+
+    [bold]Examples[/bold]
+
+    wheelsight drive --sim flat --explore --out home
+
+    wheelsight drive --sim flat --map home --to kitchen --out drive
+
+    wheelsight drive --sim flat --map home --to kitchen --rerun drive.rrd
+
+    wheelsight drive --sim flat --day 1 --map home --to 3.2,1.5,90 --to desk --back
+
+    wheelsight drive --sim flat --map home --follow drive/trajectory.txt --back
+
+    wheelsight drive --robot /dev/ttyUSB0 --camera any --calibration robot.yaml --map home --to kitchen
+
+    wheelsight drive --sim flat --map home --known-start 0,0,0 --to kitchen --set navigation.limits.forward_m_s=0.5
+    """
+    drive_there(options)
+
+
+# What `wheelsight drive` does once all is known: compile, drive, show, write.
+
+
+# Kernels that localization in a known map, and a drive in it, call.
+_PARTS = ("wheels", "dense", "joined", "loops", "navigation")
+
+
+class _ToldToStop(Exception):  # noqa: N818 - it is no error
+    """One of the signals that end a program."""
+
+
+def drive_there(options: DriveOptions) -> None:
+    """Drive to all goals; Exit with 1 where one was not reached, with 130, 143 or 129 where a signal stopped it.
+
+    Raises what was handed in wrong, before anything moves.
+    """
+    from wheelsight.app.cli.compiling import compile_missing
+    from wheelsight.app.cli.options import check_rerun
+    from wheelsight.core.files import make_output_folder, refuse_full
+
+    check(options)
+    config = drive_settings(options)
+    tasks = tasks_of(options)
+    if options.out is not None and not options.force:
+        refuse_full(options.out)  # before the long work; made once there is a robot
+    check_rerun(options.rerun, options.force)
+    compile_missing((*_PARTS, *(("simulation",) if options.is_simulated else ())))
+    with robot_of(options, config) as robot:
+        if options.out is not None:
+            make_output_folder(options.out, options.force)
+        record, left_out = _driven(robot, config, tasks, options)
+    if options.out is not None:
+        write(record, options.out)
+    tell(record, left_out)
+
+
+def _driven(robot: Robot, config: Config, tasks: Sequence[Task], options: DriveOptions) -> tuple[DriveRecord, str]:
+    """What became of it, and in a sentence what was not begun; empty where everything was."""
+    from wheelsight.app.cli.drive_view import watching
+    from wheelsight.app.run.exploring import loops_of
+    from wheelsight.slam.maps import MAP_FOLDER
+
+    # What is said while the map is read would run into a screen that is drawn already.
+    with (
+        watching(options.rerun, robot, config) as watch,
+        _begun(robot, config, watch, options) as drive,
+        watch.view,
+    ):
+        truth = Truth(robot) if options.is_simulated else None
+        is_interrupted = _through(drive, tasks, options, _on_step(drive, watch, truth))
+        told, asked = truth.told if truth else {}, len(tasks) + options.back
+        record = drive.record(asked, robot_words(options), config, told, is_interrupted=is_interrupted)
+    if options.explore and options.out:
+        # The last of them are closed once the drive is over.
+        record = replace(record, loops=loops_of(options.out / MAP_FOLDER))
+    return record, why_no_return(record, drive) if options.back else ""
+
+
+@contextmanager
+def _begun(robot: Robot, config: Config, watch: DriveWatch, options: DriveOptions) -> Iterator[Drive]:
+    """Whoever is asked about a real robot's floor has looked at it; a simulated one begins on free floor."""
+    from wheelsight.app.run.drives import drive_in_map
+    from wheelsight.app.run.exploring import exploring
+    from wheelsight.slam.maps import MAP_FOLDER, discard_map
+
+    def code(done: int, total: int) -> None:
+        if done == 1:
+            print_note(f"reading {total:,} keyframes of the map")
+
+    how: dict[str, Any] = {"in_step": options.is_simulated, "trusts_floor": True}
+    how |= {"on_transition": watch.note, "on_events": watch.hear}
+    if options.explore:
+        assert options.out is not None
+        discard_map(options.out / MAP_FOLDER)
+        with exploring(robot, config, options.out / MAP_FOLDER, **how) as drive:
+            yield drive
+    else:
+        with drive_in_map(robot, config, on_keyframe=code, **how) as drive:
+            yield drive
+
+
+def _through(drive: Drive, tasks: Sequence[Task], options: DriveOptions, on_step: OnStep) -> bool:
+    """Through all tasks, up to the first that fails, then back; whether somebody stopped it."""
+    with until_stopped() as is_over:
+
+        def step(feedback: Feedback) -> None:
+            on_step(feedback)
+            if is_over():
+                raise _ToldToStop
+
+        try:
+            do_all(drive, tasks, options, step)
+        except _ToldToStop:
+            return True
+        except DeviceError:
+            # The signal may have ended the process that localizes, too.
+            if not is_over():
+                raise
+            return True
+    return False
+
+
+def _on_step(drive: Drive, watch: DriveWatch, truth: Truth | None) -> OnStep:
+    def step(feedback: Feedback) -> None:
+        if truth is not None:
+            truth.look()
+        watch.step(feedback, drive.navigator)
+
+    return step
+
+
+# What a drive is to do, one after another, as the options of `wheelsight drive` say it.
+
+
+if TYPE_CHECKING:
+    from wheelsight.app.cli.drive_options import DriveOptions
+    from wheelsight.app.run.drive_record import DriveRecord
+    from wheelsight.app.run.drives import Drive, Goal, OnStep
+    from wheelsight.core.geometry import FloatArray
+    from wheelsight.navigation import NavigationResult
+
+    Task = Callable[[Drive, OnStep], NavigationResult]
+
+
+def tasks_of(options: DriveOptions) -> list[Task]:
+    """All but the return. Raises as `goals_of` and `way_of`: before anything moves."""
+    way = way_of(options)
+    tasks: list[Task] = [_explore] if options.explore else []
+    if way is not None:
+        tasks.append(partial(_follow, way, f"the end of {options.follow}"))
+    return [*tasks, *map(_GoTo, goals_of(options))]
+
+
+def do_all(drive: Drive, tasks: Sequence[Task], options: DriveOptions, on_step: OnStep) -> None:
+    """All tasks, up to the first that fails; then back, where that is asked for.
+
+    Raises what `on_step` raises; MapError, before anything moves, for a goal at which the map has no room.
+    """
+    from wheelsight.app.run.drives import Goal
+
+    drive.refuse([task.goal for task in tasks if isinstance(task, _GoTo)])
+    for task in tasks:
+        if not task(drive, on_step):
+            return
+    if options.back and drive.start is not None:
+        drive.go_to(Goal(drive.start, "the start"), on_step)
+
+
+def why_no_return(record: DriveRecord, drive: Drive) -> str:
+    """Why --back was left out; empty where it was begun. It is the last task, so then all were."""
+    if len(record.goals) == record.asked:
+        return ""
+    if drive.start is None:
+        return "--back was left out: it was never known where in the map the robot is, nor where the drive began"
+    return "--back was left out: a goal before it was not reached"
+
+
+def _explore(drive: Drive, on_step: OnStep) -> NavigationResult:
+    return drive.explore(on_step)
+
+
+def _follow(way: FloatArray, name: str, drive: Drive, on_step: OnStep) -> NavigationResult:
+    return drive.follow(way, on_step, name)
+
+
+@dataclass(frozen=True, slots=True)
+class _GoTo:
+    """The task to drive to a goal."""
+
+    goal: Goal
+
+    def __call__(self, drive: Drive, on_step: OnStep) -> NavigationResult:
+        return drive.go_to(self.goal, on_step)
+
+
+# What `wheelsight drive` leaves and says at the end, and what a simulator knows of it.
+
+
+_FAILED = 1
+# Share of periods that may come late before it is said.
+_OFTEN = 0.01
+# Contacts that a line names.
+_NAMED = 5
+
+
+class Truth:
+    """What the simulator knows of a drive."""
+
+    def __init__(self, robot: Robot) -> None:
+        from wheelsight_sim.simulator import Simulator
+
+        assert isinstance(robot, Simulator)
+        self._simulator, self._clearance_m = robot, float("inf")
+
+    def look(self) -> None:
+        """A period is over."""
+        self._clearance_m = min(self._clearance_m, self._simulator.clearance_m())
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """For the record."""
+        contacts = [
+            {"stamp_s": one.time_s, "with": one.name, "by_the_robot": bool(one.is_by_robot)}
+            for one in self._simulator.contacts
+        ]
+        return {"clearance_m": round(self._clearance_m, 4), "contacts": contacts}
+
+
+def write(record: DriveRecord, out: Path) -> None:
+    """All files of --out."""
+    from wheelsight.app.cli.options import can_draw
+    from wheelsight.app.report import write_drive_page, write_drive_picture
+    from wheelsight.app.run.drive_record import write_drive
+
+    write_drive(record, out)
+    write_drive_picture(record, out / "drive.png")
+    if can_draw():
+        write_drive_page(record, out / "drive.html")
+    print_note(f"results are in {out}")
+
+
+def tell(record: DriveRecord, left_out: str = "") -> None:
+    """What became of each goal, on stdout, what was not begun, and last what a simulated robot touched.
+
+    Raises Exit where a goal was not reached, or anything was touched.
+    """
+    for goal in record.goals:
+        result = goal.result
+        if result.has_arrived:
+            change = f"; {result.goal_change}" if result.goal_change else ""
+            typer.echo(f"arrived at {goal.name}: {result.way_m:.1f} m in {result.time_s:.0f} s{change}")
+        elif not record.is_interrupted:
+            print_error(f"{goal.name} was not reached: {result.reason} ({result.detail})")
+    _tell_late(record)
+    if record.rests_on_start:
+        print_warning(
+            "nothing of the map was recognised: where the robot was rests on --known-start alone, and may be wrong"
+        )
+    if record.is_interrupted:
+        print_note("interrupted; the robot was stopped first, and stands")
+        _tell_contacts(record)
+        raise typer.Exit(exit_code())
+    if left_out:
+        print_error(left_out)
+    _tell_contacts(record)
+    if record.contacts or not record.has_arrived:
+        raise typer.Exit(_FAILED)
+
+
+def _tell_contacts(record: DriveRecord) -> None:
+    """Say what the robot drove against, as the simulator knows."""
+    touched = record.contacts
+    if touched:
+        more = f", and {len(touched) - _NAMED} more" if len(touched) > _NAMED else ""
+        times = "once" if len(touched) == 1 else f"{len(touched)} times"
+        print_error(f"the robot drove against something {times}: {', '.join(touched[:_NAMED])}{more}")
+
+
+def _tell_late(record: DriveRecord) -> None:
+    """Say where the robot was often led later than it should have been."""
+    periods = record.periods
+    if periods.late > _OFTEN * periods.count:
+        print_note(
+            f"{periods.late:,} of {periods.count:,} periods of the control loop took longer than they should, "
+            f"{1e3 * periods.longest_s:.0f} ms at most: a faster computer helps, or fewer programs beside it"
+        )
+
+
+# What the words of `wheelsight drive`'s and `serve`'s options mean.
+
+
+_CALLED = {"profile": "--profile", "known_map.path": "--map", "known_map.start": "--known-start"}
+
+
+def check(options: DriveOptions) -> None:
+    """Raises ConfigError for options that mean nothing together."""
+    _check_one(options)
+    _check_task(options)
+    _check_options(options)
+
+
+def check_robot(options: RobotOptions) -> None:
+    """The same of those that name a robot."""
+    _check_one(options)
+    _check_options(options)
+
+
+def _check_one(options: RobotOptions) -> None:
+    if (options.sim is None) == options.is_simulated:
+        problem = "no robot is named" if options.is_simulated else "a robot is either simulated or real"
+        raise ConfigError(problem, fix="one of --sim WORLD and --robot PORT")
+
+
+def _check_options(options: RobotOptions) -> None:
+    if options.is_simulated and (options.calibration is not None or options.yes):
+        option = "--yes" if options.calibration is None else "--calibration"
+        raise ConfigError(f"{option} is of a real robot", fix="--robot PORT, or leave it out")
+    if not options.is_simulated:
+        if options.calibration is None:
+            raise ConfigError("--robot needs to know how the robot is built", fix="--calibration FILE")
+        if options.start is not None:
+            raise ConfigError("--start is of a simulated robot", fix="--known-start X,Y,YAW_DEG")
+
+
+def _check_task(options: DriveOptions) -> None:
+    if options.explore:
+        if options.map_ is not None or options.to:
+            raise ConfigError("--explore begins without a map and goals", fix="no --map and no --to; those come next")
+        if options.follow is not None:
+            raise ConfigError("--explore finds its own way", fix="leave out --explore or --follow")
+        if options.out is None:
+            raise ConfigError("--explore leaves a map", fix="--out DIR")
+    elif options.map_ is None:
+        raise ConfigError("there is no map to drive in", fix="--map DIR, of a run with --map surfels; or --explore")
+    elif options.follow is not None and options.to:
+        raise ConfigError("--follow ends where its way does", fix="leave out --follow or --to")
+    elif options.follow is None and not options.to:
+        raise ConfigError("there is no goal", fix="--to NAME, or --to X,Y,YAW_DEG; or --follow FILE")
+
+
+def drive_settings(options: DriveOptions) -> Config:
+    """The configuration of the drive. Raises ConfigError."""
+    path = None if options.map_ is None else str(options.map_)
+    given = {"known_map.path": path, "known_map.start": options.known_start}
+    return settings_of(options, {**given, "loops.source": "keyframes"} if options.explore else given)
+
+
+def settings_of(options: SettingsOptions, given: Mapping[str, str | None]) -> Config:
+    """The configuration that options tell, and over its file what else is given and not None. Raises ConfigError.
+
+    Without a name for it, the odometry is the one that `Localizer`, `run` and `wheelsight run` choose: a robot without
+    wheels or without a mounted camera is refused. Dense odometry keeps up beside control: on two cores 14.3 to 14.5 of
+    15 frames a second were localized beside a control loop at 20 Hz (`python -m benchmarks.navigation_speed`).
+    """
+    from wheelsight.config import load_config
+    from wheelsight.estimation.odometry_choice import odometry_of_robot
+
+    changes = dict(_setting(text) for text in options.set_ or ())
+    given = {**given, "profile": options.profile}
+    overrides = {name: value for name, value in given.items() if value is not None} | changes
+    config = load_config(options.config, overrides, called=_CALLED | {name: f"--set {name}" for name in changes})
+    return config if config.odometry else config.with_odometry(odometry_of_robot(config))
+
+
+def goals_of(options: DriveOptions) -> list[Goal]:
+    """All of --to. Raises ConfigError, MapError: before anything moves."""
+    from wheelsight.app.run.drives import Goal
+
+    if options.map_ is None:
+        return []
+    words = options.to or ()
+    with _opened(options.map_) as folder:
+        poses = poses_of(words, folder) if words else []
+    return [Goal.of(pose, "" if "," in word else word) for word, pose in zip(words, poses, strict=True)]
+
+
+def way_of(options: DriveOptions) -> FloatArray | None:
+    """(N, 3) of --follow; None without it. Raises as `read_way`, and MapError: before anything moves."""
+    from wheelsight.app.cli.console import print_warning
+    from wheelsight.app.run.drives import read_way
+
+    if options.map_ is None or options.follow is None:
+        return None
+    with _opened(options.map_) as folder:
+        return read_way(options.follow, folder.calibration, print_warning)
+
+
+def _opened(path: Path) -> closing[MapFolder]:
+    """A map of --map. Raises MapError."""
+    from wheelsight.slam.maps import MapFolder, find_map
+
+    return closing(MapFolder.open(find_map(path)))
+
+
+def _setting(text: str) -> tuple[str, Any]:
+    """A name and its value, which is written as in YAML. Raises ConfigError."""
+    import yaml
+
+    name, equals, value = text.partition("=")
+    try:
+        found = yaml.safe_load(value)
+    except yaml.YAMLError:
+        found = value
+    if not equals or not name.strip():
+        raise ConfigError(f"--set is {text!r}", fix="NAME=VALUE, such as navigation.limits.forward_m_s=0.5")
+    return name.strip(), found
+
+
+# The robot that `wheelsight drive` leads: in the simulator, or at a serial port.
+
+
+_QUESTION = "Is the floor around the robot free, and is somebody at the stop button?"
+# Pairs of the paper's format are recognised within 3 s; who speaks frames is known at the first one.
+_HEARD_WITHIN_S, _LOOK_S = 3.5, 0.02
+_SIMULATED_CAMERA = "kinect-v1"
+
+
+@contextmanager
+def robot_of(options: RobotOptions, config: Config) -> Iterator[Robot]:
+    """The robot, closed at the end; a real one once somebody has said that it may move.
+
+    Raises ConfigError, CalibrationError, DeviceError; Exit where it may not.
+    """
+    with _simulator(options, config) if options.is_simulated else _linked(options, config) as robot:
+        yield robot
+
+
+def robot_words(options: RobotOptions) -> str:
+    """Which robot, for records."""
+    if options.robot is not None:
+        return f"a robot at {options.robot}"
+    people = f", {options.people} people" if options.people else ""
+    return f"simulated in {options.sim}, seed {options.seed}, day {options.day}, {options.realism}{people}"
+
+
+def _simulator(options: RobotOptions, config: Config) -> Robot:
+    from wheelsight.app.cli.simulate import size_of
+    from wheelsight.core.runtime import needed
+    from wheelsight_sim import SimulationSettings
+    from wheelsight_sim.simulator import Simulator
+
+    needed("mujoco")
+    assert options.sim is not None
+    camera = options.camera or _SIMULATED_CAMERA
+    if not 0 <= options.people <= 100:
+        raise ConfigError(f"--people is {options.people}", fix="0 to 100")
+    plan = _plan_of(options.sim, options.resolution)
+    where: dict[str, Any] = {"world": options.sim} if plan is None else {"plan": plan}
+    how: dict[str, Any] = {"seed": options.seed, "day": options.day, "passersby": options.people}
+    how |= {"realism": options.realism, "rate_hz": options.rate, "camera": camera}
+    settings = SimulationSettings(**where, **how, size=size_of(options.size, camera))
+    start = _start_of(options.start)
+    robot = Simulator(settings, start=start, limits=config.navigation.limits)
+    for warning in robot.world.warnings:
+        print_warning(warning)
+    return robot
+
+
+def _plan_of(sim: str, resolution: float | None) -> FloorPlan | None:
+    """None where a world is named. Raises ConfigError for what is neither."""
+    from wheelsight_sim import FloorPlan, world_names
+
+    if sim in world_names():
+        if resolution is not None:
+            raise ConfigError("--resolution means nothing without a plan", fix="--sim flat.png --resolution 0.05")
+        return None
+    if not Path(sim).is_file():
+        worlds = ", ".join(world_names())
+        raise ConfigError(f"--sim is {sim!r}, no world and no file", fix=f"{worlds}, or the file of a floor plan")
+    return FloorPlan(sim, resolution)
+
+
+def _start_of(text: str | None) -> tuple[float, float, float] | None:
+    from wheelsight.app.cli.map_contents import pose_of
+
+    if text is None:
+        return None
+    x_m, y_m, yaw = pose_of("--start", text).tolist()
+    if yaw != yaw:
+        raise ConfigError(f"--start is {text!r}", fix="X,Y,YAW_DEG in metres and degrees, such as 3.2,1.5,90")
+    return x_m, y_m, yaw
+
+
+@contextmanager
+def _linked(options: RobotOptions, config: Config) -> Iterator[Robot]:
+    from wheelsight.io.devices import LinkRobot, WheelLink
+    from wheelsight.io.devices.cameras import ANY, open_robot_camera
+
+    assert options.robot is not None
+    assert options.calibration is not None
+    with ExitStack() as opened:
+        frames, calibration = open_robot_camera(options.camera or ANY, config.camera, [options.calibration])
+        opened.callback(frames.close)
+        _check_mount(calibration, options.calibration)
+        for warning in frames.warnings:
+            print_warning(warning)
+        link = WheelLink(options.robot, options.baud)
+        opened.callback(link.close)
+        robot = opened.enter_context(LinkRobot(link, calibration, config.navigation.limits, frames=frames))
+        _check_firmware(robot, link)
+        # Asked as late as can be: what can go wrong before anything moves has not.
+        if not (options.yes or typer.confirm(_QUESTION)):
+            typer.echo("nothing moved", err=True)
+            raise typer.Exit(1)
+        yield robot
+
+
+def _check_firmware(robot: LinkRobot, link: WheelLink) -> None:
+    """Refuse a controller that would stop its motors too late. Raises DeviceError."""
+    ends_s = time.monotonic() + _HEARD_WITHIN_S
+    while link.report().format is None and time.monotonic() < ends_s:
+        time.sleep(_LOOK_S)
+    robot.check_firmware()
+
+
+def _check_mount(calibration: Calibration, path: Path) -> None:
+    """Refuse a robot of which nobody knows how it is built. Raises CalibrationError."""
+    if calibration.holonomic is not None:
+        raise CalibrationError(calibration.lacks_two_wheels, path=path, fix="wheelsight run localizes such a base")
+    if calibration.wheels is None:
+        raise CalibrationError("has no wheels", path=path, fix="wheelsight calibrate wheels finds their sizes")
+    if calibration.T_base_camera is None:
+        fix = "wheelsight calibrate base finds where the camera sits"
+        raise CalibrationError("has no T_base_camera", path=path, fix=fix)
+
+
+# What the words of goals mean in a map: names, areas and coordinates.
+
+
+def poses_of(words: Sequence[str], folder: MapFolder) -> list[FloatArray]:
+    """(3,) of each goal as people write it: a name of the map, an area of it, or coordinates.
+
+    A yaw of NaN is any heading. A name that a place and an area have is the place's; of an area it is where there is
+    most room.
+
+    Raises:
+        ConfigError: coordinates that are none.
+        MapError: a name that the map does not have; tells the nearest and all. An area without free floor.
+    """
+    from wheelsight.app.cli.map_contents import grid_of, names_of
+    from wheelsight.slam.maps.contents import edits_as_known
+
+    names, edits = names_of(folder), edits_as_known(folder)
+    # Made once, and only where an area is asked for: it takes seconds.
+    grid = cache(partial(grid_of, folder))
+    return [_goal_of(word, names, edits, folder, grid) for word in words]
+
+
+def _goal_of(
+    word: str, names: NamedPoses, edits: MapEdits, folder: MapFolder, grid: Callable[[], OccupancyGrid]
+) -> FloatArray:
+    from wheelsight.app.cli.map_contents import pose_of
+    from wheelsight.mapping.named_poses import unknown_name
+
+    if word in names.names:
+        return names.named(word).pose_now(folder.store.T_map_keyframe)
+    for area in edits.areas:
+        if area.name == word:
+            return _goal_in(area, folder, grid)
+    if "," in word:
+        return pose_of("--to", word)
+    raise unknown_name(word, {*names.names, *edits.area_names})
+
+
+def _goal_in(area: MapEdit, folder: MapFolder, grid: Callable[[], OccupancyGrid]) -> FloatArray:
+    """(3,) where in an area of a map there is most room, with any heading.
+
+    Raises:
+        MapError: no free floor of the map lies in it.
+    """
+    import numpy as np
+
+    from wheelsight.mapping import roomiest_place
+
+    at = roomiest_place(grid(), area.polygon_now(folder.store.T_map_keyframe))
+    if at is None:
+        fix = (
+            f"wheelsight map zone MAP --area '{area.name}' X,Y X,Y X,Y draws it anew; "
+            "wheelsight map export MAP --picture plan.png shows where the map has free floor"
+        )
+        raise MapError(f"no free floor of the map lies in the area {area.name!r}", path=folder.path, fix=fix)
+    return np.array([*at, np.nan])

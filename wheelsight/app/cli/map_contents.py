@@ -1,0 +1,311 @@
+"""What a map holds, told, named and exported: facts, names of places, points, occupancy, and a picture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from wheelsight.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from wheelsight.core.geometry import FloatArray
+    from wheelsight.mapping import NamedPose, NamedPoses, OccupancyGrid, SurfelMap
+    from wheelsight.mapping.occupancy import PlanLine, PlanMark
+    from wheelsight.slam.maps import Health, MapFolder, MapInfo
+
+
+# What `wheelsight map info` prints.
+
+
+_MB = 1e6
+
+
+def print_info(folder: MapFolder, as_json: bool) -> None:
+    """The figures of an open map, as a table or as JSON; and what is wrong with it, as warnings."""
+    from wheelsight.app.cli.console import console, facts_table, print_json, print_warning
+    from wheelsight.slam.maps import info_of
+
+    found = info_of(folder)
+    if as_json:
+        print_json(found.to_dict())
+        return
+    console().print(facts_table(f"map of {found.header.source or 'a drive'}", _facts(found)))
+    for note in found.health.notes:
+        print_warning(note)
+
+
+def _facts(found: MapInfo) -> Iterator[tuple[str, str]]:
+    header, camera = found.header, found.header.camera
+    yield "made", f"{header.made} by {header.made_by}"
+    lens = f"fx {camera.fx:.1f}, fy {camera.fy:.1f}, cx {camera.cx:.1f}, cy {camera.cy:.1f} px"
+    yield "camera", f"{camera.width}×{camera.height}, {lens}"
+    kilobytes = found.keyframe_bytes / 1e3
+    yield "keyframes", f"{found.keyframes:,}" + (f", {kilobytes:.0f} kB each" if found.keyframes else "")
+    if found.begin_s is not None and found.end_s is not None:
+        yield "time", f"{found.end_s - found.begin_s:.1f} s"
+        yield "way", f"{found.length_m:.1f} m from keyframe to keyframe"
+    yield "edges", f"{found.edges:,} by odometry, {found.loops:,} loops; {_parts(found.parts)}"
+    yield "surfels", _size(found.surfel_bytes, "none; wheelsight map rebuild makes them")
+    yield "recognition", _size(found.recognition_bytes, "made when the map is used")
+    told = "none; wheelsight map export --occupancy makes it"
+    yield "occupancy", told if found.occupancy_bytes is None else f"{found.occupancy_bytes / 1e3:.0f} kB"
+    if found.edits != 0:
+        yield "edits", "cannot be read" if found.edits is None else f"{found.edits:,} zones and wiped places"
+    if found.areas:
+        yield "areas", ", ".join(found.areas)
+    if found.places != ():
+        yield "places", "cannot be read" if found.places is None else ", ".join(found.places)
+    yield "size", f"{found.bytes / _MB:.1f} MB"
+    yield "health", _how_whole(found.health)
+
+
+def _how_whole(health: Health) -> str:
+    if health.incomplete:
+        return f"{health.incomplete}; run it again"
+    if not health.is_whole:
+        return "damaged, see below"
+    return "whole but for its end, see below" if health.notes else "whole"
+
+
+def _parts(parts: int) -> str:
+    return "all hang together" if parts <= 1 else f"in {parts:,} parts that do not hang together"
+
+
+def _size(size: int | None, missing: str) -> str:
+    return missing if size is None else f"{size / _MB:.1f} MB"
+
+
+# What `wheelsight map name` does, and how poses are written.
+
+
+_FORM = "X,Y,YAW_DEG in metres and degrees, such as 3.2,1.5,90; or X,Y for any heading"
+
+
+def change(source: Path, called: str, at: str | None) -> None:
+    """Name a place, or forget the name where it is nowhere. Raises ConfigError, MapError, OutputError."""
+    from wheelsight.mapping import NamedPose
+    from wheelsight.slam.maps import MapFolder, find_map, lie_together
+
+    pose = None if at is None else pose_of("--at", at)
+    folder = MapFolder.open(find_map(source), read_only=False)
+    try:
+        known = folder.named_poses()
+        if pose is None:
+            folder.save_named_poses(known.without(called))
+            typer.echo(f"forgotten: {called}")
+            return
+        # On a keyframe of which nobody knows where it lies it would go astray.
+        sure = lie_together(folder).nonzero()[0]
+        hung = NamedPose(called, pose).hung_on_nearest(folder.store.T_map_keyframe, sure)
+        folder.save_named_poses(known.with_pose(hung))
+        on = "no keyframe" if hung.keyframe is None else f"keyframe {hung.keyframe}"
+        typer.echo(f"{hung.name} is at {told(pose)}, and moves with {on}")
+        _warn_where_nobody_saw(hung)
+    finally:
+        folder.close()
+
+
+def _warn_where_nobody_saw(place: NamedPose) -> None:
+    """A place farther from all keyframes than floor is taken from them was probably mistyped."""
+    from wheelsight.app.cli.console import print_warning
+    from wheelsight.mapping import OccupancySettings
+
+    if place.T_map_keyframe is None:
+        return
+    off_m = math.dist(place.pose[:2], place.T_map_keyframe[:2, 3])
+    far_m = OccupancySettings().far_m
+    if off_m > far_m:
+        print_warning(
+            f"{place.name} is {off_m:.1f} m from the nearest keyframe, which shows the floor to {far_m:g} m: "
+            "no way will lead there (wheelsight map export MAP --picture plan.png shows the map)"
+        )
+
+
+def print_names(folder: MapFolder) -> None:
+    """All names of a map, each with where it is by now."""
+    from wheelsight.app.cli.console import console, facts_table
+
+    where = places_of(folder)
+    if not where:
+        typer.echo("the map has no names: wheelsight map name MAP NAME --at X,Y,YAW_DEG")
+        return
+    console().print(facts_table("places", ((name, told(pose)) for name, pose in where.items())))
+
+
+def places_of(folder: MapFolder) -> dict[str, FloatArray]:
+    """(3,) of each name where it is by now. Raises MapError."""
+    return {one.name: one.pose_now(folder.store.T_map_keyframe) for one in names_of(folder)}
+
+
+def names_of(folder: MapFolder) -> NamedPoses:
+    """All that hang on keyframes that are there. Raises MapError."""
+    from wheelsight.slam.maps.contents import names_as_known
+
+    return names_as_known(folder)
+
+
+def pose_of(option: str, text: str) -> FloatArray:
+    """(3,) x, y, yaw of "3.2,1.5,90" or "3.2,1.5", whose yaw is NaN. Raises ConfigError naming the option."""
+    import numpy as np
+
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
+        raise ConfigError(f"{option} is {text!r}", fix=_FORM)
+    x_m, y_m, *yaw_deg = numbers
+    return np.array([x_m, y_m, math.radians(yaw_deg[0]) if yaw_deg else math.nan])
+
+
+def told(pose: FloatArray) -> str:
+    """Such as "3.20, 1.50 m, 90°"."""
+    yaw = "any heading" if math.isnan(pose[2]) else f"{math.degrees(pose[2]):.0f}°"
+    return f"{pose[0]:.2f}, {pose[1]:.2f} m, {yaw}"
+
+
+# What `wheelsight map export` does.
+
+
+_SUFFIXES = {"--out": (".ply",), "--occupancy": (".yaml", ".yml"), "--picture": (".png",)}
+
+
+@dataclass(frozen=True, slots=True)
+class Exports:
+    """What to write, where to; at least one of them.
+
+    Attributes:
+        points: PLY file of the surfels.
+        occupancy: YAML file of the occupancy map.
+        picture: PNG file of the same.
+        resolution_m: side of its cells; None: as settings say.
+        everything: all surfels, and not only stable ones.
+    """
+
+    points: Path | None
+    occupancy: Path | None
+    picture: Path | None
+    resolution_m: float | None
+    everything: bool
+
+
+def export(folder: MapFolder, wanted: Exports, force: bool) -> None:
+    """Write a map for other programs; nothing where any of it must not be written."""
+    _check(wanted, force)
+    if wanted.points is not None:
+        _write_points(folder, wanted.points, wanted.everything)
+    if wanted.occupancy is None and wanted.picture is None:
+        return
+    grid = grid_of(folder, wanted.resolution_m)
+    if wanted.occupancy is not None:
+        _write_occupancy(grid, wanted.occupancy)
+    if wanted.picture is not None:
+        write_picture(grid, folder, wanted.picture)
+
+
+def _check(wanted: Exports, force: bool) -> None:
+    from wheelsight.app.cli.options import check_out
+    from wheelsight.core.errors import ConfigError
+
+    files = dict(zip(_SUFFIXES, (wanted.points, wanted.occupancy, wanted.picture), strict=True))
+    if not any(files.values()):
+        raise ConfigError("nothing is asked for", fix="--out points.ply, --occupancy plan.yaml or --picture plan.png")
+    if wanted.resolution_m is not None and wanted.occupancy is None and wanted.picture is None:
+        raise ConfigError("--resolution is of occupancy maps", fix="--occupancy plan.yaml or --picture plan.png")
+    for option, path in files.items():
+        if path is not None and path.suffix.lower() not in _SUFFIXES[option]:
+            ends = " or ".join(_SUFFIXES[option])
+            raise ConfigError(f"{option} is {str(path)!r}, which does not end in {ends}", fix=f"give a name in {ends}")
+    for path in files.values():
+        if path is not None:
+            check_out(path, force)
+    if wanted.occupancy is not None:
+        check_out(wanted.occupancy.with_suffix(".pgm"), force)
+
+
+def _write_points(folder: MapFolder, out: Path, everything: bool) -> None:
+    from wheelsight.mapping import write_ply
+
+    count = write_ply(folder.surfels() or _fused(folder), out, stable_only=not everything)
+    typer.echo(f"{count:,} points, {out.stat().st_size / _MB:.1f} MB: {out}")
+
+
+def grid_of(folder: MapFolder, resolution_m: float | None = None) -> OccupancyGrid:
+    """The occupancy map of an open map, made with progress; of cells of so many metres, or as its settings say.
+
+    Raises as `occupancy_of` does.
+    """
+    from wheelsight.app.cli.compiling import compile_missing
+    from wheelsight.app.cli.progress import FrameProgress
+    from wheelsight.mapping import OccupancyMapper
+    from wheelsight.slam.maps import occupancy_of
+
+    settings = folder.settings.occupancy
+    if resolution_m is not None:
+        settings = settings.model_copy(update={"resolution_m": resolution_m})
+    compile_missing(["dense"])
+    # Refused before any keyframe is read, where nobody knows where the camera sits.
+    mapper = OccupancyMapper(folder.calibration, settings)
+    with FrameProgress("occupancy", None, unit="keyframes") as progress:
+        return occupancy_of(folder, settings, progress.reach, mapper)
+
+
+def _write_occupancy(grid: OccupancyGrid, out: Path) -> None:
+    from wheelsight.io.ros_map import write_ros_map
+
+    about, image = write_ros_map(grid.to_ros(), out)
+    rows, columns = grid.kind.shape
+    size = f"{columns * grid.resolution_m:.1f} × {rows * grid.resolution_m:.1f} m in cells of {grid.resolution_m:g} m"
+    typer.echo(f"{size}, {grid.free_m2():.1f} m² free: {about}, {image.name}")
+
+
+def _fused(folder: MapFolder) -> SurfelMap:
+    from wheelsight.app.cli.compiling import compile_missing
+    from wheelsight.app.cli.console import print_note
+    from wheelsight.app.cli.progress import FrameProgress
+    from wheelsight.slam.maps import fused_anew
+
+    print_note("the map has no surfels; they are fused of its keyframes")
+    compile_missing(["dense"])
+    with FrameProgress("fusing", None, unit="keyframes") as progress:
+        return fused_anew(folder, on_keyframe=progress.reach)
+
+
+# The picture that `wheelsight map export` makes of a map.
+
+
+def write_picture(grid: OccupancyGrid, folder: MapFolder, out: Path) -> None:
+    """The plan, with axes, the way of its drives, and what people said of it. Raises OutputError."""
+    from wheelsight.mapping.occupancy import picture_of, save_picture
+    from wheelsight.slam.maps import driven_way
+
+    image = picture_of(grid, [stretch[:, :2] for stretch in driven_way(folder)], *_said_of(folder), has_axes=True)
+    save_picture(image, out)
+    # By which corners of zones can be read off it.
+    (x, y), (rows, columns) = grid.origin, grid.kind.shape
+    reach = f"x {x:.2f} to {x + columns * grid.resolution_m:.2f} m, y {y:.2f} to {y + rows * grid.resolution_m:.2f} m"
+    typer.echo(f"{image.shape[1]} × {image.shape[0]} pixels: {out}; above its legend {reach}")
+
+
+def _said_of(folder: MapFolder) -> tuple[list[PlanLine], list[PlanMark]]:
+    """Outlines of areas and of zones, and the places that have a name."""
+    from wheelsight.mapping import EditKind
+    from wheelsight.mapping.occupancy import PlanLine, PlanMark
+    from wheelsight.slam.maps.contents import edits_as_known, names_as_known
+
+    T, drawn = folder.store.T_map_keyframe, {EditKind.AREA: (0, 158, 115), EditKind.SPEED: (230, 159, 0)}
+    lines = []
+    for edit in edits_as_known(folder).edits:
+        if edit.kind in drawn:
+            corners = edit.polygon_now(T)
+            called = edit.name or f"{edit.limit_m_s:g} m/s"
+            kind = "area" if edit.name else "speed zone"
+            lines.append(PlanLine([*corners, corners[0]], drawn[edit.kind], kind, text=called))
+    names = names_as_known(folder)
+    places = [(name, names.named(name).pose_now(T)[:2]) for name in names.names]
+    return lines, [PlanMark(xy, "square", drawn[EditKind.AREA], "place", name) for name, xy in places]

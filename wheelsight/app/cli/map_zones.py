@@ -1,0 +1,244 @@
+"""What `wheelsight map zone` does, and what the words of its options mean."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from wheelsight.core.errors import ConfigError, MapError
+
+if TYPE_CHECKING:
+    from wheelsight.core.geometry import FloatArray
+    from wheelsight.mapping import MapEdit, MapEdits
+    from wheelsight.slam.maps import MapFolder
+
+
+# What `wheelsight map zone` does.
+
+
+def change(source: Path, asked: AskedZone) -> None:
+    """Draw what is asked, or forget it. Raises ConfigError, MapError, AreaError, OutputError."""
+    from wheelsight.slam.maps import MapFolder, find_map
+    from wheelsight.slam.maps.contents import edits_as_known
+
+    drawn = drawn_by(asked)
+    folder = MapFolder.open(find_map(source), read_only=False)
+    try:
+        known = edits_as_known(folder)
+        changed = _added(folder, known, drawn) if asked.forget is None else [_forgotten(folder, known, asked.forget)]
+        _renew_occupancy(folder, changed)
+    finally:
+        folder.close()
+
+
+def _added(folder: MapFolder, known: MapEdits, drawn: Sequence[MapEdit]) -> Sequence[MapEdit]:
+    """Keep what was drawn, each hung on the nearest keyframe, and say so."""
+    from wheelsight.slam.maps import lie_together
+
+    # On a keyframe of which nobody knows where it lies it would go astray.
+    sure, poses = lie_together(folder).nonzero()[0], folder.named_poses().names
+    hung = [edit.hung_on_nearest(folder.store.T_map_keyframe, sure) for edit in drawn]
+    for edit in hung:
+        known = known.with_edit(edit)
+    folder.save_edits(known)
+    for number, edit in enumerate(hung, start=len(known) - len(hung) + 1):
+        on = "no keyframe" if edit.keyframe is None else f"keyframe {edit.keyframe}"
+        typer.echo(f"{number}: {_what(edit)}: {_size_m2(edit):.2f} m², moves with {on}")
+        _warn_where_nobody_saw(_what(edit), edit.polygon, folder.store.T_map_keyframe[sure])
+        if edit.name in poses:
+            _warn_of_namesake(edit.name)
+    return hung
+
+
+def _forgotten(folder: MapFolder, known: MapEdits, number: int) -> MapEdit:
+    from wheelsight.mapping import MapEdits
+
+    if not 0 < number <= len(known):
+        fix = f"1 to {len(known)}; wheelsight map zone MAP lists them" if len(known) else "the map has no zones"
+        raise ConfigError(f"--forget is {number}", fix=fix)
+    gone = known.edits[number - 1]
+    folder.save_edits(MapEdits(tuple(edit for edit in known.edits if edit is not gone)))
+    typer.echo(f"forgotten: {_what(gone)}")
+    return gone
+
+
+def _renew_occupancy(folder: MapFolder, changed: Sequence[MapEdit]) -> None:
+    """What other programs read of the map must know of a zone, too; it is written anew where there is one."""
+    from wheelsight.app.cli.compiling import compile_missing
+    from wheelsight.app.cli.console import print_warning
+    from wheelsight.app.cli.progress import FrameProgress
+    from wheelsight.mapping import EditKind
+    from wheelsight.slam.maps import save_occupancy
+    from wheelsight.slam.maps.folder import OCCUPANCY_FILE
+
+    path = folder.path / OCCUPANCY_FILE
+    if not path.is_file() or not {edit.kind for edit in changed} & {EditKind.KEEP_OUT, EditKind.WIPED}:
+        return
+    compile_missing(["dense"])
+    try:
+        with FrameProgress("occupancy", None, unit="keyframes") as progress:
+            save_occupancy(folder, progress.reach)
+    except MapError as error:
+        print_warning(f"{path} is as it was, without this change: {error}")
+
+
+def _warn_where_nobody_saw(what: str, polygon: FloatArray, T_map_keyframe: FloatArray) -> None:
+    """One farther from all keyframes than floor is taken from them was probably mistyped, or in another frame."""
+    import shapely
+
+    from wheelsight.app.cli.console import print_warning
+    from wheelsight.mapping import OccupancySettings
+
+    far_m = OccupancySettings().far_m
+    at = shapely.points(T_map_keyframe[:, :2, 3])
+    off_m = float(shapely.distance(shapely.Polygon(polygon), at).min(initial=math.inf))
+    if far_m < off_m < math.inf:
+        print_warning(
+            f"{what}: it lies wholly beyond what the map shows, {off_m:.1f} m from the nearest keyframe, which shows "
+            f"the floor to {far_m:g} m (wheelsight map export MAP --picture plan.png shows the map)"
+        )
+
+
+def _warn_of_namesake(name: str) -> None:
+    from wheelsight.app.cli.console import print_warning
+
+    print_warning(
+        f"a place is called {name}, too, and is where wheelsight drive --to goes "
+        f"(wheelsight map name MAP '{name}' --remove leaves the area alone)"
+    )
+
+
+def print_zones(folder: MapFolder) -> None:
+    """All edits of a map, each with its number and where it is by now. Raises MapError."""
+    from wheelsight.app.cli.console import console, facts_table
+    from wheelsight.slam.maps.contents import edits_as_known
+
+    known = edits_as_known(folder)
+    if not len(known):
+        typer.echo("the map has no zones: wheelsight map zone MAP --keep-out X,Y X,Y X,Y")
+        return
+    table = folder.store.T_map_keyframe
+    facts = ((str(n), f"{_what(edit)}: {_told(edit.polygon_now(table))}") for n, edit in enumerate(known.edits, 1))
+    console().print(facts_table("zones and areas", facts))
+
+
+def _what(edit: MapEdit) -> str:
+    """Such as "speed zone, at most 0.3 m/s"."""
+    from wheelsight.mapping import EditKind
+
+    if edit.limit_m_s is not None:
+        return f"speed zone, at most {edit.limit_m_s:g} m/s"
+    if edit.name is not None:
+        return f"area {edit.name}"
+    return "keep-out zone" if edit.kind == EditKind.KEEP_OUT else "wiped place"
+
+
+def _told(polygon: FloatArray) -> str:
+    """As one types it."""
+    # Adding 0 makes a zero of a negative one.
+    return " ".join(f"{x:.2f},{y:.2f}" for x, y in (polygon.round(2) + 0.0).tolist())
+
+
+def _size_m2(edit: MapEdit) -> float:
+    import shapely
+
+    return float(shapely.Polygon(edit.polygon).area)
+
+
+# What the words of `wheelsight map zone` mean.
+
+
+_WHICH = "--keep-out, --speed M_S, --wipe or --area NAME"
+_FORM = "X,Y in metres in the map, such as 2,-1 3,-1 3,0.5; two are opposite corners of a rectangle"
+
+
+@dataclass(frozen=True, slots=True)
+class AskedZone:
+    """What was typed: one of what is there, and corners, for which it is; without any of it, a list.
+
+    Attributes:
+        corners: words, of one or more corners each.
+        keep_out, speed_m_s, wipe, area: what is in them.
+        areas: an areas.yaml.
+        forget: number in the list, from 1 on.
+    """
+
+    corners: tuple[str, ...]
+    keep_out: bool
+    speed_m_s: float | None
+    wipe: bool
+    area: str | None
+    areas: Path | None
+    forget: int | None
+
+    @property
+    def told(self) -> str | None:
+        """The first option that was given."""
+        return next(iter(self._options()), None)
+
+    def _options(self) -> list[str]:
+        values = (self.keep_out or None, self.speed_m_s, self.wipe or None, self.area, self.areas, self.forget)
+        names = ("--keep-out", "--speed", "--wipe", "--area", "--areas", "--forget")
+        return [name for name, value in zip(names, values, strict=True) if value is not None]
+
+    def check(self) -> None:
+        """Raises ConfigError for what means nothing together."""
+        for word in self.corners:
+            if word.startswith("-") and not word[1:2].isdigit() and word[1:2] != ".":
+                raise ConfigError(f"there is no option {word}", fix=f"{_WHICH}; --areas FILE or --forget NUMBER")
+        options = self._options()
+        if len(options) > 1:
+            raise ConfigError(f"{options[0]} and {options[1]} are given at once", fix="one after another")
+        if not options and self.corners:
+            raise ConfigError("what is in these corners is not said", fix=_WHICH)
+        if self.told in ("--areas", "--forget") and self.corners:
+            raise ConfigError(f"{self.told} has no corners", fix="leave them out")
+        if self.speed_m_s is not None and not 0 < self.speed_m_s < math.inf:
+            raise ConfigError(
+                f"--speed is {self.speed_m_s:g}", fix="metres a second, over 0, such as 0.3; or --keep-out"
+            )
+
+
+def drawn_by(asked: AskedZone) -> Sequence[MapEdit]:
+    """What is to be drawn, hung on no keyframe. Raises ConfigError, MapError, AreaError."""
+    from wheelsight.core.areas import load_areas
+    from wheelsight.mapping import EditKind, MapEdit
+
+    if asked.areas is not None:
+        return [MapEdit(EditKind.AREA, area.polygon, name=area.name) for area in load_areas(asked.areas)]
+    if asked.forget is not None:
+        return []
+    polygon = _polygon_of(asked.told or "", asked.corners)
+    if asked.speed_m_s is not None:
+        return [MapEdit(EditKind.SPEED, polygon, limit_m_s=asked.speed_m_s)]
+    if asked.area is not None:
+        return [MapEdit(EditKind.AREA, polygon, name=asked.area)]
+    return [MapEdit(EditKind.KEEP_OUT if asked.keep_out else EditKind.WIPED, polygon)]
+
+
+def _polygon_of(option: str, words: Sequence[str]) -> FloatArray:
+    """(N, 2) corners of words such as "2,-1" or "2,-1 3,-1 3,0.5". Raises ConfigError."""
+    import numpy as np
+
+    corners = [_corner(text) for word in words for text in word.split()]
+    if len(corners) < 2:
+        raise ConfigError(f"{option} has {'one corner' if corners else 'no corners'}", fix=_FORM)
+    if len(corners) == 2:
+        (x, y), (far_x, far_y) = corners
+        corners = [(x, y), (far_x, y), (far_x, far_y), (x, far_y)]
+    return np.array(corners)
+
+
+def _corner(text: str) -> tuple[float, float]:
+    try:
+        x_m, y_m = map(float, text.split(","))
+    except ValueError:
+        x_m = y_m = math.nan
+    if not math.isfinite(x_m) or not math.isfinite(y_m):
+        raise ConfigError(f"{text!r} is no corner", fix=_FORM)
+    return x_m, y_m

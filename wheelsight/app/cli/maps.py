@@ -1,0 +1,265 @@
+"""`wheelsight map`: the map that a run leaves for the next drive. Holds its commands and their options."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from wheelsight.app.cli import map_tasks as work
+from wheelsight.app.cli.console import Command, Group
+from wheelsight.app.cli.map_contents import Exports
+from wheelsight.app.cli.map_zones import AskedZone
+
+# `wheelsight map zone`: what people say of parts of a map's floor.
+
+
+def zone(
+    source: MapPath,
+    corners: Corners = None,
+    keep_out: KeepOut = False,
+    speed: Speed = None,
+    wipe: Wipe = False,
+    area: AreaName = None,
+    areas: AreasFile = None,
+    forget: Forget = None,
+) -> None:
+    """Say where nobody drives, where all drive slowly, what is gone, or what an area is called; or list all that.
+
+    Zones and areas are in the map's edits.json. Each hangs on the nearest keyframe and moves with it, as where a loop
+    closes; rebuild, merge and prune carry them over. wheelsight map export MAP --picture plan.png shows the
+    map, and says from where to where it reaches.
+
+    [bold]Examples[/bold]
+
+    wheelsight map zone home --keep-out 2,-1 3,-1 3,0.5
+
+    wheelsight map zone home --speed 0.3 -1,2 4,3
+
+    wheelsight map zone home --wipe 5,0 5.4,0.4
+
+    wheelsight map zone home --area kitchen 4,-3 7,-3 7,0 4,0
+
+    wheelsight map zone home
+
+    wheelsight map zone home --forget 2
+    """
+    work.zone(source, AskedZone(tuple(corners or ()), keep_out, speed, wipe, area, areas, forget))
+
+
+# `wheelsight map`: the map that a run leaves for the next drive: told, named, exported, rebuilt, merged, pruned.
+
+
+maps_app = typer.Typer(cls=Group, no_args_is_help=True, rich_markup_mode="rich")
+
+
+@maps_app.callback()
+def _about() -> None:
+    """The map that a run leaves for the next drive: info, name, zone, export, rebuild, merge, prune."""
+
+
+@maps_app.command(cls=Command)
+def info(
+    source: MapPath,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+) -> None:
+    """Tell what is in a map: keyframes, edges, loops, size, camera, and what is wrong with it, if anything.
+
+    [bold]Examples[/bold]
+
+    wheelsight map info results
+
+    wheelsight map info results/map --json
+    """
+    work.info(source, as_json)
+
+
+@maps_app.command(cls=Command)
+def name(
+    source: MapPath,
+    called: Called = None,
+    at: At = None,
+    show_list: Annotated[bool, typer.Option("--list", help="Print all names and where they are by now.")] = False,
+    remove: Annotated[bool, typer.Option("--remove", help="Forget the name.")] = False,
+) -> None:
+    """Give a place of a map a name, by which wheelsight drive finds it.
+
+    Names are in the map's places.json. Each hangs on the nearest keyframe and moves with it, as where a loop closes;
+    rebuild, merge and prune carry them over.
+
+    [bold]Examples[/bold]
+
+    wheelsight map name home kitchen --at 3.2,1.5,90
+
+    wheelsight map name home --list
+
+    wheelsight map name home kitchen --remove
+    """
+    work.name(source, called, at, show_list=show_list, remove=remove)
+
+
+# Else -1,2 would be an option; what is none is refused by the work.
+maps_app.command(cls=Command, context_settings={"ignore_unknown_options": True})(zone)
+
+
+@maps_app.command(cls=Command)
+def export(
+    source: MapPath,
+    out: Points = None,
+    occupancy: Occupancy = None,
+    picture: Picture = None,
+    resolution: Resolution = None,
+    everything: Annotated[
+        bool, typer.Option("--all", help="All surfels, and not only those seen often enough to be sure.")
+    ] = False,
+    force: Force = False,
+) -> None:
+    """Write the map where its keyframes are by now: surfels as points, and what of the floor is free.
+
+    Where the map has no surfels, as one of a run that was killed, they are fused of its keyframes first. Nav2's
+    map_server reads the occupancy map.
+
+    [bold]Examples[/bold]
+
+    wheelsight map export results --out kitchen.ply
+
+    wheelsight map export results/map --all --out all_points.ply --force
+
+    wheelsight map export results --occupancy plan.yaml --picture plan.png --resolution 0.05
+    """
+    work.export(source, Exports(out, occupancy, picture, resolution, everything), force)
+
+
+@maps_app.command(cls=Command)
+def rebuild(source: MapPath, out: NewMap) -> None:
+    """Make a map anew of its keyframes, where they are by now: surfels are fused again, what is outdated is left out.
+
+    The old map stays as it is. Keyframes keep no colour: the new surfels are grey.
+
+    [bold]Examples[/bold]
+
+    wheelsight map rebuild results --out rebuilt
+
+    wheelsight map rebuild results/map --out rebuilt
+    """
+    work.rebuild(source, out)
+
+
+@maps_app.command(cls=Command)
+def merge(
+    first: Annotated[
+        Path, typer.Argument(metavar="A", help="A map, or the run that left it; its frame stays.", show_default=False)
+    ],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Another one of the same camera.", show_default=False)],
+    out: NewMap,
+) -> None:
+    """Make one map of two: keyframes of B are recognised in A, and a graph of both is solved.
+
+    Two keyframes of B at least must be recognised, and agree on where B lies in A; else nothing is written.
+    Surfels are fused anew of the keyframes, and grey. What nobody knows how it lies to A is left out, and told.
+
+    [bold]Examples[/bold]
+
+    wheelsight map merge monday tuesday --out both
+
+    wheelsight map merge ground_floor/map stairs/map --out house
+    """
+    work.merge(first, second, out)
+
+
+@maps_app.command(cls=Command)
+def prune(source: MapPath, out: NewMap) -> None:
+    """Leave out keyframes whose view another one shows, so that a map that is extended daily does not grow for ever.
+
+    The old map stays as it is. Edges are carried over to keyframes that stay, and so are surfels.
+
+    [bold]Examples[/bold]
+
+    wheelsight map prune results --out pruned
+
+    wheelsight map prune house/map --out house_pruned
+    """
+    work.prune(source, out)
+
+
+# The options of `wheelsight map`.
+
+
+_ZONES = "What is there"
+
+MapPath = Annotated[
+    Path, typer.Argument(metavar="DIR", help="The map's folder, or that of the run that left it.", show_default=False)
+]
+NewMap = Annotated[
+    Path,
+    typer.Option("--out", metavar="DIR", help="Folder of the new map; empty, or not there yet.", show_default=False),
+]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
+Called = Annotated[str | None, typer.Argument(metavar="NAME", help="What the place is called.", show_default=False)]
+At = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X,Y[,YAW_DEG]",
+        help="Where it is in the map: metres, and the heading of a robot there, in degrees from x to y.",
+        show_default=False,
+    ),
+]
+Corners = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="X,Y...",
+        help="Corners in the order of the outline, metres in the map; two are opposite corners of a rectangle.",
+        show_default=False,
+    ),
+]
+KeepOut = Annotated[bool, typer.Option("--keep-out", help="Nobody drives there.", rich_help_panel=_ZONES)]
+Speed = Annotated[
+    float | None,
+    typer.Option(
+        metavar="M_S",
+        help="Nobody drives faster there, in metres a second.",
+        show_default=False,
+        rich_help_panel=_ZONES,
+    ),
+]
+Wipe = Annotated[
+    bool, typer.Option("--wipe", help="Obstacles that the map has there are gone: free.", rich_help_panel=_ZONES)
+]
+AreaName = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="It is called so, for wheelsight drive --to NAME.",
+        show_default=False,
+        rich_help_panel=_ZONES,
+    ),
+]
+AreasFile = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="All areas of an areas.yaml, whose corners must be in this map's frame; that of a simulated world is in "
+        "the building's.",
+        show_default=False,
+        rich_help_panel=_ZONES,
+    ),
+]
+Forget = Annotated[
+    int | None,
+    typer.Option(
+        metavar="NUMBER", help="Forget the one of this number in the list.", show_default=False, rich_help_panel=_ZONES
+    ),
+]
+Points = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="PLY file of the surfels to write.", show_default=False)
+]
+Occupancy = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="YAML file of the occupancy map; its PGM stands beside it.", show_default=False),
+]
+Picture = Annotated[Path | None, typer.Option(metavar="FILE", help="PNG file: a picture of that.", show_default=False)]
+Resolution = Annotated[
+    float | None,
+    typer.Option(metavar="METRES", min=0.01, max=1, help="Side of the occupancy map's cells.", show_default="0.05"),
+]

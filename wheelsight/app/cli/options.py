@@ -1,0 +1,308 @@
+"""Options that several commands share, the recordings that they open, and checks of the places for outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from wheelsight.config import Config
+    from wheelsight.core.calibration import Calibration, Measured
+    from wheelsight.core.calibration_parts import Wheels
+    from wheelsight.io.recordings import Recording
+
+
+# Options that several commands share.
+
+
+# Panels of the help that several commands have.
+INPUT, OUTPUT, SETTINGS = "Input", "Output", "Settings"
+
+RecordingPath = Annotated[
+    Path,
+    typer.Argument(
+        metavar="RECORDING",
+        help="Folder of the recording, or a ROS bag; [bold]sample[/bold] is one that comes along.",
+        show_default=False,
+    ),
+]
+Camera = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME|FILE",
+        help="Calibration to use: the name of a shipped one, such as freiburg1, or a calibration.yaml.",
+        show_default="what the recording itself says",
+        rich_help_panel=INPUT,
+    ),
+]
+CalibrationFile = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="FILE",
+        help="calibration.yaml whose parts (cameras, mount, wheels, gyro) stand in place of the recording's; what it "
+        "leaves out stays. May be given again: each is laid over those before.",
+        show_default=False,
+        rich_help_panel=INPUT,
+    ),
+]
+DepthFactor = Annotated[
+    float | None,
+    typer.Option(
+        help="Depth units a metre in the depth images.", show_default="as its format says", rich_help_panel=INPUT
+    ),
+]
+MaxGap = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SECONDS",
+        help="Largest distance in time of a colour and a depth image.",
+        show_default="0.02",
+        rich_help_panel=INPUT,
+    ),
+]
+RateHz = Annotated[
+    float | None,
+    typer.Option(
+        "--rate-hz",
+        metavar="HZ",
+        help="How many a second the images' stamps count: 30 for numbers of a 30 Hz camera, 1000 for milliseconds.",
+        show_default="stamps are seconds",
+        rich_help_panel=INPUT,
+    ),
+]
+Topics = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--topic",
+        metavar="ROLE=TOPIC",
+        help="Of a bag: which topic is color, depth, color_info, depth_info, wheels, gyro or truth; none leaves one "
+        "out. May be given again. Joints, fields, places or frames of wheels: wheels=/joints:left,right, "
+        "wheels=/ticks:2,3, wheels=/tf:odom,base_link; a topic each: wheels=/lwheel,/rwheel.",
+        show_default="by type, frame and name",
+        rich_help_panel=INPUT,
+    ),
+]
+Profile = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Settings for one kind of computer: pi, for a small one. --config and other options win over it; "
+        "wheelsight config --profile pi shows them.",
+        show_default="none",
+        rich_help_panel=SETTINGS,
+    ),
+]
+
+
+# What --start says beside --map-from.
+STARTS_IN_KNOWN_MAP = "--start in the known map"
+_SETTINGS = {
+    "--profile": "profile",
+    "--odometry": "odometry",
+    "--fusion": "fusion.filter",
+    "--map": "map",
+    "--loops": "loops.source",
+    "--map-from": "known_map.path",
+    "--extend": "known_map.extend",
+    STARTS_IN_KNOWN_MAP: "known_map.start",
+    "--reference": "features.reference",
+    "--integration": "wheels.integration",
+    "--gyro": "wheels.gyro",
+    "--places": "places.model",
+    "--areas": "places.areas",
+    "--rectify": "places.rectify",
+    "--start": "places.start",
+    "--odometry-term": "places.odometry_term",
+    "--weights": "places.weights",
+    "--seed": "features.seed",
+    "--camera": "recording.camera",
+    "--calibration": "recording.calibration",
+    "--depth-factor": "recording.depth_factor",
+    "--max-gap": "recording.max_gap_s",
+    "--rate-hz": "recording.rate_hz",
+    "--topic": "recording.topics",
+}
+
+
+def settings_from(options: Mapping[str, object], file: Path | None = None) -> Config:
+    """The configuration of a file, and over it the options that were given (are not None). Raises ConfigError."""
+    from wheelsight.config import load_config
+
+    overrides = {_SETTINGS[option]: value for option, value in options.items() if value not in (None, [])}
+    return load_config(file, overrides, called={name: option for option, name in _SETTINGS.items()})
+
+
+def open_source(folder: Path, settings: Config) -> Recording:
+    """The recording in a folder, or the sample, read as the settings say. Raises InputError."""
+    from wheelsight.app.cli.console import print_note
+    from wheelsight.io.recordings import SAMPLE_NAME, open_recording
+
+    if folder == Path(SAMPLE_NAME) and folder.exists():
+        print_note(f"{folder} is the one in the current folder, not the recording that comes with wheelsight")
+
+    return open_recording(folder, settings.recording.open_options())
+
+
+Rerun = Annotated[
+    str | None,
+    typer.Option(
+        "--rerun",
+        metavar="FILE.rrd|spawn",
+        help="Show the run in Rerun as it goes: written to a file, or in a viewer that is started here.",
+        show_default="not shown",
+        rich_help_panel=OUTPUT,
+    ),
+]
+
+
+# Places for outputs.
+
+
+def can_draw() -> bool:
+    """Whether a page can be drawn; warns where it cannot, and all but the page will be written."""
+    from wheelsight.app.cli.console import print_warning
+    from wheelsight.app.report import why_no_page
+
+    why = why_no_page()
+    if why is not None:
+        print_warning(f"no page is drawn: {why}")
+    return why is None
+
+
+def check_out(out: Path, force: bool | None, option: str = "--out") -> None:
+    """Raises OutputError, before any work, where `out` cannot or must not be written.
+
+    `force` is None where the command has none; `option` is what names the file.
+    """
+    from wheelsight.core.errors import OutputError
+    from wheelsight.core.files import check_name, make_output_folder
+
+    check_name(out)
+    if out.is_dir():
+        raise OutputError("is a folder, not a file", path=out, fix=f"choose another {option}")
+    if out.exists() and not force:
+        fix = f"choose another {option}" + ("" if force is None else ", or add --force to overwrite")
+        raise OutputError("is there already", path=out, fix=fix)
+    make_output_folder(out.parent, force=True)
+
+
+def check_rerun(target: str | None, force: bool | None = None) -> None:
+    """Raises ConfigError, before any work, where Rerun is asked for and missing; of a file as `check_out`."""
+    from wheelsight.core.runtime import needed
+
+    if target is None:
+        return
+    needed("rerun")
+    from wheelsight.app.viewer import is_file
+
+    if is_file(target):
+        check_out(Path(target), force, "--rerun")
+
+
+# What the commands of `wheelsight calibrate` read and write: options, the recording, FILE and the page beside it.
+
+
+Out = Annotated[
+    Path,
+    typer.Option(metavar="FILE", help="calibration.yaml to write; a page about it goes beside it.", show_default=False),
+]
+Force = Annotated[
+    bool, typer.Option("--force", help="Overwrite FILE and its page; what FILE tells of other parts stays.")
+]
+
+
+def open_for(
+    folder: Path, calibration: Sequence[str] | None, topics: Sequence[str] | None, rate_hz: float | None = None
+) -> Recording:
+    """The recording, with what `--calibration` says in place of its own; topics and stamps as the options say."""
+    options = {"--calibration": calibration, "--rate-hz": rate_hz, "--topic": topics}
+    return open_source(folder, settings_from(options))
+
+
+def page_beside(out: Path, force: bool) -> Path | None:
+    """Where the page goes, or None where none can be drawn; before any work.
+
+    Raises:
+        OutputError: it or `out` cannot or must not be written.
+    """
+    from wheelsight.core.errors import OutputError
+    from wheelsight.core.files import check_name, make_output_folder
+
+    page = out.with_suffix(".html") if out.name else out / "page.html"  # of a folder, which is refused below
+    if page == out:
+        raise OutputError("is the name of the page, not of a calibration", path=out, fix="end it with .yaml")
+    for path in (out, page):
+        check_name(path)
+        if path.is_dir():
+            raise OutputError("is a folder, not a file", path=path, fix="choose another --out")
+        if path.exists() and not force:
+            raise OutputError("is there already", path=path, fix="choose another --out, or add --force to overwrite")
+    make_output_folder(out.parent, force=True)
+    return page if can_draw() else None
+
+
+def kept_in(out: Path, calibration: Sequence[str] | None) -> dict[str, Any]:
+    """What FILE is to hold besides what will be found: all that is in it, and over that what `--calibration` gave.
+
+    Raises CalibrationError, before any work, for a FILE that is a calibration but a wrong one, or larger than any:
+    nothing is lost unasked.
+    """
+    from wheelsight.core.calibration import FORMAT, laid_over, read_layer
+    from wheelsight.core.errors import CalibrationError
+    from wheelsight.core.inputs import YAML_FILE, read_bytes
+
+    kept: dict[str, Any] = {}
+    if out.is_file() and FORMAT.encode() in read_bytes(out, YAML_FILE, CalibrationError):
+        kept = read_layer(out)
+    for path in calibration or ():
+        kept = laid_over(kept, read_layer(Path(path)))
+    return kept
+
+
+def save_found(
+    found: Mapping[str, Any],
+    kept: Mapping[str, Any],
+    nominal: Calibration,
+    source: str,
+    out: Path,
+    entry: Measured,
+) -> str:
+    """Write what was found over what is kept, and below it the wheels as they were known; tells FILE and what it keeps.
+
+    `entry` goes to the end of the file's history.
+
+    So FILE is enough for a recording that has no calibration of its own, and loses nothing of one that has.
+    """
+    from wheelsight.core.calibration import (
+        FORMAT,
+        HISTORY,
+        NOMINAL,
+        NOMINAL_PARTS,
+        calibration_fields,
+        laid_over,
+        save_layer,
+    )
+
+    told = {HISTORY: [entry.as_field()]}
+    document = laid_over(kept, {"format": FORMAT, "source": source, **found, **told})
+    known = {name: part for name, part in calibration_fields(nominal).items() if name in NOMINAL_PARTS}
+    if any(name not in document.get(part, ()) for part in known for name in known[part]):
+        document[NOMINAL] = known
+    save_layer(document, out)
+    left = [word for word, name in _PARTS.items() if name in kept and name not in found]
+    return f"{out} (kept in it: {', '.join(left)})" if left else str(out)
+
+
+def wheel_fields(wheels: Wheels, *, delay: bool) -> dict[str, Any]:
+    """What a calibration of wheels finds of them, and the ticks a turn that its radii go with."""
+    from wheelsight.core.calibration_parts import WHEEL_SIGMAS
+
+    names = ("left_radius_m", "right_radius_m", "track_width_m", "ticks_per_turn", *(["delay_s"] if delay else []))
+    stated = [name for name in WHEEL_SIGMAS if getattr(wheels, name)]
+    return {"wheels": {name: float(getattr(wheels, name)) for name in (*names, *stated)}}
+
+
+_PARTS = {"cameras": "color", "mount": "T_base_camera", "wheels": "wheels", "gyro": "gyro"}

@@ -1,0 +1,423 @@
+"""`wheelsight record`: keep what the robot's sensors say. Opens the sensors and the place, and shows how far it is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, get_args
+
+import typer
+
+from wheelsight.app.cli.console import console, print_note, print_warning
+from wheelsight.app.cli.options import OUTPUT, Topics
+from wheelsight.app.cli.wheels import Baud, Seconds
+from wheelsight.core.errors import ConfigError, OutputError
+from wheelsight.core.runtime import until_stopped
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from wheelsight.core.calibration import Calibration
+    from wheelsight.core.settings import LiveCameraSettings, RecorderSettings
+    from wheelsight.io.devices import WheelLink
+    from wheelsight.io.devices.live_camera import LiveCamera
+    from wheelsight.io.devices.recorder import LiveRecorder, RecordingSession, SessionLook
+    from wheelsight.io.recordings.bags.writing import LiveBag
+    from wheelsight.io.recordings.native import LiveWriter
+
+
+# `wheelsight record`: keep what the robot's sensors say.
+
+
+_SENSORS = "Sensors"
+
+CameraKind = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Camera: its kind, or kind:serial number; any for the first that is plugged in; recording:DIR plays one.",
+        show_default="none",
+        rich_help_panel=_SENSORS,
+    ),
+]
+WheelsPort = Annotated[
+    str | None,
+    typer.Option(
+        metavar="PORT",
+        help="Serial port of the wheel controller.",
+        show_default="none",
+        rich_help_panel=_SENSORS,
+    ),
+]
+Calibrations = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="FILE",
+        help="calibration.yaml to put into the recording, over what the camera says of itself. May be given again.",
+        show_default="none",
+        rich_help_panel=_SENSORS,
+    ),
+]
+Infrared = Annotated[
+    bool,
+    typer.Option("--infrared", help="Infrared images too, where the camera has them.", rich_help_panel=_SENSORS),
+]
+Out = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="Folder of the recording; made.", show_default=False, rich_help_panel=OUTPUT),
+]
+Bag = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Write a bag of ROS 2, .mcap, in place of a folder.",
+        show_default=False,
+        rich_help_panel=OUTPUT,
+    ),
+]
+Color = Annotated[
+    str,
+    typer.Option(metavar="png|jpeg", help="How colour is kept: exactly, or small.", rich_help_panel=OUTPUT),
+]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on with the recording in DIR.", rich_help_panel=OUTPUT)]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite a recording in DIR.", rich_help_panel=OUTPUT)]
+SettingsFile = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Settings in YAML: camera and recorder.", show_default=False)
+]
+
+
+def record(
+    out: Out = None,
+    bag: Bag = None,
+    color: Color = "png",
+    resume: Resume = False,
+    force: Force = False,
+    camera: CameraKind = None,
+    wheels: WheelsPort = None,
+    baud: Baud = 115200,
+    calibration: Calibrations = None,
+    infrared: Infrared = False,
+    topic: Topics = None,
+    seconds: Seconds = None,
+    config: SettingsFile = None,
+) -> None:
+    """Record a camera, wheels, or both until Ctrl-C, SIGTERM or SIGHUP, which `wheelsight run DIR` reads.
+
+    Everything is on its way to the disk within a second, so whatever ends the recording leaves a valid one; --resume
+    goes on with it. A camera or port that vanishes is waited for, and the other sensor goes on. Frames for which the
+    disk is too slow are dropped, counted and told. A recording without calibration.yaml is run with --calibration.
+
+    [bold]Examples[/bold]
+
+    wheelsight record --camera any --wheels /dev/ttyUSB0 --out corridor --calibration robot.yaml
+
+    wheelsight record --camera realsense --color jpeg --out corridor
+
+    wheelsight record --camera any --wheels /dev/ttyUSB0 --out corridor --resume
+
+    wheelsight record --wheels /dev/ttyUSB0 --out square --seconds 60
+
+    wheelsight record --camera any --wheels /dev/ttyUSB0 --calibration robot.yaml --bag corridor.mcap
+    """
+    asked = Sensors(camera, wheels, tuple(calibration or ()), infrared, baud, config, tuple(topic or ()))
+    with (
+        until_stopped() as is_over,
+        opened_recording(asked, place_of(out, bag), color, force=force, resume=resume) as session,
+        shown_looks(seconds) as show,
+    ):
+        session.run(is_over, show, seconds)
+
+
+# Sensors opened for `wheelsight record`, and what is said in the end.
+
+
+@dataclass(frozen=True, slots=True)
+class Sensors:
+    """What is to be recorded, as the options say."""
+
+    camera: str | None
+    wheels: str | None
+    calibration: tuple[Path, ...]
+    infrared: bool
+    baud: int
+    config: Path | None
+    topics: tuple[str, ...] = ()
+
+
+@contextmanager
+def opened_recording(
+    asked: Sensors, out: Path | BagPlace, color: str, *, force: bool, resume: bool
+) -> Iterator[RecordingSession]:
+    """Sensors and recording opened for the block; what is refused leaves no folder, and what is over is told.
+
+    Raises InputError.
+    """
+    from wheelsight.core.files import new_output_folder
+    from wheelsight.io.devices.recorder import LiveRecorder, RecordingSession
+    from wheelsight.io.recordings import RecordingWriter
+
+    _check(asked, color, force=force, resume=resume)
+    of_camera, of_recorder = _settings(asked)
+    bag = out if isinstance(out, BagPlace) else None
+    folder = out.path.parent if isinstance(out, BagPlace) else out
+    if bag is not None:
+        bag.check(has_infrared=asked.infrared, force=force, resume=resume)
+        of_recorder = bag.settings(of_recorder)
+    known = _known(asked, folder, resume)
+    with ExitStack() as opened:
+        # refused before a device is touched
+        opened.enter_context(new_output_folder(folder, force or resume or bag is not None))
+        camera, calibration = _camera(asked, of_camera, known, opened)
+        link = _link(asked, opened)
+        writer: LiveWriter
+        if bag is not None:
+            writer = bag.writer(calibration, color, of_recorder)
+        else:
+            writer = RecordingWriter(folder, calibration, force, color=color, resume=resume)  # type: ignore[arg-type]
+        recorder = opened.enter_context(LiveRecorder(writer, of_recorder))
+        _check_time(writer, folder)
+        opened.callback(tell_end, writer, recorder, folder if bag is None else bag.path, camera is not None)
+        yield RecordingSession(recorder, folder, camera, link, note)
+
+
+def _check(asked: Sensors, color: str, *, force: bool, resume: bool) -> None:
+    """Raises ConfigError for options that mean nothing, or nothing together."""
+    from wheelsight.io.recordings.images import ColorFormat
+
+    if asked.camera is None and asked.wheels is None:
+        raise ConfigError("there is nothing to record", fix="--camera NAME, --wheels PORT, or both")
+    if color not in get_args(ColorFormat):
+        raise ConfigError(f"--color is {color!r}", fix=f"one of {', '.join(get_args(ColorFormat))}")
+    if force and resume:
+        raise ConfigError("--force begins anew and --resume does not", fix="one of them")
+    if asked.infrared and asked.camera is None:
+        raise ConfigError("--infrared is of a camera", fix="add --camera NAME")
+    if asked.topics and not (asked.camera or "").startswith("recording:"):
+        raise ConfigError("--topic is of a bag", fix="--camera recording:BAG, or leave it out")
+
+
+def _known(asked: Sensors, out: Path, resume: bool) -> Calibration | None:
+    """Of what is resumed, which stands whatever the camera says. Raises CalibrationError, ConfigError."""
+    from wheelsight.io.recordings.native import resumed_calibration
+
+    known = resumed_calibration(out) if resume else None
+    if known is not None and asked.calibration:
+        raise ConfigError("--resume goes by the recording's own calibration", fix="leave out --calibration")
+    return known
+
+
+def _camera(
+    asked: Sensors, settings: LiveCameraSettings, known: Calibration | None, opened: ExitStack
+) -> tuple[LiveCamera | None, Calibration | None]:
+    """The camera, if any, and the calibration of what is recorded. Raises DeviceError, CalibrationError."""
+    from wheelsight.app.cli.console import print_warning
+    from wheelsight.core.calibration import load_calibration
+    from wheelsight.io.devices.cameras import open_robot_camera
+
+    if asked.camera is None:
+        return None, known or (load_calibration(*asked.calibration) if asked.calibration else None)
+    camera, calibration = open_robot_camera(asked.camera, settings, asked.calibration, known)
+    opened.callback(camera.close)
+    for warning in camera.warnings:
+        print_warning(warning)
+    return camera, calibration
+
+
+def _settings(asked: Sensors) -> tuple[LiveCameraSettings, RecorderSettings]:
+    """Of camera and recorder. Raises ConfigError."""
+    from wheelsight.core.settings import LiveCameraSettings, RecorderSettings
+
+    camera, recorder = LiveCameraSettings(), RecorderSettings()
+    if asked.config is not None:
+        from wheelsight.config import load_config  # takes seconds, which a robot that stands ready need not wait
+
+        config = load_config(asked.config)
+        camera, recorder = config.camera, config.recorder
+    changes = {"infrared": camera.infrared or asked.infrared, "topics": asked.topics or camera.topics}
+    return camera.model_copy(update=changes), recorder
+
+
+def _link(asked: Sensors, opened: ExitStack) -> WheelLink | None:
+    """Raises DeviceError."""
+    from wheelsight.app.cli.wheels import note_status
+    from wheelsight.io.devices import WheelLink
+
+    if asked.wheels is None:
+        return None
+    return opened.enter_context(WheelLink(asked.wheels, asked.baud, note_status(asked.wheels)))
+
+
+def _check_time(writer: LiveWriter, folder: Path) -> None:
+    """Refuse to go on with a recording whose stamps are still to come. Raises OutputError."""
+    from wheelsight.io.devices import host_clock
+
+    ahead_s = writer.last_stamp_s - host_clock.now_s()
+    if ahead_s > 0:
+        problem = f"its last stamp lies {ahead_s:.0f} s in the future: the clock was set back"
+        raise OutputError(problem, path=folder, fix="set this computer's clock, or record into another --out")
+
+
+# Where `wheelsight record` writes: a folder, or a bag.
+
+
+@dataclass(frozen=True, slots=True)
+class BagPlace:
+    """A bag that is to be written."""
+
+    path: Path
+
+    def check(self, *, has_infrared: bool, force: bool, resume: bool) -> None:
+        """Raises ConfigError, OutputError before a device is touched, for what a bag cannot be or hold."""
+        from wheelsight.app.cli.options import check_out
+        from wheelsight.io.recordings.bags.writing import check_growing_name, check_library
+
+        if resume:
+            raise ConfigError("a bag cannot be resumed", fix="choose another name: a folder is read as one bag")
+        if has_infrared:
+            raise ConfigError("--infrared is not kept in bags", fix="record into a folder, --out")
+        check_growing_name(self.path)
+        check_library()
+        check_out(self.path, force)
+
+    def settings(self, of_recorder: RecorderSettings) -> RecorderSettings:
+        """Frames wait no longer than readers of bags do."""
+        wait_s = min(of_recorder.longest_wait_s, of_recorder.bag_wait_s)
+        return of_recorder.model_copy(update={"longest_wait_s": wait_s})
+
+    def writer(self, calibration: Calibration | None, color: str, settings: RecorderSettings) -> LiveBag:
+        """What writes it. Raises CalibrationError, OutputError."""
+        from wheelsight.io.recordings.bags.writing import LiveBag
+
+        return LiveBag(self.path, calibration, color, settings.bag_flush_s)  # type: ignore[arg-type]
+
+
+def place_of(out: Path | None, bag: Path | None) -> Path | BagPlace:
+    """Where to, by --out and --bag. Raises ConfigError unless one of them is given."""
+    if out is not None and bag is not None:
+        raise ConfigError("--out and --bag are two recordings", fix="one of them; `wheelsight export` makes the other")
+    if bag is not None:
+        return BagPlace(bag)
+    if out is None:
+        raise ConfigError("--out or --bag is needed", fix="--out DIR, or --bag FILE.mcap")
+    return out
+
+
+# What `wheelsight record` shows while it runs: one line, as much of it as the terminal is wide.
+
+
+# A line for a log, where no terminal watches.
+_LINE_EVERY_S = 10.0
+
+
+def line_of(look: SessionLook, width: int, seconds: float | None = None) -> str:
+    """Time, count, rate, drops by cause, disk: with all words where there is room, else with few.
+
+    Of a recording that ends after some seconds the time says of how many.
+    """
+    causes = " ".join(f"{_short(cause)} {count}" for cause, count in look.drops.items())
+    few = f"{sum(look.drops.values())} dropped" if causes else ""
+    lines = [" · ".join(_words(look, seconds, are_few)) for are_few in (False, True)]
+    lines += [" ".join(_fewest_words(look, seconds, f"dropped: {causes}" if causes else ""))]
+    lines += [" ".join(_fewest_words(look, seconds, few, has_speed=has_speed)) for has_speed in (True, False)]
+    return next((line for line in lines if len(line) <= width), lines[-1][: max(width, 0)])
+
+
+def _words(look: SessionLook, seconds: float | None, are_few: bool) -> Iterator[str]:
+    yield _time_of(look, seconds, "/" if are_few else " of ")
+    if look.camera is not None:
+        yield f"{look.recorder.frames} frames, {look.frames_per_s:.1f}/s"
+    if look.link is not None:
+        yield f"{look.recorder.readings} {'wheels' if are_few else 'wheel readings'}, {look.readings_per_s:.0f}/s"
+    if look.camera is not None:
+        yield _drops(look, _short if are_few else str)
+    if are_few:
+        yield f"{look.bytes_per_s / 1e6:.0f} MB/s"
+        yield f"{_bytes(look.free_bytes)}{_left(look, ' = ')}"
+    else:
+        yield f"{look.bytes_per_s / 1e6:.1f} MB/s, {_bytes(look.free_bytes)} free{_left(look, ', full in ')}"
+
+
+def _fewest_words(look: SessionLook, seconds: float | None, drops: str, *, has_speed: bool = True) -> Iterator[str]:
+    yield _time_of(look, seconds, "/")
+    if look.camera is not None:
+        yield f"{look.recorder.frames} fr {look.frames_per_s:.0f}/s"
+    if look.link is not None:
+        counted = f"{look.recorder.readings} " if look.camera is None else ""
+        yield f"{counted}{look.readings_per_s:.0f} wh/s"
+    if drops:
+        yield drops
+    if has_speed:
+        yield f"{look.bytes_per_s / 1e6:.0f} MB/s"
+    yield f"{_bytes(look.free_bytes)}{_left(look, '=')}"
+
+
+def _time_of(look: SessionLook, seconds: float | None, of: str) -> str:
+    return clock_of(look.seconds) if seconds is None else f"{clock_of(look.seconds)}{of}{clock_of(seconds)}"
+
+
+def _drops(look: SessionLook, named: Callable[[str], str]) -> str:
+    """Such as "3 dropped (slow disk 2, camera 1)"."""
+    causes = ", ".join(f"{named(cause)} {count}" for cause, count in look.drops.items())
+    return f"{sum(look.drops.values())} dropped ({causes})" if causes else "0 dropped"
+
+
+def _short(cause: str) -> str:
+    """Its last word, such as "disk" of "slow disk"."""
+    return cause.split()[-1]
+
+
+def clock_of(seconds: float) -> str:
+    """Minutes and seconds, such as "12:05"."""
+    return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"
+
+
+def _left(look: SessionLook, before: str) -> str:
+    """How long the room lasts; nothing where nobody knows."""
+    if look.full_after_s is None:
+        return ""
+    minutes = look.full_after_s / 60
+    told = f"{minutes:.0f} min" if minutes < 100 else f"{minutes / 60:.0f} h"
+    return f"{before}{told}"
+
+
+def _bytes(count: int) -> str:
+    return f"{count / 1e6:.0f} MB" if count < 1e9 else f"{count / 1e9:.0f} GB"
+
+
+@contextmanager
+def shown_looks(seconds: float | None = None) -> Iterator[Callable[[SessionLook], None]]:
+    """What shows a look, of so many seconds if given: a line on a terminal that changes, or one every ten seconds."""
+    stderr = console(stderr=True)
+    if stderr.is_terminal:
+        with stderr.status("") as line:
+            yield lambda look: line.update(line_of(look, stderr.width - 2, seconds))
+        return
+    shown_s = [time.monotonic()]
+
+    def show(look: SessionLook) -> None:
+        if time.monotonic() - shown_s[0] >= _LINE_EVERY_S:
+            shown_s[0] = time.monotonic()
+            stderr.print(line_of(look, stderr.width, seconds))
+
+    yield show
+
+
+def note(text: str) -> None:
+    """Say something that happened, with the time, on stderr."""
+    print_note(f"{time.strftime('%H:%M:%S')} {text}")
+
+
+def tell_end(writer: LiveWriter, recorder: LiveRecorder, out: Path, has_camera: bool) -> None:
+    """What is in the folder by now, and what is not."""
+    recorder.close()
+    report = recorder.report()
+    frames = f"{writer.frames} frames and " if has_camera else ""
+    turns = f", and {report.turns} of the camera's gyroscope," if report.turns else ""
+    print_note(f"{frames}{writer.readings} wheel readings{turns} are in {out}")
+    if report.dropped:
+        share = 100 * report.dropped / (report.dropped + report.frames)
+        text = f"{report.dropped} frames ({share:.1f} %) were dropped: the disk or the encoding was too slow"
+        print_warning(f"{text} (--color jpeg, or a faster disk)")

@@ -1,0 +1,543 @@
+"""`wheelsight run`: where the camera went. Opens what the run goes by, shows how far it is, and prints what it came
+to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from wheelsight.app.cli.console import takes
+from wheelsight.app.cli.options import settings_from
+from wheelsight.app.cli.run_options import RunOptions
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.runtime import exit_code
+
+if TYPE_CHECKING:
+    from rich.console import Group
+    from rich.table import Table
+
+    from wheelsight.app.cli.progress import FrameProgress
+    from wheelsight.app.run import (
+        FrameRecord,
+        InRealTime,
+        LiveSensors,
+        LiveSource,
+        RealTimeRecording,
+        RectificationRecord,
+        RunRecord,
+        Verdict,
+    )
+    from wheelsight.app.viewer import RerunLog
+    from wheelsight.config import Config
+    from wheelsight.core.calibration import Calibration
+    from wheelsight.core.robots import EventSource
+    from wheelsight.core.settings import RealTimeSettings
+    from wheelsight.io.devices.recorder import LiveRecorder
+    from wheelsight.io.recordings import Recording
+
+
+# `wheelsight run`: where the camera went.
+
+
+@takes(RunOptions)
+def run(options: RunOptions) -> None:
+    """Find where the robot or its camera went: trajectory, status of each frame, metrics and a report go to DIR.
+
+    Without --odometry wheels and camera are joined where the recording has both and it is known where the camera sits;
+    else one of them is followed. One line says which, and how to choose otherwise.
+
+    DIR gets trajectory.txt (TUM), status.csv, metrics.json, the resolved config.yaml and report.html.
+    Several odometries have a folder each.
+
+    --map surfels adds map/, in which --map-from finds the next drive: until the place is recognised, its poses are
+    "initializing". wheelsight export makes points or a mesh of it.
+    --loops adds trajectory_corrected.txt, the way as known at its end, and loops_judged.csv.
+
+    Ctrl-C stops early and keeps what was found until then. With --live, a camera and wheels are followed as they are
+    just now: "ready" is said once nothing is left to be compiled or loaded, and Ctrl-C ends it.
+
+    [bold]Examples[/bold]
+
+    wheelsight run sample --out first
+
+    wheelsight run my_drive --map surfels --out results
+
+    wheelsight run rgbd_dataset_freiburg1_desk --odometry features --out results
+
+    wheelsight run my_recording --camera my_camera.yaml --config settings.yaml --out results --force
+
+    wheelsight run my_recording --odometry wheels --calibration my_wheels.yaml --out results
+
+    wheelsight run robot.bag --topic wheels=/odom --out results
+
+    wheelsight run my_recording --odometry dense --out results
+
+    wheelsight run my_recording --odometry wheels --places floor.places --out results
+
+    wheelsight run my_recording --odometry wheels --loops matches --out results
+
+    wheelsight run my_drive --realtime --out results
+
+    wheelsight run my_drive --profile pi --out results
+
+    wheelsight run --live --camera any --wheels /dev/ttyUSB0 --calibration robot.yaml --map surfels --out now
+
+    wheelsight run monday --map surfels --loops keyframes --out monday_map
+
+    wheelsight run my_drive --map surfels --rerun run.rrd --out results
+
+    wheelsight run tuesday --map-from monday_map --out found_again
+    """
+    from wheelsight.app.run import default_odometry
+
+    asked = LiveRun.of(options)
+    asked.check(options.realtime, options.wheels_from)
+    settings = settings_from(options.settings(), options.config)
+    told = ""
+    with asked.source(settings, options.out, options.realtime, options.wheels_from, options.force) as source:
+        if not settings.odometry:
+            choice = default_odometry(source, settings)
+            settings, told = settings.with_odometry(choice.odometry), choice.sentence
+        records = track(source, settings, options.out, options.force, options.rerun, told)
+    print_summary(records, options.out)
+
+
+# What `wheelsight run` does once all is known: compile, track, show how far it is.
+
+
+def track(
+    source: EventSource, settings: Config, out: Path, force: bool, rerun: str | None = None, told: str = ""
+) -> Sequence[RunRecord]:
+    """Run, with progress on stderr; Ctrl-C ends it with the exit code of an interruption.
+
+    `rerun` is where Rerun is shown it, if anywhere: a file, or "spawn". `told` is said once nothing can be refused.
+    """
+    from wheelsight.app import runs
+    from wheelsight.app.cli.compiling import compile_missing
+    from wheelsight.app.cli.console import print_note
+    from wheelsight.app.cli.options import can_draw
+    from wheelsight.app.cli.progress import FrameProgress
+    from wheelsight.app.run.kernels import parts_of
+
+    count, unit = expected(source, settings)
+    status, progress = RunStatus(), FrameProgress("tracking", count, unit=unit)
+    answered: list[bool] = []
+
+    def show(answers: Mapping[str, FrameRecord]) -> None:
+        answered[:] = [True]
+        show_progress(progress, source, settings, status.after(answers))
+
+    with _told_where(out, answered), ExitStack() as shown:
+        watcher = None if rerun is None else shown.enter_context(_watcher(rerun, source, settings, force))
+
+        def begin() -> None:
+            if told:
+                print_note(told)
+            can_draw()
+            compile_missing(parts_of(settings))
+            shown.enter_context(progress)
+
+        return runs.run_each(
+            source, settings, out, force=force, on_ready=begin, on_code=_note_code, on_event=show, watcher=watcher
+        )
+
+
+def _note_code(done: int, total: int) -> None:
+    from wheelsight.app.cli.console import print_note
+
+    if done == 1:
+        print_note(f"making {total:,} keyframes ready to be recognised")
+
+
+@contextmanager
+def _told_where(out: Path, answered: Sequence[bool]) -> Iterator[None]:
+    """Ctrl-C ends it with the exit code of an interruption, and says what was found."""
+    from wheelsight.app.cli.console import print_note
+
+    try:
+        yield
+    except KeyboardInterrupt as interruption:
+        found = f"what was found until then is in {out}" if answered else "nothing was found until then"
+        print_note(f"interrupted; {found}")
+        raise typer.Exit(exit_code()) from interruption
+
+
+def _watcher(target: str, source: EventSource, settings: Config, force: bool) -> AbstractContextManager[RerunLog]:
+    """Raises ConfigError where Rerun is not installed, OutputError where the file must not be written."""
+    from wheelsight.app.cli.options import check_rerun
+    from wheelsight.app.viewer import open_rerun
+
+    check_rerun(target, force)
+    return open_rerun(target, source.calibration, settings.tracks, settings.viewer)
+
+
+# What a run goes by: a recording, at once or in its time, or sensors as they are just now.
+
+
+@dataclass(frozen=True, slots=True)
+class LiveRun:
+    """The options that say so."""
+
+    live: bool
+    recording: Path | None
+    camera: str | None
+    wheels: str | None
+    seconds: float | None
+    record: Path | None
+    calibration: tuple[str, ...]
+    baud: int | None
+
+    @classmethod
+    def of(cls, given: RunOptions) -> LiveRun:
+        """Those that were typed."""
+        sensors = given.recording, given.camera, given.wheels
+        return cls(given.live, *sensors, given.seconds, given.record, tuple(given.calibration or ()), given.baud)
+
+    def check(self, realtime: bool, wheels_from: str | None) -> None:
+        """Raises ConfigError for options that mean nothing together."""
+        if not self.live:
+            needs = {"--wheels": self.wheels, "--seconds": self.seconds, "--record": self.record}
+            if given := [option for option, value in needs.items() if value is not None]:
+                raise ConfigError(f"{given[0]} is of a live run", fix="add --live, or leave it out")
+            if self.recording is None:
+                raise ConfigError("no recording is named", fix="wheelsight run RECORDING, or --live --camera NAME")
+            return
+        if self.recording is not None:
+            raise ConfigError("--live follows sensors, no recording", fix="leave one of them out")
+        if realtime or wheels_from is not None:
+            raise ConfigError("--realtime plays a recording", fix="with --live, --wheels PORT alone")
+        if self.camera is None and self.wheels is None:
+            raise ConfigError("there is nothing to listen to", fix="--camera NAME, --wheels PORT, or both")
+
+    def source(
+        self, settings: Config, out: Path, realtime: bool, wheels_from: str | None, force: bool
+    ) -> AbstractContextManager[EventSource]:
+        """What the run goes by, for a block. Raises InputError."""
+        from wheelsight.app.cli.options import open_source
+
+        if self.live:
+            return _opened(self, settings, out, force)
+        assert self.recording is not None
+        recording = open_source(self.recording, settings)
+        return played(recording, realtime, wheels_from, self.baud, settings.realtime)
+
+
+@contextmanager
+def _opened(asked: LiveRun, settings: Config, out: Path, force: bool) -> Iterator[LiveSource]:
+    """Sensors, kernels and what is recorded, ready for the first event."""
+    from wheelsight.app.cli.compiling import compile_missing
+    from wheelsight.app.cli.console import print_note
+    from wheelsight.app.cli.record import note
+    from wheelsight.app.run import LiveSource
+    from wheelsight.app.run.kernels import parts_of
+    from wheelsight.core.files import new_output_folder
+    from wheelsight.core.runtime import until_stopped
+
+    with ExitStack() as opened:
+        opened.enter_context(new_output_folder(out, force))  # refused before a device is touched
+        compile_missing(parts_of(settings))  # minutes, in which a camera had better not run
+        sensors = _sensors(asked, settings, force, opened)
+        told = f"for {asked.seconds:g} s" if asked.seconds is not None else "until Ctrl-C"
+        yield LiveSource(
+            sensors,
+            lambda: until_stopped(asked.seconds),
+            lambda: print_note(f"ready; following {told}"),
+            note,
+            settings.realtime,
+        )
+
+
+def _sensors(asked: LiveRun, settings: Config, force: bool, opened: ExitStack) -> LiveSensors:
+    """Raises DeviceError, CalibrationError, OutputError."""
+    from wheelsight.app.cli.wheels import note_status
+    from wheelsight.app.run import LiveSensors
+    from wheelsight.core.calibration import load_calibration
+    from wheelsight.io.devices import BAUDRATE, WheelLink
+    from wheelsight.io.devices.cameras import open_robot_camera
+
+    camera = None
+    if asked.camera is not None:
+        of_camera = settings.camera.model_copy(update={"topics": settings.recording.topics or settings.camera.topics})
+        camera, calibration = open_robot_camera(asked.camera, of_camera, asked.calibration)
+        opened.callback(camera.close)
+    elif asked.calibration:
+        calibration = load_calibration(*asked.calibration)
+    else:
+        raise ConfigError("nothing says how large the wheels are", fix="--calibration FILE")
+    link = None
+    if asked.wheels is not None:
+        link = opened.enter_context(WheelLink(asked.wheels, asked.baud or BAUDRATE, note_status(asked.wheels)))
+    recorder = None if asked.record is None else _recorder(asked.record, calibration, settings, force, opened)
+    return LiveSensors(calibration, camera, link, recorder)
+
+
+def _recorder(folder: Path, calibration: Calibration, settings: Config, force: bool, opened: ExitStack) -> LiveRecorder:
+    """What keeps all that is heard. Raises OutputError."""
+    from wheelsight.app.cli.record import tell_end
+    from wheelsight.io.devices.recorder import LiveRecorder
+    from wheelsight.io.recordings import RecordingWriter
+
+    writer = RecordingWriter(folder, calibration, force)
+    recorder = opened.enter_context(LiveRecorder(writer, settings.recorder))
+    opened.callback(tell_end, writer, recorder, folder, calibration.color is not None)
+    return recorder
+
+
+# What the progress bar says of a run, also in real time, and how a recording is opened for that.
+
+
+@contextmanager
+def played(
+    recording: Recording, realtime: bool, wheels_from: str | None, baud: int | None, settings: RealTimeSettings
+) -> Iterator[Recording | RealTimeRecording]:
+    """The recording as it is, or in real time, with wheels from elsewhere if asked for.
+
+    Raises:
+        ConfigError: something is given that another option is needed for.
+        InputError: the wheels cannot be had.
+    """
+    from wheelsight.app.run import in_real_time
+    from wheelsight.io.devices import BAUDRATE
+
+    if wheels_from is not None and not realtime:
+        raise ConfigError("--wheels-from joins wheels that turn just now", fix="add --realtime")
+    if baud is not None and wheels_from is None:
+        raise ConfigError("--baud is the rate of a port", fix="add --wheels-from PORT")
+    if not realtime:
+        yield recording
+        return
+    with in_real_time(recording, wheels_from, baud or BAUDRATE, settings=settings) as live:
+        yield live
+
+
+def counts_frames(source: EventSource, settings: Config) -> bool:
+    """Whether progress is that of frames passing by, some of them dropped."""
+    from wheelsight.app.run import InRealTime
+
+    return isinstance(source, InRealTime) and settings.tracks != ("wheels",)
+
+
+def expected(source: EventSource, settings: Config) -> tuple[int | None, str]:
+    """How many events will be answered, where that is known, and their name; "" where their rate says nothing."""
+    from wheelsight.app.run.run_source import frame_count_of, wheel_count_of
+
+    frames, readings = frame_count_of(source), wheel_count_of(source)
+    if counts_frames(source, settings):
+        return frames, ""
+    if settings.tracks == ("wheels",):
+        return readings, "readings"
+    if "wheels" not in settings.tracks:
+        return frames, "frames"
+    return None if frames is None or readings is None else frames + readings, "events"
+
+
+def show_progress(progress: FrameProgress, source: EventSource, settings: Config, status: str) -> None:
+    """One event more was answered; in real time also how well that keeps up."""
+    from wheelsight.app.run import InRealTime
+    from wheelsight.app.run.run_source import frame_count_of
+
+    if isinstance(source, InRealTime):
+        status = " · ".join(filter(None, [status, words(source)]))
+        if counts_frames(source, settings):
+            progress.reach(source.frames_so_far[0], frame_count_of(source), status, rate_of(source))
+            return
+    progress.advance(status)
+
+
+def rate_of(recording: InRealTime) -> str:
+    """Of frames that were answered, such as "29.8 frames/s"; nothing before the first."""
+    lately = recording.lately()
+    return "" if lately is None else f"{lately[0]:.1f} frames/s"
+
+
+def words(recording: InRealTime) -> str:
+    """Such as "31 ms late, 12 dropped"."""
+    parts = []
+    if (lately := recording.lately()) is not None:
+        parts.append(f"{1e3 * lately[1]:.0f} ms late")
+    frames, dropped = recording.frames_so_far
+    if frames:
+        parts.append(f"{dropped} dropped")
+    if recording.is_missing_wheels:
+        parts.append("wheels silent")
+    return ", ".join(parts)
+
+
+# What the progress bar of `wheelsight run` says beside its numbers.
+
+
+_JOINED = "joined"
+
+
+class RunStatus:
+    """Each odometry's status and how large the map is; that of joined sensors first, which is what counts."""
+
+    def __init__(self) -> None:
+        self._of_each: dict[str, str] = {}
+
+    def after(self, answers: Mapping[str, FrameRecord]) -> str:
+        """What to say after one more event, by each odometry's answer."""
+        self._of_each.update({odometry: _words(answer) for odometry, answer in answers.items()})
+        if len(self._of_each) == 1:
+            return next(iter(self._of_each.values()))
+        first = sorted(self._of_each, key=lambda odometry: odometry != _JOINED)
+        return ", ".join(f"{odometry} {self._of_each[odometry]}" for odometry in first)
+
+
+def _words(answer: FrameRecord) -> str:
+    """Such as "tracking · 412k surfels"."""
+    if answer.surfels is None:
+        return str(answer.status)
+    text = f"{answer.status} · {count(answer.surfels)} surfels"
+    return f"{text}, {count(answer.surfels_dropped)} given up for want of room" if answer.surfels_dropped else text
+
+
+def count(n: int) -> str:
+    """A count in three digits or so: 950, 412k, 1.23M."""
+    if n < 1000:
+        return str(n)
+    return f"{n / 1e3:.0f}k" if n < 999_500 else f"{n / 1e6:.2f}M"
+
+
+# What `wheelsight run` prints at its end.
+
+
+_ON_THE_PAGE_ONLY = ("ATE, max", "of the way", "turn a metre", "95 % within", "time covered")  # 80 signs wide
+
+
+def print_summary(records: Sequence[RunRecord], out: Path) -> None:
+    """Whether a known map was recognised; figures, a row for each odometry; warnings, the verdict, files."""
+    from wheelsight.app.cli.console import console, facts_table, print_warning
+    from wheelsight.app.cli.evaluate import evaluation_table
+    from wheelsight.app.report import why_no_page
+    from wheelsight.app.run import verdict_of_run
+
+    stdout = console()
+    first = records[0]
+    for known in (record.known_map for record in records if record.known_map is not None):
+        stdout.print(f"{known.sentence}.")
+    if len(records) > 1:
+        stdout.print(_joint_table(records))
+        for areas in (record.rectification for record in records if record.rectification is not None):
+            if areas.errors is not None:
+                stdout.print(_map_error_table(areas))
+    else:
+        stdout.print(facts_table(f"{first.recording}: T_{first.estimate.frame}_{first.estimate.body}", _facts(first)))
+        if first.evaluation is not None:
+            stdout.print(evaluation_table(first.evaluation))
+    for shown in _corrections(records):
+        stdout.print(shown, markup=False)
+    for warning in dict.fromkeys(w for record in records for w in record.warnings):
+        print_warning(warning)
+    _print_verdict(verdict_of_run(records))
+    for line in _maps(records, out):
+        stdout.print(line)
+    if why_no_page() is None:
+        stdout.print(f"report: {out / 'report.html'}")
+
+
+def _print_verdict(verdict: Verdict) -> None:
+    """In a line; below, what it rests on, the worst first, each with what to do."""
+    from rich.text import Text
+
+    from wheelsight.app.cli.console import console
+    from wheelsight.app.run import Tone
+
+    styles = {Tone.GREEN: "green", Tone.AMBER: "yellow", Tone.RED: "bold red"}
+    stdout = console()
+    stdout.print(Text.assemble("verdict: ", (str(verdict.tone), styles[verdict.tone]), f", {verdict.phrase}"))
+    for found in verdict.concerns:
+        if found.about != "sensors":  # a warning, printed above
+            stdout.print(Text.assemble((f"  {found.tone:<6}", styles[found.tone]), found.line))
+    sound = [found for found in verdict.findings if found.tone is Tone.GREEN and found.about != "map"]
+    if sound:
+        shorts = "; ".join(found.short for found in sound)
+        stdout.print(Text.assemble((f"  {Tone.GREEN:<6}", styles[Tone.GREEN]), f"{shorts}."))
+    for fact in verdict.facts:
+        stdout.print(Text(f"        {fact}"))
+
+
+def _corrections(records: Sequence[RunRecord]) -> Iterator[Group | str]:
+    """What loops made of each trajectory."""
+    from wheelsight.app.cli.evaluate import evaluation_table
+
+    for record in records:
+        if record.correction is not None:
+            yield f"{record.odometry}: {record.correction.sentence}"
+            if record.correction.evaluation is not None:
+                yield evaluation_table(record.correction.evaluation)
+
+
+def _maps(records: Sequence[RunRecord], out: Path) -> Iterator[str]:
+    """Where each map is, and how large."""
+    for record in records:
+        folder = out / record.odometry if len(records) > 1 else out
+        for kept in (record.map, record.kept_map):
+            if kept is not None:
+                yield f"map: {folder / kept.file} ({kept.sentence})"
+
+
+def _joint_table(records: Sequence[RunRecord]) -> Table:
+    """One row an odometry; below, why one was not evaluated."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from wheelsight.app.report import comparison_rows
+
+    head, rows = comparison_rows(records)
+    missing = [f"{r.odometry} not evaluated: {r.evaluation_problem}" for r in records if r.evaluation is None]
+    table = Table(title=records[0].recording, box=SIMPLE_HEAD, caption="\n".join(missing) or None, caption_style="")
+    table.title_justify = table.caption_justify = "left"
+    shown = [index for index, name in enumerate(head) if not name.startswith(_ON_THE_PAGE_ONLY)]
+    for index in shown:
+        table.add_column(head[index], justify="right" if index else "left")
+    for record, row in zip(records, rows, strict=True):
+        table.add_row(*(row[index] for index in shown), style="bold" if record.is_joined else None)
+    return table
+
+
+def _map_error_table(found: RectificationRecord) -> Table:
+    """What areas leave of the wheels' error."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from wheelsight.app.report import error_rows
+
+    table = Table(title="distance from the truth, nothing aligned", box=SIMPLE_HEAD, title_justify="left")
+    head, rows = error_rows(found)
+    for index, name in enumerate(head):
+        table.add_column(name, justify="right" if index else "left")
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def _facts(record: RunRecord) -> Iterator[tuple[str, str]]:
+    from wheelsight.app.cli.console import percent
+    from wheelsight.app.report import summarise
+
+    summary = summarise(record)
+    digits = ".1f" if summary.unit == "frame" else ".4f"
+    yield f"{summary.unit}s", f"{summary.posed} of {summary.frames} with a pose ({percent(summary.pose_share)})"
+    if record.drops is not None and record.drops.total:
+        yield "dropped", record.drops.sentence
+    for why, count in summary.skips:
+        yield "skipped", f"{count} × {why}"
+    for why, count in summary.failures:
+        yield "no pose", f"{count} × {why}"
+    if summary.lost_episodes:
+        times = "once" if summary.lost_episodes == 1 else f"{summary.lost_episodes} times"
+        yield "lost", f"{times}, for {summary.lost_s:.2f} s in all"
+    yield "way", f"{summary.length_m:.2f} m in {summary.duration_s:.2f} s"
+    yield (
+        f"time a {summary.unit}",
+        f"median {1e3 * summary.median_s:{digits}} ms, 95 % within {1e3 * summary.p95_s:{digits}} ms",
+    )
+    if record.evaluation is None:
+        yield "not evaluated", record.evaluation_problem or ""

@@ -1,0 +1,317 @@
+"""`wheelsight serve`: a page to see a robot and to lead it from a browser. Opens robot, session and page until
+somebody ends it; CountedLines keeps its terminal readable.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import secrets
+import threading
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext, suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Self
+
+import typer
+
+from wheelsight.app.cli.console import print_note, print_warning, takes
+from wheelsight.app.cli.drive import check_robot, robot_of, settings_of
+from wheelsight.app.cli.drive_options import KnownStart, MapPath, Rate, Rerun, RobotOptions, SettingsOptions
+from wheelsight.app.cli.options import OUTPUT
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.runtime import until_stopped
+
+if TYPE_CHECKING:
+    from wheelsight.app.page import Access, DriveMaps, Session
+    from wheelsight.app.viewer import DriveLog
+    from wheelsight.config import Config, StartSettings
+    from wheelsight.core.calibration import Calibration
+
+
+# The options of `wheelsight serve`, in the order of its help.
+
+
+_PAGE = "The page"
+
+MapsFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        metavar="DIR",
+        help="Folder for maps that are made, each in one of its own; those that are there can be driven in.",
+        show_default="none",
+        rich_help_panel=OUTPUT,
+    ),
+]
+Host = Annotated[
+    str,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Where the page is served: this computer alone, or, behind a token, any that reaches the address.",
+        rich_help_panel=_PAGE,
+    ),
+]
+Port = Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.", rich_help_panel=_PAGE)]
+Token = Annotated[
+    str | None,
+    typer.Option(
+        metavar="TEXT",
+        help="What each request must hold; 16 letters and digits at least.",
+        show_default="made anew, and none on this computer alone",
+        rich_help_panel=_PAGE,
+    ),
+]
+
+
+@dataclass(frozen=True)
+class PageOptions:
+    """What a user typed of maps and of the page."""
+
+    map_: MapPath = None
+    known_start: KnownStart = None
+    out: MapsFolder = None
+    rerun: Rerun = None
+    host: Host = "127.0.0.1"
+    port: Port = 8765
+    token: Token = None
+
+
+@dataclass(frozen=True)
+class ServeOptions(RobotOptions, SettingsOptions, PageOptions):
+    """What a user typed; fields of the last base come first."""
+
+    rate: Rate = 5.0
+
+
+# `wheelsight serve`: a page to see a robot and to lead it from a browser.
+
+
+@takes(ServeOptions)
+def serve(options: ServeOptions) -> None:
+    """Show a robot on a page, and lead it there: click a goal, name a place, save the map, STOP.
+
+    The page is for this computer alone. --host of another address is reached from other computers and phones, by the
+    address that is printed with a token; what they say is not encrypted. docs/live-page.md says who may do what.
+
+    --robot asks once before anything moves, as drive does. Ctrl-C stops the robot first.
+
+    [bold]Examples[/bold]
+
+    wheelsight serve --sim studio --out maps
+
+    wheelsight serve --sim flat --map home --known-start 0,0,0
+
+    wheelsight serve --robot /dev/ttyUSB0 --camera any --calibration robot.yaml --map home --host 192.168.1.20
+    """
+    serve_there(options)
+
+
+# CountedLines: what a page's program says on its terminal, where strangers decide how often.
+
+
+_COUNTED_LINES_LOOK_S, _ENDS_S = 0.1, 2.0
+# So many different lines of refusals at once, and one more each 10 s: less than 1 MB a day. Up to 10 minutes apart.
+_NEW_LINES, _NEW_LINE_S, _LONGEST_S = 8.0, 10.0, 600.0
+_TIMES = re.compile(r" \((\d+) times\)$")
+
+
+class CountedLines:
+    """Shows lines in a thread of its own, so that a terminal that takes nothing stops no other; counts repeats.
+
+    A line that comes again and again is shown with its count after 1 s, 2 s, 4 s and so on, up to 10 minutes. Of lines
+    that differ, which a stranger can make up, few are shown, and the others counted.
+
+    Args:
+        show: called with a line, in that thread.
+    """
+
+    def __init__(self, show: Callable[[str], None]) -> None:
+        self._show = show
+        self._lines: dict[str, _Line] = {}
+        self._left, self._filled_s = _NEW_LINES, time.monotonic()
+        self._changed, self._is_over = threading.Condition(), False
+        self._thread = threading.Thread(target=self._run, name="wheelsight-lines", daemon=True)
+        self._thread.start()
+
+    def tell(self, line: str, *, is_problem: bool = False) -> None:
+        """One more; a problem of the robot is never among the others."""
+        found = _TIMES.search(line)
+        text, times = (line[: found.start()], int(found[1])) if found else (line, 1)
+        now_s = time.monotonic()
+        with self._changed:
+            if text not in self._lines and not is_problem and not self._may_be_new(now_s):
+                text = "refused others"
+            kept = self._lines.setdefault(text, _Line(due_s=now_s))
+            kept.times += times
+            self._changed.notify()
+
+    def _may_be_new(self, now_s: float) -> bool:
+        self._left = min(self._left + (now_s - self._filled_s) / _NEW_LINE_S, _NEW_LINES)
+        self._filled_s = now_s
+        if self._left < 1:
+            return False
+        self._left -= 1
+        return True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Print what is left, and end."""
+        with self._changed:
+            self._is_over = True
+            self._changed.notify()
+        self._thread.join(_ENDS_S)
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                is_over = self._is_over
+                printed = self._due(math.inf if is_over else time.monotonic())
+                if not printed and not is_over:
+                    waits = any(line.times for line in self._lines.values())
+                    self._changed.wait(_COUNTED_LINES_LOOK_S if waits else None)
+                    continue
+            for text, times in printed:
+                with suppress(OSError):
+                    self._show(text if times == 1 else f"{text} ({times} times)")
+            if is_over:
+                return
+
+    def _due(self, now_s: float) -> list[tuple[str, int]]:
+        """Lines to be printed, and how often each came; those that have not come for long are forgotten."""
+        found = []
+        for text, line in list(self._lines.items()):
+            if line.times and line.due_s <= now_s:
+                found.append((text, line.times))
+                line.times, line.due_s = 0, now_s + line.wait_s
+                line.wait_s = min(2 * line.wait_s, _LONGEST_S)
+            elif not line.times and line.due_s + line.wait_s < now_s:
+                del self._lines[text]
+        return found
+
+
+@dataclass
+class _Line:
+    """How often a line came since it was printed, and when it may be printed again."""
+
+    due_s: float
+    wait_s: float = 1.0
+    times: int = 0
+
+
+# What `wheelsight serve` does: robot, session, page, until somebody ends it.
+
+
+_PARTS = ("wheels", "dense", "joined", "loops", "navigation")
+_LIBRARIES = ("starlette", "uvicorn", "websockets")
+_TOKEN_BYTES, _SHORTEST_TOKEN = 24, 16
+_LOOK_S = 0.1
+
+
+class Refusals(CountedLines):
+    """Warnings of the page, printed by a thread of its own, and counted where they repeat."""
+
+    def __init__(self) -> None:
+        super().__init__(lambda line: print_warning(line))
+
+
+def serve_there(options: ServeOptions) -> None:
+    """Until Ctrl-C, SIGTERM or SIGHUP. Raises what was handed in wrong, before anything moves."""
+    from wheelsight.app.cli.compiling import compile_missing
+    from wheelsight.app.cli.options import check_rerun
+    from wheelsight.core.runtime import needed
+
+    for library in _LIBRARIES:
+        needed(library)
+    check_robot(options)
+    # Where no map of before is driven in first, and on the page, a new one is made.
+    config, access = settings_of(options, {"loops.source": "keyframes"}), access_of(options)
+    maps = _maps_of(config, options)
+    check_rerun(options.rerun)
+    compile_missing((*_PARTS, *(("simulation",) if options.is_simulated else ())))
+    with (
+        Refusals() as lines,
+        robot_of(options, config) as robot,
+        _log_of(options.rerun, robot.calibration, config) as log,
+    ):
+        from wheelsight.app.page import Session
+
+        on_problem = partial(lines.tell, is_problem=True)
+        how: dict[str, Any] = {"paces": options.is_simulated, "on_problem": on_problem, "watch": log}
+        with Session(robot, maps, config.page, **how) as session:
+            _serve(session, config, access, options, lines)
+            print_note("stopped; ending")
+
+
+def _log_of(rerun: str | None, calibration: Calibration, config: Config) -> AbstractContextManager[DriveLog | None]:
+    if rerun is None:
+        return nullcontext()
+    from wheelsight.app.viewer import open_drive_log
+
+    return open_drive_log(rerun, calibration, config.viewer)
+
+
+def access_of(options: PageOptions) -> Access:
+    """Who may speak to the page. Raises ConfigError."""
+    from wheelsight.app.page import Access, is_loopback
+
+    token = options.token
+    if token is not None and (len(token) < _SHORTEST_TOKEN or not token.isascii() or not token.isalnum()):
+        raise ConfigError("--token can be guessed, or is no word", fix=f"{_SHORTEST_TOKEN} letters and digits, or more")
+    at_home = is_loopback(options.host)
+    if token is None:
+        token = "" if at_home else secrets.token_hex(_TOKEN_BYTES)
+    return Access(at_home, token)
+
+
+def _maps_of(config: Config, options: ServeOptions) -> DriveMaps:
+    from wheelsight.app.page import DriveMaps
+
+    if options.known_start is not None and options.map_ is None:
+        raise ConfigError("--known-start is of a map", fix="--map DIR")
+    start = None if options.known_start is None else _start_of(options.known_start)
+    return DriveMaps(config, options.map_, start, options.out, in_step=options.is_simulated)
+
+
+def _start_of(text: str) -> StartSettings:
+    import math
+
+    from wheelsight.app.cli.map_contents import pose_of
+    from wheelsight.config import StartSettings
+
+    x_m, y_m, yaw = pose_of("--known-start", text).tolist()
+    if math.isnan(yaw):
+        raise ConfigError(f"--known-start is {text!r}", fix="X,Y,YAW_DEG in metres and degrees, such as 3.2,1.5,90")
+    return StartSettings(x_m=x_m, y_m=y_m, yaw_deg=math.degrees(yaw))
+
+
+def _serve(session: Session, config: Config, access: Access, options: ServeOptions, lines: Refusals) -> None:
+    from wheelsight.app.page.server import PageServer, page_app
+
+    app = page_app(session, config.page, access, lines.tell)
+    with until_stopped() as is_over, PageServer(app, options.host, options.port, config.page) as server:
+        for address in addresses(options.host, server.port, access.token):
+            typer.echo(address)
+        if access.token and not access.is_loopback:
+            print_warning("what pages say is not encrypted: on a network that you trust alone")
+        waiting = threading.Event()
+        while not is_over():
+            waiting.wait(_LOOK_S)
+        # Before what takes its time, such as to close pages and to write a map.
+        session.stop("the program ends")
+
+
+def addresses(host: str, port: int, token: str) -> list[str]:
+    """Where the page is, for people."""
+    import socket
+
+    if host in ("0.0.0.0", "::", ""):
+        host = socket.gethostname()
+    elif ":" in host:
+        host = f"[{host}]"
+    return [f"http://{host}:{port}/" + (f"?token={token}" if token else "")]

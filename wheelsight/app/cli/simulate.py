@@ -1,0 +1,449 @@
+"""`wheelsight simulate`: a wheelchair's drive through a world, as a recording with truth; its options, and what
+their words mean.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from wheelsight.app.cli.console import takes
+from wheelsight.app.cli.options import OUTPUT
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.runtime import exit_code
+
+if TYPE_CHECKING:
+    from wheelsight.io.recordings import RecordingWriter
+    from wheelsight_sim import FloorPlan, Robot, SimulatedRecording, SimulationSettings, WheelFaults
+
+
+# Options of `wheelsight simulate`: the robot, its camera, how it drives, and what goes wrong.
+
+
+_DRIVE, _CAMERA, _ROBOT, _FAULTS = "The drive", "The camera", "The true robot", "Faults"
+
+
+def _times(what: str) -> Any:
+    """An option of the times of a fault."""
+    return typer.Option(metavar="FROM:TO", help=what, rich_help_panel=_FAULTS)
+
+
+Laps = Annotated[int, typer.Option(help="How often the world's route is driven.", rich_help_panel=_DRIVE)]
+Speed = Annotated[float, typer.Option(metavar="M/S", help="Speed on straights, up to 1.2 m/s.", rich_help_panel=_DRIVE)]
+Duration = Annotated[
+    float | None,
+    typer.Option(metavar="SECONDS", help="Stop after so long.", show_default="the whole route", rich_help_panel=_DRIVE),
+]
+Reverse = Annotated[
+    bool, typer.Option("--reverse", help="Drive the route from its end to its start.", rich_help_panel=_DRIVE)
+]
+DriveFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--drive",
+        metavar="CSV",
+        help="Velocities to drive in place of the route.",
+        show_default=False,
+        rich_help_panel=_DRIVE,
+    ),
+]
+StopAndTurn = Annotated[
+    bool,
+    typer.Option(
+        "--stop-and-turn", help="Stop at each waypoint and turn on the spot, as UMBmark asks.", rich_help_panel=_DRIVE
+    ),
+]
+Camera = Annotated[
+    str, typer.Option(metavar="NAME", help="Which camera to carry; see --list.", rich_help_panel=_CAMERA)
+]
+Size = Annotated[
+    str,
+    typer.Option(
+        metavar="WxH|half|full", help="Size of the images in pixels, or by the camera's own.", rich_help_panel=_CAMERA
+    ),
+]
+Rate = Annotated[
+    float | None,
+    typer.Option(metavar="HZ", help="Images a second.", show_default="the camera's own", rich_help_panel=_CAMERA),
+]
+MotionBlur = Annotated[
+    bool, typer.Option("--motion-blur", help="Smear colour by the motion during exposure.", rich_help_panel=_CAMERA)
+]
+Realism = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help="`real`: all that real sensors do; `ideal`: nothing but their noise, for closed forms.",
+        rich_help_panel=_CAMERA,
+    ),
+]
+Base = Annotated[
+    str,
+    typer.Option(
+        metavar="KIND",
+        help="`differential`: a wheelchair; `mecanum`, `omni-3`, `omni-4`, `increments`: a base that drives sideways.",
+        rich_help_panel=_ROBOT,
+    ),
+]
+LeftRadius = Annotated[
+    float | None,
+    typer.Option(metavar="M", help="Of the left wheel.", show_default="0.17", rich_help_panel=_ROBOT),
+]
+RightRadius = Annotated[
+    float | None,
+    typer.Option(metavar="M", help="Of the right wheel.", show_default="0.17", rich_help_panel=_ROBOT),
+]
+Track = Annotated[
+    float | None,
+    typer.Option(metavar="M", help="Distance between the wheels.", show_default="0.52", rich_help_panel=_ROBOT),
+]
+NoSlip = Annotated[bool, typer.Option("--no-slip", help="Let wheels never slip.", rich_help_panel=_ROBOT)]
+Gyro = Annotated[bool, typer.Option("--gyro", help="Carry a gyroscope; DIR gets gyro.csv.", rich_help_panel=_ROBOT)]
+Dropout = Annotated[list[str] | None, _times("Seconds without wheel readings.")]
+Unplug = Annotated[list[str] | None, _times("Seconds whose pulses are lost.")]
+Ice = Annotated[
+    list[str] | None,
+    typer.Option(metavar="X,Y,R", help="A round patch of ice, in metres.", rich_help_panel=_FAULTS),
+]
+Lift = Annotated[list[str] | None, _times("Seconds with the left wheel in the air.")]
+Cover = Annotated[list[str] | None, _times("Seconds with something lying on the camera.")]
+
+
+# The options of `wheelsight simulate`, in the order of its help.
+
+
+_WORLD, _PLAN = "The world", "A building of your own"
+
+
+World = Annotated[
+    str | None, typer.Argument(metavar="WORLD", help="What to drive through; see --list.", show_default=False)
+]
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR", help="Folder of the recording; made if need be.", show_default=False, rich_help_panel=OUTPUT
+    ),
+]
+ShowList = Annotated[
+    bool, typer.Option("--list", help="Show all worlds and cameras, and exit.", rich_help_panel=_WORLD)
+]
+Plan = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Floor plan to drive through in place of WORLD: of ROS map_server, or an image with --resolution.",
+        show_default=False,
+        rich_help_panel=_PLAN,
+    ),
+]
+Resolution = Annotated[
+    float | None,
+    typer.Option(metavar="M", help="Metres a pixel of a bare image.", show_default=False, rich_help_panel=_PLAN),
+]
+AreasImage = Annotated[
+    Path | None,
+    typer.Option(
+        "--areas",
+        metavar="IMAGE",
+        help="The plan's rooms, one colour each or parted by lines; they become areas.yaml.",
+        show_default=False,
+        rich_help_panel=_PLAN,
+    ),
+]
+Start = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X,Y,YAW_DEG",
+        help="Where in the plan the base begins.",
+        show_default="a roomy place, by --seed",
+        rich_help_panel=_PLAN,
+    ),
+]
+WayLength = Annotated[
+    float | None,
+    typer.Option(
+        "--way",
+        metavar="METRES",
+        help="How long the tour is, about.",
+        show_default="up to 100, or as --duration takes",
+        rich_help_panel=_PLAN,
+    ),
+]
+Seed = Annotated[
+    int, typer.Option(help="Of everything random; the same seed makes the same bytes.", rich_help_panel=_WORLD)
+]
+Day = Annotated[
+    int,
+    typer.Option(
+        metavar="N",
+        help="Another day in the same building: other light, people, noise; chairs moved.",
+        rich_help_panel=_WORLD,
+    ),
+]
+PassersBy = Annotated[
+    int, typer.Option("--passers-by", metavar="N", help="How many people walk about.", rich_help_panel=_WORLD)
+]
+Doors = Annotated[
+    int, typer.Option("--doors", metavar="N", help="How many doors open and shut meanwhile.", rich_help_panel=_WORLD)
+]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite a recording in DIR.", rich_help_panel=OUTPUT)]
+
+
+@dataclass(frozen=True, slots=True)
+class SimulateOptions:
+    """What a user typed."""
+
+    world: World = None
+    out: Out = None
+    force: Force = False
+    show_list: ShowList = False
+    seed: Seed = 0
+    day: Day = 0
+    passers_by: PassersBy = 0
+    doors: Doors = 0
+    laps: Laps = 1
+    speed: Speed = 0.8
+    duration: Duration = None
+    reverse: Reverse = False
+    stop_and_turn: StopAndTurn = False
+    drive: DriveFile = None
+    camera: Camera = "kinect-v1"
+    size: Size = "half"
+    rate: Rate = None
+    realism: Realism = "real"
+    motion_blur: MotionBlur = False
+    plan: Plan = None
+    resolution: Resolution = None
+    areas: AreasImage = None
+    start: Start = None
+    way: WayLength = None
+    base: Base = "differential"
+    left_radius: LeftRadius = None
+    right_radius: RightRadius = None
+    track: Track = None
+    no_slip: NoSlip = False
+    gyro: Gyro = False
+    dropout: Dropout = None
+    unplug: Unplug = None
+    ice: Ice = None
+    lift: Lift = None
+    cover: Cover = None
+
+
+# `wheelsight simulate`: a wheelchair's drive through a world, as a recording with truth.
+
+
+@takes(SimulateOptions)
+def simulate(options: SimulateOptions) -> None:
+    """Drive a wheelchair with a depth camera through a simulated world: a recording with truth goes to DIR.
+
+    DIR gets what any recording has (images, wheels.csv, calibration.yaml with what a user would measure), and beside it
+    the truth: of base and camera, of the area at each frame (labels.csv), and of the robot (truth/); plan.png shows
+    world, areas and track. Ctrl-C stops early and leaves a valid, shorter recording.
+
+    [bold]Examples[/bold]
+
+    wheelsight simulate floor4 --out floor
+
+    wheelsight simulate floor4 --laps 2 --camera kinect-v1 --seed 7 --out two_laps
+
+    wheelsight simulate square --stop-and-turn --right-radius 0.1717 --track 0.53 --out square
+
+    wheelsight simulate flat --lift 12:15 --cover 20:25 --out mishaps
+
+    wheelsight simulate --plan office.yaml --duration 60 --out office
+
+    wheelsight simulate --plan flat.png --resolution 0.05 --areas rooms.png --way 40 --start 3,2.5,90 --out flat
+
+    wheelsight simulate --list
+    """
+    if options.show_list:
+        _print_list()
+        return
+    plan = plan_of(options)
+    is_named = options.world is not None or plan is not None
+    if not is_named or options.out is None:
+        missing = "--out DIR" if is_named else "a WORLD"
+        raise ConfigError(f"{missing} is missing", fix="wheelsight simulate floor4 --out DIR, or --list")
+    _simulate(settings_from(options, plan), options.out, options.force)
+
+
+def _simulate(settings: SimulationSettings, out: Path, force: bool) -> None:
+    from wheelsight.app.cli.compiling import compile_missing
+    from wheelsight.app.cli.console import print_note, print_warning
+    from wheelsight.core.files import new_output_folder
+    from wheelsight.core.runtime import needed
+
+    needed("mujoco")
+    with new_output_folder(out, force):  # refused before the long work
+        recording = _drive(settings, out)
+        for warning in recording.warnings:
+            print_warning(warning)
+        compile_missing(("simulation",))  # after the drive, which may be refused and needs none
+        try:
+            writer = _render(recording, out)
+        except KeyboardInterrupt as interruption:
+            frames = _frames_listed(out)
+            print_note(f"interrupted; {out} holds the drive up to there, {frames} frames" if frames else "interrupted")
+            raise typer.Exit(exit_code()) from interruption
+    print_note(f"{writer.frames} frames and {writer.readings} wheel readings are in {out}; plan: {out / 'plan.png'}")
+
+
+def _drive(settings: SimulationSettings, out: Path) -> SimulatedRecording:
+    from wheelsight.app.cli.progress import FrameProgress
+    from wheelsight_sim import simulate as simulate_drive
+
+    with FrameProgress("driving", None, unit="simulated s") as progress:
+        return simulate_drive(settings, progress.reach, refused=out.with_name(f"{out.name}-refused.png"))
+
+
+def _render(recording: SimulatedRecording, out: Path) -> RecordingWriter:
+    from wheelsight.app.cli.progress import FrameProgress
+    from wheelsight_sim import write_simulation
+
+    # What new_output_folder has seen is the user's own wish, or empty.
+    with FrameProgress("rendering", recording.frame_count) as progress:
+        return write_simulation(recording, out, force=True, on_frame=lambda frame: progress.advance())
+
+
+def _frames_listed(folder: Path) -> int:
+    """How many frames a recording that broke off holds."""
+    path = folder / "depth.txt"
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    return sum(not line.startswith("#") for line in lines)
+
+
+def _print_list() -> None:
+    from wheelsight.app.cli.console import console, facts_table
+    from wheelsight_sim import build_world, camera_model, camera_names, world_names
+
+    stdout = console()
+    stdout.print(facts_table("Worlds", ((name, build_world(name).description) for name in world_names())), "")
+    stdout.print(facts_table("Cameras", ((name, camera_model(name).description) for name in camera_names())))
+
+
+# What the words of `wheelsight simulate`'s options mean.
+
+
+_TIMES_FORM = "FROM:TO in seconds, such as 12:15.5"
+_START_FORM = "X,Y,YAW_DEG in metres and degrees, such as 4,2.5,90"
+_PATCH_FORM = "X,Y,R in metres, such as 4,2.5,0.6"
+
+
+def settings_from(given: SimulateOptions, plan: FloorPlan | None) -> SimulationSettings:
+    """The settings that the options tell. Raises ConfigError naming the option whose words mean nothing."""
+    from wheelsight_sim import SimulationSettings
+
+    building: dict[str, Any] = {"world": given.world} if plan is None else {"plan": plan}
+    # What it is called is checked by the settings, which name what there is.
+    named: dict[str, Any] = {"realism": given.realism, "base": given.base}
+    return SimulationSettings(
+        **building,
+        **named,
+        camera=given.camera,
+        laps=given.laps,
+        seed=given.seed,
+        day=given.day,
+        speed_m_s=given.speed,
+        duration_s=given.duration,
+        rate_hz=given.rate,
+        is_reverse=given.reverse,
+        velocities=given.drive,
+        stops_to_turn=given.stop_and_turn,
+        doors=given.doors,
+        passersby=given.passers_by,
+        has_motion_blur=given.motion_blur,
+        has_slip=not given.no_slip,
+        size=size_of(given.size, given.camera),
+        robot=_robot(given),
+        faults=_faults(given),
+        covered_s=times_of("--cover", given.cover),
+    )
+
+
+def _robot(given: SimulateOptions) -> Robot:
+    from wheelsight_sim import Robot
+
+    told = {"left_radius_m": given.left_radius, "right_radius_m": given.right_radius, "track_width_m": given.track}
+    if given.base != "differential" and any(size_m is not None for size_m in told.values()):
+        fix = "--left-radius, --right-radius and --track are of two wheels: leave them out"
+        raise ConfigError(f"--base {given.base} has no such wheels", fix=fix)
+    sizes: dict[str, Any] = {name: size_m for name, size_m in told.items() if size_m is not None}
+    return Robot(**sizes, has_gyro=given.gyro)
+
+
+def _faults(given: SimulateOptions) -> WheelFaults:
+    from wheelsight_sim import Patch, WheelFaults
+
+    return WheelFaults(
+        dropouts_s=times_of("--dropout", given.dropout),
+        unplugged_s=times_of("--unplug", given.unplug),
+        patches=tuple(Patch(*patch) for patch in patches_of("--ice", given.ice)),
+        lifted_s=times_of("--lift", given.lift),
+    )
+
+
+def plan_of(given: SimulateOptions) -> FloorPlan | None:
+    """The floor plan that the options tell, if any. Raises ConfigError for options that mean nothing together."""
+    from wheelsight_sim import FloorPlan
+
+    if given.plan is None:
+        of_plan = ("--resolution", given.resolution), ("--areas", given.areas), ("--start", given.start)
+        for option, value in (*of_plan, ("--way", given.way)):
+            if value is not None:
+                raise ConfigError(f"{option} means nothing without a plan", fix="--plan map.yaml")
+        return None
+    if given.world is not None:
+        raise ConfigError(f"both the world {given.world} and a plan are given", fix="leave one of them out")
+    pose = None
+    if given.start is not None:
+        x_m, y_m, yaw_deg = _numbers("--start", given.start, ",", 3, _START_FORM)
+        pose = x_m, y_m, math.radians(yaw_deg)
+    return FloorPlan(given.plan, given.resolution, given.areas, pose, given.way)
+
+
+def size_of(text: str, camera: str) -> tuple[int, int] | None:
+    """Width and height of "320x240", None for "full", half of the camera's for "half". Raises ConfigError."""
+    from wheelsight_sim import camera_model
+
+    if text == "full":
+        return None
+    if text == "half":
+        whole = camera_model(camera).camera
+        return whole.width // 2, whole.height // 2
+    width, _, height = text.lower().replace("×", "x").partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise ConfigError(f"--size is {text!r}", fix="write it as 320x240, half or full")
+    return int(width), int(height)
+
+
+def times_of(option: str, texts: list[str] | None) -> tuple[tuple[float, float], ...]:
+    """(from, to) in seconds of each "12:15.5". Raises ConfigError naming the option."""
+    times = tuple(_numbers(option, text, ":", 2, _TIMES_FORM) for text in texts or ())
+    for (start_s, end_s), text in zip(times, texts or (), strict=True):
+        if not 0 <= start_s < end_s:
+            raise ConfigError(f"{option} is {text!r}", fix=f"{_TIMES_FORM}; the second after the first")
+    return tuple((start_s, end_s) for start_s, end_s in times)
+
+
+def patches_of(option: str, texts: list[str] | None) -> tuple[tuple[float, float, float], ...]:
+    """(x, y, radius) in metres of each "4,2.5,0.6". Raises ConfigError naming the option."""
+    patches = tuple(_numbers(option, text, ",", 3, _PATCH_FORM) for text in texts or ())
+    for (_, _, radius_m), text in zip(patches, texts or (), strict=True):
+        if radius_m <= 0:
+            raise ConfigError(f"{option} is {text!r}", fix="the radius must be over 0")
+    return tuple((x_m, y_m, radius_m) for x_m, y_m, radius_m in patches)
+
+
+def _numbers(option: str, text: str, between: str, count: int, form: str) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(word) for word in text.split(between))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise ConfigError(f"{option} is {text!r}", fix=form)
+    return numbers

@@ -1,0 +1,363 @@
+"""A run, a map or a recording as a bag that Foxglove, RViz and Nav2 open, and the layouts that show it there."""
+
+from __future__ import annotations
+
+import heapq
+import json
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from wheelsight.app.exports.sources import (
+    Exported,
+    StatusRow,
+    body_frame,
+    in_odom,
+    map_to_odom,
+    points_of,
+    pose_covariances,
+    twists,
+    upright,
+    upright_points,
+)
+from wheelsight.core.errors import InputError, OutputError
+from wheelsight.core.files import StrPath, write_text
+from wheelsight.core.geometry import se3
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings import express_for
+from wheelsight.io.recordings.bags.writing import Diagnosis, ImageForm, Messages, RobotTopics, Sent, new_bag
+from wheelsight.io.ros_map import read_ros_map
+from wheelsight.slam.maps.folder import OCCUPANCY_FILE
+
+# A run, a map or a recording as a bag that Foxglove, RViz and Nav2 open.
+
+
+MAP, ODOM = "map", "odom"
+DEFAULT_VOXEL_M = 0.05
+# How a run's words are told to who looks at lights: green, yellow, red.
+_LEVELS = {"tracking": 0, "coasting": 1, "initializing": 1, "failing": 2, "lost": 2}
+_ERROR = 2
+_TELL_EVERY = 50
+
+
+@dataclass(frozen=True, slots=True)
+class BagParts:
+    """What goes into a bag.
+
+    Attributes:
+        images: how camera images are written, or None for none; see `RobotTopics`.
+        voxel_m: side of the cubes that each get one point of the map.
+    """
+
+    images: ImageForm | None = None
+    voxel_m: float = DEFAULT_VOXEL_M
+
+
+@dataclass(frozen=True, slots=True)
+class BagReport:
+    """What was written.
+
+    Attributes:
+        topics: how many messages there are of each.
+        size_bytes: of the file.
+        warnings: one sentence on each part that is not in it.
+        layouts: files beside the bag that show it, in Foxglove and in RViz.
+    """
+
+    topics: dict[str, int]
+    size_bytes: int
+    warnings: tuple[str, ...]
+    layouts: tuple[StrPath, ...]
+
+
+def export_bag(
+    source: Exported,
+    path: StrPath,
+    parts: BagParts | None = None,
+    on_message: Callable[[int], None] = lambda done: None,
+) -> BagReport:
+    """Write a bag, of ROS 2 where the name ends in .mcap, of ROS 1 where it ends in .bag; and layouts that show it.
+
+    Args:
+        source: what to write.
+        path: of the file; it is there once it is whole.
+        parts: what of it.
+        on_message: called now and again with how many messages are written.
+
+    Raises:
+        ConfigError: another ending, or rosbags is not installed.
+        InputError: what is to be written cannot be read, or is nothing at all.
+        OutputError: the file cannot be written, or the disk is full.
+    """
+    path, parts = Path(path), parts or BagParts()
+    counts: dict[str, int] = {}
+    with new_bag(path) as bag:
+        writing = _Writing(source, parts, bag.make)
+        for sent in writing.messages():
+            bag.add(sent.topic, sent.message, sent.stamp_s, is_latched=sent.is_latched)
+            counts[sent.topic] = counts.get(sent.topic, 0) + 1
+            if bag.count % _TELL_EVERY == 0:
+                on_message(bag.count)
+        if not counts:
+            raise OutputError(
+                "would be empty: there is nothing to write", path=path, fix="give a run, a map or a recording"
+            )
+    layouts = write_layouts(path, counts, writing.fixed)
+    return BagReport(counts, path.stat().st_size, tuple(writing.warnings), layouts)
+
+
+class _Writing:
+    """The messages of one bag, in order of time, and what is missing."""
+
+    def __init__(self, source: Exported, parts: BagParts, make: Messages) -> None:
+        self.source, self.parts, self.make = source, parts, make
+        self.warnings: list[str] = []
+        lived, self.calibration = source.trajectory, source.calibration
+        has_base = self.calibration is not None and self.calibration.T_base_camera is not None
+        is_of_base = has_base or (self.calibration is not None and self.calibration.color is None)
+        self.body = lived.body if lived is not None else "base" if is_of_base else "camera"
+        self.robot = RobotTopics(make, self.calibration, parts.images)
+        # Without a map the frame map begins where odom does; in one that was never recognised nobody knows.
+        is_lost = lived is not None and lived.frame == ODOM and source.corrected is None and source.map is not None
+        self.fixed = ODOM if is_lost else MAP
+        if is_lost:
+            self.warnings.append("Nothing leads from map to odom: where the run lies in its map is not known.")
+
+    def messages(self) -> Iterator[Sent]:
+        """All: what is told once comes first, with the stamp of the first of all others."""
+        streams = (self._poses(), self._statuses(), self._events())
+        told = heapq.merge(*streams, key=lambda sent: sent.stamp_s)
+        first = next(told, None)
+        begin_s = first.stamp_s if first is not None else self._first_keyframe_s()
+        yield from self._once(begin_s)
+        yield from chain([] if first is None else [first], told)
+
+    def _once(self, begin_s: float) -> Iterator[Sent]:
+        yield from self.robot.mounts(begin_s)
+        for topic, way in self._ways():
+            path = self.make.path(begin_s, self.fixed, way.stamps_s, way.T_frame_body)
+            yield Sent(begin_s, topic, path, is_latched=True)
+        yield from self._map(begin_s)
+
+    def _ways(self) -> Iterator[tuple[str, Trajectory]]:
+        """The way as known at the end; of a map, from keyframe to keyframe; and the true one of a recording."""
+        lived = self.source.trajectory
+        if lived is not None:
+            way = self.source.corrected or (lived if self.fixed == MAP else in_odom(lived, self.source.odom))
+            yield WAY_TOPIC, upright(way)
+        elif self.source.map is not None:
+            yield WAY_TOPIC, upright(self._keyframes())
+        elif self.source.recording is not None and self.source.recording.ground_truth is not None:
+            yield TRUTH_TOPIC, upright(self.source.recording.ground_truth)
+
+    def _keyframes(self) -> Trajectory:
+        folder = self.source.need_map()
+        stamped = sorted((folder.contents.places[number].stamp_s, number) for number in folder.store)
+        T_map_camera = folder.store.T_map_keyframe[[number for _, number in stamped]]
+        stamps_s = np.array([stamp_s for stamp_s, _ in stamped])
+        keeps = np.diff(stamps_s, prepend=-np.inf) > 0  # drives of before may have been stamped from 0 too
+        return express_for(self.body, Trajectory(stamps_s[keeps], T_map_camera[keeps]), folder.calibration)
+
+    def _first_keyframe_s(self) -> float:
+        places = {} if self.source.map is None else self.source.map.contents.places
+        return min((place.stamp_s for place in places.values()), default=0.0)
+
+    def _map(self, begin_s: float) -> Iterator[Sent]:
+        points = points_of(self.source, self.parts.voxel_m)
+        if points is not None:
+            p = upright_points(points.p_map, self.body)
+            yield Sent(begin_s, POINTS_TOPIC, self.make.points(begin_s, MAP, p, points.colors), is_latched=True)
+        folder = self.source.map
+        if folder is None:
+            return
+        if not (folder.path / OCCUPANCY_FILE).is_file():
+            self.warnings.append("There is no /map: what is free of the floor is not known of this map.")
+            return
+        grid = read_ros_map(folder.path / OCCUPANCY_FILE)
+        about = (grid.occupancy, grid.resolution_m, se3.from_plane(*grid.origin))
+        yield Sent(begin_s, MAP_TOPIC, self.make.occupancy(begin_s, MAP, *about), is_latched=True)
+
+    def _poses(self) -> Iterator[Sent]:
+        """/odom, and in /tf map to odom to the body, at each pose."""
+        lived, corrected = self.source.trajectory, self.source.corrected
+        if lived is None:
+            return
+        if corrected is None and self.source.odom is not None:
+            corrected = lived  # it leaps where more is known of the way: in the map
+        lived = upright(in_odom(lived, self.source.odom))
+        corrected = None if corrected is None else upright(corrected)
+        known_s, T_map_odom = map_to_odom(lived, corrected)
+        at = dict(zip(known_s.tolist(), T_map_odom, strict=True))
+        C, moving, child = pose_covariances(lived), twists(lived), body_frame(lived.body)
+        for row, (stamp_s, T) in enumerate(lived):
+            known = None if C is None else C[row]
+            yield Sent(stamp_s, ODOM_TOPIC, self.make.odometry(stamp_s, (ODOM, child), T, moving[row], known))
+            joined = [(MAP, ODOM, at[stamp_s])] if stamp_s in at and self.fixed == MAP else []
+            yield Sent(stamp_s, "/tf", self.make.transforms(stamp_s, [*joined, (ODOM, child, T)]))
+
+    def _statuses(self) -> Iterator[Sent]:
+        rows = sorted(self.source.status(), key=lambda row: row.stamp_s)
+        for row in rows:
+            yield Sent(row.stamp_s, DIAGNOSTICS_TOPIC, self.make.diagnostics(row.stamp_s, [_diagnosis(row)]))
+
+    def _events(self) -> Iterator[Sent]:
+        """What the sensors said; of a run whose recording is not there, nothing, and that is told."""
+        try:
+            recording = self.source.recording
+        except InputError as error:
+            if self.parts.images is not None:
+                raise
+            self.warnings.append(f"There are no topics of sensors: {error}.")
+            return
+        if recording is None:
+            if self.parts.images is not None:
+                self.warnings.append("There are no images: only a recording, or a run of one, has them.")
+            return
+        for event in recording.events(images=self.parts.images is not None):
+            yield from self.robot.of_event(event)
+
+
+def _diagnosis(row: StatusRow) -> Diagnosis:
+    told = f"{row.status}: {row.reason}" if row.reason else row.status
+    return Diagnosis(_LEVELS.get(row.status, _ERROR), "wheelsight: localization", told, row.details)
+
+
+# Layouts that show an exported bag: a file for Foxglove and one for RViz, with the topics that the bag has.
+#
+# Foxglove's is what its "Import from file" takes (panels by id, and how they share the window); RViz's is its own
+# configuration, of RViz 2 for bags of ROS 2 and of RViz 1 for bags of ROS 1, whose classes have other names.
+
+
+ODOM_TOPIC, DIAGNOSTICS_TOPIC, MAP_TOPIC, POINTS_TOPIC = "/odom", "/diagnostics", "/map", "/map_points"
+WAY_TOPIC, TRUTH_TOPIC = "/trajectory", "/ground_truth"
+_WAYS = {WAY_TOPIC: (0, 114, 178), TRUTH_TOPIC: (0, 158, 115)}  # red, green, blue (Okabe & Ito 2008)
+_COLOR_IMAGES = ("/camera/color/image_raw", "/camera/color/image_raw/compressed")
+_LINE_M = 0.04
+_POINT_PX = 3
+
+
+def layout_paths(bag: Path) -> tuple[Path, Path]:
+    """Where the layouts of a bag lie, beside it: Foxglove's and RViz's."""
+    return bag.with_suffix(".foxglove.json"), bag.with_suffix(".rviz")
+
+
+def write_layouts(bag: Path, topics: Collection[str], fixed_frame: str) -> tuple[Path, Path]:
+    """Write both; where they lie. Raises OutputError."""
+    paths = layout_paths(bag)
+    write_text(paths[0], json.dumps(foxglove_layout(topics, fixed_frame), indent=2) + "\n")
+    text = yaml.safe_dump(rviz_config(topics, fixed_frame, is_ros1=bag.suffix == ".bag"), sort_keys=False)
+    write_text(paths[1], text)
+    return paths
+
+
+def foxglove_layout(topics: Collection[str], fixed_frame: str) -> dict[str, Any]:
+    """3D with map, points and ways; beside it image, speed and diagnostics, as far as the bag has them."""
+    shown: dict[str, Any] = {topic: {"visible": True} for topic in (MAP_TOPIC, ODOM_TOPIC) if topic in topics}
+    if POINTS_TOPIC in topics:
+        look = {"colorField": "rgb", "colorMode": "rgb", "pointSize": _POINT_PX, "pointShape": "square"}
+        shown[POINTS_TOPIC] = {"visible": True, **look}
+    for topic, (red, green, blue) in _WAYS.items():
+        if topic in topics:
+            gradient = [f"#{red:02x}{green:02x}{blue:02x}"] * 2
+            shown[topic] = {"visible": True, "type": "line", "lineWidth": _LINE_M, "gradient": gradient}
+    grid = {"instanceId": "grid", "layerId": "foxglove.Grid", "label": "Grid", "visible": True, "frameLocked": True}
+    panels: dict[str, Any] = {
+        "3D!wheelsight": {
+            "followMode": "follow-none",
+            "followTf": fixed_frame,
+            "topics": shown,
+            "layers": {"grid": {**grid, "size": 20, "divisions": 20, "lineWidth": 1, "color": "#b0b0b0"}},
+            "cameraState": {"perspective": False, "distance": 20, "phi": 0, "thetaOffset": 0, "target": [0, 0, 0]},
+        }
+    }
+    beside: list[str] = []
+    if image := _image_of(topics):
+        panels["Image!wheelsight"] = {"imageMode": {"imageTopic": image}}
+        beside.append("Image!wheelsight")
+    if ODOM_TOPIC in topics:
+        speeds = ({"value": f"{ODOM_TOPIC}.twist.twist.{axis}"} for axis in ("linear.x", "angular.z"))
+        paths = [{**speed, "enabled": True, "timestampMethod": "headerStamp"} for speed in speeds]
+        panels["Plot!wheelsight"] = {"title": "speed, m/s, and turn, rad/s", "paths": paths, "isSynced": True}
+        beside.append("Plot!wheelsight")
+    if DIAGNOSTICS_TOPIC in topics:
+        panels["DiagnosticSummary!wheelsight"] = {"topicToRender": DIAGNOSTICS_TOPIC, "minLevel": 0}
+        beside.append("DiagnosticSummary!wheelsight")
+    tree: Any = "3D!wheelsight"
+    if beside:
+        tree = {"first": tree, "second": _stacked(beside), "direction": "row", "splitPercentage": 68}
+    return {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": tree,
+    }
+
+
+def _stacked(panels: list[str]) -> Any:
+    """One above the other, each as high."""
+    if len(panels) == 1:
+        return panels[0]
+    share = 100 / len(panels)
+    return {"first": panels[0], "second": _stacked(panels[1:]), "direction": "column", "splitPercentage": share}
+
+
+def rviz_config(topics: Collection[str], fixed_frame: str, *, is_ros1: bool) -> dict[str, Any]:
+    """Displays of map, points, ways, odometry, transforms and image, as far as the bag has them, seen from above."""
+    plugin, panel = ("rviz", "rviz") if is_ros1 else ("rviz_default_plugins", "rviz_common")
+
+    def display(
+        kind: str, name: str, look: dict[str, Any], topic: str = "", *, is_latched: bool = False
+    ) -> dict[str, Any]:
+        made = {"Class": f"{plugin}/{kind}", "Name": name, "Enabled": True, "Value": True, **look}
+        if topic and is_ros1:
+            made["Topic"] = topic
+        elif topic:
+            durability = "Transient Local" if is_latched else "Volatile"
+            reliable = {"Reliability Policy": "Reliable", "History Policy": "Keep Last", "Depth": 10}
+            made["Topic"] = {"Value": topic, "Durability Policy": durability, **reliable}
+        return made
+
+    shown = [display("Grid", "Grid", {"Reference Frame": "<Fixed Frame>", "Plane Cell Count": 20})]
+    shown.append(display("TF", "Transforms", {"Show Names": False}))
+    if MAP_TOPIC in topics:
+        shown.append(display("Map", "Floor", {"Color Scheme": "map", "Draw Behind": True}, MAP_TOPIC, is_latched=True))
+    if POINTS_TOPIC in topics:
+        look = {"Color Transformer": "RGB8", "Style": "Points", "Size (Pixels)": _POINT_PX}
+        shown.append(display("PointCloud2", "Points of the map", look, POINTS_TOPIC, is_latched=True))
+    for topic, colour in _WAYS.items():
+        if topic in topics:
+            look = {"Color": "; ".join(map(str, colour)), "Line Style": "Billboards", "Line Width": _LINE_M}
+            shown.append(display("Path", topic.strip("/").replace("_", " "), look, topic, is_latched=True))
+    if ODOM_TOPIC in topics:
+        shown.append(display("Odometry", "Odometry", {"Keep": 1}, ODOM_TOPIC))
+    if image := _image_of(topics):
+        shown.append(_rviz_image(display("Image", "Camera", {}, image), image, is_ros1=is_ros1))
+    return {
+        "Panels": [{"Class": f"{panel}/Displays", "Name": "Displays"}, {"Class": f"{panel}/Time", "Name": "Time"}],
+        "Visualization Manager": {
+            "Class": "",
+            "Enabled": True,
+            "Global Options": {"Fixed Frame": fixed_frame, "Background Color": "48; 48; 48", "Frame Rate": 30},
+            "Displays": shown,
+            "Views": {"Current": {"Class": f"{plugin}/TopDownOrtho", "Name": "Current View", "Scale": 50}},
+        },
+    }
+
+
+def _rviz_image(made: dict[str, Any], topic: str, *, is_ros1: bool) -> dict[str, Any]:
+    """RViz 1 has another field for it, and names a compressed image by its raw topic and a transport."""
+    if is_ros1:
+        del made["Topic"]
+        raw, _, transport = topic.partition("/image_raw")
+        made |= {"Image Topic": f"{raw}/image_raw", "Transport Hint": transport.strip("/") or "raw"}
+    return made
+
+
+def _image_of(topics: Collection[str]) -> str | None:
+    return next((topic for topic in _COLOR_IMAGES if topic in topics), None)

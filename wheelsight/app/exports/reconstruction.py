@@ -1,0 +1,263 @@
+"""Images of keyframes with their cameras and poses, for reconstruction: nerfstudio's transforms.json and COLMAP's
+text model.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from wheelsight.app.exports.sources import ColoredPoints, Exported, points_of, upright_points
+from wheelsight.core.errors import InputError, MapError
+from wheelsight.core.files import (
+    StrPath,
+    atomic_write,
+    make_output_folder,
+    new_output_folder,
+    remove_file,
+    write_bytes,
+    write_text,
+)
+from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera, se3, so3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.recordings import Recording
+from wheelsight.io.recordings.bags.writing import T_LINK_OPTICAL
+from wheelsight.slam.maps import MapFolder, lie_together
+
+# nerfstudio's transforms.json: images of keyframes with poses in OpenGL's axes, and the map's points to begin with.
+
+
+TRANSFORMS_FILE, POINTS_FILE = "transforms.json", "points.ply"
+# OpenGL: x right, y up, z backward, of what OpenCV's x right, y down, z forward looks along.
+_CV_TO_GL = np.diag([1.0, -1.0, -1.0, 1.0])
+# Its pixels have their centres at halves, as COLMAP's; ours at whole numbers.
+HALF_PX = 0.5
+
+
+def export_nerfstudio(
+    source: Exported, out: StrPath, voxel_m: float, force: bool, on_view: OnView = lambda done, total: None
+) -> int:
+    """Write transforms.json, images and depth of keyframes, and points.ply into a folder; how many images.
+
+    Metres, z up: in the map of a robot's base, else in that of the camera, turned. transforms.json comes last.
+
+    Raises InputError where there is no map, or it cannot be read; OutputError where it cannot be written.
+    """
+    with new_output_folder(Path(out), force) as folder:
+        remove_file(folder / TRANSFORMS_FILE)  # of an earlier export it would name images that change now
+        views = write_views(source, folder, on_view)
+        is_of_base = source.need_map().calibration.T_base_camera is not None
+        turn = np.eye(4) if is_of_base else T_LINK_OPTICAL
+        points = points_of(source, voxel_m)
+        document: dict[str, Any] = {"frames": [_frame(view, turn) for view in views]}
+        if points is not None:
+            turned = ColoredPoints(upright_points(points.p_map, "base" if is_of_base else "camera"), points.colors)
+            write_points(turned, folder / POINTS_FILE)
+            document["ply_file_path"] = POINTS_FILE
+        write_text(folder / TRANSFORMS_FILE, json.dumps(document, indent=1, allow_nan=False) + "\n")
+    return len(views)
+
+
+def _frame(view: KeyframeView, turn: FloatArray) -> dict[str, Any]:
+    camera = view.camera
+    k1, k2, p1, p2, k3 = camera.distortion
+    told: dict[str, Any] = {
+        "file_path": f"{IMAGES}/{view.name}",
+        "transform_matrix": (turn @ view.T_map_camera @ _CV_TO_GL).tolist(),
+        "camera_model": "OPENCV",
+        "w": camera.width,
+        "h": camera.height,
+        "fl_x": camera.fx,
+        "fl_y": camera.fy,
+        "cx": camera.cx + HALF_PX,
+        "cy": camera.cy + HALF_PX,
+        **{"k1": k1, "k2": k2, "k3": k3, "k4": 0.0, "p1": p1, "p2": p2},
+    }
+    return told | ({} if view.depth_name is None else {"depth_file_path": f"{DEPTHS}/{view.depth_name}"})
+
+
+def write_points(points: ColoredPoints, path: Path) -> None:
+    """Points and colours as PLY. Raises OutputError."""
+    table = np.zeros(
+        len(points.p_map),
+        [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")],
+    )
+    for axis in range(3):
+        table["xyz"[axis]] = points.p_map[:, axis]
+        table[("red", "green", "blue")[axis]] = points.colors[:, axis]
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(table)}"]
+    lines += [f"property float {axis}" for axis in "xyz"]
+    lines += [f"property uchar {color}" for color in ("red", "green", "blue")]
+    with atomic_write(path, "wb") as stream:
+        stream.write(("\n".join([*lines, "end_header"]) + "\n").encode())
+        stream.write(table.tobytes())
+
+
+# COLMAP's text model: cameras.txt, images.txt and points3D.txt, beside the images of keyframes.
+
+
+MODEL = "sparse/0"
+# COLMAP's word for an error that nobody reckoned.
+_NO_ERROR = -1
+
+
+def export_colmap(
+    source: Exported, out: StrPath, voxel_m: float, force: bool, on_view: OnView = lambda done, total: None
+) -> int:
+    """Write a model into OUT/sparse/0 and images into OUT/images; how many images.
+
+    Metres, in the map. Points are the map's; no image observes them, for they come of surfels, not of keypoints.
+
+    Raises InputError where there is no map, or it cannot be read; OutputError where it cannot be written.
+    """
+    with new_output_folder(Path(out), force) as folder:
+        remove_file(folder / MODEL / "cameras.txt")  # without it there is no model until all is written
+        views = write_views(source, folder, on_view)
+        model = make_output_folder(folder / MODEL, force=True)
+        numbers: dict[PinholeCamera, int] = {}
+        for view in views:
+            numbers.setdefault(view.camera, len(numbers) + 1)
+        write_text(model / "points3D.txt", _points_text(points_of(source, voxel_m)))
+        write_text(model / "images.txt", _images_text(views, numbers))
+        write_text(model / "cameras.txt", "".join(_camera_line(camera, n) for camera, n in numbers.items()))
+    return len(views)
+
+
+def _camera_line(camera: PinholeCamera, number: int) -> str:
+    k1, k2, p1, p2, k3 = camera.distortion
+    lens = [camera.fx, camera.fy, camera.cx + HALF_PX, camera.cy + HALF_PX]
+    model = "FULL_OPENCV" if camera.has_distortion else "PINHOLE"
+    if camera.has_distortion:
+        lens += [k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]
+    numbers = " ".join(f"{value:.12g}" for value in lens)
+    return f"{number} {model} {camera.width} {camera.height} {numbers}\n"
+
+
+def _images_text(views: list[KeyframeView], numbers: dict[PinholeCamera, int]) -> str:
+    """Two lines an image: how the map lies in the camera, w first; and the keypoints, of which there are none."""
+    text = ""
+    for number, view in enumerate(views, start=1):
+        T_camera_map = se3.invert(view.T_map_camera)
+        x, y, z, w = so3.to_quaternion(T_camera_map[:3, :3]).tolist()
+        pose = " ".join(f"{value:.12g}" for value in (w, x, y, z, *T_camera_map[:3, 3]))
+        text += f"{number} {pose} {numbers[view.camera]} {view.name}\n\n"
+    return text
+
+
+def _points_text(points: ColoredPoints | None) -> str:
+    if points is None:
+        return ""
+    rows = zip(points.p_map.tolist(), points.colors.tolist(), strict=True)
+    return "".join(
+        f"{number} {x:.6f} {y:.6f} {z:.6f} {red} {green} {blue} {_NO_ERROR}\n"
+        for number, ((x, y, z), (red, green, blue)) in enumerate(rows, start=1)
+    )
+
+
+# Images of a map's keyframes, with the camera that took them and where it was: what reconstruction starts from.
+
+
+IMAGES, DEPTHS = "images", "depths"
+# Stamps come back from the map as they were; those that went through text may miss the last digits.
+_SAME_S = 1e-4
+_MILLIMETRES = 1000.0
+
+OnView = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyframeView:
+    """One image on disk.
+
+    Attributes:
+        name: of its file, below IMAGES.
+        depth_name: of its depth in millimetres, below DEPTHS, on the same pixels; None where there is none.
+        T_map_camera: (4, 4) of the optical frame of the camera that took it.
+        camera: that took it.
+    """
+
+    name: str
+    depth_name: str | None
+    T_map_camera: FloatArray
+    camera: PinholeCamera
+
+
+def write_views(source: Exported, folder: Path, on_view: OnView) -> list[KeyframeView]:
+    """Write an image of each keyframe that lies in the map: in colour from the recording, else grey from the map.
+
+    Raises MapError where there is none, OutputError, and RecordingError where the recording breaks off.
+    """
+    kept = source.need_map()
+    numbers = [KeyframeId(int(number)) for number in np.flatnonzero(lie_together(kept))]
+    if not numbers:
+        raise MapError("has no keyframes that hang together", path=kept.path, fix="drive on, and export again")
+    for below in (IMAGES, DEPTHS):
+        make_output_folder(folder / below, force=True)
+    try:
+        recording = source.recording
+    except InputError:
+        recording = None
+    if recording is not None and recording.calibration.color is not None:
+        views = list(_of_recording(kept, recording, numbers, folder, on_view))
+        if len(views) == len(numbers):
+            return views
+    return list(_of_map(kept, numbers, folder, on_view))
+
+
+def _of_recording(
+    kept: MapFolder, recording: Recording, numbers: list[KeyframeId], folder: Path, on_view: OnView
+) -> Iterator[KeyframeView]:
+    """In colour; fewer than asked for where a keyframe is of another drive."""
+    wanted = {number: kept.contents.places[number].stamp_s for number in numbers}
+    calibration = recording.calibration
+    T_camera_color, camera = se3.invert(calibration.T_color_camera), calibration.cameras[0]
+    found = 0
+    for event in recording.events():
+        if not isinstance(event, RgbdFrame) or (number := _named(event.stamp_s, wanted)) is None:
+            continue
+        del wanted[number]
+        name = f"{number:06d}.png"
+        _write(folder / IMAGES / name, cv2.cvtColor(event.color, cv2.COLOR_RGB2BGR))
+        if calibration.is_registered:
+            _write(folder / DEPTHS / name, _millimetres(event.depth_m))
+        T_map_color = kept.store.pose(number) @ T_camera_color
+        yield KeyframeView(name, name if calibration.is_registered else None, T_map_color, camera)
+        found += 1
+        on_view(found, len(numbers))
+        if not wanted:
+            return
+
+
+def _of_map(kept: MapFolder, numbers: list[KeyframeId], folder: Path, on_view: OnView) -> Iterator[KeyframeView]:
+    """Grey, of the ideal camera that keyframes are of."""
+    for done, number in enumerate(numbers, start=1):
+        keyframe, name = kept.store[number], f"{number:06d}.png"
+        grey, depth_m = keyframe.grey, keyframe.depth_m
+        _write(folder / IMAGES / name, grey.astype(np.uint8))
+        _write(folder / DEPTHS / name, _millimetres(depth_m))
+        height, width = grey.shape
+        fx, fy, cx, cy = keyframe.intrinsics.tolist()
+        yield KeyframeView(name, name, kept.store.pose(number), PinholeCamera(width, height, fx, fy, cx, cy))
+        on_view(done, len(numbers))
+
+
+def _named(stamp_s: float, wanted: Mapping[KeyframeId, float]) -> KeyframeId | None:
+    return next((number for number, at_s in wanted.items() if abs(at_s - stamp_s) <= _SAME_S), None)
+
+
+def _millimetres(depth_m: Float32Array) -> np.ndarray:
+    mm = np.rint(_MILLIMETRES * depth_m)
+    return np.where(mm > np.iinfo(np.uint16).max, 0, mm).astype(np.uint16)
+
+
+def _write(path: Path, image: ByteArray | np.ndarray) -> None:
+    written, code = cv2.imencode(".png", image)
+    assert written
+    write_bytes(path, code.tobytes())

@@ -1,0 +1,61 @@
+"""The live page: a robot seen and led from a browser, on this computer or, with a token, from another.
+
+A name is loaded when it is first asked for: the door (`live_page.door`), a process of its own, needs few of them.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from wheelsight.app.page.access import Access, is_loopback
+    from wheelsight.app.page.maps import NEW, DriveMaps
+    from wheelsight.app.page.session import Session
+    from wheelsight.app.page.snapshot import Driven, Maps, Places, Snapshot, Watch
+    from wheelsight.app.page.stop_switch import StoppableRobot, StopSwitch
+
+__all__ = [
+    "NEW",
+    "Access",
+    "DriveMaps",
+    "Driven",
+    "Maps",
+    "Places",
+    "Session",
+    "Snapshot",
+    "StopSwitch",
+    "StoppableRobot",
+    "Watch",
+    "is_loopback",
+]
+
+_NAMES_OF = {
+    "wheelsight.app.page.access": (
+        "Access",
+        "is_loopback",
+    ),
+    "wheelsight.app.page.maps": (
+        "DriveMaps",
+        "NEW",
+    ),
+    "wheelsight.app.page.session": ("Session",),
+    "wheelsight.app.page.snapshot": (
+        "Driven",
+        "Maps",
+        "Places",
+        "Snapshot",
+        "Watch",
+    ),
+    "wheelsight.app.page.stop_switch": (
+        "StopSwitch",
+        "StoppableRobot",
+    ),
+}
+_MODULE_OF = {name: module for module, names in _NAMES_OF.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module 'wheelsight.app.page' has no attribute {name!r}")
+    return getattr(import_module(_MODULE_OF[name]), name)

@@ -1,0 +1,199 @@
+"""DriveMaps: maps of before, and new ones that are made while driving, each in a folder of its own."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from wheelsight.app.page.snapshot import Driven
+from wheelsight.app.run.drives import drive_in_map
+from wheelsight.app.run.exploring import exploring
+from wheelsight.config import Config, KnownMapSettings, StartSettings
+from wheelsight.core.errors import ConfigError, MapError
+from wheelsight.core.files import StrPath, make_output_folder
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.keyframes import KeyframeStore
+from wheelsight.core.robots import Robot
+from wheelsight.mapping import MapEdits, NamedPose, NamedPoses, OccupancyGrid, roomiest_place
+from wheelsight.navigation import Transition
+from wheelsight.slam.maps import MAP_FOLDER, MapFolder, find_map, lie_together
+from wheelsight.slam.maps.contents import edits_as_known, names_as_known
+
+NEW = "a new map"
+
+
+class DriveMaps:
+    """See the module.
+
+    Args:
+        config: of the drives, with loops by keyframes, and no known map.
+        known: a map to begin with, or None.
+        start: where the robot stands in that at first; None: it is recognised.
+        out: folder that new maps go to, each into one named after its time; None: none can be made.
+        in_step: as `drive_in_map` has it.
+
+    Raises:
+        ConfigError: neither a map nor a folder for a new one.
+        MapError: there is no map at `known`.
+    """
+
+    def __init__(
+        self, config: Config, known: StrPath | None, start: StartSettings | None, out: StrPath | None, *, in_step: bool
+    ) -> None:
+        if known is None and out is None:
+            raise ConfigError("there is no map to drive in", fix="--map DIR; or --out DIR, which a new one goes to")
+        self._config, self._in_step = _by_the_wall(config) if in_step else config, in_step
+        self._out = None if out is None else Path(out)
+        self._start, self._saved = start, ""
+        self._paths = {} if self._out is None else _maps_in(self._out)
+        self.first = NEW
+        if known is not None:
+            self.first = Path(known).resolve().name or str(known)
+            self._paths = {self.first: find_map(known), **self._paths}
+
+    def names(self) -> tuple[str, ...]:
+        """See `Maps`: of before, the newest first; and a new one, where that has a folder to go to."""
+        return (*self._paths, *(() if self._out is None else (NEW,)))
+
+    def last_saved(self) -> str:
+        """See `Maps`."""
+        return self._saved
+
+    @contextmanager
+    def opened(
+        self, name: str, robot: Robot, pose: FloatArray | None, on_transition: Callable[[Transition], None]
+    ) -> Iterator[Driven]:
+        """See `Maps`."""
+        if name == NEW:
+            with self._making(robot, on_transition) as driven:
+                yield driven
+            return
+        start = _start_at(pose) if pose is not None else self._start if name == self.first else None
+        # Where it stood when the program began is no news for another time.
+        self._start = None
+        path = self._paths[name]
+        known = KnownMapSettings(path=str(path), start=start)
+        config = self._config.model_copy(update={"known_map": known})
+        with drive_in_map(
+            robot, config, in_step=self._in_step, trusts_floor=True, on_transition=on_transition
+        ) as drive:
+            yield Driven(drive.navigator, KnownPlaces(path, drive.grid), is_new=False)
+
+    @contextmanager
+    def _making(self, robot: Robot, on_transition: Callable[[Transition], None]) -> Iterator[Driven]:
+        assert self._out is not None
+        name = _unused(self._out)
+        path = make_output_folder(self._out / name) / MAP_FOLDER
+        with exploring(
+            robot, self._config, path, in_step=self._in_step, trusts_floor=True, on_transition=on_transition
+        ) as drive:
+            store = drive.navigator.senses.keyframes
+            assert store is not None
+            places = NewPlaces(store)
+            yield Driven(drive.navigator, places, is_new=True)
+        if len(places.named):
+            with closing(MapFolder.open(path, read_only=False)) as folder:
+                folder.save_named_poses(places.named)
+        self._paths = {name: path, **self._paths}
+        self._saved = name
+
+
+class KnownPlaces:
+    """Of a map of before; written at once.
+
+    Args:
+        path: of the map's folder.
+        grid: of its floor, by which areas are places, too: where in each is most room; without free floor it is none.
+
+    Raises:
+        MapError: a file of it is damaged.
+    """
+
+    def __init__(self, path: Path, grid: OccupancyGrid | None = None) -> None:
+        self._path, self._areas = path, dict[str, FloatArray]()
+        with closing(MapFolder.open(path)) as folder:
+            table = folder.store.T_map_keyframe
+            self._where = _where(names_as_known(folder), table)
+            if grid is not None:
+                self._areas = _places_in(edits_as_known(folder), table, grid)
+
+    def where(self) -> Mapping[str, FloatArray]:
+        """See `Places`; a name that a place and an area have is the place's."""
+        return {**self._areas, **self._where}
+
+    def name(self, name: str, pose: FloatArray) -> None:
+        """See `Places`."""
+        with closing(MapFolder.open(self._path, read_only=False)) as folder:
+            table = folder.store.T_map_keyframe
+            # On a keyframe of which nobody knows where it lies it would go astray.
+            hung = NamedPose(name, pose).hung_on_nearest(table, np.flatnonzero(lie_together(folder)))
+            named = folder.named_poses().with_pose(hung)
+            folder.save_named_poses(named)
+            self._where = _where(names_as_known(folder), table)
+
+
+class NewPlaces:
+    """Of a map that is being made; they move with its keyframes, and are written with it.
+
+    Attributes:
+        named: so far.
+    """
+
+    def __init__(self, store: KeyframeStore) -> None:
+        self._store, self.named = store, NamedPoses()
+
+    def where(self) -> Mapping[str, FloatArray]:
+        """See `Places`."""
+        return _where(self.named, self._store.T_map_keyframe)
+
+    def name(self, name: str, pose: FloatArray) -> None:
+        """See `Places`."""
+        table = self._store.T_map_keyframe.copy()
+        self.named = self.named.with_pose(NamedPose(name, pose).hung_on_nearest(table, np.arange(len(table))))
+
+
+def _by_the_wall(config: Config) -> Config:
+    """A robot that goes by the wall's clock waits for a plan as long as that takes, and need not feign it."""
+    navigator = config.navigation.navigator.model_copy(update={"planning_s": 0.0, "mapping_s": 0.0})
+    navigation = config.navigation.model_copy(update={"navigator": navigator})
+    return config.model_copy(update={"navigation": navigation})
+
+
+def _where(named: NamedPoses, T_map_keyframe: FloatArray) -> dict[str, FloatArray]:
+    return {one.name: one.pose_now(T_map_keyframe) for one in named}
+
+
+def _places_in(edits: MapEdits, T_map_keyframe: FloatArray, grid: OccupancyGrid) -> dict[str, FloatArray]:
+    """(3,) of each area that has free floor, with any heading."""
+    found = {area.name or "": roomiest_place(grid, area.polygon_now(T_map_keyframe)) for area in edits.areas}
+    return {name: np.array([*at, np.nan]) for name, at in found.items() if at is not None}
+
+
+def _start_at(pose: FloatArray) -> StartSettings:
+    x_m, y_m, yaw = map(float, pose)
+    return StartSettings(x_m=x_m, y_m=y_m, yaw_deg=float(np.degrees(yaw)))
+
+
+def _unused(out: Path) -> str:
+    """Named after now, and no folder yet."""
+    name = time.strftime("%Y-%m-%d %H.%M.%S")
+    number = 1
+    while (out / name).exists():
+        number += 1
+        name = f"{name.partition(' (')[0]} ({number})"
+    return name
+
+
+def _maps_in(out: Path) -> dict[str, Path]:
+    """By their folders' names, the newest first."""
+    found: dict[str, Path] = {}
+    for folder in sorted(out.iterdir() if out.is_dir() else (), reverse=True):
+        try:
+            found[folder.name] = find_map(folder)
+        except MapError:
+            continue
+    return found

@@ -1,0 +1,557 @@
+"""Session: drives a robot in a thread of its own, by the messages of pages. Messages are strict models; Pace holds a
+simulated robot to the clock on the wall.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import queue
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from itertools import count
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from wheelsight.app.page.snapshot import Driven, Maps, Snapshot, Telling, Watch
+from wheelsight.app.page.stop_switch import StoppableRobot, StopSwitch, Watchdog
+from wheelsight.core.errors import ArgumentError, ConfigError, WheelsightError
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import Event
+from wheelsight.core.robots import Robot
+from wheelsight.core.settings import LivePageSettings
+from wheelsight.navigation import Feedback, NavigationResult, NavigationState, Transition
+
+# What a page may say, and nothing else: strict models, told apart by their `type`.
+
+
+_FARTHEST_M, _LONGEST_NAME = 1e4, 60
+_Name = Annotated[str, Field(min_length=1, max_length=_LONGEST_NAME)]
+
+
+class _Message(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class Alive(_Message):
+    """The page is open, and its connection holds."""
+
+    type: Literal["alive"]
+
+
+class Take(_Message):
+    """Who says so drives from now on."""
+
+    type: Literal["take"]
+
+
+class Leave(_Message):
+    """Who says so drives no more."""
+
+    type: Literal["leave"]
+
+
+class ShowCostmap(_Message):
+    """Whether the page shows the costmap."""
+
+    type: Literal["costmap"]
+    shown: bool
+
+
+class GoToPose(_Message):
+    """Drive to a place in `map`; without a yaw, to any heading."""
+
+    type: Literal["goal"]
+    x_m: float = Field(ge=-_FARTHEST_M, le=_FARTHEST_M)
+    y_m: float = Field(ge=-_FARTHEST_M, le=_FARTHEST_M)
+    yaw_rad: float | None = Field(default=None, ge=-7, le=7)
+
+
+class GoToName(_Message):
+    """Drive to a named place."""
+
+    type: Literal["go"]
+    name: _Name
+
+
+class ClearObstacles(_Message):
+    """Nothing is about a place in `map`, says the driver, who sees it: forget what the camera met there."""
+
+    type: Literal["clear"]
+    x_m: float = Field(ge=-_FARTHEST_M, le=_FARTHEST_M)
+    y_m: float = Field(ge=-_FARTHEST_M, le=_FARTHEST_M)
+
+
+class Explore(_Message):
+    """Look at all floor that can be reached."""
+
+    type: Literal["explore"]
+
+
+class NamePlace(_Message):
+    """Call the place where the robot is."""
+
+    type: Literal["name"]
+    name: _Name
+
+
+class SaveMap(_Message):
+    """Write the map that is being made, and go on in it."""
+
+    type: Literal["save"]
+
+
+class StartMap(_Message):
+    """Go on in another map."""
+
+    type: Literal["start"]
+    map: Annotated[str, Field(min_length=1, max_length=200)]
+
+
+Task = GoToPose | GoToName | ClearObstacles | Explore | NamePlace | SaveMap | StartMap
+"""What the driver alone may ask."""
+Message = Alive | Take | Leave | ShowCostmap | Task
+_ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="type")])
+
+
+def says_stop(text: str) -> bool:
+    """Whether a message is to stop, whatever else it holds: nobody in need is asked for the right form."""
+    if '"stop"' not in text:
+        return False
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        return False
+    return isinstance(found, dict) and found.get("type") == "stop"
+
+
+def parsed(text: str) -> Message:
+    """A message. Raises ArgumentError: it is none, in one line."""
+    try:
+        return _ANY.validate_json(text)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False, include_context=False)[0]
+        where = ".".join(str(part) for part in first["loc"][1:])
+        raise ArgumentError(f"a message of no sense: {f'{where}: ' if where else ''}{first['msg']}") from None
+
+
+# Session: drives a robot in a thread of its own, by what pages ask; it alone owns what is driven.
+#
+# Pages see snapshots, and ask by messages that the thread takes between two periods. To stop waits for neither.
+
+
+_WAITING, _SAID = 16, 6
+_WAIT_S = 0.2
+_STANDING_M_S, _STANDING_RAD_S = 0.02, 0.05
+# How long a part may be silent while the robot moves. A robot whose time stands still between steps goes nowhere
+# meanwhile, and its steps, which render and localize, take longer on a slow computer.
+_SILENT_S, _SILENT_IN_STEP_S = 0.4, 2.0
+# While it stands with a task: a task goes on by itself after no longer than this (`navigator.held_s`).
+_HELD_S = 4.0
+# Periods one after another that fail before the map is given up.
+_MOST_FAILURES, _STEP_S = 5, 0.05
+_MOST_TRACED = 20
+_DRIVING = "the thread that drives"
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    task: Task
+    presses: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Next:
+    """The map to go on in, and where the robot stands there, if that is known."""
+
+    name: str
+    pose: FloatArray | None = None
+
+
+class Session:
+    """Begins with the first of its maps; use it in a `with` block, which stops the robot at the end.
+
+    Args:
+        robot: that is driven; whoever opened it closes it.
+        maps: that it can drive in.
+        settings: of the page.
+        paces: whether the robot's time stands still between steps, and is to go as the wall's.
+        on_problem: told in a line what went wrong, as pages are.
+        watch: sees all of the drives, in the session's thread; or None.
+
+    Attributes:
+        switch: stops the robot.
+        silent_s: how long a part of the program may be silent while the robot moves.
+        wants_costmap: whether any page shows the costmap.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        maps: Maps,
+        settings: LivePageSettings,
+        *,
+        paces: bool,
+        on_problem: Callable[[str], None] = lambda line: None,
+        watch: Watch | None = None,
+    ) -> None:
+        self.switch = StopSwitch(robot)
+        self._robot, self._watch = StoppableRobot(robot, self.switch, self._hear), watch
+        self._maps, self._settings, self._paces = maps, settings, paces
+        self._asked: queue.Queue[_Asked] = queue.Queue(_WAITING)
+        self._over, self._on_problem = threading.Event(), on_problem
+        self._said: deque[dict[str, Any]] = deque(maxlen=_SAID)
+        self._numbers, self._name, self._share = count(1), "", 1.0
+        self._cancelled = self.switch.presses
+        self._told: NavigationResult | None = None
+        self.wants_costmap = False
+        self.silent_s = _SILENT_IN_STEP_S if paces else _SILENT_S
+        self._is_driving = self._has_task = False
+        self._traced = set[str]()
+        self._telling = Telling(self._robot, settings, lambda: self.wants_costmap)
+        self._latest = self._telling.of_words(self._facts("opening"))
+        self._watchdog = Watchdog(self._may_be_silent_s, self.part_fails, self.say)
+        self._thread = threading.Thread(target=self._run, name="wheelsight-drive", daemon=True)
+
+    def __enter__(self) -> Session:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def latest(self) -> Snapshot:
+        """What there is to show."""
+        return self._latest
+
+    @property
+    def is_over(self) -> bool:
+        """Whether its thread has ended."""
+        return not self._thread.is_alive()
+
+    def ask(self, task: Task) -> str:
+        """Ask for a task; why that cannot be, or nothing where it will be taken."""
+        if self.is_over:
+            return "nothing is driven any more: begin wheelsight serve again"
+        try:
+            self._asked.put_nowait(_Asked(task, self.switch.presses))
+        except queue.Full:
+            return "too much was asked at once; it is left out"
+        return ""
+
+    def stop(self, reason: str) -> None:
+        """Stop the robot now, whatever hangs; it stands until somebody gives it another task."""
+        self.switch.press(reason)
+
+    @contextmanager
+    def watched(self, part: str) -> Iterator[Callable[[], None]]:
+        """Stop the robot where a part that it needs hangs: within, call what this gives each 0.2 s or more often."""
+        try:
+            yield self._watchdog.watch(part)
+        finally:
+            self._watchdog.forget(part)
+
+    def part_fails(self, reason: str) -> None:
+        """Stop the robot because a part of the program does not go on, and say so, where it moves or has a task."""
+        if self._may_be_silent_s() == math.inf:
+            return
+        self.stop(reason)
+        self.say(f"{reason}: the robot is stopped; give it its task again", is_problem=True)
+        # The thread that drives may be what hangs: it shows nothing then.
+        shown = json.loads(self._latest.text) | self._words()
+        self._latest = replace(self._latest, text=json.dumps(shown))
+
+    def close(self, seconds: float = 60.0) -> None:
+        """Stop the robot, close the map, and end; waits so long for what hangs. May be called twice."""
+        self.switch.press("the program ends")
+        self._watchdog.close()
+        self._over.set()
+        if self._thread.ident is not None:
+            self._thread.join(seconds)
+        self.switch.close()
+
+    def say(self, text: str, *, is_problem: bool = False) -> None:
+        """A line for all pages."""
+        self._said.append({"number": next(self._numbers), "text": text, "is_problem": is_problem})
+        if is_problem:
+            self._on_problem(text)
+
+    def _may_be_silent_s(self) -> float:
+        """How long a part may be silent now."""
+        if not self._is_driving or self.switch.reason:
+            return math.inf
+        if self._robot.is_commanded:
+            return self.silent_s
+        return _HELD_S if self._has_task else math.inf
+
+    def _run(self) -> None:
+        following: _Next | None = _Next(self._maps.first)
+        try:
+            with self.watched(_DRIVING) as beat:
+                while not self._over.is_set():
+                    try:
+                        following = self._wait_for_choice() if following is None else self._in_map(following, beat)
+                    except Exception as error:
+                        # Of what a page is shown, or of a stop: nothing else is left to do.
+                        self._fail("something went wrong", error)
+                        following = None
+                        self._over.wait(_WAIT_S)
+        finally:
+            if not self._over.is_set():
+                self.stop("the program that drives has ended")
+                self.say("nothing is driven any more: begin wheelsight serve again", is_problem=True)
+            self._latest = self._telling.of_words(self._facts("ended"))
+
+    def _in_map(self, chosen: _Next, beat: Callable[[], None]) -> _Next | None:
+        """Drive in a map, until another is to be driven in; None where one has to be chosen, and at the end of all."""
+        self._name, self._told = chosen.name, None
+        self._telling.begin()
+        self._latest = self._telling.of_words(self._facts("opening"))
+        following, doing, has_driven = None, "the map is not opened", False
+        try:
+            with self._maps.opened(chosen.name, self._robot, chosen.pose, self._note) as driven:
+                doing = "the map is given up"
+                try:
+                    following = self._drive(driven, beat)
+                finally:
+                    has_driven, self._is_driving = self._is_driving, False
+                doing = "the map is not saved" if driven.is_new else "the map is not closed"
+                self._latest = self._telling.of_words(self._facts("saving" if driven.is_new else "closing"))
+        except Exception as error:
+            self._fail(doing, error)
+            if isinstance(error, WheelsightError) or not has_driven:
+                return None
+            # An error of the program, and not of the robot or of the disk: the robot is led on in the same map.
+            return following if following is not None and following.name else _Next(chosen.name)
+        if following is not None and not following.name:
+            self.say("the map is saved")
+            return _Next(self._maps.last_saved(), following.pose)
+        return following
+
+    def _wait_for_choice(self) -> _Next | None:
+        """Nothing can be driven in: until another map is chosen."""
+        while not self._over.is_set():
+            self._latest = self._telling.of_words(self._facts("choose"))
+            try:
+                task = self._asked.get(timeout=_WAIT_S).task
+            except queue.Empty:
+                continue
+            if isinstance(task, StartMap) and task.map in self._maps.names():
+                return _Next(task.map)
+            self.say("choose a map first", is_problem=True)
+        return None
+
+    def _drive(self, driven: Driven, beat: Callable[[], None]) -> _Next | None:
+        """Period by period. Raises what several of them raise, one after another."""
+        pace = Pace(lambda: self._robot.now_s) if self._paces else None
+        every = max(1, round(1 / (self._settings.updates_hz * driven.navigator.settings.follow.period_s)))
+        feedback, failures = driven.navigator.feedback, 0
+        for period in count():
+            if self._over.is_set():
+                return None
+            beat()
+            try:
+                self._cancel_if_stopped(driven)
+                # What is asked for after a failure waits until a period has passed by which the robot stands.
+                following = self._take(driven, feedback) if failures == 0 else None
+                if following is not None:
+                    return following
+                feedback = driven.navigator.step()
+                self._has_task = not driven.navigator.is_task_complete()
+                if self._watch is not None:
+                    self._watch.step(feedback, driven.navigator)
+                self._tell_result(driven)
+                if period % every == 0:
+                    self._latest = self._telling.of(driven, feedback, self._facts("driving", driven))
+            except Exception as error:
+                failures += 1
+                self._fail("the robot is stopped; give it its task again", error)
+                if failures == _MOST_FAILURES:
+                    raise
+                self._over.wait(_STEP_S)
+            else:
+                # Only now there is something that can hang.
+                failures, self._is_driving = 0, True
+            if pace is not None:
+                pace.wait()
+                self._share = pace.share
+        return None
+
+    def _fail(self, doing: str, error: Exception) -> None:
+        """Stop the robot, and say in a line why; the log has the traceback of the first error of a kind."""
+        self.stop("something went wrong")
+        what = str(error) if isinstance(error, WheelsightError) else f"{type(error).__name__}: {error}"
+        line = what.partition("\n")[0]
+        if not isinstance(error, WheelsightError):
+            line = f"{doing}: {line}"
+            kind = f"{type(error)} {traceback.extract_tb(error.__traceback__)[-1:]}"
+            if kind not in self._traced and len(self._traced) < _MOST_TRACED:
+                self._traced.add(kind)
+                _log.error("%s", line, exc_info=error)
+        if not self._said or self._said[-1]["text"] != line:
+            self.say(line, is_problem=True)
+
+    def _cancel_if_stopped(self, driven: Driven) -> None:
+        presses = self.switch.presses
+        if presses != self._cancelled:
+            driven.navigator.cancel_task()
+            self._cancelled = presses
+
+    def _take(self, driven: Driven, feedback: Feedback) -> _Next | None:
+        """Do what was asked; the map to go on in, where that is another."""
+        try:
+            asked = self._asked.get_nowait()
+        except queue.Empty:
+            return None
+        if asked.presses != self.switch.presses:
+            self.say("left out: the robot was stopped after it was asked", is_problem=True)
+            return None
+        try:
+            return self._do(asked, driven, feedback)
+        except WheelsightError as error:
+            self.say(str(error), is_problem=True)
+            return None
+        except Exception as error:
+            self._fail("not done", error)
+            return None
+
+    def _do(self, asked: _Asked, driven: Driven, feedback: Feedback) -> _Next | None:
+        task, navigator = asked.task, driven.navigator
+        if isinstance(task, GoToPose | GoToName | Explore):
+            begin = _begin_of(task, driven)
+            if self.switch.release(asked.presses):
+                begin()
+            return None
+        if isinstance(task, ClearObstacles):
+            navigator.clear_obstacles((task.x_m, task.y_m))
+            return None
+        speed = abs(feedback.forward_m_s) > _STANDING_M_S or abs(feedback.turn_rad_s) > _STANDING_RAD_S
+        if speed or not navigator.is_task_complete():
+            self.say("stop the robot first", is_problem=True)
+        elif isinstance(task, NamePlace):
+            self._name_place(task.name, driven, feedback)
+        elif isinstance(task, SaveMap):
+            if driven.is_new:
+                return _Next("", feedback.pose)
+            self.say("this map is as it was saved; names are kept at once")
+        elif task.map not in self._maps.names():
+            self.say(f"no map is called {task.map!r}", is_problem=True)
+        else:
+            return _Next(task.map)
+        return None
+
+    def _name_place(self, name: str, driven: Driven, feedback: Feedback) -> None:
+        if feedback.pose is None:
+            self.say("it is not known where the robot is", is_problem=True)
+            return
+        driven.places.name(name, feedback.pose)
+        self.say(f"this place is called {name}")
+
+    def _hear(self, events: Sequence[Event]) -> None:
+        if self._watch is not None:
+            self._watch.hear(events)
+
+    def _note(self, transition: Transition) -> None:
+        if self._watch is not None:
+            self._watch.note(transition)
+        if transition.after is NavigationState.RECOVERING:
+            self.say(transition.why)
+
+    def _tell_result(self, driven: Driven) -> None:
+        result = driven.navigator.result
+        if result is None or result is self._told:
+            return
+        self._told = result
+        if result.has_arrived:
+            self.say(f"arrived: {result.detail}")
+        else:
+            why = self.switch.reason or f"{result.reason} ({result.detail})"
+            self.say(f"not arrived: {why}", is_problem=True)
+
+    def _words(self) -> dict[str, Any]:
+        """What holds of the switch, and what was said."""
+        return {"stopped": self.switch.reason, "problem": self.switch.problem, "said": list(self._said)}
+
+    def _facts(self, phase: str, driven: Driven | None = None) -> dict[str, Any]:
+        """What is shown of any moment."""
+        return {
+            **self._words(),
+            "phase": phase,
+            "map": self._name,
+            "is_new": driven is not None and driven.is_new,
+            "maps": list(self._maps.names()),
+            "share": round(self._share, 2),
+        }
+
+
+def _begin_of(task: GoToPose | GoToName | Explore, driven: Driven) -> Callable[[], None]:
+    """What begins a task. Raises ConfigError, MapError: it cannot be."""
+    navigator = driven.navigator
+    if isinstance(task, Explore):
+        if not driven.is_new:
+            raise ConfigError("this map is finished; to look at all floor, begin a new one")
+        return navigator.explore
+    if isinstance(task, GoToPose):
+        yaw = () if task.yaw_rad is None else (task.yaw_rad,)
+        return lambda: navigator.go_to_pose((task.x_m, task.y_m, *yaw))
+    where = driven.places.where()
+    if task.name not in where:
+        raise ConfigError(f"no place of the map is called {task.name!r}")
+    pose = where[task.name]
+    return lambda: navigator.go_to_pose(pose if pose[2] == pose[2] else pose[:2], task.name)
+
+
+# Pace: holds a robot whose time stands still between steps to the clock on the wall.
+
+
+# A step that renders a frame takes longer than others; what is later than so much is not made up for.
+_MOST_LATE_S = 0.5
+_SPAN_S = 3.0
+
+
+class Pace:
+    """`wait` after each step.
+
+    Args:
+        robot_s: the robot's clock, seconds.
+        wall_s, sleep: the wall's.
+    """
+
+    def __init__(
+        self,
+        robot_s: Callable[[], float],
+        wall_s: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._robot_s, self._wall_s, self._sleep = robot_s, wall_s, sleep
+        self._ahead_s = robot_s() - wall_s()
+        self._seen: deque[tuple[float, float]] = deque()
+
+    @property
+    def share(self) -> float:
+        """Of real time at which the robot's went lately; 1 where the computer keeps up."""
+        if len(self._seen) < 2:
+            return 1.0
+        (wall_s, robot_s), (wall_now_s, robot_now_s) = self._seen[0], self._seen[-1]
+        return (robot_now_s - robot_s) / max(wall_now_s - wall_s, 1e-6)
+
+    def wait(self) -> None:
+        """Until the wall's clock is where the robot's is; a robot that is late goes on at once."""
+        robot_s, wall_s = self._robot_s(), self._wall_s()
+        early_s = robot_s - wall_s - self._ahead_s
+        if early_s > 0:
+            self._sleep(early_s)
+        elif early_s < -_MOST_LATE_S:
+            self._ahead_s = robot_s - wall_s + _MOST_LATE_S
+        self._seen.append((self._wall_s(), robot_s))
+        while self._seen[-1][0] - self._seen[0][0] > _SPAN_S and len(self._seen) > 2:
+            self._seen.popleft()

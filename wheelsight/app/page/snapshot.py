@@ -1,0 +1,290 @@
+"""Snapshot: what pages are shown at a moment, as a value. Driven is what a session drives in; its images are made
+here.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+
+from wheelsight.app.page.stop_switch import StoppableRobot
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import ByteArray, FloatArray, se2, se3
+from wheelsight.core.messages import Event
+from wheelsight.core.robots import Robot
+from wheelsight.core.settings import LivePageSettings
+from wheelsight.navigation import CellState, Costmap, Feedback, Navigator, StaticLayer, Transition
+from wheelsight.navigation.senses import Senses
+from wheelsight.navigation.task import STATUS_WORDS, monitor_words
+
+# Snapshot: what pages are shown at a moment, as a value; and Telling, which makes one of a navigator's feedback.
+
+
+_WAY_STEP_M, _PATH_POINTS = 0.1, 80
+_SIGMAS = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """An image that pages fetch.
+
+    Attributes:
+        body: PNG or JPEG.
+        number: another one each time it has changed.
+        place: x, y of its lower left corner, width and height in `map`, metres; None of the camera's.
+    """
+
+    body: bytes
+    number: int
+    place: tuple[float, float, float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """At a moment.
+
+    Attributes:
+        made_s: by `time.monotonic`.
+        text: JSON of all that is no image.
+        pictures: "plan", "costmap", "camera", as far as there are any.
+        is_driving: whether a task goes on.
+    """
+
+    made_s: float
+    text: str
+    pictures: Mapping[str, Picture] = field(default_factory=dict)
+    is_driving: bool = False
+
+
+class Telling:
+    """Makes snapshots of a robot that drives in one map after another.
+
+    Args:
+        robot: whose camera is shown.
+        settings: how often images are made, and how large.
+        wants_costmap: whether any page shows it.
+    """
+
+    def __init__(self, robot: StoppableRobot, settings: LivePageSettings, wants_costmap: Callable[[], bool]) -> None:
+        self._robot, self._settings, self._wants_costmap = robot, settings, wants_costmap
+        self._way: deque[FloatArray] = deque(maxlen=settings.way_points)
+        self._pictures: dict[str, Picture] = {}
+        self._made_of: dict[str, object] = {}
+        self._number, self._pictured_s = 0, -np.inf
+        self._was_tracked = False
+
+    def begin(self) -> None:
+        """Another map: nothing of the last one is shown any more."""
+        self._was_tracked = False
+        self._way.clear()
+        self._pictures.clear()
+        self._made_of.clear()
+
+    def of_words(self, facts: Mapping[str, Any]) -> Snapshot:
+        """While nothing is driven in."""
+        return Snapshot(time.monotonic(), json.dumps(facts), dict(self._pictures))
+
+    def of(self, driven: Driven, feedback: Feedback, facts: Mapping[str, Any]) -> Snapshot:
+        """Of a period, with facts that the session adds."""
+        senses = driven.navigator.senses
+        # Wheels alone begin at the map's origin, before the first frame or a known start tells where that is.
+        self._was_tracked = self._was_tracked or feedback.status is Status.TRACKING
+        pose = feedback.pose if self._was_tracked else None
+        self._follow(pose)
+        self._picture(senses)
+        told = {
+            **facts,
+            **_task(feedback),
+            "pose": _rounded(pose),
+            "ellipse": None if pose is None else _ellipse(senses),
+            "footprint": _rounded(driven.navigator.footprint.corners),
+            "path": [] if feedback.plan is None else _path(feedback.plan.poses),
+            "way": _rounded(np.array(self._way).reshape(-1, 2)),
+            "places": [{"name": name, "pose": _pose(at)} for name, at in driven.places.where().items()],
+            "pictures": {
+                name: {"number": one.number, "place": one.place and [round(v, 3) for v in one.place]}
+                for name, one in self._pictures.items()
+            },
+        }
+        is_driving = not driven.navigator.is_task_complete()
+        return Snapshot(time.monotonic(), json.dumps(told), dict(self._pictures), is_driving)
+
+    def _follow(self, pose: FloatArray | None) -> None:
+        if pose is not None and (not self._way or np.hypot(*(pose[:2] - self._way[-1])) >= _WAY_STEP_M):
+            self._way.append(pose[:2].copy())
+
+    def _picture(self, senses: Senses) -> None:
+        """Make images anew, of what has changed, not more often than is asked."""
+        now_s, s = time.monotonic(), self._settings
+        if now_s - self._pictured_s < 1 / s.images_hz:
+            return
+        self._pictured_s = now_s
+        layer, frame = senses.floor.layer, self._robot.frame
+        self._keep("plan", layer, lambda: Picture(plan_png(layer), 0, _place(layer)))
+        if frame is not None:
+            self._keep("camera", frame, lambda: Picture(camera_jpeg(frame.color, s.image_px, s.jpeg_quality), 0))
+        costmap = senses.local() if self._wants_costmap() else None
+        if costmap is not None:
+            self._keep("costmap", costmap, lambda: Picture(costmap_png(costmap), 0, _place(costmap)))
+
+    def _keep(self, name: str, of: object, make: Callable[[], Picture]) -> None:
+        if self._made_of.get(name) is of:
+            return
+        self._number += 1
+        self._made_of[name], self._pictures[name] = of, replace(make(), number=self._number)
+
+
+def _task(feedback: Feedback) -> dict[str, Any]:
+    return {
+        "stamp_s": round(feedback.stamp_s, 3),
+        "state": str(feedback.state),
+        "doing": feedback.doing,
+        "status": STATUS_WORDS[feedback.status],
+        "monitor": monitor_words(feedback),
+        "held": "" if feedback.monitor is None or feedback.monitor.reason is None else monitor_words(feedback),
+        "stays": None if feedback.stays_at is None else [round(float(at), 2) for at in feedback.stays_at],
+        "speed_m_s": round(feedback.forward_m_s, 2),
+        "turn_rad_s": round(feedback.turn_rad_s, 2),
+        "to_go_m": None if feedback.to_go_m is None else round(feedback.to_go_m, 1),
+        "goal": None if feedback.goal is None else _pose(feedback.goal),
+    }
+
+
+def _place(of: StaticLayer | Costmap) -> tuple[float, float, float, float]:
+    height, width = of.state.shape
+    return of.origin[0], of.origin[1], width * of.resolution_m, height * of.resolution_m
+
+
+def _path(poses: FloatArray) -> Any:
+    every = max(1, len(poses) // _PATH_POINTS)
+    return _rounded(np.concatenate([poses[::every, :2], poses[-1:, :2]]))
+
+
+def _ellipse(senses: Senses) -> list[float] | None:
+    """Half axes of two standard deviations, metres, and the longer one's direction in `map`; None while unknown."""
+    estimate = senses.where.estimate
+    if estimate is None or estimate.covariance is None or estimate.T_odom_body is None:
+        return None
+    R = se2.from_parts(*senses.where.T_map_odom)[:2, :2]
+    C = R @ se3.position_covariance(estimate.T_odom_body, estimate.covariance)[:2, :2] @ R.T
+    values, vectors = np.linalg.eigh(C)
+    small, large = _SIGMAS * np.sqrt(np.maximum(values, 0))
+    return [round(float(v), 3) for v in (large, small, np.arctan2(vectors[1, 1], vectors[0, 1]))]
+
+
+def _pose(pose: FloatArray) -> list[float | None]:
+    """A yaw of any heading is None: JSON has no NaN."""
+    return [None if np.isnan(value) else round(float(value), 3) for value in pose]
+
+
+def _rounded(values: FloatArray | Sequence[FloatArray] | None) -> Any:
+    return None if values is None else np.round(np.asarray(values, float), 2).tolist()
+
+
+# What a session drives in: a map with its navigator and its named places, as one of several that can be chosen.
+
+
+class Places(Protocol):
+    """Named places of a map."""
+
+    def where(self) -> Mapping[str, FloatArray]:
+        """(3,) x, y, yaw of each by its name, where it is by now."""
+
+    def name(self, name: str, pose: FloatArray) -> None:
+        """Call a pose (3,) so. Raises MapError, OutputError."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Driven:
+    """A map that is driven in.
+
+    Attributes:
+        navigator: that leads the robot in it.
+        places: of it.
+        is_new: whether it is being made; else it is one of before.
+    """
+
+    navigator: Navigator
+    places: Places
+    is_new: bool
+
+
+class Maps(Protocol):
+    """Maps that a session can drive in."""
+
+    @property
+    def first(self) -> str:
+        """The name of the one to begin with."""
+
+    def names(self) -> tuple[str, ...]:
+        """Of all that can be driven in now."""
+
+    def last_saved(self) -> str:
+        """The name of the one that was made last."""
+
+    def opened(
+        self, name: str, robot: Robot, pose: FloatArray | None, on_transition: Callable[[Transition], None]
+    ) -> AbstractContextManager[Driven]:
+        """Drive in one, of a robot that stands at (3,) in it, or that is to be found. Raises WheelsightError."""
+
+
+class Watch(Protocol):
+    """What sees all that a session drives, beside its pages, such as `wheelsight.app.viewer.DriveLog`."""
+
+    def hear(self, events: Sequence[Event]) -> None:
+        """What the robot's sensors said."""
+
+    def note(self, transition: Transition) -> None:
+        """A change of the navigator's state."""
+
+    def step(self, feedback: Feedback, navigator: Navigator) -> None:
+        """A period is over; another navigator than before drives in another map."""
+
+
+# Images of a page: the plan, the costmap over it, and what the camera sees.
+
+
+# Blue, green, red, as OpenCV has them; told apart by people who see no red and green (Okabe & Ito 2008).
+_PLAN = np.zeros((3, 3), np.uint8)
+_PLAN[CellState.FREE] = 255, 255, 255
+_PLAN[CellState.UNKNOWN] = 214, 207, 201
+_PLAN[CellState.OCCUPIED] = 40, 40, 40
+_COST, _LETHAL = (0, 159, 230), (0, 94, 213)
+_COST_ALPHA, _LETHAL_ALPHA = 150, 190
+
+
+def plan_png(layer: StaticLayer) -> bytes:
+    """What is free, in the way and unknown; a pixel a cell, y up."""
+    return _encoded(".png", _PLAN[np.minimum(layer.state[::-1], CellState.OCCUPIED)])
+
+
+def costmap_png(costmap: Costmap) -> bytes:
+    """What driving costs, to be laid over the plan: the dearer, the less clear; a pixel a cell, y up."""
+    image = np.zeros((*costmap.cost.shape, 4), np.uint8)
+    image[..., :3] = _COST
+    image[..., 3] = np.clip(costmap.cost, 0, 1) * _COST_ALPHA
+    image[costmap.is_lethal] = (*_LETHAL, _LETHAL_ALPHA)
+    # Of what nobody knows the plan tells already; it would hide all else.
+    image[costmap.state == CellState.UNKNOWN] = 0
+    return _encoded(".png", image[::-1])
+
+
+def camera_jpeg(rgb: ByteArray, width_px: int, quality: int) -> bytes:
+    """An image (h, w, 3), no wider than so."""
+    height, width = rgb.shape[:2]
+    if width > width_px:
+        size = width_px, max(1, round(height * width_px / width))
+        rgb = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return _encoded(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+
+
+def _encoded(kind: str, image: ByteArray, how: list[int] | None = None) -> bytes:
+    return bytes(cv2.imencode(kind, np.ascontiguousarray(image), how or [])[1])

@@ -1,0 +1,212 @@
+"""StopSwitch: stops a robot by a thread of its own, whatever else of the program hangs; StoppableRobot obeys it.
+
+Watchdog: notices, by another thread, which part of the program hangs.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from types import TracebackType
+
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import WheelsightError
+from wheelsight.core.messages import STOP, Event, RgbdFrame, VelocityCommand
+from wheelsight.core.robots import Robot
+
+_ENDS_S = 2.0
+# Until a robot that did not obey is stopped once more.
+_AGAIN_S = 0.2
+# Between two looks of the watchdog.
+_LOOK_S = 0.05
+
+
+class StopSwitch:
+    """May be pressed from any thread, and never waits.
+
+    Args:
+        robot: that it stops, by the robot's own `stop`, again and again until that does not fail.
+
+    Attributes:
+        problem: why the robot's `stop` failed, last; empty where it obeyed.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot, self.problem = robot, ""
+        self._lock, self._wake = threading.Lock(), threading.Event()
+        self._reason, self._presses, self._is_closed = "", 0, False
+        self._thread = threading.Thread(target=self._run, name="wheelsight-stop", daemon=True)
+        self._thread.start()
+
+    @property
+    def reason(self) -> str:
+        """Why the robot is to stand; empty while it may move."""
+        return self._reason
+
+    @property
+    def presses(self) -> int:
+        """How often it was pressed."""
+        return self._presses
+
+    def press(self, reason: str) -> None:
+        """Stop the robot now, and hold it until `release`."""
+        with self._lock:
+            self._presses += 1
+            self._reason = self._reason or reason
+        self._wake.set()
+
+    def release(self, presses: int) -> bool:
+        """Let the robot move again, for who saw the switch pressed so often; not where it was pressed since."""
+        with self._lock:
+            if presses != self._presses:
+                return False
+            self._reason = ""
+            return True
+
+    def close(self) -> None:
+        """End its thread; may be called twice."""
+        self._is_closed = True
+        self._wake.set()
+        self._thread.join(_ENDS_S)
+
+    def _run(self) -> None:
+        while True:
+            self._wake.wait(_AGAIN_S if self.problem else None)
+            self._wake.clear()
+            if self._is_closed:
+                return
+            if self.problem and not self._reason:
+                # It moves again by another task: its `stop` that failed is over.
+                self.problem = ""
+                continue
+            try:
+                self._robot.stop()
+                self.problem = ""
+            except WheelsightError as error:
+                self.problem = str(error)
+            except Exception as error:
+                # This thread is needed for the next press, whatever a robot's program does wrong.
+                self.problem = f"{type(error).__name__}: {error}".partition("\n")[0]
+
+
+class Watchdog:
+    """Watches that parts of a program go on, in a thread of its own.
+
+    Args:
+        limit_s: how long a part may be silent at this moment; infinity where that is no matter.
+        on_silent: called with a line, in the watchdog's thread, once for each silence.
+        on_again: called with a line once a part that was silent goes on.
+    """
+
+    def __init__(
+        self, limit_s: Callable[[], float], on_silent: Callable[[str], None], on_again: Callable[[str], None]
+    ) -> None:
+        self._limit_s, self._on_silent, self._on_again = limit_s, on_silent, on_again
+        self._beats: dict[str, float] = {}
+        self._silent: dict[str, float] = {}
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="wheelsight-watchdog", daemon=True)
+        self._thread.start()
+
+    def watch(self, part: str) -> Callable[[], None]:
+        """Watch a part from now on, by a name that a sentence can begin with; it calls what this returns."""
+
+        def beat() -> None:
+            self._beats[part] = time.monotonic()
+
+        beat()
+        return beat
+
+    def forget(self, part: str) -> None:
+        """A part has ended; may be called twice."""
+        self._beats.pop(part, None)
+        self._silent.pop(part, None)
+
+    def close(self) -> None:
+        """End its thread; may be called twice."""
+        self._over.set()
+        self._thread.join(_ENDS_S)
+
+    def _run(self) -> None:
+        looked_s = time.monotonic()
+        while not self._over.wait(_LOOK_S):
+            now_s, limit_s = time.monotonic(), self._limit_s()
+            stood_s, looked_s = now_s - looked_s - _LOOK_S, now_s
+            if stood_s > limit_s:
+                # All parts stood with it, and none of them is to blame.
+                self._beats = dict.fromkeys(list(self._beats), now_s)
+                self._on_silent(f"the program stood still for {stood_s:.1f} s")
+                continue
+            for part, beat_s in list(self._beats.items()):
+                since_s = self._silent.get(part)
+                if since_s is None and now_s - beat_s > limit_s:
+                    self._silent[part] = beat_s
+                    self._on_silent(f"{part} does not answer")
+                elif since_s is not None and beat_s > since_s:
+                    del self._silent[part]
+                    self._on_again(f"{part} answers again after {beat_s - since_s:.1f} s")
+
+
+class StoppableRobot:
+    """A `Robot` that stands while a switch is pressed, whatever the command; it keeps the last frame of its camera.
+
+    Args:
+        robot: that moves.
+        switch: that stops it.
+        on_events: called with what its sensors said in each period.
+
+    Attributes:
+        frame: the last one; None before any.
+        is_commanded: whether it was last commanded to move, as far as the switch let that pass.
+    """
+
+    def __init__(
+        self, robot: Robot, switch: StopSwitch, on_events: Callable[[Sequence[Event]], None] = lambda events: None
+    ) -> None:
+        self._robot, self._switch, self._on_events = robot, switch, on_events
+        self.frame: RgbdFrame | None = None
+        self.is_commanded = False
+
+    @property
+    def calibration(self) -> Calibration:
+        """As `Robot` has it."""
+        return self._robot.calibration
+
+    @property
+    def stop_reason(self) -> str:
+        """As `Robot` has it."""
+        return self._switch.reason or self._robot.stop_reason
+
+    @property
+    def now_s(self) -> float:
+        """As `Robot` has it."""
+        return self._robot.now_s
+
+    def step(self, command: VelocityCommand) -> list[Event]:
+        """As `Robot` has it."""
+        obeyed = STOP if self._switch.reason else command
+        self.is_commanded = obeyed != STOP
+        events = self._robot.step(obeyed)
+        frames = [event for event in events if isinstance(event, RgbdFrame)]
+        self.frame = frames[-1] if frames else self.frame
+        self._on_events(events)
+        return events
+
+    def stop(self) -> None:
+        """As `Robot` has it."""
+        self._robot.stop()
+
+    def close(self) -> None:
+        """As `Robot` has it."""
+        self._robot.close()
+
+    def __enter__(self) -> StoppableRobot:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with suppress(WheelsightError):
+            self.close()

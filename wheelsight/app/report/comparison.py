@@ -1,0 +1,554 @@
+"""One page about several odometries of one recording: where they agree, where they part, and what each cost. Joined
+sensors and areas that rectify wheels have sections here.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from wheelsight._version import __version__
+from wheelsight.app.report import comparison_figures as figures
+from wheelsight.app.report import figures as joined_figures
+from wheelsight.app.report import html, sections
+from wheelsight.app.report.comparison_figures import (
+    Overlay,
+    area_map_figure,
+    area_time_figure,
+    map_error_figure,
+    overlay_of,
+    trust_figure,
+)
+from wheelsight.app.report.page import fill_template, settings, shown_findings, write_report
+from wheelsight.app.report.sections import files_section, loop_section, map_section, map_tile
+from wheelsight.app.run import words
+from wheelsight.app.run.run_record import RectificationRecord, RunRecord
+from wheelsight.app.run.verdict import (
+    JOINED,
+    BestAlone,
+    JoinedFacts,
+    Summary,
+    Tone,
+    Verdict,
+    best_alone_of,
+    facts_of,
+    joined_of,
+    notes,
+    summarise,
+    true_way_m,
+    verdict_of,
+    verdict_of_run,
+)
+from wheelsight.core.estimates import Status
+from wheelsight.core.files import StrPath, write_text
+from wheelsight.core.runtime import why_missing
+
+# One page about several odometries of one recording: where they agree, where they part, and what each cost.
+
+
+_MOST_OF_THE_TIME = 0.95
+_STEPS = ("second", "metre")
+_MOST_LINES = 3
+Judged = tuple[RunRecord, Summary, Verdict]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Joined:
+    """The record of joined sensors, which is the page's main answer, and what there is to say of it."""
+
+    record: RunRecord
+    facts: JoinedFacts
+    best_alone: BestAlone | None
+
+
+def write_comparison(records: Sequence[RunRecord], path: StrPath) -> None:
+    """Write the page about `records`, each of another odometry, to `path`, atomically. Raises OutputError."""
+    # A folder's name may hold bytes that are no text; they must not cost the page.
+    path = Path(path)
+    write_text(path, render_comparison(records, path.parent).encode("utf-8", "replace").decode("utf-8"))
+
+
+def render_comparison(records: Sequence[RunRecord], folder: Path | None = None) -> str:
+    """The page about several odometries as HTML that needs nothing outside; it links results that lie in `folder`."""
+    joined, verdict = _joined_of(records), verdict_of_run(records)
+    judged = [(record, summarise(record), verdict_of(record, records)) for record in records]
+    judged.sort(key=lambda found: not found[0].is_joined)  # the main answer comes first
+    is_green = verdict.tone is Tone.GREEN
+    nearest = [] if is_green else [f"{_phrase(records)}."]
+    paths = overlay_of(records)
+    return fill_template(
+        kicker="wheelsight run report",
+        title=escape(records[0].recording),
+        facts=" · ".join(escape(fact) for fact in _facts(records)),
+        tone=verdict.tone,
+        phrase=escape(_phrase(records) if joined is None and is_green else verdict.phrase),
+        findings=html.findings(shown_findings(verdict)),
+        sentences=html.lines(judged[0][2].facts if joined is not None else nearest + _lines(judged)),
+        more=html.fold("Each in words", f"<p>{html.lines(_sentences(judged))}</p>"),
+        tiles="\n".join(html.tile(*tile) for tile in _tiles(judged, joined)),
+        notes=_notes(judged, paths),
+        sections="\n".join(
+            filter(None, (*_sections(judged, paths, joined), files_section(folder, [r.odometry for r in records])))
+        ),
+        footer=escape("Lengths are in metres, stamps in seconds. This page needs no network."),
+    )
+
+
+def _lines(judged: Sequence[Judged]) -> list[str]:
+    """One a track: how long it was followed, how far off, how quick."""
+    found = []
+    for record, summary, _ in judged[:_MOST_LINES]:
+        judged_by = record.evaluation
+        off = "" if judged_by is None else f"{words.length(judged_by.ate.translation.rmse)} off (RMSE)"
+        quick = f"{words.duration(summary.median_s)} a {summary.unit}" if summary.median_s > 0 else ""
+        posed = f"a pose in {words.percent(summary.pose_share)} of {summary.unit}s"
+        found.append(f"{record.odometry.capitalize()}: {', '.join(filter(None, (posed, off, quick)))}.")
+    return found
+
+
+def _sentences(judged: Sequence[Judged]) -> list[str]:
+    return [f"{record.odometry.capitalize()}: {' '.join(verdict.sentences)}" for record, _, verdict in judged]
+
+
+def _joined_of(records: Sequence[RunRecord]) -> _Joined | None:
+    record = joined_of(records)
+    return None if record is None else _Joined(record, facts_of(record), best_alone_of(records))
+
+
+def comparison_rows(records: Sequence[RunRecord]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Column names with units, and one row an odometry: errors, coverage, time. For the page and for the terminal."""
+    found = [record.evaluation if record.ground_truth is not None else None for record in records]
+    summaries = [summarise(record) for record in records]
+    seconds, metres = ([None if one is None else getattr(one, f"rpe_per_{name}") for one in found] for name in _STEPS)
+    columns = [
+        ("Odometry", [record.odometry for record in records]),
+        words.column("ATE, RMSE", [None if one is None else one.ate.translation.rmse for one in found], "m"),
+        words.column("ATE, max", [None if one is None else one.ate.translation.max for one in found], "m"),
+        ("of the way", ["–" if r.evaluation is None else words.percent(_share_of_the_way(r)) for r in records]),
+        words.column("RPE a second", [None if one is None else one.translation.rmse for one in seconds], "m"),
+        words.column("RPE a metre", [None if one is None else one.translation.rmse for one in metres], "m"),
+        words.column("turn a metre", [None if o is None else o.rotation.in_degrees().rmse for o in metres], "°"),
+        ("with a pose", [words.percent(summary.pose_share) for summary in summaries]),
+        ("time covered", ["–" if one is None else words.percent(one.truth_time_covered) for one in found]),
+        words.column("median time", [summary.median_s for summary in summaries], "s"),
+        words.column("95 % within", [summary.p95_s for summary in summaries], "s"),
+    ]
+    return tuple(head for head, _ in columns), list(zip(*(cells for _, cells in columns), strict=True))
+
+
+def _share_of_the_way(record: RunRecord) -> float:
+    """ATE over the true way."""
+    assert record.evaluation is not None
+    way_m = true_way_m(record)
+    return record.evaluation.ate.translation.rmse / way_m if way_m > 0 else float("nan")
+
+
+def _facts(records: Sequence[RunRecord]) -> list[str]:
+    when = records[0].finished_at.strftime("%Y-%m-%d %H:%M %Z").strip()
+    frames = ", ".join(f"{r.odometry} T_{r.estimate.frame}_{r.estimate.body}" for r in records)
+    return [f"format {records[0].format}", frames, when, f"wheelsight {__version__}"]
+
+
+def _phrase(records: Sequence[RunRecord]) -> str:
+    """What areas did, or which came nearest to the truth, of those with poses throughout: few poses err less."""
+    of_areas = [phrase(r.rectification) for r in records if r.rectification is not None]
+    if of_areas and of_areas[0] is not None:
+        return of_areas[0]
+    evaluated = [(record.evaluation, record) for record in records if record.evaluation is not None]
+    if not evaluated:
+        return "Side by side, without a truth to judge them by"
+    whole = [(found, record) for found, record in evaluated if found.truth_time_covered >= _MOST_OF_THE_TIME]
+    if not whole:
+        return "Followed throughout by none"
+    found, record = min(whole, key=lambda pair: pair[0].ate.translation.rmse)
+    name, error = record.odometry.capitalize(), words.length(found.ate.translation.rmse)
+    if len(whole) == 1:
+        return f"Followed throughout by {record.odometry} alone, {error} off (RMSE)"
+    return f"{name} came nearest to the truth, {error} off (RMSE)"
+
+
+def _tiles(judged: Sequence[Judged], joined: _Joined | None) -> Iterable[tuple[str, str, str]]:
+    if joined is not None:
+        yield from tiles(joined.record, joined.facts, joined.best_alone)
+    for record, _, _ in judged:
+        yield from rectification_tiles(record)
+    for record, summary in ((record, summary) for record, summary, _ in judged if not record.is_joined):
+        if record.evaluation is None and joined is None:
+            yield f"ATE, {record.odometry}", words.UNKNOWN, "not evaluated"
+        if record.evaluation is None:
+            continue
+        more = f"{words.percent(_share_of_the_way(record))} of the way"
+        if joined is not None and summary.pose_share < _MOST_OF_THE_TIME:
+            more = f"where it has a pose, {words.percent(summary.pose_share)}"
+        yield f"ATE, {record.odometry}", words.length(record.evaluation.ate.translation.rmse), more
+    for record, summary, _ in judged if joined is None or joined.record.evaluation is None else ():
+        posed = f"{summary.posed:,} of {words.count(summary.frames, summary.unit)}"
+        yield f"With a pose, {record.odometry}", words.percent(summary.pose_share), posed
+    for record, summary, _ in judged if joined is None else judged[:1]:
+        yield f"Time a {summary.unit}, {record.odometry}", words.duration(summary.median_s), "median"
+    yield from (map_tile(record.map) for record, _, _ in judged if record.map is not None)
+    yield "Duration", words.duration(max(summary.duration_s for _, summary, _ in judged)), "one pass for all"
+    memory_mb = max((r.peak_memory_mb for r, _, _ in judged if r.peak_memory_mb is not None), default=None)
+    if memory_mb is not None:
+        yield "Peak memory", f"{memory_mb:,.0f} MB", ""
+
+
+def _notes(judged: Sequence[Judged], paths: Overlay) -> str:
+    """What holds for all once, and what holds for one under its name."""
+    of_each = {r.odometry: [*notes(r), *rectification_notes(r)] for r, _, _ in judged}
+    shared = [note for note in next(iter(of_each.values())) if all(note in found for found in of_each.values())]
+    own = [f"{name.capitalize()}: {note}" for name, found in of_each.items() for note in found if note not in shared]
+    out = [
+        f"{name.capitalize()}: not drawn with the others ({why.rstrip('.')})." for name, why in paths.left_out.items()
+    ]
+    found = [*shared, *own, *out]
+    intro = "" if found else "Nothing: everything listed was used, and every answer has a pose."
+    body = html.bullets(found, "notes") if found else ""
+    return html.section("notes", "What to know before trusting it", intro, body)
+
+
+def _sections(judged: Sequence[Judged], paths: Overlay, joined: _Joined | None) -> Iterable[str]:
+    records = sorted(
+        (record for record, _, _ in judged), key=lambda record: record.is_joined
+    )  # in figures it is on top
+    of_areas = rectification_section(records)
+    yield of_areas if joined is None else ""
+    yield _path(records, paths)
+    if joined is not None:
+        yield joined_section(joined.record, joined.facts)
+        yield map_section(joined.record, joined.record.odometry)
+        yield of_areas
+    yield _errors(records)
+    yield _bands(records)
+    for record, summary, _ in judged:
+        yield from _details(record, summary)
+    yield settings(records[0])
+
+
+def _details(record: RunRecord, summary: Summary) -> Iterable[str]:
+    """What there is to say of one odometry; of joined sensors only what is not said above already."""
+    of = record.odometry
+    yield sections.certainty(record, of)
+    if record.unit == "frame" and record.rectification is None and not record.is_joined:
+        yield sections.tracking(record, summary, of)
+    yield loop_section(record, of)
+    yield sections.timing(record, summary, of)
+    if not record.is_joined:
+        yield map_section(record, of)
+    yield sections.pictures(record, of)
+
+
+def _path(records: Sequence[RunRecord], paths: Overlay) -> str:
+    title = "Where each went"
+    if not paths.paths_m:
+        return html.section("path", title, "", html.paragraph("No pose was found, so there is no path.", "missing"))
+    if paths.by == "true start":
+        intro = (
+            "Each path begins where the truth does, in its direction, and nothing is fitted afterwards: where it "
+            "leaves the truth, it has drifted."
+        )
+    elif paths.by == "truth":
+        intro = (
+            "Each path by itself is laid upon the ground truth by one rigid motion, as ATE does it: what is left is "
+            "the error of its shape, and not where it drifts to from a common start."
+        )
+    else:
+        intro = (
+            "Without a ground truth to lay them upon, the paths begin at one point in one direction: where they "
+            "part, at least one of them is wrong."
+        )
+    if JOINED in paths.trajectories:
+        intro += (
+            " Ellipses are where the joined sensors say that the robot is, by 3σ; where none is seen, they are smaller "
+            "than the line. The legend shows those of the others too."
+        )
+    names = ", ".join(paths.paths_m)
+    sentence = "Seen from above. Lines break where no pose is known; squares are where each one ends."
+    plot = html.plot("overlay", figures.overlay_figure(paths), "x–y", sentence, f"Paths of {names} seen from above.")
+    return html.section("path", title, intro, plot)
+
+
+def _errors(records: Sequence[RunRecord]) -> str:
+    title = "How far off each was, and what it cost"
+    caption = (
+        "One row an odometry. RPE is RMSE, “turn a metre” its rotation; the time is of one frame or reading, reading "
+        "images not included. Errors speak only of the time covered."
+    )
+    table = html.table(caption, *comparison_rows(records), main=JOINED)
+    evaluated = [record for record in records if record.evaluation is not None]
+    if not evaluated:
+        why = records[0].evaluation_problem or "the recording has no ground truth"
+        return html.section("errors", title, "", html.paragraph(f"Not evaluated: {why.rstrip('.')}.", "missing"), table)
+    sentence = (
+        "ATE is the distance to the true position once the path is laid upon the truth; RPE is the error of the motion "
+        "over one second, which tells when it went wrong."
+    )
+    alt = "Errors over time of " + ", ".join(record.odometry for record in evaluated) + "."
+    plot = html.plot("errors", figures.errors_figure(records), "Error over time", sentence, alt)
+    all_errors = (html.fold(f"All errors of {r.odometry}", sections.error_table(r)) for r in evaluated)
+    return html.section("errors", title, "", table, plot, *all_errors)
+
+
+def _bands(records: Sequence[RunRecord]) -> str:
+    if not any(record.frames for record in records):
+        return ""
+    shares = ", ".join(f"{record.odometry} {words.percent(summarise(record).pose_share)}" for record in records)
+    sentence = "In an odometry's own colour its pose is known; other colours say why it is not."
+    if joined_of(records) is not None:
+        sentence += " While coasting, joined sensors know it by the wheels alone."
+    plot = html.plot(
+        "bands",
+        figures.bands_figure(records),
+        "Status over time",
+        sentence,
+        f"With a pose: {shares}.",
+    )
+    return html.section("bands", "When each was followed", "", plot)
+
+
+# The page of a run, whatever it followed.
+
+
+def why_no_page() -> str | None:
+    """Why no page can be written: plotly, which draws the figures, is not installed. None where one can."""
+    return why_missing("plotly")
+
+
+def write_page(records: Sequence[RunRecord], path: StrPath) -> None:
+    """Write the page of one odometry, or that of several side by side.
+
+    Raises:
+        OutputError: it cannot be written.
+        ConfigError: plotly is not installed.
+    """
+    if len(records) == 1:
+        write_report(records[0], path)
+    else:
+        write_comparison(records, path)
+
+
+# The page's part about joined sensors: key figures, and whether it knew its errors.
+
+
+def tiles(record: RunRecord, facts: JoinedFacts, best_alone: BestAlone | None) -> Iterable[tuple[str, str, str]]:
+    """Key figures."""
+    if record.evaluation is None:
+        yield "ATE, joined", words.UNKNOWN, "not evaluated"
+    else:
+        more = (
+            "RMSE" if best_alone is None else f"{words.number(best_alone.ratio, 2)} times that of {best_alone.odometry}"
+        )
+        yield "ATE, joined", words.length(record.evaluation.ate.translation.rmse), more
+    found = facts.consistency
+    if found is not None:
+        yield "Within its stated 3σ", words.percent(found.share), "of the time"
+        yield "Off at the end", words.length(found.drift_m), f"{words.percent(found.drift_share)} of the way"
+    elif record.estimate.covariances is not None and len(record.estimate):
+        yield "3σ at the end", words.length(3 * joined_figures.standard_deviations(record.estimate)[0][-1]), "as stated"
+    coasting = sum(facts.coasting_s)
+    yield (
+        "Coasting",
+        words.duration(coasting),
+        f"{_times(len(facts.coasting_s))}, {words.duration(max(facts.coasting_s))} at most" if coasting else "never",
+    )
+    if facts.flag_shares:
+        (first, share), *others = facts.flag_shares.items()
+        yield f"Flagged: {first}", _share(share), ", ".join(f"{flag} {_share(share)}" for flag, share in others)
+
+
+def joined_section(record: RunRecord, facts: JoinedFacts) -> str:
+    """Errors beside what was said of them, statuses and flags, on one time axis; the camera's matches below."""
+    key, title = "joined-trust", "Joined: how far to trust it"
+    if not record.frames:
+        return ""
+    if record.estimate.covariances is None:
+        status = html.plot(
+            "joined-status", joined_figures.status_figure(record), "Status over time", "", "No pose is known."
+        )
+        return html.section(key, title, "", html.paragraph("No pose was found.", "missing"), status)
+    found = facts.consistency
+    intro = (
+        "Tracking is when the camera was believed, coasting when the wheels alone led. Flagged is slip, when the "
+        "wheels were not believed; doubtful, when camera and wheels contradicted each other and it was not known which "
+        "was right; degenerate, when an image did not show all directions."
+    )
+    sentence = (
+        "The band is ±3σ as the filter stated it. Without a truth, whether that is honest cannot be said."
+        if found is None
+        else "Estimated minus true position, as the robot sees it, begun at the true start and never fitted again. The "
+        "band is ±3σ as the filter stated it; red is where the true position lies beyond it. (Both directions are "
+        "judged together, by the 3σ ellipse.)"
+    )
+    alt = f"{_leading_sentence(facts)} {_consistency_sentence(facts)}".strip()
+    plot = html.plot(key, trust_figure(record, found), "Error, stated error, status", sentence, alt)
+    return html.section(key, title, intro, plot, sections.matches(record, record.odometry))
+
+
+def _leading_sentence(facts: JoinedFacts) -> str:
+    """Which sensor led."""
+    led = "the camera led throughout"
+    if facts.coasting_s:
+        share = words.percent(facts.share_of(Status.COASTING))
+        whole, longest = words.duration(sum(facts.coasting_s)), words.duration(max(facts.coasting_s))
+        led = f"it coasted on the wheels {_times(len(facts.coasting_s))}, for {whole} in all ({share} of the time)"
+        led += f", {longest} at most" if len(facts.coasting_s) > 1 else ""
+    elif not facts.seconds.get(Status.TRACKING):
+        led = "it never tracked"
+    lost_s = facts.seconds.get(Status.LOST, 0.0)
+    led += f", and was lost for {words.duration(lost_s)}" if lost_s else ""
+    return f"{led[0].upper()}{led[1:]}."
+
+
+def _consistency_sentence(facts: JoinedFacts) -> str:
+    found = facts.consistency
+    if found is None:
+        return ""
+    return (
+        f"Begun at the true start, it ends {words.length(found.drift_m)} off, {words.percent(found.drift_share)} of "
+        f"the way; the position is within its stated 3σ in {words.percent(found.share)} of the time."
+    )
+
+
+def _share(share: float) -> str:
+    return words.percent(share) if share else "never"
+
+
+def _times(n: int) -> str:
+    return "once" if n == 1 else f"{n} times"
+
+
+# The page's section about areas that rectify wheels, and what it comes to in words.
+
+
+_DOUBT = 0.5
+_WAYS = {"probabilistic": "probabilities, filtered", "paper": "eq. 5 of Trinh et al."}
+
+
+def phrase(found: RectificationRecord) -> str | None:
+    """What areas leave of the wheels' error, or None where that is not less."""
+    if found.errors is None or not found.errors.left < 1:
+        return None
+    before, after = (words.length(s.mean) for s in (found.errors.wheels, found.errors.rectified))
+    return f"Areas bring the wheels from {before} to {after} off (mean)"
+
+
+def rectification_tiles(record: RunRecord) -> Iterable[tuple[str, str, str]]:
+    """Key figures."""
+    found = record.rectification
+    if found is None:
+        return
+    if found.errors is not None:
+        before = f"wheels alone {words.length(found.errors.wheels.mean)}"
+        yield "In the map, mean error", words.length(found.errors.rectified.mean), before
+    if found.is_judged.any():
+        more = "" if found.belief is None else f"filtered {words.percent(found.accuracy(found.belief))}"
+        yield "Right area, frame by frame", words.percent(found.accuracy(found.forest)), more
+
+
+def rectification_notes(record: RunRecord) -> list[str]:
+    """Frames that measured nothing, a model that names nothing, a model that is not trusted."""
+    found = record.rectification
+    if found is None or not found.looks:
+        return []
+    said = []
+    unmeasured = [look.note for look in found.looks if look.probabilities is None]
+    if unmeasured:
+        kinds = Counter(note.removeprefix("no measurement: ") or "no pose yet" for note in unmeasured)
+        which = ", ".join(f"{why} ({n:,})" for why, n in kinds.most_common(5))
+        said.append(f"{words.count(len(unmeasured), 'frame')} told nothing of the area: {which}.")
+    if found.way == "paper" and not any(look.named >= 0 for look in found.looks):
+        said.append("The model was never sure enough to name an area, so that eq. 5 had nothing to go by.")
+    distrusted = np.isfinite(found.trust) & (found.trust < _DOUBT)
+    if distrusted.any():
+        share = words.percent(float(distrusted.mean()))
+        said.append(f"The model was not trusted in {share} of the frames, and corrected little there.")
+    return said
+
+
+def error_rows(found: RectificationRecord) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Column names with units, and a row for the wheels alone and one for the rectified path; none without truth."""
+    errors = found.errors
+    if errors is None:
+        return (), []
+    both = ("wheels", errors.wheels, errors.wheels_m), ("rectified", errors.rectified, errors.rectified_m)
+    columns = [
+        ("Path", [name for name, _, _ in both]),
+        words.column("mean", [one.mean for _, one, _ in both], "m"),
+        words.column("RMSE", [one.rmse for _, one, _ in both], "m"),
+        words.column("median", [one.median for _, one, _ in both], "m"),
+        words.column("maximum", [one.max for _, one, _ in both], "m"),
+        words.column("at the end", [float(each_m[-1]) for _, _, each_m in both], "m"),
+        (
+            "of the wheels' mean",
+            [words.percent(one.mean / errors.wheels.mean if errors.wheels.mean > 0 else None) for _, one, _ in both],
+        ),
+    ]
+    return tuple(head for head, _ in columns), list(zip(*(cells for _, cells in columns), strict=True))
+
+
+def rectification_section(records: Sequence[RunRecord]) -> str:
+    """What areas did to the wheels: map, errors, probabilities along time; nothing of a run without places."""
+    record = next((record for record in records if record.rectification is not None), None)
+    if record is None or record.rectification is None:
+        return ""
+    found = record.rectification
+    intro = (
+        f"Wheels lead from frame to frame; the area that each frame shows corrects them, by {_WAYS[found.way]}. Here "
+        f"nothing is laid upon anything: all paths are where they say they are in the map of the areas. {found.start}"
+    )
+    return html.section(
+        "areas",
+        "What areas did to the wheels",
+        intro,
+        _map(record),
+        _rectification_errors(record, found),
+        _time(record),
+    )
+
+
+def _map(record: RunRecord) -> str:
+    return html.plot(
+        "area-map",
+        area_map_figure(record),
+        "On the map of areas",
+        "Seen from above. All begin at the ring; squares are where each one ends.",
+        "Areas from above with the paths of wheels alone, of rectified wheels, and of the ground truth where known.",
+    )
+
+
+def _rectification_errors(record: RunRecord, found: RectificationRecord) -> str:
+    if found.errors is None:
+        return html.paragraph("Without a ground truth, how far off either is cannot be said.", "missing")
+    head, rows = error_rows(found)
+    frames = words.count(len(found.errors.stamps_s), "frame")
+    caption = f"Distance from the true base in x and y, nothing aligned, over {frames}."
+    alt = (
+        "Distances from the truth over time, "
+        + "; ".join(
+            f"{name} {words.length(one.mean)} in the mean"
+            for name, one in (("wheels", found.errors.wheels), ("rectified", found.errors.rectified))
+        )
+        + "."
+    )
+    sentence = "Wheels drift away for good; what is rectified is brought back at each change of area."
+    plot = html.plot("map-error", map_error_figure(record), "Error in the map over time", sentence, alt)
+    return html.table(caption, head, rows) + "\n" + plot
+
+
+def _time(record: RunRecord) -> str:
+    found = record.rectification
+    assert found is not None
+    if not found.looks:
+        return html.paragraph("No frame was looked at.", "missing")
+    sentence = "One row an area, in its colour on the map: the fuller, the more probable."
+    if found.true_areas is not None:
+        sentence += " The line is the area in which the robot truly was."
+    alt = "Probability of each area over time"
+    if found.is_judged.any():
+        alt += f"; the most probable one is right in {words.percent(found.accuracy(found.forest))} of the frames"
+    return html.plot("area-time", area_time_figure(record), "Areas along time", sentence, alt + ".")

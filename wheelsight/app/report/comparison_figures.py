@@ -1,0 +1,581 @@
+"""Figures of several odometries together, in one frame and on one time axis. Figures of joined sensors and of areas
+that rectify wheels stand here, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from typing import Any, Literal
+
+import numpy as np
+
+from wheelsight.app.report import drawing
+from wheelsight.app.report import plotly as go
+from wheelsight.app.report.drawing import GREY, INK, VERMILLION, keep_shape, poseless_stamps_s, with_gaps
+from wheelsight.app.report.figures import STATUS_COLOURS, add_band, estimated_path_m, status_labels, truth_path_m
+from wheelsight.app.report.places_page import area_colour
+from wheelsight.app.report.plotly import make_subplots
+from wheelsight.app.run.run_record import RectificationRecord, RunRecord
+from wheelsight.app.run.verdict import FLAGS, JOINED, joined_of
+from wheelsight.core.areas import AreaMap
+from wheelsight.core.errors import EvaluationError
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import FloatArray, IntArray, se3
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.evaluation import (
+    THREE_SIGMA_RADIUS,
+    Consistency,
+    covariances_ahead_m2,
+    position_covariances_m2,
+    start_alignment,
+)
+
+# The figures of several odometries together: each has its own colour, and all share one frame and one time axis.
+
+
+_TIME = "seconds since the first event"
+
+
+def overlay_figure(paths: Overlay) -> go.Figure:
+    """All paths and the truth from above, metres, equal aspect; a ring at the start, a square at each end.
+
+    Joined sensors stand out, with ellipses of the 3σ that they state; those of the others the legend turns on.
+    """
+    figure = drawing.style(go.Figure(), 560, hovermode="closest", margin={"l": 58, "r": 12, "t": 34, "b": 46})
+    lines = {name: (path, colour_of(name), _width_of(name)) for name, path in paths.paths_m.items()}
+    if paths.truth_m is not None:
+        lines = {"ground truth": (paths.truth_m, GREY, 5), **lines}
+    drawn, start = np.empty((0, 2)), None
+    for name, (positions_m, colour, width) in lines.items():
+        path = positions_m[keep_shape(positions_m[:, :2]), :2]
+        drawing.add_path(
+            figure, path, name=name, line={"color": colour, "width": width}, hover="x %{x:.3f}, y %{y:.3f} m"
+        )
+        known = path[~np.isnan(path).any(axis=1)]
+        drawn = np.concatenate([drawn, known])
+        start = known[0] if start is None and len(known) else start
+        if name != "ground truth" and len(known):
+            _mark(figure, known[-1], f"end, {name}", "square", colour)
+        if name in paths.trajectories and JOINED in paths.paths_m:
+            how = {} if name == JOINED else {"visible": "legendonly"}
+            add_ellipses(figure, name, paths.trajectories[name], colour, **how)
+    if start is not None:
+        _mark(figure, start, "start", "circle-open", GREY)
+    x_range, y_range = drawing.room_around(drawn)
+    figure.update_xaxes(title_text="x, m", range=x_range)
+    figure.update_yaxes(title_text="y, m", range=y_range, scaleanchor="x", scaleratio=1)
+    return figure
+
+
+def errors_figure(records: Sequence[RunRecord]) -> go.Figure:
+    """Over time, for each record that was evaluated: distance to the true position, and the RPE over a second."""
+    panels = [panel for panel in _error_panels(records) if panel[2]]
+    figure = make_subplots(rows=len(panels), cols=1, shared_xaxes=True, vertical_spacing=0.11)
+    drawing.style(figure, 80 + 170 * len(panels), hovermode="x")
+    start_s, end_s = _span_s(records)
+    for row, (title, unit, lines) in enumerate(panels, start=1):
+        for record, stamps_s, errors in lines:
+            x, y = with_gaps(stamps_s, errors, poseless_stamps_s(record))
+            name = record.odometry
+            line = {"color": colour_of(name), "width": 0.75 * _width_of(name)}
+            where = {"row": row, "in_legend": row == 1}
+            drawing.add_line(figure, x - start_s, y, name=name, line=line, hover=f"%{{y:.4f}} {unit}", **where)
+        drawing.panel_title(figure, f"{title}, {unit}", y=figure.layout[f"yaxis{row if row > 1 else ''}"].domain[1])
+    figure.update_yaxes(rangemode="tozero")
+    drawing.time_axis_until(figure, end_s - start_s, _TIME)
+    return figure
+
+
+def bands_figure(records: Sequence[RunRecord]) -> go.Figure:
+    """One lane an odometry: in its own colour while its pose was known, in the status' colour while it was not."""
+    figure = drawing.style(go.Figure(), 96 + 34 * len(records), hovermode="closest")
+    start_s, end_s = _span_s(records)
+    in_legend = {Status.TRACKING.value}
+    for record in records:
+        labels = status_labels(record)
+        offset_s = record.frames[0].stamp_s - start_s if record.frames else 0.0
+        starts_s, ends_s = (offset_s + edge for edge in record.frame_spans_s())
+        for label in STATUS_COLOURS:
+            if label not in labels:
+                continue
+            colour = colour_of(record.odometry) if label == Status.TRACKING else STATUS_COLOURS[label]
+            line, how = {"color": colour}, {"showlegend": label not in in_legend, "legendgroup": label}
+            add_band(figure, record, label, labels, starts_s, ends_s, y=record.odometry, line=line, **how)
+            in_legend.add(label)
+    lanes = [record.odometry for record in records][::-1]
+    order = {"categoryorder": "array", "categoryarray": lanes, "range": [-0.6, len(lanes) - 0.4]}
+    figure.update_yaxes(showgrid=False, **order)
+    drawing.time_axis_until(figure, end_s - start_s, _TIME)
+    return figure
+
+
+def colour_of(odometry: str) -> str:
+    """The colour an odometry keeps through the page."""
+    return drawing.ODOMETRY_COLOURS.get(odometry, GREY)
+
+
+def _width_of(odometry: str) -> float:
+    return 3 if odometry == JOINED else 2
+
+
+def _error_panels(
+    records: Sequence[RunRecord],
+) -> Iterator[tuple[str, str, list[tuple[RunRecord, FloatArray, FloatArray]]]]:
+    """Title, unit, and each record's stamps (M,) and errors (M,) of each panel."""
+    evaluated = [(record, record.evaluation) for record in records if record.evaluation is not None]
+    yield "ATE", "m", [(record, found.ate.stamps_s, found.ate.errors_m) for record, found in evaluated]
+    steps = [(record, found.rpe_per_second) for record, found in evaluated if found.rpe_per_second is not None]
+    yield "RPE a second, translation", "m", [(record, rpe.end_s, rpe.errors_m) for record, rpe in steps]
+    yield "RPE a second, rotation", "°", [(record, rpe.end_s, np.degrees(rpe.errors_rad)) for record, rpe in steps]
+
+
+def _span_s(records: Sequence[RunRecord]) -> tuple[float, float]:
+    """Stamps of the first and the last event that any odometry answered."""
+    stamps_s = [record.frames[i].stamp_s for record in records if record.frames for i in (0, -1)]
+    return min(stamps_s, default=0.0), max(stamps_s, default=0.0)
+
+
+def _mark(figure: go.Figure, point: FloatArray, name: str, symbol: str, colour: str) -> None:
+    """A mark that the legend does not list; the start bears its word."""
+    is_start = name == "start"
+    figure.add_scatter(
+        x=point[:1],
+        y=point[1:],
+        mode="markers+text" if is_start else "markers",
+        name=name,
+        text=[name],
+        marker={"symbol": symbol, "size": 13 if is_start else 10, "color": colour, "line": {"width": 3 * is_start}},
+        textposition="bottom center",
+        showlegend=False,
+        hovertemplate=f"{name}<extra></extra>",
+    )
+
+
+# Overlay: the paths of several odometries brought into one frame, as far as they can be.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Overlay:
+    """Paths that may be drawn together.
+
+    Attributes:
+        paths_m: (N, 3) positions of each odometry by its name, metres, rows of NaN at gaps.
+        truth_m: (M, 3) true positions, likewise, or None.
+        by: what they were brought together by: each laid upon the "truth" as ATE lays it, or by its first pose upon
+            the "true start", or their "start".
+        left_out: why an odometry is not among them, by its name.
+        trajectories: the same estimates in the same frame, with their covariances, of those that have some.
+    """
+
+    paths_m: dict[str, FloatArray]
+    truth_m: FloatArray | None
+    by: Literal["truth", "true start", "start"]
+    left_out: dict[str, str]
+    trajectories: dict[str, Trajectory] = field(default_factory=dict)
+
+
+def overlay_of(records: Sequence[RunRecord]) -> Overlay:
+    """The paths of `records` in one frame: the truth's where any was evaluated, else one that begins where they do.
+
+    With joined sensors all begin at the true start: what these state of their errors grows from there.
+    """
+    evaluated = [record for record in records if record.evaluation is not None]
+    if evaluated and joined_of(evaluated) is not None:
+        left_out = {r.odometry: r.evaluation_problem or "" for r in records if r.evaluation is None}
+        moved = {record.odometry: _from_the_true_start(record) for record in evaluated}
+        return _overlay(evaluated, moved, truth_path_m(evaluated[0]), "true start", left_out)
+    if evaluated:
+        left_out = {r.odometry: r.evaluation_problem or "" for r in records if r.evaluation is None}
+        paths_m = {record.odometry: estimated_path_m(record) for record in evaluated}
+        return Overlay(paths_m, truth_path_m(evaluated[0]), "truth", left_out)
+    body = "base" if any(record.estimate.body == "base" for record in records) else "camera"
+    left_out = {}
+    for record in records:
+        if not len(record.estimate):
+            left_out[record.odometry] = "no pose was found"
+        elif record.estimate.body != body:
+            left_out[record.odometry] = f"it tells of the {record.estimate.body}, the others of the {body}"
+    drawn = [record for record in records if record.odometry not in left_out]
+    return _overlay(drawn, _from_one_start(drawn), None, "start", left_out)
+
+
+def _overlay(
+    records: Sequence[RunRecord],
+    moved: dict[str, Trajectory],
+    truth_m: FloatArray | None,
+    by: Literal["true start", "start"],
+    left_out: dict[str, str],
+) -> Overlay:
+    paths_m = {}
+    for record in records:
+        stamps_s, positions_m = moved[record.odometry].stamps_s, moved[record.odometry].positions_m
+        paths_m[record.odometry] = with_gaps(stamps_s, positions_m, poseless_stamps_s(record))[1]
+    stated = {name: trajectory for name, trajectory in moved.items() if trajectory.covariances is not None}
+    return Overlay(paths_m, truth_m, by, left_out, stated)
+
+
+def _from_the_true_start(record: RunRecord) -> Trajectory:
+    """The estimate laid upon the truth by its first pose; as ATE lays it where the truth has too wide gaps for that."""
+    assert record.ground_truth is not None
+    assert record.evaluation is not None
+    try:
+        return record.estimate.moved(start_alignment(record.estimate, record.ground_truth))
+    except EvaluationError:
+        return record.evaluation.ate.aligned
+
+
+def _from_one_start(records: Sequence[RunRecord]) -> dict[str, Trajectory]:
+    """Each estimate seen from its pose at the first moment at which all are known, or else from its first pose."""
+    begin_s = max((record.estimate.stamps_s[0] for record in records), default=0.0)
+    moved = {}
+    for record in records:
+        T_odom_start = record.estimate.at([begin_s])[0]
+        if not np.isfinite(T_odom_start).all():
+            T_odom_start = record.estimate.T_frame_body[0]
+        moved[record.odometry] = record.estimate.moved(se3.invert(T_odom_start))
+    return moved
+
+
+# Figures of wheels and a camera joined: how far it was off beside what it said, its statuses and flags; ellipses.
+
+
+_MOST_ELLIPSES = 24
+_CORNERS = 48
+_STATUS, _LANE_PX = "status", 26
+_SIGMA_FILL = "rgba(0, 114, 178, 0.18)"  # BLUE
+_AXES = ("ahead", "to the left")
+
+
+def trust_figure(record: RunRecord, found: Consistency | None) -> go.Figure:
+    """Over time: errors ahead and to the left amid the stated ±3σ, below them statuses and flags on the same axis.
+
+    Without a truth 3σ stands alone. Lanes of flags that were never up are left out.
+    """
+    flags = [flag for flag in FLAGS if any(flag in frame.flags for frame in record.frames)]
+    lanes = [_STATUS, *flags]
+    panels_px = [150, 150, 24 + _LANE_PX * len(lanes)]
+    figure = make_subplots(rows=3, cols=1, shared_xaxes=True, vertical_spacing=0.09, row_heights=panels_px)
+    drawing.style(figure, 150 + sum(panels_px), hovermode="closest")
+    x, sigmas_m, errors_m = _errors_beside_sigmas(record, found)
+    for axis, name in enumerate(_AXES):
+        row, band_m = axis + 1, 3 * sigmas_m[:, axis]
+        how = {"name": "±3σ as stated", "legendgroup": "3σ", "showlegend": axis == 0, "fillcolor": _SIGMA_FILL}
+        drawing.add_area(figure, x, -band_m, band_m, hoverinfo="skip", row=row, col=1, **how)
+        _add_errors(figure, x, errors_m[..., axis], row)
+        title = f"{'±3σ' if found is None else 'error'} {name}, m"
+        drawing.panel_title(figure, title, y=figure.layout[f"yaxis{row if row > 1 else ''}"].domain[1])
+    _add_lanes(figure, record, lanes)
+    drawing.time_axis(figure, record)
+    return figure
+
+
+def add_ellipses(figure: go.Figure, name: str, aligned: Trajectory, colour: str, **how: Any) -> None:
+    """Where the body is in 3σ (of two dimensions) every so often along a path that has covariances, as one line."""
+    outlines = ellipses_m(aligned)
+    if len(outlines):
+        line, rgb = {"color": colour, "width": 1}, [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+        fill = {"fill": "toself", "fillcolor": "rgba({}, {}, {}, 0.1)".format(*rgb)}
+        text = f"3σ of {name}"
+        figure.add_scatter(
+            x=outlines[:, 0], y=outlines[:, 1], mode="lines", name=text, line=line, hoverinfo="skip", **fill, **how
+        )
+
+
+def ellipses_m(trajectory: Trajectory) -> FloatArray:
+    """Outlines (N, 2) in x and y of 3σ of two dimensions, at most some 24 of them, a row of NaN after each."""
+    chosen = _evenly_along(trajectory)
+    if not len(chosen):
+        return np.empty((0, 2))
+    C = position_covariances_m2(trajectory.select(chosen))[:, :2, :2]
+    variances, axes = np.linalg.eigh(C)
+    roots = axes * np.sqrt(variances.clip(0))[:, None, :]
+    turns = np.linspace(0, 2 * np.pi, _CORNERS + 1)
+    circle = THREE_SIGMA_RADIUS * np.stack([np.cos(turns), np.sin(turns)])
+    outlines = trajectory.positions_m[chosen, None, :2] + (roots @ circle).transpose(0, 2, 1)
+    return np.concatenate([outlines, np.full((len(chosen), 1, 2), np.nan)], axis=1).reshape(-1, 2)
+
+
+def _evenly_along(trajectory: Trajectory) -> IntArray:
+    """Indices of poses at equal ways, of 1, 2 or 5 times a power of ten of metres, and of the last."""
+    way_m = trajectory.distances_m
+    if not len(way_m) or way_m[-1] <= 0:
+        return np.arange(min(len(way_m), 1))
+    least_m = way_m[-1] / _MOST_ELLIPSES
+    power = 10.0 ** np.floor(np.log10(least_m))
+    step_m = next(factor * power for factor in (1, 2, 5, 10) if factor * power >= least_m)
+    return np.unique(np.append(np.searchsorted(way_m, np.arange(step_m, way_m[-1], step_m)), len(way_m) - 1))
+
+
+def _errors_beside_sigmas(record: RunRecord, found: Consistency | None) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Seconds (M,), σ (M, 2) ahead and to the left, and errors (M, 2, 2), all of them and those beyond the stated 3σ.
+
+    Broken where no pose is known; errors are NaN without a truth.
+    """
+    if found is None:
+        stamps_s, C = record.estimate.stamps_s, covariances_ahead_m2(record.estimate)
+        errors_m = np.full((len(C), 2, 2), np.nan)
+    else:
+        stamps_s, C = found.stamps_s, found.covariances_m2
+        errors_m = np.stack([found.errors_m, np.where(found.is_within[:, None], np.nan, found.errors_m)], axis=1)
+    sigmas_m = np.sqrt(np.diagonal(C, axis1=1, axis2=2).clip(0))
+    every = np.concatenate([sigmas_m[:, None], errors_m], axis=1)
+    stamps_s, every = with_gaps(stamps_s, every, poseless_stamps_s(record))
+    return record.seconds_since_start(stamps_s), every[:, 0], every[:, 1:]
+
+
+def _add_errors(figure: go.Figure, x: FloatArray, errors_m: FloatArray, row: int) -> None:
+    """Errors (M, 2) along one axis: all of them, and over these the ones beyond 3σ."""
+    names = (("error", {"color": INK, "width": 1.5}), ("beyond 3σ", {"color": VERMILLION, "width": 2.5}))
+    for (name, line), errors in zip(names, errors_m.T, strict=True):
+        if not np.isnan(errors).all():
+            drawing.add_line(figure, x, errors, name=name, line=line, hover="%{y:.3f} m", row=row, in_legend=row == 1)
+
+
+def _add_lanes(figure: go.Figure, record: RunRecord, lanes: list[str]) -> None:
+    """Statuses as one band, and flags as thin ones beneath, in the lowest panel."""
+    starts_s, ends_s = record.frame_spans_s()
+    labels = status_labels(record)
+    where: dict[str, Any] = {"row": 3, "col": 1}
+    for label in (label for label in STATUS_COLOURS if label in labels):
+        line = {"color": STATUS_COLOURS[label]}
+        add_band(figure, record, label, labels, starts_s, ends_s, y=_STATUS, line=line, **where)
+    thin: dict[str, Any] = {"color": INK, "width": 7}
+    for flag in lanes[1:]:
+        up = [flag if flag in frame.flags else "" for frame in record.frames]
+        add_band(figure, record, flag, up, starts_s, ends_s, y=flag, line=thin, showlegend=False, **where)
+    order = {"categoryorder": "array", "categoryarray": lanes[::-1], "range": [-0.6, len(lanes) - 0.4]}
+    figure.update_yaxes(showgrid=False, row=3, col=1, **order)
+
+
+# The figures of areas that rectify wheels: the paths on the map of areas, and the areas' probabilities along time.
+
+
+_MOST_COLUMNS = 1200
+_ROW_PX, _TRUST_PX, _GAP_PX = 24, 84, 54
+_FULL = 0.999  # of a row's span of colours, so that certainty in one area is not taken for the next one's nothing
+_NAME_PX = 11
+
+
+def area_map_figure(record: RunRecord) -> go.Figure:
+    """Areas with their names, the true path, the wheels alone and the rectified wheels, in the map, nothing aligned.
+
+    A ring marks the start, squares the ends. `record` has a rectification.
+    """
+    found = _of(record)
+    figure = drawing.style(go.Figure(), 620, hovermode="closest", margin={"l": 58, "r": 12, "t": 34, "b": 46})
+    _add_areas(figure, found.areas)
+    lines = {
+        "wheels": (found.wheels.positions_m, drawing.ODOMETRY_COLOURS["wheels"], 2),
+        "rectified": (_with_gaps(record), drawing.ODOMETRY_COLOURS["rectified"], 2),
+    }
+    if record.ground_truth is not None and len(record.ground_truth) and len(found.looks):
+        truth = record.ground_truth.between(found.stamps_s[0], found.stamps_s[-1])
+        lines = {"ground truth": (truth.positions_m, GREY, 5), **lines}
+    drawn = np.concatenate([area.polygon for area in found.areas])
+    for name, (positions_m, colour, width) in lines.items():
+        path = positions_m[keep_shape(positions_m[:, :2]), :2]
+        line = {"color": colour, "width": width}
+        drawing.add_path(figure, path, name=name, line=line, hover="x %{x:.2f}, y %{y:.2f} m")
+        known = path[~np.isnan(path).any(axis=1)]
+        drawn = np.concatenate([drawn, known])
+        if len(known):
+            _add_end(figure, name, known, colour)
+    x_range, y_range = drawing.room_around(drawn)
+    figure.update_xaxes(title_text="x, m", range=x_range, showgrid=False)
+    figure.update_yaxes(title_text="y, m", range=y_range, scaleanchor="x", scaleratio=1, showgrid=False)
+    return figure
+
+
+def area_time_figure(record: RunRecord) -> go.Figure:
+    """Over time, one row an area in its colour, the fuller the more probable; the true area is a line through its row.
+
+    Above what the model says of each frame alone; below what the filter believes, and how far it trusts the model. Of
+    the paper's way, which has no filter, the first panel alone. `record` has a rectification with a look at least.
+    """
+    found = _of(record)
+    panels = {"what each frame says by itself": found.forest}
+    if found.belief is not None:
+        panels["what is believed, all frames and the wheels taken together"] = found.belief
+    heights = [_ROW_PX * len(found.areas)] * len(panels) + ([_TRUST_PX] if found.belief is not None else [])
+    figure = make_subplots(
+        rows=len(heights),
+        cols=1,
+        shared_xaxes=True,
+        row_heights=heights,
+        vertical_spacing=_GAP_PX / (sum(heights) + _GAP_PX * (len(heights) - 1)) if len(heights) > 1 else 0,
+    )
+    drawing.style(figure, 90 + sum(heights) + _GAP_PX * (len(heights) - 1), hovermode="closest")
+    seconds = record.seconds_since_start(found.stamps_s)
+    for row, (title, probabilities) in enumerate(panels.items(), start=1):
+        _add_rows(figure, found, seconds, probabilities, row)
+        _panel_title(figure, title, row)
+    if found.belief is not None:
+        row = len(heights)
+        line = {"color": drawing.ODOMETRY_COLOURS["rectified"], "width": 1.5}
+        how = {"hover": "%{y:.2f}", "row": row, "in_legend": False}
+        drawing.add_line(figure, seconds, found.trust, name="trust in the model", line=line, **how)
+        figure.update_yaxes(range=[-0.04, 1.04], tickvals=[0, 0.5, 1], row=row, col=1)
+        _panel_title(figure, "trust in the model: how probable it is that it works here at all", row)
+    drawing.time_axis(figure, record)
+    figure.update_layout(margin_l=62 + 7 * min(max(map(len, found.areas.names)), 24))
+    return figure
+
+
+def map_error_figure(record: RunRecord) -> go.Figure:
+    """Over time, how far the wheels alone and the rectified ones are from the true base, metres, nothing aligned.
+
+    `record` has a rectification with errors.
+    """
+    found = _of(record)
+    assert found.errors is not None
+    figure = drawing.style(go.Figure(), 270, hovermode="x")
+    x = record.seconds_since_start(found.errors.stamps_s)
+    for name, errors_m in (("wheels", found.errors.wheels_m), ("rectified", found.errors.rectified_m)):
+        line = {"color": drawing.ODOMETRY_COLOURS[name], "width": 1.5}
+        drawing.add_line(figure, x, errors_m, name=name, line=line, hover="%{y:.2f} m")
+    figure.update_yaxes(rangemode="tozero")
+    drawing.panel_title(figure, "distance from the truth, m")
+    drawing.time_axis(figure, record)
+    return figure
+
+
+def _of(record: RunRecord) -> RectificationRecord:
+    assert record.rectification is not None, "the record has no rectification"
+    return record.rectification
+
+
+def _with_gaps(record: RunRecord) -> FloatArray:
+    breaks_s = poseless_stamps_s(record)
+    return with_gaps(record.estimate.stamps_s, record.estimate.positions_m, breaks_s)[1]
+
+
+def _add_areas(figure: go.Figure, areas: AreaMap) -> None:
+    for index, area in enumerate(areas):
+        corners = np.concatenate([area.polygon, area.polygon[:1]])
+        colour = area_colour(index)
+        figure.add_scatter(
+            x=corners[:, 0],
+            y=corners[:, 1],
+            mode="lines",
+            fill="toself",
+            fillcolor=_faded(colour, 0.16),
+            line={"color": _faded(colour, 0.7), "width": 1},
+            name=f"area {area.name}",
+            showlegend=False,
+            hoverinfo="skip",
+        )
+        # Names stand in a corner, where paths seldom pass.
+        low = area.polygon.min(axis=0)
+        x_m, y_m = area.polygon[int(np.argmin((area.polygon - low).sum(axis=1)))]
+        figure.add_annotation(
+            x=x_m,
+            y=y_m,
+            text=f"<b>{escape(area.name)}</b>",
+            showarrow=False,
+            xanchor="left",
+            yanchor="bottom",
+            font={"size": _NAME_PX + 3, "color": colour},
+        )
+
+
+def _add_end(figure: go.Figure, name: str, path: FloatArray, colour: str) -> None:
+    """A square where a path ends; a ring, with its word, where the truth, or else the wheels, begin."""
+    marker: dict[str, Any] = {"symbol": "square", "size": 10, "color": colour}
+    hover = f"end, {name}<extra></extra>"
+    figure.add_scatter(
+        x=path[-1:, 0], y=path[-1:, 1], mode="markers", marker=marker, name=hover, showlegend=False, hovertemplate=hover
+    )
+    if name == "rectified":
+        ring = {"symbol": "circle-open", "size": 13, "color": GREY, "line": {"width": 3}}
+        figure.add_scatter(
+            x=path[:1, 0],
+            y=path[:1, 1],
+            mode="markers+text",
+            text=["start"],
+            textposition="top center",
+            marker=ring,
+            name="start",
+            showlegend=False,
+            hovertemplate="start<extra></extra>",
+        )
+
+
+def _add_rows(
+    figure: go.Figure, found: RectificationRecord, seconds: FloatArray, probabilities: FloatArray, row: int
+) -> None:
+    n = len(found.areas)
+    x, shown = _thinned(seconds, probabilities)
+    figure.add_heatmap(
+        x=x,
+        y=list(range(n)),
+        z=(np.arange(n) + _FULL * shown).T,
+        customdata=shown.T,
+        zmin=0,
+        zmax=n,
+        colorscale=_rows_of_colours(n),
+        showscale=False,
+        ygap=2,
+        name="",
+        hoverongaps=False,
+        hovertemplate="%{x:.1f} s: %{customdata:.0%}",
+        row=row,
+        col=1,
+    )
+    if found.true_areas is not None:
+        _add_true_areas(figure, found.true_areas, seconds, row)
+    ticks = {"tickmode": "array", "tickvals": list(range(n)), "ticktext": [escape(name) for name in found.areas.names]}
+    figure.update_yaxes(range=[n - 0.5, -0.5], showgrid=False, row=row, col=1, **ticks)
+    figure.update_xaxes(showgrid=False, row=row, col=1)
+
+
+def _add_true_areas(figure: go.Figure, true_areas: IntArray, seconds: FloatArray, row: int) -> None:
+    truth = np.where(true_areas >= 0, true_areas, np.nan).astype(float)
+    kept = np.flatnonzero(np.diff(truth, prepend=np.inf, append=np.inf)[:-1] != 0)  # where it changes, and NaN
+    kept = np.union1d(kept, np.append((kept - 1).clip(0), len(truth) - 1))
+    figure.add_scatter(
+        x=seconds[kept],
+        y=truth[kept],
+        mode="lines",
+        line={"color": GREY, "width": 2, "shape": "hv"},
+        name="true area",
+        legendgroup="true area",
+        showlegend=row == 1,
+        hoverinfo="skip",
+        row=row,
+        col=1,
+    )
+
+
+def _rows_of_colours(n: int) -> list[list[float | str]]:
+    """A colour scale over 0 … n in which row i goes from nothing to its area's colour between i and i + 1."""
+    scale: list[list[float | str]] = []
+    for index in range(n):
+        scale.append([index / n, _faded(area_colour(index), 0.05)])
+        scale.append([(index + _FULL) / n, area_colour(index)])
+    return [*scale, [1.0, area_colour(n - 1)]]
+
+
+def _thinned(seconds: FloatArray, probabilities: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Times (M,) and means (M, A) of at most so many columns as a screen has; NaN where no frame of a column tells."""
+    if len(seconds) <= _MOST_COLUMNS:
+        return seconds, probabilities
+    column = np.arange(len(seconds)) * _MOST_COLUMNS // len(seconds)
+    known = ~np.isnan(probabilities).any(axis=1)
+    sums, counts = np.zeros((_MOST_COLUMNS, probabilities.shape[1])), np.zeros(_MOST_COLUMNS)
+    np.add.at(sums, column[known], probabilities[known])
+    np.add.at(counts, column[known], 1)
+    times = np.bincount(column, seconds) / np.bincount(column)
+    means = np.full_like(sums, np.nan)
+    np.divide(sums, counts[:, None], out=means, where=counts[:, None] > 0)
+    return times, means
+
+
+def _panel_title(figure: go.Figure, text: str, row: int) -> None:
+    drawing.panel_title(figure, text, y=figure.layout[f"yaxis{row if row > 1 else ''}"].domain[1])
+
+
+def _faded(colour: str, opacity: float) -> str:
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({red},{green},{blue},{opacity})"

@@ -1,0 +1,425 @@
+"""The page and the picture of a drive: where it was to go, where it went, what held it, and what it saw."""
+
+from __future__ import annotations
+
+import base64
+import math
+from html import escape
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from wheelsight._version import __version__
+from wheelsight.app.report import drawing, html
+from wheelsight.app.report import plotly as go
+from wheelsight.app.report.drawing import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, keep_shape
+from wheelsight.app.report.page import fill_template
+from wheelsight.app.report.places_page import jpeg_uri
+from wheelsight.app.report.plotly import make_subplots
+from wheelsight.app.run import words
+from wheelsight.app.run.drive_record import DriveRecord, FilmImage
+from wheelsight.app.run.verdict import runs
+from wheelsight.core.files import StrPath, settings_text, write_text
+from wheelsight.core.geometry import ByteArray, FloatArray
+from wheelsight.mapping import CellKind, OccupancyGrid
+from wheelsight.mapping.occupancy import COLOURS, PlanLine, PlanMark, picture_of, save_picture
+
+# The page and the picture of a drive: where it was to go, where it went, what held it, and what it saw.
+
+
+_PLANNED, _DRIVEN, _STOPPED, _GOAL, _START = (230, 159, 0), (0, 114, 178), (213, 94, 0), (204, 121, 167), (0, 158, 115)
+_WALKED = (86, 180, 233)
+_ROBOT_EVERY_M = 1.0
+_FOOTER = "Lengths are in metres, stamps in seconds, poses of the base in the map. This page needs no network."
+
+
+def write_drive_picture(record: DriveRecord, path: StrPath) -> None:
+    """drive.png: the map with what was planned and driven, atomically. Raises OutputError."""
+    save_picture(drive_picture(record), path)
+
+
+def drive_picture(record: DriveRecord) -> ByteArray:
+    """(h, w, 3) uint8 red, green, blue."""
+    poses = record.rows.poses
+    known = poses[np.isfinite(poses).all(axis=1)]
+    lines = [PlanLine(plan[:, :2], _PLANNED, "planned") for _, plan in record.plans]
+    corners = record.footprint.at(apart(known, _ROBOT_EVERY_M))
+    lines += [PlanLine(np.vstack([outline, outline[:1]]), (150, 190, 215), width_px=1) for outline in corners]
+    lines.append(PlanLine(known[:, :2], _DRIVEN, "driven", 3))
+    marks = [PlanMark(stop.pose[:2], "cross", _STOPPED, "held") for stop in record.stops if stop.pose is not None]
+    lines += [PlanLine(way, _WALKED, "somebody walked", 2) for way in walked(record.people)]
+    marks += [PlanMark(known[0, :2], "circle", _START, "start")] if len(known) else []
+    marks += [PlanMark(goal.goal[:2], "square", _GOAL, "goal", goal.name) for goal in record.goals if goal.is_place]
+    return picture_of(record.grid, lines=lines, marks=marks)
+
+
+def write_drive_page(record: DriveRecord, path: StrPath) -> None:
+    """Write the page, atomically, about 5 MB.
+
+    Raises:
+        OutputError: it cannot be written.
+        ConfigError: plotly is not installed.
+    """
+    path = Path(path)
+    write_text(path, render_drive(record).encode("utf-8", "replace").decode("utf-8"))
+
+
+def render_drive(record: DriveRecord) -> str:
+    """The page as HTML that refers to nothing outside itself."""
+    phrase, sentences, tone = verdict(record)
+    facts = [record.robot, record.finished_at.strftime("%Y-%m-%d %H:%M %Z").strip(), f"wheelsight {__version__}"]
+    return fill_template(
+        kicker="wheelsight drive",
+        title=escape(f"{_names(record)} in {record.map_name}"),
+        facts=" · ".join(escape(fact) for fact in facts),
+        tone=tone,
+        phrase=escape(phrase),
+        sentences=escape(sentences),
+        tiles="\n".join(html.tile(*tile) for tile in _tiles(record)),
+        notes="",
+        sections="\n".join(
+            (_plan(record), _time_line(record), _film(record), _goals(record), _stops(record), _log(record))
+        ),
+        footer=escape(_FOOTER),
+    )
+
+
+def verdict(record: DriveRecord) -> tuple[str, str, str]:
+    """Phrase, sentences and tone."""
+    reached = sum(goal.result.has_arrived for goal in record.goals)
+    of_all = f"{reached} of {words.count(record.asked, 'goal')} reached"
+    if record.is_interrupted:
+        return (
+            "Interrupted",
+            f"{reached} of {words.count(record.asked, 'goal')} reached; the robot was stopped.",
+            "amber",
+        )
+    if not record.has_arrived:
+        last = record.goals[-1] if record.goals else None
+        why = "" if last is None else f"{last.name}: {last.result.reason} ({last.result.detail})."
+        return of_all, why, "red"
+    if record.contacts:
+        return (
+            f"Arrived, with {words.count(len(record.contacts), 'collision')}",
+            f"{', '.join(record.contacts)}.",
+            "red",
+        )
+    told = [f"{goal.name}: {goal.result.goal_change}." for goal in record.goals if goal.result.goal_change]
+    if record.rests_on_start:
+        told.append("Nothing of the map was recognised: all of it rests on the start that was said.")
+    helped = sum(goal.result.recoveries for goal in record.goals)
+    if helped:
+        told.append(f"{words.count(helped, 'time')} it had to get itself out or find out where it was.")
+    return "Arrived", " ".join(told) or "At every goal, by its own localization.", "amber" if told else "green"
+
+
+def _names(record: DriveRecord) -> str:
+    names = [goal.name for goal in record.goals]
+    return "To " + (", then ".join(names) if names else "nowhere")
+
+
+def _tiles(record: DriveRecord) -> list[tuple[str, str, str]]:
+    held_s = sum(stop.end_s - stop.begin_s for stop in record.stops)
+    near = words.length(record.clearance_m) if math.isfinite(record.clearance_m) else "nothing near"
+    offs = [goal.off_m for goal in record.goals if goal.result.has_arrived and math.isfinite(goal.off_m)]
+    tiles = [
+        ("Way driven", words.length(record.way_m), f"first plans: {words.length(record.planned_m)}"),
+        ("Time", words.duration(record.time_s), f"{words.number(record.way_m / max(record.time_s, 1e-9))} m/s in all"),
+        ("Clearance", near, "least, as map and camera showed"),
+        *_people_tile(record),
+        ("Held", words.count(len(record.stops), "time"), f"{words.duration(held_s)} in all"),
+        ("Plans", str(sum(goal.result.plans for goal in record.goals)), ""),
+    ]
+    if offs:
+        tiles.append(("Off the goal", words.length(max(offs)), "at most, as the robot believes"))
+    if record.loops is not None:
+        tiles.append(("Loops closed", str(record.loops), "between keyframes of the map that it left"))
+    periods = record.periods
+    if periods.late:
+        late = f"{words.count(periods.late, 'period')} of {periods.count:,} of the control loop took longer"
+        tiles.append(("Longest period", words.duration(periods.longest_s), late))
+    if record.truth:
+        clear = f"true clearance {words.length(record.truth['clearance_m'])}"
+        tiles.append(("Collisions", str(len(record.contacts)), clear))
+    return tiles
+
+
+def _people_tile(record: DriveRecord) -> list[tuple[str, str, str]]:
+    if not len(record.people):
+        return []
+    return [
+        ("Nearest person", words.length(float(record.people[:, 3].min())), "who walked, as the camera followed him")
+    ]
+
+
+def _plan(record: DriveRecord) -> str:
+    intro = (
+        "The map, what was planned (orange) and what was driven (blue), from the circle to the squares; crosses are "
+        "where the robot was held, light blue where it knew somebody to walk."
+    )
+    alt = f"The map from above with the way of the robot, {words.length(record.way_m)} long."
+    plot = html.plot("drive-map-plan", plan_figure(record), "From above", "", alt)
+    return html.section("plan", "Where it went", intro, plot)
+
+
+def _time_line(record: DriveRecord) -> str:
+    sentence = (
+        "Above, what the navigator was about, where the localization stood, and what the collision monitor made of "
+        "the commands; below, the speeds that the wheels measured. Single readings may run off an axis."
+    )
+    alt = f"States and speeds over {words.duration(record.time_s)}."
+    plot = html.plot("time-line", time_line_figure(record), "States and speeds", sentence, alt)
+    return html.section("time", "What it did when", "", plot)
+
+
+def _film(record: DriveRecord) -> str:
+    if not record.images:
+        return ""
+    pictures = [_picture(image, max(image.stamp_s - record.begin_s, 0.0)) for image in record.images]
+    return html.section("film", "What it saw", "Images of its camera on the way.", html.group("strip", pictures))
+
+
+def _picture(image: FilmImage, after_s: float) -> str:
+    return html.picture(jpeg_uri(image.color), f"{after_s:.1f} s", f"What the camera saw after {after_s:.1f} s")
+
+
+def _goals(record: DriveRecord) -> str:
+    body = html.table("Off the goal is as the robot believes.", *goal_rows(record))
+    return html.section("goals", "Its goals", "", body)
+
+
+def _stops(record: DriveRecord) -> str:
+    if not record.stops:
+        return html.section("stops", "What held it", "Nothing held it.")
+    body = html.table(
+        "Each time that the collision monitor held the robot, or it stopped by itself.", *stop_rows(record)
+    )
+    return html.section("stops", "What held it", "", body)
+
+
+def _log(record: DriveRecord) -> str:
+    rows = transition_rows(record)
+    table = html.table("All changes of state.", ("Seconds", "From", "To", "Why"), rows)
+    settings = settings_text(record.config["navigation"])
+    return html.section(
+        "log", "The log", "", html.fold("All changes of state", table), html.folded("Settings of navigation", settings)
+    )
+
+
+# Figures of a drive: the map with its ways, and a time line of states and speeds.
+
+
+_PLAN_PX, _TIME_PX = 640, 460
+_AROUND_M = 0.5
+# Of who was followed without a break there is a row each 0.05 s; nobody walks farther in the longer time.
+_SAME_WALKER_S, _SAME_WALKER_M = 0.5, 0.8
+_BANDS = ("navigator", "localization", "monitor")
+_BAND_COLOURS = {
+    **{"idle": GREY, "planning": ORANGE, "driving": GREEN, "recovering": VERMILLION, "arrived": BLUE, "failed": PURPLE},
+    **{"tracking": GREEN, "coasting": ORANGE, "initializing": SKY, "failing": VERMILLION, "lost": PURPLE},
+    **{"free": GREEN, "slowed": ORANGE, "stopped": VERMILLION},
+}
+
+
+def plan_figure(record: DriveRecord) -> go.Figure:
+    """The map from above, metres, equal aspect, with all plans, the way driven, stops, start and goals."""
+    figure = drawing.style(go.Figure(), _PLAN_PX, hovermode="closest", showlegend=True)
+    _add_map(figure, record.grid)
+    hover = "%{x:.2f}, %{y:.2f} m"
+    for number, (_, plan) in enumerate(record.plans):
+        line = {"color": ORANGE, "width": 2}
+        path = plan[keep_shape(plan[:, :2]), :2]
+        drawing.add_path(figure, path, name="planned", line=line, hover=hover, in_legend=not number)
+    path = record.rows.poses[:, :2]
+    path = path[keep_shape(path)]
+    if len(path):
+        drawing.add_path(figure, path, name="driven", line={"color": BLUE, "width": 3}, hover=hover)
+    for number, way in enumerate(walked(record.people)):
+        line = {"color": SKY, "width": 2, "dash": "dot"}
+        drawing.add_path(figure, way, name="somebody walked", line=line, hover=hover, in_legend=not number)
+    known = record.rows.poses[np.isfinite(record.rows.poses).all(axis=1)]
+    if len(known):
+        _add_marks(figure, known[:1, :2], ["start"], "start", {"symbol": "circle", "color": GREEN})
+    aims = [goal for goal in record.goals if goal.is_place]
+    goals = np.array([goal.goal[:2] for goal in aims]).reshape(-1, 2)
+    _add_marks(figure, goals, [goal.name for goal in aims], "goal", {"symbol": "square", "color": PURPLE})
+    held = [stop for stop in record.stops if stop.pose is not None]
+    places = np.array([stop.pose[:2] for stop in held if stop.pose is not None]).reshape(-1, 2)
+    _add_marks(figure, places, [stop.reason for stop in held], "held", {"symbol": "x", "color": VERMILLION})
+    figure.update_layout(plot_bgcolor="#ffffff")
+    return figure
+
+
+def time_line_figure(record: DriveRecord) -> go.Figure:
+    """Bands of states, and speeds below; seconds since the begin."""
+    rows, figure = record.rows, make_subplots(rows=3, cols=1, shared_xaxes=True, row_heights=[0.34, 0.36, 0.3])
+    drawing.style(figure, _TIME_PX, hovermode="closest", showlegend=False)
+    seconds = rows.stamps_s - record.begin_s
+    for name, labels in zip(_BANDS, (rows.states, rows.status, rows.monitor), strict=True):
+        reasons = rows.reasons if name == "monitor" else ("",) * len(labels)
+        _add_band(figure, name, [*zip(labels, reasons, strict=True)], seconds)
+    _add_speeds(figure, record, seconds)
+    figure.update_layout(barmode="overlay")
+    figure.update_yaxes(autorange="reversed", showgrid=False, row=1, col=1)
+    drawing.time_axis_until(figure, record.time_s, "seconds since the begin")
+    return figure
+
+
+def walked(people: FloatArray) -> list[FloatArray]:
+    """Ways (M, 2) of who walked near, of people (N, 4) as `DriveRecord` has them: each joins the way it is next to."""
+    ways: list[list[FloatArray]] = []
+    for row in people:
+        lately = [way for way in ways if 0 < row[0] - way[-1][0] < _SAME_WALKER_S]
+        way = min(lately, key=lambda way: np.hypot(*(row - way[-1])[1:3]), default=None)
+        if way is not None and np.hypot(*(row - way[-1])[1:3]) < _SAME_WALKER_M:
+            way.append(row)
+        else:
+            ways.append([row])
+    return [np.array(way)[:, 1:3] for way in ways if len(way) > 1]
+
+
+def apart(poses: FloatArray, apart_m: float) -> FloatArray:
+    """(M, 3) of poses (N, 3): the first, and each that is so far from the last one kept, and the last."""
+    kept: list[FloatArray] = []
+    for pose in poses:
+        if not kept or np.hypot(*(pose - kept[-1])[:2]) >= apart_m:
+            kept.append(pose)
+    if len(poses):
+        kept.append(poses[-1])
+    return np.array(kept).reshape(-1, 3)
+
+
+def _add_band(figure: go.Figure, name: str, told: list[tuple[str, str]], seconds: FloatArray) -> None:
+    """A bar a stretch of one label and reason; a trace a label."""
+    words = [f"{label}: {reason}" if reason else label for label, reason in told]
+    stretches = runs(words)
+    for label in dict.fromkeys(label for label, _ in told):
+        own = [(begin, end) for begin, end, _ in stretches if told[begin][0] == label]
+        begin_s = np.array([seconds[begin] for begin, _ in own])
+        for_s = np.array([seconds[min(end, len(seconds) - 1)] for _, end in own]) - begin_s
+        figure.add_bar(
+            x=for_s,
+            y=[name] * len(own),
+            base=begin_s,
+            orientation="h",
+            marker={"color": _BAND_COLOURS.get(label, GREY), "line": {"width": 0}},
+            text=[label if length_s > 0.08 * seconds[-1] else "" for length_s in for_s],
+            textposition="inside",
+            insidetextanchor="middle",
+            customdata=[words[begin] for begin, _ in own],
+            hovertemplate="%{customdata}, from %{base:.1f} s for %{x:.1f} s<extra></extra>",
+            row=1,
+            col=1,
+        )
+
+
+def _add_speeds(figure: go.Figure, record: DriveRecord, seconds: FloatArray) -> None:
+    rows = record.rows
+    degrees = np.degrees(rows.turn_rad_s)
+    for row, name, values, colour in (
+        (2, "speed, m/s", rows.forward_m_s, BLUE),
+        (3, "turn, °/s", degrees, PURPLE),
+    ):
+        line = {"color": colour, "width": 1.6}
+        drawing.add_line(figure, seconds, values, name=name, line=line, hover="%{y:.2f}", row=row)
+        figure.update_yaxes(range=_usual(values), row=row, col=1)
+        axis = figure.layout[f"yaxis{row}"]
+        drawing.panel_title(figure, name, y=axis.domain[1])
+
+
+def _usual(values: FloatArray) -> list[float] | None:
+    """Bounds of all values but the strangest hundredth, with 0 and some air: single readings would flatten the rest."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return None
+    low, high = np.minimum(np.percentile(known, 0.5), 0.0), np.maximum(np.percentile(known, 99.5), 0.0)
+    air = 0.1 * max(float(high - low), 0.1)
+    return [float(low) - air, float(high) + air]
+
+
+def _add_map(figure: go.Figure, grid: OccupancyGrid) -> None:
+    """As an image below all lines; the axes show what of it is known."""
+    colours = np.array([COLOURS[kind] for kind in CellKind], np.uint8)
+    _, png = cv2.imencode(".png", np.ascontiguousarray(colours[grid.kind[::-1]][..., ::-1]))
+    uri = "data:image/png;base64," + base64.b64encode(png.tobytes()).decode("ascii")
+    (height, width), (left, bottom) = np.array(grid.kind.shape) * grid.resolution_m, grid.origin
+    place = {"x": left, "y": bottom + height, "sizex": width, "sizey": height, "xref": "x", "yref": "y"}
+    figure.add_layout_image(source=uri, layer="below", sizing="stretch", **place)
+    cells = np.argwhere(grid.kind != CellKind.UNKNOWN)
+    known = grid.middle_of(cells) if len(cells) else np.array([[left, bottom], [left + width, bottom + height]])
+    (x0, y0), (x1, y1) = known.min(axis=0) - _AROUND_M, known.max(axis=0) + _AROUND_M
+    figure.update_xaxes(range=[x0, x1], title_text="m", constrain="domain", showgrid=False)
+    figure.update_yaxes(range=[y0, y1], scaleanchor="x", scaleratio=1, constrain="domain", showgrid=False)
+
+
+def _add_marks(figure: go.Figure, points: FloatArray, texts: list[str], name: str, marker: dict[str, str]) -> None:
+    if not len(points):
+        return
+    rim = {"size": 12, "line": {"color": "#ffffff", "width": 2}}
+    figure.add_scatter(
+        x=points[:, 0],
+        y=points[:, 1],
+        text=texts,
+        mode="markers",
+        name=name,
+        marker={**marker, **rim},
+        hovertemplate="%{text}: %{x:.2f}, %{y:.2f} m<extra></extra>",
+    )
+
+
+# Rows of the tables on a drive's page.
+
+
+Columns = tuple[tuple[str, ...], list[tuple[str, ...]]]
+
+
+def goal_rows(record: DriveRecord) -> Columns:
+    """Column names with units, and one row a goal."""
+    goals = record.goals
+    results = [goal.result for goal in goals]
+    headings = [words.angle(goal.off_deg) if math.isfinite(goal.off_deg) else "any" for goal in goals]
+    return _table(
+        ("Goal", [goal.name for goal in goals]),
+        ("Asked", [place(goal.goal) if goal.is_place else "–" for goal in goals]),
+        (
+            "Became of it",
+            [r.goal_change or "arrived" if r.has_arrived else f"{r.reason}: {r.detail}" for r in results],
+        ),
+        words.column("Off", [goal.off_m if goal.is_place else None for goal in goals], "m"),
+        ("Heading off", [text if goal.is_place else "–" for goal, text in zip(goals, headings, strict=True)]),
+        words.column("Time", [result.time_s for result in results], "s"),
+        words.column("Driven", [result.way_m for result in results], "m"),
+        words.column("First plan", [result.planned_m for result in results], "m"),
+        ("Plans", [str(result.plans) for result in results]),
+        ("Recovered", [str(result.recoveries) for result in results]),
+    )
+
+
+def stop_rows(record: DriveRecord) -> Columns:
+    """Column names with units, and one row a stop."""
+    return _table(
+        ("Why", [stop.reason for stop in record.stops]),
+        ("After [s]", [f"{stop.begin_s - record.begin_s:.1f}" for stop in record.stops]),
+        words.column("For", [stop.end_s - stop.begin_s for stop in record.stops], "s"),
+        ("Where", [words.UNKNOWN if stop.pose is None else place(stop.pose) for stop in record.stops]),
+    )
+
+
+def _table(*columns: tuple[str, list[str]]) -> Columns:
+    return tuple(head for head, _ in columns), list(zip(*(cells for _, cells in columns), strict=True))
+
+
+def transition_rows(record: DriveRecord) -> list[list[str]]:
+    """One a change of state."""
+    return [
+        [f"{one.stamp_s - record.begin_s:.1f}", str(one.before), str(one.after), one.why]
+        for goal in record.goals
+        for one in goal.result.transitions
+    ]
+
+
+def place(pose: FloatArray) -> str:
+    """Such as "3.20, 1.50 m, 90°"."""
+    yaw = "" if math.isnan(pose[2]) else f", {math.degrees(pose[2]):.0f}°"
+    return f"{pose[0]:.2f}, {pose[1]:.2f} m{yaw}"

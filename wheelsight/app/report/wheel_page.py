@@ -1,0 +1,378 @@
+"""The page of a wheel calibration: what changed, how sure it is, and what it is worth on the part it did not use."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from wheelsight._version import __version__
+from wheelsight.app.report import drawing, html
+from wheelsight.app.report import plotly as go
+from wheelsight.app.report.drawing import BLUE, GREY, ORANGE, SKY, VERMILLION, keep_shape
+from wheelsight.app.report.page import fill_template
+from wheelsight.app.report.plotly import make_subplots
+from wheelsight.app.run import words
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.files import StrPath, write_text
+from wheelsight.core.geometry import FloatArray
+from wheelsight.wheels.calibration import WheelFit, WheelTrial
+from wheelsight.wheels.umbmark import Umbmark
+
+# The page of a wheel calibration: what changed, how sure it is, and what it is worth on the part it did not use.
+
+
+_BETTER, _WORSE = 0.9, 1.1
+_FOOTER = "Lengths are in metres, stamps in seconds, σ is one standard deviation. This page needs no network."
+
+
+def write_wheel_page(trial: WheelTrial, path: StrPath) -> None:
+    """Write the page about a calibration against a reference, atomically. Raises OutputError."""
+    path = Path(path)
+    phrase, tone = _verdict(trial)
+    page = fill_template(
+        kicker="wheelsight wheel calibration",
+        title=escape(trial.recording),
+        facts=_facts("least squares against a reference trajectory"),
+        tone=tone,
+        phrase=escape(phrase),
+        sentences=escape(_sentences(trial)),
+        tiles="\n".join(html.tile(*tile) for tile in _tiles(trial)),
+        notes=_notes(trial),
+        sections="\n".join((_wheels_section(fit_rows(trial.fit)), _proof(trial), _residuals(trial))),
+        footer=escape(_FOOTER),
+    )
+    _write(path, page)
+
+
+def write_squares_page(result: Umbmark, after_m: tuple[FloatArray, FloatArray], name: str, path: StrPath) -> None:
+    """Write the page about a calibration by squares, atomically. Raises OutputError.
+
+    `after_m` are the errors (n, 2) and (m, 2) that corrected wheels leave of clockwise and counter-clockwise runs.
+    """
+    path = Path(path)
+    before_m, left_m = result.largest_error_m, result.largest_error_after_m
+    runs = f"{len(result.clockwise_m)} clockwise and {len(result.counter_clockwise_m)} counter-clockwise"
+    tiles = [
+        ("E max,syst, nominal", words.length(before_m), "the worse direction's mean error"),
+        ("E max,syst, corrected", words.length(left_m), "that the model leaves of these runs"),
+        ("E_d", f"{result.diameter_ratio:.5f}", "right wheel over left wheel"),
+        ("E_b", f"{result.track_factor:.5f}", "actual track width over nominal"),
+    ]
+    figure = squares_figure(result, after_m)
+    sentence = "Where each run truly ended, seen from where the robot believed to be; crosses are the means."
+    alt = "Return position errors before and after correction"
+    plot = html.plot("squares", figure, "Return position errors", sentence, alt)
+    page = fill_template(
+        kicker="wheelsight wheel calibration",
+        title=escape(name),
+        facts=_facts("UMBmark, Borenstein & Feng 1996"),
+        tone="green" if left_m < _BETTER * before_m else "amber",
+        phrase=escape(f"Systematic error {words.length(before_m)} before, {words.length(left_m)} after"),
+        sentences=escape(
+            f"From {runs} squares of {result.side_m:.3g} m. The mean wheel radius cannot be seen from it."
+        ),
+        tiles="\n".join(html.tile(*tile) for tile in tiles),
+        notes="",
+        sections="\n".join((_wheels_section(square_rows(result)), html.section("runs", "The runs", "", plot))),
+        footer=escape(_FOOTER),
+    )
+    _write(path, page)
+
+
+def _write(path: Path, page: str) -> None:
+    # A folder's name may hold bytes that are no text; they must not cost the page.
+    write_text(path, page.encode("utf-8", "replace").decode("utf-8"))
+
+
+def _facts(method: str) -> str:
+    when = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+    return " · ".join(escape(fact) for fact in (method, when, f"wheelsight {__version__}"))
+
+
+def _verdict(trial: WheelTrial) -> tuple[str, str]:
+    path, drift = _changes(trial)
+    if path < _BETTER and drift < _WORSE:
+        return f"{1 / path:.1f} times nearer to the reference where it was not fitted", "green"
+    if path > _WORSE and drift > _BETTER:
+        return "No better than the nominal wheels where it was not fitted", "red"
+    return "Little changes where it was not fitted", "amber"
+
+
+def _changes(trial: WheelTrial) -> tuple[float, float]:
+    """Error after over error before: of the whole path, and of a metre of it."""
+    before, after = trial.before.evaluation, trial.after.evaluation
+    path = after.ate.translation.rmse / max(before.ate.translation.rmse, 1e-9)
+    if before.rpe_per_metre is None or after.rpe_per_metre is None:
+        return path, path
+    return path, after.rpe_per_metre.translation.rmse / max(before.rpe_per_metre.translation.rmse, 1e-9)
+
+
+def _sentences(trial: WheelTrial) -> str:
+    before, after = trial.before.evaluation, trial.after.evaluation
+    ate = (words.length(evaluation.ate.translation.rmse) for evaluation in (after, before))
+    length = words.length(trial.held_out.length_m)
+    text = "Over the {} that the fit did not see, the path's error (ATE) is {} after {}".format(length, *ate)
+    old, new = before.rpe_per_metre, after.rpe_per_metre
+    if old is None or new is None:
+        return text + "."
+    turns = (words.angle(error.rotation.in_degrees().rmse) for error in (new, old))
+    return text + ", and heading drifts by {} a metre after {}.".format(*turns)
+
+
+def _tiles(trial: WheelTrial) -> list[tuple[str, str, str]]:
+    fit, before, after = trial.fit, trial.before, trial.after
+    tiles = [_tile("ATE, RMSE", *(x.evaluation.ate.translation.rmse for x in (before, after)))]
+    old, new = before.evaluation.rpe_per_metre, after.evaluation.rpe_per_metre
+    if old is not None and new is not None:
+        tiles.append(_tile("RPE a metre, RMSE", old.translation.rmse, new.translation.rmse))
+    slips = words.count(int(fit.is_slip.sum()), "of them a slip or jump", "of them slips or jumps")
+    along, _, turn = fit.spread
+    return [
+        *tiles,
+        _tile("Off at the end", before.end_error_m, after.end_error_m),
+        ("Segments fitted", str(len(fit.segments)), slips),
+        ("Left in a segment", words.length(float(along)), f"and {words.angle(float(np.degrees(turn)))}; median spread"),
+    ]
+
+
+def _tile(name: str, before: float, after: float) -> tuple[str, str, str]:
+    return name, words.length(after), f"nominal wheels {words.length(before)}"
+
+
+def _notes(trial: WheelTrial) -> str:
+    x_m, y_m, yaw_rad = trial.fit.mount.tolist()
+    ahead, aside, turned = ("ahead", "behind")[x_m < 0], ("left", "right")[y_m < 0], ("left", "right")[yaw_rad < 0]
+    mount = (
+        f"By the fit, what the reference follows sits {words.length(abs(x_m))} {ahead} and {words.length(abs(y_m))} "
+        f"{aside} of the axle's middle and looks {words.angle(abs(np.degrees(yaw_rad)))} to the {turned}; "
+        "the comparison allows for that."
+    )
+    found = [*trial.warnings, mount, "All errors hold the reference's own, and those of slips."]
+    return html.section("notes", "What to know before trusting it", "", html.bullets(found, "notes"))
+
+
+def _wheels_section(rows: list[tuple[str, ...]]) -> str:
+    return html.section("wheels", "The wheels", "", html.table("Before and after", HEAD, rows))
+
+
+def _proof(trial: WheelTrial) -> str:
+    before_s = trial.split_s - trial.reference.stamps_s[0]
+    intro = f"Fitted on the {words.duration(float(before_s))} before; what follows was not used."
+    errors = html.table("Errors against the reference, RMSE", ("", "nominal", "calibrated"), error_rows(trial))
+    drive = html.plot(
+        "drive",
+        drive_figure(trial),
+        "From above",
+        "Both paths begin on the reference; nothing corrects them afterwards.",
+        "Reference path with the dead-reckoned paths of nominal and calibrated wheels",
+    )
+    drift = html.plot(
+        "drift",
+        drift_figure(trial),
+        "Drift",
+        "How far each path is from the reference as the robot drives on.",
+        "Distance from the reference over distance gone",
+    )
+    return html.section("proof", "On the part it did not use", intro, errors, drive, drift)
+
+
+def _residuals(trial: WheelTrial) -> str:
+    plot = html.plot(
+        "residuals",
+        residual_figure(trial),
+        "Residuals",
+        "Wheels minus reference over each segment; slips, or jumps of the reference, may lie at the edge.",
+        "Residuals of the segments over time, along, across and in turn",
+    )
+    return html.section("segments", "On the part it was fitted to", "", plot)
+
+
+# Figures of a wheel calibration: the path before and after, its error, and what each segment left unexplained.
+
+
+_LOOKS = {"nominal": {"color": ORANGE, "width": 2}, "calibrated": {"color": BLUE, "width": 2}}
+_PANELS = (("along the way", "mm", 1e3), ("across", "mm", 1e3), ("turn", "°", 180 / np.pi))
+
+
+def drive_figure(trial: WheelTrial) -> go.Figure:
+    """The part not calibrated on, from above, metres: reference, nominal wheels and calibrated ones from one start."""
+    figure = drawing.style(go.Figure(), 520, hovermode="closest", margin={"l": 58, "r": 12, "t": 34, "b": 46})
+    paths = {"nominal": trial.before.path, "calibrated": trial.after.path}
+    hover = "x %{x:.2f}, y %{y:.2f} m"
+    truth = trial.held_out.positions_m[:, :2]
+    drawing.add_path(figure, truth[keep_shape(truth)], name="reference", line={"color": GREY, "width": 5}, hover=hover)
+    for name, path in paths.items():
+        points = path.positions_m[:, :2]
+        drawing.add_path(figure, points[keep_shape(points)], name=name, line=_LOOKS[name], hover=hover)
+    _mark(figure, truth[:1], "start", GREY, "circle-open")
+    for name, path in paths.items():
+        _mark(figure, path.positions_m[-1:, :2], "", str(_LOOKS[name]["color"]), "square")
+    _mark(figure, truth[-1:], "end", GREY, "square")
+    figure.update_xaxes(title_text="x, m")
+    figure.update_yaxes(title_text="y, m", scaleanchor="x", scaleratio=1)
+    return figure
+
+
+def drift_figure(trial: WheelTrial) -> go.Figure:
+    """Distance from the reference since the start of the part not calibrated on, metres over distance gone."""
+    figure = drawing.style(go.Figure(), 300, hovermode="x unified")
+    gone_m = trial.held_out.distances_m
+    for name, attempt in (("nominal", trial.before), ("calibrated", trial.after)):
+        off_m = np.linalg.norm(attempt.path.positions_m - trial.held_out.positions_m, axis=1)
+        drawing.add_line(figure, gone_m, off_m, name=name, line=_LOOKS[name], hover="%{y:.3f} m")
+    figure.update_yaxes(rangemode="tozero")
+    figure.update_xaxes(title_text="metres gone since both were laid upon the reference", hoverformat=".1f")
+    drawing.panel_title(figure, "distance from the reference, m")
+    return figure
+
+
+def residual_figure(trial: WheelTrial) -> go.Figure:
+    """What the calibrated wheels leave of each segment they were fitted to; slips stand out."""
+    fit = trial.fit
+    middle_s = (fit.segments.start_s + fit.segments.end_s) / 2 - trial.reference.stamps_s[0]
+    figure = make_subplots(rows=3, cols=1, shared_xaxes=True, vertical_spacing=0.1)
+    drawing.style(figure, 520, hovermode="closest", margin_l=88)
+    for row, (name, unit, factor) in enumerate(_PANELS, start=1):
+        values = factor * fit.residuals[:, row - 1]
+        limit = _limit(values[~fit.is_slip], factor * fit.spread[row - 1])
+        for kind, which, color, symbol in (
+            ("segment", ~fit.is_slip, BLUE, "circle"),
+            ("slip or jump, hardly counted", fit.is_slip, VERMILLION, "x"),
+        ):
+            figure.add_scatter(
+                x=middle_s[which],
+                y=values[which].clip(-limit, limit),
+                customdata=values[which],
+                mode="markers",
+                marker={"size": 7, "color": color, "symbol": symbol},
+                name=kind,
+                legendgroup=kind,
+                showlegend=row == 1 and bool(which.any()),
+                hovertemplate=f"%{{x:.1f}} s: %{{customdata:.1f}} {unit}<extra>{kind}</extra>",
+                row=row,
+                col=1,
+            )
+        figure.update_yaxes(range=[-1.08 * limit, 1.08 * limit], row=row, col=1)
+        axis = figure.layout[f"yaxis{row if row > 1 else ''}"]
+        drawing.panel_title(figure, f"{name}, {unit}", y=axis.domain[1])
+        figure.add_hline(y=0, line=drawing.DASHED, row=row, col=1)
+    figure.update_xaxes(title_text="seconds since the reference begins", row=3, col=1)
+    return figure
+
+
+def squares_figure(result: Umbmark, after_m: tuple[FloatArray, FloatArray]) -> go.Figure:
+    """Return position errors of all runs, before and after, metres: the figure of Borenstein & Feng.
+
+    `after_m` are the errors (n, 2) and (m, 2) that corrected wheels leave of clockwise and counter-clockwise runs.
+    """
+    figure = drawing.style(go.Figure(), 520, hovermode="closest", margin={"l": 78, "r": 12, "t": 34, "b": 46})
+    given = (
+        ("clockwise", result.clockwise_m, after_m[0]),
+        ("counter-clockwise", result.counter_clockwise_m, after_m[1]),
+    )
+    for (direction, before, after), color, late in zip(given, (ORANGE, VERMILLION), (SKY, BLUE), strict=True):
+        for name, errors, shade, symbol in (
+            (f"{direction}, nominal", before, color, "circle"),
+            (f"{direction}, corrected", after, late, "diamond"),
+        ):
+            figure.add_scatter(
+                x=errors[:, 0],
+                y=errors[:, 1],
+                mode="markers",
+                name=name,
+                marker={
+                    "size": 9,
+                    "color": shade,
+                    "symbol": symbol,
+                    "line": {"width": 1, "color": "rgba(255,255,255,.7)"},
+                },
+                hovertemplate=f"{name}: x %{{x:.3f}}, y %{{y:.3f}} m<extra></extra>",
+            )
+            _mark(figure, errors.mean(axis=0)[None], "", shade, "cross-thin-open", 18)
+    figure.add_hline(y=0, line=drawing.DASHED)
+    figure.add_vline(x=0, line=drawing.DASHED)
+    figure.update_xaxes(title_text="x, true minus computed, m")
+    figure.update_yaxes(title_text="y, true minus computed, m", scaleanchor="x", scaleratio=1)
+    return figure
+
+
+def _mark(figure: go.Figure, point: FloatArray, word: str, color: str, symbol: str, size: int = 11) -> None:
+    figure.add_scatter(
+        x=point[:, 0],
+        y=point[:, 1],
+        mode="markers+text",
+        text=[word],
+        textposition="top center",
+        marker={"symbol": symbol, "size": size, "color": color, "line": {"width": 3 if "open" in symbol else 0}},
+        showlegend=False,
+        hoverinfo="skip",
+    )
+
+
+def _limit(values: FloatArray, spread: float) -> float:
+    """Up to where residuals are drawn: all that are no slips, and five spreads at least; slips lie at the edge."""
+    largest = float(np.abs(values).max()) if len(values) else 0.0
+    return max(1.1 * largest, 5 * spread, 1e-3)
+
+
+# Wheels and errors before and after a calibration, as rows of text: for the page and for the terminal.
+
+
+HEAD = ("", "nominal", "calibrated", "± σ", "change")
+_LENGTHS = {"left_radius_m": "left radius", "right_radius_m": "right radius", "track_width_m": "track width"}
+
+
+def fit_rows(fit: WheelFit) -> list[tuple[str, ...]]:
+    """One row a parameter, as `HEAD` names the columns."""
+    ratio_before, ratio_after = (w.right_radius_m / w.left_radius_m for w in (fit.nominal, fit.wheels))
+    ratios = (f"{ratio_before:.5f}", f"{ratio_after:.5f}", f"{fit.ratio_sigma:.5f}")
+    ratio = ("right over left", *ratios, _change(ratio_before, ratio_after))
+    delay_ms = [f"{1e3 * wheels.delay_s:.1f} ms" for wheels in (fit.nominal, fit.wheels)]
+    change_ms = 1e3 * (fit.wheels.delay_s - fit.nominal.delay_s)
+    delay_sigma = f"{1e3 * fit.sigmas['delay_s']:.1f} ms" if "delay_s" in fit.sigmas else "kept"
+    delay = ("delay", *delay_ms, delay_sigma, f"{change_ms:+.1f} ms")
+    return [*_length_rows(fit.nominal, fit.wheels, fit.sigmas), ratio, delay]
+
+
+def square_rows(result: Umbmark) -> list[tuple[str, ...]]:
+    """The same for UMBmark, which tells of no size and no delay."""
+
+    def row(name: str, value: float, sigma: float | None) -> tuple[str, ...]:
+        return name, "1", f"{value:.5f}", "unknown" if sigma is None else f"{sigma:.5f}", _change(1.0, value)
+
+    return [
+        *_length_rows(result.nominal, result.wheels, {}),
+        row("E_d, right over left", result.diameter_ratio, result.diameter_ratio_sigma),
+        row("E_b, track factor", result.track_factor, result.track_factor_sigma),
+    ]
+
+
+def error_rows(trial: WheelTrial) -> list[tuple[str, ...]]:
+    """Errors of nominal and of calibrated wheels on the part not calibrated on, one row each kind."""
+    both = (trial.before, trial.after)
+    found: list[tuple[str, str, list[float]]] = [
+        ("ATE, position", "m", [x.evaluation.ate.translation.rmse for x in both])
+    ]
+    for name in ("second", "metre"):
+        errors = [getattr(x.evaluation, f"rpe_per_{name}") for x in both]
+        if None not in errors:
+            found.append((f"RPE a {name}, position", "m", [e.translation.rmse for e in errors]))
+            found.append((f"RPE a {name}, heading", "°", [e.rotation.in_degrees().rmse for e in errors]))
+    found.append(("off at the end", "m", [x.end_error_m for x in both]))
+    return [(head, *cells) for head, cells in (words.column(name, values, unit) for name, unit, values in found)]
+
+
+def _length_rows(nominal: Wheels, wheels: Wheels, sigmas: dict[str, float]) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = []
+    for field, name in _LENGTHS.items():
+        before, after = float(getattr(nominal, field)), float(getattr(wheels, field))
+        sigma = f"{1e3 * sigmas[field]:.2f} mm" if field in sigmas else ""
+        rows.append((name, f"{1e3 * before:.2f} mm", f"{1e3 * after:.2f} mm", sigma, _change(before, after)))
+    return rows
+
+
+def _change(before: float, after: float) -> str:
+    return f"{100 * (after / before - 1):+.2f} %"

@@ -1,0 +1,77 @@
+"""From events to a folder of results: track, compare, write; and the records of what was learned."""
+
+from wheelsight.app.run.kernels import InRealTime
+from wheelsight.app.run.loops import CORRECTED_FILE, CorrectionRecord
+from wheelsight.app.run.maps import MAP_FILE
+from wheelsight.app.run.realtime import RealTimeRecording, in_real_time
+from wheelsight.app.run.run_record import (
+    FrameDrops,
+    FrameRecord,
+    Look,
+    MapErrors,
+    MapPicture,
+    MapRecord,
+    MatchPicture,
+    RealTimeRecord,
+    RectificationRecord,
+    RunRecord,
+)
+from wheelsight.app.run.run_source import LiveSensors, LiveSource, default_odometry, resolved
+from wheelsight.app.run.runs import PAGE_FILE, run_each
+from wheelsight.app.run.verdict import (
+    FLAGS,
+    BestAlone,
+    Evidence,
+    Finding,
+    JoinedFacts,
+    Tone,
+    Verdict,
+    best_alone_of,
+    evidence_of,
+    facts_of,
+    joined_of,
+    judge,
+    verdict_of,
+    verdict_of_run,
+)
+from wheelsight.estimation.odometry_choice import Choice
+
+__all__ = [
+    "CORRECTED_FILE",
+    "FLAGS",
+    "MAP_FILE",
+    "PAGE_FILE",
+    "BestAlone",
+    "Choice",
+    "CorrectionRecord",
+    "Evidence",
+    "Finding",
+    "FrameDrops",
+    "FrameRecord",
+    "InRealTime",
+    "JoinedFacts",
+    "LiveSensors",
+    "LiveSource",
+    "Look",
+    "MapErrors",
+    "MapPicture",
+    "MapRecord",
+    "MatchPicture",
+    "RealTimeRecord",
+    "RealTimeRecording",
+    "RectificationRecord",
+    "RunRecord",
+    "Tone",
+    "Verdict",
+    "best_alone_of",
+    "default_odometry",
+    "evidence_of",
+    "facts_of",
+    "in_real_time",
+    "joined_of",
+    "judge",
+    "resolved",
+    "run_each",
+    "verdict_of",
+    "verdict_of_run",
+]

@@ -1,0 +1,527 @@
+"""DriveRecord: what became of a drive to goals, period by period. DriveRecorder fills it, and write_drive leaves it
+as files.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from wheelsight._version import __version__
+from wheelsight.core.files import StrPath, settings_text, write_text
+from wheelsight.core.geometry import ByteArray, FloatArray
+from wheelsight.core.geometry.se2 import wrap_angle
+from wheelsight.core.messages import Event, RgbdFrame
+from wheelsight.core.trajectory import Trajectory, write_tum
+from wheelsight.mapping import OccupancyGrid
+from wheelsight.navigation import CellState, Costmap, Feedback, Footprint, MonitorState, NavigationResult, Plan
+from wheelsight.navigation.costmap import distances_m
+from wheelsight.navigation.people import Person
+from wheelsight.navigation.senses import Senses
+
+# DriveRecord: what became of a drive to goals, period by period, as files and pages tell it.
+
+
+# Of what a period is to take: longer ones are late.
+_LATE = 1.2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GoalRecord:
+    """A goal, and what became of it.
+
+    Attributes:
+        name: in words.
+        goal: (3,) x, y, yaw in the map as asked; a yaw of NaN is any heading.
+        result: of it.
+        end: (3,) where the robot then believed to be, or None where it did not know.
+        begin_s, end_s: stamps.
+    """
+
+    name: str
+    goal: FloatArray
+    result: NavigationResult
+    end: FloatArray | None
+    begin_s: float
+    end_s: float
+
+    @property
+    def is_place(self) -> bool:
+        """Whether it is one: an exploration is none."""
+        return bool(np.isfinite(self.goal[:2]).all())
+
+    @property
+    def off_m(self) -> float:
+        """From the goal, by its own localization; NaN where it did not know."""
+        return np.nan if self.end is None else float(np.hypot(*(self.end - self.goal)[:2]))
+
+    @property
+    def off_deg(self) -> float:
+        """Likewise of the heading; NaN where any was wanted."""
+        return np.nan if self.end is None else float(np.degrees(abs(wrap_angle((self.end - self.goal)[2]))))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StopRecord:
+    """The collision monitor held the robot, or it stopped by itself.
+
+    Attributes:
+        begin_s, end_s: stamps.
+        reason: in words.
+        pose: (3,) where that was, or None.
+    """
+
+    begin_s: float
+    end_s: float
+    reason: str
+    pose: FloatArray | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilmImage:
+    """A small image of what the camera saw on the way."""
+
+    stamp_s: float
+    color: ByteArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PeriodRows:
+    """One row a control period.
+
+    Attributes:
+        stamps_s: (N,).
+        poses: (N, 3) in the map; NaN where not known.
+        forward_m_s, turn_rad_s: (N,) by the wheels.
+        states: of the navigator, in words.
+        status: of the localization, in words.
+        monitor: (N,) what the collision monitor made of it: "free", "slowed", "stopped".
+        reasons: why, in words; empty where it is free.
+    """
+
+    stamps_s: FloatArray
+    poses: FloatArray
+    forward_m_s: FloatArray
+    turn_rad_s: FloatArray
+    states: tuple[str, ...]
+    status: tuple[str, ...]
+    monitor: tuple[str, ...]
+    reasons: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.stamps_s)
+
+
+@dataclass(frozen=True, slots=True)
+class PeriodLengths:
+    """How regularly a robot was led.
+
+    Attributes:
+        count: periods that went by.
+        late: of these, how many took over a fifth longer than they were to.
+        longest_s: of all; 0 without any.
+    """
+
+    count: int
+    late: int
+    longest_s: float
+
+    @classmethod
+    def of(cls, stamps_s: FloatArray, period_s: float) -> PeriodLengths:
+        """Of when each began, (N,) seconds in order, and how long each was to be."""
+        took_s = np.diff(stamps_s)
+        return cls(len(took_s), int((took_s > _LATE * period_s).sum()), float(took_s.max(initial=0.0)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveRecord:
+    """Everything about a drive.
+
+    Attributes:
+        map_name: of the map that it was in.
+        robot: in words.
+        goals: those that were begun, in order.
+        asked: how many there were to be.
+        rows: period by period.
+        way: as the localization told it, of the base in the map.
+        plans: stamp and poses (N, 3) of each plan.
+        stops: by the collision monitor, and by the robot itself.
+        clearance_m: least distance of the outline from what map and camera showed; infinite where nothing was near.
+        images: a few, in order.
+        people: (N, 4) stamp, x and y in the map of who was known to walk near it, and how far from its outline he was.
+        grid: of the map.
+        footprint: of the robot.
+        config: all settings.
+        recognised: how often something of a map of before was recognised; None where it made the map.
+        truth: what a simulator knows: contacts by the robot, least true clearance; empty of a real one.
+        loops: closed in the map that it made; None where it made none.
+        is_interrupted: whether somebody ended it.
+        finished_at: when it ended.
+    """
+
+    map_name: str
+    robot: str
+    goals: tuple[GoalRecord, ...]
+    asked: int
+    rows: PeriodRows
+    way: Trajectory
+    plans: tuple[tuple[float, FloatArray], ...]
+    stops: tuple[StopRecord, ...]
+    clearance_m: float
+    images: tuple[FilmImage, ...]
+    grid: OccupancyGrid
+    footprint: Footprint
+    config: dict[str, Any]
+    people: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
+    recognised: int | None = None
+    truth: dict[str, Any] = field(default_factory=dict)
+    loops: int | None = None
+    is_interrupted: bool = False
+    finished_at: datetime = field(default_factory=lambda: datetime.now(UTC))
+
+    @property
+    def has_arrived(self) -> bool:
+        """At all goals."""
+        return len(self.goals) == self.asked and all(one.result.has_arrived for one in self.goals)
+
+    @property
+    def contacts(self) -> tuple[str, ...]:
+        """What a simulated robot touched and when, each time, in words; empty of a real one, which nothing says."""
+        all_of = self.truth.get("contacts", ())
+        return tuple(f"{one['with']} at {one['stamp_s']:.1f} s" for one in all_of if one["by_the_robot"])
+
+    @property
+    def rests_on_start(self) -> bool:
+        """Whether nothing but what somebody said of the start tells where in the map it was."""
+        return self.config["known_map"]["start"] is not None and self.recognised == 0
+
+    @property
+    def begin_s(self) -> float:
+        """Stamp of the first period; 0 without any."""
+        return float(self.rows.stamps_s[0]) if len(self.rows) else 0.0
+
+    @property
+    def time_s(self) -> float:
+        """From the first period to the last."""
+        return float(self.rows.stamps_s[-1]) - self.begin_s if len(self.rows) else 0.0
+
+    @property
+    def periods(self) -> PeriodLengths:
+        """How regularly the robot was led: what is reckoned in a period may take longer than that."""
+        return PeriodLengths.of(self.rows.stamps_s, self.config["navigation"]["follow"]["period_s"])
+
+    @property
+    def way_m(self) -> float:
+        """Driven, by the wheels."""
+        return sum(one.result.way_m for one in self.goals)
+
+    @property
+    def planned_m(self) -> float:
+        """Of the first plan to each goal."""
+        return sum(one.result.planned_m for one in self.goals)
+
+
+# DriveRecorder: keeps of a drive what its record tells, while it goes on.
+
+
+_FILM_WIDTH_PX, _MOST_IMAGES = 240, 24
+# A stop that begins so soon after one for the same reason is the same stop.
+_SAME_STOP_S = 1.0
+_OUTLINE_STEP_M = 0.04
+
+
+@dataclass
+class _Rows:
+    """As `PeriodRows` has them, growing."""
+
+    stamps_s: list[float] = field(default_factory=list)
+    poses: list[FloatArray] = field(default_factory=list)
+    speeds: list[tuple[float, float]] = field(default_factory=list)
+    words: list[tuple[str, str, str, str]] = field(default_factory=list)
+
+
+class DriveRecorder:
+    """Told of each period and of each event.
+
+    Args:
+        footprint: of the robot.
+
+    Attributes:
+        plans: stamp and poses (N, 3) of each plan so far.
+        stops: so far.
+        clearance_m: the least so far.
+    """
+
+    def __init__(self, footprint: Footprint) -> None:
+        self._rows = _Rows()
+        self._footprint = footprint
+        self._people: list[tuple[float, float, float, float]] = []
+        self._way: list[tuple[float, FloatArray]] = []
+        self._film = _Film()
+        self._clearance = _Clearance(footprint)
+        self._plan: Plan | None = None
+        self.plans: list[tuple[float, FloatArray]] = []
+        self.stops: list[StopRecord] = []
+        self.clearance_m = np.inf
+
+    def hear(self, events: Sequence[Event]) -> None:
+        """What the robot's sensors said."""
+        for event in events:
+            if isinstance(event, RgbdFrame):
+                self._film.take(event)
+
+    def step(self, feedback: Feedback, senses: Senses) -> None:
+        """A period is over."""
+        pose = np.full(3, np.nan) if feedback.pose is None else feedback.pose
+        rows, monitor = self._rows, feedback.monitor
+        state = MonitorState.FREE if monitor is None else monitor.state
+        reason = "" if monitor is None or monitor.reason is None else str(monitor.reason)
+        rows.stamps_s.append(feedback.stamp_s)
+        rows.poses.append(pose)
+        rows.speeds.append((feedback.forward_m_s, feedback.turn_rad_s))
+        rows.words.append((str(feedback.state), str(feedback.status), str(state), reason))
+        if state is MonitorState.STOPPED:
+            self._stopped(feedback, reason)
+        if feedback.robot_stop:
+            self._stopped(feedback, f"the robot stopped by itself: {feedback.robot_stop}")
+        if feedback.plan is not None and feedback.plan is not self._plan:
+            self.plans.append((feedback.stamp_s, feedback.plan.poses))
+        self._plan = feedback.plan
+        self._keep_way(senses)
+        if feedback.pose is not None:
+            self._look_about(feedback.pose, feedback.stamp_s, senses)
+
+    @property
+    def people(self) -> FloatArray:
+        """As `DriveRecord` has them, so far."""
+        return np.array(self._people, float).reshape(-1, 4)
+
+    @property
+    def rows(self) -> PeriodRows:
+        """All so far."""
+        rows = self._rows
+        words = tuple(zip(*rows.words, strict=True)) or ((), (), (), ())
+        speeds = np.array(rows.speeds, float).reshape(-1, 2)
+        return PeriodRows(
+            np.array(rows.stamps_s, float),
+            np.array(rows.poses, float).reshape(-1, 3),
+            speeds[:, 0],
+            speeds[:, 1],
+            *words,
+        )
+
+    @property
+    def way(self) -> Trajectory:
+        """Of the base in the map, so far."""
+        stamps_s = np.array([stamp_s for stamp_s, _ in self._way], float)
+        poses = np.array([T for _, T in self._way], float).reshape(-1, 4, 4)
+        return Trajectory(stamps_s, poses, body="base", frame="map")
+
+    @property
+    def images(self) -> tuple[FilmImage, ...]:
+        """Some of those so far, evenly."""
+        return tuple(self._film.images)
+
+    def _stopped(self, feedback: Feedback, reason: str) -> None:
+        now_s, count = feedback.stamp_s, len(self.stops)
+        # One by the robot itself goes on beside those by the monitor, whose reasons follow each other.
+        for number in range(max(count - 3, 0), count):
+            last = self.stops[number]
+            if last.reason == reason and now_s - last.end_s < _SAME_STOP_S:
+                self.stops[number] = replace(last, end_s=now_s)
+                return
+        self.stops.append(StopRecord(now_s, now_s, reason, feedback.pose))
+
+    def _look_about(self, pose: FloatArray, stamp_s: float, senses: Senses) -> None:
+        """What and who is near."""
+        local = senses.local()
+        if local is not None:
+            self.clearance_m = min(self.clearance_m, self._clearance.of(local, pose))
+        outline = self._footprint.at(pose)
+        self._people += [_met(one, outline, stamp_s) for one in senses.people(stamp_s)]
+
+    def _keep_way(self, senses: Senses) -> None:
+        estimate = senses.where.estimate
+        if estimate is None or estimate.T_map_body is None:
+            return
+        if not self._way or estimate.stamp_s > self._way[-1][0]:
+            self._way.append((estimate.stamp_s, estimate.T_map_body))
+
+
+class _Film:
+    """So many images at most, evenly over the time so far."""
+
+    def __init__(self) -> None:
+        self.images: list[FilmImage] = []
+        self._every_s = 1.0
+
+    def take(self, frame: RgbdFrame) -> None:
+        if self.images and frame.stamp_s - self.images[-1].stamp_s < self._every_s:
+            return
+        height, width = frame.color.shape[:2]
+        size = (_FILM_WIDTH_PX, max(1, round(height * _FILM_WIDTH_PX / width)))
+        small = np.asarray(cv2.resize(frame.color, size, interpolation=cv2.INTER_AREA), np.uint8)
+        self.images.append(FilmImage(frame.stamp_s, small))
+        if len(self.images) > _MOST_IMAGES:
+            self.images = self.images[::2]
+            self._every_s *= 2
+
+
+class _Clearance:
+    """Distance of an outline from what is occupied; of one costmap it is made once."""
+
+    def __init__(self, footprint: Footprint) -> None:
+        self._outline = _points_on(footprint)
+        self._of: Costmap | None = None
+        self._distance_m: FloatArray = np.empty((0, 0))
+
+    def of(self, costmap: Costmap, pose: FloatArray) -> float:
+        """To the nearest edge of an occupied cell, less than a cell too long; infinite where none is."""
+        if costmap is not self._of:
+            occupied = costmap.state == CellState.OCCUPIED
+            self._of, self._distance_m = costmap, np.asarray(distances_m(occupied, costmap.resolution_m), float)
+            if not occupied.any():
+                self._distance_m = np.full(occupied.shape, np.inf)
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        cells = costmap.cells_at(self._outline @ np.array([[c, s], [-s, c]]) + pose[:2])
+        inside = ((cells >= 0) & (cells < self._distance_m.shape)).all(axis=1)
+        if not inside.any():
+            return np.inf
+        nearest_m = float(self._distance_m[tuple(cells[inside].T)].min())
+        return max(nearest_m - costmap.resolution_m / 2, 0.0)
+
+
+def _met(person: Person, outline: FloatArray, stamp_s: float) -> tuple[float, float, float, float]:
+    """Stamp, place, and how far his circle is from an outline (N, 2); 0 where they overlap."""
+    x, y = map(float, person.position)
+    inside_m = cv2.pointPolygonTest(outline.astype(np.float32), (x, y), measureDist=True)
+    return stamp_s, x, y, max(-inside_m - person.radius_m, 0.0)
+
+
+def _points_on(footprint: Footprint) -> FloatArray:
+    """(N, 2) along an outline."""
+    corners = footprint.corners
+    sides = []
+    for begin, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        count = max(int(np.ceil(np.hypot(*(end - begin)) / _OUTLINE_STEP_M)), 1)
+        sides.append(begin + (end - begin) * (np.arange(count) / count)[:, None])
+    return np.concatenate(sides)
+
+
+# The files that a drive leaves: what became of it as JSON, its way, and its settings.
+
+
+DRIVE_FILE, WAY_FILE, SETTINGS_FILE = "drive.json", "trajectory.txt", "config.yaml"
+_PLAN_STEP_M = 0.1
+
+
+def write_drive(record: DriveRecord, folder: StrPath) -> None:
+    """drive.json, trajectory.txt and config.yaml in a folder that is there. Raises OutputError."""
+    folder = Path(folder)
+    write_text(folder / SETTINGS_FILE, settings_text(record.config))
+    write_tum(record.way, folder / WAY_FILE)
+    write_text(folder / DRIVE_FILE, json.dumps(drive_dict(record), indent=2, allow_nan=False) + "\n")
+
+
+def drive_dict(record: DriveRecord) -> dict[str, Any]:
+    """The same as plain nested values, for JSON: what is not known is None."""
+    plans = [{"stamp_s": stamp_s, "poses": _poses(_thinned(poses))} for stamp_s, poses in record.plans]
+    transitions = [
+        {"stamp_s": one.stamp_s, "before": str(one.before), "after": str(one.after), "why": one.why}
+        for goal in record.goals
+        for one in goal.result.transitions
+    ]
+    return {
+        "wheelsight": __version__,
+        "finished_at": record.finished_at.isoformat(timespec="seconds"),
+        "map": record.map_name,
+        "robot": record.robot,
+        "has_arrived": record.has_arrived,
+        "interrupted": record.is_interrupted,
+        "goals_asked": record.asked,
+        "goals": [_goal(goal) for goal in record.goals],
+        "time_s": round(record.time_s, 3),
+        "way_m": round(record.way_m, 3),
+        "planned_m": round(record.planned_m, 3),
+        "clearance_m": _number(record.clearance_m),
+        "people": _people(record.people),
+        "periods": _periods(record.periods),
+        "stops": [_stop(stop) for stop in record.stops],
+        "transitions": transitions,
+        "plans": plans,
+        "recognised": record.recognised,
+        "truth": record.truth or None,
+        "loops": record.loops,
+        "navigation": record.config["navigation"],
+    }
+
+
+def _goal(goal: GoalRecord) -> dict[str, Any]:
+    result = goal.result
+    return {
+        "name": goal.name,
+        "goal": _pose(goal.goal),
+        "arrived": result.has_arrived,
+        "reason": None if result.reason is None else str(result.reason),
+        "detail": result.detail,
+        "goal_change": result.goal_change or None,
+        "end": None if goal.end is None else _pose(goal.end),
+        "off_m": _number(goal.off_m),
+        "off_deg": _number(goal.off_deg),
+        "time_s": round(result.time_s, 3),
+        "way_m": round(result.way_m, 3),
+        "planned_m": round(result.planned_m, 3),
+        "plans": result.plans,
+        "recoveries": result.recoveries,
+    }
+
+
+def _people(people: FloatArray) -> dict[str, Any] | None:
+    """When somebody was known to walk near the robot, and how near; None where nobody was."""
+    if not len(people):
+        return None
+    stamp_s, x_m, y_m, away_m = people[people[:, 3].argmin()].tolist()
+    nearest = {"stamp_s": _number(stamp_s), "x_m": _number(x_m), "y_m": _number(y_m), "away_m": _number(away_m)}
+    return {"periods": len(np.unique(people[:, 0])), "nearest": nearest}
+
+
+def _periods(periods: PeriodLengths) -> dict[str, Any]:
+    return {"count": periods.count, "late": periods.late, "longest_s": round(periods.longest_s, 3)}
+
+
+def _stop(stop: StopRecord) -> dict[str, Any]:
+    where = None if stop.pose is None else _pose(stop.pose)
+    return {"begin_s": stop.begin_s, "end_s": stop.end_s, "reason": stop.reason, "pose": where}
+
+
+def _pose(pose: FloatArray) -> dict[str, float | None]:
+    x_m, y_m, yaw = pose.tolist()
+    return {"x_m": _number(x_m), "y_m": _number(y_m), "yaw_deg": _number(math.degrees(yaw))}
+
+
+def _number(value: float) -> float | None:
+    return round(value, 4) if math.isfinite(value) else None
+
+
+def _poses(poses: FloatArray) -> list[list[float]]:
+    """x, y in metres and yaw in radians."""
+    return [[round(float(value), 3) for value in pose] for pose in poses]
+
+
+def _thinned(poses: FloatArray) -> FloatArray:
+    """Poses of a plan, so far apart, with its end and all turns in place."""
+    kept = [0]
+    for row in range(1, len(poses)):
+        way_m = float(np.hypot(*(poses[row] - poses[kept[-1]])[:2]))
+        turned = abs(wrap_angle(poses[row, 2] - poses[kept[-1], 2]))
+        if way_m >= _PLAN_STEP_M or turned >= 0.3 or row == len(poses) - 1:
+            kept.append(row)
+    return poses[kept]

@@ -1,0 +1,432 @@
+"""A drive to goals in a known map: robot, localization and navigator, put together and watched. Reads a recorded way
+that is to be driven again.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.app.run.drive_record import DriveRecord, DriveRecorder, GoalRecord
+from wheelsight.app.run.loops import CORRECTED_FILE
+from wheelsight.app.run.maps import open_known
+from wheelsight.app.run.runs import TRAJECTORY_FILE
+from wheelsight.config import Config
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import CalibrationError, ConfigError, MapError, TrajectoryError, WheelsightError
+from wheelsight.core.files import StrPath
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.messages import Event, VelocityCommand
+from wheelsight.core.robots import Robot
+from wheelsight.core.trajectory import Trajectory, read_tum
+from wheelsight.estimation import Localizer, LocalizerApart, LocalizerBeside, LocalizerInStep
+from wheelsight.estimation.localizer_workers import Make
+from wheelsight.io.recordings import express_for
+from wheelsight.mapping import OccupancyGrid
+from wheelsight.navigation import (
+    DepthViewer,
+    Feedback,
+    Footprint,
+    KnownFloor,
+    NavigationResult,
+    Navigator,
+    Planned,
+    Transition,
+    Worker,
+    WorkerBeside,
+    WorkerInStep,
+)
+from wheelsight.navigation.goals import words_of
+from wheelsight.navigation.localization import Localization
+from wheelsight.slam.maps import MAP_FOLDER, MapFolder, driven_way, find_map, occupancy_of
+from wheelsight.slam.maps.contents import edits_as_known
+
+# A drive to goals in a known map: a robot, its localization and its navigator, put together and watched.
+
+
+# How long a robot that was stopped is stepped on, until it stands.
+_STOPPING_S = 5.0
+# Folders of a run that follows several sensors.
+_TRACKS = ("joined", "dense", "features", "own")
+
+OnStep = Callable[[Feedback], None]
+OnEvents = Callable[[Sequence[Event]], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Goal:
+    """Where to: (3,) x, y, yaw in the map, a yaw of NaN is any heading; and what it is called."""
+
+    pose: FloatArray
+    name: str
+
+    @classmethod
+    def of(cls, pose: ArrayLike, name: str = "") -> Goal:
+        """Of x, y, yaw (3,), or of x and y (2,); called by its coordinates where it has no name."""
+        at = np.array([*np.asarray(pose, float).ravel(), np.nan][:3])
+        return cls(at, name or words_of(at))
+
+
+class Drive:
+    """One after another to goals in a map; all of it is kept for `record`. `drive_in_map` makes one.
+
+    Args:
+        robot: that the navigator leads.
+        navigator: of it.
+        grid: of the map, as it is by now.
+        map_name: of the map.
+
+    Attributes:
+        navigator: as it was given.
+    """
+
+    def __init__(
+        self,
+        robot: WatchedRobot,
+        navigator: Navigator,
+        grid: Callable[[], OccupancyGrid],
+        map_name: str,
+    ) -> None:
+        self.navigator, self._grid, self._map_name = navigator, grid, map_name
+        self._robot, self._recorder = robot, robot.recorder
+        self._goals: list[GoalRecord] = []
+        self._start: FloatArray | None = None
+
+    @property
+    def grid(self) -> OccupancyGrid:
+        """Of the map, as it is by now."""
+        return self._grid()
+
+    @property
+    def start(self) -> FloatArray | None:
+        """(3,) in the map where it first knew where it was; None before."""
+        return self._start
+
+    def refuse(self, goals: Sequence[Goal]) -> None:
+        """Raises MapError for the first of some goals at which the map itself has no room, and ArgumentError.
+
+        To be asked before the robot moves.
+        """
+        for goal in goals:
+            why = self.navigator.why_no_goal(goal.pose[:2] if np.isnan(goal.pose[2:]).any() else goal.pose)
+            if why:
+                raise MapError(f"{goal.name}: {why}", path=self._map_name, fix="map export --picture shows free floor")
+
+    def go_to(self, goal: Goal, on_step: OnStep) -> NavigationResult:
+        """Drive there and stand; `on_step` is called with each period's feedback, and may raise what ends it.
+
+        Raises what the robot raises, and ArgumentError for what is no goal.
+        """
+        pose = goal.pose[:2] if np.isnan(goal.pose[2:]).any() else goal.pose
+        return self._through(goal, lambda: self.navigator.go_to_pose(pose, goal.name), on_step)
+
+    def follow(self, way: ArrayLike, on_step: OnStep, name: str = "the end of a recorded way") -> NavigationResult:
+        """Drive along a way (N, 3) of x, y, yaw in the map, metres and radians, and stand at its end.
+
+        It begins wherever the robot is: that drives to the way first. `on_step` and what is raised are as of `go_to`.
+        """
+        poses = np.asarray(way, float)
+        # What is no way has no end; the navigator refuses it before anything moves.
+        end = poses[-1] if poses.ndim == 2 and len(poses) else np.full(3, np.nan)
+        return self._through(Goal(end, name), lambda: self.navigator.follow_way(way, name), on_step)
+
+    def explore(self, on_step: OnStep) -> NavigationResult:
+        """Look at all floor that can be reached, and stand. Raises what the robot raises."""
+        return self._through(Goal(np.full(3, np.nan), "explore"), self.navigator.explore, on_step)
+
+    def _through(self, goal: Goal, begin: Callable[[], None], on_step: OnStep) -> NavigationResult:
+        begin_s = self._robot.now_s
+        begin()
+        try:
+            return self.navigator.run(lambda feedback: self._step(feedback, on_step))
+        except BaseException:
+            # What went wrong is what whoever asked is to hear, and not what comes of it.
+            with suppress(WheelsightError):
+                self._stop()
+            raise
+        finally:
+            result, now = self.navigator.result, self.navigator.feedback
+            if result is not None:
+                self._goals.append(GoalRecord(goal.name, goal.pose, result, now.pose, begin_s, now.stamp_s))
+
+    def record(
+        self, asked: int, robot: str, config: Config, truth: dict[str, Any], is_interrupted: bool
+    ) -> DriveRecord:
+        """Everything so far.
+
+        Args:
+            asked: how many goals there were to be.
+            robot: in words.
+            config: all settings.
+            truth: what a simulator knows.
+            is_interrupted: whether somebody ended it.
+        """
+        kept = self._recorder
+        return DriveRecord(
+            map_name=self._map_name,
+            robot=robot,
+            goals=tuple(self._goals),
+            asked=asked,
+            rows=kept.rows,
+            way=kept.way,
+            plans=tuple(kept.plans),
+            stops=tuple(kept.stops),
+            clearance_m=kept.clearance_m,
+            images=kept.images,
+            people=kept.people,
+            recognised=self.navigator.senses.recognised,
+            grid=self._grid(),
+            footprint=config.navigation.footprint.outline,
+            config=config.to_dict(),
+            truth=truth,
+            is_interrupted=is_interrupted,
+        )
+
+    def _step(self, feedback: Feedback, on_step: OnStep) -> None:
+        self._recorder.step(feedback, self.navigator.senses)
+        if self._start is None and feedback.pose is not None:
+            self._start = feedback.pose
+        on_step(feedback)
+
+    def _stop(self) -> None:
+        """At once; then on until it stands."""
+        try:
+            self._robot.stop()
+        finally:
+            self.navigator.cancel_task()
+        follow, until_s = self.navigator.settings.follow, self._robot.now_s + _STOPPING_S
+        while self._robot.now_s < until_s:
+            feedback = self.navigator.step()
+            self._recorder.step(feedback, self.navigator.senses)
+            if follow.stands(feedback.forward_m_s, feedback.turn_rad_s):
+                return
+
+
+@contextmanager
+def drive_in_map(
+    robot: Robot,
+    config: Config,
+    *,
+    in_step: bool,
+    trusts_floor: bool = False,
+    on_keyframe: Callable[[int, int], None] = lambda done, total: None,
+    on_transition: Callable[[Transition], None] = lambda transition: None,
+    on_events: OnEvents = lambda events: None,
+) -> Iterator[Drive]:
+    """A drive that can begin.
+
+    Args:
+        robot: that is led; whoever opened it closes it.
+        config: with a known map.
+        in_step: whether localization and plans answer before the robot goes on, as for simulators; else beside it.
+        trusts_floor, on_transition: see `Navigator`.
+        on_keyframe: called with how many keyframes are read, and of how many.
+        on_events: called with what the robot's sensors said in each period.
+
+    Raises:
+        ConfigError: no known map is named.
+        MapError, CalibrationError, ArgumentError: as `open_known` and `Navigator`.
+    """
+    calibration, outline = robot.calibration, config.navigation.footprint.outline
+    watched = WatchedRobot(robot, DriveRecorder(outline), on_events)
+    how: dict[str, Any] = {"trusts_floor": trusts_floor, "on_transition": on_transition}
+    path = known_map_path(config)
+    with (
+        localization_of(known_localizer, calibration, config, in_step=in_step) as localization,
+        closing(MapFolder.open(path, settings=config.sessions)) as folder,
+        closing(planning_worker(config, in_step=in_step)) as planning,
+    ):
+        grid = occupancy_of(folder, on_keyframe=on_keyframe)
+        near_m = near_floor_m(calibration, config) if trusts_floor else 0.0
+        floor = _floor_of(folder, grid, outline, near_m)
+        navigator = Navigator(watched, localization, floor, config.navigation, planning=planning, **how)
+        yield Drive(watched, navigator, lambda: grid, _name_of(folder))
+
+
+def planning_worker(config: Config, *, in_step: bool) -> Worker[Planned]:
+    """What makes a robot's plans; closed by whoever asks for it."""
+    return WorkerInStep(config.navigation.navigator.planning_s) if in_step else WorkerBeside("planning")
+
+
+def near_floor_m(calibration: Calibration, config: Config) -> float:
+    """From the axle, the nearest floor that the camera sees."""
+    s = config.navigation
+    return DepthViewer(calibration, s.footprint.outline, s.view, s.live).near_m
+
+
+def _floor_of(folder: MapFolder, grid: OccupancyGrid, footprint: Footprint, trusted_m: float) -> KnownFloor:
+    """With edits, where the robot of the map drove, and where this one does."""
+    poses, driven = folder.store.T_map_keyframe, driven_way(folder)
+    return KnownFloor(grid, edits_as_known(folder), poses, driven, footprint, trusted_m)
+
+
+def _name_of(folder: MapFolder) -> str:
+    """That of its run's folder, where it lies in one."""
+    path = folder.path.resolve()
+    if path.name == MAP_FOLDER:
+        path = path.parent
+        path = path.parent if path.name in _TRACKS else path
+    return path.name or str(path)
+
+
+class WatchedRobot:
+    """A `Robot` whose events a recorder hears, too, and whoever else asks for them.
+
+    Attributes:
+        recorder: as it was given.
+    """
+
+    def __init__(self, robot: Robot, recorder: DriveRecorder, on_events: OnEvents = lambda events: None) -> None:
+        self._robot, self.recorder, self._on_events = robot, recorder, on_events
+
+    @property
+    def calibration(self) -> Calibration:
+        """As `Robot` has it."""
+        return self._robot.calibration
+
+    @property
+    def stop_reason(self) -> str:
+        """As `Robot` has it."""
+        return self._robot.stop_reason
+
+    @property
+    def now_s(self) -> float:
+        """As `Robot` has it."""
+        return self._robot.now_s
+
+    def step(self, command: VelocityCommand) -> list[Event]:
+        """As `Robot` has it."""
+        events = self._robot.step(command)
+        self.recorder.hear(events)
+        self._on_events(events)
+        return events
+
+    def stop(self) -> None:
+        """As `Robot` has it."""
+        self._robot.stop()
+
+    def close(self) -> None:
+        """As `Robot` has it."""
+        self._robot.close()
+
+    def __enter__(self) -> WatchedRobot:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+# What answers where a robot that is led is: in step with a simulator, or in a process of its own beside a robot.
+
+
+@contextmanager
+def localization_of(
+    make: Make, *arguments: Any, in_step: bool, tells_keyframes: bool = False
+) -> Iterator[Localization]:
+    """Ready to answer; what was made is closed at the end.
+
+    Args:
+        make: of what answers; called with the arguments and `waits`. See `LocalizerApart`.
+        arguments: of it.
+        in_step: whether it answers before the robot goes on.
+        tells_keyframes: see `LocalizerApart`.
+
+    Raises what `make` raises, and DeviceError where the process that localizes dies.
+    """
+    if in_step:
+        with make(*arguments, waits=True) as answering:
+            yield LocalizerInStep(answering)
+        return
+    apart = LocalizerApart(make, *arguments, tells_keyframes=tells_keyframes)
+    with closing(LocalizerBeside(apart)) as beside:
+        yield beside
+
+
+def known_map_path(config: Config) -> Path:
+    """The folder of the map that settings name. Raises ConfigError where they name none, and MapError for no map."""
+    if config.known_map.path is None:
+        raise ConfigError("there is no map to drive in", fix="--map DIR, of a run with --map surfels")
+    return find_map(config.known_map.path)
+
+
+@contextmanager
+def known_localizer(calibration: Calibration, config: Config, *, waits: bool = False) -> Iterator[Localizer]:
+    """Of the map of before that settings name. Raises as `open_known`, and ConfigError where they name none."""
+    known_map_path(config)
+    opened = open_known(calibration, config)
+    assert opened is not None
+    known, folder = opened
+    with closing(folder), closing(Localizer(calibration, config, known=known, waits=waits)) as localizer:
+        yield localizer
+
+
+# A way that a robot is to drive along again: read from a trajectory that wheelsight wrote.
+
+
+_log = logging.getLogger(__name__)
+
+# Where a run has its trajectory, and first the file that knows more: loops have corrected it.
+_RECORDED_WAYS_TRACKS = ("", "joined", "dense", "features", "own")
+_FILES = (CORRECTED_FILE, TRAJECTORY_FILE)
+# A base that is tipped farther drives on no floor: the poses are of a camera, or of another frame.
+_MOST_TIPPED_DEG = 30.0
+
+
+def read_way(path: StrPath, calibration: Calibration, warn: Callable[[str], None] = _log.warning) -> FloatArray:
+    """(N, 3) x, y, yaw of the base in the map, metres and radians, in the order driven.
+
+    Args:
+        path: TUM text, such as the trajectory.txt of a run or of a drive; or the folder of one of these. Of a file
+            whose header names no frames, poses are taken to be of the base in the map.
+        calibration: of the robot; where the poses are of its camera, they are told for its base.
+        warn: told in a sentence what was left out.
+
+    Raises:
+        TrajectoryError: no such file, no poses, a value that is not finite (with its line), poses in another frame
+            than the map, or of a base that is tipped over.
+        CalibrationError: the poses are of the camera, and the calibration does not say where that sits.
+    """
+    file = _file_of(Path(path))
+    found = read_tum(file, "base", warn)
+    if found.frame != "map":
+        problem = f"the field frames says that its poses are in {found.frame}, not in the map"
+        raise TrajectoryError(problem, path=file, fix=f"give {TRAJECTORY_FILE} or {CORRECTED_FILE} of a run in the map")
+    try:
+        of_base = express_for("base", found, calibration)
+    except CalibrationError as error:
+        problem = f"its poses are of the {found.body}, and the map's calibration has no T_base_camera"
+        raise CalibrationError(problem, path=file, fix="give a way of the base, as wheelsight drive writes") from error
+    _refuse_tipped(of_base, file)
+    T = of_base.T_frame_body
+    return np.column_stack([T[:, :2, 3], np.arctan2(T[:, 1, 0], T[:, 0, 0])])
+
+
+def _file_of(path: Path) -> Path:
+    """The file itself, or that in the folder of a run. Raises TrajectoryError for a folder without any."""
+    if not os.path.isdir(path):  # noqa: PTH112 (a name that is too long is none)
+        return path
+    within = [path / track / name for track in _RECORDED_WAYS_TRACKS for name in _FILES]
+    found = next((file for file in within if file.is_file()), None)
+    if found is None:
+        problem = f"the folder holds neither {TRAJECTORY_FILE} nor {CORRECTED_FILE}"
+        raise TrajectoryError(problem, path=path, fix="give a trajectory, or the folder of a run or a drive")
+    return found
+
+
+def _refuse_tipped(way: Trajectory, path: Path) -> None:
+    """Raises TrajectoryError naming the first pose whose base does not stand upright in the map."""
+    tipped_deg = np.degrees(np.arccos(np.clip(way.T_frame_body[:, 2, 2], -1.0, 1.0)))
+    for bad in np.flatnonzero(tipped_deg > _MOST_TIPPED_DEG):
+        problem = f"the quaternion at stamp {way.stamps_s[bad]:.6f} tips the base by {tipped_deg[bad]:.0f}°"
+        raise TrajectoryError(problem, path=path, fix="give poses of the base in the map, whose z points up")

@@ -1,0 +1,178 @@
+"""Loops of a run: closed by the localizer on the way; or matches from outside, judged once it is over."""
+
+from __future__ import annotations
+
+import csv
+import io
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wheelsight.config import Config
+from wheelsight.core.errors import ArgumentError, ConfigError
+from wheelsight.core.messages import Match, SpeedVariances
+from wheelsight.core.robots import EventSource
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.estimation import Localizer
+from wheelsight.evaluation import Evaluation
+from wheelsight.io.recordings import MATCHES_FILE, GivesMatches, Recording, matches_of, read_matches
+from wheelsight.slam.loop_closing import Correction, correct, corrected_by
+from wheelsight.slam.settings import FROM_KEYFRAMES, FROM_MATCHES, FROM_NOWHERE, LoopSettings
+from wheelsight.wheels import WheelOdometry
+
+_CHOICES = f"{FROM_KEYFRAMES}, {FROM_MATCHES}, {FROM_NOWHERE}"
+CORRECTED_FILE, JUDGED_FILE = "trajectory_corrected.txt", "loops_judged.csv"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchesOfRun:
+    """What a run has to judge.
+
+    Attributes:
+        matches: as read.
+        stated: what the recording states of its wheel odometry's errors, or None.
+        warnings: of the files.
+        settings: see `LoopSettings`.
+        are_seen: whether the localizer itself closes loops, and there are no matches to judge.
+    """
+
+    matches: tuple[Match, ...]
+    stated: SpeedVariances | None
+    warnings: tuple[str, ...]
+    settings: LoopSettings
+    are_seen: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrectionRecord:
+    """What matches made of one track.
+
+    Attributes:
+        found: the corrected trajectory, and how matches were judged.
+        stamps_s: (K,) of the keyframes of this drive.
+        matches: how many there were.
+        seconds: that it took.
+        evaluation: of the corrected trajectory, or None without truth.
+        refused: how many keyframes that looked alike were no place seen again, by reason.
+        unseen: keyframes that there was no time to compare.
+        is_joined: whether it is known where the drive's end lies in its own map.
+    """
+
+    found: Correction
+    stamps_s: Any
+    matches: int
+    seconds: float
+    evaluation: Evaluation | None
+    refused: Mapping[str, int] = field(default_factory=dict)
+    unseen: int = 0
+    is_joined: bool = True
+
+    def to_dict(self) -> dict[str, Any]:
+        """For metrics.json."""
+        loops = self.found.loops
+        return {
+            "matches": self.matches,
+            "kept": len(loops.kept),
+            "refused": len(loops.refused),
+            "refused_by": loops.refusals,
+            "not_judged": dict(self.found.unused),
+            "not_verified": dict(self.refused),
+            "not_compared": self.unseen,
+            "joined": self.is_joined,
+            "reviews": loops.reviews,
+            "overturned": loops.overturned,
+            "keyframes": len(self.found.rows),
+            "seconds": self.seconds,
+            "evaluation": None if self.evaluation is None else self.evaluation.to_dict(),
+        }
+
+    @property
+    def sentence(self) -> str:
+        """What became of the matches."""
+        loops = self.found.loops
+        unused = "".join(f", {count:,} not judged ({why})" for why, count in self.found.unused.items())
+        unused += f", {self.unseen:,} keyframes not compared for want of time" if self.unseen else ""
+        return f"{self.matches:,} matches: {len(loops.kept):,} kept, {len(loops.refused):,} refused{unused}"
+
+
+def matches_of_run(source: EventSource, config: Config) -> MatchesOfRun | None:
+    """The matches that a run is to judge, or None. Raises ConfigError where there are none, RecordingError."""
+    asked = config.loops.source
+    if asked == FROM_NOWHERE:
+        return None
+    stated = source.speed_variances if isinstance(source, GivesMatches) else None
+    if asked == FROM_KEYFRAMES:
+        return _of_keyframes(config)
+    if asked != FROM_MATCHES:
+        if not Path(asked).exists():
+            raise ConfigError(f"--loops {asked}: there is no such file", fix=f"{_CHOICES}, or a file that is there")
+        matches, warnings = read_matches(Path(asked))
+    elif isinstance(source, Recording):
+        matches, warnings = matches_of(source)
+    else:
+        raise ConfigError("a live source has no matches", fix="--loops FILE, or none")
+    if not matches:
+        raise ConfigError("the recording has no matches", fix=f"write {MATCHES_FILE} into its folder, or no --loops")
+    return MatchesOfRun(tuple(matches), stated, tuple(warnings), config.loops)
+
+
+def _of_keyframes(config: Config) -> MatchesOfRun:
+    """What is judged once the run is over. Raises ConfigError where no camera is followed."""
+    if set(config.odometry) <= {"wheels"}:
+        raise ConfigError("--loops keyframes needs a camera", fix="--odometry dense, or --loops matches")
+    return MatchesOfRun((), None, (), config.loops, are_seen=True)
+
+
+def correction_of(
+    given: MatchesOfRun, localizer: Localizer, lived: Trajectory, judge: Callable[[Trajectory], Evaluation | None]
+) -> tuple[CorrectionRecord | None, tuple[str, ...]]:
+    """What loops make of a track's trajectory, or None; and warnings."""
+    if not given.are_seen:
+        return _by_matches(given, lived, isinstance(localizer.odometry, WheelOdometry), judge)
+    if localizer.loops is None:
+        return None, ()
+    started = time.perf_counter()
+    closed = localizer.loops.finish()
+    if not (len(lived) and len(closed.stamps_s)):
+        return None, ("Loops were not closed: no keyframe has a pose.",)
+    if closed.known and not closed.is_in_map.any():
+        return None, ()
+    found = corrected_by(closed, lived)
+    seconds, count = time.perf_counter() - started, len(closed.loops.judged)
+    judged = judge(found.corrected), closed.refused, closed.unseen, bool(closed.known) or closed.is_joined
+    return CorrectionRecord(found, closed.stamps_s, count, seconds, *judged), ()
+
+
+def _by_matches(
+    given: MatchesOfRun, lived: Trajectory, is_wheels: bool, judge: Callable[[Trajectory], Evaluation | None]
+) -> tuple[CorrectionRecord | None, tuple[str, ...]]:
+    """Likewise, of matches from outside."""
+    started = time.perf_counter()
+    try:
+        found = correct(lived, given.matches, given.settings, stated=given.stated if is_wheels else None)
+    except ArgumentError as error:
+        return None, (*given.warnings, f"Loops were not closed: {error}.")
+    seconds = time.perf_counter() - started
+    record = CorrectionRecord(found, lived.stamps_s[found.rows], len(given.matches), seconds, judge(found.corrected))
+    return record, given.warnings
+
+
+def judged_csv(record: CorrectionRecord) -> str:
+    """A row for each match that was judged; a keyframe of a known map has a number and no stamp."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["stamp_a_s", "stamp_b_s", "kept", "chi2", "limit", "cluster", "keyframe_a", "keyframe_b"])
+    first_new = len(record.found.T_map_keyframe) - len(record.stamps_s)
+    for one in record.found.loops.judged:
+        ends = (one.loop.first, one.loop.second)
+        stamps = (_stamp(record, number - first_new) for number in ends)
+        rows.writerow([*stamps, int(one.is_kept), f"{one.chi2:.3f}", f"{one.limit:.3f}", one.cluster, *ends])
+    return text.getvalue()
+
+
+def _stamp(record: CorrectionRecord, row: int) -> str:
+    return "" if row < 0 else np.format_float_positional(record.stamps_s[row], min_digits=6)

@@ -1,0 +1,175 @@
+"""What a run with places needs beforehand, and what it comes to: model, areas and start; errors in the map."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wheelsight.app.run.run_record import Look, MapErrors, RectificationRecord
+from wheelsight.app.run.run_source import frame_count_of, path_of, where
+from wheelsight.config import Config
+from wheelsight.core.errors import CalibrationError, ConfigError, PlaceError
+from wheelsight.core.geometry import FloatArray, PinholeCamera, se3
+from wheelsight.core.messages import WheelReading
+from wheelsight.core.robots import EventSource
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.estimation import Places, load_places
+from wheelsight.io.recordings import Recording, express_for
+from wheelsight.places import PlaceModel, labels_on_the_way
+
+_MAX_GAP_S = 0.5  # true poses further apart tell nothing of the time between them
+_AREAS = "areas.yaml"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacesOfRun:
+    """What rectifies the wheels of a run, in a sentence how the start is known, and whether only by the truth."""
+
+    places: Places
+    start: str
+    is_start_true: bool
+
+
+def places_of(source: EventSource, config: Config) -> PlacesOfRun | None:
+    """Model, areas and start of a run whose configuration names a model; None of any other.
+
+    Raises:
+        ConfigError: the recording has no images, no areas are found, or no start is known.
+        AreaError, PlaceError: a file that is none, a model of other areas or of images of another size.
+    """
+    settings = config.places
+    if settings.model is None:
+        return None
+    if frame_count_of(source) == 0:
+        raise ConfigError(f"{where(source)}: the recording has no images that could show places", fix="no --places")
+    areas = _areas_file(source, settings.areas)
+    if settings.start is not None:
+        places = load_places(settings, areas)
+        sentence = "The start is the one that was given"
+    else:
+        T_odom_base, begin_s = _true_start(source)
+        places = load_places(settings, areas, T_odom_base, begin_s)
+        sentence = "The start was taken from the ground truth, which a robot on its own does not have"
+    _check_size(places.model, source)
+    x_m, y_m = places.T_odom_base[:2, 3].round(2) + 0.0  # no minus before a zero
+    yaw_deg = np.degrees(np.arctan2(places.T_odom_base[1, 0], places.T_odom_base[0, 0])).round(1) + 0.0
+    told = f"{sentence}: x {x_m:.2f} m, y {y_m:.2f} m, yaw {yaw_deg:.1f}°."
+    return PlacesOfRun(places, told, settings.start is None)
+
+
+def _areas_file(source: EventSource, given: str | None) -> Path:
+    """The file of areas: as given, or beside the recording. Raises ConfigError."""
+    if given is not None:
+        return Path(given)
+    folder = path_of(source)
+    if folder is None or not (folder / _AREAS).exists():
+        raise ConfigError(f"{where(source)}: the recording has no {_AREAS}", fix="give --areas FILE")
+    return folder / _AREAS
+
+
+def rectification_of(
+    run: PlacesOfRun,
+    way: str,
+    looks: tuple[Look, ...],
+    wheels: Trajectory,
+    rectified: Trajectory,
+    truth: Trajectory | None,
+) -> RectificationRecord:
+    """What areas did to the wheels on a run that is over.
+
+    Args:
+        run: from `places_of`.
+        way: "probabilistic" or "paper".
+        looks: one for each frame.
+        wheels: T_odom_base of the wheels alone.
+        rectified: T_odom_base.
+        truth: T_odom_base, or None.
+    """
+    in_map = _from_start(wheels, run.places)
+    stamps_s = np.array([look.stamp_s for look in looks], float)
+    areas = run.places.areas
+    record = RectificationRecord(way, areas, looks, in_map, run.start)
+    if truth is None or not len(truth) or not len(stamps_s):
+        return record
+    true_areas = labels_on_the_way(areas, truth, stamps_s, _MAX_GAP_S)
+    errors = _map_errors(in_map, rectified, truth, stamps_s)
+    return RectificationRecord(way, areas, looks, in_map, run.start, true_areas, errors)
+
+
+def looks_csv(record: RectificationRecord) -> str:
+    """Looks as text: stamp_s, area (empty: unknown), what the model and the filter hold probable, trust, note.
+
+    `wheelsight.places.read_labels` reads its first two columns.
+    """
+    names = record.areas.names
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["stamp_s", "area", *(f"p({n})" for n in names), *(f"belief({n})" for n in names), "trust", "note"])
+    empty = ("",) * len(names)
+    for look in record.looks:
+        told = [empty if p is None else [f"{x:.4f}" for x in p] for p in (look.probabilities, look.belief)]
+        trust = f"{look.trust:.4f}" if np.isfinite(look.trust) else ""
+        stamp = np.format_float_positional(look.stamp_s, min_digits=6)
+        rows.writerow([stamp, names[look.named] if look.named >= 0 else "", *told[0], *told[1], trust, look.note])
+    return text.getvalue()
+
+
+def _true_start(source: EventSource) -> tuple[FloatArray, float]:
+    """Where the base truly is, in the plane, and when: at the first reading, or where the truth begins later."""
+    fix = "give --start X,Y,YAW_DEG"
+    if not isinstance(source, Recording) or source.ground_truth is None or not len(source.ground_truth):
+        raise ConfigError(f"{where(source)}: where the robot starts is not known: no ground truth", fix=fix)
+    try:
+        truth = express_for("base", source.ground_truth, source.calibration)
+    except CalibrationError as error:
+        raise ConfigError(f"{where(source)}: where the robot starts is not known: {error.problem}", fix=fix) from error
+    delay_s = 0.0 if (wheels := source.calibration.any_wheels) is None else wheels.delay_s
+    stamps_s = (e.stamp_s - delay_s for e in source.events(images=False) if isinstance(e, WheelReading))
+    begin_s = max(next(stamps_s, -np.inf), float(truth.stamps_s[0]))
+    T = truth.at([begin_s], _MAX_GAP_S)[0]
+    if not np.isfinite(T).all():
+        problem = f"{where(source)}: where the robot starts is not known: no ground truth at {begin_s:.3f} s"
+        raise ConfigError(problem, fix=fix)
+    return se3.from_plane(T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])), begin_s
+
+
+def _check_size(model: PlaceModel, source: EventSource) -> None:
+    color = source.calibration.color
+    if model.frame_size is None or color is None:
+        return
+    depth = source.calibration.depth or color
+
+    def words(first: PinholeCamera | tuple[int, int], second: PinholeCamera | tuple[int, int]) -> str:
+        (h, w), (dh, dw) = (c if isinstance(c, tuple) else (c.height, c.width) for c in (first, second))
+        return f"{w}x{h} with depth {dw}x{dh}"
+
+    wanted = words(model.frame_size[:2], model.frame_size[2:])
+    if words(color, depth) != wanted:
+        problem = f"{where(source)}: images are {words(color, depth)}; the model was trained on {wanted}"
+        raise PlaceError(problem, fix="use one camera at one resolution, or train a model for this one")
+
+
+def _from_start(wheels: Trajectory, places: Places) -> Trajectory:
+    """The wheels alone, led on from the start that the rectified path has."""
+    later = wheels.between(places.begin_s, np.inf)
+    if not len(later):
+        return Trajectory(later.stamps_s, later.T_frame_body, None, "base", "map")
+    moved = later.moved(places.T_odom_base @ se3.invert(later.T_frame_body[0]))
+    return Trajectory(moved.stamps_s, moved.T_frame_body, moved.covariances, "base", "map")
+
+
+def _map_errors(wheels: Trajectory, rectified: Trajectory, truth: Trajectory, stamps_s: FloatArray) -> MapErrors | None:
+    paths = [_xy_at(path, stamps_s) for path in (truth, wheels, rectified)]
+    known = np.isfinite(np.concatenate(paths, axis=1)).all(axis=1)
+    if not known.any():
+        return None
+    true_xy, *others = (xy[known] for xy in paths)
+    return MapErrors(stamps_s[known], *(np.hypot(*(xy - true_xy).T) for xy in others))
+
+
+def _xy_at(path: Trajectory, stamps_s: FloatArray) -> FloatArray:
+    return path.at(stamps_s, _MAX_GAP_S)[:, :2, 3] if len(path) else np.full((len(stamps_s), 2), np.nan)

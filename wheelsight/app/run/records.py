@@ -1,0 +1,374 @@
+"""What a track comes to once it is over: its trajectory, compared with the truth. The map folder for the next drive
+is written here, too.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wheelsight.app.run.kernels import InRealTime
+from wheelsight.app.run.loops import MatchesOfRun, correction_of
+from wheelsight.app.run.maps import map_record_of
+from wheelsight.app.run.places import PlacesOfRun, rectification_of
+from wheelsight.app.run.run_record import KeptMapRecord, KnownMapRecord, MapRecord, RunRecord
+from wheelsight.app.run.run_source import format_of
+from wheelsight.app.run.track import UNITS, Passage, Track, has_map
+from wheelsight.config import Config
+from wheelsight.core.errors import CalibrationError, EvaluationError
+from wheelsight.core.geometry import se3
+from wheelsight.core.robots import EventSource
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.evaluation import Evaluation, evaluate
+from wheelsight.io.recordings import Recording, express_for
+from wheelsight.io.recordings.recording import TellsWheelFaults, left_out_of
+from wheelsight.slam.loop_closing import ClosedLoops
+from wheelsight.slam.maps import DRIVE, MAP_FOLDER, MapFolder, MapWriter, discard_map
+from wheelsight.slam.maps.folder import SURFELS_FILE
+
+# What a track comes to once it is over: its trajectory, compared with the truth.
+
+
+def records_of(
+    passage: Passage,
+    source: EventSource,
+    config: Config,
+    places: PlacesOfRun | None,
+    matches: MatchesOfRun | None = None,
+) -> tuple[RunRecord, ...]:
+    """The record of each track of a pass that is over."""
+    for track in passage.tracks:
+        if track.localizer.loops is not None and not passage.is_torn:
+            track.localizer.loops.finish()  # first: keyframes, and all that hangs on them, move once more
+    records = {track.odometry: _record_of(track, passage, source, config) for track in passage.tracks}
+    if matches is not None:
+        for track in passage.tracks:
+            records[track.odometry] = _with_correction(records[track.odometry], track, config, matches)
+    if places is not None:
+        records["rectified"] = _with_rectification(records["rectified"], records["wheels"], passage, config, places)
+    return tuple(records.values())
+
+
+def _with_rectification(
+    record: RunRecord, wheels: RunRecord, passage: Passage, config: Config, places: PlacesOfRun
+) -> RunRecord:
+    (track,) = (track for track in passage.tracks if track.odometry == "rectified")
+    way = config.places.rectify or ""
+    looks = tuple(sorted(track.looks, key=lambda look: look.stamp_s))
+    found = rectification_of(places, way, looks, wheels.estimate, record.estimate, record.ground_truth)
+    warnings = (places.start, *record.warnings) if places.is_start_true else record.warnings
+    return replace(record, rectification=found, warnings=warnings)
+
+
+def _with_correction(record: RunRecord, track: Track, config: Config, matches: MatchesOfRun) -> RunRecord:
+    def judge(corrected: Trajectory) -> Evaluation | None:
+        truth = record.ground_truth
+        return None if truth is None else _compare(corrected, truth, config, track)[0]
+
+    correction, warnings = correction_of(matches, track.localizer, record.estimate, judge)
+    return replace(record, correction=correction, warnings=(*record.warnings, *warnings))
+
+
+def _record_of(track: Track, passage: Passage, source: EventSource, config: Config) -> RunRecord:
+    estimate = track.poses.trajectory(track.localizer.body, track.localizer.frame)
+    truth, problem = _truth(source, track.localizer.body)
+    evaluation = None
+    if truth is not None:
+        evaluation, problem = _compare(estimate, truth, config, track)
+    surfels, kept = _maps(track, passage, source, config)
+    return RunRecord(
+        recording=source.name,
+        format=format_of(source),
+        frames=tuple(track.frames),
+        estimate=estimate,
+        odom=track.poses.odom(track.localizer.body),
+        ground_truth=truth,
+        evaluation=evaluation,
+        association=source.association if isinstance(source, Recording) else None,
+        warnings=(
+            *source.warnings,
+            *passage.unused,
+            *track.localizer.warnings,
+            *_interruption(track, passage),
+            *_repeats(track),
+            *(() if evaluation is None else evaluation.warnings),
+            *_map_warnings(track, passage, config),
+            *(() if kept is None else kept.warnings),
+        ),
+        evaluation_problem=problem,
+        pictures=tuple(track.photographer.pictures),
+        stage_seconds={stage: float(np.median(spent)) for stage, spent in track.stage_seconds.items()},
+        config=config.to_dict(),
+        peak_memory_mb=_peak_memory_mb(),
+        unit=UNITS[track.odometry],
+        odometry=track.odometry,
+        map=surfels,
+        kept_map=kept,
+        realtime=source.report() if isinstance(source, InRealTime) else None,
+        faults=(*_wheel_faults(source, track), *track.localizer.warnings),
+        known_map=_known_map(track, passage, config),
+        is_interrupted=passage.interruption is not None,
+        left_out=left_out_of(source.warnings),
+    )
+
+
+def _known_map(track: Track, passage: Passage, config: Config) -> KnownMapRecord | None:
+    """Whether and where it found itself in the map of an earlier drive; None where it was not to."""
+    localizer, given = track.localizer, config.known_map
+    if localizer.recognised is None or localizer.loops is None or given.path is None or passage.is_torn:
+        return None
+    closed = localizer.loops.finish()
+    kept = sum(loop.first < closed.known <= loop.second for loop in closed.loops.kept)
+    record = KnownMapRecord(
+        given.path,
+        views=max(localizer.recognised, kept),
+        keyframes=len(closed.is_in_map),
+        keyframes_placed=int(np.count_nonzero(closed.is_in_map)),
+        has_start=given.start is not None,
+    )
+    found = track.found
+    if found is None or found.T_odom_body is None or not track.frames:
+        return record
+    T_odom_map = np.eye(4) if found.T_map_odom is None else found.T_map_odom
+    T, C = T_odom_map @ found.T_odom_body, found.covariance_map
+    x_m, y_m, z_m = T[:3, 3].tolist()
+    sigma_m = sigma_rad = None
+    if C is not None:
+        blocks = se3.position_covariance(T, C), C[3:, 3:]
+        sigma_m, sigma_rad = (float(np.sqrt(max(np.linalg.eigvalsh(block)[-1], 0.0))) for block in blocks)
+    return replace(
+        record,
+        after_s=max(float(found.stamp_s - track.frames[0].stamp_s), 0.0),
+        x_m=x_m,
+        y_m=y_m,
+        z_m=z_m,
+        yaw_rad=float(np.arctan2(T[1, 0], T[0, 0])) if localizer.body == "base" else None,
+        sigma_m=sigma_m,
+        sigma_rad=sigma_rad,
+    )
+
+
+def _maps(
+    track: Track, passage: Passage, source: EventSource, config: Config
+) -> tuple[MapRecord | None, KeptMapRecord | None]:
+    """Of its surfels, and of what the next drive finds."""
+    surfels = _map(track, passage, source, config)
+    kept = finish_map(track, passage)  # after the map was laid where the trajectory has it
+    at = kept_surfels(track)
+    if surfels is not None and at is not None:
+        surfels = replace(surfels, file=f"{at.parent.name}/{at.name}")
+    return surfels, kept
+
+
+def _map(track: Track, passage: Passage, source: EventSource, config: Config) -> MapRecord | None:
+    if track.localizer.map is None or passage.is_torn:
+        return None
+    track.localizer.map.settle()
+    if track.localizer.loops is None:
+        track.stops.lay(track.localizer.map)
+    else:
+        track.stops.follow(track.localizer.loops.finish())
+    way = (track.stops.found, np.array(track.stops.T_map_body, float).reshape(-1, 4, 4))
+    return map_record_of(track.localizer.map, *way, source.calibration, config.report.cloud_points)
+
+
+def _map_warnings(track: Track, passage: Passage, config: Config) -> tuple[str, ...]:
+    """That the map is not all of what was seen, or that there is none."""
+    surfel_map = track.localizer.map
+    if surfel_map is None:
+        return ()
+    if passage.is_torn:
+        return ("The map was not kept: it was broken off in the middle of a frame.",)
+    if not surfel_map.dropped:
+        return ()
+    return (
+        f"The map had no room for all that was seen: {surfel_map.dropped:,} surfels were given up, the least useful "
+        f"first. surfels.max_surfels is {config.surfels.max_surfels:,}.",
+    )
+
+
+def _interruption(track: Track, passage: Passage) -> tuple[str, ...]:
+    """A warning where the pass did not reach the end."""
+    if passage.interruption is None:
+        return ()
+    why = "by the user" if isinstance(passage.interruption, KeyboardInterrupt) else f"by {passage.interruption}"
+    of_all = f" of {track.listed}" if track.listed else ""  # nobody knows how many a live source will give
+    return (f"Interrupted {why} after {len(track.frames)}{of_all} {UNITS[track.odometry]}s.",)
+
+
+def _repeats(track: Track) -> tuple[str, ...]:
+    """A warning where images came more than once."""
+    count = sum(frame.is_repeat for frame in track.frames)
+    if not count:
+        return ()
+    repeats = f"{count} of {len(track.frames)} listed frames show the same image as the frame before and were skipped"
+    return (f"{repeats}: fewer images a second were taken than were recorded.",)
+
+
+def _wheel_faults(source: EventSource, track: Track) -> tuple[str, ...]:
+    """What the recording knows to be wrong with poses by its wheels, where these were followed."""
+    if "wheels" not in track.odometry or not isinstance(source, TellsWheelFaults):
+        return ()
+    return tuple(source.wheel_faults)
+
+
+def _truth(source: EventSource, body: str) -> tuple[Trajectory | None, str | None]:
+    """The ground truth of the body that was followed, or why there is none."""
+    if not isinstance(source, Recording) or source.ground_truth is None:
+        kind = "recording" if isinstance(source, Recording) else "live source"
+        return None, f"the {kind} has no ground truth"
+    try:
+        return express_for(body, source.ground_truth, source.calibration), None
+    except CalibrationError as error:
+        return None, f"ground truth: {error}"
+
+
+def _compare(
+    estimate: Trajectory, truth: Trajectory, config: Config, track: Track
+) -> tuple[Evaluation | None, str | None]:
+    """The evaluation, or why there is none."""
+    frames = [frame for frame in track.frames if not frame.is_repeat]
+    if not frames:
+        return None, "no frames are listed, so no share of them can have a pose"
+    share = sum(frame.has_pose for frame in frames) / len(frames)
+    try:
+        found = evaluate(estimate, truth, **config.evaluation.model_dump())
+    except EvaluationError as error:
+        return None, str(error)
+    return replace(found, frames_with_pose=share), None
+
+
+def _peak_memory_mb() -> float | None:
+    """Of this process so far; None where the system does not tell."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1e6 if sys.platform == "darwin" else 1e6 / 1024)
+
+
+# The map folders that a run leaves, for the next drive: begun, written while driving, and finished.
+
+
+@contextmanager
+def keeping_maps(
+    tracks: Sequence[Track], source: EventSource, config: Config, folder: Path, known: MapFolder | None = None
+) -> Iterator[None]:
+    """Let each track that is to leave a map write it, while the block runs; however it ends, what is written is a map.
+
+    What an earlier run left in its place goes. A drive in a known map leaves none of its own: it extends that, or not.
+
+    Raises:
+        OutputError: the folder cannot be made, or holds something else.
+        MapError: another run writes it.
+    """
+    try:
+        for track in tracks:
+            if known is not None:
+                _extend(track, tracks, config, known)
+            elif _is_asked(track, tracks, config):
+                _begin(track, source, config, (folder if len(tracks) == 1 else folder / track.odometry) / MAP_FOLDER)
+        yield
+    finally:
+        for track in tracks:
+            _close(track)
+        if known is not None:
+            known.close()
+
+
+def _extend(track: Track, tracks: Sequence[Track], config: Config, known: MapFolder) -> None:
+    store = track.localizer.keyframes
+    if config.known_map.extend and store is not None and has_map(track.odometry, [one.odometry for one in tracks]):
+        track.map_writer, track.map_path, track.extends = MapWriter(known, store), known.path, True
+
+
+def _begin(track: Track, source: EventSource, config: Config, path: Path) -> None:
+    store = track.localizer.keyframes
+    assert store is not None
+    discard_map(path)
+    factor = config.recording.depth_factor
+    how: dict[str, Any] = {"source": source.name, "depth_factor": factor, "unfinished": DRIVE}
+    kept = MapFolder.create(path, source.calibration, config.sessions, **how)
+    # Who closes loops knows by what keyframes are recognised: once is enough, 13 kB a keyframe.
+    recognition = config.recognition if track.localizer.loops is None else None
+    track.map_writer, track.map_path = MapWriter(kept, store, recognition), path
+
+
+def _close(track: Track) -> None:
+    if track.map_writer is not None and track.map_path is not None:
+        track.map_writer.close()
+        if _is_empty(track.map_writer) and not track.extends:
+            discard_map(track.map_path)
+
+
+def _is_asked(track: Track, tracks: Sequence[Track], config: Config) -> bool:
+    """Of a camera alone; of joined sensors one map is enough."""
+    if track.localizer.keyframes is None:
+        return False
+    if not has_map(track.odometry, [one.odometry for one in tracks]):
+        return False
+    asked = config.sessions.keep_map
+    return track.localizer.map is not None if asked is None else asked
+
+
+def finish_map(track: Track, passage: Passage) -> KeptMapRecord | None:
+    """Write what is left of a track's map, if it has one; no surfels where the run was torn within a frame."""
+    writer, path = track.map_writer, track.map_path
+    if writer is None or path is None:
+        return None
+    surfels = None if passage.is_torn or track.extends else track.localizer.map
+    loops = track.localizer.loops
+    if loops is None:
+        writer.close(surfels)
+    elif passage.is_torn:
+        writer.close(surfels, None if track.extends else loops.recognizer)
+    else:
+        closed = loops.finish()
+        if track.extends:
+            is_whole = _add_to_known(writer, closed)
+        else:
+            writer.add_edges(closed.edges)
+            is_whole = True
+        writer.close(surfels, loops.recognizer if is_whole else None)
+    if _is_empty(writer) and not track.extends:
+        discard_map(path)
+        return None
+    return KeptMapRecord(path.name, writer.keyframes, _bytes_in(path), writer.warnings)
+
+
+def _add_to_known(writer: MapWriter, closed: ClosedLoops) -> bool:
+    """Add to a map of before what is known to lie in it; whether those are all keyframes of the drive.
+
+    An edge of one that is not written would be taken for one of the next drive's, which will have its number.
+    """
+    if closed.is_joined:
+        writer.look(None)  # those of a place that was recognised when the drive was over
+    writer.add_edges([edge for edge in closed.edges if closed.known <= edge.second < writer.taken])
+    return writer.taken == len(closed.T_map_keyframe)
+
+
+def _is_empty(writer: MapWriter) -> bool:
+    """Whether its drive has seen nothing, rather than not been able to write it."""
+    return not writer.keyframes and not writer.warnings
+
+
+def _bytes_in(folder: Path) -> int:
+    try:
+        return sum(file.stat().st_size for file in folder.iterdir() if file.is_file())
+    except OSError:  # the disk is gone; the writer has said so
+        return 0
+
+
+def kept_surfels(track: Track) -> Path | None:
+    """Where in its map folder a track's surfels are; None where that has none of this run."""
+    if track.map_path is None or track.extends:
+        return None
+    path = track.map_path / SURFELS_FILE
+    return path if path.is_file() else None

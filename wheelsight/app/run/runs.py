@@ -1,0 +1,545 @@
+"""A run in a few verbs: check, follow, judge, write. Holds the writers of all files that a run leaves, metrics.json
+and covariances among them.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import logging
+import platform
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, NamedTuple, get_args
+
+import numpy as np
+
+from wheelsight._version import __version__
+from wheelsight.app.run.loops import CORRECTED_FILE, JUDGED_FILE, MatchesOfRun, judged_csv, matches_of_run
+from wheelsight.app.run.maps import MAP_FILE, open_known
+from wheelsight.app.run.places import PlacesOfRun, looks_csv, places_of
+from wheelsight.app.run.realtime import RealTimeRecording
+from wheelsight.app.run.records import keeping_maps, kept_surfels, records_of
+from wheelsight.app.run.run_record import FrameRecord, MapRecord, RectificationRecord, RunRecord
+from wheelsight.app.run.run_source import format_of, frame_count_of, path_of, resolved, wheel_count_of, where
+from wheelsight.app.run.track import UNITS, Passage, Track, Watcher, begin_all, follow
+from wheelsight.app.run.verdict import JoinedFacts, best_alone_of, facts_of, joined_of, verdict_of, verdict_of_run
+from wheelsight.config import Config, TrackName, save_config
+from wheelsight.core.errors import ConfigError, TrajectoryError
+from wheelsight.core.files import StrPath, make_output_folder, output_error, write_lines, write_text
+from wheelsight.core.inputs import Kind, lines_of, read_text
+from wheelsight.core.robots import EventSource
+from wheelsight.core.trajectory import Trajectory, write_tum
+from wheelsight.estimation import Places
+from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
+from wheelsight.io.recordings import Recording
+from wheelsight.io.recordings.clock_checks import FRAMES, WHEELS, refuse_if_apart, refuse_other_units
+from wheelsight.mapping import save_map
+from wheelsight.slam.maps import MAP_FOLDER, MapFolder, discard_map
+
+# A run in a few verbs: check, follow, judge, write.
+
+
+_LOG = logging.getLogger(__name__)
+
+
+def run_each(
+    source: EventSource,
+    config: Config,
+    out: StrPath,
+    *,
+    force: bool = False,
+    on_ready: Callable[[], None] = lambda: None,
+    on_code: Callable[[int, int], None] = lambda done, total: None,
+    on_event: Callable[[Mapping[str, FrameRecord]], None] | None = None,
+    draw: Draw | None = None,
+    duration_s: float | None = None,
+    watcher: Watcher | None = None,
+    parts: OwnParts = NO_PARTS,
+) -> tuple[RunRecord, ...]:
+    """Run every odometry that `config` names over one pass of the events, alone and joined, and report them together.
+
+    One leaves its results in `out`, each of several in a folder of its name there. What was tracked until Ctrl-C, or
+    until the source breaks off, is written before the exception goes on.
+
+    Args:
+        source: a recording, also one `in_real_time`, or what gives events without an end.
+        config: all settings; where it names no odometry, all sensors of the source are joined.
+        out, force: folder for the results, made if need be; whether it may hold something.
+        on_ready, on_code: called before the first event; while keyframes of a known map are made ready, with how many.
+        on_event, watcher: called after each event that was answered, with each odometry's answer by its name.
+        draw: writes a page of the records to a path, such as `report.write_page`; None: no page.
+        duration_s: ends so many seconds after the first event, by its stamp; None: with the source.
+        parts: of a user's own.
+
+    Raises:
+        InputError: what cannot end well, before anything is written; or the source cannot be read on.
+    """
+    config = resolved(source, config, parts)
+    tracks, places, matches, known = _begin(source, config, on_code, parts)
+    folder = make_output_folder(Path(out), force)
+    on_ready()
+    with keeping_maps(tracks, source, config, folder, known):
+        passage = follow(tracks, source, config, on_event, _areas_of(places), duration_s, watcher)
+        _raise_where_nothing(passage)
+        records = records_of(passage, source, config, places, matches)
+        _log(records)
+        _show_end(watcher, passage)
+    write_results(records, passage, source, config, folder, draw)
+    _raise_interruption(passage)
+    return records
+
+
+def _log(records: tuple[RunRecord, ...]) -> None:
+    """Warnings that no localizer has logged, and how many frames have a pose."""
+    logged = {sentence for record in records for sentence in record.faults}
+    for sentence in dict.fromkeys(sentence for record in records for sentence in record.warnings):
+        if sentence not in logged:
+            _LOG.warning(sentence)
+    for record in records:
+        posed = len(record.estimate), len(record.frames), record.unit
+        _LOG.info("%s, %s: %d poses; %d %ss", record.recording, record.odometry, *posed)
+
+
+def _areas_of(places: PlacesOfRun | None) -> Places | None:
+    return None if places is None else places.places
+
+
+def _raise_interruption(passage: Passage) -> None:
+    if passage.interruption is not None:
+        raise passage.interruption
+
+
+def _show_end(watcher: Watcher | None, passage: Passage) -> None:
+    """Nothing of a run that was torn within a step: what was being built then is not to be trusted."""
+    if watcher is not None and not passage.is_torn:
+        watcher.finish(passage.tracks)
+
+
+def _raise_where_nothing(passage: Passage) -> None:
+    """Ctrl-C before anything was answered leaves nothing to write."""
+    if isinstance(passage.interruption, KeyboardInterrupt) and not any(track.frames for track in passage.tracks):
+        raise passage.interruption
+
+
+class _Begun(NamedTuple):
+    """All that a run needs before its first event; `known` is the folder of the map in which it is to find itself."""
+
+    tracks: tuple[Track, ...]
+    places: PlacesOfRun | None
+    matches: MatchesOfRun | None
+    known: MapFolder | None
+
+
+def _begin(source: EventSource, config: Config, on_code: Callable[[int, int], None], parts: OwnParts) -> _Begun:
+    """Every track at its start, and places and matches if they are asked for.
+
+    Raises:
+        ConfigError: the source has no images, wheel readings or matches that are asked for.
+        CalibrationError: the calibration lacks its cameras, or its wheels.
+        AreaError, PlaceError: places cannot be read, or do not fit.
+        RecordingError: stamps are no seconds, or wheels and camera, which are to be joined, share no time.
+    """
+    _check_sensors(source, config)
+    places, matches = places_of(source, config), matches_of_run(source, config)
+    known, folder = open_known(source.calibration, config, on_code) or (None, None)
+    try:
+        tracks = begin_all(source, config, None if places is None else places.places, known, parts)
+        _check_clocks(source, config)
+    except BaseException:
+        if folder is not None:
+            folder.close()
+        raise
+    return _Begun(tracks, places, matches, folder)
+
+
+def _check_sensors(source: EventSource, config: Config) -> None:
+    """Refuse odometries of sensors that the source does not have. Raises ConfigError."""
+    wheels = source.wheels if isinstance(source, RealTimeRecording) else None
+    if wheels is not None and (config.odometry == ("wheels",) or "wheels" not in config.odometry):
+        raise ConfigError(f"wheels from {wheels.where} are played beside a camera", fix="--odometry wheels,dense")
+    for odometry in config.odometry:
+        if UNITS[odometry] == "reading" and wheels is None and wheel_count_of(source) == 0:
+            raise ConfigError(f"{where(source)}: the recording has no wheel readings", fix="--odometry features")
+        if UNITS[odometry] == "frame" and wheel_count_of(source) and frame_count_of(source) == 0:
+            raise ConfigError(f"{where(source)}: the recording has no images", fix="--odometry wheels")
+
+
+def _check_clocks(source: EventSource, config: Config) -> None:
+    """Refuse stamps that are no seconds, and to join what shares no time. Raises RecordingError."""
+    played = source.played if isinstance(source, RealTimeRecording) and source.wheels is None else source
+    is_joined = bool({"joined", "rectified"} & set(config.tracks))
+    if not isinstance(played, Recording) or isinstance(played, RealTimeRecording):
+        return
+    if is_joined:
+        refuse_if_apart(played)
+    refuse_other_units(played, {FRAMES if UNITS[odometry] == "frame" else WHEELS for odometry in config.odometry})
+
+
+# All figures of a run with the unit in each name, as metrics.json holds them.
+
+
+def metrics_of(
+    record: RunRecord, passage: Passage, source: EventSource, records: Sequence[RunRecord] = ()
+) -> dict[str, Any]:
+    """The figures of one odometry, and of the pass it was part of; `records` are those of all odometries."""
+    return {
+        "recording": _recording(source),
+        "frame": f"T_{record.estimate.frame}_{record.estimate.body}",
+        "interrupted": passage.interruption is not None,
+        **_real_time(record),
+        **_of_odometry(record, passage, source, records),
+        "peak_memory_mb": record.peak_memory_mb,
+        "warnings": list(record.warnings),
+        "versions": _versions(),
+    }
+
+
+def joint_metrics(records: Sequence[RunRecord], passage: Passage, source: EventSource) -> dict[str, Any]:
+    """The figures of every odometry of one pass: what they share once, the rest below each one's name."""
+    shared = [*source.warnings, *passage.unused]
+    of_each = {
+        record.odometry: {
+            "frame": f"T_{record.estimate.frame}_{record.estimate.body}",
+            **_of_odometry(record, passage, source, records),
+            "warnings": [warning for warning in record.warnings if warning not in shared],
+        }
+        for record in records
+    }
+    return {
+        "recording": _recording(source),
+        "interrupted": passage.interruption is not None,
+        "verdict": verdict_of_run(records).to_dict(),
+        "elapsed_s": passage.elapsed_s,
+        **_real_time(records[0]),
+        "odometry": of_each,
+        **_beside_alone(records),
+        "peak_memory_mb": max((r.peak_memory_mb for r in records if r.peak_memory_mb is not None), default=None),
+        "warnings": shared,
+        "versions": _versions(),
+    }
+
+
+def _recording(source: EventSource) -> dict[str, str | None]:
+    path = path_of(source)
+    return {"name": source.name, "format": format_of(source), "path": None if path is None else str(path)}
+
+
+def _real_time(record: RunRecord) -> dict[str, Any]:
+    """How it went where the recording was played in real time."""
+    return {} if record.realtime is None else {"realtime": record.realtime.to_dict()}
+
+
+def _of_odometry(
+    record: RunRecord, passage: Passage, source: EventSource, records: Sequence[RunRecord]
+) -> dict[str, Any]:
+    return {
+        "verdict": verdict_of(record, records).to_dict(),
+        "frames" if record.unit == "frame" else "wheel_readings": _frame_counts(record, source),
+        "timing": _timing(record, passage),
+        "trajectory": {"length_m": record.estimate.length_m, "duration_s": record.estimate.duration_s},
+        "evaluation": None if record.evaluation is None else record.evaluation.to_dict(),
+        "evaluation_problem": record.evaluation_problem,
+        **({} if record.map is None else {"map": _map(record.map)}),
+        **({} if record.rectification is None else {"rectification": _rectification(record.rectification)}),
+        **({} if record.correction is None else {"loops": record.correction.to_dict()}),
+        **({} if record.known_map is None else {"known_map": record.known_map.to_dict()}),
+        **({} if record.kept_map is None else {"kept_map": record.kept_map.to_dict()}),
+        **({"joined": _joined(facts_of(record))} if record.is_joined else {}),
+    }
+
+
+def _beside_alone(records: Sequence[RunRecord]) -> dict[str, Any]:
+    """How joined sensors compare with the better one alone; nothing where none were joined."""
+    if joined_of(records) is None:
+        return {}
+    best_alone = best_alone_of(records)
+    return {
+        "joined_beside_alone": None
+        if best_alone is None
+        else {"better": best_alone.odometry, "ate_ratio": best_alone.ratio}
+    }
+
+
+def _joined(facts: JoinedFacts) -> dict[str, Any]:
+    """How long joined sensors were in each status, and whether their errors were as they stated."""
+    found = facts.consistency
+    return {
+        "seconds_by_status": facts.seconds,
+        "coasting_episodes": len(facts.coasting_s),
+        "longest_coasting_s": max(facts.coasting_s, default=0.0),
+        "flag_shares": facts.flag_shares,
+        "poses_at_frames": facts.poses_at_frames,
+        "poses_at_wheel_readings_alone": facts.poses_at_readings,
+        "consistency": None
+        if found is None
+        else {
+            "within_three_sigma_share": _finite(found.share),
+            "way_m": found.way_m,
+            "drift_at_end_m": found.drift_m,
+            "drift_share_of_way": _finite(found.drift_share),
+        },
+    }
+
+
+def _rectification(found: RectificationRecord) -> dict[str, Any]:
+    """What areas did to the wheels: counts, shares of frames, and errors in the map, nothing aligned."""
+    errors, belief = found.errors, found.belief
+    measured = sum(look.probabilities is not None for look in found.looks)
+    return {
+        "way": found.way,
+        "start": found.start,
+        "areas": list(found.areas.names),
+        "frames_without_measurement": len(found.looks) - measured,
+        "frames_with_an_area_named": sum(look.named >= 0 for look in found.looks),
+        "model_accuracy": _finite(found.accuracy(found.forest)),
+        "belief_accuracy": None if belief is None else _finite(found.accuracy(belief)),
+        "lowest_trust": _finite(np.nanmin(found.trust)) if np.isfinite(found.trust).any() else None,
+        "map_error_m": None
+        if errors is None
+        else {"wheels": asdict(errors.wheels), "rectified": asdict(errors.rectified)},
+        "share_of_mean_error_left": None if errors is None else _finite(errors.left),
+    }
+
+
+def _map(found: MapRecord) -> dict[str, Any]:
+    """How the map stands at the end."""
+    status = asdict(found.status)
+    return {"file": found.file, "frames_fused": found.fused, **status}
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _frame_counts(record: RunRecord, source: EventSource) -> dict[str, Any]:
+    frames = [frame for frame in record.frames if not frame.is_repeat]
+    statuses = [str(frame.status) for frame in frames]
+    reasons = [str(frame.reason) for frame in frames if frame.reason is not None]
+    paired = record.association
+    return {
+        "listed": frame_count_of(source) if record.unit == "frame" else wheel_count_of(source),
+        "processed": len(frames),
+        "with_pose": record.posed,
+        "with_pose_share": record.posed / len(frames) if frames else 0.0,
+        "skipped": sum(frame.is_skipped for frame in frames),
+        "repeated_images": len(record.frames) - len(frames),
+        "dropped": None if record.drops is None else record.drops.to_dict(),
+        "left_out": {why: {"count": count, "of": of} for why, (count, of) in record.left_out.items()},
+        "dropped_color_images": None if paired is None else paired.dropped_color,
+        "dropped_depth_images": None if paired is None else paired.dropped_depth,
+        "status": {status: statuses.count(status) for status in sorted(set(statuses))},
+        "reasons": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
+    }
+
+
+def _timing(record: RunRecord, passage: Passage) -> dict[str, Any]:
+    """Times a frame or reading, image decoding not included; the first, which may compile kernels, stands apart.
+
+    `elapsed_s` and the throughput are of the whole pass, which all its odometries share.
+    """
+    used_ms = [1e3 * frame.seconds for frame in record.frames if not frame.is_skipped]
+    later_ms = used_ms[1:]
+    return {
+        "frame_median_ms": float(np.median(later_ms)) if later_ms else None,
+        "frame_p95_ms": float(np.percentile(later_ms, 95)) if later_ms else None,
+        "frame_max_ms": max(later_ms, default=None),
+        "first_frame_ms": used_ms[0] if used_ms else None,
+        "stages_median_ms": {stage: 1e3 * seconds for stage, seconds in record.stage_seconds.items()},
+        "elapsed_s": passage.elapsed_s,
+        "throughput_frames_per_s": len(record.frames) / passage.elapsed_s if passage.elapsed_s else None,
+    }
+
+
+def _versions() -> dict[str, str]:
+    import cv2
+    import numba
+
+    return {
+        "wheelsight": __version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "numba": numba.__version__,
+        "opencv": cv2.__version__,
+        "platform": platform.platform(),
+    }
+
+
+# How sure a run was of its poses, as a table beside its trajectory: TUM text has no room for it.
+
+
+COVARIANCES_FILE = "covariances.csv"
+_AXES = ("vx", "vy", "vz", "wx", "wy", "wz")
+_UPPER = np.triu_indices(6)
+_HEADER = ",".join(["stamp_s", *(f"{_AXES[row]}_{_AXES[column]}" for row, column in zip(*_UPPER, strict=True))])
+# 200 bytes a pose; 1 500 000 of them, as many as a trajectory may have.
+_FILE = Kind("covariances", most_mb=384)
+
+
+def write_covariances(trajectory: Trajectory, path: StrPath) -> None:
+    """Write the covariances of a trajectory that has them: of left perturbations (v, ω), 21 numbers a stamp.
+
+    Raises OutputError.
+    """
+    write_lines(path, _lines(trajectory))
+
+
+def _lines(trajectory: Trajectory) -> Iterator[str]:
+    assert trajectory.covariances is not None
+    yield f"{_HEADER}\n"
+    for stamp_s, C in zip(trajectory.stamps_s, trajectory.covariances, strict=True):
+        numbers = ",".join(f"{value:.6g}" for value in C[_UPPER])
+        yield f"{np.format_float_positional(stamp_s, min_digits=6)},{numbers}\n"
+
+
+def with_covariances(trajectory: Trajectory, path: StrPath) -> Trajectory:
+    """A trajectory with the covariances of its stamps. Raises TrajectoryError where the table is another's."""
+    path = Path(path)
+    first, *lines = lines_of(read_text(path, _FILE, TrajectoryError)) or [""]
+    try:
+        rows = np.array([[float(value) for value in line.split(",")] for line in lines if line.strip()])
+    except ValueError as error:
+        raise TrajectoryError("a line is no row of numbers", path=path, fix="run again") from error
+    fits = first == _HEADER and rows.shape == (len(trajectory), 1 + len(_UPPER[0])) and np.isfinite(rows).all()
+    if not fits or not np.array_equal(rows[:, 0], trajectory.stamps_s):
+        raise TrajectoryError("does not have one line for each pose of trajectory.txt", path=path, fix="run again")
+    C = np.zeros((len(rows), 6, 6))
+    C[:, _UPPER[0], _UPPER[1]] = C[:, _UPPER[1], _UPPER[0]] = rows[:, 1:]
+    return replace(trajectory, covariances=C)
+
+
+# The files that a run leaves.
+
+
+PAGE_FILE = "report.html"
+STATUS_FILE, METRICS_FILE, TRAJECTORY_FILE = "status.csv", "metrics.json", "trajectory.txt"
+ODOM_FILE = "odom.txt"
+_OF_ONE = (
+    TRAJECTORY_FILE,
+    ODOM_FILE,
+    COVARIANCES_FILE,
+    STATUS_FILE,
+    METRICS_FILE,
+    "areas.csv",
+    CORRECTED_FILE,
+    JUDGED_FILE,
+    MAP_FILE,
+)
+
+
+Draw = Callable[[Sequence[RunRecord], Path], None]
+
+
+def write_results(
+    records: Sequence[RunRecord],
+    passage: Passage,
+    source: EventSource,
+    config: Config,
+    folder: Path,
+    draw: Draw | None = None,
+) -> None:
+    """Everything about a run: of one odometry into `folder`, of several each into a folder of its name and all joined.
+
+    `draw` writes the page of it all. What an earlier run left there under these names goes. Raises OutputError.
+    """
+    if (folder / "config.yaml").exists():  # a run's folder, not just any
+        _forget_others(records, folder)
+    save_config(config, folder / "config.yaml")
+    if len(records) == 1:
+        _write_one(records[0], passage, source, folder)
+    else:
+        for record in records:
+            _write_one(record, passage, source, make_output_folder(folder / record.odometry, force=True), records)
+        _write_json(joint_metrics(records, passage, source), folder / METRICS_FILE)
+    if draw is None:
+        _forget(folder / PAGE_FILE)
+    else:
+        draw(records, folder / PAGE_FILE)
+
+
+def _forget_others(records: Sequence[RunRecord], folder: Path) -> None:
+    """Remove the results of odometries that this run does not have, lest they be taken for its own."""
+    kept = {folder} if len(records) == 1 else {folder / record.odometry for record in records}
+    for place in {folder, *(folder / name for name in get_args(TrackName))} - kept:
+        try:
+            for name in _OF_ONE:
+                (place / name).unlink(missing_ok=True)
+            discard_map(place / MAP_FOLDER)
+            if place.is_dir() and place != folder and not any(place.iterdir()):
+                place.rmdir()
+        except OSError as error:
+            raise output_error(error, place) from error
+
+
+def _write_one(
+    record: RunRecord, passage: Passage, source: EventSource, folder: Path, records: Sequence[RunRecord] = ()
+) -> None:
+    _forget(folder / COVARIANCES_FILE)  # first: no table is left of another run's poses
+    write_tum(record.estimate, folder / TRAJECTORY_FILE)
+    if record.odom is None:
+        _forget(folder / ODOM_FILE)
+    else:
+        write_tum(record.odom, folder / ODOM_FILE)
+    if record.estimate.covariances is not None:
+        write_covariances(record.estimate, folder / COVARIANCES_FILE)
+    write_text(folder / STATUS_FILE, _status_csv(record))
+    if record.rectification is not None:
+        write_text(folder / "areas.csv", looks_csv(record.rectification))
+    _write_correction(record, folder)
+    _write_map(record, passage, folder / MAP_FILE)
+    _write_json(metrics_of(record, passage, source, records), folder / METRICS_FILE)
+
+
+def _write_correction(record: RunRecord, folder: Path) -> None:
+    """The way as known at its end, and what became of each match; what an earlier run left in their place goes."""
+    if record.correction is None:
+        _forget(folder / CORRECTED_FILE)
+        _forget(folder / JUDGED_FILE)
+    else:
+        write_tum(record.correction.found.corrected, folder / CORRECTED_FILE)
+        write_text(folder / JUDGED_FILE, judged_csv(record.correction))
+
+
+def _write_map(record: RunRecord, passage: Passage, path: Path) -> None:
+    """The map of a run that has one, unless its map folder holds it; what an earlier run left in its place goes."""
+    (track,) = (track for track in passage.tracks if track.odometry == record.odometry)
+    if record.kept_map is None:
+        discard_map(path.with_name(MAP_FOLDER))
+    if record.map is not None and track.localizer.map is not None and kept_surfels(track) is None:
+        save_map(track.localizer.map, path)
+    else:
+        _forget(path)
+
+
+def _forget(path: Path) -> None:
+    """Remove what an earlier run left there, if anything."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise output_error(error, path) from error
+
+
+def _write_json(figures: dict[str, Any], path: Path) -> None:
+    write_text(path, json.dumps(figures, indent=2, allow_nan=False) + "\n")
+
+
+def _status_csv(record: RunRecord) -> str:
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(
+        ["stamp_s", "status", "reason", "matches", "inliers", "time_ms", "flags", "note", "dropped", "left_out"]
+    )
+    dropped = [frame.overtaken + frame.is_unread for frame in record.frames]
+    if dropped and record.drops is not None:
+        dropped[-1] += record.drops.total - sum(dropped)  # those after it, and those that never became a frame
+    left_out = [""] * len(record.frames)
+    if left_out:  # of the recording as a whole: which row it was before is not known
+        left_out[-1] = "; ".join(f"{count} of {of}: {why}" for why, (count, of) in record.left_out.items())
+    for frame, lost, gone in zip(record.frames, dropped, left_out, strict=True):
+        counts = (frame.matches, frame.inliers, f"{1e3 * frame.seconds:.3f}")
+        # as in trajectory.txt, so that rows can be joined
+        stamp = np.format_float_positional(frame.stamp_s, min_digits=6)
+        rows.writerow([stamp, frame.status, frame.reason or "", *counts, ";".join(frame.flags), frame.note, lost, gone])
+    return text.getvalue()

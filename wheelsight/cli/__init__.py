@@ -1,5 +1,0 @@
-"""The command line: one thin file a command. Nothing heavy loads before a command runs."""
-
-from wheelsight.cli._app import app, main
-
-__all__ = ["app", "main"]

@@ -1,0 +1,461 @@
+"""Parts of a calibration without cameras: depth noise, wheels, holonomic layouts and the gyroscope. Each field of
+the file is checked and reported by its name.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.geometry.arrays import is_number
+
+# Fields of a calibration.yaml, one by one: names, numbers and motions, each refused by its name.
+
+
+Part = TypeVar("Part")
+
+
+class Range(NamedTuple):
+    """What a number may be, ends included.
+
+    Attributes:
+        unit: for messages; in m and s it is told what a number in mm and ms would be.
+        fix: what to do about a number outside.
+    """
+
+    least: float
+    most: float
+    unit: str
+    fix: str | None = None
+
+
+def check_range(name: str, value: float, allowed: Range) -> None:
+    """Raise CalibrationError, naming the range, for a number outside it."""
+    least, most, unit, fix = allowed
+    if least <= value <= most:
+        return
+    if fix is None and unit in _WHOLE_UNITS:
+        fix = f"give {_WHOLE_UNITS[unit]}"
+        fix += f": {value:g} m{unit} are {value / 1000:g}" if abs(value) > most else ""
+    raise CalibrationError(f"{name} is {value:g}, not {least:g} to {most:g} {unit}".rstrip(), fix=fix)
+
+
+def need_numbers(part: object, names: tuple[str, ...]) -> None:
+    """Raise CalibrationError for a field of a part that is no number, as text is."""
+    for name in names:
+        value = getattr(part, name)
+        if not is_number(value):
+            raise CalibrationError(f"{name} of {type(part).__name__} is a {type(value).__name__}, not a number")
+
+
+_WHOLE_UNITS = {"m": "metres", "s": "seconds"}
+
+
+def made(kind: Callable[..., Part], name: str, numbers: dict[str, Any]) -> Part:
+    """A part of these fields; what it refuses names the part."""
+    try:
+        return kind(**numbers)
+    except CalibrationError as error:
+        raise CalibrationError(f"field {name}: {error.problem}", fix=error.fix) from error
+
+
+def mapping(value: Any, name: str, known: tuple[str, ...]) -> dict[str, Any]:
+    """A mapping all of whose keys are known."""
+    if not isinstance(value, dict):
+        raise CalibrationError(f"field {name} must hold names and values")
+    for key in value:
+        if key not in known:
+            raise CalibrationError(f"field {name} has an unknown entry {key!r}", fix=f"known: {', '.join(known)}")
+    return value
+
+
+def motion(value: Any, name: str) -> FloatArray | None:
+    """A (4, 4) of four rows of four numbers, or None."""
+    if value is None:
+        return None
+    try:
+        T = np.array(value, float)
+    except (TypeError, ValueError) as error:
+        raise CalibrationError(f"field {name} must be four rows of four numbers") from error
+    if T.shape != (4, 4):
+        raise CalibrationError(f"field {name} must be four rows of four numbers")
+    return T
+
+
+def whole(value: Any, name: str, of_what: str = " of pixels") -> int:
+    """A number without a fraction."""
+    found = number(value, name)
+    if found != int(found):
+        raise CalibrationError(f"field {name} is {value!r}, not a whole number{of_what}")
+    return int(found)
+
+
+def number(value: Any, name: str) -> float:
+    """A finite number."""
+    try:
+        found = float(value)  # from text too: YAML 1.1 reads 1e-3, without a dot, as text
+    except (TypeError, ValueError):
+        found = np.nan
+    if isinstance(value, bool) or not np.isfinite(found):
+        raise CalibrationError(f"field {name} is {value!r}, not a number")
+    return found
+
+
+# The parts of a calibration that are numbers alone: depth noise, wheels, gyroscope; none takes what no robot has.
+
+
+_WIDEST_COUNTER_BITS = 64
+_COUNTER_FIELDS = ("counter_bits", "counter_modulus")
+# From a toy's to a tractor's; counts a turn from those of speeds in place of ticks to fine encoders behind a gear.
+# Where wheels stand still longer than an hour, or slip by all of their way, nothing is measured.
+_OF_WHEELS = {
+    "left_radius_m": Range(0.005, 2.0, "m"),
+    "right_radius_m": Range(0.005, 2.0, "m"),
+    "track_width_m": Range(0.02, 10.0, "m"),
+    "ticks_per_turn": Range(1.0, 1e9, "", "counts a turn of the encoder × gear ratio"),
+    "delay_s": Range(-10.0, 10.0, "s"),
+    "slip_m_per_sqrt_m": Range(0.0, 1.0, "m/√m"),
+    "max_speed_m_s": Range(0.01, 100.0, "m/s"),
+    "max_gap_s": Range(0.001, 3600.0, "s"),
+    "scale_sigma": Range(0.0, 1.0, "", "0.01 for radii that are known to 1 %"),
+    "drift_sigma_rad_per_m": Range(0.0, 1.0, "rad/m"),
+    "turn_sigma": Range(0.0, 1.0, "", "0.01 for a track width that is known to 1 %"),
+}
+# Not stated where they are 0.
+WHEEL_SIGMAS = ("scale_sigma", "drift_sigma_rad_per_m", "turn_sigma")
+# Ten turns a second are more than any robot makes, and a bias that large is a broken gyroscope's.
+_OF_GYRO = {
+    "noise_rad_per_sqrt_s": Range(0.0, 10.0, "rad/√s"),
+    "bias_rad_s": Range(-10.0, 10.0, "rad/s"),
+    "bias_sigma_rad_s": Range(0.0, 10.0, "rad/s"),
+    "bias_walk_rad_s_per_sqrt_s": Range(0.0, 1.0, "rad/s/√s"),
+}
+# At 1 m/m² a depth of one metre is unknown by a metre; no depth camera sees further than a kilometre.
+_OF_DEPTH = {
+    "constant_m": Range(0.0, 1.0, "m"),
+    "quadratic_per_m": Range(0.0, 1.0, "1/m"),
+    "near_m": Range(0.0, 100.0, "m"),
+    "far_m": Range(0.0, 1000.0, "m"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class DepthNoise:
+    """Standard deviation of a depth reading, σ(z) = constant_m + quadratic_per_m · z², and the trusted range.
+
+    The default is Kinect v1's: Khoshelham & Elberink, Sensors 12 (2012), fitted σ(z) = 1.425e-3 z²; depth images
+    in millimetres add a constant of about one.
+    """
+
+    constant_m: float = 0.001
+    quadratic_per_m: float = 1.425e-3
+    near_m: float = 0.3
+    far_m: float = 10.0
+
+    def __post_init__(self) -> None:
+        need_numbers(self, tuple(_OF_DEPTH))
+        numbers = (self.constant_m, self.quadratic_per_m, self.near_m, self.far_m)
+        if not np.isfinite(numbers).all() or min(numbers) < 0 or self.constant_m + self.quadratic_per_m == 0:
+            raise CalibrationError("depth noise takes finite numbers, not negative, and not both zero")
+        for name, allowed in _OF_DEPTH.items():
+            check_range(name, getattr(self, name), allowed)
+        if self.near_m >= self.far_m:
+            raise CalibrationError(f"depth range {self.near_m} to {self.far_m} m is empty")
+
+    def sigma_m(self, depth_m: ArrayLike) -> FloatArray:
+        """Standard deviations (...) in metres of depths (...) in metres."""
+        return self.constant_m + self.quadratic_per_m * np.asarray(depth_m, float) ** 2
+
+
+@dataclass(frozen=True, slots=True)
+class Wheels:
+    """Two driven wheels on one axle, or two sides of a skid-steered robot, and their encoders.
+
+    Attributes:
+        left_radius_m, right_radius_m: of the wheels, as they roll under load.
+        track_width_m: distance between the points where the wheels touch the ground. A skid-steered robot's
+            effective one is wider than the robot.
+        ticks_per_turn: counts of the encoder a turn of the wheel: counts a turn of the encoder × gear ratio.
+        counter_bits: width of the counters the ticks come from, 1 to 64; 0 for ticks that never roll over.
+        delay_s: how late stamps are: a reading stamped t tells of the wheels at t - delay_s. May be negative.
+        slip_m_per_sqrt_m: standard deviation of a wheel's travel over one metre; its square grows with the way.
+        max_speed_m_s: fastest a wheel can roll; a step that needs more is a fault, no motion.
+        max_gap_s: longest time between readings that can be bridged.
+        scale_sigma, drift_sigma_rad_per_m, turn_sigma: how sure these sizes are, as standard deviations: the share by
+            which ways are wrong, the turn a metre that wheels of unequal size make, the share by which turns are
+            wrong. 0 where nobody says; then `fusion.error_state` has what is likely of a data sheet's.
+        counter_modulus: how many values the counters count through before they roll over, where that is no power of
+            two, such as 9000 for 0 … 8999; 0 where `counter_bits` tells.
+
+    Raises:
+        CalibrationError: a value that no robot can have.
+    """
+
+    left_radius_m: float
+    right_radius_m: float
+    track_width_m: float
+    ticks_per_turn: float
+    counter_bits: int = 0
+    delay_s: float = 0.0
+    slip_m_per_sqrt_m: float = 0.01
+    max_speed_m_s: float = 5.0
+    max_gap_s: float = 0.5
+    counter_modulus: int = 0
+    scale_sigma: float = 0.0
+    drift_sigma_rad_per_m: float = 0.0
+    turn_sigma: float = 0.0
+
+    def __post_init__(self) -> None:
+        need_numbers(self, (*_OF_WHEELS, *_COUNTER_FIELDS))
+        for name in (*_OF_WHEELS, *_COUNTER_FIELDS):
+            value = getattr(self, name)
+            if not np.isfinite(value):
+                raise CalibrationError(f"{name} is {value}, not a number")
+            if value <= 0 and name not in (*_COUNTER_FIELDS, *WHEEL_SIGMAS, "delay_s"):
+                raise CalibrationError(f"{name} is {value}, not positive")
+        self._check_counter()
+        for name, allowed in _OF_WHEELS.items():
+            check_range(name, getattr(self, name), allowed)
+
+    def _check_counter(self) -> None:
+        if self.counter_bits != int(self.counter_bits) or not 0 <= self.counter_bits <= _WIDEST_COUNTER_BITS:
+            raise CalibrationError(f"counter_bits is {self.counter_bits}", fix="1 to 64, or 0: never rolls over")
+        if self.counter_modulus != int(self.counter_modulus) or not (
+            self.counter_modulus == 0 or 2 <= self.counter_modulus <= 2**_WIDEST_COUNTER_BITS
+        ):
+            raise CalibrationError(f"counter_modulus is {self.counter_modulus}", fix="9000 for a counter of 0 … 8999")
+        if self.counter_bits and self.counter_modulus:
+            raise CalibrationError("counter_bits and counter_modulus are both given", fix="leave one out")
+
+    @property
+    def counter_span(self) -> int:
+        """How many values the counters count through before they roll over; 0 for ticks that never do."""
+        return int(self.counter_modulus) or (1 << int(self.counter_bits) if self.counter_bits else 0)
+
+    @property
+    def never_rolling_over(self) -> Wheels:
+        """The same, for ticks in which roll-overs have been undone."""
+        return replace(self, counter_bits=0, counter_modulus=0)
+
+    @property
+    def left_m_per_tick(self) -> float:
+        """How far the left wheel rolls while its encoder counts one."""
+        return 2 * math.pi * self.left_radius_m / self.ticks_per_turn
+
+    @property
+    def right_m_per_tick(self) -> float:
+        """How far the right wheel rolls while its encoder counts one."""
+        return 2 * math.pi * self.right_radius_m / self.ticks_per_turn
+
+
+HolonomicLayout = Literal["mecanum", "omni", "increments"]
+# What each layout must be given, and what it may be given beside the fields that all have.
+HOLONOMIC_LAYOUTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "mecanum": (("radius_m", "half_length_m", "half_width_m", "ticks_per_turn"), ("counter_bits",)),
+    "omni": (("radius_m", "distance_m", "angles_rad", "ticks_per_turn"), ("counter_bits",)),
+    "increments": ((), ("distance_m",)),
+}
+_OF_HOLONOMIC = {
+    name: _OF_WHEELS[name] for name in _OF_WHEELS if not name.startswith(("left_", "right_", "track_"))
+} | {
+    "radius_m": _OF_WHEELS["left_radius_m"],
+    "half_length_m": Range(0.01, 5.0, "m"),
+    "half_width_m": Range(0.01, 5.0, "m"),
+    "distance_m": Range(0.01, 5.0, "m"),
+}
+HOLONOMIC_FIELDS = (
+    "delay_s",
+    "slip_m_per_sqrt_m",
+    "max_speed_m_s",
+    "max_gap_s",
+    *WHEEL_SIGMAS,
+)
+# Omnidirectional wheels whose axles are nearly alike leave a direction of motion unmeasured.
+_MOST_CONDITION = 30.0
+
+
+@dataclass(frozen=True)
+class HolonomicWheels:
+    """The wheels of a base that can move ahead, sideways and turn at once.
+
+    Attributes:
+        layout: "mecanum": four wheels at the corners of a rectangle, whose rollers form an X seen from above; "omni":
+            three or four wheels around the middle, whose axles point to it; "increments": the base's own odometry has
+            x, y and yaw ready.
+        radius_m: of all wheels.
+        ticks_per_turn: counts of an encoder a turn of its wheel.
+        half_length_m, half_width_m: mecanum: from the middle to the axles, ahead and to the left.
+        distance_m: omni: from the middle to where a wheel touches the ground. Increments: the same, about, for how
+            uncertain a turn is beside a way.
+        angles_rad: omni: where around the middle each wheel stands, counter-clockwise from straight ahead. A wheel
+            turns forward when it drives the base counter-clockwise.
+        counter_bits, delay_s, slip_m_per_sqrt_m, max_speed_m_s, max_gap_s, scale_sigma, turn_sigma,
+            drift_sigma_rad_per_m: as of `Wheels`; the slip is that of each wheel's travel.
+
+    Raises:
+        CalibrationError: a value that no base can have, one that the layout lacks, or wheels that leave a direction of
+            motion unmeasured.
+    """
+
+    layout: HolonomicLayout
+    radius_m: float | None = None
+    half_length_m: float | None = None
+    half_width_m: float | None = None
+    distance_m: float | None = None
+    angles_rad: tuple[float, ...] = ()
+    ticks_per_turn: float | None = None
+    counter_bits: int = 0
+    delay_s: float = 0.0
+    slip_m_per_sqrt_m: float = 0.01
+    max_speed_m_s: float = 5.0
+    max_gap_s: float = 0.5
+    scale_sigma: float = 0.0
+    drift_sigma_rad_per_m: float = 0.0
+    turn_sigma: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.layout not in HOLONOMIC_LAYOUTS:
+            raise CalibrationError(f"layout is {self.layout!r}", fix=f"one of {', '.join(HOLONOMIC_LAYOUTS)}")
+        self._check_layout()
+        if self.layout == "increments" and self.distance_m is None:
+            object.__setattr__(self, "distance_m", 0.25)  # of a base of half a metre
+        numbers = tuple(name for name in (*_OF_HOLONOMIC, "counter_bits") if getattr(self, name) is not None)
+        need_numbers(self, numbers)
+        for name in numbers:
+            if not np.isfinite(getattr(self, name)):
+                raise CalibrationError(f"{name} is {getattr(self, name)}, not a number")
+            if name in _OF_HOLONOMIC:
+                check_range(name, getattr(self, name), _OF_HOLONOMIC[name])
+        if self.slip_m_per_sqrt_m == 0:
+            raise CalibrationError("slip_m_per_sqrt_m is 0", fix="no wheel is without slip: 0.01 on smooth floor")
+        if self.counter_bits != int(self.counter_bits) or not 0 <= self.counter_bits <= _WIDEST_COUNTER_BITS:
+            raise CalibrationError(f"counter_bits is {self.counter_bits}", fix="1 to 64, or 0: never rolls over")
+        self._check_angles()
+
+    def _check_layout(self) -> None:
+        needed, optional = HOLONOMIC_LAYOUTS[self.layout]
+        of_layouts = {name for names in HOLONOMIC_LAYOUTS.values() for name in (*names[0], *names[1])}
+        values = {name: getattr(self, name) for name in of_layouts}
+        given = {name for name, value in values.items() if value is not None and (np.size(value) and np.any(value))}
+        for name in needed:
+            if name not in given:
+                raise CalibrationError(f"{name} is missing", fix=f"layout {self.layout} needs {', '.join(needed)}")
+        for name in sorted(given - {*needed, *optional}):
+            fix = f"layout {self.layout} has {', '.join((*needed, *optional)) or 'no sizes of wheels'}"
+            raise CalibrationError(f"{name} is no field of layout {self.layout}", fix=fix)
+
+    def _check_angles(self) -> None:
+        if self.layout != "omni":
+            return
+        if len(self.angles_rad) not in (3, 4):
+            raise CalibrationError(f"angles_rad has {len(self.angles_rad)} angles", fix="one a wheel, three or four")
+        if not np.isfinite(self.angles_rad).all() or np.abs(self.angles_rad).max() > 2 * math.pi:
+            raise CalibrationError(
+                f"angles_rad is {list(self.angles_rad)}, not -2π to 2π", fix="radians: 60° are 1.0472"
+            )
+        way = np.column_stack([-np.sin(self.angles_rad), np.cos(self.angles_rad), np.ones(len(self.angles_rad))])
+        if np.linalg.cond(way) > _MOST_CONDITION:
+            raise CalibrationError(
+                f"angles_rad is {list(self.angles_rad)}: these wheels do not measure every direction of motion",
+                fix="spread them around the base: 1.0472, 3.1416, 5.236",
+            )
+
+    @property
+    def wheel_names(self) -> tuple[str, ...]:
+        """Of the wheels in the order of their counts; none where increments come ready."""
+        if self.layout == "mecanum":
+            return "front_left", "front_right", "rear_left", "rear_right"
+        return tuple(f"wheel_{number}" for number in range(1, 1 + len(self.angles_rad)))
+
+    @property
+    def m_per_tick(self) -> float:
+        """How far a wheel's rim goes while its encoder counts one."""
+        assert self.radius_m is not None
+        assert self.ticks_per_turn is not None
+        return 2 * math.pi * self.radius_m / self.ticks_per_turn
+
+    @cached_property
+    def jacobian(self) -> FloatArray:
+        """(N, 3) how far each wheel's rim goes, metres, by the base's way ahead, way to the left, and turn.
+
+        Muir & Neuman, "Kinematic modeling of wheeled mobile robots", 1987; a mecanum wheel's rollers pass what goes
+        along them, so that its rim takes half of a way at 45° to it twice.
+        """
+        if self.layout == "mecanum":
+            assert self.half_length_m is not None
+            assert self.half_width_m is not None
+            lever_m = self.half_length_m + self.half_width_m
+            return np.array([[1, -1, -lever_m], [1, 1, lever_m], [1, 1, -lever_m], [1, -1, lever_m]], float)
+        assert self.distance_m is not None
+        angles = np.array(self.angles_rad)
+        return np.column_stack([-np.sin(angles), np.cos(angles), np.full(len(angles), self.distance_m)])
+
+    @cached_property
+    def to_base(self) -> FloatArray:
+        """(3, N) the pseudo-inverse: the base's motion that fits the wheels' ways best, by least squares."""
+        return np.asarray(np.linalg.pinv(self.jacobian), float)
+
+    @cached_property
+    def contradictions(self) -> FloatArray:
+        """(N - 3, N) unit rows: by what the wheels' ways fit no motion of the base; none for three wheels."""
+        return np.ascontiguousarray(np.linalg.svd(self.jacobian)[0][:, 3:].T)
+
+    @property
+    def lever_m(self) -> float:
+        """How far the wheels stand from the middle."""
+        if self.layout == "mecanum":
+            assert self.half_length_m is not None
+            assert self.half_width_m is not None
+            return math.hypot(self.half_length_m, self.half_width_m)
+        assert self.distance_m is not None
+        return self.distance_m
+
+    @property
+    def turn_variance_per_m(self) -> float:
+        """Variance of the base's turn, rad², after each wheel has gone one metre."""
+        if self.layout == "increments":
+            return self.slip_m_per_sqrt_m**2 / self.lever_m**2
+        return self.slip_m_per_sqrt_m**2 * float(self.to_base[2] @ self.to_base[2])
+
+
+@dataclass(frozen=True, slots=True)
+class Gyro:
+    """What a gyroscope's yaw rate, counter-clockwise seen from above, is worth.
+
+    Attributes:
+        noise_rad_per_sqrt_s: standard deviation of the yaw integrated over one second; its square grows with time.
+        bias_rad_s: what it shows at rest; refined whenever the wheels stand still.
+        bias_sigma_rad_s: how far off that may be, as a standard deviation; 0 for a bias that is to be kept.
+        bias_walk_rad_s_per_sqrt_s: how far the bias wanders in one second; its square grows with time.
+
+    Raises:
+        CalibrationError: a value that is not finite, or a negative deviation.
+    """
+
+    noise_rad_per_sqrt_s: float = 1e-3
+    bias_rad_s: float = 0.0
+    bias_sigma_rad_s: float = 0.02
+    bias_walk_rad_s_per_sqrt_s: float = 2e-5
+
+    def __post_init__(self) -> None:
+        need_numbers(self, tuple(_OF_GYRO))
+        for name, allowed in _OF_GYRO.items():
+            value = getattr(self, name)
+            if not np.isfinite(value) or (value < 0 and name != "bias_rad_s"):
+                raise CalibrationError(f"{name} is {value}, not a number{'' if name == 'bias_rad_s' else ' from 0 up'}")
+            check_range(name, value, allowed)
+        if self.noise_rad_per_sqrt_s == 0:
+            raise CalibrationError("noise_rad_per_sqrt_s is 0", fix="no gyroscope is without noise")
+
+
+def least_step(ticks: int, span: int) -> int:
+    """A difference of counters that roll over after `span` values (0: never) as the least step that explains it."""
+    return (ticks + span // 2) % span - span // 2 if span else ticks

@@ -1,0 +1,235 @@
+"""One rigid motion's exp, log, adjoint and left Jacobian, and what a covariance must be; numba over arrays.
+
+`geometry.se3` has the first four for batches of motions; one motion takes it a hundred times as long.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from wheelsight.core.compiled import kernel
+from wheelsight.core.geometry.arrays import FloatArray
+
+_MOST_TERMS = 40
+_METRES_A_RADIAN = 1.5  # as `se3.view_shift_m` has it
+
+
+@kernel
+def times(A: FloatArray, B: FloatArray) -> FloatArray:
+    """The product of small matrices of any layout."""
+    C = np.zeros((A.shape[0], B.shape[1]))
+    for i in range(A.shape[0]):
+        for k in range(A.shape[1]):
+            for j in range(B.shape[1]):
+                C[i, j] += A[i, k] * B[k, j]
+    return C
+
+
+@kernel
+def _hat(x: float, y: float, z: float) -> FloatArray:
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+@kernel
+def _square(W: FloatArray, i: int, j: int) -> float:
+    """Entry of W @ W for W (3, 3)."""
+    entry: float = W[i, 0] * W[0, j] + W[i, 1] * W[1, j] + W[i, 2] * W[2, j]
+    return entry
+
+
+@kernel
+def exp(xi: FloatArray) -> FloatArray:
+    """T (4, 4) of a tangent (6,), (v, ω)."""
+    W = _hat(xi[3], xi[4], xi[5])
+    angle = math.sqrt(xi[3] ** 2 + xi[4] ** 2 + xi[5] ** 2)
+    a, b, c = 1 - angle**2 / 6, 0.5 - angle**2 / 24, 1 / 6 - angle**2 / 120
+    if angle > 1e-3:
+        half = math.sin(angle / 2) / angle
+        a, b, c = math.sin(angle) / angle, 2 * half**2, (angle - math.sin(angle)) / angle**3
+    T = np.eye(4)
+    for i in range(3):
+        for j in range(3):
+            W2 = _square(W, i, j)
+            T[i, j] += a * W[i, j] + b * W2
+            T[i, 3] += (b * W[i, j] + c * W2 + (1.0 if i == j else 0.0)) * xi[j]
+    return T
+
+
+@kernel
+def log(T: FloatArray) -> FloatArray:
+    """Tangent (6,) of T (4, 4); the angle is at most π."""
+    x, y, z, w = _quaternion(T)
+    sine = math.sqrt(x * x + y * y + z * z)
+    angle = 2 * math.atan2(sine, w)
+    scale = angle / sine if sine > 1e-12 else 2.0
+    xi = np.zeros(6)
+    xi[3], xi[4], xi[5] = scale * x, scale * y, scale * z
+    W = _hat(xi[3], xi[4], xi[5])
+    b = 1 / 12 + angle**2 / 720
+    if angle > 1e-2:
+        b = (1 - angle / 2 / math.tan(angle / 2)) / angle**2 if angle < math.pi else 1 / math.pi**2
+    for i in range(3):
+        for j in range(3):
+            xi[i] += ((1.0 if i == j else 0.0) - 0.5 * W[i, j] + b * _square(W, i, j)) * T[j, 3]
+    return xi
+
+
+@kernel
+def view_shift_m(T: FloatArray) -> float:
+    """How far T (4, 4) carries a camera's view, metres; a turn by a radian counts as 1.5 m."""
+    x, y, z, w = _quaternion(T)
+    way_m = math.sqrt(T[0, 3] ** 2 + T[1, 3] ** 2 + T[2, 3] ** 2)
+    return way_m + _METRES_A_RADIAN * 2 * math.atan2(math.sqrt(x * x + y * y + z * z), w)
+
+
+@kernel
+def _quaternion(T: FloatArray) -> tuple[float, float, float, float]:
+    """x, y, z, w with w ≥ 0 of the rotation of T, from its largest part (Shepperd 1978)."""
+    trace = T[0, 0] + T[1, 1] + T[2, 2]
+    if trace > max(T[0, 0], T[1, 1], T[2, 2]):
+        q = np.array([T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1], 1 + trace])
+    elif T[0, 0] >= T[1, 1] and T[0, 0] >= T[2, 2]:
+        q = np.array([1 + 2 * T[0, 0] - trace, T[0, 1] + T[1, 0], T[0, 2] + T[2, 0], T[2, 1] - T[1, 2]])
+    elif T[1, 1] >= T[2, 2]:
+        q = np.array([T[0, 1] + T[1, 0], 1 + 2 * T[1, 1] - trace, T[1, 2] + T[2, 1], T[0, 2] - T[2, 0]])
+    else:
+        q = np.array([T[0, 2] + T[2, 0], T[1, 2] + T[2, 1], 1 + 2 * T[2, 2] - trace, T[1, 0] - T[0, 1]])
+    q /= math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2) * (1.0 if q[3] >= 0 else -1.0)
+    return q[0], q[1], q[2], q[3]
+
+
+@kernel
+def adjoint(T: FloatArray) -> FloatArray:
+    """Ad (6, 6) of T (4, 4)."""
+    Ad = np.zeros((6, 6))
+    W = _hat(T[0, 3], T[1, 3], T[2, 3])
+    for i in range(3):
+        for j in range(3):
+            Ad[i, j] = Ad[i + 3, j + 3] = T[i, j]
+            Ad[i, j + 3] = W[i, 0] * T[0, j] + W[i, 1] * T[1, j] + W[i, 2] * T[2, j]
+    return Ad
+
+
+@kernel
+def inverse_adjoint(T: FloatArray) -> FloatArray:
+    """Ad (6, 6) of the inverse of T (4, 4)."""
+    return adjoint(inverse(T))
+
+
+@kernel
+def inverse(T: FloatArray) -> FloatArray:
+    """T_b_a (4, 4) of T_a_b (4, 4)."""
+    back = np.eye(4)
+    for i in range(3):
+        for j in range(3):
+            back[i, j] = T[j, i]
+            back[i, 3] -= T[j, i] * T[j, 3]
+    return back
+
+
+@kernel
+def mended(T: FloatArray) -> FloatArray:
+    """The rigid motion (4, 4) nearest to T (4, 4), which is nearly one: what is off by 1e-4 is 1e-15 then.
+
+    Two steps of Newton's for the polar decomposition (Higham 1986), which need no singular values.
+    """
+    near = T.copy()
+    for _ in range(2):
+        R = near[:3, :3].copy()
+        near[:3, :3] = 1.5 * R - 0.5 * times(times(R, R.T), R)
+    return near
+
+
+@kernel
+def carried(T_a_b: FloatArray, covariance: FloatArray) -> FloatArray:
+    """The covariance (6, 6) in frame a of a left perturbation that has it in frame b."""
+    Ad = adjoint(T_a_b)
+    return times(times(Ad, covariance), Ad.T)
+
+
+@kernel
+def is_motion(T: FloatArray) -> bool:
+    """Whether T (4, 4) is a rigid motion, and finite."""
+    if not np.isfinite(T).all():
+        return False
+    worst = max(abs(T[3, 0]), abs(T[3, 1]), abs(T[3, 2]), abs(T[3, 3] - 1))
+    turned = 0.0  # the determinant
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        turned += T[0, i] * (T[1, j] * T[2, k] - T[1, k] * T[2, j])
+    for i in range(3):
+        for j in range(3):
+            product = T[i, 0] * T[j, 0] + T[i, 1] * T[j, 1] + T[i, 2] * T[j, 2]
+            worst = max(worst, abs(product - (1.0 if i == j else 0.0)))
+    return worst < 1e-6 and turned > 0
+
+
+@kernel
+def is_covariance(C: FloatArray) -> bool:
+    """Whether C (n, n) is finite, symmetric, and has no negative eigenvalue, to rounding."""
+    if not np.isfinite(C).all():
+        return False
+    most = np.abs(C).max()
+    least: float = np.linalg.eigvalsh((C + C.T) / 2)[0]
+    is_symmetric: bool = np.abs(C - C.T).max() <= 1e-6 * most
+    return is_symmetric and least >= -1e-9 * most
+
+
+@kernel
+def is_pose(T: FloatArray, C: FloatArray) -> bool:
+    """Whether T (4, 4) is a rigid motion and C (6, 6) a covariance."""
+    return is_motion(T) and is_covariance(C)
+
+
+@kernel
+def is_definite(C: FloatArray) -> bool:
+    """Whether C (n, n), symmetric, has positive eigenvalues alone."""
+    least: float = np.linalg.eigvalsh(C)[0]
+    return least > 0
+
+
+@kernel
+def chi_squared(residual: FloatArray, S: FloatArray) -> float:
+    """rᵀ S⁻¹ r of a residual (m,) with its covariance (m, m)."""
+    weighed = np.linalg.solve(S, residual)
+    chi2 = 0.0
+    for i in range(len(residual)):
+        chi2 += residual[i] * weighed[i]
+    return chi2
+
+
+@kernel
+def between(
+    T_before: FloatArray, C_before: FloatArray, T_now: FloatArray, C_now: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """T (4, 4) from one pose to the next, and what their covariances (6, 6) grew by, in the frame before."""
+    T_before_odom = inverse(T_before)
+    return times(T_before_odom, T_now), carried(T_before_odom, C_now - C_before)
+
+
+@kernel
+def step_between(
+    T_before: FloatArray, C_before: FloatArray, T_now: FloatArray, C_now: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """ξ (6,) from one pose to the next, and what their covariances grew by, where rounding may have made it less."""
+    T, grown = between(T_before, C_before, T_now, C_now)
+    strength, axes = np.linalg.eigh((grown + grown.T) / 2)
+    return log(T), times(axes * np.maximum(strength, 0.0), axes.T)
+
+
+@kernel
+def left_jacobian(xi: FloatArray) -> FloatArray:
+    """J (6, 6) with exp(ξ + δ) ≈ exp(J δ) exp(ξ): the series of ad(ξ)ⁿ / (n + 1)!, which converges for every ξ."""
+    ad = np.zeros((6, 6))
+    ad[:3, :3] = _hat(xi[3], xi[4], xi[5])
+    ad[3:, 3:] = ad[:3, :3]
+    ad[:3, 3:] = _hat(xi[0], xi[1], xi[2])
+    J, term = np.eye(6), np.eye(6)
+    for n in range(1, _MOST_TERMS):
+        term = times(term, ad) / (n + 1)
+        J += term
+        if np.abs(term).max() < 1e-15:
+            break
+    return J

@@ -1,0 +1,173 @@
+"""Rigid motions in space: SE(3) as 4×4 matrices, in batches of any shape (`...`).
+
+The conventions, said once. `T_a_b` maps points of frame b into frame a: `p_a = T_a_b @ p_b`, so
+`T_odom_base @ T_base_camera` cancels by eye. Tangents are ξ = (v, ω), translation first.
+Perturbations multiply from the left, `T = exp(δ) @ T_mean`, and a pose's 6×6 covariance is that of δ.
+"""
+
+from __future__ import annotations
+
+from functools import reduce
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.core.geometry import so3
+from wheelsight.core.geometry.arrays import FloatArray
+
+# At this depth, usual indoors, a turn hides as much of a view as the way.
+_METRES_A_RADIAN = 1.5
+_BOTTOM = (0, 0, 0, 1)
+# So far off what was written with two decimals may be; more is another mistake.
+_ROUNDED = 0.03
+# Rounding makes motions less rigid, and their inverses twice as much; so little is left alone.
+_RIGID = 1e-12
+
+
+def from_parts(R: ArrayLike, t: ArrayLike) -> FloatArray:
+    """Motions (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3) in metres."""
+    R, t = np.asarray(R, float), np.asarray(t, float)
+    T = np.zeros((*np.broadcast_shapes(R.shape[:-2], t.shape[:-1]), 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1.0
+    return T
+
+
+def from_quaternion(t: ArrayLike, quaternion_xyzw: ArrayLike) -> FloatArray:
+    """Motions (..., 4, 4) of translations (..., 3) in metres and quaternions (..., 4), xyzw."""
+    return from_parts(so3.from_quaternion(quaternion_xyzw), t)
+
+
+def from_plane(x: ArrayLike, y: ArrayLike, yaw_rad: ArrayLike) -> FloatArray:
+    """Motions (..., 4, 4) in the plane z = 0, of x, y (...) in metres and yaw (...) in radians about z."""
+    x, y, yaw_rad = (np.asarray(a, float) for a in (x, y, yaw_rad))
+    T = np.zeros((*np.broadcast(x, y, yaw_rad).shape, 4, 4))
+    T[..., 0, 0] = T[..., 1, 1] = np.cos(yaw_rad)
+    T[..., 1, 0] = np.sin(yaw_rad)
+    T[..., 0, 1] = -T[..., 1, 0]
+    T[..., 0, 3], T[..., 1, 3] = x, y
+    T[..., 2, 2] = T[..., 3, 3] = 1.0
+    return T
+
+
+def exp(xi: ArrayLike) -> FloatArray:
+    """Motions (..., 4, 4) of tangents (..., 6), (v, ω) in metres and radians."""
+    v, omega = np.split(np.asarray(xi, float), 2, axis=-1)
+    return from_parts(so3.exp(omega), (so3.left_jacobian(omega) @ v[..., None])[..., 0])
+
+
+def log(T: ArrayLike) -> FloatArray:
+    """Tangents (..., 6), (v, ω), of motions (..., 4, 4); the rotation's angle is at most π."""
+    T = np.asarray(T, float)
+    omega = so3.log(T[..., :3, :3])
+    v = np.linalg.solve(so3.left_jacobian(omega), T[..., :3, 3, None])[..., 0]
+    return np.concatenate([v, omega], axis=-1)
+
+
+def adjoint(T: ArrayLike) -> FloatArray:
+    """Ad (..., 6, 6) with `T @ exp(ξ) @ invert(T) == exp(Ad @ ξ)`, of motions (..., 4, 4)."""
+    T = np.asarray(T, float)
+    R = T[..., :3, :3]
+    Ad = np.zeros((*T.shape[:-2], 6, 6))
+    Ad[..., :3, :3] = Ad[..., 3:, 3:] = R
+    Ad[..., :3, 3:] = so3.hat(T[..., :3, 3]) @ R
+    return Ad
+
+
+def position_covariance(T: ArrayLike, covariance: ArrayLike) -> FloatArray:
+    """Covariance (..., 3, 3) of where poses (..., 4, 4) are, of that (..., 6, 6) of their left perturbations (v, ω).
+
+    These move a position p by v + ω × p: J Σ Jᵀ with J = (I, −p̂).
+    """
+    p, C = np.asarray(T, float)[..., :3, 3], np.asarray(covariance, float)
+    J = np.concatenate([np.broadcast_to(np.eye(3), (*p.shape[:-1], 3, 3)), -so3.hat(p)], axis=-1)
+    return np.asarray(J @ C @ np.swapaxes(J, -1, -2))
+
+
+def compose(*motions: ArrayLike) -> FloatArray:
+    """The product (..., 4, 4) of motions, left to right: `compose(T_a_b, T_b_c)` is `T_a_c`."""
+    return np.asarray(reduce(np.matmul, (np.asarray(T, float) for T in motions)))
+
+
+def invert(T: ArrayLike) -> FloatArray:
+    """`T_b_a` (..., 4, 4) of `T_a_b` (..., 4, 4), by transposing the rotation."""
+    T = np.asarray(T, float)
+    Rt = np.swapaxes(T[..., :3, :3], -1, -2)
+    return from_parts(Rt, -(Rt @ T[..., :3, 3, None])[..., 0])
+
+
+def apply(T: ArrayLike, p: ArrayLike) -> FloatArray:
+    """Points (..., N, 3) moved by motions (..., 4, 4): `p_a = apply(T_a_b, p_b)`."""
+    T, p = np.asarray(T, float), np.asarray(p, float)
+    return np.asarray(p @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3])
+
+
+def interpolate(T_start: ArrayLike, T_end: ArrayLike, share: ArrayLike) -> FloatArray:
+    """Motions (..., 4, 4) a share (...) of the way along the geodesic (screw) from start to end."""
+    T_start = np.asarray(T_start, float)
+    xi = log(np.asarray(T_end, float) @ invert(T_start))
+    return np.asarray(exp(np.asarray(share, float)[..., None] * xi) @ T_start)
+
+
+def view_shift_m(T: ArrayLike) -> FloatArray:
+    """How far motions (..., 4, 4) carry a camera's view, in metres (...); a turn by a radian counts as 1.5 m."""
+    T = np.asarray(T, float)
+    return np.asarray(np.linalg.norm(T[..., :3, 3], axis=-1) + _METRES_A_RADIAN * so3.angle(T[..., :3, :3]))
+
+
+def nearest(T: ArrayLike) -> FloatArray:
+    """The rigid motions (..., 4, 4) nearest to T (..., 4, 4), which rounding, doubled by inverses, made none."""
+    T = np.asarray(T, float)
+    return from_parts(so3.nearest(T[..., :3, :3]), T[..., :3, 3])
+
+
+def is_valid(T: ArrayLike, tolerance: float = 1e-6) -> bool:
+    """Whether every matrix of (..., 4, 4) is finite and a rigid motion within `tolerance`."""
+    T = np.asarray(T, float)
+    if T.shape[-2:] != (4, 4) or not np.isfinite(T).all():
+        return False
+    R = T[..., :3, :3]
+    if (np.abs(R) > 2 + tolerance).any():  # squares of huge numbers would overflow
+        return False
+    orthonormal = np.allclose(R @ np.swapaxes(R, -1, -2), np.eye(3), atol=tolerance)
+    bottom = np.allclose(T[..., 3, :], _BOTTOM, atol=tolerance)
+    return bool(orthonormal and bottom and (np.linalg.det(R) > 0).all())
+
+
+def why_invalid(T: ArrayLike, tolerance: float = 1e-6) -> tuple[str, str] | None:
+    """What makes one (4, 4) no rigid motion within `tolerance`, and what to do about it; None where it is one."""
+    T = np.asarray(T, float)
+    if T.shape == (4, 4) and is_valid(T, tolerance):
+        return None
+    if T.shape != (4, 4):
+        return f"it is of shape {T.shape}, not (4, 4)", "rotation and translation in three rows, then 0 0 0 1"
+    if not np.isfinite(T).all():
+        return "it has numbers that are not finite", "give only what is known"
+    if not np.allclose(T[3], _BOTTOM, atol=tolerance):
+        if np.allclose(T[:, 3], _BOTTOM, atol=tolerance):
+            return "its translation stands in the last row", "transpose it: the translation is the last column"
+        return f"its last row is {' '.join(f'{x:g}' for x in T[3])}, not 0 0 0 1", "give [[R, t], [0, 0, 0, 1]]"
+    return _why_no_rotation(T[:3, :3], tolerance)
+
+
+def _why_no_rotation(R: FloatArray, tolerance: float) -> tuple[str, str]:
+    product = R @ R.T
+    scale = float(np.sqrt(np.trace(product) / 3))
+    if np.allclose(product, np.eye(3), atol=tolerance):
+        return "its rotation mirrors, determinant -1", "turn one axis around: x, y, z of each frame are right-handed"
+    off = float(np.abs(product - np.eye(3)).max())
+    if off < _ROUNDED:
+        return (
+            f"its rotation is orthonormal within {off:.1g}, not {tolerance:g}",
+            "give more digits, or wheelsight.core.geometry.se3.nearest(T)",
+        )
+    if np.allclose(product, scale**2 * np.eye(3), atol=tolerance * scale**2):
+        return f"its rotation is scaled by {scale:g}", f"divide the three by three by {scale:g}"
+    return "its rotation is not orthonormal", "its columns are the axes of the second frame, in the first, of length 1"
+
+
+def mended(T: ArrayLike) -> FloatArray:
+    """Motions (..., 4, 4), those made rigid again that rounding has made none; the others stay to the bit."""
+    T = np.asarray(T, float)
+    R = T[..., :3, :3]
+    off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
+    return T if (off < _RIGID).all() else np.where((off < _RIGID)[..., None, None], T, nearest(T))

@@ -1,0 +1,426 @@
+"""Interfaces of a robot that drives (`Robot`) and of a source of events (`EventSource`). `VelocityControl` turns
+velocity commands into motor duties, within `RobotLimits`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Protocol, Self, runtime_checkable
+
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.messages import STOP, Event, VelocityCommand, WheelTicks
+from wheelsight.core.settings import CHOSEN, ON_SIMULATOR, Settings, setting
+
+# Robot: what a program that drives needs of a robot, be it real or simulated.
+
+
+STOPPED = "it was stopped"
+"""The `stop_reason` after `stop`."""
+
+
+@runtime_checkable
+class Robot(Protocol):
+    """Commands in, events out; use it in a `with` block, which stops it however it ends.
+
+    `simulation.Simulator` and `devices.LinkRobot` are such.
+    """
+
+    @property
+    def calibration(self) -> Calibration:
+        """Of its sensors, as its owner has it."""
+
+    @property
+    def stop_reason(self) -> str:
+        """Why it stands whatever it is told, in words; empty while it obeys.
+
+        A robot that has stopped by itself stays so until the reason is gone and it is commanded to stand (STOP), so
+        that it does not set off again by itself.
+        """
+
+    @property
+    def now_s(self) -> float:
+        """Now, by the clock of the events' stamps."""
+
+    def step(self, command: VelocityCommand) -> list[Event]:
+        """Obey a command for one control period; what the sensors said meanwhile, in the order of stamps.
+
+        A robot that is not stepped on stops by itself.
+        """
+
+    def stop(self) -> None:
+        """Stop at once, without the gentleness of commands; then it stands until it is commanded to stand.
+
+        May be called by another thread, while a step goes on.
+        """
+
+    def close(self) -> None:
+        """Stop, and give up what it is driven by; may be called twice."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+# EventSource: what a run needs of where events come from.
+
+
+@runtime_checkable
+class EventSource(Protocol):
+    """Events in order of time, and the calibration of the sensors that they are from.
+
+    A live one has no end, and nobody knows how many frames it will give. A recording (`recordings.Recording`) is one
+    that knows both, and more.
+    """
+
+    @property
+    def name(self) -> str:
+        """For titles and file names."""
+
+    @property
+    def calibration(self) -> Calibration:
+        """Of the sensors."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know before trusting results, one sentence each; more may come with the events."""
+
+    def events(self, *, images: bool = True) -> Iterator[Event]:
+        """The events in order of time. Without `images` frames are left out, and none is decoded.
+
+        `run` asks for `images=False` where it follows wheels alone: an implementation takes the argument by this name.
+        docs/api/own-parts.md has an example.
+        """
+
+
+# RobotLimits: how fast a robot may go, and how fast that may change.
+
+
+class RobotLimits(Settings):
+    """Limits that every command keeps; a limit of zero means that the robot does not do that at all."""
+
+    forward_m_s: float = setting(1.0, "fastest forward; a person walks at 1.4 m/s", CHOSEN, ge=0, le=3)
+    backward_m_s: float = setting(0.2, "fastest backward, where no camera looks", CHOSEN, ge=0, le=1)
+    turn_rad_s: float = setting(1.0, "fastest turn; a camera blurs beyond", CHOSEN, ge=0, le=4)
+    acceleration_m_s2: float = setting(0.5, "at which speed grows; a rider bears as much", CHOSEN, gt=0, le=3)
+    braking_m_s2: float = setting(
+        1.0, "at which speed falls, in a stop too; much more throws a rider forward", CHOSEN, gt=0, le=5
+    )
+    turn_acceleration_rad_s2: float = setting(1.5, "at which turns change", CHOSEN, gt=0, le=10)
+    jerk_m_s3: float = setting(2.0, "at which acceleration changes, but for stops", CHOSEN, gt=0, le=50)
+
+
+# From velocity commands to the motors' duties: limits, then a loop on each wheel's speed, closed by its encoder.
+
+
+class WheelControlSettings(Settings):
+    """How wheels are held at their speeds, and when that is given up."""
+
+    full_speed_m_s: float = setting(
+        2.6,
+        "of a rim at a duty of 1; only feedback corrects what is wrong about it",
+        "Trinh et al., II.C: 157 pulses of 0.33 mm in 20 ms at top speed",
+        gt=0.05,
+        le=20,
+    )
+    dead_duty: float = setting(
+        0.0, "duty at which wheels begin to turn, added to what a speed takes", CHOSEN, ge=0, le=0.5
+    )
+    speed_window_s: float = setting(
+        0.06,
+        "over which pulses are counted: one of 0.33 mm more or less is 6 mm/s, and the speed is known half of it late",
+        CHOSEN,
+        gt=0,
+        le=0.5,
+    )
+    answer_s: float = setting(
+        0.13,
+        "time constant with which a wheel answers and its speed is known; feedback compares with what should be by now",
+        "reckoned from the simulator's motors, 0.1 s, and half of the window; no real motor was measured",
+        gt=0,
+        le=2,
+    )
+    proportional: float = setting(
+        1.0,
+        "duty for an error of full speed; from 0.1 to 2 a ramp to 0.8 m/s ends 4.4 % to 2.6 % too high at worst, with "
+        "motors 15 % weaker or stronger that lag by 0.05 to 0.2 s",
+        ON_SIMULATOR,
+        ge=0,
+        le=10,
+    )
+    integral_per_s: float = setting(
+        3.0,
+        "duty a second for an error of full speed; with 1 in place of 3, weak motors reach 95 % of that speed half a "
+        "second later",
+        ON_SIMULATOR,
+        ge=0,
+        le=50,
+    )
+    most_correction: float = setting(
+        0.2,
+        "duty that feedback may add or take: with an encoder that lies, so much is what a robot is too fast by",
+        CHOSEN,
+        ge=0,
+        le=1,
+    )
+    most_duty: float = setting(1.0, "duty that is never exceeded", CHOSEN, gt=0, le=1)
+    standing_m_s: float = setting(0.01, "speed of a rim below which a wheel stands", CHOSEN, gt=0, le=0.2)
+    silence_s: float = setting(
+        0.15, "without ticks after which the robot stops: seven readings of 20 ms, 15 cm at 1 m/s", CHOSEN, gt=0, le=2
+    )
+    hold_s: float = setting(
+        0.2,
+        "for which motors keep a duty without a new one, less than the firmware's 0.25; then they stand, and so does "
+        "what they are told next: 20 cm at 1 m/s",
+        CHOSEN,
+        gt=0.02,
+        le=0.25,
+    )
+    doubt_m_s: float = setting(
+        0.15,
+        "by which a rim is slower, faster or turned otherwise than told before it counts as blocked, running away, or "
+        "wrongly wired",
+        "found on the simulator alone: 0.04 m/s under commands by chance (floor4, real, five seeds, 37 s)",
+        gt=0,
+        le=2,
+    )
+    doubt_s: float = setting(
+        0.4,
+        "for so long, after which the robot stops; less in proportion where it is more, so that a wheel is off by 6 cm",
+        CHOSEN,
+        gt=0,
+        le=5,
+    )
+
+
+# After a stop the motors stay without a voltage until the wheels stand; a robot that rolls on for longer, down a slope,
+# is braked by its motors again.
+_ROLLS_S = 1.0
+# They stand once their speed was below `standing_m_s` for so long: by single pulses it is that between two of them.
+_STOOD_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Duties:
+    """What both motors are to get, -1 (full speed back) to 1; or a reason why they must stop, and zeros."""
+
+    left: float = 0.0
+    right: float = 0.0
+    reason: str = ""
+
+
+class LimitedVelocity:
+    """Follows commands as fast as a robot's limits allow.
+
+    Speed grows with limited jerk and acceleration, and falls with limited braking; turns change with limited
+    acceleration. Whoever is to go the other way stands first.
+    """
+
+    def __init__(self, limits: RobotLimits) -> None:
+        self._limits = limits
+        self._acceleration_m_s2 = 0.0
+        self.now = STOP
+
+    def reset(self) -> None:
+        """Stand, as after a stop that kept no limits."""
+        self.now, self._acceleration_m_s2 = STOP, 0.0
+
+    def towards(self, command: VelocityCommand, seconds: float) -> VelocityCommand:
+        """The velocity to have after so many seconds more."""
+        limits = self._limits
+        wanted_m_s = min(max(command.forward_m_s, -limits.backward_m_s), limits.forward_m_s)
+        wanted_rad_s = min(max(command.turn_rad_s, -limits.turn_rad_s), limits.turn_rad_s)
+        turn_step = limits.turn_acceleration_rad_s2 * seconds
+        turn_rad_s = self.now.turn_rad_s + min(max(wanted_rad_s - self.now.turn_rad_s, -turn_step), turn_step)
+        self.now = VelocityCommand(self._forward(wanted_m_s, seconds), turn_rad_s)
+        return self.now
+
+    def _forward(self, wanted_m_s: float, seconds: float) -> float:
+        limits, now_m_s = self._limits, self.now.forward_m_s
+        if now_m_s * wanted_m_s < 0:
+            wanted_m_s = 0.0
+        left_m_s = abs(wanted_m_s) - abs(now_m_s)
+        if left_m_s <= 0:
+            self._acceleration_m_s2 = 0.0
+            size_m_s = max(abs(wanted_m_s), abs(now_m_s) - limits.braking_m_s2 * seconds)
+            return math.copysign(size_m_s, now_m_s)
+        grown = self._acceleration_m_s2 + limits.jerk_m_s3 * seconds
+        # From this acceleration it falls to none just when the speed is reached.
+        ending = math.sqrt(2 * limits.jerk_m_s3 * left_m_s)
+        self._acceleration_m_s2 = min(grown, limits.acceleration_m_s2, ending)
+        size_m_s = min(abs(now_m_s) + self._acceleration_m_s2 * seconds, abs(wanted_m_s))
+        return math.copysign(size_m_s, wanted_m_s)
+
+
+class VelocityControl:
+    """Turns commands and ticks into duties; call `update` with each reading of the wheels, and when one fails to come.
+
+    Every wheel gets the duty that its speed should take, and what a proportional and an integral term make of the
+    difference between that speed and what its encoder counts. Where wheels do not do what they are told, the reason is
+    answered with duties of zero, until the cause is gone and the command is to stand.
+
+    Args:
+        wheels: as calibrated.
+        limits: which the commands are held to.
+        settings: of the loop.
+    """
+
+    def __init__(
+        self, wheels: Wheels, limits: RobotLimits | None = None, settings: WheelControlSettings | None = None
+    ) -> None:
+        self._settings = settings or WheelControlSettings()
+        self._half_track_m = wheels.track_width_m / 2
+        self._velocity = LimitedVelocity(limits or RobotLimits())
+        m_per_tick = wheels.left_m_per_tick, wheels.right_m_per_tick
+        self._loops = [
+            _WheelLoop(name, m, self._settings) for name, m in zip(("left", "right"), m_per_tick, strict=True)
+        ]
+        self._last_s: float | None = None
+        self._heard_s: float | None = None
+        self._has_ticks = self._is_driven = False
+        self._stopped_s: float | None = None
+        self._rolled_s = -math.inf
+        self.reason = ""
+
+    @property
+    def settings(self) -> WheelControlSettings:
+        """Of the loop."""
+        return self._settings
+
+    @property
+    def velocity(self) -> VelocityCommand:
+        """What the wheels are told to have now, after limits."""
+        return self._velocity.now
+
+    def stop(self, reason: str = "") -> None:
+        """Begin anew from a stand; with a reason, stand until the command is to stand.
+
+        May be called by another thread than `update` is.
+        """
+        self.reason = reason or self.reason
+        self._stopped_s = None
+        self._velocity.reset()
+        for loop in self._loops:
+            loop.rest()
+
+    def update(self, now_s: float, ticks: WheelTicks | None, command: VelocityCommand) -> Duties:
+        """The duties from now on.
+
+        Args:
+            now_s: by any clock that runs as that of the ticks' stamps.
+            ticks: those that came now, or None.
+            command: what the robot is to do.
+        """
+        since_s = 0.0 if self._last_s is None else max(now_s - self._last_s, 0.0)
+        self._last_s = now_s
+        if since_s > self._settings.hold_s:
+            # The link has stopped the motors meanwhile; what was asked before the gap is not done after it.
+            self.stop(f"the program stood still for {since_s:.1f} s" if self._is_driven else "")
+            for loop in self._loops:
+                loop.forget()
+            since_s = 0.0
+        self._heard_s = now_s if ticks is not None or self._heard_s is None else self._heard_s
+        if ticks is not None:
+            self._has_ticks = True
+            for loop, count in zip(self._loops, (ticks.left, ticks.right), strict=True):
+                loop.count(ticks.stamp_s, count)
+        if now_s - self._heard_s > self._settings.silence_s:
+            self.stop("no wheel readings come")
+        elif self._stood_still(now_s) and self.reason and command.is_stop:
+            self.reason = ""
+        self._is_driven = False
+        if self.reason or not self._has_ticks:
+            return Duties(reason=self.reason)
+        duties = self._duties(command, since_s)
+        self._is_driven = duties.left != 0 or duties.right != 0
+        return duties
+
+    def _stood_still(self, now_s: float) -> bool:
+        """Whether the wheels stand, or roll on though their motors have long had no voltage."""
+        self._stopped_s = now_s if self._stopped_s is None else self._stopped_s
+        if any(abs(loop.speed_m_s) >= self._settings.standing_m_s for loop in self._loops):
+            self._rolled_s = now_s
+        return now_s - self._rolled_s > _STOOD_S or now_s - self._stopped_s > _ROLLS_S
+
+    def _duties(self, command: VelocityCommand, since_s: float) -> Duties:
+        velocity = self._velocity.towards(command, since_s)
+        across_m_s = velocity.turn_rad_s * self._half_track_m
+        rims_m_s = velocity.forward_m_s - across_m_s, velocity.forward_m_s + across_m_s
+        # Both wheels are slowed alike where one cannot be so fast, so that the robot stays on its way.
+        share = min(1.0, self._settings.most_duty * self._settings.full_speed_m_s / max(*map(abs, rims_m_s), 1e-9))
+        left, right = (loop.duty(share * rim_m_s, since_s) for loop, rim_m_s in zip(self._loops, rims_m_s, strict=True))
+        for loop in self._loops:
+            if loop.reason:
+                self.stop(loop.reason)
+                return Duties(reason=self.reason)
+        return Duties(left, right)
+
+
+class _WheelLoop:
+    """One wheel: its speed by its encoder, and the duty that brings it to the speed wanted."""
+
+    def __init__(self, name: str, m_per_tick: float, settings: WheelControlSettings) -> None:
+        self._name, self._m_per_tick, self._settings = name, m_per_tick, settings
+        self._counts: deque[tuple[float, int]] = deque()
+        self.rest()
+
+    def rest(self) -> None:
+        self._sum = self._doubted_s = self._expected_m_s = 0.0
+        self.reason = ""
+
+    def forget(self) -> None:
+        """Drop the readings so far: a speed over a gap in the readings is no speed of now."""
+        self._counts.clear()
+
+    def count(self, stamp_s: float, count: int) -> None:
+        if self._counts and stamp_s <= self._counts[-1][0]:
+            return
+        self._counts.append((stamp_s, count))
+        while len(self._counts) > 2 and stamp_s - self._counts[1][0] >= self._settings.speed_window_s - 1e-6:
+            self._counts.popleft()
+
+    @property
+    def speed_m_s(self) -> float:
+        if len(self._counts) < 2:
+            return 0.0
+        (begin_s, begin), (end_s, end) = self._counts[0], self._counts[-1]
+        return self._m_per_tick * (end - begin) / (end_s - begin_s)
+
+    def duty(self, wanted_m_s: float, since_s: float) -> float:
+        """From -1 to 1; sets `reason` where the wheel has not obeyed for too long."""
+        settings, speed_m_s = self._settings, self.speed_m_s
+        answered = 1 - math.exp(-since_s / settings.answer_s)
+        self._expected_m_s += answered * (wanted_m_s - self._expected_m_s)
+        doubt = self._doubt(self._expected_m_s, speed_m_s)
+        # A dead encoder shows a speed that no wheel can have come to so soon: the more, the less time is given.
+        weight = max(abs(self._expected_m_s - speed_m_s) / settings.doubt_m_s, 1.0)
+        self._doubted_s = self._doubted_s + weight * since_s if doubt else 0.0
+        if self._doubted_s > settings.doubt_s:
+            self.reason = f"the {self._name} wheel {doubt}: told {wanted_m_s:.2f} m/s, its encoder {speed_m_s:.2f}"
+        if wanted_m_s == 0 and abs(speed_m_s) < settings.standing_m_s:
+            self._sum = self._expected_m_s = 0.0
+            return 0.0
+        error = (self._expected_m_s - speed_m_s) / settings.full_speed_m_s
+        most = settings.most_correction
+        self._sum = min(max(self._sum + settings.integral_per_s * error * since_s, -most), most)
+        correction = min(max(settings.proportional * error + self._sum, -most), most)
+        known = wanted_m_s / settings.full_speed_m_s
+        known += math.copysign(settings.dead_duty, wanted_m_s) if wanted_m_s else 0.0
+        return min(max(known + correction, -settings.most_duty), settings.most_duty)
+
+    def _doubt(self, wanted_m_s: float, speed_m_s: float) -> str:
+        """What the wheel seems to do that it was not told, or nothing."""
+        much = self._settings.doubt_m_s
+        if wanted_m_s * speed_m_s < 0 and abs(speed_m_s) > much:
+            return "turns the wrong way"
+        if abs(speed_m_s) > abs(wanted_m_s) + much:
+            return "runs away"
+        # Slow wheels are never slower by much: those must turn at all.
+        is_blocked = abs(speed_m_s) < abs(wanted_m_s) - min(much, 0.8 * abs(wanted_m_s))
+        return "is blocked" if is_blocked and abs(wanted_m_s) > 2 * self._settings.standing_m_s else ""

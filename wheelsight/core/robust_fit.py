@@ -1,0 +1,168 @@
+"""Robust least squares over pieces of a drive, with a covariance that allows for what neighbouring pieces share.
+
+Pieces that disagree lose their weight (Geman & McClure 1985; graduated as in Yang et al., RA-L 2020): what counts as a
+disagreement is narrowed from generous to the spread found.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Protocol
+
+import numpy as np
+
+from wheelsight.core.geometry import BoolArray, FloatArray
+from wheelsight.core.settings import CHOSEN, Settings, bounds, setting
+
+UNKNOWN_SIGMA = 1e3
+
+_STEP = 0.01  # of a value's bound, by which the solver scales it
+
+
+class RobustFitSettings(Settings):
+    """What counts as a disagreement of a piece with the rest."""
+
+    first_scale: float = setting(0.02, "spread at first, in metres and in radians", CHOSEN, gt=0, le=1)
+    least_scale: float = setting(
+        5e-4, "spread at least: nothing is better than half a mm and half a mrad", CHOSEN, gt=0, le=1
+    )
+    narrowing: tuple[Annotated[float, bounds(gt=0, le=1e6)], ...] = setting(
+        (32.0, 8.0, 4.0, 2.0, 1.0, 1.0, 1.0),
+        "times the spread found, step by step",
+        "Yang et al. 2020: from generous on; the steps are chosen",
+        min_length=1,
+        max_length=100,
+    )
+    outlier_chi2: float = setting(
+        16.0, "three normal residuals exceed it once in a thousand", "reckoned: χ² of 3", gt=0, le=1e4
+    )
+    most_clusters: int = setting(
+        25, "runs of neighbouring pieces, by whose spread the covariance is told", CHOSEN, gt=0, le=10_000
+    )
+
+
+DEFAULTS = RobustFitSettings()
+
+
+class Problem(Protocol):
+    """What is fitted: M pieces of a drive, explained by P values.
+
+    Attributes:
+        bounds: (P,) largest size of each value.
+        prior_sigmas: (P,) how far each may well be from 0, as a standard deviation; `UNKNOWN_SIGMA` for no idea.
+    """
+
+    @property
+    def bounds(self) -> FloatArray: ...
+
+    @property
+    def prior_sigmas(self) -> FloatArray: ...
+
+    def residuals(self, values: FloatArray) -> FloatArray:
+        """(M, 3) along and across each piece in metres, and in yaw in radians."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class RobustFit:
+    """Values (P,) with covariance (P, P); the residuals (M, 3) they leave, the weights (M,) and which are outliers.
+
+    `if_independent` (P, P) is the covariance that residuals of this spread would leave if each were by itself.
+    """
+
+    values: FloatArray
+    covariance: FloatArray
+    if_independent: FloatArray
+    residuals: FloatArray
+    weights: FloatArray
+    is_outlier: BoolArray
+
+
+def robust_fit(problem: Problem, start: FloatArray, settings: RobustFitSettings = DEFAULTS) -> RobustFit:
+    """The values for which most pieces agree, sought from `start` (P,)."""
+    values, scales = start, np.full(3, settings.first_scale)
+    weights = np.ones(len(problem.residuals(start)))
+    for factor in settings.narrowing:
+        residuals = problem.residuals(values)
+        if values is not start:
+            scales = np.maximum(spread(residuals), settings.least_scale)
+        weights = _weights(((residuals / (factor * scales)) ** 2).sum(axis=1), settings)
+        values = _solve(problem, values, scales, weights)
+    residuals = problem.residuals(values)
+    is_outlier = ((residuals / scales) ** 2).sum(axis=1) > settings.outlier_chi2
+    return RobustFit(values, *_covariances(problem, values, scales, settings), residuals, weights, is_outlier)
+
+
+def response(
+    problem: Problem, found: RobustFit, moved: FloatArray, settings: RobustFitSettings = DEFAULTS
+) -> FloatArray:
+    """How far the values found go (K, P), to first order, where residuals are moved by `moved` (K, M, 3)."""
+    scales = np.maximum(spread(found.residuals), settings.least_scale)
+    J = _jacobian(problem, found.values) / scales[None, :, None]
+    weighted = found.weights[:, None, None] * J
+    H = np.einsum("mip,miq->pq", weighted, J) + np.diag(problem.prior_sigmas**-2)
+    return np.asarray(-np.linalg.solve(H, np.einsum("mip,kmi->pk", weighted, moved / scales)).T)
+
+
+def spread(residuals: FloatArray) -> FloatArray:
+    """Standard deviations (K,) of (M, K) by the median, which outliers do not move."""
+    return np.asarray(1.4826 * np.median(np.abs(residuals), axis=0))
+
+
+def _solve(problem: Problem, start: FloatArray, scales: FloatArray, weights: FloatArray) -> FloatArray:
+    from scipy.optimize import least_squares
+
+    root = np.sqrt(weights)[:, None] / scales
+
+    def misfit(values: FloatArray) -> FloatArray:
+        return np.concatenate([(root * problem.residuals(values)).ravel(), values / problem.prior_sigmas])
+
+    bounds = problem.bounds
+    within = start.clip(-0.99 * bounds, 0.99 * bounds)
+    return np.asarray(least_squares(misfit, within, jac="3-point", bounds=(-bounds, bounds), x_scale=_STEP * bounds).x)
+
+
+def _weights(chi2: FloatArray, settings: RobustFitSettings) -> FloatArray:
+    """Geman and McClure's weights (M,) of squared residuals (M,) in units of their scale."""
+    return np.asarray((settings.outlier_chi2 / (settings.outlier_chi2 + chi2)) ** 2)
+
+
+def _covariances(
+    problem: Problem, values: FloatArray, scales: FloatArray, settings: RobustFitSettings
+) -> tuple[FloatArray, FloatArray]:
+    """The robust cost's inverse Hessian on both sides of its gradient's spread (Huber 1967), and alone, (P, P) each.
+
+    The gradient is summed over runs of neighbouring pieces, for neighbours share a pose and so that pose's error.
+    What residuals of the least credible size would leave is added, so that data without noise hide no open direction.
+    """
+    r = problem.residuals(values) / scales
+    J = _jacobian(problem, values) / scales[None, :, None]
+    chi2 = (r**2).sum(axis=1)
+    w = _weights(chi2, settings)
+    slope = -4 * settings.outlier_chi2**2 / (settings.outlier_chi2 + chi2) ** 3
+    H = np.einsum("mip,m,miq->pq", J, w, J)
+    along = np.einsum("mip,mi->mp", J, r)
+    robust = H + np.einsum("mp,m,mq->pq", along, slope, along)
+    known = np.diag(problem.prior_sigmas**-2)
+    if np.linalg.eigvalsh(robust + known)[0] < 0.1 * np.linalg.eigvalsh(H + known)[0]:
+        robust = H
+    inverse = np.linalg.inv(robust + known)
+    size = -(-len(r) // settings.most_clusters)
+    gradients = np.add.reduceat(w[:, None] * along, np.arange(0, len(r), size))
+    groups = len(gradients)
+    scatter = gradients.T @ gradients * groups / (groups - len(values))
+    floor = _floor(J, scales / settings.least_scale, known)
+    return inverse @ scatter @ inverse + floor, inverse + floor
+
+
+def _floor(J: FloatArray, times: FloatArray, known: FloatArray) -> FloatArray:
+    """The covariance (P, P) that residuals of the least credible size would leave; scales are so many `times` that."""
+    whole = J * times[None, :, None]
+    return np.asarray(np.linalg.inv(np.einsum("mip,miq->pq", whole, whole) + known))
+
+
+def _jacobian(problem: Problem, values: FloatArray) -> FloatArray:
+    """Derivatives (M, 3, P) of the residuals, by central differences."""
+    steps = 1e-6 * np.eye(len(values))
+    columns = [(problem.residuals(values + h) - problem.residuals(values - h)) / 2e-6 for h in steps]
+    return np.stack(columns, axis=-1)

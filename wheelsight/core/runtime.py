@@ -1,0 +1,220 @@
+"""What the program needs of its surroundings. `end_by_signals` turns SIGINT, SIGTERM and SIGHUP into a tidy end;
+`needed` imports an optional library or names the extra that installs it.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from types import FrameType
+from typing import Any
+
+from wheelsight.core.errors import ConfigError
+
+# Signals that end a program: Ctrl-C, SIGTERM, and SIGHUP of a terminal that is closed. All three end it alike.
+#
+# The first begins a tidy end: the step at hand is finished, a robot is stopped, results are written. A second gives
+# up what is not finished of that, wherever the program is; the system kills the program if it hangs there. A third
+# kills it.
+
+
+ENDING: tuple[signal.Signals, ...] = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
+_SIGHUP = getattr(signal, "SIGHUP", None)
+# A closed terminal sends SIGHUP through its shell and by itself, and systemd SIGTERM and SIGHUP: one wish each time.
+_ONE_WISH_S = 1.0
+# Closing a camera and a serial line takes up to 3 s.
+_FORCED_S = 5
+
+_Handler = Callable[[int, FrameType | None], None]
+
+
+class _Program:
+    """The signals that came, and how far the program has come with its end.
+
+    Args:
+        is_ours: whether the program may be killed; else it belongs to another, which uses this package.
+    """
+
+    def __init__(self, *, is_ours: bool = False) -> None:
+        self.asked: list[int] = []
+        self._is_ours, self._last_s, self._begun = is_ours, 0.0, 0
+        self._is_in_step, self._is_due = False, False
+
+    def interrupt(self, number: int, _: FrameType | None) -> None:
+        """The handler of a signal: raises KeyboardInterrupt, in a step at its end."""
+        if not self.asks(number):
+            return
+        if self._is_in_step and not self._is_due:
+            self._is_due = True
+            return
+        self._is_due = False
+        self.begin_end()
+        raise KeyboardInterrupt
+
+    @contextmanager
+    def whole_step(self) -> Iterator[None]:
+        """See the function."""
+        self._is_in_step = True
+        try:
+            yield
+        finally:
+            self._is_in_step = False
+        if self._is_due:
+            self._is_due = False
+            self.begin_end()
+            raise KeyboardInterrupt
+
+    def asks(self, number: int) -> bool:
+        """Note a signal; False where it belongs to the wish that came just before."""
+        now_s = time.monotonic()
+        is_close = bool(self.asked) and now_s - self._last_s < _ONE_WISH_S
+        if is_close and (number == _SIGHUP or number not in self.asked):
+            return False
+        self._last_s = now_s
+        self.asked.append(number)
+        return True
+
+    def begin_end(self) -> None:
+        """The tidy end begins; a second time, it is given up within `_FORCED_S`; a third time, at once."""
+        self._begun += 1
+        if not self._is_ours or self._begun == 1:
+            return
+        if self._begun == 2:
+            if hasattr(signal, "alarm"):
+                # The system's own answer ends what is stuck in compiled code, too.
+                signal.signal(signal.SIGALRM, signal.SIG_DFL)
+                signal.alarm(_FORCED_S)
+            return
+        signal.signal(self.asked[0], signal.SIG_DFL)
+        os.kill(os.getpid(), self.asked[0])
+
+
+_program: _Program | None = None
+
+
+def end_by_signals() -> None:
+    """From now on SIGTERM and SIGHUP raise KeyboardInterrupt, as Ctrl-C does. For a program's entry.
+
+    What the program ignores from its beginning on, such as SIGHUP under nohup, stays ignored.
+    """
+    global _program
+    _program = _Program(is_ours=True)
+    for number in ENDING:
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+            signal.signal(number, _program.interrupt)
+
+
+def exit_code() -> int:
+    """Of a program that a signal ended, as shells have it: 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP."""
+    return 128 + (_program.asked[0] if _program is not None and _program.asked else signal.SIGINT)
+
+
+def was_asked() -> bool:
+    """Whether a signal has asked this program to end, since `end_by_signals`."""
+    return _program is not None and bool(_program.asked)
+
+
+@contextmanager
+def until_stopped(seconds: float | None = None) -> Iterator[Callable[[], bool]]:
+    """A question, "is it over?": yes after one of the signals, or after so many seconds.
+
+    A second signal raises KeyboardInterrupt. A SIGHUP that is ignored stays so.
+    """
+    program = _program or _Program()
+    ends_s = None if seconds is None else time.monotonic() + seconds
+    came: list[int] = []
+
+    def stop(number: int, _: FrameType | None) -> None:
+        if program.asks(number):
+            came.append(number)
+            program.begin_end()
+            if len(came) > 1:
+                raise KeyboardInterrupt
+
+    ignored = [number for number in ENDING if number == _SIGHUP and signal.getsignal(number) is signal.SIG_IGN]
+    with _handled([number for number in ENDING if number not in ignored], stop):
+        yield lambda: bool(came) or (ends_s is not None and time.monotonic() >= ends_s)
+
+
+@contextmanager
+def whole_step() -> Iterator[None]:
+    """A first signal in the block raises KeyboardInterrupt at its end, so that nothing is half built; a second at once.
+
+    Only signals that would raise it anyway: a program's own handlers stay, and other threads are left alone.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+    elif _program is not None:
+        with _program.whole_step():
+            yield
+    elif signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        program = _Program()
+        with _handled([signal.SIGINT], program.interrupt), program.whole_step():
+            yield
+    else:
+        yield
+
+
+@contextmanager
+def _handled(numbers: list[signal.Signals], handler: _Handler) -> Iterator[None]:
+    before = {number: signal.signal(number, handler) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler_before in before.items():
+            signal.signal(number, handler_before)
+
+
+# Libraries that an extra of wheelsight brings: loaded when they are needed, and named where they are missing.
+
+
+# By the name that is imported: the library's, and all that its extra brings, by names that install from anywhere.
+_EXTRAS = {
+    "av": ("PyAV", "av"),
+    "backports": ("backports.zstd", "rosbags"),
+    "compression": ("compression.zstd", "rosbags"),
+    "distributed": ("Dask", "distributed"),
+    "gtsam": ("GTSAM", "gtsam"),
+    "lz4": ("lz4", "rosbags"),
+    "mujoco": ("MuJoCo", "mujoco matplotlib"),
+    "octomap": ("octomap-python", "octomap-python"),
+    "plotly": ("plotly", "plotly"),
+    "rosbags": ("rosbags", "rosbags"),
+    "pyrealsense2": ("pyrealsense2", "pyrealsense2"),
+    "rerun": ("Rerun", "rerun-sdk"),
+    "skimage": ("scikit-image", "scikit-image"),
+    "sklearn": ("scikit-learn", "scikit-learn skops"),
+    "starlette": ("Starlette", "starlette uvicorn websockets"),
+    "uvicorn": ("uvicorn", "starlette uvicorn websockets"),
+    "websockets": ("websockets", "starlette uvicorn websockets"),
+    "skops": ("skops", "scikit-learn skops"),
+}
+
+
+def needed(module: str) -> Any:
+    """A module of a library that an extra brings, such as "skops.io".
+
+    Raises:
+        ConfigError: the library is not installed; says how to install it.
+    """
+    library, libraries = _EXTRAS[module.partition(".")[0]]
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise ConfigError(f"{library} is missing", fix=f"pip install {libraries}") from error
+
+
+def why_missing(library: str) -> str | None:
+    """What to say of a library of an extra, by the name that is imported; None where it is installed."""
+    try:
+        needed(library)
+    except ConfigError as error:
+        return str(error)
+    return None

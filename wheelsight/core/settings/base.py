@@ -1,0 +1,218 @@
+"""`Settings`, the base class of all settings, and `setting`, a field with bounds, reason and source.
+`checked_settings` validates values from files; `PROFILES` holds sets of values for one kind of computer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from types import MappingProxyType
+from typing import Any, TypeVar, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import PydanticCustomError
+
+from wheelsight.core.errors import InputError
+
+# Settings: what all settings classes share, and `setting`, a field that says where its default comes from.
+
+
+# Sources of defaults: one that no real drive has confirmed, and one of which no measurement is recorded.
+ON_SIMULATOR = "found on the simulator alone"
+CHOSEN = "chosen; no measurement"
+# Of what only a user knows.
+ASKED = "what nobody has asked for otherwise"
+
+
+class Settings(BaseModel):
+    """A section of `Config`: frozen; unknown names and numbers that are not finite are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def setting(default: Any, why: str, source: str, **bounds: Any) -> Any:
+    """A field of a settings class.
+
+    Args:
+        default: its value where nobody says otherwise; `...` where somebody must.
+        why: what it does and why it is so large; with its unit, where its name has none.
+        source: of the default: what it was reckoned from, or which drives showed it.
+        bounds: as pydantic's `Field` takes them: gt, ge, lt, le, and min_length, max_length of several.
+    """
+    return Field(default=default, description=why, json_schema_extra={"source": source}, **bounds)
+
+
+def bounds(**limits: Any) -> Any:
+    """Of each of several numbers: `tuple[Annotated[float, bounds(gt=0, le=10)], ...]`; named as those of `setting`."""
+    return Field(**limits)
+
+
+def conflict(name: str, problem: str, fix: str) -> PydanticCustomError:
+    """Of settings each of which is sound; for a validator to raise where they meet.
+
+    Args:
+        name: the setting at fault, dotted, seen from the class that refuses it.
+        problem: what is wrong, as it follows the name.
+        fix: what to do.
+    """
+    return PydanticCustomError(
+        "conflict", "{setting} {problem} ({fix})", {"setting": name, "problem": problem, "fix": fix}
+    )
+
+
+# Settings from strangers: checked by their model, and what is wrong with the first told in a line.
+
+
+_CONFLICT = "conflict"
+_Settings = TypeVar("_Settings", bound=BaseModel)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fault:
+    """The first wrong setting of a model.
+
+    Attributes:
+        location: names of the sections it lies in, and its own; empty where settings do not fit each other.
+        known: names of the settings that there are beside it.
+        details: pydantic's.
+    """
+
+    location: tuple[str, ...]
+    known: tuple[str, ...]
+    details: dict[str, Any]
+
+    @classmethod
+    def of(cls, invalid: ValidationError, model: type[BaseModel]) -> Fault:
+        """What `model` found."""
+        details: dict[str, Any] = dict(invalid.errors(include_url=False)[0])
+        location = tuple(part for part in details["loc"] if isinstance(part, str))  # a setting, not its place in a list
+        if details["type"] == _CONFLICT:
+            location += tuple(details["ctx"]["setting"].split("."))
+        return cls(location, tuple(_known_settings(model, location[:-1])), details)
+
+    def told(self, name: str | None = None) -> tuple[str, str | None]:
+        """What is wrong with the setting, which the user knows by `name`, and what would be right."""
+        details, name = self.details, ".".join(self.location) if name is None else name
+        if details["type"] == _CONFLICT:
+            return f"{name} {details['ctx']['problem']}", details["ctx"]["fix"]
+        if details["type"] == "extra_forbidden":
+            near = get_close_matches(self.location[-1], self.known, n=1)
+            return f"unknown setting {name}", f"did you mean {near[0]}?" if near else f"known: {', '.join(self.known)}"
+        if details["type"] == "missing":
+            return f"{name} is missing", None
+        if details["type"] == "literal_error":
+            return f"{name} is {details['input']!r}", f"known: {details['ctx']['expected']}"
+        message = details["msg"].removeprefix("Value error, ").removeprefix("Input ")
+        return f"{name} is {details['input']!r}, which {message}" if name else message, None
+
+
+def checked_settings(
+    model: type[_Settings], values: Any, error: type[InputError], whose: str, fix: str | None = None
+) -> _Settings:
+    """Settings of a file.
+
+    Args:
+        model: what they are of.
+        values: names and values, as the file has them.
+        error: raised where they are wrong.
+        whose: begins the message, such as "settings: ".
+        fix: what to do; None: what would be right, where that can be said.
+    """
+    try:
+        return model.model_validate(values)
+    except ValidationError as invalid:
+        problem, right = Fault.of(invalid, model).told()
+        raise error(f"{whose}{problem}", fix=fix or right) from invalid
+
+
+def _known_settings(model: Any, section: Sequence[str]) -> list[str]:
+    for part in section:
+        field = getattr(model, "model_fields", {}).get(part)
+        if field is None:
+            return []
+        model = next((kind for kind in get_args(field.annotation) if _is_settings(kind)), field.annotation)
+    return sorted(getattr(model, "model_fields", {}))
+
+
+def _is_settings(kind: Any) -> bool:
+    return get_origin(kind) is None and isinstance(kind, type) and issubclass(kind, BaseModel)
+
+
+# Profiles: settings that go together for one kind of computer; what a user names lies over them.
+
+
+@dataclass(frozen=True, slots=True)
+class ProfileSetting:
+    """What a profile has in place of a default.
+
+    Attributes:
+        value: of the setting.
+        why: it is so, with its unit where the setting's name has none.
+        source: where the value comes from.
+    """
+
+    value: Any
+    why: str
+    source: str
+
+
+_MEASURED = "three real recordings on one core: docs/decisions/0087"
+_RECKONED = "reckoned; no recording here is long enough to show it"
+
+PI: Mapping[str, ProfileSetting] = MappingProxyType(
+    {
+        "localizer.most_width_px": ProfileSetting(320, "images of 640×480 become 320×240", _MEASURED),
+        "dense.finest_width_px": ProfileSetting(
+            200, "the finest level is half of that, as by default it is half of 640: 160×120", _MEASURED
+        ),
+        "dense.keyframe_overlap": ProfileSetting(
+            0.6, "about half as many keyframes, which must be compressed, recognised and kept", _MEASURED
+        ),
+        "dense.keyframe_way_m": ProfileSetting(0.5, "likewise beside a map, metres", _MEASURED),
+        "features.keypoints": ProfileSetting(
+            700, "as an image of a quarter of the pixels shows; with 500 one of three erred more", _MEASURED
+        ),
+        "features.candidates": ProfileSetting(1400, "twice as many, as by default", _MEASURED),
+        "features.keyframe_share": ProfileSetting(0.35, "a third fewer keyframes", _MEASURED),
+        "features.local_keyframes": ProfileSetting(12, "a smaller local map to search", _MEASURED),
+        "surfels.fused_way_m": ProfileSetting(
+            0.08, "twice as far between two frames that are fused, metres", _MEASURED
+        ),
+        "surfels.fused_after_s": ProfileSetting(0.2, "and twice as long, seconds", _MEASURED),
+        "surfels.max_surfels": ProfileSetting(
+            500_000, "36 MB; a quarter of the pixels lays about a quarter of the surfels", _RECKONED
+        ),
+        "navigation.mppi.rollouts": ProfileSetting(500, "a command in a quarter of the time", _MEASURED),
+    }
+)
+PROFILES: Mapping[str, Mapping[str, ProfileSetting]] = MappingProxyType({"pi": PI})
+
+
+def over_profile(profile: object, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested settings over those of a profile; as they are where there is none of that name."""
+    below: dict[str, Any] = {}
+    for name, of_profile in PROFILES.get(profile, {}).items() if isinstance(profile, str) else ():
+        *sections, last = name.split(".")
+        inner = below
+        for section in sections:
+            inner = inner.setdefault(section, {})
+        inner[last] = of_profile.value
+    return _over(below, given)
+
+
+def differing(settings: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
+    """Of nested settings those that are not the same in others, which have the same names."""
+    told: dict[str, Any] = {}
+    for name, value in settings.items():
+        if isinstance(value, Mapping) and isinstance(others[name], Mapping):
+            told |= {name: inner} if (inner := differing(value, others[name])) else {}
+        elif value != others[name]:
+            told[name] = value
+    return told
+
+
+def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested mappings, in which those of `above` win."""
+    both = {name for name in above if isinstance(below.get(name), Mapping) and isinstance(above[name], Mapping)}
+    return {**below, **above, **{name: _over(below[name], above[name]) for name in both}}

@@ -1,0 +1,732 @@
+"""Settings of the localizer, of place recognition, of live cameras and recorders, of playback in real time, of the
+live page and of the viewer.
+"""
+
+from __future__ import annotations
+
+from typing import Self
+
+from pydantic import model_validator
+
+from wheelsight.core.settings.base import ASKED, CHOSEN, ON_SIMULATOR, Settings, conflict, setting
+
+# LocalizerSettings: what a localizer goes by beyond odometry, map and filter.
+
+
+class BaseCheckSettings(Settings):
+    """Whether wheels and camera tell of one drive, over its first metres; see `BaseCheck`."""
+
+    enough_m: float = setting(
+        3.0,
+        "way, metres, that must have been compared before both are known to tell of one drive; what comes later is "
+        "slip, and is the filter's to tell",
+        ON_SIMULATOR,
+        gt=0,
+        le=1000,
+    )
+    enough_rad: float = setting(
+        1.5, "turns, radians, that must have been compared likewise", ON_SIMULATOR, gt=0, le=100
+    )
+    likely_m: float = setting(
+        0.05,
+        "by how many metres both must be apart before a factor is likely: whoever looks or turns elsewhere shows it in "
+        "any piece, but a factor may be the work of clocks that are apart, by 0.1 s at half a metre a second",
+        "reckoned from clocks and speeds",
+        ge=0,
+        le=100,
+    )
+    likely_rad: float = setting(
+        0.1, "likewise in radians, at a radian a second", "reckoned from clocks and speeds", ge=0, le=10
+    )
+    sure_pieces: int = setting(
+        8, "pieces of some centimetres or degrees after which what was found may be sure", ON_SIMULATOR, ge=1, le=10_000
+    )
+    sure_m: float = setting(0.5, "way, metres, or", ON_SIMULATOR, ge=0, le=1000)
+    sure_rad: float = setting(0.6, "turns, radians, after which it is", ON_SIMULATOR, ge=0, le=100)
+    sure_slip_m: float = setting(
+        1.5,
+        "the same for a factor of the wheels, metres: wheels slip by a factor, too, and where the camera leads then "
+        "anyway it is no haste",
+        ON_SIMULATOR,
+        ge=0,
+        le=1000,
+    )
+    sure_slip_rad: float = setting(1.5, "likewise, radians", ON_SIMULATOR, ge=0, le=100)
+    blind_m: float = setting(
+        1.0,
+        "way by the wheels, metres, after which a camera that sees the floor elsewhere and is hardly followed is left"
+        " out",
+        ON_SIMULATOR,
+        gt=0,
+        le=1000,
+    )
+    blind_share: float = setting(
+        0.2, "share of its frames below which a camera is hardly followed", ON_SIMULATOR, ge=0, le=1
+    )
+    agreed_m: float = setting(
+        0.3,
+        "way, metres, after which a floor that is not where the mount has it is held against nobody",
+        ON_SIMULATOR,
+        ge=0,
+        le=1000,
+    )
+    floor_views: int = setting(
+        5, "views that show the lowest floor so far, of which the median counts", ON_SIMULATOR, ge=1, le=10_000
+    )
+    floor_rows: int = setting(30, "rows of the depth image that are looked at for it", CHOSEN, ge=4, le=2000)
+    floor_factor: float = setting(
+        1.2,
+        "factor of the camera's height by which the floor must lie elsewhere; mount, tilt and what lies on it make "
+        "less",
+        ON_SIMULATOR,
+        gt=1,
+        le=100,
+    )
+    again_ways: float = setting(
+        3.0,
+        "a camera that was left out is compared anew after so many times `enough_m` without a verdict: what was wrong "
+        "long ago counts no more",
+        CHOSEN,
+        gt=1,
+        le=1000,
+    )
+    again_keyframes: int = setting(
+        20, "keyframes, at most, by which a camera that was left out is followed", CHOSEN, ge=1, le=10_000
+    )
+    kept_s: float = setting(
+        3.0, "how long poses by the wheels are kept for frames that come late, seconds", CHOSEN, gt=0, le=600
+    )
+    waiting_frames: int = setting(
+        100, "frames, at most, that wait for wheels which are not heard: 3 s of most cameras", CHOSEN, ge=1, le=100_000
+    )
+    silent_s: float = setting(
+        0.5,
+        "wheels that have been silent for longer answer nothing, seconds: the gap that they bridge",
+        "as a calibration's max_gap_s",
+        gt=0,
+        le=60,
+    )
+    gyro_after_s: float = setting(
+        0.1, "how old the gyroscope's last reading may be at the end of a piece, seconds", CHOSEN, ge=0, le=10
+    )
+
+
+class ColorCheckSettings(Settings):
+    """Whether colour is later than its depth; see `ColorCheck` and docs/decisions/0003."""
+
+    width_px: int = setting(
+        80, "width to which images are reduced before shifts are looked for, pixels", ON_SIMULATOR, ge=16, le=4096
+    )
+    nearest_m: float = setting(
+        0.3, "nearer depth counts as this, metres: no depth camera sees nearer", "data sheets", gt=0, le=10
+    )
+    most_px: int = setting(
+        12,
+        "shift between two frames that is looked for, in the reduced image's pixels: 70° a second at 10 frames a "
+        "second",
+        "reckoned",
+        ge=1,
+        le=1000,
+    )
+    alike: float = setting(
+        0.45, "response, of 1, below which what was found is no shift of the image", ON_SIMULATOR, gt=0, lt=1
+    )
+    shift_px: float = setting(
+        0.5, "by which a shift is off, as a scale for outliers, pixels", ON_SIMULATOR, gt=0, le=100
+    )
+    clock_s: float = setting(
+        0.03,
+        "by which the clocks of camera and wheels are usually apart, seconds, as a standard deviation",
+        CHOSEN,
+        gt=0,
+        le=10,
+    )
+    first_lag_s: float = setting(-0.2, "earliest lag that is looked for, seconds", CHOSEN, ge=-10, le=0)
+    last_lag_s: float = setting(
+        0.4, "latest one, seconds: three frames of 10 a second, and 0.1 s of clocks", "reckoned", ge=0, le=10
+    )
+    lag_step_s: float = setting(0.02, "from one to the next, seconds: finer than a frame", "reckoned", gt=0, le=1)
+    latest_frames: int = setting(3, "frames by which colour may be late that are looked for", CHOSEN, ge=1, le=100)
+    least_lag_s: float = setting(
+        0.05, "a lag that is worth a word, seconds; a frame of 30 a second is less", ON_SIMULATOR, ge=0, le=10
+    )
+    fewest_shifts: int = setting(
+        20, "shifts that must be known before anything is told", ON_SIMULATOR, ge=3, le=100_000
+    )
+    most_shifts: int = setting(
+        600, "shifts that are kept: the last minute of turning at 10 frames a second", "reckoned", ge=3, le=1_000_000
+    )
+    most_readings: int = setting(
+        20_000, "headings by the wheels that are kept beside them", CHOSEN, ge=2, le=10_000_000
+    )
+    least_turn_rad: float = setting(
+        0.5, "turns that must have been seen before anything is told, radians", ON_SIMULATOR, gt=0, le=100
+    )
+    likely: float = setting(
+        6.0, "twice the logarithm of how much likelier late colour must be to be likely", ON_SIMULATOR, ge=0, le=1e6
+    )
+    sure: float = setting(
+        20.0,
+        "the same to be sure, either way: colour that is late is certain after 14 to 22 s in flats",
+        ON_SIMULATOR,
+        ge=0,
+        le=1e6,
+    )
+    followed_share: float = setting(
+        0.7,
+        "of the shifts that turns must explain: of images that move as the wheels turn 86 % and more are, of wheels "
+        "that spin under a half (flats and floors)",
+        ON_SIMULATOR,
+        gt=0,
+        lt=1,
+    )
+    every_frames: int = setting(5, "frames between two judgements", CHOSEN, ge=1, le=10_000)
+    turning_s: float = setting(
+        0.6, "so long after a turn an image that is late may still show it, seconds", ON_SIMULATOR, gt=0, le=60
+    )
+    turning_rad: float = setting(
+        0.01, "turn within that time from which on shifts are looked for, radians", ON_SIMULATOR, gt=0, le=10
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.sure < self.likely:
+            raise conflict("sure", f"is {self.sure:g}, less than likely: {self.likely:g}", "let sure be the larger")
+        if self.most_shifts < self.fewest_shifts:
+            problem = f"is {self.most_shifts}, less than fewest_shifts: {self.fewest_shifts}"
+            raise conflict("most_shifts", problem, "let most_shifts be the larger")
+        if self.last_lag_s - self.first_lag_s < 2 * self.lag_step_s:
+            problem = f"is {self.lag_step_s:g}, too long for lags from {self.first_lag_s:g} to {self.last_lag_s:g}"
+            raise conflict("lag_step_s", problem, "a tenth of that at most")
+        return self
+
+
+class FrameGateSettings(Settings):
+    """Which frames are worth processing; see `FrameGate`."""
+
+    wait_s: float = setting(
+        1.0, "so long wheels are waited for at the start, seconds: they begin the clock", CHOSEN, ge=0, le=3600
+    )
+    hangs_s: float = setting(
+        1.0,
+        "an image that repeats for longer is of a camera that hangs, seconds; cameras are logged at some times their "
+        "rate",
+        "reckoned from cameras of 1 Hz and more",
+        ge=0,
+        le=3600,
+    )
+    moved_m: float = setting(
+        0.0005,
+        "by the wheels, metres from frame to frame: less than a robot that creeps at 2 cm/s, while one that stands "
+        "turns no wheel at all",
+        "reckoned",
+        ge=0,
+        le=10,
+    )
+    moved_rad: float = setting(0.0005, "likewise in radians", "reckoned", ge=0, le=10)
+
+
+class LocalizerSettings(Settings):
+    """What a localizer goes by beyond odometry, map and filter."""
+
+    base_check: BaseCheckSettings = BaseCheckSettings()
+    color_check: ColorCheckSettings = ColorCheckSettings()
+    frame_gate: FrameGateSettings = FrameGateSettings()
+    memory_keyframes: int | None = setting(
+        128,
+        "where no map is written: keyframes that so many newer ones follow go to a temporary file, as they are, and "
+        "leave memory after twice as many, 180 kB each; of those so many are held that were asked for last; null: all "
+        "stay",
+        "as `sessions.memory_keyframes`",
+        ge=1,
+        le=1_000_000,
+    )
+    most_width_px: int | None = setting(
+        None,
+        "images wider than this are halved until they are not, before anything looks at them; with a model of places, "
+        "which is trained on images of one size, they stay as they are",
+        ASKED,
+        ge=16,
+        le=8192,
+    )
+    resting_folder: str | None = setting(
+        None, "in which that file is; none for the system's folder of temporary files", CHOSEN
+    )
+    pace_s: float = setting(
+        0.35,
+        "where wheels slip, the camera is expected to go on as it went; over a longer gap, seconds, the mean velocity "
+        "says little of that at the frame",
+        ON_SIMULATOR,
+        gt=0,
+        le=60,
+    )
+
+
+# RecognitionSettings: by what a place is recognised, and when it is believed to be the same.
+
+
+_FERNS = "Glocker et al. 2015"
+_FROM_0052 = "two real recordings of Kinects: docs/decisions/0052"
+
+
+class FernSettings(Settings):
+    """The code of a view: random comparisons on a tiny image of grey and depth."""
+
+    ferns: int = setting(
+        512, "of 4 bits each; the paper takes 500, 16 fill a word", _FERNS, ge=16, le=8192, multiple_of=16
+    )
+    width_px: int = setting(
+        40, "of the tiny image, pixels: of 640×480 the paper takes a sixteenth", _FERNS, ge=4, le=640
+    )
+    height_px: int = setting(30, "likewise", _FERNS, ge=4, le=480)
+    blur_px: float = setting(
+        1.0,
+        "standard deviation of the blur over the tiny image, pixels; the paper has 2.5 over 5 px",
+        CHOSEN,
+        gt=0,
+        le=50,
+    )
+    grey_sigmas: float = setting(
+        1.2,
+        "thresholds of grey lie within so many standard deviations of an image's grey about its mean: light and "
+        "exposure change both",
+        CHOSEN,
+        gt=0,
+        le=10,
+    )
+    nearest_m: float = setting(0.5, "thresholds of depth go from here, metres", CHOSEN, gt=0, le=100)
+    farthest_m: float = setting(
+        6.0, "to here, metres, as far as depth cameras see indoors; the paper has 0.4 to 4 m", CHOSEN, gt=0, le=1000
+    )
+
+
+class WordSettings(Settings):
+    """Words of descriptors: a tree that grows with the keyframes."""
+
+    descriptors: int = setting(300, "of a keyframe that become words; each takes 36 bytes", CHOSEN, ge=1, le=20_000)
+    branching: int = setting(8, "nodes into which a full one is split", CHOSEN, ge=2, le=64)
+    split_at: int = setting(64, "descriptors of a word at which it is split", CHOSEN, ge=4, le=10_000)
+    steps: int = setting(3, "rounds in which the centres of such nodes are bettered", CHOSEN, ge=1, le=100)
+    depth: int = setting(8, "levels of the tree at most", CHOSEN, ge=1, le=16)
+    most_postings: int = setting(
+        10_000,
+        "keyframes that are counted for the words of one view, those of rare words first: it bounds the time",
+        "measured by python -m benchmarks.relocalization: 0.2 ms",
+        ge=1,
+        le=100_000_000,
+    )
+    most_nodes: int = setting(32_000, "of the tree; then no word is split any more", CHOSEN, ge=16, le=10_000_000)
+
+
+class PlaceVerificationSettings(Settings):
+    """When a view shows the place of a keyframe, and how exactly that is known."""
+
+    max_hamming: int = setting(
+        64, "bits by which descriptors of one point may differ", "as in `features`", ge=1, le=256
+    )
+    keypoint_px: float = setting(
+        1.0,
+        "standard deviation of a keypoint's pixel at a middle scale, by `features.sigma_px` and `sigma_growth`",
+        "reckoned from `features`",
+        gt=0,
+        le=10,
+    )
+    iterations: int = setting(
+        4000,
+        "of RANSAC at most: of views from far apart one match in ten is right, and three must be",
+        "reckoned: 0.1³ of 4000 is 4, so one is found in 98 %",
+        ge=1,
+        le=1_000_000,
+    )
+    min_inliers: int = setting(
+        8,
+        "keypoints that must agree on a motion for surfaces to be asked: at wrong places 6 and 7 often agree",
+        _FROM_0052,
+        ge=4,
+        le=20_000,
+    )
+    clear_inliers: int = setting(
+        40,
+        "keypoints that must agree to count along directions that surfaces don't show; fewer fit the next door of a "
+        "corridor too",
+        CHOSEN,
+        ge=4,
+        le=20_000,
+    )
+    clear_share: float = setting(
+        0.5,
+        "or this share of those matched: 63 to 96 % at the right place, 19 to 26 % in another stretch of a corridor",
+        "found on the simulator alone: docs/decisions/0025",
+        gt=0,
+        le=1,
+    )
+    correlation: float = setting(
+        20.0, "how many neighbouring keypoints err as one", "as in `dense.verification`", gt=0, le=1e6
+    )
+    agree_m: float = setting(
+        0.15,
+        "metres by which surfaces may lead away from where keypoints are, few as these may be",
+        CHOSEN,
+        gt=0,
+        le=10,
+    )
+    agree_rad: float = setting(0.12, "radians likewise, 7 degrees", CHOSEN, gt=0, le=3.2)
+    min_overlap: float = setting(
+        0.15,
+        "share of the view's points that must find a surface of the keyframe; of less, an edge of a table fits many "
+        "places",
+        _FROM_0052,
+        gt=0,
+        lt=1,
+    )
+    max_residual: float = setting(
+        5.0, "mean residual of surfaces, in standard deviations of the sensor", "as in `dense`", gt=0, le=1000
+    )
+    free_m: float = setting(
+        0.06,
+        "metres before a surface that was seen within which what stands there is that surface",
+        CHOSEN,
+        gt=0,
+        le=10,
+    )
+    free_share: float = setting(
+        0.03, "and so much of its depth: depth of real cameras is bent by 1 or 2 %", CHOSEN, ge=0, le=1
+    )
+    free_sigmas: float = setting(3.0, "and so many standard deviations of depth", CHOSEN, ge=0, le=100)
+    free_px: int = setting(
+        1, "pixels about, of the coarsest level, of which the nearest depth is the surface", CHOSEN, ge=0, le=20
+    )
+    max_intruding: float = setting(
+        0.12,
+        "share of what both views could see that may stand where the other saw through: people and moved chairs",
+        CHOSEN,
+        ge=0,
+        le=1,
+    )
+    max_free: float = setting(
+        0.5,
+        "and so much of it may be of things that stand free of what is about them, such as somebody close by; then the"
+        " rest is judged by that",
+        "reckoned: as much must speak for the place",
+        ge=0,
+        le=1,
+    )
+    registration_sigma_m: float = setting(
+        0.01,
+        "standard deviation of a place by surfaces seen from apart, metres, beyond what single frames and the camera's"
+        " points are off by",
+        "freiburg1_desk against motion capture: docs/decisions/0122",
+        ge=0,
+        le=10,
+    )
+    registration_sigma_rad: float = setting(
+        0.01, "likewise, radians", "freiburg1_desk against motion capture: docs/decisions/0122", ge=0, le=3.2
+    )
+    unseen_sigma_m: float = setting(
+        10.0, "standard deviation along directions that are not known, turns as ways at 2 m", CHOSEN, gt=0, le=1e6
+    )
+    most_unseen: int = setting(
+        2,
+        "directions of six that may be unknown: a corridor leaves one; a single plane leaves three, and is no place",
+        "reckoned",
+        ge=0,
+        le=5,
+    )
+    agree_chi2: float = setting(
+        22.5,
+        "up to which two answers about one stretch say the same: χ² of 6, 99.9 %",
+        "reckoned: χ² of 6",
+        gt=0,
+        le=1e6,
+    )
+
+
+class RecognitionSettings(Settings):
+    """How places are recognised; see docs/recognition.md."""
+
+    seed: int = setting(0, "of ferns and of RANSAC", CHOSEN, ge=0, lt=2**32)
+    candidates: int = setting(
+        64,
+        "keyframes that are verified at most, for one view: one that shows another place costs 1 to 2 ms",
+        "two real recordings of Kinects, docs/decisions/0116; reckoned: its time, 100 ms where none shows the place",
+        ge=1,
+        le=1000,
+    )
+    apart_m: float = setting(
+        0.05,
+        "metres between two keyframes that count as two, a turn by a radian as 1.5 m: one image twice confirms nothing",
+        CHOSEN,
+        ge=0,
+        le=10,
+    )
+    fused_rank: float = setting(
+        60.0,
+        "added to ranks before the two orders, by ferns and by words, are joined by the sum of 1 / rank",
+        "Cormack et al. 2009",
+        gt=0,
+        le=1e6,
+    )
+    ranked: int = setting(64, "keyframes of each order that are joined", CHOSEN, ge=1, le=100_000)
+    ferns: FernSettings = FernSettings()
+    words: WordSettings = WordSettings()
+    verification: PlaceVerificationSettings = PlaceVerificationSettings()
+
+
+# LiveCameraSettings: what a live camera is asked for, and when its frames count as lost, old or wrongly stamped.
+
+
+class LiveCameraSettings(Settings):
+    """Of a camera that is plugged in, or a file that is played as one."""
+
+    width_px: int = setting(640, "width of the images that are asked for", ASKED, ge=16, le=8192)
+    height_px: int = setting(480, "height of the images that are asked for", ASKED, ge=16, le=8192)
+    rate_hz: int = setting(30, "frames a second that are asked for", ASKED, ge=1, le=300)
+    infrared: bool = setting(False, "whether infrared images are asked for too, where the camera has them", ASKED)
+    gyro: bool = setting(True, "whether the gyroscope of a camera that has one is read, too", CHOSEN)
+    topics: tuple[str, ...] = setting(
+        (), "of a bag that is played as a camera: which topics are what, as `recording.topics` says it", ASKED
+    )
+    registered: bool = setting(
+        True,
+        "whether depth is asked for on colour's pixels, where the camera can; calibrating takes both as measured",
+        ASKED,
+    )
+    kept_frames: int = setting(
+        4,
+        "newest frames that are kept for whoever asks; a recorder keeps more, to bridge a slow disk",
+        CHOSEN,
+        ge=1,
+        le=1000,
+    )
+    oldest_s: float = setting(
+        1.0,
+        "a frame that is older than so many seconds when it is fetched is not handed out: the robot has driven on",
+        CHOSEN,
+        gt=0,
+        le=60,
+    )
+    stall_s: float = setting(
+        0.5,
+        "without a frame for so many seconds, 15 of most cameras' periods, it counts as stalled",
+        CHOSEN,
+        gt=0,
+        le=60,
+    )
+    reopen_s: float = setting(
+        3.0,
+        "a camera that is stalled for so many seconds is closed and opened again, as after unplugging; more than "
+        "cameras take to set their exposure at their start",
+        CHOSEN,
+        gt=0,
+        le=600,
+    )
+    retry_s: float = setting(
+        0.25, "seconds between two looks for a camera that was unplugged, of the 2 s it may take", CHOSEN, gt=0, le=2
+    )
+    pair_gap_s: float = setting(
+        0.02,
+        "largest distance in time between colour and depth of one frame, seconds: over half of a period at 30 Hz, "
+        "under one",
+        "reckoned from the period",
+        gt=0,
+        le=1,
+    )
+    clock_ahead_s: float = setting(
+        0.1,
+        "a stamp that lies so many seconds after its frame's arrival tells that the camera's clock leapt",
+        CHOSEN,
+        gt=0,
+        le=10,
+    )
+    clock_late_s: float = setting(
+        0.3,
+        "frames that all arrive so many seconds after their stamps, over `clock_watch_s`, tell that it leapt back",
+        CHOSEN,
+        gt=0,
+        le=10,
+    )
+    clock_drift: float = setting(
+        5e-4,
+        "largest share by which the camera's clock runs faster or slower than the host's: five times what crystals of "
+        "cameras differ by, so that a busy host's delays are not taken for drift",
+        CHOSEN,
+        gt=0,
+        le=0.01,
+    )
+    clock_watch_s: float = setting(
+        2.0, "over so many seconds: a host that was busy has caught up by then", CHOSEN, gt=0, le=60
+    )
+
+
+# RecorderSettings: how what live sensors say is written to the disk, and when that ends.
+
+
+class RecorderSettings(Settings):
+    """Of `wheelsight record`, and of `run --live --record`."""
+
+    longest_wait_s: float = setting(
+        0.8,
+        "a frame that comes while another has waited so long for the disk is dropped, and counted; under a second, so "
+        "that whatever ends the program loses no more",
+        CHOSEN,
+        gt=0,
+        le=60,
+    )
+    most_waiting: int = setting(
+        60,
+        "frames that wait at most, whatever their rate: 130 MB of 640×480",
+        "reckoned from 7 bytes a pixel",
+        ge=1,
+        le=10_000,
+    )
+    writers: int = setting(
+        2,
+        "threads that encode and write images; a frame of 640×480 keeps one for 17 ms, and waits 18 ms for the disk",
+        "measured by benchmarks.recording on two cores",
+        ge=1,
+        le=64,
+    )
+    bag_wait_s: float = setting(
+        0.4,
+        "likewise of a frame on its way into a bag: readers put messages in order within half a second "
+        "(recording.bag.order_s), and would leave out what comes later still",
+        CHOSEN,
+        gt=0,
+        le=60,
+    )
+    bag_flush_s: float = setting(
+        0.5,
+        "how often a bag is made readable up to there, seconds: with bag_wait_s under a second, so that whatever ends "
+        "the program loses no more. Each time is a chunk of MCAP, of which a reader's index has a line",
+        CHOSEN,
+        gt=0,
+        le=60,
+    )
+    least_free_mb: float = setting(
+        200.0,
+        "recording ends when so little room is left on the disk, MB, before other programs fail for want of it",
+        CHOSEN,
+        ge=0,
+        le=1e6,
+    )
+    watch_s: float = setting(
+        0.5, "seconds between two looks at the camera, the disk and the rates", CHOSEN, gt=0, le=60
+    )
+    rate_span_s: float = setting(3.0, "seconds over which rates are told", CHOSEN, gt=0, le=3600)
+
+
+# RealTimeSettings: how a recording is played in real time, and what is said of how that went.
+
+
+class RealTimeSettings(Settings):
+    """Of a run with `--realtime`."""
+
+    frames_ahead: int = setting(
+        4,
+        "frames that are decoded ahead, at most",
+        CHOSEN,
+        ge=2,
+        le=1000,
+    )
+    readings_ahead_s: float = setting(
+        1.0,
+        "so far ahead readings of wheels and gyroscopes are read, seconds",
+        CHOSEN,
+        gt=0,
+        le=60,
+    )
+    dropped_share: float = setting(
+        0.1, "share of dropped frames beyond which the run says what to do about it", CHOSEN, ge=0, le=1
+    )
+    recent_frames: int = setting(
+        30, "frames over which progress tells rate and latency: one second of most cameras", CHOSEN, ge=2, le=100_000
+    )
+    rehearsed_frames: int = setting(
+        3,
+        "frames answered before time begins to run, so that kernels are compiled or loaded",
+        CHOSEN,
+        ge=1,
+        le=1000,
+    )
+
+
+# LivePageSettings: what the page of `wheelsight serve` shows, how often, and what it takes from whom.
+
+
+class LivePageSettings(Settings):
+    """Of `wheelsight serve`."""
+
+    updates_hz: float = setting(10.0, "updates a second to each page", "issue 34", gt=0, le=50)
+    images_hz: float = setting(
+        2.0, "images of the camera, the map and the costmap a second, at most: a phone's network", CHOSEN, gt=0, le=30
+    )
+    image_px: int = setting(320, "width of the camera's image, at most, pixels", CHOSEN, ge=32, le=1920)
+    jpeg_quality: int = setting(60, "of the camera's image, of 100: about 10 kB", CHOSEN, ge=5, le=100)
+    way_points: int = setting(
+        300, "points of the way driven that a page is sent, the newest, 0.1 m apart", CHOSEN, ge=2, le=5000
+    )
+    old_s: float = setting(
+        1.0, "a page without an update for so long says so, and shows its plan in grey", "issue 34", ge=0.2, le=10
+    )
+    stops_without_driver: bool = setting(
+        True, "whether the robot stops where the page of whoever drives it is gone while it drives", CHOSEN
+    )
+    driver_silent_s: float = setting(
+        2.0,
+        "a driver's page that says nothing for so long is gone: it says so twice a second, once where a browser has it "
+        "in the background; a network that is lost closes no connection",
+        CHOSEN,
+        ge=0.6,
+        le=60,
+    )
+    switch_s: float = setting(
+        0.001,
+        "for which a thread keeps Python to itself while others wait, of 0.005 else: STOP passes from thread to thread",
+        "python -m benchmarks.live_page: worst of 100 stops 50 ms after the press with 0.005",
+        ge=0.0001,
+        le=0.1,
+    )
+    most_viewers: int = setting(8, "pages at once", CHOSEN, ge=1, le=200)
+    most_connections: int = setting(
+        64, "connections at once, with those that fetch images: a browser opens six", CHOSEN, ge=8, le=2000
+    )
+    most_bytes: int = setting(
+        2048, "of a message from a page; the longest that one sends has 200", CHOSEN, ge=256, le=1_000_000
+    )
+    messages_a_s: float = setting(
+        20.0,
+        "messages a second from a page, after a burst of twice as many: clicks, and twice a second that it is there",
+        CHOSEN,
+        gt=2,
+        le=1000,
+    )
+    most_bad: int = setting(10, "messages that make no sense before a page is sent away", CHOSEN, ge=1, le=1000)
+    send_s: float = setting(
+        2.0, "a page that takes nothing for so long, with its buffer full, is sent away", CHOSEN, gt=0, le=60
+    )
+
+
+# ViewerSettings: how much of a run a viewer is shown.
+
+
+class ViewerSettings(Settings):
+    """Of `--rerun`; what a file of a run grows by."""
+
+    image_rate_hz: float = setting(
+        5.0, "images a second, of the recording's time: colour and depth; 0: none", CHOSEN, ge=0, le=1000
+    )
+    image_width_px: int = setting(320, "width to which wider images are brought", CHOSEN, ge=16, le=8192)
+    jpeg_quality: int = setting(80, "of colour images", CHOSEN, ge=1, le=100)
+    keyframe_points: int = setting(
+        3000, "points of a keyframe at most, evenly over its image; 0: none", CHOSEN, ge=0, le=1_000_000
+    )
+    map_points: int = setting(
+        50_000, "points of the finished surfel map at most; 0: none", CHOSEN, ge=0, le=100_000_000
+    )
+    costmap_rate_hz: float = setting(
+        1.0,
+        "of a drive: costmaps of the floor about the robot, and floors that grow, a second; 0: none",
+        CHOSEN,
+        ge=0,
+        le=100,
+    )

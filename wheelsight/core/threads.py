@@ -1,0 +1,125 @@
+"""Threads: those that share the rows of an image, and what keeps others off an object that has a state."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from functools import wraps
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
+
+from wheelsight.core.errors import ArgumentError
+
+# Images lower than this are done sooner by one thread than handed to several.
+_FEWEST_ROWS = 100
+# A thread that is done early takes another part: rows are not all the same work, nor are threads there at once.
+_PARTS_A_THREAD = 2
+# Of `nice`, of work that frames must not wait for: a third of an ordinary thread's share. With less, such a thread
+# holds Python's lock while the system runs other programs, and frames wait for its turn (docs/decisions/0112).
+_YIELDED = 5
+
+Given = ParamSpec("Given")
+Answer = TypeVar("Answer")
+
+
+class OneCaller:
+    """An object with a state, which one call at a time may change, in the process that made it, until it is closed.
+
+    Threads may take turns, as those of an executor do. `one_at_a_time` and `ends` decorate the methods that change it.
+    """
+
+    _turn: Any
+    _process: int
+    _is_over = False
+
+    def __new__(cls, *_: Any, **__: Any) -> Self:
+        """With its lock: subclasses need not call an `__init__` of this class."""
+        made = super().__new__(cls)
+        made._turn, made._process = threading.RLock(), os.getpid()
+        return made
+
+    def __getstate__(self) -> Any:
+        name = type(self).__name__
+        raise ArgumentError(f"a {name} can be neither copied nor pickled", fix="make another of the same settings")
+
+    def _refused(self) -> ArgumentError:
+        name = type(self).__name__
+        if self._process != os.getpid():
+            return ArgumentError(f"this {name} was made in another process", fix="make it after the fork")
+        return ArgumentError(f"this {name} is at work in another thread", fix="one call after another, or one a thread")
+
+
+Object = TypeVar("Object", bound=OneCaller)
+
+
+def one_at_a_time(
+    method: Callable[Concatenate[Object, Given], Answer],
+) -> Callable[Concatenate[Object, Given], Answer]:
+    """Of a method that changes a `OneCaller`: it raises ArgumentError beside another call, after a fork, or at the end.
+
+    It may call other methods of the same object.
+    """
+
+    @wraps(method)
+    def called(self: Object, /, *given: Given.args, **named: Given.kwargs) -> Answer:
+        if self._process != os.getpid() or not self._turn.acquire(False):
+            raise self._refused()
+        try:
+            if self._is_over:
+                raise ArgumentError(f"this {type(self).__name__} is closed", fix="make another")
+            return method(self, *given, **named)
+        finally:
+            self._turn.release()
+
+    return called
+
+
+def ends(method: Callable[[Object], Answer]) -> Callable[[Object], Answer]:
+    """Of the method that closes a `OneCaller`, which may be called twice; else as `one_at_a_time`."""
+
+    @wraps(method)
+    def called(self: Object) -> Answer:
+        if self._process != os.getpid() or not self._turn.acquire(False):
+            raise self._refused()
+        try:
+            self._is_over = True
+            return method(self)
+        finally:
+            self._turn.release()
+
+    return called
+
+
+def yield_to_others() -> None:
+    """Let the calling thread run where others leave time, as far as the system lets threads differ (Linux does)."""
+    thread = threading.get_native_id()
+    with suppress(AttributeError, OSError):
+        os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, thread) + _YIELDED)
+
+
+class Rows:
+    """Shares the rows of an image among threads; the outcome does not depend on how many."""
+
+    def __init__(self, threads: int) -> None:
+        self._threads = threads
+        self._pool = ThreadPoolExecutor(threads, "wheelsight-dense") if threads > 1 else None
+
+    def share(self, height: int, work: Callable[[int, int], None]) -> None:
+        """Call `work(begin, end)` until all rows below `height` are done."""
+        if self._pool is None or height < _FEWEST_ROWS:
+            work(0, height)
+            return
+        todo, parts = itertools.count(), _PARTS_A_THREAD * self._threads
+
+        def take() -> None:
+            while (part := next(todo)) < parts:
+                work(height * part // parts, height * (part + 1) // parts)
+
+        others = [self._pool.submit(take) for _ in range(1, self._threads)]
+        take()
+        for other in others:
+            if not other.cancel():
+                other.result()

@@ -1,0 +1,278 @@
+"""ByPlaces: localization by wheels and recognized areas. PlaceSense: area recognition as a position measurement for
+the error-state filter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from wheelsight.config import Config, PlaceSettings
+from wheelsight.core.areas import AreaMap, load_areas
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.checks import Repeats
+from wheelsight.core.clocks import Untimed
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.estimates import Estimate, FusedEstimate, Reason, Status, WheelEstimate
+from wheelsight.core.files import StrPath
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.messages import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame
+from wheelsight.core.settings.fusion import AreaRectifierSettings
+from wheelsight.estimation.area_rectifier import AreaRectifier, PlaceMeter
+from wheelsight.estimation.filter import ErrorStateFilter
+from wheelsight.estimation.paper_rectifier import PaperRectifier
+from wheelsight.estimation.wheel_localizer import ByWheels
+from wheelsight.places import PlaceMatch, PlaceModel, Unknown
+from wheelsight.vision.tracking_state import Stopwatch
+from wheelsight.wheels import AnyWheelOdometry
+
+# ByPlaces: wheels lead from frame to frame, and the area that each frame shows corrects them.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """What wheels are rectified by.
+
+    Attributes:
+        model: names the area of a frame.
+        areas: that it was trained on, in the map frame.
+        T_odom_base: (4, 4) where the base is, in the plane, at the first reading from `begin_s` on.
+        begin_s: readings and frames before it have no pose yet.
+    """
+
+    model: PlaceModel
+    areas: AreaMap
+    T_odom_base: FloatArray
+    begin_s: float = -np.inf
+
+
+def load_places(
+    settings: PlaceSettings,
+    areas: StrPath | None = None,
+    T_odom_base: FloatArray | None = None,
+    begin_s: float = -np.inf,
+) -> Places:
+    """Read model and areas; what the settings say wins over what is given beside them.
+
+    Raises:
+        ConfigError: no model, no areas, or no start.
+        AreaError, PlaceError: a file that is none, or a model of other areas.
+    """
+    areas = None if areas is None else Path(areas)
+    if settings.model is None:
+        raise ConfigError("no model of places is given", fix="places: {model: FILE}, from wheelsight places train")
+    path = areas if settings.areas is None else Path(settings.areas)
+    if path is None:
+        raise ConfigError("no areas are given", fix="places: {areas: FILE}, the areas.yaml of the model")
+    if settings.start is not None:
+        T_odom_base, begin_s = settings.start.T_odom_base, -np.inf
+    if T_odom_base is None:
+        raise ConfigError("where the robot starts in the map is not known", fix="give --start X,Y,YAW_DEG")
+    area_map = load_areas(path)
+    return Places(PlaceModel.load(Path(settings.model), areas=area_map), area_map, T_odom_base, begin_s)
+
+
+class ByPlaces:
+    """Wheel readings answered by the rectified pose, frames by the pose that they have just corrected.
+
+    Attributes:
+        last_place: what the model said of the last frame, or None where that could not be asked.
+    """
+
+    body, frame, answers = "base", "map", (*WHEEL_READINGS, RgbdFrame, SkippedFrame)
+    last_matches = None
+
+    def __init__(self, calibration: Calibration, settings: Config, places: Places) -> None:
+        self._wheels = ByWheels(calibration, settings.wheels)
+        self.hears: tuple[type[Event], ...] = (*self._wheels.hears, RgbdFrame, SkippedFrame)
+        self.last_place: PlaceMatch | None = None
+        self._model, self._begin_s = places.model, places.begin_s
+        self._rectifier: _Rectifier = (
+            _ByPaper(places, settings.places)
+            if settings.places.rectify == "paper"
+            else _ByProbability(places, settings.fusion.areas)
+        )
+        assert calibration.any_wheels is not None  # ByWheels has refused it
+        self._max_gap_s = calibration.any_wheels.max_gap_s
+        self._reading_s = -np.inf
+        self._repeats = Repeats()
+        self._stopwatch = Stopwatch()
+
+    @property
+    def odometry(self) -> AnyWheelOdometry:
+        """Of the wheels, with the gyroscope where that is believed."""
+        return self._wheels.odometry
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is wrong with the gyroscope, as a sentence."""
+        return self._wheels.warnings
+
+    @property
+    def stage_seconds(self) -> dict[str, float]:
+        """How long naming the area of the last frame took, and rectifying by it."""
+        return self._stopwatch.seconds
+
+    def process(self, event: Event) -> tuple[Estimate | None, str]:
+        """The estimate at a reading or frame, None at any other event, and why a frame corrected nothing."""
+        if isinstance(event, RgbdFrame | SkippedFrame):
+            self._stopwatch.restart()
+            self.last_place = None
+            why_not = self._why_not(event)
+            if why_not is not None:
+                return why_not
+            return self._frame(event)
+        reading, note = self._wheels.process(event)
+        return (None if reading is None else self._reading(reading)), note
+
+    def refuse(self, event: Event, why: Untimed) -> tuple[Estimate | None, str]:
+        """The answer to an event whose stamp means nothing: none to a yaw rate."""
+        self.last_place = None
+        if isinstance(event, RgbdFrame | SkippedFrame):
+            failed = Estimate(event.stamp_s, Status.FAILING, reason=Reason.FRAME_UNUSABLE, body=self.body)
+            return failed, f"no measurement: {why.note}"
+        reading, note = self._wheels.refuse(event, why)
+        return (None if reading is None else self._reading(reading)), note
+
+    def _reading(self, wheels: WheelEstimate) -> Estimate:
+        if wheels.stamp_s < self._begin_s:
+            return Estimate(wheels.stamp_s, Status.INITIALIZING, body=self.body)
+        self._rectifier.go_on(wheels)
+        if wheels.reason is not Reason.CLOCK_BACKWARDS:
+            self._reading_s = wheels.stamp_s
+        rectified = self._rectifier.estimate(wheels.stamp_s)
+        return replace(rectified, status=wheels.status, reason=wheels.reason)
+
+    def _why_not(self, frame: RgbdFrame | SkippedFrame) -> tuple[Estimate, str] | None:
+        """The answer to a frame at which wheels do not tell where the robot is."""
+        if self._reading_s == -np.inf:
+            return Estimate(frame.stamp_s, Status.INITIALIZING, body=self.body), "no wheel reading yet"
+        if frame.stamp_s > self._reading_s + self._max_gap_s:
+            note = f"the last wheel reading is {frame.stamp_s - self._reading_s:.3f} s old"
+            return replace(self._rectifier.estimate(frame.stamp_s), status=Status.FAILING, reason=Reason.GAP), note
+        return None
+
+    def _frame(self, frame: RgbdFrame | SkippedFrame) -> tuple[Estimate, str]:
+        if isinstance(frame, SkippedFrame):
+            return self._moved_on(self._rectifier.estimate(frame.stamp_s)), f"no measurement: {frame.reason}"
+        if self._repeats.lasting_s(frame) > 0:  # would count once more
+            again = replace(self._rectifier.estimate(frame.stamp_s), reason=Reason.REPEATED)
+            return self._moved_on(again), "no measurement: the same image as before"
+        with self._stopwatch.stage("name the area"):
+            self.last_place = match = self._model.predict(frame)
+        with self._stopwatch.stage("rectify"):
+            rectified = self._rectifier.correct(frame.stamp_s, match)
+        return self._moved_on(rectified), f"no measurement: {match.reason}" if match.reason is Unknown.NO_DEPTH else ""
+
+    def _moved_on(self, estimate: Estimate) -> Estimate:
+        """The estimate, which stands at the last reading, by the wheels' speed at the stamp of its frame."""
+        assert estimate.T_odom_body is not None  # rectifiers always tell one
+        T_reading_frame = self.odometry.motion_in(max(estimate.stamp_s - self._reading_s, 0.0))
+        return replace(estimate, T_odom_body=estimate.T_odom_body @ T_reading_frame)
+
+
+class _Rectifier(Protocol):
+    """Either way of rectifying, as ByPlaces takes it."""
+
+    def go_on(self, wheels: WheelEstimate) -> None:
+        """To the next estimate of the wheels; the first is the start."""
+
+    def correct(self, stamp_s: float, match: PlaceMatch) -> Estimate:
+        """The pose at a frame."""
+
+    def estimate(self, stamp_s: float) -> Estimate:
+        """The pose between frames."""
+
+
+class _ByProbability:
+    def __init__(self, places: Places, settings: AreaRectifierSettings) -> None:
+        self._inner = AreaRectifier(places.areas, places.T_odom_base, settings, area_shares=places.model.area_shares)
+
+    def go_on(self, wheels: WheelEstimate) -> None:
+        self._inner.predict_to(wheels)
+
+    def correct(self, stamp_s: float, match: PlaceMatch) -> Estimate:
+        return self._inner.update(stamp_s, None if match.reason is Unknown.NO_DEPTH else match.probabilities)
+
+    def estimate(self, stamp_s: float) -> Estimate:
+        return self._inner.estimate(stamp_s)
+
+
+class _ByPaper:
+    def __init__(self, places: Places, settings: PlaceSettings) -> None:
+        assert settings.weights is not None  # resolved with the model
+        assert settings.odometry_term is not None
+        weights = settings.weights.as_weights()
+        self._inner = PaperRectifier(places.areas, places.T_odom_base, weights, settings.odometry_term)
+        self._has_begun = False
+
+    def go_on(self, wheels: WheelEstimate) -> None:
+        step = wheels.step
+        if self._has_begun and step is not None:
+            self._inner.predict(step.T_before_now)
+        self._has_begun = True
+
+    def correct(self, stamp_s: float, match: PlaceMatch) -> Estimate:
+        return self._inner.update(stamp_s, match.area_index)
+
+    def estimate(self, stamp_s: float) -> Estimate:
+        return self._inner.estimate(stamp_s)
+
+
+# PlaceSense: the area that a frame shows, told to the default filter as a position.
+
+
+class PlaceSense:
+    """What a model of places is to a filter.
+
+    Attributes:
+        begin_s: nothing before it has a pose.
+        last_place: what the model said of the last frame, or None where it was not asked.
+    """
+
+    def __init__(self, places: Places, settings: AreaRectifierSettings) -> None:
+        self.begin_s = places.begin_s
+        self.last_place: PlaceMatch | None = None
+        self._model, self._T_odom_begin = places.model, places.T_odom_base
+        self._settings = settings
+        self._meter = PlaceMeter(places.areas, settings, area_shares=places.model.area_shares)
+        self._stopwatch = Stopwatch()
+
+    @property
+    def stage_seconds(self) -> dict[str, float]:
+        """How long naming the area of the last frame took, and measuring by it."""
+        return self._stopwatch.seconds
+
+    @property
+    def start(self) -> tuple[FloatArray, FloatArray]:
+        """T_odom_base (4, 4) at the start, and covariance (6, 6) of its left perturbation, as the rectifier has it."""
+        s, Ad = self._settings, se3.adjoint(self._T_odom_begin)
+        in_base = np.diag(np.square([s.position_sigma_m, s.position_sigma_m, 0.0, 0.0, 0.0, s.yaw_sigma_rad]))
+        return self._T_odom_begin, Ad @ in_base @ Ad.T
+
+    def forget(self) -> None:
+        """The last frame is over."""
+        self.last_place = None
+        self._stopwatch.restart()
+
+    def tell(self, frame: RgbdFrame, answer: FusedEstimate, to: ErrorStateFilter) -> FusedEstimate:
+        """The answer to a frame after its place; what was wrong with the look stays said.
+
+        Raises:
+            PlaceError: a frame of another size than the model was trained on.
+        """
+        with self._stopwatch.stage("name the area"):
+            self.last_place = match = self._model.predict(frame)
+        if answer.T_odom_body is None or answer.covariance is None:
+            return answer
+        probabilities = None if match.reason is Unknown.NO_DEPTH else match.probabilities
+        with self._stopwatch.stage("measure by the area"):
+            told = self._meter.measure(answer.T_odom_body, answer.covariance, probabilities)
+            if told is None:
+                return answer
+            placed = to.update_position(frame.stamp_s, *told)
+        of_look = {name: getattr(answer, name) for name in ("reason", "nis", "matches", "inliers")}
+        return replace(placed, **of_look)

@@ -1,0 +1,555 @@
+"""AreaRectifier: recursive correction of wheel odometry by recognized areas. It holds the hidden Markov filter over
+areas and the position measurement for a Kalman filter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.core.areas import AreaMap
+from wheelsight.core.checks import array_of
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.estimates import Estimate, Status, WheelEstimate
+from wheelsight.core.geometry import FloatArray, se2, se3, so3
+from wheelsight.core.settings.fusion import AreaFilterSettings, AreaRectifierSettings
+from wheelsight.estimation import area_kernels as kernels
+
+# AreaRectifier: the areas that a forest names correct the wheels, as a recursive estimate with covariance.
+#
+# The way meant to be better than eq. 5 of Trinh et al. The state is the base's pose in the plane and what is wrong
+# with the wheels: the scale of the way, a drift of the heading a metre (unequal radii) and the scale of turns (track
+# width), each of which may wander slowly. Wheels predict it. A frame corrects it by the likelihood of its answer as a
+# function of the position: for each area the hidden Markov filter's (`filter`), anywhere in that area (`_floor`). The
+# product of a Gaussian with that likelihood is replaced by the Gaussian of the same mean and covariance (assumed
+# density filtering; Maybeck 1982, chapter 12), and what is correlated with the position, heading and wheels, follows.
+#
+# A forest that fails for a while makes all areas' likelihoods alike, and the wheels go on from where they are. Beside
+# all this the wheels are reckoned alone, for the case that the forest never was worth anything; the answer is the
+# mean of both by the probability of that. Nothing but the areas is known of the building.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RectifiedEstimate(Estimate):
+    """A pose that areas have corrected.
+
+    Attributes:
+        area_probabilities: (A,) that the base is in each area; what they leave of 1 is outside all of them.
+        trust: probability that the forest is worth something and does not fail just now.
+        support: share of the position's belief before the frame that agrees with its answer, or 1 without one.
+    """
+
+    area_probabilities: FloatArray | None = None
+    trust: float = 1.0
+    support: float = 1.0
+
+
+class AreaRectifier:
+    """Wheels corrected by areas, frame by frame; the same input gives the same answer to the last bit.
+
+    Args:
+        areas: in the order of the forest's probabilities, at least one.
+        T_odom_base: (4, 4) pose at the start, in the plane.
+        settings: see there.
+        area_shares: (A,) of the frames that the forest was trained on, which its probabilities take for granted
+            (`PlaceModel.area_shares`); None: all alike.
+
+    Raises:
+        ConfigError: no area, a pose that is none, or shares that are not one positive number an area.
+    """
+
+    def __init__(
+        self,
+        areas: AreaMap,
+        T_odom_base: ArrayLike,
+        settings: AreaRectifierSettings | None = None,
+        *,
+        area_shares: ArrayLike | None = None,
+    ) -> None:
+        self.settings = settings or AreaRectifierSettings()
+        self._shares = checked_shares(areas, area_shares)
+        self._corrected, self._alone = (_start(T_odom_base, self.settings) for _ in range(2))
+        self._floor = FloorShares(areas, self.settings.border_m)
+        self._filter = AreaFilter(areas, self.settings.forest, self._parts()[0][:, 0])
+        self._way_m = self._turn_rad = 0.0
+        self._has_begun = False
+
+    def predict(self, T_before_now: ArrayLike, covariance: ArrayLike) -> None:
+        """Go on by a step of the wheels.
+
+        Args:
+            T_before_now: (4, 4) pose now in the frame of the base before.
+            covariance: (6, 6) of its left perturbation.
+
+        Raises:
+            ConfigError: numbers that are not finite.
+        """
+        T, covariance = array_of("T_before_now", T_before_now, (4, 4)), array_of("covariance", covariance, (6, 6))
+        if not (np.isfinite(T).all() and np.isfinite(covariance).all()):
+            raise ConfigError("a step of the wheels is not finite", fix="leave steps out that odometry refused")
+        step = np.array([T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])])
+        # Of forward and left rather than of the left perturbation, which turns about the place before.
+        J = np.array([[1.0, 0.0, -step[1]], [0.0, 1.0, step[0]], [0.0, 0.0, 1.0]])
+        noise = J @ covariance[np.ix_(PLANE, PLANE)] @ J.T
+        for belief in (self._corrected, self._alone):
+            belief.move(step, noise)
+        self._way_m += float(np.hypot(step[0], step[1]))
+        self._turn_rad += abs(float(step[2]))
+
+    def predict_to(self, wheels: WheelEstimate) -> None:
+        """Go on to the next estimate of wheel odometry; the first is the start, whatever step it tells.
+
+        Raises:
+            ConfigError: an estimate without pose or covariance.
+        """
+        if wheels.T_odom_body is None or wheels.covariance is None:
+            raise ConfigError("an estimate of the wheels has no pose or no covariance", fix="leave it out")
+        step = wheels.step
+        if self._has_begun and step is not None:
+            self.predict(step.T_before_now, step.covariance)
+        self._has_begun = True
+
+    def update(self, stamp_s: float, probabilities: ArrayLike | None) -> RectifiedEstimate:
+        """The pose at a frame.
+
+        Args:
+            stamp_s: of the frame; the wheels have been predicted up to it.
+            probabilities: (A,) of the areas, from the forest, or None where it does not know: no measurement.
+
+        Raises:
+            ConfigError: not one probability an area, negative, not finite, or all zero.
+        """
+        frame_likelihood = None if probabilities is None else likelihood_of(probabilities, self._shares)
+        self._filter.predict(self._way_m, self._turn_rad)
+        self._way_m = self._turn_rad = 0.0
+        parts, axes = self._parts()
+        stray = self.settings.stray
+        self._filter.agree_with((1 - stray) * parts[:, 0] + stray * self._filter.places)
+        support = 1.0
+        if frame_likelihood is not None:
+            likelihoods = self._filter.update(frame_likelihood)
+            support = float(parts[:, 0] @ likelihoods / likelihoods.max())
+            if support >= self.settings.least_support and np.ptp(likelihoods) > 0:
+                self._corrected.correct(*reweighted(parts, likelihoods), axes)
+        return self._estimate(stamp_s, support)
+
+    def estimate(self, stamp_s: float) -> RectifiedEstimate:
+        """The pose between frames, by the wheels since the last one; areas and trust are as of that frame."""
+        return self._estimate(stamp_s, 1.0)
+
+    def _parts(self) -> tuple[FloatArray, FloatArray]:
+        return self._floor.parts_of(self._corrected.mean[:2], self._corrected.covariance[:2, :2])
+
+    def _estimate(self, stamp_s: float, support: float) -> RectifiedEstimate:
+        pose, spread = pose_of(self._corrected, self._alone, self._filter.worth)
+        x, y, yaw = pose
+        # From x, y, yaw to the perturbation from the left, which turns about the map's origin.
+        J = np.array([[1.0, 0.0, y], [0.0, 1.0, -x], [0.0, 0.0, 1.0]])
+        covariance = np.zeros((6, 6))
+        covariance[np.ix_(PLANE, PLANE)] = J @ spread @ J.T
+        return RectifiedEstimate(
+            stamp_s,
+            Status.TRACKING,
+            se3.from_plane(x, y, yaw),
+            covariance,
+            body="base",
+            area_probabilities=self._filter.places[:-1],
+            trust=self._filter.trust,
+            support=support,
+        )
+
+
+def _start(T_odom_base: ArrayLike, settings: AreaRectifierSettings) -> PlaneBelief:
+    T = np.asarray(T_odom_base, float)
+    if not se3.is_valid(T):
+        raise ConfigError("the pose at the start is none", fix="give T_odom_base (4, 4)")
+    of_pose = (settings.position_sigma_m, settings.position_sigma_m, settings.yaw_sigma_rad)
+    of_wheels = (settings.scale_sigma, settings.drift_sigma_rad_per_m, settings.turn_sigma)
+    walk = np.square([settings.scale_walk, settings.drift_walk_rad_per_m, settings.turn_walk])
+    return PlaneBelief(T[0, 3], T[1, 3], float(np.arctan2(T[1, 0], T[0, 0])), np.array(of_pose + of_wheels), walk)
+
+
+def checked_shares(areas: AreaMap, area_shares: ArrayLike | None) -> FloatArray:
+    """(A,) that sum to 1; of None, all alike. Raises ConfigError."""
+    n = len(areas)
+    if n == 0:
+        raise ConfigError("there is no area to rectify by", fix="give areas")
+    shares = np.full(n, 1 / n) if area_shares is None else np.asarray(area_shares, float)
+    if shares.shape != (n,) or not (np.isfinite(shares).all() and (shares > 0).all()):
+        raise ConfigError("area_shares are not one positive number an area", fix=f"give {n}")
+    return np.asarray(shares / shares.sum())
+
+
+def likelihood_of(probabilities: ArrayLike, shares: FloatArray) -> FloatArray:
+    """(A,) what a frame says for each area, from the forest's probabilities (A,). Raises ConfigError."""
+    probabilities = np.asarray(probabilities, float)
+    if probabilities.shape != shares.shape:
+        raise ConfigError(f"a frame has {probabilities.size} probabilities", fix=f"{len(shares)}, one an area")
+    if not (np.isfinite(probabilities).all() and (probabilities >= 0).all() and probabilities.any()):
+        raise ConfigError("a frame's probabilities are not", fix="0 to 1, finite, not all 0; None where unknown")
+    return np.asarray(probabilities / shares)
+
+
+# AreaFilter: a hidden Markov filter over the areas' adjacency, and over what the forest's answers are worth.
+#
+# Hidden are three things: how good the forest is just now (a level), in which area the robot is, and which area the
+# frames look like: their appearance. Frames taken close together look alike and are wrong together, so the appearance
+# keeps while the robot has hardly moved, and is drawn anew, from the confusions of a forest of that level, about once
+# every `appearance_m`. A run of wrong answers thereby counts once, however many frames it has. On the last levels
+# appearances are drawn without regard to the area, and keep for longer or shorter ways: a forest that fails, for a
+# while.
+#
+# Against all this stands the hypothesis that the forest is worth nothing and never was: appearances drawn without
+# regard to the area from the first frame on. Each answer's log-likelihood ratio tells between the two (`worth`). A
+# forest that always answers the same, or has areas mixed up, keeps its appearances long; only those that change where
+# areas do speak for the forest.
+#
+# Forward filtering is exact (Rabiner 1989, section III.A); `likelihoods` of `update` are what one frame says of the
+# area given all frames before it, which is what a filter of the position may take as a measurement without counting
+# anything twice.
+
+
+class AreaFilter:
+    """The belief over level, place and appearance; places are the A areas and, last, the floor outside them.
+
+    Args:
+        areas: in the order of the forest's probabilities.
+        settings: see there.
+        places: (A + 1,) probabilities of the places at the start, or None: all areas alike.
+    """
+
+    def __init__(
+        self, areas: AreaMap, settings: AreaFilterSettings | None = None, places: FloatArray | None = None
+    ) -> None:
+        self.settings = settings or AreaFilterSettings()
+        self._appearances = _appearances_of(areas, self.settings)
+        self._moves = _moves_of(areas)
+        start = np.append(np.full(len(areas), 1 / len(areas)), 0.0) if places is None else np.asarray(places, float)
+        n_right, n_failing = len(self.settings.accuracies), len(self.settings.failing_appearances_m)
+        levels = np.append(np.full(n_right, 1 / n_right), np.zeros(n_failing))
+        self._n_right = n_right
+        self._appearance_m = np.append(
+            np.full(n_right, self.settings.appearance_m), self.settings.failing_appearances_m
+        )
+        self._rate_per_m, self._jumps = _level_jumps(self.settings)
+        self._belief = levels[:, None, None] * start[None, :, None] * self._appearances
+        self._worthless = np.full((n_failing, len(areas)), 1 / (n_failing * len(areas)))
+        self._log_odds = np.log(self.settings.worth / (1 - self.settings.worth))
+
+    @property
+    def belief(self) -> FloatArray:
+        """(L, A + 1, A) of level, place and appearance, if the forest is worth something; last the levels that fail."""
+        return np.array(self._belief)
+
+    @property
+    def places(self) -> FloatArray:
+        """(A + 1,) probabilities of the areas, and of being outside them."""
+        return np.asarray(self._belief.sum(axis=(0, 2)))
+
+    @property
+    def trust(self) -> float:
+        """Probability that the forest is worth something and does not fail just now."""
+        return self.worth * float(self._belief[: self._n_right].sum())
+
+    @property
+    def worth(self) -> float:
+        """Probability that the forest is worth something, by all its answers so far."""
+        return float(1 / (1 + np.exp(-np.clip(self._log_odds, -700, 700))))
+
+    def predict(self, way_m: float, turn_rad: float = 0.0) -> None:
+        """After so much way and turn, in absolute values, the place, the level and the appearance may have changed."""
+        settings = self.settings
+        belief = self._belief
+        left = 1 - np.exp(-way_m / settings.area_m)
+        belief = (1 - left) * belief + left * np.einsum("pq,lpc->lqc", self._moves, belief)
+        changed = 1 - np.exp(-way_m * self._rate_per_m)
+        belief = (1 - changed) * belief + changed * np.tensordot(self._jumps, belief, axes=(0, 0))
+        kept = np.exp(-(way_m + settings.appearance_per_rad_m * turn_rad) / self._appearance_m)[:, None, None]
+        self._belief = kept * belief + (1 - kept) * self._appearances * belief.sum(axis=2, keepdims=True)
+        kept, appearances = kept[self._n_right :, 0], self._appearances[self._n_right :, 0]
+        self._worthless = kept * self._worthless + (1 - kept) * appearances * self._worthless.sum(axis=1, keepdims=True)
+
+    def agree_with(self, places: FloatArray) -> None:
+        """Take the probabilities (A + 1,) of the places from who knows better; what else is hidden keeps its own."""
+        known = self._belief.sum(axis=(0, 2))
+        fallback = self._belief.sum(axis=1).sum(axis=1)[:, None, None] * self._appearances
+        share = np.divide(self._belief, known[None, :, None], out=fallback, where=known[None, :, None] > 1e-300)
+        self._belief = share * np.asarray(places, float)[None, :, None]
+        self._belief /= self._belief.sum()
+
+    def update(self, frame_likelihood: FloatArray) -> FloatArray:
+        """Take in a frame.
+
+        Args:
+            frame_likelihood: (A,) what the frame says for each appearance, p(area | frame) / p(area), up to a factor.
+
+        Returns:
+            (A + 1,) the frame's likelihood in each place, given all frames before; of mean 1 over the places.
+        """
+        frame_likelihood = frame_likelihood / max(frame_likelihood.mean(), 1e-300)
+        frame_likelihood = (1 - self.settings.blip) * frame_likelihood + self.settings.blip
+        before = self._belief.sum(axis=(0, 2))
+        after = self._belief * frame_likelihood
+        likelihoods = np.divide(after.sum(axis=(0, 2)), before, out=np.ones(len(before)), where=before > 1e-300)
+        total = float(after.sum())
+        self._belief = after / total
+        worthless = self._worthless * frame_likelihood
+        self._worthless = worthless / worthless.sum()
+        self._log_odds += np.log(total / worthless.sum())
+        return np.asarray(likelihoods / total)
+
+
+def _level_jumps(settings: AreaFilterSettings) -> tuple[float, FloatArray]:
+    """How often a metre a level may change, and then (L, L) to which, from row to column; it may stay."""
+    n, k = len(settings.accuracies), len(settings.failing_appearances_m)
+    rates = np.zeros((n + k, n + k))
+    rates[:n, :n] = 1 / (settings.level_m * n)
+    # A forest worth something rarely gets stuck: the longer a failure's appearance keeps, the rarer such failures are.
+    rare = 1 / np.maximum(np.array(settings.failing_appearances_m) / settings.appearance_m, 1)
+    rates[:n, n:] = rare / rare.sum() / settings.failure_m
+    rates[n:, :n] = 1 / (settings.recovery_m * n)
+    np.fill_diagonal(rates, 0.0)
+    fastest = float(rates.sum(axis=1).max())
+    return fastest, np.eye(n + k) + (rates - np.diag(rates.sum(axis=1))) / fastest
+
+
+def _appearances_of(areas: AreaMap, settings: AreaFilterSettings) -> FloatArray:
+    """(L, A + 1, A) probability of each appearance, by level and place; outside the areas any is as likely."""
+    n = len(areas)
+    own = np.eye(n)
+    near = areas.adjacency().astype(float) - own
+    far = 1 - own
+    near = np.where(near.sum(axis=1, keepdims=True) > 0, near, far)
+    near, far = (wrong / np.maximum(wrong.sum(axis=1, keepdims=True), 1) for wrong in (near, far))
+    wrong = settings.neighbour_share * near + (1 - settings.neighbour_share) * far
+    appearances = np.full((len(settings.accuracies) + len(settings.failing_appearances_m), n + 1, n), 1 / n)
+    for level, accuracy in enumerate(settings.accuracies):
+        appearances[level, :n] = accuracy * own + (1 - accuracy) * wrong if n > 1 else 1.0
+    return appearances
+
+
+def _moves_of(areas: AreaMap) -> FloatArray:
+    """(A + 1, A + 1) where one gets on leaving each place: a neighbour, or outside; from outside anywhere."""
+    n = len(areas)
+    moves = np.ones((n + 1, n + 1)) - np.eye(n + 1)
+    moves[:n, :n] = areas.adjacency().astype(float) - np.eye(n)
+    return np.asarray(moves / moves.sum(axis=1, keepdims=True))
+
+
+# PlaceMeter: the area that a frame shows, as a position that a Kalman filter takes as it takes any other.
+#
+# What the area filter (`filter`) says of each area is a likelihood of the position (`_floor`), and no Gaussian. The
+# filter's belief of the position, seen through it, has a mean and a covariance; what is told is the measurement that
+# takes the belief there, as expectation propagation replaces a factor by a Gaussian (Minka, UAI 2001). Directions in
+# which the belief gets no narrower, such as along a corridor, are left open: their variance says nothing.
+
+
+_OPEN = 1e6  # times the belief's own variance
+_NARROWEST, _WIDEST = 1e-6, 1 - 1e-4
+
+
+class PlaceMeter:
+    """Positions by areas, frame by frame; the same input gives the same answer to the last bit.
+
+    Args:
+        areas: in the order of the forest's probabilities, at least one.
+        settings: what is believed of areas and forest; of the wheels, the filter knows more.
+        area_shares: (A,) of the frames that the forest was trained on; None: all alike.
+
+    Raises:
+        ConfigError: no area, or shares that are not one positive number an area.
+    """
+
+    def __init__(
+        self, areas: AreaMap, settings: AreaRectifierSettings | None = None, area_shares: ArrayLike | None = None
+    ) -> None:
+        self.settings = settings or AreaRectifierSettings()
+        self._areas, self._shares = areas, checked_shares(areas, area_shares)
+        self._floor = FloorShares(areas, self.settings.border_m)
+        self._filter: AreaFilter | None = None
+        self._T_odom_last = np.eye(4)
+
+    def measure(
+        self, T_odom_base: FloatArray, covariance: FloatArray, probabilities: ArrayLike | None
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """The position that a frame tells.
+
+        Args:
+            T_odom_base: (4, 4) at the frame, as it is believed without it.
+            covariance: (6, 6) of its left perturbation.
+            probabilities: (A,) of the areas, from the forest, or None where it does not know.
+
+        Returns:
+            x, y (2,) in the map, metres, and covariance (2, 2); or None where the frame tells nothing, or what hardly
+            agrees with the belief.
+
+        Raises:
+            ConfigError: not one probability an area, negative, not finite, or all zero.
+        """
+        frame_likelihood = None if probabilities is None else likelihood_of(probabilities, self._shares)
+        xy = T_odom_base[:2, 3]
+        parts, axes = self._floor.parts_of(xy, _of_position(T_odom_base, covariance))
+        areas = self._moved_to(T_odom_base, parts[:, 0])
+        if frame_likelihood is None:
+            return None
+        likelihoods = areas.update(frame_likelihood)
+        # Of a forest that was never worth anything an answer says nothing, whatever the area.
+        likelihoods = 1 + areas.worth * (likelihoods - 1)
+        if parts[:, 0] @ likelihoods / likelihoods.max() < self.settings.least_support:
+            return None
+        told = equivalent(*reweighted(parts, likelihoods))
+        if told is None:
+            return None
+        offset, spread = axes @ told[0], axes @ told[1] @ axes.T
+        return xy + offset, (spread + spread.T) / 2
+
+    def _moved_to(self, T_odom_base: FloatArray, places: FloatArray) -> AreaFilter:
+        """The area filter at a frame's pose, which is in the places (A + 1,) by these probabilities."""
+        if self._filter is None:
+            self._filter = AreaFilter(self._areas, self.settings.forest, places)
+        else:
+            T_last_now = se3.invert(self._T_odom_last) @ T_odom_base
+            self._filter.predict(float(np.hypot(*T_last_now[:2, 3])), float(so3.angle(T_last_now[:3, :3])))
+            stray = self.settings.stray
+            self._filter.agree_with((1 - stray) * places + stray * self._filter.places)
+        self._T_odom_last = T_odom_base
+        return self._filter
+
+
+def equivalent(mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """The measurement (2,) with covariance (2, 2) that takes N(0, I) to N(mean, covariance); None if there is none.
+
+    Along an axis of the covariance with variance c and mean m it is m / (1 - c) with c / (1 - c); along axes in which
+    c is not below 1, none.
+    """
+    variances, directions = np.linalg.eigh(covariance)
+    tells = variances < _WIDEST
+    if not tells.any():
+        return None
+    left = np.where(tells, np.maximum(variances, _NARROWEST), 0.0)
+    values = np.where(tells, directions.T @ mean / (1 - left), 0.0)
+    spread = np.where(tells, left / (1 - left), _OPEN)
+    return directions @ values, (directions * spread) @ directions.T
+
+
+def _of_position(T_odom_base: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(2, 2) of x and y, from that of the left perturbation, which turns about the map's origin."""
+    return se3.position_covariance(T_odom_base, covariance)[:2, :2]
+
+
+# FloorShares: which share of each point of the floor belongs to which area, and a Gaussian's parts in them.
+
+
+_MOST_SHARES = 4_000_000
+_FEWEST_STEPS, _MOST_STEPS = 15, 81
+
+
+class FloorShares:
+    """Areas with soft borders, sampled on a grid.
+
+    Borders are soft because frames name the next area a little before or behind the line that was drawn.
+
+    Args:
+        areas: at least one.
+        border_m: standard deviation of the Gaussian that the areas are blurred with.
+        cell_m: of the grid; larger where the floor is so large that the grid would take too much memory.
+    """
+
+    def __init__(self, areas: AreaMap, border_m: float = 0.4, cell_m: float = 0.1) -> None:
+        from scipy.ndimage import gaussian_filter
+
+        corners = np.concatenate([area.polygon for area in areas])
+        low, high = corners.min(axis=0) - 4 * border_m, corners.max(axis=0) + 4 * border_m
+        self._cell_m = max(cell_m, float(np.sqrt(np.prod(high - low) * len(areas) / _MOST_SHARES)))
+        # Half a cell off: borders drawn to the decimetre fall between samples, and no area gains by them.
+        low = corners.min(axis=0) - (np.ceil(4 * border_m / self._cell_m) + 1.5) * self._cell_m
+        high = high + 2 * self._cell_m
+        columns, rows = np.ceil((high - low) / self._cell_m).astype(int) + 1
+        x, y = (low[axis] + self._cell_m * np.arange(n) for axis, n in enumerate((columns, rows)))
+        index = areas.index_at(np.stack(np.meshgrid(x, y), axis=-1))
+        sharp = (index[..., None] == np.arange(len(areas))).astype(np.float32)
+        blur = border_m / self._cell_m
+        self._shares = np.ascontiguousarray(gaussian_filter(sharp, (blur, blur, 0), mode="constant", truncate=4.0))
+        self._corner = low
+
+    def parts_of(self, mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """A Gaussian's parts in the areas.
+
+        Args:
+            mean: (2,) metres.
+            covariance: (2, 2) m².
+
+        Returns:
+            (A + 1, 6) mass and moments, see `_kernels.parts_in_areas`, and the axes (2, 2) that these are along.
+        """
+        variances, directions = np.linalg.eigh(covariance)
+        sigmas = np.sqrt(np.maximum(variances, 1e-12))
+        axes = np.ascontiguousarray(directions * sigmas)
+        finest_m = 2.5 * self._cell_m
+        steps = np.clip(np.ceil(2 * kernels.REACH * sigmas / finest_m), _FEWEST_STEPS, _MOST_STEPS).astype(int)
+        parts = kernels.parts_in_areas(mean, axes, steps[0], steps[1], self._shares, self._corner, self._cell_m)
+        return parts, axes
+
+
+def reweighted(parts: FloatArray, likelihoods: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean (2,) and covariance (2, 2), along the axes of the parts, of a Gaussian seen through `likelihoods` (A + 1,).
+
+    The grid's own rounding is taken off: likelihoods that are all alike give mean 0 and covariance 1 exactly.
+    """
+
+    def moments(weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        total = weights @ parts
+        first, second = total[1:3] / total[0], total[3:6] / total[0]
+        return first, np.array([[second[0], second[1]], [second[1], second[2]]]) - np.outer(first, first)
+
+    base_mean, base_covariance = moments(np.ones(len(parts)))
+    mean, covariance = moments(likelihoods / likelihoods.max())
+    rescale = 1 / np.sqrt(np.diag(base_covariance))
+    return (mean - base_mean) * rescale, covariance * np.outer(rescale, rescale)
+
+
+# PlaneBelief: a Gaussian over the base's pose in the plane and over what is wrong with the wheels.
+
+
+PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
+
+
+class PlaneBelief:
+    """Mean and covariance of x, y in metres, yaw in radians, and the wheels' errors: scale, drift, turn.
+
+    Scale is the ratio by which the way is wrong, drift the heading's in rad/m, turn the ratio by which turns are.
+
+    Args:
+        x_m, y_m, yaw_rad: at the start.
+        sigmas: (6,) of the state at the start.
+        walk: (3,) how far the variances of scale, drift and turn grow in one metre.
+    """
+
+    def __init__(self, x_m: float, y_m: float, yaw_rad: float, sigmas: FloatArray, walk: FloatArray) -> None:
+        self.mean = np.array([x_m, y_m, yaw_rad, 0.0, 0.0, 0.0])
+        self.covariance = np.diag(np.square(sigmas))
+        self._walk = walk
+
+    def move(self, step: FloatArray, step_covariance: FloatArray) -> None:
+        """Go on by a step of the wheels (3,), forward, left, yaw, with its covariance (3, 3)."""
+        kernels.step(self.mean, self.covariance, step, step_covariance, self._walk)
+
+    def correct(self, mean: FloatArray, covariance: FloatArray, axes: FloatArray) -> None:
+        """The position takes mean (2,) and covariance (2, 2) along `axes`, in which they were 0 and the identity.
+
+        `axes` (2, 2) is a root of the position's covariance: `axes @ axes.T`. All else follows by its correlation.
+        """
+        gain = np.linalg.solve(axes, self.covariance[:2]).T
+        self.mean += gain @ mean
+        grown = self.covariance + gain @ (covariance - np.eye(2)) @ gain.T
+        self.covariance = (grown + grown.T) / 2
+
+
+def pose_of(one: PlaneBelief, other: PlaneBelief, share: float) -> tuple[FloatArray, FloatArray]:
+    """x, y, yaw (3,) and their covariance (3, 3) where `one` is right with probability `share`, else `other`."""
+    apart = one.mean[:3] - other.mean[:3]
+    apart[2] = se2.wrap_angle(apart[2])
+    within = share * one.covariance[:3, :3] + (1 - share) * other.covariance[:3, :3]
+    return other.mean[:3] + share * apart, within + share * (1 - share) * np.outer(apart, apart)

@@ -1,0 +1,465 @@
+"""Compiled prediction, correction and measurement models of a PoseBelief."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from wheelsight.core.compiled import kernel
+from wheelsight.core.geometry.arrays import FloatArray, IntArray
+from wheelsight.core.geometry.motion_kernels import (
+    adjoint,
+    carried,
+    chi_squared,
+    exp,
+    inverse,
+    left_jacobian,
+    log,
+    times,
+)
+
+# How a PoseBelief goes on with the wheels, or without them, is corrected and answered; numba over arrays and numbers.
+#
+# T (1 + K, 4, 4), rest (17,) and P (n, n) are as `_pose_belief` lays them out.
+
+
+_REST, _PLANE = 17, (0, 1, 5)
+
+
+@kernel
+def _depend(P: FloatArray, errors: int, to_pose: FloatArray, to_twist: FloatArray) -> None:
+    """Add to the pose, and put in the twist's place, what the wheels' errors (3,) do to it: (6, 3) and (3, 3)."""
+    twist = errors - 3
+    old = P[errors : errors + 3].copy()
+    P[:6] += times(to_pose, old)
+    P[twist:errors] = times(to_twist, old)
+    old = P[:, errors : errors + 3].copy()
+    P[:, :6] += times(old, to_pose.T)
+    P[:, twist:errors] = times(old, to_twist.T)
+
+
+@kernel
+def by_wheel_errors(raw: FloatArray, known_way: FloatArray) -> FloatArray:
+    """How a step (6,) changes with the wheels' errors (6, 3), by the way (3,) that its speed before makes; NaN: none.
+
+    By its own numbers, a step that is too long by chance would be one more that calls for a smaller scale, and the
+    errors would be drawn towards those that leave no motion at all.
+    """
+    by_errors = np.zeros((6, 3))
+    ahead, left, turn = raw[0], raw[1], raw[5]
+    if not np.isnan(known_way[0]):
+        ahead, left, turn = known_way[0], known_way[1], known_way[2]
+    by_errors[0, 0], by_errors[1, 0] = ahead, left
+    by_errors[5, 1], by_errors[5, 2] = ahead, turn
+    return by_errors
+
+
+class Step(NamedTuple):
+    """A share of a step of the wheels.
+
+    Attributes:
+        xi: (6,) the whole step.
+        noise: (6, 6) of its left perturbation.
+        share: of the whole.
+        dt_s: how long the share lasts.
+        known_twist: (3,) as known before, NaN where it is not.
+    """
+
+    xi: FloatArray
+    noise: FloatArray
+    share: float
+    dt_s: float
+    known_twist: FloatArray
+
+
+class Unseen(NamedTuple):
+    """What happens on the way that no wheel tells.
+
+    Attributes:
+        unseen: (6, 6) noise that a metre of the way of a point `lever_m` aside adds.
+        walks: (14,) that it adds to the variances of the errors of wheels and camera; the last is of the gyroscope's
+            bias, in a second.
+        fades: (14,) the share of them that it takes back.
+        lever_m: see above.
+    """
+
+    unseen: FloatArray
+    walks: FloatArray
+    fades: FloatArray
+    lever_m: float
+
+
+@kernel
+def wheel_step(
+    T: FloatArray, rest: FloatArray, P: FloatArray, step: Step, unseen: Unseen
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:
+    """T, rest and P after a share of a step of the wheels.
+
+    A part of a step has the twist of the whole, and is as uncertain of it; what is learned of that goes back over the
+    part alone.
+
+    Returns (6, 3), too: how the wheels' errors move the pose by this step, as a left perturbation; and the way.
+    """
+    T, rest, P, share, dt_s = T.copy(), rest.copy(), P.copy(), step.share, step.dt_s
+    raw = step.xi * share
+    way_m = unseen.lever_m * abs(raw[5]) + math.hypot(raw[0], raw[1])
+    Q = step.noise * share + unseen.unseen * way_m
+    by_errors = by_wheel_errors(raw, step.known_twist * dt_s)
+    twist, errors = len(P) - _REST, len(P) - _REST + 3
+    xi = raw + times(by_errors, rest[3:6].copy().reshape(3, 1))[:, 0]
+    Ad, J = adjoint(T[0]), left_jacobian(xi)
+    to_pose, to_twist = times(times(Ad, J), by_errors), by_errors[np.array([0, 1, 5])] / dt_s
+    _depend(P, errors, to_pose, to_twist)
+    G = np.zeros((9, 6))
+    G[:6] = Ad
+    G[6:] = np.linalg.inv(J)[np.array([0, 1, 5])] * (math.sqrt(share) / dt_s)
+    grown = times(times(G, Q), G.T)
+    P[:6, :6] += grown[:6, :6]
+    P[:6, twist:errors] += grown[:6, 6:] * math.sqrt(share)
+    P[twist:errors, :6] += grown[6:, :6] * math.sqrt(share)
+    P[twist:errors, twist:errors] += grown[6:, 6:]
+    _wander(rest, P, unseen, way_m, dt_s)
+    T[0] = times(T[0], exp(xi))
+    rest[0], rest[1], rest[2] = xi[0] / dt_s, xi[1] / dt_s, xi[5] / dt_s
+    return T, rest, P, to_pose, way_m
+
+
+@kernel
+def _wander(rest: FloatArray, P: FloatArray, unseen: Unseen, way_m: float, dt_s: float) -> None:
+    """Let the errors of wheels, camera and gyroscope wander, and fade, along a way and a time."""
+    errors = len(P) - _REST + 3
+    for i in range(len(unseen.walks)):
+        k, far = errors + i, way_m if errors + i < len(P) - 1 else dt_s
+        kept = math.exp(-unseen.fades[i] * far)
+        rest[3 + i] *= kept
+        P[k] *= kept
+        P[:, k] *= kept
+        P[k, k] += unseen.walks[i] * far
+
+
+@kernel
+def odometer_kernel(
+    T: FloatArray, C: FloatArray, xi: FloatArray, Q: FloatArray, share: float
+) -> tuple[FloatArray, FloatArray]:
+    """A motion (4, 4) and its covariance (6, 6) after a share of a step ξ (6,) with covariance Q (6, 6)."""
+    return times(T, exp(xi * share)), C + carried(T, Q * share)
+
+
+@kernel
+def coast(
+    T: FloatArray, rest: FloatArray, P: FloatArray, q: FloatArray, Q: FloatArray, dt_s: float, walk: float
+) -> tuple[FloatArray, FloatArray]:
+    """T and P after the twist went on, with white noise of acceleration q (3,), and noise Q (6, 6) of the step."""
+    T, P = T.copy(), P.copy()
+    n = len(P)
+    twist, errors = n - _REST, n - _REST + 3
+    xi = np.zeros(6)
+    xi[0], xi[1], xi[5] = rest[0] * dt_s, rest[1] * dt_s, rest[2] * dt_s
+    Ad = adjoint(T[0])
+    plane = np.array([0, 1, 5])
+    to_pose = times(Ad, left_jacobian(xi)[:, plane]) * dt_s
+    P[:6] += times(to_pose, P[twist:errors].copy())
+    P[:, :6] += times(P[:, twist:errors].copy(), to_pose.T)
+    pushed = Ad[:, plane] * q
+    P[:6, :6] += times(pushed, Ad[:, plane].T) * (dt_s**3 / 3) + times(times(Ad, Q), Ad.T)
+    P[:6, twist:errors] += pushed * (dt_s**2 / 2)
+    P[twist:errors, :6] += pushed.T * (dt_s**2 / 2)
+    for i in range(3):
+        P[twist + i, twist + i] += q[i] * dt_s
+    P[n - 1, n - 1] += walk
+    T[0] = times(T[0], exp(xi))
+    return T, P
+
+
+@kernel
+def speed_kernel(T: FloatArray, covariance: FloatArray, seconds: float) -> tuple[FloatArray, FloatArray]:
+    """Mean velocity (3,) in the plane of a motion (4, 4) that took so long, and its covariance (3, 3)."""
+    xi, mean = log(T), np.zeros(3)
+    for i in range(3):
+        mean[i] = xi[_PLANE[i]] / seconds
+    return mean, covariance / seconds**2
+
+
+@kernel
+def leap_kernel(
+    now: FloatArray, C_now: FloatArray, before: FloatArray, C_before: FloatArray, usual: tuple[float, float, float]
+) -> float:
+    """χ² of a change of velocity (3,), known so well, where changes of `usual` standard deviations happen."""
+    covariance = C_now + C_before
+    for i in range(3):
+        covariance[i, i] += usual[i] ** 2
+    chi2: float = chi_squared(now - before, covariance)
+    return chi2
+
+
+@kernel
+def answered(
+    T: FloatArray, rest: FloatArray, P: FloatArray, clock_s: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The pose now (4, 4) and its covariance (6, 6), the twist (3,) and its own, with stamps that are uncertain so."""
+    Ad, late, at = adjoint(T[0]), np.zeros((6, 1)), len(P) - _REST
+    for i in range(6):
+        for j in range(3):
+            late[i, 0] += Ad[i, _PLANE[j]] * rest[j] * clock_s
+    return T[0].copy(), P[:6, :6] + times(late, late.T), rest[:3].copy(), P[at : at + 3, at : at + 3].copy()
+
+
+@kernel
+def correct(
+    T: FloatArray, rest: FloatArray, P: FloatArray, PHt: FloatArray, S: FloatArray, residual: FloatArray, kept: IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """T, rest and P after the Kalman update, of which the numbers `kept` of the state (k,) learn nothing."""
+    gain: FloatArray = np.linalg.solve(S, np.ascontiguousarray(PHt.T)).T.astype(np.float64)
+    lost = times(gain, PHt.T)
+    less = (P + P.T - lost - lost.T) / 2  # what rounding makes askew would grow
+    x = np.zeros(len(P))
+    for i in range(len(P)):
+        for j in range(len(residual)):
+            x[i] += gain[i, j] * residual[j]
+    for i in kept:
+        x[i] = 0.0
+        for j in kept:
+            less[i, j] = P[i, j]
+    T, rest = perturb(T, rest, x)
+    return T, rest, less
+
+
+@kernel
+def perturb(T: FloatArray, rest: FloatArray, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """All poses perturbed, and the rest shifted, by x (n,)."""
+    moved = np.empty_like(T)
+    for i in range(len(T)):
+        moved[i] = times(exp(x[6 * i : 6 * i + 6]), T[i])
+    return moved, rest + x[6 * len(T) :]
+
+
+# What the camera says of a PoseBelief; numba over arrays and numbers.
+#
+# T (1 + K, 4, 4), rest (17,) and P (n, n) are as `_pose_belief` lays them out.
+
+
+# Of `rest`: twist 3, the wheels' errors 3, the camera's 9, how late its stamps are, the gyroscope's bias.
+_RELATIVE_POSE_REST, _CAMERA, _LAG = 17, 9, 15
+_RELATIVE_POSE_PLANE = (0, 1, 5)
+_MOUNT = (0, 1, 3, 4, 5)  # on a floor nothing tells how high a camera sits
+_UNSEEN_SIGMA_M = 10.0
+_LEAST_TWIST = 1e-3  # m/s and rad/s: wheels that stand still tell no noise at all
+
+
+@kernel
+def by_camera_errors(Z: FloatArray, told: FloatArray) -> FloatArray:
+    """How a motion Z (4, 4) that the camera saw changes, as a left perturbation, with the camera's errors (6, 9).
+
+    They are the ratio by which its ways are too short, the turn a metre that it misses, the ratio by which its turns
+    are too small, the pitch a metre that it misses, and how it is mounted otherwise: so far ahead and to the left on
+    the base, which in turns it takes for a way, and by what rotation (3,), so that what it takes for ahead may be aside
+    or up. A pitch that grows along the way moves the end by half.
+
+    The first three are as those of the wheels, so they change it as these do, which is what `told` (6, 3) says. Told
+    from each other by how steps are reckoned, and not by the drive, they would drift: what both err by alike nobody
+    sees, so nothing would ever mend it.
+    """
+    B = np.zeros((6, _CAMERA))
+    B[:, :3], Ad = told, adjoint(Z)
+    for i in range(len(_MOUNT)):
+        B[:, 4 + i] = -Ad[:, _MOUNT[i]]
+        B[_MOUNT[i], 4 + i] += 1.0
+    way = math.sqrt(Z[0, 3] ** 2 + Z[1, 3] ** 2 + Z[2, 3] ** 2)
+    B[0, 3], B[2, 3], B[4, 3] = -way * Z[2, 3] / 2, way * Z[0, 3] / 2, way
+    return B
+
+
+@kernel
+def imaged_at(T_now: FloatArray, rest: FloatArray) -> FloatArray:
+    """The pose (4, 4) when the image was taken that has the stamp of now: the camera's stamps are late."""
+    xi = np.zeros(6)
+    for i in range(3):
+        xi[_RELATIVE_POSE_PLANE[i]] = -rest[_LAG] * rest[i]
+    return times(T_now, exp(xi))
+
+
+@kernel
+def imaged(P: FloatArray, T_imaged: FloatArray, lag_s: float, twist: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Covariance (6, n) of the pose when the image was taken with the state, and its own (6, 6).
+
+    Lag and twist are both uncertain; what they do together, which no first order shows, is added to its own.
+    """
+    rest = len(P) - _RELATIVE_POSE_REST
+    G = np.zeros((6, 3))
+    Ad = adjoint(T_imaged)
+    for j in range(3):
+        G[:, j] = Ad[:, _RELATIVE_POSE_PLANE[j]]
+    by_lag = times(G, twist.reshape(3, 1))
+    rows = P[:6] - lag_s * times(G, P[rest : rest + 3]) - by_lag * P[rest + _LAG]
+    spread = (
+        rows[:, :6]
+        - lag_s * times(rows[:, rest : rest + 3], G.T)
+        - rows[:, rest + _LAG].copy().reshape(6, 1) * by_lag.T
+    )
+    together = P[rest + _LAG, rest + _LAG] * P[rest : rest + 3, rest : rest + 3]
+    return rows, spread + times(times(G, together), G.T)
+
+
+@kernel
+def imaged_now(T_now: FloatArray, rest: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The pose (4, 4) when the image of now was taken, and its covariances as `imaged` has them."""
+    T_imaged = imaged_at(T_now, rest)
+    rows, spread = imaged(P, T_imaged, rest[_LAG], rest[:3].copy())
+    return T_imaged, rows, spread
+
+
+@kernel
+def seen_from(
+    T: FloatArray, rest: FloatArray, P: FloatArray, at: int, T_base_camera: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The camera's motion (4, 4) since the pose at a place, in that one's frame, and its covariance (6, 6)."""
+    here = slice(6 * at, 6 * at + 6)
+    T_imaged, rows, spread = imaged_now(T[0], rest, P)
+    T_camera_odom = inverse(times(T[at], T_base_camera))
+    apart = spread - rows[:, here] - rows[:, here].T + P[here, here]
+    return times(times(T_camera_odom, T_imaged), T_base_camera), carried(T_camera_odom, apart)
+
+
+@kernel
+def _change_of_twist(rest: FloatArray, P: FloatArray, before: FloatArray) -> float:
+    """χ² of the change from a twist (3,) before, by the noise that both have of the wheels, and never less than so."""
+    at = len(P) - _RELATIVE_POSE_REST
+    noise = 2 * P[at : at + 3, at : at + 3]
+    for i in range(3):
+        noise[i, i] += _LEAST_TWIST**2
+    chi2: float = chi_squared(rest[:3] - before, noise)
+    return chi2
+
+
+@kernel
+def expected(
+    T_imaged: FloatArray, T_reference: FloatArray, told: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The motion (4, 4) between two poses, how the camera's errors change it (6, 9), and how perturbations do (6, 6).
+
+    `told` (6, 3) is how the wheels' errors moved the one since the other, as left perturbations in odom.
+    """
+    T_reference_odom = inverse(T_reference)
+    Z, Ad = times(T_reference_odom, T_imaged), adjoint(T_reference_odom)
+    return Z, by_camera_errors(Z, times(Ad, told)), Ad
+
+
+@kernel
+def apart_kernel(
+    T_imaged: FloatArray, T_reference: FloatArray, told: FloatArray, Z: FloatArray, camera_errors: FloatArray
+) -> FloatArray:
+    """log(Z Ẑ⁻¹) (6,) of a motion Z (4, 4), mended by the camera's errors (9,), and the one that two poses tell."""
+    Z_expected, B, _ = expected(T_imaged, T_reference, told)
+    xi = log(times(Z, inverse(Z_expected)))
+    for i in range(6):
+        for j in range(_CAMERA):
+            xi[i] += B[i, j] * camera_errors[j]
+    return xi
+
+
+class Poses(NamedTuple):
+    """The pose now and one that is remembered.
+
+    Attributes:
+        T_now, T_reference: (4, 4).
+        by_wheel_errors: (6, 3) how the wheels' errors moved the one since the other, as left perturbations in odom.
+        place: of the remembered pose in the covariance.
+        twist_then: (3,) at that pose.
+    """
+
+    T_now: FloatArray
+    T_reference: FloatArray
+    by_wheel_errors: FloatArray
+    place: int
+    twist_then: FloatArray
+
+
+class Told(NamedTuple):
+    """A motion Z (4, 4), of which directions `seen` (m, 6) were seen, with noise R (m, m)."""
+
+    Z: FloatArray
+    seen: FloatArray
+    R: FloatArray
+
+
+@kernel
+def measured(
+    poses: Poses, rest: FloatArray, P: FloatArray, told: Told
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float, float]:
+    """What a motion that was told says, against a pose that is remembered.
+
+    Returns the residual (m,), its covariance S (m, m), that with the state P Hᵀ (n, m), H (m, 6) of the pose now, the
+    residual's χ², and that of how the twist changed since.
+    """
+    T_imaged, seen, R, place = imaged_at(poses.T_now, rest), told.seen, told.R, poses.place
+    _, B, Ad = expected(T_imaged, poses.T_reference, poses.by_wheel_errors)
+    H, by_errors = times(seen, Ad), times(seen, B)
+    residual = _rows(
+        seen, apart_kernel(T_imaged, poses.T_reference, poses.by_wheel_errors, told.Z, rest[6 : 6 + _CAMERA])
+    )
+    twist = rest[:3].copy()
+    PHt, S = _innovation(P, place, H, by_errors, R, T_imaged, rest[_LAG], twist)
+    # What is late counts by the twist as this measurement tells it: the wheels' noise is in theirs and in the residual,
+    # and their product would go one way at every measurement.
+    weighed = np.linalg.solve(S, residual)
+    for i in range(3):
+        for j in range(len(residual)):
+            twist[i] += PHt[len(P) - _RELATIVE_POSE_REST + i, j] * weighed[j]
+    PHt, S = _innovation(P, place, H, by_errors, R, T_imaged, rest[_LAG], twist)
+    return residual, S, PHt, H, chi_squared(residual, S), _change_of_twist(rest, P, poses.twist_then)
+
+
+@kernel
+def shown_kernel(
+    R: FloatArray,
+    seen: FloatArray,
+    unseen: FloatArray,
+    scale: FloatArray,
+    to_camera: FloatArray,
+    from_camera: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What a covariance R (6, 6) of the camera's motion is in the directions `seen` (m, 6) of it, scaled: (m, m).
+
+    Then these directions (m, 6) as the base's, and the covariance (6, 6) of the base's, very wide where it is `unseen`.
+    """
+    scaled = (R + R.T) / 2
+    for i in range(6):
+        for j in range(6):
+            scaled[i, j] *= scale[i] * scale[j]
+    covariance = times(times(seen, scaled), seen.T)
+    wide = times(times(seen.T, covariance), seen) + _UNSEEN_SIGMA_M**2 * times(unseen.T, unseen)
+    return covariance, times(seen, to_camera), times(times(from_camera, wide), from_camera.T)
+
+
+@kernel
+def _rows(seen: FloatArray, xi: FloatArray) -> FloatArray:
+    shown = np.zeros(seen.shape[0])
+    for i in range(seen.shape[0]):
+        for j in range(6):
+            shown[i] += seen[i, j] * xi[j]
+    return shown
+
+
+@kernel
+def _innovation(
+    P: FloatArray,
+    place: int,
+    H: FloatArray,
+    by_errors: FloatArray,
+    R: FloatArray,
+    T_imaged: FloatArray,
+    lag_s: float,
+    twist: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    errors, at = (
+        slice(len(P) - _RELATIVE_POSE_REST + 6, len(P) - _RELATIVE_POSE_REST + 6 + _CAMERA),
+        slice(place, place + 6),
+    )
+    rows, spread = imaged(P, T_imaged, lag_s, twist)
+    apart = spread - rows[:, at] - rows[:, at].T + P[at, at]
+    PHt = times(H, rows - P[at]).T - times(P[:, errors], by_errors.T)
+    crossed = times(times(H, rows[:, errors] - P[at, errors]), by_errors.T)
+    of_errors = times(times(by_errors, P[errors, errors]), by_errors.T)
+    return PHt, times(times(H, apart), H.T) - crossed - crossed.T + of_errors + R

@@ -1,0 +1,252 @@
+"""Fusion of wheel and visual odometry with a constant weight, after Ligocki: the localizer and its filter."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.config import Config
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.clocks import Untimed
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.estimates import Estimate, Reason, Status
+from wheelsight.core.geometry import FloatArray, se2, se3
+from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame
+from wheelsight.core.settings.fusion import LigockiSettings
+from wheelsight.estimation.camera_localizer import ByFrames, mount_of
+from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
+from wheelsight.estimation.wheel_localizer import ByWheels
+from wheelsight.vision.features import MatchedPixels
+
+# ByLigocki: wheels and camera, each alone, joined at every frame by the filter of Ligocki's paper.
+
+
+class ByLigocki:
+    """Frames answered by eq. 2. Both sensors begin at the identity at the first frame that the camera tracked.
+
+    Attributes:
+        odometry: the camera's.
+        mapper: builds a map of the camera alone, where one is asked for.
+        T_odom_map: (4, 4) where that lies by the last frame that both know.
+    """
+
+    body, frame, answers = "base", "map", (RgbdFrame, SkippedFrame)
+
+    def __init__(self, calibration: Calibration, settings: Config, parts: OwnParts = NO_PARTS) -> None:
+        mount_of(calibration)  # the camera answers for the base
+        self._wheels = ByWheels(calibration, settings.wheels)
+        self.hears: tuple[type[Event], ...] = (*self._wheels.hears, *self.answers)
+        self._camera = ByFrames(calibration, settings, parts=parts)
+        self.odometry, self.mapper = self._camera.odometry, self._camera.mapper
+        assert calibration.any_wheels is not None  # ByWheels has refused it
+        self._max_gap_s = calibration.any_wheels.max_gap_s
+        self._filter = LigockiFilter(settings.fusion.ligocki)
+        self._rolled: Estimate | None = None
+        self._answer: Estimate | None = None
+        self._T_begin_odom: FloatArray | None = None
+        self.T_odom_map: FloatArray = np.eye(4)
+
+    @property
+    def last_matches(self) -> MatchedPixels | None:
+        """What the last frame was aligned by."""
+        return self._camera.last_matches
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is wrong with the gyroscope, as a sentence."""
+        return self._wheels.warnings
+
+    @property
+    def stage_seconds(self) -> dict[str, float]:
+        """How long each stage of the last frame took."""
+        return self._camera.stage_seconds
+
+    def process(self, event: Event) -> tuple[Estimate | None, str]:
+        """The joined estimate at a frame, None at any other event, and what was wrong with a frame."""
+        rolled, _ = self._wheels.process(event)
+        if rolled is not None:
+            self._rolled = rolled
+        seen, note = self._camera.process(event)
+        return None if seen is None else self._joined(seen), note
+
+    def refuse(self, event: Event, why: Untimed) -> tuple[Estimate | None, str]:
+        """The joined estimate at a frame whose stamp means nothing, None at any other event."""
+        if not isinstance(event, RgbdFrame | SkippedFrame):
+            return None, ""
+        seen, note = self._camera.refuse(event, why)
+        return self._joined(seen), note
+
+    def _joined(self, seen: Estimate) -> Estimate:
+        if not math.isfinite(seen.stamp_s):
+            return seen
+        if seen.reason is Reason.REPEATED and self._answer is not None:
+            return replace(self._answer, reason=Reason.REPEATED)
+        T_odom_base = self._rolled_to(seen.stamp_s)
+        if T_odom_base is None:
+            return replace(seen, T_odom_body=None, covariance=None, status=Status.INITIALIZING)
+        if self._T_begin_odom is None:
+            if seen.T_odom_body is None:
+                return seen
+            self._T_begin_odom = seen.T_odom_body @ se3.invert(T_odom_base)
+        T_visual = None if seen.T_odom_body is None else se3.nearest(seen.T_odom_body)
+        joined = self._filter.update(seen.stamp_s, se3.nearest(self._T_begin_odom @ T_odom_base), T_visual)
+        reason = joined.reason or seen.reason
+        if T_visual is not None and joined.T_odom_body is not None:
+            self.T_odom_map = se3.nearest(joined.T_odom_body @ se3.invert(T_visual))
+        self._answer = replace(joined, reason=reason, matches=seen.matches, inliers=seen.inliers)
+        return self._answer
+
+    def _rolled_to(self, stamp_s: float) -> FloatArray | None:
+        """T_odom_base by the wheels, moved on from the last reading by their speed, as far as a gap may be bridged."""
+        if self._rolled is None or self._rolled.T_odom_body is None:
+            return None
+        seconds = min(max(stamp_s - self._rolled.stamp_s, 0.0), self._max_gap_s)
+        return self._rolled.T_odom_body @ self._wheels.odometry.motion_in(seconds)
+
+
+# LigockiFilter: wheels and vision joined with a constant weight, by eq. 2 of Ligocki's paper.
+#
+# The paper's: the state of one axis, x_k = (wheel_k, visual_k, wheel_k-1, visual_k-1); the matrix H of eq. 2, which
+# makes of it the joined position and velocity, z_k = H x_k, with a weight C, 0 ≪ C < 1; and what this is for: "larger
+# weight on short-term accurate data from Wheel Odometry and smaller weight on the longer term reliable data from
+# Visual Odometry".
+#
+# Ours, because the paper is silent: the process. No sensor measures z, so z is what the filter answers, and x has to
+# be told by the sensors. Were wheel_k where the wheels alone believe to be, the answer would keep the share C of
+# their drift for ever, and nothing would be long-term reliable. So the wheels go on from the last answer, wheel_k =
+# z_k-1 + Δwheel:
+#
+# x_k = A x_k-1 + (Δwheel, Δvisual, 0, 0) + w_k, A = ((C, 1-C, 0, 0), (0, 1, 0, 0), (C, 1-C, 0, 0), (0, 1, 0, 0)),
+#
+# with P_k = A P_k-1 Aᵀ + Q, the time update of Welch & Bishop. The first row of A is that of H. The steps of the
+# wheels are turned by the yaw between their frame and the answer's; yaw is not wrapped; without a visual pose vision
+# moves as the wheels do. The answer then follows wheels at once and vision with the time constant -Δt / log C.
+#
+# What it cannot do: the weight is constant, whatever the sensors know of their errors; a slip or a leap of vision
+# goes into the answer as it comes; both must begin in the same frame; it is planar; its covariance is that of Q, not
+# of the sensors.
+
+
+_PLANE = np.array([0, 1, 5])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JoinedEstimate(Estimate):
+    """The joined pose, and how fast it moves.
+
+    Attributes:
+        velocity: (3,) of x, y in m/s in the map frame and of yaw in rad/s: the second rows of eq. 2. Or None.
+        velocity_covariance: (3, 3), or None.
+    """
+
+    velocity: FloatArray | None = None
+    velocity_covariance: FloatArray | None = None
+
+
+def measurement_matrix(weight: float, dt_s: float) -> FloatArray:
+    """H (2, 4) of eq. 2, for one axis."""
+    C = weight
+    return np.array([[C, 1 - C, 0, 0], np.array([C, 1 - C, -C, C - 1]) / dt_s])
+
+
+def process_matrix(weight: float) -> FloatArray:
+    """A (4, 4): wheels go on from the last answer, vision from where it was, and both are remembered."""
+    C = weight
+    return np.array([[C, 1 - C, 0, 0], [0, 1, 0, 0], [C, 1 - C, 0, 0], [0, 1, 0, 0]])
+
+
+class LigockiFilter:
+    """Poses of wheels and vision in, the joined pose out; the same input gives the same answer to the last bit.
+
+    Args:
+        settings: see there.
+    """
+
+    def __init__(self, settings: LigockiSettings | None = None) -> None:
+        self.settings = settings or LigockiSettings()
+        s = self.settings
+        wheel = np.array([s.wheel_sigma_m_per_sqrt_s] * 2 + [s.wheel_sigma_rad_per_sqrt_s])
+        visual = np.array([s.visual_sigma_m_per_sqrt_s] * 2 + [s.visual_sigma_rad_per_sqrt_s])
+        self._Q = np.zeros((3, 4, 4))
+        self._Q[:, 0, 0], self._Q[:, 1, 1] = wheel**2, visual**2
+        self._x, self._P = np.zeros((3, 4)), np.zeros((3, 4, 4))  # x, y, yaw; each the state of eq. 2
+        self._stamp_s: float | None = None
+        self._wheels = np.zeros(3)
+
+    def update(self, stamp_s: float, T_odom_base: ArrayLike, T_map_base_visual: ArrayLike | None) -> JoinedEstimate:
+        """The joined pose at a stamp at which both are known.
+
+        Args:
+            stamp_s: later than the last one.
+            T_odom_base: (4, 4) or (3, 3) by the wheels alone.
+            T_map_base_visual: (4, 4) or (3, 3) by vision alone, in the frame that began where odom did; or None.
+
+        Returns:
+            `Status.TRACKING` with the pose, `COASTING` without vision; `FAILING` with `CLOCK_BACKWARDS`, and the pose
+            left as it was, at a stamp that is not later.
+
+        Raises:
+            ConfigError: a pose or stamp that is none.
+        """
+        wheels = _planar(T_odom_base)
+        visual = None if T_map_base_visual is None else _planar(T_map_base_visual)
+        if not np.isfinite(stamp_s):
+            raise ConfigError(f"stamp_s is {stamp_s}", fix="seconds")
+        status = Status.TRACKING if visual is not None else Status.COASTING
+        if self._stamp_s is None:
+            self._stamp_s, self._wheels = stamp_s, wheels
+            begin = wheels if visual is None else wheels + _unwrapped(visual - wheels)
+            self._x[:] = np.stack([wheels, begin] * 2, axis=-1)
+            return self._estimate(status, None)
+        dt_s = stamp_s - self._stamp_s
+        if dt_s <= 0:
+            return self._estimate(Status.FAILING, None, Reason.CLOCK_BACKWARDS)
+        self._go_on(wheels, visual, dt_s)
+        self._stamp_s = stamp_s
+        return self._estimate(status, dt_s)
+
+    def _go_on(self, wheels: FloatArray, visual: FloatArray | None, dt_s: float) -> None:
+        H, A = measurement_matrix(self.settings.weight, dt_s), process_matrix(self.settings.weight)
+        turned = _rotation((self._x @ H[0])[2] - self._wheels[2])
+        wheel_step = turned @ _unwrapped(wheels - self._wheels)
+        visual_step = wheel_step if visual is None else _unwrapped(visual - self._x[:, 1])
+        self._x = self._x @ A.T
+        self._x[:, 0] += wheel_step
+        self._x[:, 1] += visual_step
+        self._P = A @ self._P @ A.T + self._Q * dt_s
+        self._wheels = wheels
+
+    def _estimate(self, status: Status, dt_s: float | None, reason: Reason | None = None) -> JoinedEstimate:
+        assert self._stamp_s is not None
+        H = measurement_matrix(self.settings.weight, dt_s or 1.0)
+        joined, spread = self._x @ H.T, H @ self._P @ H.T
+        x, y, yaw = joined[:, 0]
+        # From x, y, yaw to the perturbation from the left, which turns about the map's origin.
+        J = np.array([[1.0, 0.0, y], [0.0, 1.0, -x], [0.0, 0.0, 1.0]])
+        covariance = np.zeros((6, 6))
+        covariance[np.ix_(_PLANE, _PLANE)] = J @ np.diag(spread[:, 0, 0]) @ J.T
+        moving = (None, None) if dt_s is None else (joined[:, 1], np.diag(spread[:, 1, 1]))
+        pose = (se3.from_plane(x, y, yaw), covariance, reason, "base", 0, 0)
+        return JoinedEstimate(self._stamp_s, status, *pose, *moving)
+
+
+def _planar(T: ArrayLike) -> FloatArray:
+    """x, y, yaw (3,) of a motion (4, 4) or (3, 3)."""
+    T = np.asarray(T, float)
+    if T.shape == (3, 3) and np.isfinite(T).all():
+        T = se3.from_plane(*se2.to_parts(T)) if np.allclose(T[:2, :2] @ T[:2, :2].T, np.eye(2), atol=1e-6) else T
+    if T.shape != (4, 4) or not se3.is_valid(T):
+        raise ConfigError("a pose to join is none", fix="a rigid motion, (4, 4) or (3, 3)")
+    return np.array([T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])])
+
+
+def _unwrapped(step: FloatArray) -> FloatArray:
+    return np.array([step[0], step[1], float(se2.wrap_angle(step[2]))])
+
+
+def _rotation(yaw_rad: float) -> FloatArray:
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -1,0 +1,346 @@
+"""`open_live_camera` opens a camera by name; `open_robot_camera` also combines calibrations. `PlayedCamera` plays a
+recording as a live camera.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Self
+
+from wheelsight.core.calibration import Calibration, load_calibration
+from wheelsight.core.errors import CalibrationError, DeviceError, RecordingError
+from wheelsight.core.files import StrPath
+from wheelsight.core.messages import AngularVelocity, RgbdFrame, SkippedFrame
+from wheelsight.core.settings import LiveCameraSettings
+from wheelsight.io.devices import host_clock
+from wheelsight.io.devices.live_camera import CameraReport, CameraStatus, LiveCamera, LiveFrame, StreamingCamera
+from wheelsight.io.devices.plugged_in import why_not
+
+# Live cameras that a robot can carry, by name; each is opened when it is asked for.
+
+
+Opener = Callable[[str | None, LiveCameraSettings, Calibration | None], LiveCamera]
+"""Of a serial number or file (None for the first that is plugged in), settings, and the calibration to go by."""
+
+
+def _openni2(where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> LiveCamera:
+    from wheelsight.io.devices.openni2 import OpenNI2Driver, is_file
+
+    if where is not None and is_file(where):
+        from wheelsight.io.devices.oni_player import OniPlayer
+
+        return StreamingCamera(OniPlayer(where, settings), settings, calibration)
+    return StreamingCamera(OpenNI2Driver(where, settings), settings, calibration)
+
+
+def _realsense(where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> LiveCamera:
+    from wheelsight.io.devices.realsense import RealSenseDriver
+
+    return StreamingCamera(RealSenseDriver(where, settings), settings, calibration)
+
+
+def _freenect(where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> LiveCamera:
+    from wheelsight.io.devices.freenect import FreenectDriver
+
+    return StreamingCamera(FreenectDriver(where, settings), settings, calibration)
+
+
+def _recording(where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> LiveCamera:
+
+    return PlayedCamera.opened(where, settings, calibration)
+
+
+LIVE_CAMERAS: dict[str, Opener] = {
+    "realsense": _realsense,
+    "freenect": _freenect,
+    "openni2": _openni2,
+    "recording": _recording,
+}
+"""How each kind is opened."""
+
+
+def open_live_camera(
+    which: str | None = None, settings: LiveCameraSettings | None = None, calibration: Calibration | None = None
+) -> LiveCamera:
+    """A live camera, streaming.
+
+    Args:
+        which: its kind, such as "realsense", or kind and serial number or file, such as "openni2:drive.oni"; None for
+            the first that is plugged in.
+        settings: what is asked of it; None for the defaults.
+        calibration: to go by, of the images that are asked for; None for what the camera tells of itself.
+
+    Raises:
+        DeviceError: none is there, it is denied or in use, or its library is missing; says what to do.
+    """
+    asked = settings or LiveCameraSettings()
+    kind, _, where = (which or "").partition(":")
+    if kind and kind not in LIVE_CAMERAS:
+        raise DeviceError(f"no camera is called {kind!r}", fix=f"one of {', '.join(LIVE_CAMERAS)}")
+    reasons = []
+    for name, opener in LIVE_CAMERAS.items():
+        if kind in ("", name):
+            try:
+                return opener(where or None, asked, calibration)
+            except DeviceError as error:
+                reasons.append(error)
+    # What is plugged in and lacks something tells more than that a library sees nothing.
+    told = why_not(kind or None) if not where else None
+    raise told or reasons[0]
+
+
+# A live camera of a robot, with its own calibration laid under that of the robot.
+
+
+ANY = "any"
+
+
+def open_robot_camera(
+    which: str, settings: LiveCameraSettings, files: Sequence[StrPath] = (), known: Calibration | None = None
+) -> tuple[LiveCamera, Calibration]:
+    """A live camera, and the calibration of the robot that carries it.
+
+    Args:
+        which: as `open_live_camera`; "any" for the first that is plugged in.
+        settings: what is asked of it.
+        files: calibrations of the robot, laid over each other in this order, and all over the camera's own.
+        known: the calibration to go by in place of all these.
+
+    Raises:
+        DeviceError: as `open_live_camera`.
+        CalibrationError: a file is no calibration, or lacks something.
+    """
+    asked = known if known is not None or not files else _of_camera(files)
+    camera = open_live_camera(None if which == ANY else which, settings, asked)
+    try:
+        if known is not None:
+            return camera, known
+        return camera, load_calibration(*files, under=camera.calibration) if files else camera.calibration
+    except BaseException:
+        camera.close()
+        raise
+
+
+def _of_camera(files: Sequence[StrPath]) -> Calibration | None:
+    """What the files tell of a camera; None where they tell of none, or only together with what the camera tells."""
+    try:
+        found = load_calibration(*files)
+    except CalibrationError:
+        return None  # told once the camera's own is laid under, unless that mends it
+    return None if found.color is None else found
+
+
+# PlayedCamera: frames that are there already, given as a live camera gives them: in their time, and only once.
+#
+# With a recording it shows what live work looks like before a camera is bought, and tests all of it without one.
+
+
+THREAD = "wheelsight-played-camera"
+_RATE_OVER = 30
+_WAIT_S = 0.05
+_UNASKED_S = 2.0
+_LATEST_S = 0.1
+# Readings of a gyroscope for whoever asks late: ten seconds of the fastest.
+_MOST_READINGS = 4000
+
+
+class PlayedCamera:
+    """A `LiveCamera` of frames whose stamps say when each comes after the first.
+
+    Its stamps are the host's, hence exact. At the end it says so, and gives nothing more. While nobody asks for frames,
+    as before a run is ready, it stands still: else it might be over by then. Where frames are decoded too slowly for
+    their time, it plays slower.
+
+    Args:
+        name: for people.
+        calibration: of the frames.
+        frames: at growing stamps; those that were skipped are left out.
+        settings: how many frames are kept, and how old they may grow.
+        turns: readings of the camera's gyroscope by the frames' clock, at growing stamps. They come with the frames,
+            as a camera's do, from the first one on.
+        notes: what else to know before trusting what it shows.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        calibration: Calibration,
+        frames: Iterable[RgbdFrame | SkippedFrame],
+        settings: LiveCameraSettings | None = None,
+        *,
+        turns: Sequence[AngularVelocity] = (),
+        notes: Sequence[str] = (),
+    ) -> None:
+        self._name, self._calibration, self._notes = name, calibration, tuple(notes)
+        self._settings = settings or LiveCameraSettings()
+        self._kept: deque[LiveFrame] = deque()
+        self._coming = deque(turns)
+        self._turns: deque[AngularVelocity] = deque(maxlen=_MOST_READINGS)
+        self._arrivals: deque[float] = deque(maxlen=_RATE_OVER)
+        self._report = CameraReport(CameraStatus.STARTING, host_clock.now_s())
+        self._changed = threading.Condition()
+        self._is_over = threading.Event()
+        self._asked_s = -math.inf
+        self._thread = threading.Thread(target=self._play, args=(frames,), name=THREAD, daemon=True)
+        self._thread.start()
+
+    @classmethod
+    def opened(cls, where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> PlayedCamera:
+        """Of a recording's folder. Raises DeviceError where it has no frames of this calibration."""
+        from wheelsight.io.recordings import (
+            OpenOptions,  # loads OpenCV, which other cameras need not wait for
+            camera_turns,  # loads OpenCV, which other cameras need not wait for
+            open_recording,  # loads OpenCV, which other cameras need not wait for
+        )
+
+        if where is None:
+            raise DeviceError("no recording is named", fix="--camera recording:DIR")
+        recording = open_recording(Path(where), OpenOptions(topics=settings.topics))
+        if not recording.frame_count:
+            raise DeviceError("the recording has no images", path=where)
+        own = recording.calibration
+        if calibration is not None and _sizes(calibration) != _sizes(own):
+            problem = f"its images are of {_sizes(own)}, the calibration's of {_sizes(calibration)}"
+            raise DeviceError(problem, path=where, fix="leave out --calibration, or give that of this camera")
+        turns, notes = camera_turns(Path(where)) if settings.gyro else ([], [])
+        frames = (event for event in recording.events() if isinstance(event, RgbdFrame | SkippedFrame))
+        name = f"the recording {recording.name}"
+        return cls(name, calibration or own, frames, settings, turns=turns, notes=notes)
+
+    @property
+    def name(self) -> str:
+        """As given."""
+        return self._name
+
+    @property
+    def calibration(self) -> Calibration:
+        """As given."""
+        return self._calibration
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """That these are no new frames, and the notes."""
+        return f"{self._name[0].upper()}{self._name[1:]} is played as if it were a camera.", *self._notes
+
+    def read(self, timeout_s: float) -> LiveFrame | None:
+        """As `LiveCamera` has it."""
+        ends_s = time.monotonic() + timeout_s
+        self._asked_s = host_clock.now_s()
+        with self._changed:
+            while (found := self._fetch()) is None:
+                left_s = ends_s - time.monotonic()
+                if left_s <= 0 or self._report.status in (CameraStatus.ENDED, CameraStatus.CLOSED):
+                    return None
+                self._changed.wait(left_s)
+        return found
+
+    def take(self) -> list[RgbdFrame | SkippedFrame]:
+        """As `LiveCamera` has it."""
+        found: list[RgbdFrame | SkippedFrame] = []
+        while (live := self.read(0)) is not None:
+            found.append(live.frame)
+        return found
+
+    def take_angular_velocities(self) -> list[AngularVelocity]:
+        """As `HasGyro` has it."""
+        with self._changed:
+            found = list(self._turns)
+            self._turns.clear()
+        return found
+
+    def report(self) -> CameraReport:
+        """As `LiveCamera` has it."""
+        with self._changed:
+            span_s = self._arrivals[-1] - self._arrivals[0] if len(self._arrivals) > 1 else 0.0
+            return replace(self._report, rate_hz=(len(self._arrivals) - 1) / span_s if span_s > 0 else 0.0)
+
+    def close(self) -> None:
+        """As `LiveCamera` has it."""
+        self._is_over.set()
+        self._thread.join()
+        self._tell(CameraStatus.CLOSED)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _fetch(self) -> LiveFrame | None:
+        """The next that is not too old; `_changed` is held."""
+        now_s = host_clock.now_s()
+        while self._kept:
+            live = self._kept.popleft()
+            if live.age_s(now_s) <= self._settings.oldest_s:
+                return live
+            self._report = replace(self._report, stale=self._report.stale + 1)
+        return None
+
+    def _play(self, frames: Iterable[RgbdFrame | SkippedFrame]) -> None:
+        """The thread."""
+        behind_s: float | None = None
+        first_s = math.inf
+        try:
+            for index, frame in enumerate(frames):
+                if isinstance(frame, SkippedFrame):
+                    continue
+                stood_s = self._stand_unasked()
+                behind_s = host_clock.now_s() - frame.stamp_s if behind_s is None else behind_s + stood_s
+                behind_s = max(behind_s, host_clock.now_s() - frame.stamp_s - _LATEST_S)
+                due_s = frame.stamp_s + behind_s
+                if self._is_over.wait(max(due_s - host_clock.now_s(), 0.0)):
+                    return
+                first_s = min(first_s, frame.stamp_s)
+                self._turn(first_s, frame.stamp_s, behind_s)
+                self._give(replace(frame, stamp_s=due_s, index=index), frame.stamp_s)
+        except RecordingError as error:
+            self._report = replace(self._report, detail=error.problem)
+        self._tell(CameraStatus.ENDED)
+
+    def _stand_unasked(self) -> float:
+        """Wait until somebody asks for frames; for how long that was."""
+        began_s = host_clock.now_s()
+        while host_clock.now_s() - self._asked_s > _UNASKED_S and not self._is_over.is_set():
+            self._is_over.wait(_WAIT_S)
+        return host_clock.now_s() - began_s
+
+    def _give(self, frame: RgbdFrame, device_s: float) -> None:
+        arrived_s = host_clock.now_s()
+        with self._changed:
+            told = self._report
+            if told.status is not CameraStatus.STREAMING:
+                told = replace(told, status=CameraStatus.STREAMING, since_s=arrived_s)
+            lost = len(self._kept) >= self._settings.kept_frames
+            if lost:
+                self._kept.popleft()
+            self._kept.append(LiveFrame(frame, 0.0, device_s, arrived_s, frame.index))
+            self._arrivals.append(arrived_s)
+            told = replace(told, frames=told.frames + 1, host_drops=told.host_drops + lost)
+            self._report = replace(told, last_stamp_s=frame.stamp_s)
+            self._changed.notify_all()
+
+    def _turn(self, first_s: float, until_s: float, behind_s: float) -> None:
+        """Let the gyroscope tell what it told until then, but for what came before the first frame."""
+        while self._coming and self._coming[0].stamp_s <= until_s:
+            turn = self._coming.popleft()
+            if turn.stamp_s >= first_s:
+                with self._changed:
+                    self._turns.append(replace(turn, stamp_s=turn.stamp_s + behind_s))
+
+    def _tell(self, status: CameraStatus) -> None:
+        with self._changed:
+            self._report = replace(self._report, status=status, since_s=host_clock.now_s())
+            self._changed.notify_all()
+
+
+def _sizes(calibration: Calibration) -> str:
+    """Of its images, such as "640×480"."""
+    if calibration.color is None:
+        return "no camera"
+    return " and ".join(dict.fromkeys(f"{camera.width}×{camera.height}" for camera in calibration.cameras))

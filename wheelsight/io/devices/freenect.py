@@ -1,0 +1,209 @@
+"""Kinect v1 through Debian's libfreenect0.5, by ctypes: OpenNI2's own drivers do not know it.
+
+Its cameras are nominal until they are calibrated: the library tells nothing of lenses.
+"""
+
+from __future__ import annotations
+
+import ctypes as c
+import time
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from wheelsight.core.calibration_parts import least_step
+from wheelsight.core.errors import DeviceError
+from wheelsight.core.geometry.arrays import ByteArray, UInt16Array
+from wheelsight.core.settings import LiveCameraSettings
+from wheelsight.io.devices.camera_driver import DeviceImages, FramePairs, OpenedDevice, Stamped, c_library, udev_rule
+from wheelsight.io.devices.openni2 import structured_light
+
+_NAMES = ("libfreenect.so.0.5", "libfreenect.so")
+_SIZE = _WIDTH, _HEIGHT = 640, 480
+_VGA, _RGB, _REGISTERED, _MM = 1, 0, 4, 5
+_CAMERA, _FATAL = 0x02, 0
+# The camera's clock, of 32 bits, which begins anew every 72 s (libfreenect, pull request 465).
+_CLOCK_HZ, _CLOCK_SPAN = 60e6, 1 << 32
+_VENDOR = 0x045E
+# libusb's, which the library hands on: access denied, no such device, busy.
+_DENIED, _BUSY = -3, -6
+
+
+class _Mode(c.Structure):
+    _fields_ = (
+        ("reserved", c.c_uint32),
+        ("resolution", c.c_int),
+        ("format", c.c_int),
+        ("bytes", c.c_int32),
+        ("width", c.c_int16),
+        ("height", c.c_int16),
+        ("data_bits", c.c_int8),
+        ("padding_bits", c.c_int8),
+        ("rate_hz", c.c_int8),
+        ("is_valid", c.c_int8),
+    )
+
+
+class _Attributes(c.Structure):
+    """A device in a linked list."""
+
+
+_Attributes._fields_ = (("next", c.POINTER(_Attributes)), ("serial", c.c_char_p))
+
+
+class _Wait(c.Structure):
+    _fields_ = (("seconds", c.c_long), ("microseconds", c.c_long))
+
+
+_Callback = c.CFUNCTYPE(None, c.c_void_p, c.c_void_p, c.c_uint32)
+
+
+@cache
+def library() -> Any:
+    """The library. Raises DeviceError where it is missing."""
+    found = c_library("libfreenect", _NAMES, "libfreenect0.5")
+    for finder in (found.freenect_find_video_mode, found.freenect_find_depth_mode):
+        finder.restype = _Mode
+    return found
+
+
+class FreenectDriver:
+    """A `CameraDriver` of a Kinect v1, which gives 640×480 at 30 Hz and nothing else.
+
+    Args:
+        where: a serial number; None for the first that is plugged in.
+        settings: registration is taken from it; the library does it by the device's own factory calibration.
+    """
+
+    def __init__(self, where: str | None, settings: LiveCameraSettings) -> None:
+        self._where, self._settings = where, settings
+        self._context, self._device = c.c_void_p(), c.c_void_p()
+        self._callbacks: list[Any] = []
+        self._pairs: FramePairs[ByteArray | UInt16Array] = FramePairs(settings.pair_gap_s)
+        self._found: list[DeviceImages] = []
+        self._ticks: int | None = None
+
+    def open(self) -> OpenedDevice:
+        """As `CameraDriver` has it."""
+        if (self._settings.width_px, self._settings.height_px) != _SIZE:
+            raise DeviceError("a Kinect v1 gives 640×480 alone", fix="camera.width_px: 640, camera.height_px: 480")
+        lib = library()
+        if lib.freenect_init(c.byref(self._context), None) < 0:
+            raise DeviceError("libfreenect does not start: no USB?")
+        try:
+            serial = self._opened_device(lib)
+            self._start(lib)
+        except DeviceError:
+            self.close()
+            raise
+        is_registered = self._settings.registered
+        calibration = structured_light(_SIZE, _SIZE, None, None, is_registered=is_registered)
+        warnings = ["Its cameras are nominal until they are calibrated."]
+        if self._settings.infrared:
+            warnings.append("A Kinect v1 gives no infrared beside colour.")
+        return OpenedDevice(f"Kinect v1 {serial}".strip(), calibration, tuple(warnings))
+
+    def read(self, timeout_s: float) -> DeviceImages | None:
+        """As `CameraDriver` has it."""
+        lib, ends_s = library(), time.monotonic() + timeout_s
+        while not self._found:
+            left_s = ends_s - time.monotonic()
+            if left_s <= 0:
+                self._check_presence(lib)
+                return None
+            wait = _Wait(int(left_s), int(1e6 * (left_s % 1)))
+            if lib.freenect_process_events_timeout(self._context, c.byref(wait)) < 0:
+                raise DeviceError("the camera was unplugged", fix="plug it in again")
+        return self._found.pop(0)
+
+    def close(self) -> None:
+        """As `CameraDriver` has it."""
+        context, self._context = self._context, c.c_void_p()
+        device, self._device = self._device, c.c_void_p()
+        if device:
+            library().freenect_stop_depth(device)
+            library().freenect_stop_video(device)
+            library().freenect_close_device(device)
+        if context:
+            library().freenect_shutdown(context)
+
+    def _opened_device(self, lib: Any) -> str:
+        """Open the device; its serial number."""
+        lib.freenect_set_log_level(self._context, _FATAL)
+        # The motor and the microphones stay with whoever else wants them.
+        lib.freenect_select_subdevices(self._context, _CAMERA)
+        if lib.freenect_num_devices(self._context) < 1:
+            raise DeviceError("no Kinect v1 is there", fix="plug it in, its power supply too; see: wheelsight devices")
+        if self._where is not None:
+            opened = lib.freenect_open_device_by_camera_serial(
+                self._context, c.byref(self._device), self._where.encode()
+            )
+        else:
+            opened = lib.freenect_open_device(self._context, c.byref(self._device), 0)
+        if opened < 0:
+            self._device = c.c_void_p()
+            raise _why_closed(opened, self._where)
+        return self._where or _first_serial(lib, self._context)
+
+    def _start(self, lib: Any) -> None:
+        depth = _REGISTERED if self._settings.registered else _MM
+        lib.freenect_set_video_mode(self._device, lib.freenect_find_video_mode(_VGA, _RGB))
+        lib.freenect_set_depth_mode(self._device, lib.freenect_find_depth_mode(_VGA, depth))
+        self._pairs, self._found, self._ticks = FramePairs(self._settings.pair_gap_s), [], None
+        # Kept for as long as the library may call them.
+        self._callbacks = [_Callback(self._take_color), _Callback(self._take_depth)]
+        lib.freenect_set_video_callback(self._device, self._callbacks[0])
+        lib.freenect_set_depth_callback(self._device, self._callbacks[1])
+        for name, start in (("depth", lib.freenect_start_depth), ("colour", lib.freenect_start_video)):
+            if start(self._device) < 0:
+                raise DeviceError(f"the {name} stream does not start", fix="use a USB port of its own for the Kinect")
+
+    def _take_color(self, _: Any, data: int, ticks: int) -> None:
+        pixels = np.frombuffer(c.string_at(data, _WIDTH * _HEIGHT * 3), np.uint8).reshape(_HEIGHT, _WIDTH, 3)
+        self._pair(self._pairs.add_color, pixels, ticks)
+
+    def _take_depth(self, _: Any, data: int, ticks: int) -> None:
+        raw = np.frombuffer(c.string_at(data, _WIDTH * _HEIGHT * 2), np.uint16).reshape(_HEIGHT, _WIDTH)
+        self._pair(self._pairs.add_depth, raw, ticks)
+
+    def _pair(self, add: Callable[..., Any], image: ByteArray | UInt16Array, ticks: int) -> None:
+        pair: tuple[Stamped[Any], Stamped[Any]] | None = add(self._seconds(ticks), image)
+        if pair is None:
+            return
+        color, depth = pair
+        depth_m = np.multiply(depth.what, np.float32(1e-3), dtype=np.float32)
+        self._found.append(DeviceImages(color.what, depth_m, color.stamp_s, depth.stamp_s, None))
+
+    def _seconds(self, ticks: int) -> float:
+        """The device's clock, which both streams share, without its beginning anew."""
+        self._ticks = ticks if self._ticks is None else self._ticks + least_step(ticks - self._ticks, _CLOCK_SPAN)
+        return self._ticks / _CLOCK_HZ
+
+    def _check_presence(self, lib: Any) -> None:
+        if lib.freenect_num_devices(self._context) < 1:
+            raise DeviceError("the camera was unplugged", fix="plug it in again")
+
+
+def _why_closed(error: int, where: str | None) -> DeviceError:
+    if error == _DENIED:
+        return DeviceError("no permission to open the Kinect", fix=udev_rule(_VENDOR))
+    if error == _BUSY:
+        fix = "end that one first; of the kernel's driver: sudo modprobe -r gspca_kinect"
+        return DeviceError("the Kinect is in use by another program", fix=fix)
+    named = "the Kinect" if where is None else f"a Kinect with the serial number {where}"
+    return DeviceError(f"{named} cannot be opened (libusb {error})", fix="plug it in again; see: wheelsight devices")
+
+
+def _first_serial(lib: Any, context: c.c_void_p) -> str:
+    """Of the first device, or "" where the library does not tell."""
+    if not hasattr(lib, "freenect_list_device_attributes"):
+        return ""
+    first = c.POINTER(_Attributes)()
+    if lib.freenect_list_device_attributes(context, c.byref(first)) < 1 or not first:
+        return ""
+    try:
+        return (first[0].serial or b"").decode(errors="replace")
+    finally:
+        lib.freenect_free_device_attributes(first)

@@ -1,0 +1,185 @@
+"""Cameras and serial ports that are plugged in: which can be used, how, and what the others lack."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+
+from serial.tools.list_ports import comports
+
+from wheelsight.core.errors import DeviceError
+from wheelsight.io.devices.camera_driver import USB_3_MBIT, UsbDevice, udev_rule, usb_devices, users_of
+
+_MICROSOFT = 0x045E
+_KINECT_V1_MOTOR = (_MICROSOFT, 0x02B0)
+
+
+@dataclass(frozen=True, slots=True)
+class PluggedIn:
+    """Something that is plugged in.
+
+    Attributes:
+        kind: "camera" or "port".
+        name: for people.
+        use: what to give to a command, such as "--camera realsense:123" or "--wheels /dev/ttyUSB0"; "" where it cannot
+            be used at all.
+        problem: why it cannot be used now; "" where it can.
+        fix: what to do about that.
+        opener: which of `cameras.LIVE_CAMERAS` opens it; "" for none.
+    """
+
+    kind: str
+    name: str
+    use: str
+    problem: str = ""
+    fix: str = ""
+    opener: str = ""
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it can be used as it is."""
+        return not self.problem
+
+
+@dataclass(frozen=True, slots=True)
+class _Model:
+    """A kind of camera, by its numbers.
+
+    Attributes:
+        products: of the vendor; empty for all of them.
+        lacks: what it needs that is not here, and the fix; None where all is here.
+    """
+
+    vendor: int
+    products: tuple[int, ...]
+    name: str
+    opener: str
+    needs_usb_3: bool
+    lacks: Callable[[], tuple[str, str] | None]
+
+
+def plugged_in(devices: Sequence[UsbDevice] | None = None) -> list[PluggedIn]:
+    """Depth cameras, then serial ports. Nothing is opened.
+
+    Args:
+        devices: on USB; None for those that the kernel tells of.
+    """
+    return [*cameras_plugged_in(devices), *_ports()]
+
+
+def cameras_plugged_in(devices: Sequence[UsbDevice] | None = None) -> list[PluggedIn]:
+    """Depth cameras, as `plugged_in` has them."""
+    listed = usb_devices() if devices is None else devices
+    known = [(device, model) for device in listed if (model := _model_of(device)) is not None]
+    found = [_camera(device, model) for device, model in known]
+    has_motor = any((device.vendor, device.product) == _KINECT_V1_MOTOR for device in listed)
+    if has_motor and not any(model.name == _KINECT_V1 for _, model in known):
+        problem, fix = "its motor is seen, but not its camera", "plug its power supply in, too"
+        found.append(PluggedIn("camera", _KINECT_V1, "", problem, fix))
+    return found
+
+
+def _model_of(device: UsbDevice) -> _Model | None:
+    return next(
+        (m for m in _MODELS if m.vendor == device.vendor and (not m.products or device.product in m.products)), None
+    )
+
+
+def _camera(device: UsbDevice, model: _Model) -> PluggedIn:
+    name = " ".join(word for word in (model.name, f"({device.name})" if device.name else "", device.serial) if word)
+    use = f"--camera {model.opener}" + (f":{device.serial}" if model.opener in _BY_SERIAL and device.serial else "")
+    problem, fix = _problem(device, model) or ("", "")
+    return PluggedIn("camera", name, use if model.opener else "", problem, fix, model.opener)
+
+
+def _problem(device: UsbDevice, model: _Model) -> tuple[str, str] | None:
+    """What stands in the way first; None where nothing does."""
+    if (missing := model.lacks()) is not None:
+        return missing
+    if not device.is_usable:
+        return "no permission to open it", udev_rule(device.vendor)
+    if users := users_of(device.node):
+        return f"in use by {', '.join(users)}", "end that one first"
+    if model.needs_usb_3 and 0 < device.speed_mbit < USB_3_MBIT:
+        return f"on USB 2 ({device.speed_mbit:g} Mbit/s), which loses frames", "use a USB 3 port and a USB 3 cable"
+    return None
+
+
+def _lacks_realsense() -> tuple[str, str] | None:
+    if find_spec("pyrealsense2") is not None:
+        return None
+    return "its library is missing", "pip install pyrealsense2"
+
+
+def _lacks_openni2() -> tuple[str, str] | None:
+    from wheelsight.io.devices.openni2 import why_unusable
+
+    return why_unusable("PS1080")
+
+
+def _lacks_freenect() -> tuple[str, str] | None:
+    from wheelsight.io.devices.freenect import library
+
+    try:
+        library()
+    except DeviceError as error:
+        return error.problem, error.fix or ""
+    return None
+
+
+def _lacks_freenect2() -> tuple[str, str] | None:
+    from wheelsight.io.devices.openni2 import why_unusable
+
+    return why_unusable("freenect2")
+
+
+def _lacks_orbbec() -> tuple[str, str] | None:
+    from wheelsight.io.devices.openni2 import why_unusable
+
+    return why_unusable("rbbec")
+
+
+def _never_live() -> tuple[str, str] | None:
+    return "cannot be read live", "record with k4arecorder, and give its .mkv as the recording"
+
+
+_KINECT_V1 = "Kinect v1"
+_BY_SERIAL = ("realsense",)
+_REALSENSE = (0x0AD3, 0x0AD4, 0x0AD5, 0x0AF6, 0x0B07, 0x0B3A, 0x0B5B, 0x0B5C, 0x0ABF, 0xABCD, 0x1155)
+_MODELS = (
+    _Model(0x8086, _REALSENSE, "RealSense D400", "realsense", True, _lacks_realsense),
+    _Model(0x1D27, (0x0500, 0x0600, 0x0601, 0x0609), "PrimeSense or Xtion", "openni2", False, _lacks_openni2),
+    _Model(_MICROSOFT, (0x02AE, 0x02BF), _KINECT_V1, "freenect", False, _lacks_freenect),
+    _Model(_MICROSOFT, (0x02C4, 0x02D8), "Kinect v2", "openni2", True, _lacks_freenect2),
+    _Model(_MICROSOFT, (0x097C,), "Azure Kinect", "", True, _never_live),
+    _Model(0x2BC5, (), "Orbbec", "openni2", False, _lacks_orbbec),
+)
+
+
+def _ports() -> list[PluggedIn]:
+    """Serial ports on USB or with a name; not the eight that a PC lists whether they are there or not."""
+    return [_port(port.device, port.description or "") for port in sorted(comports()) if port.hwid not in ("", "n/a")]
+
+
+def _port(path: str, description: str) -> PluggedIn:
+    name = f"{path} ({description})" if description and description != "n/a" else path
+    use = f"--wheels {path}"
+    if not os.access(path, os.R_OK | os.W_OK):
+        fix = "sudo usermod -aG dialout $USER, then log in again"
+        return PluggedIn("port", name, use, "no permission to open it", fix)
+    if users := users_of(path):
+        return PluggedIn("port", name, use, f"in use by {', '.join(users)}", "end that one first")
+    return PluggedIn("port", name, use)
+
+
+def why_not(opener: str | None) -> DeviceError | None:
+    """Why no camera of a kind, or none at all, can be opened, as far as what is plugged in tells."""
+    found = [camera for camera in cameras_plugged_in() if opener in (None, camera.opener)]
+    lacking = [camera for camera in found if not camera.is_ready]
+    if lacking:
+        return DeviceError(f"{lacking[0].name}: {lacking[0].problem}", fix=lacking[0].fix)
+    if not found and opener is None:
+        return DeviceError("no depth camera is plugged in", fix="plug one in; wheelsight devices tells what is seen")
+    return None

@@ -1,0 +1,366 @@
+"""RealSense cameras and their gyroscopes through pyrealsense2, live or from its recordings. The device supplies its
+own calibration.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import DepthNoise
+from wheelsight.core.errors import ConfigError, DeviceError
+from wheelsight.core.geometry import FloatArray, PinholeCamera
+from wheelsight.core.geometry.arrays import UInt16Array
+from wheelsight.core.geometry.camera import fitted_lens
+from wheelsight.core.runtime import needed
+from wheelsight.core.settings import LiveCameraSettings
+from wheelsight.io.devices.camera_driver import (
+    DeviceAngularVelocity,
+    DeviceImages,
+    FramePairs,
+    OpenedDevice,
+    PlaybackEndedError,
+    udev_rule,
+)
+
+# RealSense cameras through pyrealsense2, and what its recorder wrote; the device tells its own calibration.
+
+
+_VENDOR = 0x8086
+RECORDINGS = (".bag", ".db3")
+# Of frames that the library keeps while we are away: a third of a second of two streams.
+_QUEUED = 20
+# Disparities are good to this share of a pixel on textured walls: the maker's white paper on tuning D400 depth cameras.
+_SUBPIXEL = 0.08
+_NEAR_M, _FAR_M = 0.2, 10.0
+# Pixels between the device's lens model and ours beyond which a user is told.
+_LENS_OFF_PX = 0.3
+
+
+class _Chosen(NamedTuple):
+    """One stream's profile, and its sensor."""
+
+    sensor: Any
+    profile: Any
+
+
+class RealSenseDriver:
+    """A `CameraDriver`.
+
+    Depth comes as it was measured, on its own pixels: what the library registers it loses at outlines, and the
+    device's own extrinsics join the images.
+
+    Args:
+        where: a serial number, or the file of a recording; None for the first device that is plugged in.
+        settings: size, rate and infrared are taken from it.
+        devices: tells what is plugged in; None for the library's.
+    """
+
+    def __init__(
+        self, where: str | None, settings: LiveCameraSettings, devices: Callable[[], Sequence[Any]] | None = None
+    ) -> None:
+        self._where, self._settings, self._devices = where, settings, devices
+        self._rs: Any = None
+        self._device: Any = None
+        self._queue: Any = None
+        self._running: list[Any] = []
+        self._gyro: RealSenseGyro | None = None
+        self._pairs: FramePairs[Any] = FramePairs(settings.pair_gap_s)
+        self._infrared: UInt16Array | None = None
+        self._depth_scale_m = 0.001
+
+    def open(self) -> OpenedDevice:
+        """As `CameraDriver` has it."""
+        try:
+            self._rs = needed("pyrealsense2")
+        except ConfigError as error:
+            raise DeviceError(error.problem, fix=error.fix) from error
+        try:
+            self._device = self._found()
+            return self._started()
+        except RuntimeError as error:
+            self.close()
+            raise _told(error, self._where) from error
+        except DeviceError:
+            self.close()
+            raise
+
+    def read(self, timeout_s: float) -> DeviceImages | None:
+        """As `CameraDriver` has it."""
+        ends_s = time.monotonic() + timeout_s
+        try:
+            while (left_s := ends_s - time.monotonic()) > 0:
+                is_there, frame = self._queue.try_wait_for_frame(max(1, int(1e3 * left_s)))
+                if is_there and (found := self._paired(frame)) is not None:
+                    return found
+            self._check_presence()
+        except RuntimeError as error:
+            raise _told(error, self._where) from error
+        return None
+
+    def take_angular_velocities(self) -> list[DeviceAngularVelocity]:
+        """As `GyroDriver` has it."""
+        try:
+            return [] if self._gyro is None else self._gyro.take()
+        except RuntimeError as error:
+            raise _told(error, self._where) from error
+
+    def close(self) -> None:
+        """As `CameraDriver` has it."""
+        running, self._running, self._gyro = self._running, [], None
+        for sensor in running:
+            for end in (sensor.stop, sensor.close):
+                try:
+                    end()
+                except RuntimeError:  # it is gone, or was not started
+                    continue
+        self._device = None
+
+    @property
+    def _is_file(self) -> bool:
+        return self._where is not None and Path(self._where).suffix in RECORDINGS
+
+    def _found(self) -> Any:
+        if self._is_file:
+            assert self._where is not None
+            if not Path(self._where).is_file():
+                raise DeviceError("there is no such file", path=self._where, fix="check the path")
+            playback = self._rs.context().load_device(self._where).as_playback()
+            playback.set_real_time(True)
+            playback.pause()  # until all its streams have begun: the first would begin alone
+            return playback
+        devices = self._plugged_in()
+        if not devices:
+            raise DeviceError("no RealSense camera is there", fix="plug it in, and see: wheelsight devices")
+        found = next((d for d in devices if self._where in (None, self._serial(d))), None)
+        if found is None:
+            serials = ", ".join(map(self._serial, devices))
+            raise DeviceError(f"no RealSense camera has the serial number {self._where}", fix=f"there are: {serials}")
+        return found
+
+    def _plugged_in(self) -> Sequence[Any]:
+        return self._devices() if self._devices is not None else list(self._rs.context().query_devices())
+
+    def _serial(self, device: Any) -> str:
+        return self._info(device, "serial_number")
+
+    def _info(self, device: Any, name: str) -> str:
+        info = getattr(self._rs.camera_info, name)
+        return str(device.get_info(info)) if device.supports(info) else ""
+
+    def _started(self) -> OpenedDevice:
+        stream, form = self._rs.stream, self._rs.format
+        wanted = {"color": (stream.color, form.rgb8), "depth": (stream.depth, form.z16)}
+        if self._settings.infrared:
+            wanted["infrared"] = (stream.infrared, form.y8)
+        chosen = {name: self._choose(name, *kind) for name, kind in wanted.items()}
+        calibration, warnings = self._calibration(chosen)
+        self._depth_scale_m = chosen["depth"].sensor.as_depth_sensor().get_depth_scale()
+        self._pairs, self._infrared = FramePairs(self._settings.pair_gap_s), None
+        self._queue = self._rs.frame_queue(_QUEUED, True)
+        self._start_gyro(chosen["depth"].profile)
+        for sensor in self._sensors_of(chosen):
+            self._let_stamp(sensor)
+            sensor.open([one.profile for one in chosen.values() if self._is_same(one.sensor, sensor)])
+            self._running.append(sensor)
+            sensor.start(self._queue)
+        if self._is_file:
+            self._device.resume()
+        if self._info(self._device, "usb_type_descriptor").startswith("2"):
+            warnings.append("The camera is on USB 2, which loses frames: use a USB 3 port and cable.")
+        name = Path(str(self._where)).name if self._is_file else self._serial(self._device)
+        return OpenedDevice(f"{self._info(self._device, 'name')} {name}".strip(), calibration, tuple(warnings))
+
+    def _start_gyro(self, depth_profile: Any) -> None:
+        """Where there is one, and it is wanted."""
+        gyro = gyro_of(self._rs, self._device, depth_profile) if self._settings.gyro else None
+        if gyro is None:
+            return
+        self._let_stamp(gyro.sensor)
+        self._running.append(gyro.sensor)
+        gyro.start()
+        self._gyro = gyro
+
+    def _let_stamp(self, sensor: Any) -> None:
+        """By the device's own clock: the library's mapping to the host's tells nothing of its uncertainty."""
+        if sensor.supports(self._rs.option.global_time_enabled):
+            sensor.set_option(self._rs.option.global_time_enabled, 0)
+
+    def _is_same(self, one: Any, other: Any) -> bool:
+        name = self._rs.camera_info.name
+        return bool(one.get_info(name) == other.get_info(name))
+
+    def _sensors_of(self, chosen: dict[str, _Chosen]) -> list[Any]:
+        return list({one.sensor.get_info(self._rs.camera_info.name): one.sensor for one in chosen.values()}.values())
+
+    def _choose(self, name: str, stream: Any, form: Any) -> _Chosen:
+        """The profile asked for; of a file, whichever it holds. Raises DeviceError naming what there is."""
+        found = [
+            _Chosen(sensor, profile.as_video_stream_profile())
+            for sensor in self._device.query_sensors()
+            for profile in sensor.get_stream_profiles()
+            if profile.stream_type() == stream and profile.format() == form
+        ]
+        s = self._settings
+        wanted = (s.width_px, s.height_px, s.rate_hz)
+        exact = [one for one in found if self._is_file or _mode(one) == wanted]
+        if exact:
+            return exact[0]
+        if not found:
+            raise DeviceError(f"the camera gives no {name} images", path=self._where)
+        there = ", ".join(f"{w}×{h} at {hz}" for w, h, hz in sorted({_mode(one) for one in found})[:12])
+        slow = self._info(self._device, "usb_type_descriptor").startswith("2")
+        fix = "use a USB 3 port and cable" if slow else f"camera.width_px, height_px and rate_hz of: {there}"
+        on = " on USB 2" if slow else ""
+        raise DeviceError(f"no {name} images of {wanted[0]}×{wanted[1]} at {wanted[2]} Hz{on}", fix=fix)
+
+    def _calibration(self, chosen: dict[str, _Chosen]) -> tuple[Calibration, list[str]]:
+        warnings: list[str] = []
+        color, depth = (self._camera(chosen[name].profile, name, warnings) for name in ("color", "depth"))
+        extrinsics = chosen["depth"].profile.get_extrinsics_to(chosen["color"].profile)
+        T_color_depth: FloatArray = np.eye(4)
+        T_color_depth[:3, :3] = np.reshape(extrinsics.rotation, (3, 3)).T  # the library's are column by column
+        T_color_depth[:3, 3] = extrinsics.translation
+        serial = self._serial(self._device)
+        noise = self._depth_noise(chosen["depth"].sensor, depth)
+        source = f"what the RealSense {serial} tells of itself".replace("  ", " ")
+        return Calibration(color, depth, T_color_depth, noise, source=source), warnings
+
+    def _camera(self, profile: Any, name: str, warnings: list[str]) -> PinholeCamera:
+        told = profile.intrinsics
+        camera = PinholeCamera(told.width, told.height, told.fx, told.fy, told.ppx, told.ppy)
+        models = self._rs.distortion
+        if not any(told.coeffs) or told.model == models.none:
+            return camera
+        if told.model == models.brown_conrady:
+            return _with_lens(camera, tuple(told.coeffs))
+        px = np.stack(np.meshgrid(np.linspace(0, told.width - 1, 17), np.linspace(0, told.height - 1, 13)), -1)
+        px = px.reshape(-1, 2)
+        rays = [self._rs.rs2_deproject_pixel_to_point(told, [float(u), float(v)], 1.0)[:2] for u, v in px]
+        fit = fitted_lens(rays, camera.normalise(px))
+        if fit.worst * told.fx > _LENS_OFF_PX:
+            off = f"{fit.median * told.fx:.2f} px in the median, and by {fit.worst * told.fx:.1f} px at worst"
+            warnings.append(f"Five coefficients miss the {name} lens by {off}.")
+        return _with_lens(camera, fit.distortion)
+
+    def _depth_noise(self, sensor: Any, depth: PinholeCamera) -> DepthNoise:
+        """Of stereo by the baseline that the device tells; of what tells none, the default."""
+        baseline = self._rs.option.stereo_baseline
+        if not sensor.supports(baseline):
+            return DepthNoise(near_m=_NEAR_M, far_m=_FAR_M)
+        baseline_m = 1e-3 * abs(sensor.get_option(baseline))
+        return DepthNoise(0.001, _SUBPIXEL / (depth.fx * baseline_m), _NEAR_M, _FAR_M)
+
+    def _paired(self, frame: Any) -> DeviceImages | None:
+        kind = frame.get_profile().stream_type()
+        stamp_s = 1e-3 * frame.get_timestamp()
+        if kind == self._rs.stream.infrared:
+            self._infrared = np.asanyarray(frame.as_video_frame().get_data()).astype(np.uint16)
+            return None
+        add = self._pairs.add_color if kind == self._rs.stream.color else self._pairs.add_depth
+        pair = add(stamp_s, frame)
+        if pair is None:
+            return None
+        color, depth = pair
+        infrared, self._infrared = self._infrared, None
+        raw = np.asanyarray(depth.what.as_video_frame().get_data())
+        return DeviceImages(
+            color=np.array(color.what.as_video_frame().get_data(), np.uint8),
+            depth_m=np.multiply(raw, np.float32(self._depth_scale_m), dtype=np.float32),
+            color_s=color.stamp_s,
+            depth_s=depth.stamp_s,
+            sequence=int(color.what.get_frame_number()),
+            infrared=infrared,
+        )
+
+    def _check_presence(self) -> None:
+        """Raises PlaybackEndedError for a file that is over, DeviceError for a device that is gone."""
+        if self._is_file:
+            if self._device.current_status() == self._rs.playback_status.stopped:
+                raise PlaybackEndedError("the file is over", path=self._where)
+            return
+        serial = self._serial(self._device)
+        if not any(self._serial(device) == serial for device in self._plugged_in()):
+            raise DeviceError("the camera was unplugged", fix="plug it in again")
+
+
+def _mode(chosen: _Chosen) -> tuple[int, int, int]:
+    profile = chosen.profile
+    return int(profile.width()), int(profile.height()), int(profile.fps())
+
+
+def _with_lens(camera: PinholeCamera, distortion: tuple[float, ...]) -> PinholeCamera:
+    k1, k2, p1, p2, k3 = distortion
+    told = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    return PinholeCamera(*told, (k1, k2, p1, p2, k3) if all(map(math.isfinite, distortion)) else (0.0,) * 5)
+
+
+def _told(error: RuntimeError, where: str | None) -> DeviceError:
+    """What the library says, with what to do about it."""
+    said = str(error)
+    low = said.lower()
+    if "busy" in low:
+        return DeviceError("the camera is in use by another program", path=where, fix="end that one first")
+    if "access" in low or "permission" in low:
+        return DeviceError("no permission to open the camera", path=where, fix=udev_rule(_VENDOR))
+    return DeviceError(f"RealSense: {said}", path=where, fix="unplug it and plug it in again; see: wheelsight devices")
+
+
+# The gyroscope in a RealSense camera (D435i, D455), where there is one: rates about the axes of the depth camera.
+
+
+# Of readings that the library keeps while we are away: half a second of the fastest.
+_REALSENSE_GYRO_QUEUED = 200
+
+
+class RealSenseGyro:
+    """One that streams into a queue of its own, so that images and readings push each other out of none.
+
+    Args:
+        rs: the library.
+        sensor: that has it.
+        profile: of its stream.
+        R_camera_gyro: (3, 3).
+    """
+
+    def __init__(self, rs: Any, sensor: Any, profile: Any, R_camera_gyro: FloatArray) -> None:
+        self.sensor, self.profile = sensor, profile
+        self._R, self._queue = R_camera_gyro, rs.frame_queue(_REALSENSE_GYRO_QUEUED, True)
+
+    def start(self) -> None:
+        """Stream. Raises RuntimeError, as the library does."""
+        self.sensor.open([self.profile])
+        self.sensor.start(self._queue)
+
+    def take(self) -> list[DeviceAngularVelocity]:
+        """What came since the last call, in order; waits for none."""
+        found = []
+        while frame := self._queue.poll_for_frame():
+            data = frame.as_motion_frame().get_motion_data()
+            x, y, z = (self._R @ np.array([data.x, data.y, data.z])).tolist()
+            found.append(DeviceAngularVelocity(1e-3 * frame.get_timestamp(), x, y, z))
+        return found
+
+
+def gyro_of(rs: Any, device: Any, depth_profile: Any) -> RealSenseGyro | None:
+    """The device's gyroscope at the slowest rate that it has, still many times a turn of a robot; None for none.
+
+    Raises RuntimeError, as the library does, of a device that does not tell how it is mounted.
+    """
+    offered = [
+        (profile.fps(), sensor, profile)
+        for sensor in device.query_sensors()
+        for profile in sensor.get_stream_profiles()
+        if profile.stream_type() == rs.stream.gyro and profile.format() == rs.format.motion_xyz32f
+    ]
+    if not offered:
+        return None
+    _, sensor, profile = min(offered, key=lambda one: one[0])
+    rotation = profile.get_extrinsics_to(depth_profile).rotation
+    return RealSenseGyro(rs, sensor, profile, np.reshape(rotation, (3, 3)).T)  # column by column, as the library has it

@@ -1,0 +1,534 @@
+"""`WheelLink`: a thread that owns the serial port, decodes ticks, and sends commands until the controller confirms
+them.
+"""
+
+from __future__ import annotations
+
+import atexit
+import errno
+import math
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from types import TracebackType
+
+from serial import Serial, SerialException, SerialTimeoutException
+from serial.tools.list_ports import comports
+
+from wheelsight.core.errors import DeviceError
+from wheelsight.core.messages import WheelTicks
+from wheelsight.io.devices import host_clock
+from wheelsight.io.devices.tick_tracking import TickTracker
+from wheelsight.io.devices.wire_formats import (
+    ACK_PROBLEMS,
+    Ack,
+    Command,
+    Counts,
+    Format,
+    LineDecoder,
+    LineStatistics,
+    PlainReading,
+    Pulses,
+    Version,
+    drive_body,
+    encode_command,
+)
+
+# WheelLink: a thread that keeps a serial port, and turns what comes into ticks and what is asked into commands.
+
+
+BAUDRATE = 115200
+_QUIET_S = 1.0
+_RETRY_S = 0.2
+_MOST_QUEUED = 1 << 16
+
+
+class LinkStatus(StrEnum):
+    """How the line to the controller is doing."""
+
+    LISTENING = "listening"
+    CONNECTED = "connected"
+    NO_DATA = "no data: is the controller powered and wired?"
+    NOISE = "noise: wrong baud rate?"
+    TEXT = "text without counts: print left,right or time,left,right, one line a reading"
+    VANISHED = "the port vanished: waiting for it"
+    CLOSED = "closed"
+
+
+@dataclass(frozen=True, slots=True)
+class LinkReport:
+    """How the link is doing at one moment, for a person to look at.
+
+    Attributes:
+        status, format: of the line; the format is None until it was recognised.
+        line: bytes, frames, errors and losses since the format was recognised.
+        restarts, refused: as `TickTracker` counts them.
+        reconnects: how often the port vanished and came again.
+        overrun: ticks dropped since nobody fetched them.
+        drift_ppm: how much faster than the host's the controller's clock runs.
+        last: the newest ticks, or None.
+        version: what the controller said it is, or None.
+        other_line: the last line of text that was no counts; empty where there was none.
+    """
+
+    status: LinkStatus
+    format: Format | None
+    line: LineStatistics
+    restarts: int
+    refused: int
+    reconnects: int
+    overrun: int
+    drift_ppm: float
+    last: WheelTicks | None
+    version: Version | None
+    other_line: str = ""
+
+
+class WheelLink:
+    """The serial line to a wheel controller; use it in a `with` block.
+
+    It only listens until it is told something: it sends nothing by itself, so that an unknown device does nothing.
+    Stamps are host time in seconds since 1970 at which the controller took the counts, later by the shortest delay of
+    the transport; they follow the system's clock as it was when the first device was opened, and never run backwards.
+
+    Args:
+        port: such as /dev/ttyUSB0; better /dev/serial/by-id/…, which is the same after it was plugged in again.
+        baudrate: of the line.
+        on_status: called with each new status, from the link's thread.
+
+    Raises:
+        DeviceError: the port is missing, denied, in use by another program, or no serial port.
+    """
+
+    def __init__(
+        self, port: str, baudrate: int = BAUDRATE, on_status: Callable[[LinkStatus], None] | None = None
+    ) -> None:
+        self.port, self.baudrate = str(port), baudrate
+        self._on_status = on_status
+        self._status = LinkStatus.LISTENING
+        self._decoder, self._tracker = LineDecoder(), TickTracker()
+        self._ticks: queue.Queue[WheelTicks | None] = queue.Queue(_MOST_QUEUED)
+        self._last: WheelTicks | None = None
+        self._reconnects = self._overrun = 0
+        self._serial: Serial | None = open_port(self.port, baudrate)
+        self._commands = Commands(self.port, self._write)
+        self._unix_s = host_clock.unix_offset_s()
+        self._opened_s = self._heard_s = self._understood_s = time.monotonic()
+        self._is_closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"wheel link {self.port}", daemon=True)
+        atexit.register(self.close)
+        self._thread.start()
+
+    def ticks(self) -> Iterator[WheelTicks]:
+        """Ticks as they come, until the link is closed; waits for them, and through a port that vanished."""
+        while (ticks := self._ticks.get()) is not None:
+            yield ticks
+        self._ticks.put(None)  # for whoever else, or again, asks
+
+    def read(self, timeout_s: float) -> WheelTicks | None:
+        """The next ticks, or None if none come within `timeout_s` seconds or the link is closed."""
+        try:
+            ticks = self._ticks.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
+        if ticks is None:
+            self._ticks.put(None)
+        return ticks
+
+    def drive(self, left: float, right: float, hold_s: float | None = None) -> None:
+        """Set both motors' duty, -1 (full speed back) to 1, and keep it up at 20 Hz until something else is said.
+
+        The motors stop when the link is closed, the program ends, or the port vanishes; when the program dies, the
+        controller stops them a quarter of a second later.
+
+        Args:
+            left, right: duty of each motor.
+            hold_s: stop after so many seconds unless driven again, for programs that may hang; None for never.
+
+        Raises:
+            DeviceError: a duty beyond -1 to 1, the port is gone, or the controller prints text and takes no commands.
+        """
+        self._need_commands()
+        self._commands.drive(left, right, hold_s)
+
+    def stop(self) -> None:
+        """Stop both motors at once; confirmed by the controller, save in the paper's format, which has no answers.
+
+        Raises:
+            DeviceError: the port is gone, or the controller does not confirm, or takes no commands.
+        """
+        self._need_commands()
+        self._commands.stop(self._is_answering)
+
+    def ask_version(self) -> Version:
+        """What the controller's program calls itself. Raises DeviceError where it does not answer."""
+        self._need_commands()
+        if not self._is_answering:
+            raise DeviceError(
+                "the controller speaks the paper's format, which has no answers",
+                path=self.port,
+                fix="set_format(Format.FRAMED) first",
+            )
+        return self._commands.ask_version()
+
+    def reset_counts(self) -> None:
+        """Set the controller's counters to zero; the ticks go on as they were. Raises DeviceError as `stop`."""
+        self._need_commands()
+        self._tracker.expect_reset(True)
+        try:
+            self._commands.reset_counts(self._is_answering)
+        except DeviceError:
+            self._tracker.expect_reset(False)
+            raise
+
+    def set_format(self, wanted: Format) -> None:
+        """Ask the controller for a wire format; pulses are neither lost nor made up in the change.
+
+        Raises DeviceError as `stop`.
+        """
+        self._need_commands()
+        if wanted is Format.PLAIN:
+            raise DeviceError(
+                "no controller changes to plain text", path=self.port, fix="write a sketch that prints it"
+            )
+        is_paper = wanted is Format.PAPER
+        self._decoder.expect_frames(not is_paper)
+        try:
+            self._commands.set_format(is_paper, is_answered=self._is_answering or not is_paper)
+        except DeviceError:
+            self._decoder.expect_frames(False)
+            if not (is_paper and self._decoder.format is wanted and self._status is LinkStatus.CONNECTED):
+                raise  # else it spoke so already, found out meanwhile, and had nothing to answer
+
+    def _need_commands(self) -> None:
+        if self._decoder.format is Format.PLAIN:
+            raise DeviceError(
+                "the controller prints plain text, and takes no commands",
+                path=self.port,
+                fix="give it a program with frames: docs/firmware.md",
+            )
+
+    @property
+    def _is_answering(self) -> bool:
+        return self._decoder.format is not Format.PAPER
+
+    @property
+    def status(self) -> LinkStatus:
+        """How the line is doing now."""
+        return self._status
+
+    def report(self) -> LinkReport:
+        """Everything a person may want to see."""
+        tracker = self._tracker
+        return LinkReport(
+            status=self._status,
+            format=self._decoder.format,
+            line=replace(self._decoder.statistics),
+            restarts=tracker.restarts,
+            refused=tracker.refused,
+            reconnects=self._reconnects,
+            overrun=self._overrun,
+            drift_ppm=tracker.drift_ppm,
+            last=self._last,
+            version=self._commands.version,
+            other_line=self._decoder.other_line,
+        )
+
+    def close(self) -> None:
+        """Stop the motors if they were driven, and give the port back; may be called twice."""
+        self._is_closing.set()
+        if self._thread is not threading.current_thread():
+            self._thread.join()
+        atexit.unregister(self.close)
+
+    def __enter__(self) -> WheelLink:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        """The thread: read, and keep the motors' command alive, until closed."""
+        try:
+            while not self._is_closing.is_set():
+                try:
+                    self._step()
+                except (SerialException, OSError):
+                    self._wait_for_port()
+        finally:
+            self._commands.end()
+            if self._serial is not None:
+                self._serial.close()
+            self._tell(LinkStatus.CLOSED)
+            self._put(None)
+
+    def _step(self) -> None:
+        assert self._serial is not None
+        waiting = self._serial.in_waiting
+        data = self._serial.read(waiting or 1)
+        now_s = time.monotonic()
+        if data:
+            self._heard_s = now_s
+        self._receive(data, now_s, waiting > 0)
+        self._commands.keep_alive(now_s)
+        self._judge(now_s)
+
+    def _receive(self, data: bytes, now_s: float, lay_waiting: bool) -> None:
+        for message in self._decoder.feed(data, self._unix_s + now_s, lay_waiting):
+            self._understood_s = now_s
+            if isinstance(message, Counts):
+                restarts = self._tracker.restarts
+                for ticks in self._tracker.follow(message, self._unix_s + now_s):
+                    self._put(ticks)
+                if self._tracker.restarts > restarts:
+                    self._commands.forget_drive()
+                    self._decoder.forgive_gap(message.sequence)
+            elif isinstance(message, Pulses):
+                self._put(self._tracker.add(message))
+            elif isinstance(message, PlainReading):
+                for ticks in self._tracker.read(message):
+                    self._put(ticks)
+            elif isinstance(message, Ack) and self._commands.answered(message):
+                self._tracker.reset_done()
+            elif isinstance(message, Version):
+                self._commands.told_version(message)
+
+    def _judge(self, now_s: float) -> None:
+        """Tell the status, at most a second late."""
+        if now_s - self._heard_s > _QUIET_S:
+            self._tell(LinkStatus.NO_DATA)
+        elif now_s - self._understood_s > _QUIET_S:
+            self._tell(LinkStatus.TEXT if self._decoder.is_text else LinkStatus.NOISE)
+        elif self._understood_s > self._opened_s:
+            self._tell(LinkStatus.CONNECTED)
+
+    def _wait_for_port(self) -> None:
+        """After the port vanished: forget what the motors were told, and open it again as soon as it is there."""
+        if self._serial is not None:
+            self._serial.close()
+            self._serial = None
+        self._commands.forget_drive()
+        self._tell(LinkStatus.VANISHED)
+        while not self._is_closing.wait(_RETRY_S):
+            try:
+                self._serial = open_port(self.port, self.baudrate)
+            except DeviceError:
+                continue
+            self._reconnects += 1
+            self._decoder.restart()
+            self._tracker.replugged()
+            self._opened_s = self._heard_s = self._understood_s = time.monotonic()
+            self._tell(LinkStatus.LISTENING)
+            return
+
+    def _write(self, frame: bytes) -> None:
+        """Send a frame. Raises DeviceError where the port is gone."""
+        port = self._serial
+        try:
+            if port is None:
+                raise SerialException("vanished")
+            port.write(frame)
+        except SerialTimeoutException as error:
+            raise DeviceError("the controller takes no more bytes", path=self.port) from error
+        except (SerialException, OSError, TypeError) as error:  # TypeError: closed by the link's thread meanwhile
+            raise DeviceError("the port vanished", path=self.port, fix="plug the controller in") from error
+
+    def _put(self, ticks: WheelTicks | None) -> None:
+        self._last = ticks or self._last
+        while True:
+            try:
+                return self._ticks.put_nowait(ticks)
+            except queue.Full:
+                self._ticks.get_nowait()
+                self._overrun += 1
+
+    def _tell(self, status: LinkStatus) -> None:
+        if status is not self._status:
+            self._status = status
+            if self._on_status is not None:
+                self._on_status(status)
+
+
+# What the host tells the controller: numbered, repeated until confirmed, and motors kept running only on purpose.
+
+
+KEEP_ALIVE_S = 0.05
+_ANSWER_S = 0.25
+_ATTEMPTS = 4
+
+
+class Commands:
+    """Sends commands through `write`, and matches the controller's answers to them.
+
+    Any thread may command; `keep_alive`, `answered` and `told_version` are called by the link's thread.
+
+    Attributes:
+        version: what the controller last said it is, or None.
+    """
+
+    def __init__(self, port: str, write: Callable[[bytes], None]) -> None:
+        self.version: Version | None = None
+        self._port, self._write = port, write
+        self._sending = threading.RLock()
+        self._sequence = 0
+        self._drive: bytes | None = None
+        self._has_driven = False
+        self._next_s = self._until_s = math.inf
+        self._answer = threading.Condition()
+        self._answers: dict[tuple[int, int], int] = {}
+
+    def drive(self, left: float, right: float, hold_s: float | None) -> None:
+        """Send DRIVE now and with each `keep_alive`, for `hold_s` seconds or until told otherwise."""
+        for side, duty in (("left", left), ("right", right)):
+            if not -1 <= duty <= 1:
+                raise DeviceError(f"the {side} duty is {duty}, not -1 to 1", path=self._port)
+        body = drive_body(left, right)
+        with self._sending:
+            self._drive, self._has_driven = None, True
+            self._send(Command.DRIVE, body)  # where the port is gone, nothing is left to be kept up when it comes back
+            now_s = time.monotonic()
+            self._drive, self._next_s = body, now_s + KEEP_ALIVE_S
+            self._until_s = math.inf if hold_s is None else now_s + hold_s
+
+    def keep_alive(self, now_s: float) -> None:
+        """Repeat DRIVE when it is due; the controller stops the motors without it."""
+        with self._sending, suppress(DeviceError):  # a port that vanished is found out by reading
+            if self._drive is None or now_s < min(self._next_s, self._until_s):
+                return
+            if now_s >= self._until_s:
+                self.forget_drive()
+                self._send(Command.STOP)
+            else:
+                self._next_s = now_s + KEEP_ALIVE_S
+                self._send(Command.DRIVE, self._drive)
+
+    def forget_drive(self) -> None:
+        """Do not keep up what the motors were told."""
+        with self._sending:
+            self._drive = None
+
+    def stop(self, is_answered: bool) -> None:
+        """Stop the motors; confirmed where the controller answers."""
+        self.forget_drive()
+        self._ask(Command.STOP, is_answered=is_answered)
+
+    def end(self) -> None:
+        """Stop the motors if they were ever driven, and wait for nothing."""
+        self.forget_drive()
+        if self._has_driven:
+            with suppress(DeviceError):
+                self._send(Command.STOP)
+
+    def ask_version(self) -> Version:
+        """What the controller's program calls itself."""
+        self._forget_version()
+        self._ask(Command.GET_VERSION)
+        if self.version is None:
+            raise DeviceError("the controller tells no version", path=self._port, fix="ask again; the line is noisy")
+        return self.version
+
+    def reset_counts(self, is_answered: bool) -> None:
+        """Set the controller's counters to zero."""
+        self._ask(Command.RESET_COUNTS, is_answered=is_answered)
+
+    def set_format(self, is_paper: bool, is_answered: bool) -> None:
+        """Choose the wire format; a change is answered either way, since one side of it is framed."""
+        self._ask(Command.SET_FORMAT, bytes([is_paper]), is_answered)
+
+    def answered(self, ack: Ack) -> bool:
+        """Take an answer; whether it says that the counters are zero now."""
+        with self._answer:
+            self._answers[ack.command, ack.command_sequence] = ack.status
+            self._answer.notify_all()
+        return ack.command == Command.RESET_COUNTS and ack.status == 0
+
+    def told_version(self, version: Version) -> None:
+        """Take what the controller says it is."""
+        self.version = version
+
+    def _forget_version(self) -> None:
+        self.version = None
+
+    def _ask(self, command: Command, body: bytes = b"", is_answered: bool = True) -> None:
+        """Send a command until it is confirmed. Raises DeviceError where it is refused, or never answered."""
+        if not is_answered:
+            self._send(command, body)
+            return
+        for _ in range(_ATTEMPTS):
+            status = self._answer_to(command, body)
+            if status == 0:
+                return
+            if status is not None:
+                problem = ACK_PROBLEMS.get(status, f"answers with status {status}")
+                raise DeviceError(f"the controller {problem} {command.name}", path=self._port)
+        raise DeviceError(f"the controller does not answer {command.name}", path=self._port, fix="check the wire to it")
+
+    def _answer_to(self, command: Command, body: bytes) -> int | None:
+        with self._answer:
+            self._answers.clear()
+            key = (int(command), self._send(command, body))
+            self._answer.wait_for(lambda: key in self._answers, _ANSWER_S)
+            return self._answers.get(key)
+
+    def _send(self, command: Command, body: bytes = b"") -> int:
+        """Write a frame; its sequence."""
+        with self._sending:
+            sequence = self._sequence
+            self._sequence = (sequence + 1) & 0xFF
+            self._write(encode_command(command, sequence, body))
+        return sequence
+
+
+# Opening a serial port, for this program alone, or saying in one line why not.
+
+
+_READ_TIMEOUT_S = 0.006  # beyond paper.SILENCE_S, which ends a pair of bytes
+_WRITE_TIMEOUT_S = 0.2
+_REASONS = {
+    errno.EACCES: ("no permission to open the port", "join its group, e.g. sudo usermod -aG dialout $USER"),
+    errno.EPERM: ("no permission to open the port", "join its group, e.g. sudo usermod -aG dialout $USER"),
+    errno.EBUSY: ("the port is in use by another program", "end that one first"),
+    errno.EAGAIN: ("the port is in use by another program", "end that one first"),
+}
+
+
+def open_port(path: str, baudrate: int) -> Serial:
+    """The port, locked against other programs that lock too, with short timeouts.
+
+    Raises:
+        DeviceError: it is missing, denied, in use, no serial port, or does not know the rate.
+    """
+    try:
+        port = Serial(path, baudrate, timeout=_READ_TIMEOUT_S, write_timeout=_WRITE_TIMEOUT_S, exclusive=True)
+    except SerialException as error:
+        raise _port_error(path, error) from error
+    except (ValueError, OverflowError) as error:
+        raise DeviceError(f"the port does not know {baudrate} baud", path=path, fix="115200 is usual") from error
+    with suppress(
+        ValueError, OSError, AttributeError, NotImplementedError
+    ):  # not every driver holds bytes back, nor lets that be changed
+        port.set_low_latency_mode(True)
+    return port
+
+
+def _port_error(path: str, error: SerialException) -> DeviceError:
+    if error.errno == errno.ENOENT:
+        return DeviceError("there is no such port", path=path, fix=_ports_there())
+    if error.errno in _REASONS:
+        problem, fix = _REASONS[error.errno]
+        return DeviceError(problem, path=path, fix=fix)
+    if Path(path).exists() and not Path(path).is_char_device():
+        return DeviceError("is not a serial port", path=path, fix=_ports_there())
+    return DeviceError(f"cannot be opened: {error}", path=path)
+
+
+def _ports_there() -> str:
+    there = sorted(port.device for port in comports())
+    return f"there are: {', '.join(there)}" if there else "no serial port is there: plug the controller in"

@@ -1,0 +1,750 @@
+"""Wire formats of the wheel controller: framed messages, pulse pairs of the paper (Trinh et al., II.C), and plain
+text. `LineDecoder` recognises the format.
+"""
+
+from __future__ import annotations
+
+import re
+from binascii import crc_hqx
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+from struct import Struct
+from typing import NamedTuple
+
+from cobs import cobs
+
+from wheelsight.core.settings import CHOSEN, Settings, setting
+
+# The wheel controller's framed wire format: messages to bytes and back, with no input or output of its own.
+#
+# A frame is `type, sequence, body, CRC` in little-endian order, COBS-encoded (Cheshire & Baker, *Consistent overhead
+# byte stuffing*, 1999) so that it holds no zero, and ended by one zero. Whoever loses the thread therefore finds it
+# again at the next zero. The CRC is CRC-16/CCITT-FALSE. docs/serial-link.md tells every byte.
+
+
+FULL_DUTY = 1000
+LONGEST_FRAME = 64
+_CRC_START = 0xFFFF
+_REPEATS_KNOWN = 8
+
+
+class Command(IntEnum):
+    """What the host asks of the controller: the type byte of its frames."""
+
+    DRIVE = 0x81
+    STOP = 0x82
+    GET_VERSION = 0x83
+    RESET_COUNTS = 0x84
+    SET_FORMAT = 0x85
+
+
+class Counts(NamedTuple):
+    """Cumulative pulses of both wheels: raw 32-bit counters at the controller's 32-bit clock, both rolling over."""
+
+    sequence: int
+    clock_us: int
+    left: int
+    right: int
+
+
+class Version(NamedTuple):
+    """What the controller's program calls itself."""
+
+    sequence: int
+    protocol: int
+    major: int
+    minor: int
+    flags: int
+
+
+class Ack(NamedTuple):
+    """The controller's answer to a command: its type, its sequence, and 0 where it was done."""
+
+    sequence: int
+    command: int
+    command_sequence: int
+    status: int
+
+
+Message = Counts | Version | Ack
+
+ACK_PROBLEMS = {1: "does not know the command", 2: "got the command with a wrong length", 3: "refuses the value"}
+
+_ENDS = Struct("<BB")
+_CRC = Struct("<H")
+_DRIVE = Struct("<hh")
+# Of what follows the type byte; the two bytes of the CRC are skipped.
+_LAYOUTS: dict[int, tuple[type[Message], Struct]] = {
+    0x01: (Counts, Struct("<xBIiixx")),
+    0x02: (Version, Struct("<xBBBBBxx")),
+    0x03: (Ack, Struct("<xBBBBxx")),
+}
+_TYPES: dict[type[Message], int] = {kind: number for number, (kind, _) in _LAYOUTS.items()}
+
+
+def encode_frame(kind: int, sequence: int, body: bytes = b"") -> bytes:
+    """A whole frame with its closing zero. `sequence` counts modulo 256."""
+    inside = _ENDS.pack(kind, sequence & 0xFF) + body
+    encoded: bytes = cobs.encode(inside + _CRC.pack(crc_hqx(inside, _CRC_START)))
+    return encoded + b"\0"
+
+
+def encode_message(message: Message) -> bytes:
+    """The frame a controller sends; for simulated controllers and tests."""
+    kind = _TYPES[type(message)]
+    unsealed = _LAYOUTS[kind][1].pack(*message)
+    return encode_frame(kind, message.sequence, unsealed[2:-2])
+
+
+def encode_command(command: Command, sequence: int, body: bytes = b"") -> bytes:
+    """A command's frame, after a zero that ends whatever noise the controller heard before."""
+    return b"\0" + encode_frame(command, sequence, body)
+
+
+def drive_body(left: float, right: float) -> bytes:
+    """The body of DRIVE for duties from -1 (full speed back) to 1, in whole permille."""
+    return _DRIVE.pack(round(left * FULL_DUTY), round(right * FULL_DUTY))
+
+
+@dataclass(slots=True)
+class LineStatistics:
+    """What came over the line, and what of it was no good.
+
+    Attributes:
+        bytes: all that were fed.
+        frames: good ones, repeats included.
+        crc_errors: pieces between two zeros whose checksum is wrong.
+        malformed: pieces that are no COBS, too short, too long, or of the wrong length for their type.
+        resyncs: how often a good frame came after bad pieces.
+        lost: frames missing by the sequence; a multiple of 256 lost in one go does not show.
+        duplicates: frames that came again, and were not handed on.
+        unknown: good frames of a type that this version does not know.
+    """
+
+    bytes: int = 0
+    frames: int = 0
+    crc_errors: int = 0
+    malformed: int = 0
+    resyncs: int = 0
+    lost: int = 0
+    duplicates: int = 0
+    unknown: int = 0
+
+
+class FrameDecoder:
+    """Finds the messages in a stream of bytes, however it is cut, and counts what was lost.
+
+    A damaged frame costs itself, and the next one where the zero between them was hit. What comes before the first zero
+    may be the end of a frame that began before anybody listened, so it is no error. Memory stays below
+    `LONGEST_FRAME` bytes between two calls, whatever comes.
+
+    Attributes:
+        statistics: what came, and what was lost.
+        begun, ended: bytes from the first byte of the last call's first message, and from the end of its last message,
+            to the end of what was fed.
+    """
+
+    def __init__(self) -> None:
+        self.statistics = LineStatistics()
+        self.begun = self.ended = 0
+        self._rest = b""
+        self._sequence: int | None = None
+        self._recent: deque[bytes] = deque(maxlen=_REPEATS_KNOWN)
+        self._is_in_step = True
+        self._may_be_cut = True
+        self._gaps: dict[int, int] = {}  # frames missing before the last frame of each sequence number
+
+    def feed(self, data: bytes) -> list[Message]:
+        """The messages that `data` completes, in their order; damage never raises, it is counted."""
+        self.statistics.bytes += len(data)
+        *pieces, rest = (self._rest + data).split(b"\0")
+        left = len(self._rest) + len(data)
+        self._rest = rest[: LONGEST_FRAME + 1]  # one byte too long is enough to know that it is no frame
+        messages: list[Message] = []
+        for piece in pieces:
+            left -= len(piece) + 1
+            may_be_cut, self._may_be_cut = self._may_be_cut, False
+            if may_be_cut and self._checked(piece, LineStatistics()) is None:
+                continue  # the rest of a frame that began before anybody listened
+            if piece and (message := self._message(piece)) is not None:
+                self.begun = self.begun if messages else left + len(piece) + 1
+                self.ended = left
+                messages.append(message)
+        return messages
+
+    def _message(self, piece: bytes) -> Message | None:
+        frame = self._checked(piece, self.statistics)
+        if frame is None:
+            self._is_in_step = False
+            return None
+        statistics = self.statistics
+        statistics.frames += 1
+        if not self._is_in_step:
+            self._is_in_step = True
+            statistics.resyncs += 1
+        if not self._is_new(frame):
+            statistics.duplicates += 1
+            return None
+        layout = _LAYOUTS.get(frame[0])
+        if layout is None:
+            statistics.unknown += 1
+            return None
+        kind, struct = layout
+        return kind(*struct.unpack(frame))
+
+    @staticmethod
+    def _checked(piece: bytes, statistics: LineStatistics) -> bytes | None:
+        """The frame inside a piece, or None where it is damaged, which is counted."""
+        if len(piece) > LONGEST_FRAME:
+            statistics.malformed += 1
+            return None
+        try:
+            frame = cobs.decode(piece)
+        except cobs.DecodeError:
+            statistics.malformed += 1
+            return None
+        if len(frame) < 4:
+            statistics.malformed += 1
+            return None
+        if crc_hqx(frame[:-2], _CRC_START) != frame[-2] | frame[-1] << 8:
+            statistics.crc_errors += 1
+            return None
+        layout = _LAYOUTS.get(frame[0])
+        if layout is not None and layout[1].size != len(frame):
+            statistics.malformed += 1
+            return None
+        return bytes(frame)
+
+    def _is_new(self, frame: bytes) -> bool:
+        """Whether the frame is no repeat of a recent one; counts the frames missing before it."""
+        sequence, last = frame[1], self._sequence
+        if last is not None and (step := (sequence - last) & 0xFF) != 1:
+            if frame in self._recent:
+                return False
+            self._gaps[sequence] = (step - 1) & 0xFF
+            self.statistics.lost += self._gaps[sequence]
+        else:
+            self._gaps.pop(sequence, None)
+        self._sequence = sequence
+        self._recent.append(frame)
+        return True
+
+    def forgive_gap(self, sequence: int) -> None:
+        """Take back a loss counted at this frame, or at the one before it: the controller had begun anew.
+
+        By its number, since a host that is late is handed frames that came after it together with it.
+        """
+        for number in (sequence, (sequence - 1) & 0xFF):
+            if gap := self._gaps.pop(number, 0):
+                self.statistics.lost -= gap
+                return
+
+    def forget_sequence(self) -> None:
+        """Count no loss before the next frame: the port was opened anew."""
+        self._sequence = None
+        self._rest = b""
+        self._may_be_cut = True
+
+
+# The paper's wire format: two bytes every 20 ms, the right and left wheel's signed pulse counts (Trinh et al., II.C).
+#
+# A byte holds 127 pulses; at 0.3338 mm a pulse and 20 ms that is 2.1 m/s, and at the paper's top speed there are 157.
+# So the controller sends early, as soon as a count reaches 100, and no pulse is lost. Nothing in the bytes says which
+# of a pair comes first: only the silence between the pairs does.
+
+
+SILENCE_S = 0.005
+FULL_PULSES = 100  # from here on a pair is sent at once, before its time
+_LATEST_PARTNER_S = 1.0
+
+
+class Pulses(NamedTuple):
+    """Pulses of both wheels since the pair before, and when the host had them.
+
+    Attributes:
+        follows_silence: whether the line was quiet before the pair.
+        following: how many pairs came behind it in the same run of bytes.
+    """
+
+    arrival_s: float
+    left: int
+    right: int
+    follows_silence: bool
+    following: int = 0
+
+
+class PaperDecoder:
+    """Pairs bytes by the silence between pairs.
+
+    A byte left over waits for the next run of bytes: where that is odd too, it holds the partner, held up on its way;
+    else the partner was lost, and the byte is dropped and counted. Where the host was away and several pairs come at
+    once, they are taken in twos. In `statistics`, `frames` are pairs and `malformed` are bytes without a partner. A
+    lost pair cannot be noticed: the format has no sequence.
+
+    Attributes:
+        statistics: what came.
+        torn: pairs whose second byte was held up.
+    """
+
+    def __init__(self) -> None:
+        self.statistics = LineStatistics()
+        self.torn = 0
+        self._first = b""
+        self._arrival_s = -float("inf")
+
+    def feed(self, run: bytes, arrival_s: float) -> list[Pulses]:
+        """The pairs that a run of bytes completes, with a silence before and behind it. Raises nothing.
+
+        Args:
+            run: at least one byte.
+            arrival_s: when the last of them was read, seconds.
+        """
+        is_torn = bool(self._first) and len(run) % 2 == 1 and arrival_s - self._arrival_s < _LATEST_PARTNER_S
+        self.torn += is_torn
+        self.statistics.malformed += bool(self._first) and not is_torn
+        self.statistics.bytes += len(run)
+        self._arrival_s = arrival_s
+        if is_torn:
+            run = self._first + run
+        whole = len(run) // 2 * 2
+        self._first = run[whole:]
+        self.statistics.frames += whole // 2
+        return [
+            Pulses(arrival_s, _signed(run[n + 1]), _signed(run[n]), n == 0, (whole - n) // 2 - 1)
+            for n in range(0, whole, 2)
+        ]
+
+    def forget(self) -> None:
+        """Drop a byte that waits for its partner: what follows is another stream."""
+        self._first = b""
+
+
+def _signed(byte: int) -> int:
+    return byte - 256 if byte > 127 else byte
+
+
+# The plain line that anybody's sketch prints: `left,right` or `time,left,right`, one line a reading, in whole
+# numbers.
+#
+# Fields are separated by commas, semicolons, spaces or tabs; lines end with CR, LF or both. Counts are cumulative and
+# signed or not; time is in milliseconds or microseconds, which the host's clock tells. There is no checksum, so that
+# a line is recognised by many like it, and readings are doubted by `PlainTracker`.
+
+
+US_PER_MS = 1000
+_LONGEST_LINE = 64
+_LONGEST_QUOTE = 40
+_SEPARATOR = rb"(?:[ \t]*[,;][ \t]*|[ \t]+)"
+_COUNT = rb"([+-]?[0-9]{1,10})"
+_LINE = re.compile(rb"[ \t]*(?:(\+?[0-9]{1,19})" + _SEPARATOR + rb")?" + _COUNT + _SEPARATOR + _COUNT + rb"[ \t]*")
+_PLAIN_TEXT_ENDS = re.compile(rb"[\r\n]+")
+_TEXT = re.compile(rb"[\t\x20-\x7e]*")
+_SMALLEST, _LARGEST = -(1 << 31), (1 << 32) - 1
+
+
+class PlainTextSettings(Settings):
+    """When lines of text are taken for counts, and which of them are doubted."""
+
+    evidence_s: float = setting(0.5, "for which lines must have come before they are counts, seconds", CHOSEN, gt=0)
+    longest_evidence_s: float = setting(5.0, "within which they must have come, seconds", CHOSEN, gt=0)
+    fewest_lines: int = setting(5, "lines of counts that are enough; two a second are the slowest", CHOSEN, ge=3)
+    fewest_share: float = setting(
+        0.5, "of all lines, so that a sketch may print a line of other text for each of counts", CHOSEN, gt=0, le=1
+    )
+    largest_drift: float = setting(
+        0.1,
+        "by which a time may run otherwise than the host's, over the evidence; a resonator errs by 0.5 %, and a line "
+        "that is read 50 ms late makes 10 % of half a second. Milliseconds and microseconds differ by 1000",
+        CHOSEN,
+        gt=0,
+        lt=0.5,
+    )
+    given_up_s: float = setting(
+        3.0, "without a line of counts among others, until they are looked for anew", CHOSEN, gt=0
+    )
+    slack_counts: int = setting(
+        8,
+        "by which a count may be off what it was expected to be and is believed at once: a digit that is lost changes "
+        "a number of two digits or more by 9 at least",
+        "reckoned from the digits",
+        ge=0,
+    )
+    slack_share: float = setting(
+        0.5, "of the motion from line to line, by which it may be off besides: wheels gain speed", CHOSEN, ge=0, le=1
+    )
+    gain_counts: int = setting(
+        64, "by which a count may be off, and is believed with the next line that moves on from it", CHOSEN, ge=0
+    )
+    gain_counts_per_s2: float = setting(
+        20_000,
+        "that much besides for each second squared between lines: 1 m/s² at 16 000 counts a metre, and some more",
+        "reckoned from an encoder of 5000 lines on a wheel of 0.2 m radius",
+        ge=0,
+    )
+    gain_share: float = setting(2.0, "of the motion from line to line besides", CHOSEN, ge=0)
+    longest_gap_s: float = setting(
+        0.5, "between lines, over which speed is believed to be gained; a board boots for longer", CHOSEN, gt=0
+    )
+    confirming_lines: int = setting(
+        4,
+        "that must follow from each other before a jump is a restart, or motion after all; two torn alike are chance",
+        "found on damaged lines alone",
+        ge=2,
+    )
+
+
+class PlainReading(NamedTuple):
+    """A line of counts, as printed.
+
+    Attributes:
+        arrival_s: when its end was read, seconds.
+        clock: as printed, or None where the line has no time.
+        us_per_tick: what one of `clock` is, microseconds; 0 until that is known.
+        following: how many lines of counts came behind it in the same read.
+    """
+
+    arrival_s: float
+    clock: int | None
+    left: int
+    right: int
+    us_per_tick: int = 0
+    following: int = 0
+
+
+def parse_line(line: bytes, arrival_s: float) -> PlainReading | None:
+    """The counts of a line without its end, or None where it is none."""
+    match = _LINE.fullmatch(line) if len(line) <= _LONGEST_LINE else None
+    if match is None:
+        return None
+    clock, left, right = (None if field is None else int(field) for field in match.groups())
+    if left is None or right is None or min(left, right) < _SMALLEST or max(left, right) > _LARGEST:
+        return None
+    return PlainReading(arrival_s, clock, left, right)
+
+
+def is_plain_line(run: bytes) -> bool:
+    """Whether bytes between two silences are whole lines of counts, and hence no pairs."""
+    lines = [line for line in _PLAIN_TEXT_ENDS.split(run) if line]
+    return run.endswith((b"\r", b"\n")) and bool(lines) and all(parse_line(line, 0.0) for line in lines)
+
+
+class PlainText:
+    """Recognises lines of counts in a stream of bytes, and reads them; what is before the first line's end is torn.
+
+    In `statistics`, `frames` are lines of counts and `malformed` are all others.
+
+    Attributes:
+        statistics: what came, from the first line of the evidence on.
+        is_recognised: whether lines are taken for counts.
+        other: the last line that was none, to be shown.
+    """
+
+    def __init__(self, settings: PlainTextSettings | None = None) -> None:
+        self.statistics = LineStatistics()
+        self.is_recognised = False
+        self.other = ""
+        self._settings = settings or PlainTextSettings()
+        self._rest = b""
+        self._is_torn = True
+        self._evidence: deque[tuple[float, PlainReading | None]] = deque(maxlen=4096)
+        self._has_time = False
+        self._us_per_tick = 0
+        self._good_s = 0.0
+        self._others = self._texts = 0  # lines since the last of counts; printable ones in a row
+
+    @property
+    def is_text(self) -> bool:
+        """Whether what came lately is text, though no counts."""
+        return not self.is_recognised and self._texts >= self._settings.fewest_lines
+
+    def feed(self, data: bytes, arrival_s: float) -> list[PlainReading]:
+        """The readings that `data` completes: none before they are recognised, then those of the evidence too."""
+        self.statistics.bytes += len(data)
+        readings: list[PlainReading] = []
+        for line in self._lines(data):
+            readings += self._read(line, arrival_s)
+        settings = self._settings
+        if self._others >= settings.fewest_lines and arrival_s - self._good_s > settings.given_up_s:
+            self.is_recognised = False
+        return [
+            reading._replace(us_per_tick=self._us_per_tick, following=_behind(readings, n))
+            for n, reading in enumerate(readings)
+        ]
+
+    def restart(self) -> None:
+        """Forget what is half-read and what was recognised: the port was opened anew, or speaks otherwise."""
+        self._rest, self._is_torn, self.is_recognised, self.other = b"", True, False, ""
+        self._others = self._texts = 0
+        self._evidence.clear()
+
+    def _lines(self, data: bytes) -> list[bytes]:
+        """The whole lines, without those that are empty."""
+        *lines, rest = _PLAIN_TEXT_ENDS.split(self._rest + data)
+        if lines and self._is_torn:
+            lines[0], self._is_torn = b"", False
+        self._is_torn |= len(rest) > _LONGEST_LINE
+        self._rest = b"" if self._is_torn else rest
+        return [line for line in lines if line]
+
+    def _read(self, line: bytes, arrival_s: float) -> list[PlainReading]:
+        reading = parse_line(line, arrival_s)
+        if self.is_recognised and reading is not None and (reading.clock is not None) is self._has_time:
+            self.statistics.frames += 1
+            self._good_s, self._others = arrival_s, 0
+            return [reading]
+        self.statistics.malformed += 1
+        self._others += 1
+        is_text = _TEXT.fullmatch(line) is not None
+        self._texts = self._texts + 1 if is_text else 0
+        if is_text and (reading is None or self.is_recognised):
+            self.other = line[:_LONGEST_QUOTE].decode("ascii")
+        return [] if self.is_recognised else self._weigh(reading, arrival_s)
+
+    def _weigh(self, reading: PlainReading | None, arrival_s: float) -> list[PlainReading]:
+        """The readings so far, if with this line they are enough to be taken for counts."""
+        settings = self._settings
+        self._evidence.append((arrival_s, reading))
+        while self._evidence[0][0] < arrival_s - settings.longest_evidence_s:
+            self._evidence.popleft()
+        if reading is None:
+            return []
+        has_time = reading.clock is not None
+        alike = [told for _, told in self._evidence if told is not None and (told.clock is not None) is has_time]
+        if len(alike) < max(settings.fewest_lines, settings.fewest_share * len(self._evidence)):
+            return []
+        if alike[-1].arrival_s - alike[0].arrival_s < settings.evidence_s:
+            return []
+        self._us_per_tick = self._unit_of(alike) if has_time else 0
+        if has_time and not self._us_per_tick:
+            return []
+        self.is_recognised, self._has_time, self._good_s = True, has_time, arrival_s
+        self._others = self._texts = 0
+        self.statistics = LineStatistics(0, len(alike), malformed=len(self._evidence) - len(alike))
+        self._evidence.clear()
+        return alike
+
+    def _unit_of(self, readings: list[PlainReading]) -> int:
+        """Microseconds of a tick of the lines' time: 1000 or 1; 0 where neither fits the host's clock."""
+        first, last = readings[0], readings[-1]
+        assert first.clock is not None
+        assert last.clock is not None
+        passed_us = 1e6 * (last.arrival_s - first.arrival_s)
+        for us_per_tick in (US_PER_MS, 1):
+            if abs((last.clock - first.clock) * us_per_tick - passed_us) <= self._settings.largest_drift * passed_us:
+                return us_per_tick
+        return 0
+
+
+def _behind(readings: list[PlainReading], at: int) -> int:
+    """How many of the readings behind one came with it."""
+    return sum(reading.arrival_s == readings[at].arrival_s for reading in readings[at + 1 :])
+
+
+# Which of the three wire formats a controller speaks, found out by listening.
+
+
+EVIDENCE_S = 0.5
+_LONGEST_EVIDENCE_S = 3.0
+_FEWEST_PAIRS = 15
+_MOST_A_SECOND = 300
+_MOST_AT_ONCE = 2048  # a system's buffer holds so many, for a host that was away
+_MOST_PULSES = 110
+_SHARE_ALONE = 0.6
+_SHARE_BELIEVABLE = 0.9
+_SHARE_TORN = 0.2
+_FEWEST_DOUBTED = 10
+_MOST_KEPT = 400
+_MOST_HELD_BYTES = 1024
+
+
+class Format(StrEnum):
+    """How counts come over the line."""
+
+    FRAMED = "framed"
+    PAPER = "paper"
+    PLAIN = "plain text"
+
+
+Told = Message | Pulses | PlainReading
+
+
+class LineDecoder:
+    """Decodes any of the formats, and changes over when the controller does.
+
+    One frame with a right checksum means framed. Half a second of bytes in pairs (three, where there are few), each
+    after a silence and with no more pulses than make a controller send early, means paper; those pulses are handed on
+    with it, so none is lost. Lines of text with two or three whole numbers, for as long, mean plain text (`PlainText`).
+    Everything else is noise, and framed stays framed.
+
+    Bytes are read as pairs only after the silence behind them, since they might be the beginning of a frame: of what
+    came without a silence, pairs are what lies before the first frame. Once recognised, the paper's format is given up
+    for a frame, or for what delays cannot make of pairs (pulses beyond belief, or too many pairs): after a busy host or
+    a slow line they only come later, and together. Plain text is given up for a frame, or where lines are no counts for
+    seconds.
+
+    Args:
+        plain: when lines of text are counts.
+    """
+
+    def __init__(self, plain: PlainTextSettings | None = None) -> None:
+        self.format: Format | None = None
+        self._frames = FrameDecoder()
+        self._paper = PaperDecoder()
+        self._text = PlainText(plain)
+        self._held: list[tuple[bytes, float]] = []  # runs of bytes between silences, and when the last of each came
+        self._heard_s = -float("inf")
+        self._expects_frames = False
+        self._evidence: deque[Pulses] = deque(maxlen=_MOST_KEPT)
+        self._torn: deque[float] = deque(maxlen=_MOST_KEPT)
+        self._credit, self._judged_s = 0.0, 0.0
+
+    @property
+    def statistics(self) -> LineStatistics:
+        """Of the format that was recognised; of frames as long as none was."""
+        if self.format is Format.PLAIN:
+            return self._text.statistics
+        return self._paper.statistics if self.format is Format.PAPER else self._frames.statistics
+
+    @property
+    def is_text(self) -> bool:
+        """Whether nothing was recognised, and what comes is lines of text that are no counts."""
+        return self._text.is_text
+
+    @property
+    def other_line(self) -> str:
+        """The last line of text that was no counts; empty where there was none."""
+        return self._text.other if self.format in (None, Format.PLAIN) else ""
+
+    def feed(self, data: bytes, arrival_s: float, lay_waiting: bool = False) -> Sequence[Told]:
+        """What `data` completes: messages, pulses or readings. Raises nothing, whatever comes.
+
+        Args:
+            data: empty where nothing came for `SILENCE_S`, so that a pair need not wait for the next.
+            arrival_s: when it was read, seconds.
+            lay_waiting: the host was late and found the data there, so that nothing is known of a silence before.
+        """
+        pulses: Sequence[Pulses] = ()
+        if self._held and not lay_waiting and self._is_whole(arrival_s):
+            pulses = self._judged(self._take_pairs(0))
+        if not data:
+            return pulses
+        self._hold(data, arrival_s, lay_waiting)
+        messages = self._frames.feed(data)
+        if messages:
+            return [*pulses, *self._before_frames(data), *messages]
+        readings = self._text.feed(data, arrival_s)
+        if self._text.is_recognised:
+            self.format = Format.PLAIN
+            self._held.clear()
+            self._forget_pairs()
+        elif self.format is Format.PLAIN:
+            self.format = None
+        return [*pulses, *readings] if readings else pulses
+
+    def expect_frames(self, is_so: bool) -> None:
+        """Whether the controller was told to change to frames: then nothing is read as pairs until they come."""
+        self._expects_frames = is_so
+
+    def restart(self) -> None:
+        """Forget what is half-read, and the format if it was another than frames: the port was opened anew."""
+        self._frames.forget_sequence()
+        self._text.restart()
+        self._held.clear()
+        self._forget_pairs()
+        self.format = Format.FRAMED if self.format is Format.FRAMED else None
+
+    def forgive_gap(self, sequence: int) -> None:
+        """Take back a loss counted at this frame, or at the one before it: the controller had begun anew."""
+        self._frames.forgive_gap(sequence)
+
+    def _is_whole(self, now_s: float) -> bool:
+        """Whether what is held can be no frame's beginning any more."""
+        if self._expects_frames:
+            return False
+        return now_s - self._heard_s > SILENCE_S or sum(len(run) for run, _ in self._held) > _MOST_HELD_BYTES
+
+    def _before_frames(self, data: bytes) -> list[Pulses]:
+        """Change to frames, or stay with them; the pairs that came before the first of them, if they were pairs."""
+        pairs: list[Pulses] = []
+        if self.format is Format.PAPER:
+            pairs = self._take_pairs(self._frames.begun + 1)  # and the zero that parts frames from pairs
+        if self.format in (Format.PAPER, Format.PLAIN):
+            self._frames.statistics = LineStatistics(self._frames.begun, 1)
+        self._text.restart()
+        self.format, self._expects_frames = Format.FRAMED, False
+        self._held.clear()
+        if self._frames.ended:
+            self._held.append((data[-self._frames.ended :], self._heard_s))  # pairs, where the format changed
+        self._forget_pairs()
+        return pairs
+
+    def _hold(self, data: bytes, arrival_s: float, lay_waiting: bool) -> None:
+        if self._held and (lay_waiting or arrival_s - self._heard_s <= SILENCE_S):
+            data = self._held.pop()[0] + data
+        self._held.append((data, arrival_s))
+        self._heard_s = arrival_s
+
+    def _take_pairs(self, but_last: int) -> list[Pulses]:
+        """Read the held bytes, but the last so many, as pairs."""
+        held, self._held = self._held, []
+        pairs: list[Pulses] = []
+        count = sum(len(run) for run, _ in held) - but_last
+        for run, arrival_s in held:
+            if count > 0 and not is_plain_line(run):
+                torn = self._paper.torn + self._paper.statistics.malformed
+                pairs += self._paper.feed(run[:count], arrival_s)
+                if self._paper.torn + self._paper.statistics.malformed > torn:
+                    self._torn.append(arrival_s)
+            count -= len(run)
+        return pairs
+
+    def _judged(self, pairs: list[Pulses]) -> Sequence[Pulses]:
+        """What to hand on of pairs just read, by what has come in the last half second."""
+        self._evidence += pairs
+        if self.format is Format.PAPER:
+            if self._may_be_pairs(len(pairs)):
+                return pairs
+            self.format = None
+            self._evidence.clear()
+            return ()
+        if not self._evidence or self._heard_s - self._evidence[0].arrival_s < EVIDENCE_S:
+            return ()
+        found = list(self._evidence) if self._is_paired() else []
+        if found:
+            self.format = Format.PAPER
+            self._paper.statistics = LineStatistics(2 * len(found), len(found))
+            self._credit, self._judged_s = _MOST_AT_ONCE, self._heard_s
+        self._drop_before(self._heard_s - EVIDENCE_S, keep=_FEWEST_PAIRS)
+        self._drop_before(self._heard_s - _LONGEST_EVIDENCE_S)
+        return found
+
+    def _is_paired(self) -> bool:
+        """Whether the evidence is pairs as a controller sends them."""
+        pairs = len(self._evidence)
+        alone = sum(pair.follows_silence for pair in self._evidence)
+        regular = pairs >= _FEWEST_PAIRS and alone >= _SHARE_ALONE * pairs
+        return self._is_believable() and regular and len(self._torn) <= _SHARE_TORN * pairs
+
+    def _may_be_pairs(self, count: int) -> bool:
+        """Whether `count` more may be pairs too, held up on their way perhaps, or by a busy host."""
+        passed_s, self._judged_s = self._heard_s - self._judged_s, self._heard_s
+        self._credit = min(self._credit + _MOST_A_SECOND * passed_s, _MOST_AT_ONCE) - count
+        self._drop_before(self._heard_s - EVIDENCE_S)
+        return self._credit >= 0 and (len(self._evidence) < _FEWEST_DOUBTED or self._is_believable())
+
+    def _is_believable(self) -> bool:
+        believable = sum(max(abs(pair.left), abs(pair.right)) <= _MOST_PULSES for pair in self._evidence)
+        return believable >= _SHARE_BELIEVABLE * len(self._evidence)
+
+    def _drop_before(self, stamp_s: float, keep: int = 0) -> None:
+        while len(self._evidence) > keep and self._evidence[0].arrival_s < stamp_s:
+            self._evidence.popleft()
+        while self._torn and self._torn[0] < min(stamp_s, self._evidence[0].arrival_s if self._evidence else stamp_s):
+            self._torn.popleft()
+
+    def _forget_pairs(self) -> None:
+        self._evidence.clear()
+        self._torn.clear()
+        self._paper.forget()

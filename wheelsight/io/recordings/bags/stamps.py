@@ -1,0 +1,465 @@
+"""When a message was measured: by its header, judged by its topic's neighbours, then other topics, then receipt."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from wheelsight.core.geometry import FloatArray
+from wheelsight.io.recordings.bags.storage import Message
+from wheelsight.io.recordings.recording import LeftOut
+
+# A step of so many usual periods needs no other witness: one message was lost.
+_LARGEST_STEP = 2.5
+# Longer than what a driver hands over at once; shorter than a wrong stamp that matters to wheels.
+_SMALLEST_STEP_S = 0.1
+# So well receipt agrees with a header at least, in seconds or periods: images are received up to some tenths late.
+_AGREES_S = 0.25
+# So many messages in a row that follow each other make a clock that was set; fewer are single wrong stamps.
+_RUN = 5
+_MOST_PENDING = 12
+# Single wrong stamps are ahead too, but not so many that follow each other, where others reach their beginning.
+_FEWEST_AHEAD = 3
+# What a recorder received after its clock was set back waits for what came before, so long and so much of a topic.
+_MOST_AHEAD_S, _MOST_AHEAD_BYTES = 60.0, 192 << 20
+# Headers of topics that are received together may differ by so much: more is no delay of a driver's.
+APART_S = 0.5
+_RECENT = 50
+# Topics that count seconds seem to differ by less, even where the first ones are received in a burst.
+_RATES_ALIKE = 4.0
+_RATE_SAMPLES, _RATE_SPAN_S = 8, 0.3
+_SLOWEST, _FASTEST = 0.02, 50.0
+
+Settled = tuple[float, Message]
+
+
+class TopicClock:
+    """Stamps of one topic's messages, some of them known only once later ones are there.
+
+    Attributes:
+        shift_s: added to each header.
+        by_receipt: whether headers are passed over; `shift_s` is then added to the time of receipt.
+        left_out: how many messages were left out for headers that fit neither their neighbours nor receipt.
+        unstamped: how many single headers were 0; receipt stands for them.
+        settings: (after which stamp, by how many seconds) the clock was set forward; negative for back.
+        set_back: (after which stamp, by how many seconds) the clock of the recorder was set back.
+        newest_s: the newest stamp by now.
+    """
+
+    def __init__(self, shift_s: float = 0.0, by_receipt: bool = False) -> None:
+        self.shift_s, self.by_receipt = shift_s, by_receipt
+        self.left_out = self.unstamped = 0
+        self.set_back: list[tuple[float, float]] = []
+        self._ahead: list[tuple[float, Message]] = []
+        self._ahead_bytes = 0
+        self.settings: list[tuple[float, float]] = []
+        self.newest_s = -np.inf
+        self._begins_with = shift_s
+        self._recent: deque[tuple[float, float]] = deque(maxlen=_RECENT)
+        self._usual_s, self._usual_for = _SMALLEST_STEP_S, 0
+        self._pending: list[tuple[float, Message]] = []
+
+    def restarted(self) -> TopicClock:
+        """The same for another pass, nothing counted."""
+        return TopicClock(self._begins_with, self.by_receipt)
+
+    def add(self, header_s: float, message: Message, others_s: Iterable[float] = ()) -> list[Settled]:
+        """The messages whose stamps are known now, oldest first.
+
+        Args:
+            header_s: of the message; 0 for none.
+            message: in order of receipt.
+            others_s: the newest stamps of other topics.
+        """
+        if self.by_receipt:
+            return [self._stamped(message.receipt_s, message)]
+        if not header_s and self._recent:
+            self.unstamped += 1
+            return [self._stamped(self._expected(message.receipt_s), message)]
+        if self._recent and self._goes_on(header_s, message.receipt_s):
+            settled = self._late_ones()
+            self._recent.append((header_s, message.receipt_s))
+            return [*settled, self._stamped(header_s, message), *self._reached()]
+        self._pending.append((header_s, message))
+        return self._resolve(others_s)
+
+    def end(self) -> list[Settled]:
+        """The rest, after the last message."""
+        if self._recent:
+            settled = [*self._late_ones(), *self._reached(_LARGEST_STEP)]
+            self._leave_out_ahead()
+            return settled
+        chain = self._chain()
+        return self._accept(chain) if len(chain) > len(self._pending) / 2 else self._late_ones()
+
+    def _resolve(self, others_s: Iterable[float]) -> list[Settled]:
+        """What is pending, where it is a run of its own: the beginning, or a clock that was set."""
+        if len(self._pending) >= _RUN and (settled := self._reached(_LARGEST_STEP)):
+            return [*settled, *self._late_ones()]
+        chain = self._chain()
+        least = _RUN if self._recent else max(_RUN - 1, len(self._pending) // 2 + 1)
+        if len(self._pending) >= _RUN and len(chain) >= least:
+            if self._recent:
+                self._set(chain, others_s)
+            return self._accept(chain)
+        if len(self._pending) >= _MOST_PENDING:
+            del self._pending[0]
+            self.left_out += 1
+        return []
+
+    def _set(self, chain: Sequence[int], others_s: Iterable[float]) -> None:
+        """Take out by how much the clock was set, unless receipt or other topics show that so much time went by."""
+        run = [self._pending[place] for place in chain]
+        change_s = float(np.median([self._expected(message.receipt_s) - header_s for header_s, message in run]))
+        last_s, newest_s = run[-1][0] + self.shift_s, self._recent[-1][0]
+        is_later, usual_s = run[0][0] > newest_s, max(1.0, self._rate())
+        # How fast receipt goes is known of some messages on: before, headers that go on later are good.
+        is_known = len(self._recent) >= _RATE_SAMPLES
+        if abs(change_s) <= _AGREES_S * usual_s or (
+            is_later
+            and (
+                not is_known
+                or abs(change_s) <= APART_S * usual_s
+                or any(abs(other_s - last_s) <= APART_S for other_s in others_s)
+            )
+        ):
+            return
+        # After all that was stamped before, however unsteady receipt is.
+        change_s = max(change_s, newest_s - run[0][0] + min(self._period_s(), _SMALLEST_STEP_S))
+        self.settings.append((newest_s + self.shift_s, -change_s))
+        self.shift_s += change_s
+        self._recent.clear()
+
+    def _accept(self, chain: Sequence[int]) -> list[Settled]:
+        run = [self._pending[place] for place in chain]
+        others = [item for place, item in enumerate(self._pending) if place not in set(chain)]
+        self._recent.extend((header_s, message.receipt_s) for header_s, message in run)
+        settled = [self._stamped(header_s, message) for header_s, message in run]
+        self._pending = others
+        return sorted([*settled, *self._late_ones()], key=lambda item: item[0])
+
+    def _late_ones(self) -> list[Settled]:
+        """Of what is pending, those that were only received out of order, or have no stamp; others are left out."""
+        settled = []
+        for header_s, message in self._pending:
+            expected_s = self._expected(message.receipt_s) if self._recent else header_s
+            if not header_s and self._recent:
+                self.unstamped += 1
+                settled.append(self._stamped(expected_s, message))
+            elif self._recent and abs(expected_s - header_s) <= max(
+                min(3 * self._period_s(), _AGREES_S), _SMALLEST_STEP_S
+            ):
+                settled.append(self._stamped(header_s, message))
+            else:
+                self._put_ahead(header_s, message)
+        self._pending = []
+        return settled
+
+    def _put_ahead(self, header_s: float, message: Message) -> None:
+        """Keep a message whose header is ahead, while those ahead follow each other; others are left out.
+
+        A recorder whose clock is set back receives what comes then at the times of what came before: both are mixed in
+        the bag. The headers of each go on, and those of the first reach the beginning of the others.
+        """
+        if self._recent and header_s <= self._recent[-1][0]:
+            self.left_out += 1
+            return
+        if self._ahead:
+            last_s, first_s = self._ahead[-1][0], self._ahead[0][0]
+            goes_on = 0 < header_s - last_s <= max(_LARGEST_STEP * self._period_s(), _SMALLEST_STEP_S)
+            is_too_long = self._ahead_bytes > _MOST_AHEAD_BYTES or header_s - first_s > _MOST_AHEAD_S
+            if not goes_on or is_too_long:
+                self._leave_out_ahead()
+        self._ahead.append((header_s, message))
+        self._ahead_bytes += len(message.data)
+
+    def _leave_out_ahead(self) -> None:
+        self.left_out += len(self._ahead)
+        self._ahead, self._ahead_bytes = [], 0
+
+    def _reached(self, most_periods: float = 1.5) -> list[Settled]:
+        """What was ahead, once the headers of what came before have reached its beginning."""
+        if len(self._ahead) < _FEWEST_AHEAD or not self._recent:
+            return []
+        last_s, first_s = self._recent[-1][0], self._ahead[0][0]
+        if not 0 < first_s - last_s <= most_periods * self._period_s():
+            return []
+        self.set_back.append((last_s + self.shift_s, self._recent[-1][1] - self._ahead[0][1].receipt_s))
+        run, self._ahead, self._ahead_bytes = self._ahead, [], 0
+        self._recent.clear()  # receipt begins anew, too
+        self._recent.extend((header_s, message.receipt_s) for header_s, message in run)
+        return [self._stamped(header_s, message) for header_s, message in run]
+
+    def _out_of_order_s(self) -> float:
+        """How far a header may be from what is usual at its receipt, to be good though a younger one was received."""
+        return max(min(3 * self._period_s(), _AGREES_S), _SMALLEST_STEP_S) * max(1.0, self._rate())
+
+    def _chain(self) -> list[int]:
+        """Places in the longest run of pending messages: each follows the one before."""
+        return _longest_run([(header_s, message.receipt_s) for header_s, message in self._pending])
+
+    def _goes_on(self, header_s: float, receipt_s: float) -> bool:
+        """Whether a header follows the last one that was good."""
+        before, period_s = self._recent[-1], self._period_s()
+        near = 0 < header_s - before[0] <= max(_LARGEST_STEP * period_s, _SMALLEST_STEP_S)
+        if not near and not _follows(before, (header_s, receipt_s), period_s, self._rate()):
+            return False
+        if not self._pending:
+            return True
+        # A clock that was set back by little soon passes its last good header: receipt then is as far off as before.
+        off_s = self._expected(receipt_s) - header_s
+        others_s = [self._expected(message.receipt_s) - other_s for other_s, message in self._pending]
+        alike_s = max(_SMALLEST_STEP_S, 0.25 * abs(off_s))
+        return abs(off_s) <= _AGREES_S or not any(abs(off_s - other_s) <= alike_s for other_s in others_s)
+
+    def _stamped(self, header_s: float, message: Message) -> Settled:
+        stamp_s = header_s + self.shift_s
+        self.newest_s = max(self.newest_s, stamp_s)
+        return stamp_s, message
+
+    def _expected(self, receipt_s: float) -> float:
+        """The header that is usual at a time of receipt."""
+        header_s, receipts_s = np.array(self._recent).T
+        rate = self._rate()
+        return float(np.median(header_s - rate * (receipts_s - receipts_s[-1])) + rate * (receipt_s - receipts_s[-1]))
+
+    def _period_s(self) -> float:
+        """The usual one of late, found again now and then."""
+        self._usual_for -= 1
+        if self._usual_for < 0:
+            self._usual_s = _usual_period_s([header_s for header_s, _ in self._recent])
+            self._usual_for = len(self._recent) // 2
+        return self._usual_s
+
+    def _rate(self) -> float:
+        """Seconds of the headers a second of receipt: other than 1 in simulators."""
+        return _rate_of(np.array(self._recent)) if self._recent else 1.0
+
+
+def _usual_period_s(headers_s: Sequence[float]) -> float:
+    steps_s = [after - before for before, after in pairwise(headers_s) if after > before]
+    return float(np.median(steps_s)) if steps_s else _SMALLEST_STEP_S
+
+
+def _follows(before: tuple[float, float], after: tuple[float, float], period_s: float, rate: float) -> bool:
+    """Whether a header and its receipt come after others: within some periods, or as much later as receipt."""
+    step_s = after[0] - before[0]
+    if not step_s > 0 or not after[0] or not before[0]:
+        return False
+    if step_s <= max(_LARGEST_STEP * period_s, _SMALLEST_STEP_S):
+        return True
+    return abs(step_s - rate * (after[1] - before[1])) <= max(_AGREES_S, period_s)
+
+
+def _longest_run(stamps: Sequence[tuple[float, float]]) -> list[int]:
+    """Places in the longest run of (header, receipt), each after the one before; some between may be wrong."""
+    period_s = _usual_period_s([header_s for header_s, _ in stamps])
+    longest: list[list[int]] = []
+    for place, stamp in enumerate(stamps):
+        before = [run for run in longest if _follows(stamps[run[-1]], stamp, period_s, 1.0)]
+        longest.append([*max(before, key=len, default=[]), place])
+    return max(longest, key=len, default=[])
+
+
+def _rate_of(stamps: FloatArray) -> float:
+    """Of (N, 2) headers and receipts; 1 where too little is there to say."""
+    if len(stamps) < _RATE_SAMPLES:
+        return 1.0
+    # Medians of both ends: a single wrong one does not count.
+    thirds = len(stamps) // 3
+    (h0, r0), (h1, r1) = np.median(stamps[:thirds], axis=0), np.median(stamps[-thirds:], axis=0)
+    if r1 - r0 < _RATE_SPAN_S:
+        return 1.0
+    rate = float((h1 - h0) / (r1 - r0))
+    return rate if _SLOWEST <= rate <= _FASTEST else 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Head:
+    """The first messages of one topic.
+
+    Attributes:
+        stamps: (N, 2) headers and receipts, without headers that are none or wrong.
+        why_not: why headers are not believed; empty where they are.
+    """
+
+    stamps: FloatArray
+    why_not: str
+
+    @property
+    def rate(self) -> float:
+        return _rate_of(self.stamps)
+
+    @property
+    def lag_s(self) -> float:
+        return float(np.median(self.stamps[:, 1] - self.stamps[:, 0]))
+
+
+def clocks_of(
+    firsts: Mapping[str, Sequence[tuple[float, float]]],
+    lasts: Mapping[str, tuple[float, float]],
+    images: Sequence[str],
+    most_apart_s: float,
+) -> tuple[dict[str, TopicClock], tuple[str, ...]]:
+    """A clock for each topic, and sentences with numbers on what was decided.
+
+    Headers of topics that are received at the same time are stamped alike. Those of a topic that are off by a constant
+    have it taken out; those that count no seconds give way to receipt. Headers that all are off by the same, as in a
+    bag that was recorded from another one's replay, are believed.
+
+    Args:
+        firsts: header and receipt of each topic's first messages, from when all topics have begun.
+        lasts: header and receipt of each topic's last message.
+        images: topics of one camera, whose images are stamped by one clock.
+        most_apart_s: how far headers are from receipt without a word.
+    """
+    heads = {topic: _head(stamps) for topic, stamps in firsts.items()}
+    believed = _of_one_rate({topic: head for topic, head in heads.items() if not head.why_not}, heads)
+    if any(image not in believed for image in images if image in heads):
+        why = next(heads[image].why_not for image in images if image not in believed)
+        for image in set(images) & set(believed):
+            heads[image] = _Head(heads[image].stamps, f"the other images of its camera: {why}")
+            del believed[image]
+    shifts_s, reference = _shifts(believed, images, APART_S * max(1.0, _whole_rate(believed, lasts)))
+    lag_s = believed[reference].lag_s if reference else 0.0
+    end_lag_s = lasts[reference][1] - lasts[reference][0] if reference else 0.0
+    warnings = []
+    clocks: dict[str, TopicClock] = {}
+    for topic, head in heads.items():
+        if topic in shifts_s:
+            clocks[topic] = TopicClock(shifts_s[topic])
+            if shifts_s[topic]:
+                warnings.append(_shift_sentence(topic, shifts_s[topic], reference, len(head.stamps)))
+        else:
+            clocks[topic] = TopicClock(-lag_s if abs(lag_s) > most_apart_s else 0.0, by_receipt=True)
+            warnings.append(f"{topic}: {head.why_not}; the time of receipt stands for it.")
+    if abs(end_lag_s - lag_s) > most_apart_s:
+        warnings.append(
+            f"{reference}: receipt is {lag_s:.3f} s after the headers at the beginning, {end_lag_s:.3f} s at the end; "
+            "the headers grow as a clock does, and are believed."
+        )
+    elif abs(lag_s) > most_apart_s:
+        what = "All headers are" if len(believed) == len(heads) and not any(shifts_s.values()) else "Headers are"
+        warnings.append(f"{what} stamped {_apart(lag_s)} receipt: a replay was recorded. They are believed.")
+    return clocks, tuple(warnings)
+
+
+def _head(stamps: Sequence[tuple[float, float]]) -> _Head:
+    unstamped = sum(not header_s for header_s, _ in stamps)
+    if unstamped > len(stamps) / 2:
+        return _Head(np.zeros((0, 2)), "headers have no stamp")
+    run = _longest_run(stamps)
+    if len(stamps) > 2 and len(run) < len(stamps) / 2:
+        shown = ", ".join(f"{header_s:.3f}" for header_s, _ in stamps[:4])
+        return _Head(np.zeros((0, 2)), f"headers ({shown}, …) do not grow as a clock does")
+    return _Head(np.array([stamps[place] for place in run], float).reshape(-1, 2), "")
+
+
+def _of_one_rate(believed: dict[str, _Head], heads: dict[str, _Head]) -> dict[str, _Head]:
+    """Those whose headers count the seconds that others' do; of two that differ, receipt says which does."""
+    if len(believed) < 2:
+        return believed
+    best = min(believed, key=lambda topic: abs(np.log(believed[topic].rate)))
+    rate = believed[best].rate
+    for topic, head in list(believed.items()):
+        if len(head.stamps) >= _RATE_SAMPLES and not 1 / _RATES_ALIKE <= head.rate / rate <= _RATES_ALIKE:
+            why = f"headers grow by {head.rate:.3g} a second of receipt, those of {best} by {rate:.3g}"
+            heads[topic] = _Head(head.stamps, why)
+            del believed[topic]
+    return believed
+
+
+def _whole_rate(believed: Mapping[str, _Head], lasts: Mapping[str, tuple[float, float]]) -> float:
+    """Seconds of headers a second of receipt over the bag, of the slowest topic: one that was set looks faster."""
+    rates = []
+    for topic, head in believed.items():
+        (first_s, first_receipt_s), (last_s, last_receipt_s) = head.stamps[0].tolist(), lasts[topic]
+        if last_receipt_s > first_receipt_s:
+            rates.append((last_s - first_s) / (last_receipt_s - first_receipt_s))
+    return min(rates, default=1.0)
+
+
+def _shifts(believed: Mapping[str, _Head], images: Sequence[str], most_s: float) -> tuple[dict[str, float], str]:
+    """What to add to each topic's headers, and the topic by whose clock: that of most sensors, or of receipt.
+
+    Where receipt is faster than the clocks, as in simulators, what is usual to be received late, `most_s`, is longer.
+    """
+    if not believed:
+        return {}, ""
+    camera = [image for image in images if image in believed]
+    sensors = [topic for topic in believed if topic not in camera[1:]]
+    first = sensors[0]
+    behind_s = {topic: _behind_s(believed[topic], believed[first]) for topic in sensors}
+    groups: list[list[str]] = []
+    for topic in sorted(sensors, key=lambda name: behind_s[name]):
+        if groups and behind_s[topic] - behind_s[groups[-1][-1]] <= most_s:
+            groups[-1].append(topic)
+        else:
+            groups.append([topic])
+    group = min(groups, key=lambda names: (-len(names), abs(believed[names[0]].lag_s)))
+    reference = group[0]
+    shifts_s = {}
+    for names in groups:
+        # By its topic that is received with the least delay, as is the other's.
+        shift_s = 0.0 if names is group else behind_s[names[0]] - behind_s[reference]
+        shifts_s.update({topic: shift_s for name in names for topic in (camera if name in camera else [name])})
+    return shifts_s, reference
+
+
+def _behind_s(head: _Head, other: _Head) -> float:
+    """By how much another topic's header is ahead of this one's that is received at the same time."""
+    receipts_s, others_s = head.stamps[:, 1], other.stamps[:, 1]
+    inside = (receipts_s >= others_s[0]) & (receipts_s <= others_s[-1])
+    if len(other.stamps) < 2 or inside.sum() < min(3, len(head.stamps)) or others_s[-1] <= others_s[0]:
+        return head.lag_s - other.lag_s
+    # Several that are received at once, as before a clock begins, are one in the middle.
+    distinct_s, place = np.unique(others_s, return_inverse=True)
+    headers_s = np.bincount(place, other.stamps[:, 0]) / np.bincount(place)
+    at_once_s, which = np.unique(receipts_s[inside], return_inverse=True)
+    own_s = np.bincount(which, head.stamps[inside, 0]) / np.bincount(which)
+    low_s, usual_s, high_s = np.quantile(np.interp(at_once_s, distinct_s, headers_s) - own_s, [0.1, 0.5, 0.9]).tolist()
+    if high_s - low_s <= max(0.1 * abs(usual_s), _AGREES_S):
+        return float(usual_s)
+    # What is not constant is delay of receipt; the least of it is nearest to the clocks' difference.
+    return float(max(low_s, min(high_s, 0.0)))
+
+
+def _shift_sentence(topic: str, shift_s: float, reference: str, count: int) -> str:
+    side = "before" if shift_s > 0 else "after"
+    return (
+        f"{topic}: headers are {abs(shift_s):.3f} s {side} those of {reference} that are received at the same time "
+        f"(median of {count}): the clocks are apart. The difference is taken out, to within the delay of receipt."
+    )
+
+
+def clock_findings(topic: str, clock: TopicClock, count: int) -> list[str]:
+    """What a pass found of the headers of one topic with so many messages, one sentence each."""
+    found: list[str] = []
+    if clock.left_out:
+        why = "headers fit neither their neighbours nor receipt"
+        told = f"{topic}: {clock.left_out:,} messages were left out: their {why}."
+        found.append(LeftOut(told, clock.left_out, count, f"{topic}: {why}"))
+    if clock.unstamped:
+        found.append(f"{topic}: {clock.unstamped:,} headers are 0; receipt stands for them.")
+    for after_s, by_s in clock.set_back[:3]:
+        found.append(
+            f"{topic}: the clock of the recorder was set back by about {by_s:.1f} s after {after_s:.3f} s: its times "
+            "of receipt come twice. Headers go on, and are believed."
+        )
+    for after_s, by_s in clock.settings[:3]:
+        way = "forward" if by_s > 0 else "back"
+        found.append(
+            f"{topic}: the clock was set {way} by {abs(by_s):.3f} s after {after_s:.3f} s, as receipt shows; "
+            "that is taken out."
+        )
+    if len(clock.settings) > 3:
+        found.append(f"{topic}: the clock was set {len(clock.settings):,} times.")
+    return found
+
+
+def _apart(lag_s: float) -> str:
+    return f"{abs(lag_s):.0f} s {'before' if lag_s > 0 else 'after'}"

@@ -1,0 +1,509 @@
+"""Which topics of a bag tell of its wheels: odometry, joints, counts, speeds or tf; raw ones before a filter's."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice, pairwise
+from typing import Any, Literal
+
+import numpy as np
+
+from wheelsight.core.calibration_parts import HolonomicWheels, Wheels
+from wheelsight.core.errors import ConfigError, RecordingError
+from wheelsight.io.recordings.bags.chunks import TF
+from wheelsight.io.recordings.bags.storage import OpenBag, Topic, TransformTopic
+from wheelsight.io.recordings.bags.wheel_readings import (
+    AllCounts,
+    BasePoses,
+    CountedTicks,
+    CountsApart,
+    Joints,
+    PoseSpeeds,
+    SpeedReader,
+    ToldSpeeds,
+    TwistSpeeds,
+    columns_of,
+    corner_joints,
+    fields_of,
+    increment,
+    planar_of,
+    planar_of_transform,
+    twist_of,
+    wheel_joints,
+)
+
+ODOMETRY, JOINTS = "nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState"
+_TWISTS = ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/TwistWithCovarianceStamped")
+_COUNT = re.compile(r"std_msgs/msg/(?P<sign>U?)Int(?P<bits>16|32|64)")
+_ARRAY = re.compile(r"std_msgs/msg/(?P<sign>U?)Int(?P<bits>16|32|64)MultiArray")
+# Packages of which no message tells of wheels' turns by fields of a left and a right one.
+_OF_ROS = re.compile(
+    r"(std|sensor|geometry|nav|tf2?|rosgraph|diagnostic|visualization|actionlib|stereo|shape|trajectory|map|bond|"
+    r"dynamic_reconfigure|rcl_interfaces|builtin_interfaces|action|lifecycle|statistics|service|theora\w*)_?msgs/|"
+    r"(dynamic_reconfigure|bond|tf|rcl_interfaces|builtin_interfaces|roscpp|rosgraph\w*)/"
+)
+_WHEEL_WORDS = re.compile(r"wheel|controller|diff|base|encoder", re.IGNORECASE)
+_NO_WHEELS = re.compile(
+    r"visual|vio|vo\b|rtabmap|slam|icp|gps|truth|lidar|laser|camera|t265|mocap|vicon|optitrack", re.I
+)
+# What was joined from several sensors: robot_localization, robot_pose_ekf and their like.
+_FUSED = re.compile(r"filter|ekf|ukf|fused|fusion|combined|robot_pose|kalman", re.IGNORECASE)
+_COMMANDED = re.compile(
+    r"cmd|command|request|target|desired|setpoint|goal|teleop|joy|reference|\bset|pwm|duty|current|effort|torque|power|"
+    r"gps|gnss|fix|bump|cliff|drop|light|wall|brush|dist_to|error|load|temp|volt",
+    re.IGNORECASE,
+)
+_COUNTED = re.compile(r"enc|tick|count|pulse|wheel|whl|motor|odom", re.IGNORECASE)
+_COUNTED_FIELD = re.compile(r"enc|tick|count|pulse", re.IGNORECASE)
+_ROLLED_FIELD = re.compile(r"position_?in_?mm|dist\w*_?mm|_mm$", re.IGNORECASE)
+_SPEED_FIELD = re.compile(r"vel|speed|omega|rad_?s", re.IGNORECASE)
+_ONE_SIDE = re.compile(r"(^|[/_])l(?=[/_]|wheel|whl|enc|tick|motor|count|$)", re.IGNORECASE)
+_ODOM_FRAME, _BASE_FRAME = re.compile(r"(?:.*/)?(odom\w*|wheel_odom)"), re.compile(r"(?:.*/)?base(_footprint|_link)?")
+_MOST_SAMPLES, _TF_SAMPLES = 20, 400
+# Of tf, messages that carry a transform are counted where these are few enough to be read in some tenths of a second.
+_MOST_COUNTED = 5000
+# Increments that are looked at for sideways motion: all of a short bag, else as many in windows over all of it.
+_MOST_INCREMENTS, _WINDOWS = 4000, 20
+# A differential drive's own errors (slip, a heading that was taken before a turn) stay below this share of its way.
+_MOST_SIDEWAYS = 0.05
+_LEAST_SIDEWAYS_M = 0.1  # the noise of a robot at rest adds up to less
+_LONGEST_LEVER_M = 1.0  # from a drive's axle to the frame of its base
+
+Kind = Literal["odometry", "joints", "twist", "counts", "columns", "fields", "tf"]
+
+
+@dataclass(frozen=True, slots=True)
+class WheelSource:
+    """A topic that tells of the wheels, and how.
+
+    Attributes:
+        topic: its name, type and count; of tf, one transform.
+        kind: how it tells.
+        sides: joints, fields or places in an array, of the left and the right wheels.
+        right: the right wheel's topic, where each has one.
+        bits: after how many bits counts begin anew; 0 for never.
+        unit: of fields: "counts", "mm" rolled, or "rad/s".
+        transform: of tf.
+        rank: the least is taken.
+        doubt: what speaks against it; empty where nothing does.
+        is_holonomic: whether it is of a base that also moves sideways.
+        places: of its wheels, joints or places in an array, in the order of the calibration's wheels.
+    """
+
+    topic: Topic
+    kind: Kind
+    rank: int
+    sides: Joints | None = None
+    right: str | None = None
+    bits: int = 0
+    unit: str = ""
+    transform: TransformTopic | None = None
+    doubt: str = ""
+    is_holonomic: bool = False
+    places: tuple[str, ...] = ()
+
+    @property
+    def needs_sizes(self) -> bool:
+        """Whether it tells how far or fast wheels turn, of which a calibration must know the sizes."""
+        return self.kind in ("joints", "counts", "columns", "fields")
+
+    @property
+    def tells(self) -> str:
+        """In a few words what it tells, for a user."""
+        sides = "" if self.sides is None else f"{'+'.join(self.sides.left)} and {'+'.join(self.sides.right)}"
+        sides = ", ".join(self.places) or sides
+        return {
+            "odometry": "increments of its poses",
+            "joints": f"the joints {sides}",
+            "twist": "its measured speeds",
+            "counts": f"counts of {self.topic.name} and {self.right}",
+            "columns": f"counts at the places {sides} of its array, counted from 0",
+            "fields": f"{self.unit} of its fields {sides}",
+            "tf": "increments of this transform",
+        }[self.kind]
+
+    def why_not(self, knows_wheels: bool) -> str:
+        """Why it is not taken, for a user."""
+        if self.needs_sizes and not knows_wheels:
+            return f"{self.tells}; their sizes are not known: give a calibration.yaml with wheels by --calibration"
+        return self.doubt or self.tells
+
+    def reader(self, wheels: Wheels, nominal: Wheels, by_twist: bool) -> Callable[[], SpeedReader]:
+        """Makes readers of it. Args: the robot's wheels, those that stand for speeds, whether poses say nothing."""
+        sides = self.sides or Joints((), ())
+        if self.kind == "odometry":
+            return partial(PoseSpeeds, nominal, planar_of, by_twist)
+        if self.kind == "tf":
+            return partial(PoseSpeeds, nominal, self.planar_of_tf, False)
+        if self.kind == "twist":
+            return partial(TwistSpeeds, nominal)
+        if self.kind == "counts":
+            return partial(CountsApart, self.bits)
+        if self.kind == "columns":
+            return partial(CountedTicks, columns_of, sides, self.bits)
+        if self.unit == "rad/s":
+            return partial(ToldSpeeds, fields_of, sides)
+        per_number = 1e-3 / wheels.left_m_per_tick if self.unit == "mm" else 1.0
+        return partial(CountedTicks, fields_of, sides, self.bits, per_number)
+
+    def holonomic_reader(self, wheels: HolonomicWheels, by_twist: bool) -> Callable[[], SpeedReader]:
+        """Makes readers of it as of a holonomic base's. Args: the robot's wheels, whether poses say nothing."""
+        if self.kind == "joints":
+            return partial(AllCounts, self.places, 0, wheels.ticks_per_turn)
+        if self.kind == "columns":
+            return partial(AllCounts, self.places, self.bits)
+        told_of = planar_of if self.kind == "odometry" else self.planar_of_tf
+        return partial(BasePoses, None if by_twist or self.kind == "twist" else told_of)
+
+    def planar_of_tf(self, message: Any) -> Any:
+        """Pose and twist of a message of tf; see `planar_of_transform`."""
+        stamped = None if self.transform is None else self.transform.found_in(message)
+        return None if stamped is None else planar_of_transform(stamped)
+
+
+def is_fused(source: WheelSource) -> bool:
+    """Whether its name says that a filter joined it from several sensors, a gyroscope among them."""
+    return source.kind in ("odometry", "tf", "twist") and bool(_FUSED.search(source.topic.name))
+
+
+def sources_in(bag: OpenBag, topics: Sequence[Topic], sides: Joints | None, is_estimated: bool) -> list[WheelSource]:
+    """All that tells of wheels by itself, the best first.
+
+    Args:
+        bag: is read: some first messages, and the last of arrays.
+        topics: that may be used.
+        sides: of joints, where a user named them.
+        is_estimated: whether poses, twists and tf are an estimate of wheelsight's own.
+    """
+    found: list[WheelSource] = []
+    for topic in topics:
+        with suppress(RecordingError):  # a message that cannot be read tells of nothing
+            found += _sources_of(bag, topic, topics, sides)
+    if is_estimated:
+        found = [source for source in found if source.kind not in ("odometry", "tf", "twist")]
+    if any(topic.type == ODOMETRY for topic in topics):
+        found = [source for source in found if source.kind != "tf"]  # the same once more
+    return sorted(found, key=lambda source: (source.rank, source.topic.name))
+
+
+def _sources_of(bag: OpenBag, topic: Topic, topics: Sequence[Topic], sides: Joints | None) -> Iterator[WheelSource]:
+    if topic.type == ODOMETRY:
+        yield _odometry(topic)
+    elif topic.type == JOINTS:
+        joints = sides or _found_joints(bag, topic.name)
+        if joints is not None:
+            yield WheelSource(topic, "joints", 2, joints)
+    elif topic.type in _TWISTS:
+        if not _COMMANDED.search(topic.name) and not _NO_WHEELS.search(topic.name):
+            yield WheelSource(topic, "twist", 7 if _FUSED.search(topic.name) else 5, doubt=_doubt(topic.name))
+    elif topic.type in TF:
+        yield from _in_tf(bag, topic)
+    elif not _OF_ROS.match(topic.type):
+        yield from _in_fields(bag, topic, None)
+    elif _is_counted(topic.name):
+        yield from _counted(bag, topic, topics)
+
+
+def _counted(bag: OpenBag, topic: Topic, topics: Sequence[Topic]) -> Iterator[WheelSource]:
+    """Counts of a left wheel whose right one has a topic of its own, or of both in an array."""
+    if match := _COUNT.fullmatch(topic.type):
+        right = _other_side(topic.name)
+        if right is not None and any((other.name, other.type) == (right, topic.type) for other in topics):
+            yield WheelSource(topic, "counts", 3, right=right, bits=_bits(match))
+    elif match := _ARRAY.fullmatch(topic.type):
+        places = _places(bag, topic.name)
+        if places is not None:
+            yield WheelSource(topic, "columns", 4, places, bits=_bits(match))
+
+
+def _odometry(topic: Topic) -> WheelSource:
+    is_other = bool(_NO_WHEELS.search(topic.name))
+    by_name = not _WHEEL_WORDS.search(topic.name)
+    return WheelSource(
+        topic, "odometry", 9 if is_other else 7 if _FUSED.search(topic.name) else by_name, doubt=_doubt(topic.name)
+    )
+
+
+def _doubt(name: str) -> str:
+    if _NO_WHEELS.search(name):
+        return "but its name says it is not theirs"
+    if _FUSED.search(name):
+        return "but its name says that a filter joined it from several sensors; raw wheels are better"
+    return ""
+
+
+def _is_counted(name: str) -> bool:
+    return bool(_COUNTED.search(name)) and not _COMMANDED.search(name) and not re.search(r"vel|speed|rpm", name, re.I)
+
+
+def _bits(match: re.Match[str]) -> int:
+    bits = int(match["bits"])
+    return 0 if bits == 64 else bits
+
+
+def _other_side(name: str) -> str | None:
+    """The name with right for left; None where it names no left side."""
+    for left, right in (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT")):
+        if left in name:
+            return name.replace(left, right)
+    changed = _ONE_SIDE.sub(lambda match: f"{match[1]}{'R' if match[0].endswith('L') else 'r'}", name)
+    return changed if changed != name else None
+
+
+def _found_joints(bag: OpenBag, topic: str) -> Joints | None:
+    """The wheels among the joints of some first messages: arm and base may take turns on one topic."""
+    for message in bag.first(topic, _MOST_SAMPLES):
+        joints = wheel_joints(bag.decode(message).name)
+        if joints is not None:
+            return joints
+    return None
+
+
+def _places(bag: OpenBag, topic: str) -> Joints | None:
+    """The only two places of an array, or the only two of which the numbers change over the bag."""
+    arrays = [list(bag.decode(message).data) for message in (*bag.first(topic), bag.last(topic))]
+    length = len(arrays[0])
+    if any(len(array) != length for array in arrays):
+        return None
+    changing = [str(place) for place in range(length) if arrays[0][place] != arrays[-1][place]]
+    pair = ["0", "1"] if length == 2 else changing
+    return Joints((pair[0],), (pair[1],)) if len(pair) == 2 else None
+
+
+def _in_fields(bag: OpenBag, topic: Topic, sides: Joints | None) -> Iterator[WheelSource]:
+    """Fields of a left and a right wheel in a message of a robot's own, by their names."""
+    types = bag.fields(topic.name)
+    if sides is not None:
+        missing = [name for name in (*sides.left, *sides.right) if name not in types]
+        if missing:
+            fix = f"it has {', '.join(types) or 'no plain fields'}"
+            raise ConfigError(f"--topic wheels={topic.name}: {topic.type} has no field {missing[0]}", fix=fix)
+        pairs = [(sides.left[0], sides)]
+    else:
+        names = [(name, _other_side(name)) for name in types if not _COMMANDED.search(name)]
+        pairs = [(name, Joints((name,), (right,))) for name, right in names if right in types and right is not None]
+    for name, pair in pairs:
+        is_whole = "int" in types[name]
+        if is_whole and _COUNTED_FIELD.search(name):
+            bits = int(re.sub(r"\D", "", types[name]))
+            yield WheelSource(topic, "fields", 3, pair, bits=0 if bits == 64 else bits, unit="counts")
+        elif _ROLLED_FIELD.search(name):
+            yield WheelSource(topic, "fields", 3, pair, unit="mm")
+        elif _SPEED_FIELD.search(name) and not is_whole:
+            yield WheelSource(topic, "fields", 4, pair, unit="rad/s")
+
+
+def _in_tf(bag: OpenBag, topic: Topic) -> Iterator[WheelSource]:
+    """What moves a base in an odom frame, by the first messages."""
+    pairs: dict[tuple[str, str], None] = {}
+    for message in bag.first(topic.name, _TF_SAMPLES):
+        for stamped in bag.decode(message).transforms:
+            parent, child = stamped.header.frame_id.lstrip("/"), stamped.child_frame_id.lstrip("/")
+            if _ODOM_FRAME.fullmatch(parent) and _BASE_FRAME.fullmatch(child):
+                pairs[parent, child] = None
+    for parent, child in pairs:
+        transform = counted_transform(bag, topic, parent, child)
+        if transform.count > 1:
+            of = Topic(transform.name, topic.type, transform.count)
+            rank = 7 if _FUSED.search(parent) else 4
+            yield WheelSource(of, "tf", rank, transform=transform, doubt=_doubt(parent))
+
+
+def counted_transform(bag: OpenBag, topic: Topic, parent: str, child: str) -> TransformTopic:
+    """One transform of a topic of tf, and how many messages carry it. Raises ConfigError where none does."""
+    transform = TransformTopic(topic.name, parent, child, topic.count)
+    count = 0
+    for message in islice(bag.messages([topic.name]), _MOST_COUNTED):
+        with suppress(RecordingError):
+            count += transform.found_in(bag.decode(message)) is not None
+    if not count:
+        problem = f"{topic.name} has no transform from {parent} to {child}"
+        raise ConfigError(problem, fix="name two frames that follow each other")
+    return transform if topic.count > _MOST_COUNTED else TransformTopic(topic.name, parent, child, count)
+
+
+def chosen_source(bag: OpenBag, name: str, right: str | None, sides: Joints | None) -> WheelSource:
+    """What a user named.
+
+    Raises:
+        ConfigError: it is not there, is empty, or of a type that tells nothing of wheels.
+        RecordingError: which of its numbers are the wheels' is to be said.
+    """
+    known = {topic.name: topic for topic in bag.topics if topic.count}
+    for one in (name, right):
+        if one is not None and one not in known:
+            names = {source.topic.name for source in sources_in(bag, list(known.values()), None, False)}
+            # Joints without the names of wheels can be named by the user.
+            names |= {topic.name for topic in known.values() if topic.type in (ODOMETRY, JOINTS, *_TWISTS)}
+            readable = ", ".join(sorted(names))
+            fix = f"there are: {readable}" if readable else "the bag has none that tells of wheels"
+            raise ConfigError(f"--topic wheels={one}: {bag.path.name} has no messages of it", fix=fix)
+    topic = known[name]
+    if right is not None or _COUNT.fullmatch(topic.type):
+        return _chosen_counts(topic, right or _other_side(name), known)
+    if topic.type in (ODOMETRY, *_TWISTS):
+        return WheelSource(topic, "odometry" if topic.type == ODOMETRY else "twist", 0)
+    if topic.type == JOINTS:
+        return WheelSource(topic, "joints", 0, sides or _joints_in(bag, name))
+    if topic.type in TF:
+        return _chosen_transform(bag, topic, sides)
+    if match := _ARRAY.fullmatch(topic.type):
+        places = sides or _places(bag, name) or _refuse(bag, name, "not two numbers that change", "0,1")
+        return WheelSource(topic, "columns", 0, places, bits=_bits(match))
+    if not _OF_ROS.match(topic.type):
+        found = next(_in_fields(bag, topic, sides), None)
+        return found or _refuse(bag, name, "no fields that are known for counts or speeds of wheels", "LEFT,RIGHT")
+    types = "Odometry, JointState, TwistStamped, Int16, Int32, their MultiArray, TFMessage"
+    fix = f"{types}, or a robot's own type with fields of a left and a right wheel are read"
+    raise ConfigError(f"--topic wheels={name} is of {topic.type}", fix=fix)
+
+
+def _chosen_counts(topic: Topic, right: str | None, known: Mapping[str, Topic]) -> WheelSource:
+    match = _COUNT.fullmatch(topic.type)
+    if right is None or right not in known:
+        raise ConfigError(f"--topic wheels={topic.name} counts one wheel", fix=f"wheels={topic.name},RIGHT_TOPIC")
+    if match is None or known[right].type != topic.type:
+        types = f"{topic.type} and {known[right].type} are no counts of two wheels"
+        fix = "two topics of std_msgs Int16, Int32 or Int64"
+        raise ConfigError(f"--topic wheels={topic.name},{right}: {types}", fix=fix)
+    return WheelSource(topic, "counts", 0, right=right, bits=_bits(match))
+
+
+def _chosen_transform(bag: OpenBag, topic: Topic, sides: Joints | None) -> WheelSource:
+    if sides is None:
+        found = next(_in_tf(bag, topic), None)
+        return found or _refuse(bag, topic.name, "no transform from odom to base_link", "PARENT,CHILD")
+    transform = counted_transform(bag, topic, sides.left[0].lstrip("/"), sides.right[0].lstrip("/"))
+    return WheelSource(Topic(transform.name, topic.type, transform.count), "tf", 0, transform=transform)
+
+
+def _refuse(bag: OpenBag, name: str, why: str, form: str) -> Any:
+    raise RecordingError(f"{name} has {why}", path=bag.path, fix=f"say which: --topic wheels={name}:{form}")
+
+
+def _joints_in(bag: OpenBag, topic: str) -> Joints:
+    joints = _found_joints(bag, topic)
+    if joints is None:
+        names = dict.fromkeys(name for message in bag.first(topic, _MOST_SAMPLES) for name in bag.decode(message).name)
+        problem = f"no two joints of {topic} are called a left and a right wheel: {', '.join(names)}"
+        raise RecordingError(problem, path=bag.path, fix=f"say which: --topic wheels={topic}:LEFT,RIGHT")
+    return joints
+
+
+def unread_topics(bag: OpenBag, topics: Sequence[Topic], found: Sequence[WheelSource]) -> list[str]:
+    """Sentences on topics that may tell of wheels by their names or types, and are not understood."""
+    read = {name for source in found for name in (source.topic.name, source.right)}
+    told = []
+    for topic in topics:
+        if topic.name in read:
+            continue
+        if topic.type == JOINTS:
+            told.append(f"{topic.name} is not used: no two of its joints are called a left and a right wheel.")
+        elif (
+            (topic.type in _TWISTS or re.search(r"std_msgs/msg/(U?Int|Float)", topic.type))
+            and re.search(r"wheel|whl|enc|tick|odom", topic.name, re.IGNORECASE)
+            and not _COMMANDED.search(topic.name)
+        ):
+            how = f"--topic wheels={topic.name}:LEFT,RIGHT, or write a wheels.csv of stamp_s,left,right"
+            told.append(f"{topic.name} may tell of wheels, and is not understood: {how}.")
+    return told
+
+
+def holonomic_source(
+    bag: OpenBag, topics: Sequence[Topic], wheels: HolonomicWheels, named: str | None, places: Sequence[str]
+) -> WheelSource | None:
+    """Joints or an array of all wheels of a holonomic base, by the names of its wheels, or as a user named them.
+
+    Raises:
+        RecordingError: of a topic that a user named, which of its numbers are which wheel's is to be said.
+    """
+    count = len(wheels.wheel_names)
+    for topic in topics if count else ():
+        if named is not None and topic.name != named:
+            continue
+        if topic.type == JOINTS:
+            found = tuple(places) or _joints_of_all(bag, topic.name, wheels)
+            if len(found) == count:
+                return WheelSource(topic, "joints", 0, is_holonomic=True, places=found)
+        elif match := _ARRAY.fullmatch(topic.type):
+            first = bag.decode(bag.first(topic.name)[0]).data
+            found = tuple(places) or (tuple(map(str, range(count))) if len(first) == count else ())
+            if len(found) == count and (named is not None or _is_counted(topic.name)):
+                return WheelSource(topic, "columns", 0, bits=_bits(match), is_holonomic=True, places=found)
+        else:
+            continue
+        if named is not None:
+            names = ",".join(wheels.wheel_names)
+            _refuse(bag, topic.name, f"not {count} numbers that are known for the calibration's wheels", names.upper())
+    return None
+
+
+def _joints_of_all(bag: OpenBag, topic: str, wheels: HolonomicWheels) -> tuple[str, ...]:
+    for message in bag.first(topic, _MOST_SAMPLES):
+        names = bag.decode(message).name
+        if set(wheels.wheel_names) <= set(names):
+            return wheels.wheel_names
+        if wheels.layout == "mecanum" and (found := corner_joints(names)) is not None:
+            return found
+    return ()
+
+
+def sideways(bag: OpenBag, source: WheelSource) -> str | None:
+    """How much of an odometry's way is sideways, where it is more than two wheels can roll; else None.
+
+    What a turn moves sideways is taken out: the axle may be before or behind the base, and a heading may be taken
+    before a turn or after.
+    """
+    steps = _steps(bag, source)
+    if len(steps) < 2:
+        return None
+    ahead_m, across_m, turn_rad = steps.T
+    lever_m = float(across_m @ turn_rad / max(turn_rad @ turn_rad, 1e-12))
+    if abs(lever_m) <= _LONGEST_LEVER_M:
+        across_m = across_m - lever_m * turn_rad
+    across_m = np.maximum(np.abs(across_m) - np.abs(ahead_m * turn_rad) / 2, 0)
+    sideways_m, way_m = float(across_m.sum()), float(np.hypot(ahead_m, across_m).sum())
+    if sideways_m < max(_LEAST_SIDEWAYS_M, _MOST_SIDEWAYS * way_m):
+        return None
+    share = 100 * sideways_m / way_m
+    looked_at = f"{sideways_m:.2f} of {way_m:.2f} m that were looked at ({share:.0f} %)"
+    return f"{looked_at} are sideways"
+
+
+def _steps(bag: OpenBag, source: WheelSource) -> np.ndarray:
+    """(N, 3) way ahead, way across and turn between messages that follow each other, of all or of some windows."""
+    name = source.topic.name
+    if source.transform is not None:
+        bag.add_transforms([source.transform])
+    if source.kind not in ("odometry", "twist", "tf"):
+        return np.zeros((0, 3))
+    windows: list[tuple[int, int | None]] = [(bag.start_ns, None)]
+    most = _MOST_INCREMENTS
+    if source.topic.count > _MOST_INCREMENTS:
+        begins = np.linspace(bag.start_ns, bag.end_ns, _WINDOWS + 1).astype(np.int64).tolist()
+        windows, most = list(pairwise(begins)), _MOST_INCREMENTS // _WINDOWS
+    steps: list[tuple[float, float, float]] = []
+    for start_ns, stop_ns in windows:
+        told: list[tuple[float, Any]] = []
+        for message in islice(bag.messages([name], start_ns, stop_ns), most):
+            with suppress(RecordingError):
+                told.append((message.receipt_s, bag.decode(message)))
+        steps += _between(source, told)
+    return np.array(steps).reshape(-1, 3)
+
+
+def _between(source: WheelSource, told: Sequence[tuple[float, Any]]) -> list[tuple[float, float, float]]:
+    if source.kind == "twist":
+        speeds = [(at_s, twist_of(message)) for at_s, message in told]
+        return [
+            (speed[0] * (b - a), speed[1] * (b - a), speed[2] * (b - a))
+            for (a, speed), (b, _) in pairwise(speeds)
+            if speed is not None and 0 < b - a < 1
+        ]
+    of = planar_of if source.kind == "odometry" else source.planar_of_tf
+    poses = [found for found in (of(message) for _, message in told) if found is not None]
+    return [increment(before, now) for before, now in pairwise(poses)]

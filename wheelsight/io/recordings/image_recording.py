@@ -1,0 +1,231 @@
+"""A recording kept as image files: what all folder formats come down to once their lists are read."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import CalibrationError, RecordingError
+from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelReading, YawRate
+from wheelsight.core.stamps import associate, unit_of
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings.images import (
+    DepthEncoding,
+    corrected_depth,
+    image_size,
+    read_ahead,
+    read_color,
+    read_depth,
+)
+from wheelsight.io.recordings.recording import AssociationReport, ListedFrame, express_for
+from wheelsight.io.recordings.tables import ListedFile
+
+_FRAMES_READ_AHEAD = 4
+_FRAMES_TRIED = 8
+
+
+@dataclass(frozen=True, slots=True)
+class FramePaths:
+    """The two image files of a frame; its time is that of the colour image, in seconds, depth was so much later."""
+
+    stamp_s: float
+    color: Path
+    depth: Path
+    depth_late_s: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class ImageRecording:
+    """A `Recording` made of image files. Attributes beside the protocol's:
+
+    frames: the image files of each frame, in order of time.
+    encoding: how depth images are to be read.
+    wheels: readings of the wheel encoders, in order of time.
+    yaw_rates: readings of a gyroscope, in order of time.
+    """
+
+    name: str
+    path: Path
+    format: str
+    calibration: Calibration
+    association: AssociationReport
+    frames: tuple[FramePaths, ...]
+    encoding: DepthEncoding
+    ground_truth: Trajectory | None = None
+    warnings: tuple[str, ...] = ()
+    wheels: tuple[WheelReading, ...] = ()
+    yaw_rates: tuple[YawRate, ...] = ()
+
+    @property
+    def body(self) -> str:
+        """The frame the ground truth describes: "base" where the calibration has one, else "camera"."""
+        return "camera" if self.calibration.T_base_camera is None else "base"
+
+    @property
+    def frame_count(self) -> int:
+        """How many frames `events()` will yield, skipped ones included."""
+        return len(self.frames)
+
+    @property
+    def wheel_count(self) -> int:
+        """How many wheel readings `events()` will yield."""
+        return len(self.wheels)
+
+    def events(self, *, images: bool = True) -> Iterator[Event]:
+        """Frames (unless without `images`) and readings in order of time, from the start at each call.
+
+        Images are decoded a few frames ahead.
+        """
+        listed = (event for event in self.listed() if images or not isinstance(event, ListedFrame))
+        events = (event.read() if isinstance(event, ListedFrame) else event for event in listed)
+        return read_ahead(events, _FRAMES_READ_AHEAD)
+
+    def listed(self) -> Iterator[Event | ListedFrame]:
+        """Frames that are still to be decoded, and readings, in order of time."""
+        stamps_s = [*(frame.stamp_s for frame in self.frames), math.inf]
+        frames = (
+            ListedFrame(stamp_s, next_stamp_s, partial(self._frame_or_reason, index))
+            for index, (stamp_s, next_stamp_s) in enumerate(pairwise(stamps_s))
+        )
+        return heapq.merge(self.yaw_rates, self.wheels, frames, key=_stamp_s)
+
+    def read_frame(self, index: int) -> RgbdFrame:
+        """The frame at `index`. Raises RecordingError naming the file and what makes it unusable."""
+        files = self.frames[index]
+        error = self.calibration.depth_error
+        encoding = replace(self.encoding, disparity=error) if error.is_of_disparity else self.encoding
+        color, depth_m = read_color(files.color), read_depth(files.depth, encoding)
+        registered = self.calibration.is_registered
+        if registered and color.shape[:2] != depth_m.shape:
+            problem = f"depth image is {image_size(depth_m)}, its colour image {image_size(color)}"
+            raise RecordingError(problem, path=files.depth, fix="register depth to colour, or give T_color_depth")
+        depth_m = corrected_depth(color, depth_m, self.calibration, (files.color, files.depth))
+        return RgbdFrame(files.stamp_s, color, depth_m, index, files.depth_late_s)
+
+    def _frame_or_reason(self, index: int) -> RgbdFrame | SkippedFrame:
+        try:
+            return self.read_frame(index)
+        except RecordingError as error:
+            return SkippedFrame(self.frames[index].stamp_s, error.problem, index)
+
+
+class PairedImages(NamedTuple):
+    """The frames of a folder, and how colour and depth were paired."""
+
+    frames: tuple[FramePaths, ...]
+    association: AssociationReport
+
+
+def recording_of(
+    folder: Path,
+    reader: str,
+    calibration: Calibration,
+    images: PairedImages,
+    encoding: DepthEncoding,
+    truth: Trajectory | None,
+    warnings: Sequence[str],
+) -> ImageRecording:
+    """The recording in a folder, tried: some frame can be read, truth is told for its body, warnings are added.
+
+    Args:
+        folder: where it lies, whose name is the recording's.
+        reader: its name.
+        calibration, encoding: as `ImageRecording` has them.
+        images: its frames.
+        truth: T_frame_body of camera or base.
+        warnings: of what was read so far.
+
+    Raises:
+        RecordingError: none of some frames spread over the recording can be used; says why the first cannot.
+        CalibrationError: the ground truth describes another body, and nothing says where that is.
+    """
+    made = ImageRecording(
+        name=folder.resolve().name,
+        path=folder,
+        format=reader,
+        calibration=calibration,
+        association=images.association,
+        frames=images.frames,
+        encoding=encoding,
+        ground_truth=truth,
+        warnings=tuple(warnings),
+    )
+    _try_frames(made)
+    return _with_truth(made)
+
+
+def _with_truth(recording: ImageRecording) -> ImageRecording:
+    """With the true poses of its own body, and a warning where they do not reach over all frames."""
+    if recording.ground_truth is None:
+        return recording
+    try:
+        truth = express_for(recording.body, recording.ground_truth, recording.calibration)
+    except CalibrationError as error:
+        raise CalibrationError(f"ground truth: {error.problem}", path=recording.path, fix=error.fix) from error
+    return replace(recording, ground_truth=truth, warnings=(*recording.warnings, *_coverage(recording, truth)))
+
+
+def pair_images(
+    color: Sequence[ListedFile], depth: Sequence[ListedFile], max_gap_s: float, color_list: Path
+) -> PairedImages:
+    """Frames of the colour and depth images that belong together, and how that went.
+
+    Raises:
+        RecordingError: no two images lie within `max_gap_s` seconds; names the list and the nearest gap.
+    """
+    color_s, depth_s = (np.array([file.stamp_s for file in files], float) for files in (color, depth))
+    pairs = associate(color_s, depth_s, max_gap_s)
+    if not len(pairs):
+        after = np.searchsorted(depth_s, color_s)
+        beside = (depth_s[(after - 1).clip(0)], depth_s[after.clip(max=len(depth_s) - 1)])
+        nearest_s = min(float(np.abs(color_s - other).min()) for other in beside)
+        problem = f"no depth image lies within {max_gap_s:g} s of a colour image; the nearest pair is {nearest_s:.6g} s"
+        unit = unit_of(color_s)
+        fix = "check that both lists use one clock, or raise --max-gap"
+        if unit is not None and unit.per_second is not None:
+            fix = f"stamps look like {unit.name}: --rate-hz {unit.per_second:.0f}"
+        raise RecordingError(f"{problem} apart", path=color_list, fix=fix)
+    late_s = depth_s[pairs[:, 1]] - color_s[pairs[:, 0]]
+    frames = tuple(
+        FramePaths(color[i].stamp_s, color[i].path, depth[j].path, late)
+        for (i, j), late in zip(pairs.tolist(), late_s.tolist(), strict=True)
+    )
+    largest_s = float(np.abs(color_s[pairs[:, 0]] - depth_s[pairs[:, 1]]).max())
+    return PairedImages(frames, AssociationReport(len(color), len(depth), len(frames), max_gap_s, largest_s))
+
+
+def _stamp_s(event: Event | ListedFrame) -> float:
+    return event.stamp_s
+
+
+def _try_frames(recording: ImageRecording) -> None:
+    """Read frames spread over the recording until one is usable; if none is, the first one's error is the answer."""
+    first: RecordingError | None = None
+    tried = np.linspace(0, len(recording.frames) - 1, _FRAMES_TRIED).astype(int)
+    for index in dict.fromkeys(tried.tolist()):
+        try:
+            recording.read_frame(index)
+            return
+        except RecordingError as error:
+            first = first or error
+    if first is not None:
+        raise first
+
+
+def _coverage(recording: ImageRecording, truth: Trajectory) -> list[str]:
+    """A warning where the ground truth does not reach over all frames."""
+    start_s, end_s = truth.stamps_s[0], truth.stamps_s[-1]
+    covered = sum(bool(start_s <= frame.stamp_s <= end_s) for frame in recording.frames)
+    slack = 0 if len(recording.frames) < 3 else 2
+    if covered + slack >= len(recording.frames):
+        return []
+    return [f"The ground truth covers {covered} of {len(recording.frames)} frames; only these can be evaluated."]

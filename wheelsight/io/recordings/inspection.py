@@ -1,0 +1,586 @@
+"""`inspect_recording` returns the contents of a recording and warnings about it: gaps, repeated frames, depth range,
+and the offset between colour and depth edges.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import cv2
+import numpy as np
+
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.checks import Repeats
+from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, IntArray, se3
+from wheelsight.core.messages import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame, WheelReading, YawRate
+from wheelsight.evaluation import SequenceStatistics, sequence_statistics
+from wheelsight.io.recordings.clock_checks import MotionClock, MotionOffset
+from wheelsight.io.recordings.native import FrameClock, read_frame_clocks
+from wheelsight.io.recordings.recording import AssociationReport, ListsTopics, RecordedTopic, Recording, left_out_of
+
+# Where colour images show what depth images show, as their edges tell: near shared pixels, or far from them.
+
+
+# How far colour and depth are searched for each other, in pixels of images of about this width.
+_SEARCH_WIDTH = 320
+_SEARCH_PX = (20, 8)
+_SEARCH_SCALES = np.round(np.arange(0.84, 1.161, 0.02), 2)
+_WIDEST_SHADOW_PX = 30
+_DEPTH_STEP = 0.08
+# Farther off, of another lens or mirrored, they are searched for coarsely, in images of about this width, over half to
+# twice the size and a seventh of the width, in some of the frames.
+_FAR_WIDTH = 160
+_FAR_PX = (24, 16)
+_FAR_SCALES = np.exp(0.04 * np.arange(-18, 19))
+_FAR_FRAMES = 8
+_AS_IS = len(_FAR_SCALES) // 2
+# A fit stands out where it is so many standard deviations of all shifts, and so much above those at the same size. Real
+# recordings and simulated ones have 9 to 24 where they fit, and up to 8 by chance of what repeats.
+_FAR_STANDS_OUT, _FAR_FACTOR = 8.5, 1.5
+_FLIPS = ((False, False), (True, False), (False, True), (True, True))
+_FLIP_WORDS = {(True, False): "mirrored left to right", (False, True): "upside down", (True, True): "turned by 180°"}
+# Where images lie by a calibration and where they do, as a share of the width, median over the image.
+FAR_FROM_CALIBRATED = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class RegistrationOffset:
+    """Where the colour image shows what the depth image shows, as their edges tell.
+
+    Attributes:
+        shift_px: (right, down) that the colour image's things lie from the depth image's in the image's middle.
+        scale: how many times as large they are.
+        strength: mean contrast of colour edges at depth edges moved by shift and scale (all contrast: 1, by chance: 0).
+        strength_as_is: the same where depth edges lie.
+        flips: whether colour shows things mirrored left to right, and upside down.
+    """
+
+    shift_px: tuple[float, float]
+    scale: float
+    strength: float
+    strength_as_is: float
+    flips: tuple[bool, bool] = (False, False)
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the images fit clearly better when moved."""
+        return self.strength > 1.5 * max(self.strength_as_is, 0.0)
+
+    def __str__(self) -> str:
+        """In words, for a user."""
+        right, down = self.shift_px
+        across = f"{abs(right):.0f} px {'left' if right < 0 else 'right'}"
+        along = f"{abs(down):.0f} px {'up' if down < 0 else 'down'}"
+        size = f"shows things {self.scale:.2f} times as large"
+        if any(self.flips):
+            size += f" and {_FLIP_WORDS[self.flips]}"
+        return f"in the middle of the image colour lies {across} and {along} of depth, and {size}"
+
+
+class OffsetMeter:
+    """Sums, over frames, how well depth edges fall on colour edges for each scale and shift (cross-correlation)."""
+
+    def __init__(self) -> None:
+        self._fit: FloatArray = np.zeros((len(_SEARCH_SCALES), 2 * _SEARCH_PX[1] + 1, 2 * _SEARCH_PX[0] + 1))
+        self._edges = 0.0
+        self._reduction = 1
+        self._far = _FarSearch()
+
+    def add(self, color: ByteArray, depth_m: Float32Array) -> None:
+        """Count in one frame; both images (H, W)."""
+        height, width = depth_m.shape
+        self._reduction = max(1, round(width / _SEARCH_WIDTH))
+        size = (width // self._reduction, height // self._reduction)
+        right, down = _SEARCH_PX
+        contrasts, borders = _color_contrast(color), _depth_borders(depth_m)
+        self._far.keep(contrasts, borders)
+        if size[0] <= 2 * right or size[1] <= 2 * down:
+            return  # smaller than the shifts that are tried
+        spectra = [cv2.dft(cv2.resize(contrast, size, interpolation=cv2.INTER_AREA)) for contrast in contrasts]
+        for index, scale in enumerate(_SEARCH_SCALES):
+            about = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), 0.0, float(scale))
+            product = np.zeros_like(spectra[0])
+            for spectrum, border in zip(spectra, borders, strict=True):
+                moved = cv2.resize(cv2.warpAffine(border, about, (width, height)), size, interpolation=cv2.INTER_AREA)
+                product += _correlation(spectrum, moved)
+            fit = cv2.idft(product, flags=cv2.DFT_SCALE)
+            self._fit[index] += np.roll(fit, (down, right), (0, 1))[: 2 * down + 1, : 2 * right + 1]
+        self._edges += sum(float(border.sum()) for border in borders) / self._reduction**2
+
+    def offset(self) -> RegistrationOffset | None:
+        """The best fit, or None where none stands out; first among those far off, which seem near by chance at best."""
+        return self._far.offset() or self._near()
+
+    def _near(self) -> RegistrationOffset | None:
+        if not self._edges or self._fit.max() < 5 * self._fit.std():
+            return None
+        scale, down, right = np.unravel_index(self._fit.argmax(), self._fit.shape)
+        as_is = self._fit[len(_SEARCH_SCALES) // 2, _SEARCH_PX[1], _SEARCH_PX[0]]
+        shift = self._reduction * (np.array([right, down]) - _SEARCH_PX)
+        strength, strength_as_is = float(self._fit.max()) / self._edges, float(as_is) / self._edges
+        at = (float(shift[0]), float(shift[1]))
+        return RegistrationOffset(at, float(_SEARCH_SCALES[scale]), strength, strength_as_is)
+
+
+class _FarSearch:
+    """The same over sizes and shifts that are far apart, and over mirror images, on the edges of a few frames.
+
+    Only what is found far off counts: a size that the near search does not reach, or a mirror image.
+    """
+
+    def __init__(self) -> None:
+        self._kept: list[list[tuple[Any, IntArray]]] = []
+        self._shape = (0, 0)
+
+    def keep(self, contrasts: list[Float32Array], borders: list[Float32Array]) -> None:
+        """Keep a frame's colour contrast, made small, and the pixels of its depth edges."""
+        height, width = self._shape = (int(borders[0].shape[0]), int(borders[0].shape[1]))
+        small = (cv2.resize(c, _far_size(width, height), interpolation=cv2.INTER_AREA) for c in contrasts)
+        self._kept.append([(c, np.argwhere(b > 0)[:, ::-1]) for c, b in zip(small, borders, strict=True)])
+
+    def offset(self) -> RegistrationOffset | None:
+        """What is found far off, or None."""
+        every = -(-len(self._kept) // _FAR_FRAMES) if self._kept else 1
+        edges = [(cv2.dft(contrast), px) for kept in self._kept[::every] for contrast, px in kept]
+        if not any(len(px) for _, px in edges):
+            return None
+        fits = {
+            (flips, scale): self._fit(edges, flips, float(_FAR_SCALES[scale]))
+            for flips in _FLIPS
+            for scale in range(len(_FAR_SCALES))
+        }
+        (flips, scale), best = max(fits.items(), key=lambda item: item[1].deviations)
+        as_is = fits[_FLIPS[0], _AS_IS]
+        reach = float(_SEARCH_SCALES[-1])
+        is_far = any(flips) or not 1 / reach < _FAR_SCALES[scale] < reach
+        if not is_far or best.deviations < max(_FAR_STANDS_OUT, _FAR_FACTOR * as_is.deviations):
+            return None
+        return replace(best.offset, flips=flips, strength_as_is=as_is.offset.strength_as_is)
+
+    def _fit(self, edges: list[tuple[Any, IntArray]], flips: tuple[bool, bool], scale: float) -> _FarFit:
+        """How well edges that are flipped and scaled about the middle fall on contrast, best over all shifts."""
+        (height, width), (right, down) = self._shape, _FAR_PX
+        columns, rows = _far_size(width, height)
+        middle, step = np.array([(width - 1) / 2, (height - 1) / 2]), np.array([width / columns, height / rows])
+        signs, count = np.where(flips, -scale, scale), 0
+        # The transform is linear: it is inverted once, of the sum.
+        product = np.zeros_like(edges[0][0])
+        for spectrum, px in edges:
+            x, y = np.floor((signs * (px - middle) + middle + 0.5) / step).astype(np.int64).T
+            inside = (x >= 0) & (x < columns) & (y >= 0) & (y < rows)
+            count += int(np.count_nonzero(inside))
+            moved = np.bincount(y[inside] * columns + x[inside], minlength=rows * columns).reshape(rows, columns)
+            product += _correlation(spectrum, moved.astype(np.float32))
+        fit = cv2.idft(product, flags=cv2.DFT_SCALE)
+        near = np.roll(fit, (down, right), (0, 1))[: 2 * down + 1, : 2 * right + 1]
+        y_best, x_best = np.unravel_index(near.argmax(), near.shape)
+        shift_px = step * (np.array([x_best, y_best]) - _FAR_PX)
+        strength, as_is = float(near.max()) / max(count, 1), float(fit[0, 0]) / max(count, 1)
+        offset = RegistrationOffset((float(shift_px[0]), float(shift_px[1])), round(scale, 2), strength, as_is)
+        return _FarFit(float(near.max() / max(fit.std(), 1e-12)), offset)
+
+
+@dataclass(frozen=True, slots=True)
+class _FarFit:
+    """The best shift of one size and flip; `deviations` of all shifts, standard ones, by which it stands out."""
+
+    deviations: float
+    offset: RegistrationOffset
+
+
+def _correlation(spectrum: Any, moved: Any) -> Any:
+    """The spectrum of how well an image falls on one of that spectrum, over all shifts; as OpenCV packs it."""
+    return cv2.mulSpectrums(spectrum, cv2.dft(moved), 0, conjB=True)
+
+
+def _far_size(width: int, height: int) -> tuple[int, int]:
+    reduction = max(1, round(width / _FAR_WIDTH))
+    return width // reduction, height // reduction
+
+
+def off_calibrated(offset: RegistrationOffset, calibration: Calibration, depth_m: float) -> float:
+    """How far colour lies from where a calibration with T_color_depth has it, as a share of the width.
+
+    The median over the image of what is `depth_m` away; NaN where little of it is in both images.
+    """
+    color, depth = calibration.cameras
+    assert calibration.T_color_depth is not None
+    size = np.array([depth.width, depth.height], float)
+    px = (np.stack(np.meshgrid(np.linspace(0.1, 0.9, 9), np.linspace(0.1, 0.9, 7)), axis=-1).reshape(-1, 2)) * size
+    expected, is_seen = color.project(
+        se3.apply(calibration.T_color_depth, depth.back_project(px, np.full(len(px), depth_m)))
+    )
+    signs, shift = np.where(offset.flips, -offset.scale, offset.scale), np.array(offset.shift_px)
+    if not offset.is_clear:
+        signs, shift = np.ones(2), np.zeros(2)
+    seen = signs * (px - size / 2) + size / 2 + shift
+    off_px = np.linalg.norm(seen - expected, axis=1)[is_seen]
+    return float(np.median(off_px) / depth.width) if len(off_px) >= len(px) / 4 else float("nan")
+
+
+def _color_contrast(color: ByteArray) -> list[Float32Array]:
+    """Brightness steps along x and along y (H, W): 1 on average, then less their neighbourhood's mean."""
+    grey = cv2.GaussianBlur(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1.5)
+    images = []
+    for along_x in (1, 0):
+        step = np.abs(cv2.Sobel(grey, cv2.CV_32F, along_x, 1 - along_x))
+        step = np.minimum(step, np.percentile(step, 95))
+        step /= max(float(step.mean()), 1e-6)
+        images.append(step - cv2.blur(step, (81, 81)))
+    return images
+
+
+def _depth_borders(depth_m: Float32Array) -> list[Float32Array]:
+    """1 at the near side of depth steps along x and along y (H, W), else 0; the shadow beside it is crossed."""
+    return [_borders_along_rows(depth_m), np.ascontiguousarray(_borders_along_rows(depth_m.T).T)]
+
+
+def _borders_along_rows(depth_m: Float32Array) -> Float32Array:
+    columns = np.arange(depth_m.shape[1])
+    newest = np.maximum.accumulate(np.where(depth_m > 0, columns, -1), axis=1)
+    before = np.pad(newest, ((0, 0), (1, 0)), constant_values=-1)[:, :-1]
+    rows, here = np.nonzero((depth_m > 0) & (before >= 0) & (columns - before <= _WIDEST_SHADOW_PX))
+    there = before[rows, here]
+    step = np.log(depth_m[rows, here] / depth_m[rows, there])
+    borders = np.zeros(depth_m.shape, np.float32)
+    for is_step, column in ((step > _DEPTH_STEP, there), (step < -_DEPTH_STEP, here)):
+        borders[rows[is_step], column[is_step]] = 1
+    return borders
+
+
+# What camera_clock.csv tells of a recording as a whole: how the camera's clock was mapped, and how surely.
+
+
+@dataclass(frozen=True, slots=True)
+class ClockMapping:
+    """Of a live camera's clock to the host's, over a recording.
+
+    Attributes:
+        frames: how many tell of it.
+        offset_s: host time less the camera's, at the first frame that has a stamp of the camera; None where none has.
+        drift_ppm: how much faster than the host's the camera's clock ran, millionths; None for fewer than two frames.
+        sigma_median_s, sigma_largest_s: standard deviation of the mapping.
+        arrival_median_s, arrival_p95_s: from a frame's stamp until the host was handed it.
+        missing: numbers that the camera gave and that never came.
+    """
+
+    frames: int
+    offset_s: float | None
+    drift_ppm: float | None
+    sigma_median_s: float
+    sigma_largest_s: float
+    arrival_median_s: float
+    arrival_p95_s: float
+    missing: int
+
+
+def clock_mapping(clocks: Sequence[FrameClock]) -> ClockMapping | None:
+    """In figures; None where there is no frame."""
+    if not clocks:
+        return None
+    sigmas_s = np.array([clock.stamp_sigma_s for clock in clocks])
+    arrivals_s = np.array([clock.arrived_s - clock.stamp_s for clock in clocks])
+    paired = [(clock.device_s, clock.stamp_s) for clock in clocks if clock.device_s is not None]
+    numbers = [clock.sequence for clock in clocks if clock.sequence is not None]
+    steps = np.diff(np.array(numbers, float))
+    # A camera that was plugged in again numbers its frames anew: such a step tells of no missing ones.
+    missing = int((steps[steps > 0] - 1).sum()) if len(steps) else 0
+    return ClockMapping(
+        frames=len(clocks),
+        offset_s=paired[0][1] - paired[0][0] if paired else None,
+        drift_ppm=_drift_ppm(np.array(paired, float).reshape(-1, 2)),
+        sigma_median_s=float(np.median(sigmas_s)),
+        sigma_largest_s=float(sigmas_s.max()),
+        arrival_median_s=float(np.median(arrivals_s)),
+        arrival_p95_s=float(np.percentile(arrivals_s, 95)),
+        missing=missing,
+    )
+
+
+def _drift_ppm(paired_s: np.ndarray) -> float | None:
+    """By the median of the slopes over a quarter of the stamps: a leap of the clock is in a third of them at most."""
+    quarter = max(len(paired_s) // 4, 1)
+    steps = paired_s[quarter:] - paired_s[:-quarter]
+    steps = steps[steps[:, 1] > 0]
+    return float(1e6 * np.median(steps[:, 0] / steps[:, 1] - 1)) if len(steps) else None
+
+
+# What is in a recording, and what a user should know before trusting results made from it.
+
+
+_GAP_PERIODS = 3.0
+_DEPTH_STRIDE = 4
+_PLAUSIBLE_SHARE = 0.5
+_NEAR_SHARE = 0.2  # nearer than a sensor measures, some depth is wrong always; so much of it is a wrong scale
+_OFFSET_FRAMES = 16
+_DEPTH_EDGES_M = np.geomspace(1e-3, 1e3, 6001)
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A stretch without frames: after `start_s`, for `length_s` seconds."""
+
+    start_s: float
+    length_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Inspection:
+    """A recording in figures.
+
+    Attributes:
+        name: the recording's.
+        format: its reader's name.
+        body: the frame its trajectory describes.
+        camera: colour camera: image size, focal lengths, where the numbers come from; None without one.
+        wheels: radii, track width, where the numbers come from; None where the calibration has no wheels.
+        is_registered: whether, by its calibration, depth and colour share one pixel grid; None without cameras.
+        frames: how many are listed.
+        skipped: (why, how many) of those that cannot be used.
+        wheel_readings: how many there are of the wheels.
+        yaw_readings: how many there are of a gyroscope.
+        duration_s: from the first frame to the last, or where there are none of the wheel readings.
+        rate_hz: of the same, at their median period; NaN with fewer than two.
+        gaps: stretches without one of these longer than three periods.
+        valid_depth_share: share of depth pixels that measured something; NaN without a usable frame.
+        depth_m: depth in metres at the 5th, 50th and 95th percentile; NaN where nothing was measured.
+        offset: how far colour lies from depth, as seen in the images; None where too little is seen to say.
+        association: how colour and depth were paired.
+        ground_truth: Zhang's Table 2 statistics of it, or None.
+        warnings: one sentence each.
+        topics: of a bag, all of them and what each is used as; else none.
+        clock: how the clock of the live camera that it is from was mapped; None where that is not known.
+        repeated: how many frames show the image of the frame before.
+        left_out: (why, how many, of how many) lines or messages of readings and truth that were not used.
+        motion: how far the camera's stamps are ahead of the wheels', by the turns of both; None without either.
+    """
+
+    name: str
+    format: str
+    body: str
+    camera: str | None
+    wheels: str | None
+    is_registered: bool | None
+    frames: int
+    skipped: tuple[tuple[str, int], ...]
+    wheel_readings: int
+    yaw_readings: int
+    duration_s: float
+    rate_hz: float
+    gaps: tuple[Gap, ...]
+    valid_depth_share: float
+    depth_m: dict[str, float]
+    offset: RegistrationOffset | None
+    association: AssociationReport
+    ground_truth: SequenceStatistics | None
+    warnings: tuple[str, ...]
+    topics: tuple[RecordedTopic, ...] = ()
+    clock: ClockMapping | None = None
+    repeated: int = 0
+    motion: MotionOffset | None = None
+    left_out: tuple[tuple[str, int, int], ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """All of it as plain nested values; may hold NaN."""
+        return asdict(self)
+
+
+def inspect_recording(recording: Recording, on_event: Callable[[], None] | None = None) -> Inspection:
+    """Read a whole recording once, every image of it, and say what is in it.
+
+    `on_event` is called after each frame, or where there are none each wheel reading, for a progress bar.
+    Raises RecordingError when it cannot be read on.
+    """
+    tally = _Tally(recording)
+    for event in recording.events():
+        tally.add(event)
+        if on_event is not None and isinstance(event, tally.counted):
+            on_event()
+    stamps_s = np.array(tally.stamps_s, float)
+    period_s = float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else float("nan")
+    truth, calibration = recording.ground_truth, recording.calibration
+    motion = tally.turns.offset() if tally.wheel_readings and recording.frame_count else None
+    offset = tally.offset_meter.offset()
+    return Inspection(
+        name=recording.name,
+        format=recording.format,
+        body=recording.body,
+        camera=_camera(calibration),
+        wheels=_wheels(calibration),
+        is_registered=None if calibration.color is None else calibration.is_registered,
+        frames=recording.frame_count,
+        skipped=tuple(tally.skipped.most_common()),
+        wheel_readings=tally.wheel_readings,
+        yaw_readings=tally.yaw_readings,
+        duration_s=float(np.ptp(stamps_s)) if len(stamps_s) else 0.0,
+        rate_hz=1 / period_s if period_s > 0 else float("nan"),
+        gaps=_gaps(stamps_s, period_s),
+        valid_depth_share=tally.valid_share,
+        depth_m=tally.depth_percentiles_m(),
+        offset=offset,
+        association=recording.association,
+        ground_truth=sequence_statistics(truth) if truth is not None and len(truth) > 1 else None,
+        warnings=(*recording.warnings, *_warnings(tally, offset, recording), *_clock_warnings(motion, recording)),
+        topics=tuple(recording.topics) if isinstance(recording, ListsTopics) else (),
+        clock=clock_mapping(read_frame_clocks(recording.path)) if recording.path.is_dir() else None,
+        repeated=tally.repeated,
+        motion=motion,
+        left_out=tuple((why, *counts) for why, counts in left_out_of(recording.warnings).items()),
+    )
+
+
+def _clock_warnings(motion: MotionOffset | None, recording: Recording) -> list[str]:
+    """That the clocks of camera and wheels are apart, by the turns of both."""
+    if motion is None or motion.offset_s is None or not motion.is_apart:
+        return []
+    wheels = recording.calibration.any_wheels
+    delay_s = (0.0 if wheels is None else wheels.delay_s) - motion.offset_s
+    return [
+        f"By the turns of both, the camera's stamps are {motion} of the wheels': the clocks are apart. "
+        f"Say `delay_s: {delay_s:.3f}` of the calibration's wheels."
+    ]
+
+
+def _warnings(tally: _Tally, offset: RegistrationOffset | None, recording: Recording) -> list[str]:
+    """What images tell."""
+    of_depth = [*_depth_warnings(tally, recording), *_offset_warnings(offset, tally, recording)]
+    return [*_repeat_warnings(tally), *of_depth]
+
+
+def _camera(calibration: Calibration) -> str | None:
+    camera = calibration.color
+    if camera is None:
+        return None
+    return f"{camera.width} × {camera.height}, f {camera.fx:g}, {camera.fy:g} px ({calibration.source})"
+
+
+def _wheels(calibration: Calibration) -> str | None:
+    wheels, holonomic = calibration.wheels, calibration.holonomic
+    if holonomic is not None:
+        of = f"{len(holonomic.wheel_names)} wheels of" if holonomic.wheel_names else "x, y and yaw of"
+        sizes = "" if holonomic.radius_m is None else f", radius {holonomic.radius_m:.5g} m"
+        return f"{of} a holonomic base ({holonomic.layout}){sizes} ({calibration.source})"
+    if wheels is None:
+        return None
+    sizes = f"radius {wheels.left_radius_m:.5g} m left, {wheels.right_radius_m:.5g} m right"
+    return f"{sizes}, track {wheels.track_width_m:.5g} m, {wheels.ticks_per_turn:g} ticks a turn ({calibration.source})"
+
+
+@dataclass
+class _Tally:
+    """Counts over the events of a recording, in little memory however long it is."""
+
+    recording: Recording
+    stamps_s: list[float] = field(default_factory=list)
+    skipped: Counter[str] = field(default_factory=Counter)
+    wheel_readings: int = 0
+    yaw_readings: int = 0
+    repeated: int = 0
+    repeats: Repeats = field(default_factory=Repeats)
+    pixels: int = 0
+    histogram: FloatArray = field(default_factory=lambda: np.zeros(len(_DEPTH_EDGES_M) - 1))
+    offset_meter: OffsetMeter = field(default_factory=lambda: OffsetMeter())
+
+    def __post_init__(self) -> None:
+        self.turns = MotionClock(self.recording.calibration)
+
+    @property
+    def counted(self) -> tuple[type, ...]:
+        """The events whose times are told of: frames, or where there are none the wheels' readings."""
+        return (RgbdFrame, SkippedFrame) if self.recording.frame_count else WHEEL_READINGS
+
+    def add(self, event: Event) -> None:
+        self.turns.add(event)
+        if isinstance(event, self.counted):
+            self.stamps_s.append(event.stamp_s)
+        self.wheel_readings += isinstance(event, WheelReading)
+        self.yaw_readings += isinstance(event, YawRate)
+        if isinstance(event, SkippedFrame):
+            self.skipped[event.reason] += 1
+        if isinstance(event, RgbdFrame):
+            self._add_frame(event)
+
+    def _add_frame(self, event: RgbdFrame) -> None:
+        self.repeated += self.repeats.lasting_s(event) > 0
+        self._add_depth(event.depth_m[::_DEPTH_STRIDE, ::_DEPTH_STRIDE])
+        every = max(1, self.recording.frame_count // _OFFSET_FRAMES)
+        if event.index % every == every // 2 and event.color.shape[:2] == event.depth_m.shape:
+            self.offset_meter.add(event.color, event.depth_m)
+
+    def _add_depth(self, depth_m: Float32Array) -> None:
+        self.pixels += depth_m.size
+        self.histogram += np.histogram(depth_m[depth_m > 0], _DEPTH_EDGES_M)[0]
+
+    @property
+    def valid_share(self) -> float:
+        return float(self.histogram.sum() / self.pixels) if self.pixels else float("nan")
+
+    def depth_percentiles_m(self) -> dict[str, float]:
+        """Depth at three percentiles, to a quarter of a percent."""
+        total = self.histogram.cumsum()
+        places = {name: np.searchsorted(total, share * total[-1]) for name, share in _PERCENTILES.items()}
+        return {name: float(_DEPTH_EDGES_M[place]) if total[-1] else float("nan") for name, place in places.items()}
+
+    def share_between(self, near_m: float, far_m: float) -> float:
+        inside = (_DEPTH_EDGES_M[:-1] >= near_m) & (_DEPTH_EDGES_M[:-1] <= far_m)
+        return float(self.histogram[inside].sum() / max(self.histogram.sum(), 1))
+
+
+_PERCENTILES = {"p5": 0.05, "median": 0.5, "p95": 0.95}
+
+
+def _gaps(stamps_s: FloatArray, period_s: float) -> tuple[Gap, ...]:
+    steps_s = np.diff(stamps_s)
+    long = np.flatnonzero(steps_s > _GAP_PERIODS * period_s)
+    return tuple(Gap(float(stamps_s[i]), float(steps_s[i])) for i in long)
+
+
+def _repeat_warnings(tally: _Tally) -> list[str]:
+    if not tally.repeated:
+        return []
+    told = f"{tally.repeated} of {tally.recording.frame_count} frames show the same image as the frame before"
+    return [f"{told}: fewer images a second were taken than recorded, or the camera hung. They are skipped."]
+
+
+def _depth_warnings(tally: _Tally, recording: Recording) -> list[str]:
+    noise = recording.calibration.depth_noise
+    if not tally.histogram.any():
+        return ["No depth pixel measured anything."] if tally.pixels else []
+    near_share = tally.share_between(0.0, noise.near_m)
+    if near_share > _NEAR_SHARE and near_share < _PLAUSIBLE_SHARE:
+        return [
+            f"{100 * near_share:.0f} % of depth lies nearer than the {noise.near_m:g} m from which the sensor is "
+            "trusted: is the depth scale right? Depth in millimetres is read by --depth-factor 1000."
+        ]
+    if tally.share_between(noise.near_m, noise.far_m) >= _PLAUSIBLE_SHARE:
+        return []
+    median_m = tally.depth_percentiles_m()["median"]
+    return [
+        f"Most depth lies outside the {noise.near_m:g} to {noise.far_m:g} m the sensor is trusted in "
+        f"(median {median_m:.3g} m): is the depth scale right? See --depth-factor."
+    ]
+
+
+def _offset_warnings(offset: RegistrationOffset | None, tally: _Tally, recording: Recording) -> list[str]:
+    calibration = recording.calibration
+    if offset is None:
+        return []
+    if offset.is_clear and any(offset.flips):
+        return [f"Colour and depth are mirrored against each other: {offset}. Mirror the images of one as the other's."]
+    if calibration.is_registered:
+        if not offset.is_clear:
+            return []
+        return [
+            f"Colour and depth are not registered, though the calibration says so: {offset}. "
+            f"Give a calibration with T_color_depth."
+        ]
+    if not off_calibrated(offset, calibration, tally.depth_percentiles_m()["median"]) > FAR_FROM_CALIBRATED:
+        return []
+    seen = f"{offset}" if offset.is_clear else "colour and depth share pixels"
+    return [
+        f"The calibration ({calibration.source}) says that colour and depth are not registered, but by the images "
+        f"{seen}: is it of another camera? Give this one's by --camera."
+    ]

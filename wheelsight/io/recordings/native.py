@@ -1,0 +1,754 @@
+"""wheelsight's own layout, read and written: TUM's lists, with wheels.csv, gyro.csv, camera_clock.csv, loops.csv and
+calibration.yaml. An interrupted recording is valid, and can be resumed.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wheelsight.core.calibration import Calibration, load_calibration, save_calibration
+from wheelsight.core.checks import check_event, check_images, need_calibration
+from wheelsight.core.depth_errors import DepthError
+from wheelsight.core.errors import ArgumentError, CalibrationError, OutputError, RecordingError
+from wheelsight.core.files import StrPath, make_output_folder
+from wheelsight.core.geometry import Float32Array, FloatArray, se3, so3
+from wheelsight.core.geometry.arrays import UInt16Array
+from wheelsight.core.inputs import is_there
+from wheelsight.core.messages import (
+    AngularVelocity,
+    Event,
+    Match,
+    OdometryReading,
+    RgbdFrame,
+    SkippedFrame,
+    WheelCounts,
+    WheelReading,
+    WheelSpeeds,
+    WheelTicks,
+    YawRate,
+)
+from wheelsight.core.stamps import StampCheck
+from wheelsight.core.threads import OneCaller, one_at_a_time
+from wheelsight.core.trajectory import Trajectory, tum_header, tum_lines, write_tum
+from wheelsight.io.recordings.image_recording import ImageRecording, recording_of
+from wheelsight.io.recordings.images import SUFFIXES, ColorFormat, DepthEncoding, write_color, write_units
+from wheelsight.io.recordings.recording import (
+    GivesMatches,
+    Layout,
+    OpenOptions,
+    Recording,
+    camera_choices,
+    choose_calibration,
+    express_for,
+)
+from wheelsight.io.recordings.tables import (
+    LIST,
+    GrowingText,
+    Row,
+    column_names,
+    keep_growing,
+    parse_stamp,
+    read_columns,
+    read_table,
+    seconds,
+)
+from wheelsight.io.recordings.tum_datasets import DEPTH_FACTOR, beside, read_frames, read_truth
+from wheelsight.io.recordings.wheel_recording import WheelRecording
+
+# wheelsight's own layout: the TUM benchmark's, which any TUM tool reads, plus wheels, a gyroscope, calibration.yaml.
+#
+# A recording of wheels alone has no lists of images.
+
+
+WHEELS_HEADER = "stamp_s,left,right"
+_ODOMETRY = ("x_m", "y_m", "yaw_rad")
+GYRO_HEADER = "stamp_s,yaw_rate_rad_s"
+IMU_FILE = "imu.csv"
+IMU_HEADER = "stamp_s,x_rad_s,y_rad_s,z_rad_s"
+
+
+def wheels_header(calibration: Calibration | None) -> str:
+    """The first line of wheels.csv: counts of each wheel, or the pose by a holonomic base's own odometry."""
+    if calibration is None or calibration.holonomic is None:
+        return WHEELS_HEADER
+    return ",".join(("stamp_s", *(calibration.holonomic.wheel_names or _ODOMETRY)))
+
+
+class NativeReader:
+    """What `RecordingWriter` writes."""
+
+    name = "wheelsight"
+    layout = Layout.WHEELS
+    needs = "wheels.csv and calibration.yaml; images as tum"
+
+    def recognises(self, folder: Path) -> bool:
+        """Whether wheels.csv is there."""
+        return is_there(folder / "wheels.csv")
+
+    def open(self, folder: Path, options: OpenOptions) -> ImageRecording | WheelRecording:
+        """The recording in `folder`. Raises InputError naming file and line."""
+        has_images = any(is_there(folder / name) for name in ("rgb.txt", "depth.txt"))
+        calibration = choose_calibration(folder, options, lambda: _missing(folder, has_images))
+        wheels, warnings = _read_readings(folder / "wheels.csv", calibration)
+        yaw_rates, more = _read_yaw_rates(folder, calibration)
+        warnings += more
+        truth = None
+        if not has_images or calibration.T_base_camera is not None:
+            truth = read_truth(folder / "groundtruth_base.txt", warnings, body="base")
+        if not has_images:
+            given = (wheels, tuple(yaw_rates), truth, tuple(warnings))
+            return WheelRecording(folder.resolve().name, folder, self.name, calibration, *given)
+        images, more = read_frames(folder, options)
+        warnings += more
+        made = recording_of(
+            folder,
+            self.name,
+            calibration,
+            images,
+            DepthEncoding(options.depth_factor or DEPTH_FACTOR),
+            truth or beside(read_truth(folder / "groundtruth.txt", warnings), images.frames, options),
+            warnings,
+        )
+        return replace(made, wheels=wheels, yaw_rates=tuple(yaw_rates))
+
+
+def _missing(folder: Path, has_images: bool) -> Calibration:
+    """Raises CalibrationError: nothing tells what sensors these are."""
+    fix = camera_choices() if has_images else "say how large the wheels are with --calibration"
+    raise CalibrationError("is missing", path=folder / "calibration.yaml", fix=fix)
+
+
+def read_wheels(path: Path) -> tuple[list[WheelTicks], list[str]]:
+    """The counts of two wheels in wheels.csv in order of time, and warnings. Raises RecordingError."""
+    table, warnings = read_columns(path, counts=("left", "right"))
+    ticks = list(map(WheelTicks, table.stamps_s, table["left"], table["right"]))
+    growing, more = keep_growing(ticks, table.lines, path)
+    return growing, warnings + more
+
+
+def _read_readings(
+    path: Path, calibration: Calibration
+) -> tuple[tuple[WheelTicks, ...] | tuple[WheelCounts, ...] | tuple[OdometryReading, ...], list[str]]:
+    """The readings of wheels.csv in order of time, and warnings. Raises RecordingError.
+
+    Which columns it has goes by the calibration's wheels; the pose by a base's own odometry is read beside any
+    holonomic wheels.
+    """
+    holonomic = calibration.holonomic
+    names = () if holonomic is None else holonomic.wheel_names
+    if _has_columns(path, _ODOMETRY) and not _has_columns(path, names or ("left", "right")):
+        if calibration.wheels is not None:
+            fix = "say `kind: holonomic` of wheels in calibration.yaml, or write stamp_s,left,right"
+            raise RecordingError(f"has {', '.join(_ODOMETRY)}, which two wheels have not", path=path, fix=fix)
+        table, warnings = read_columns(path, numbers=_ODOMETRY)
+        poses = list(map(OdometryReading, table.stamps_s, *(table[name] for name in _ODOMETRY)))
+        growing_poses, more = keep_growing(poses, table.lines, path)
+        return tuple(growing_poses), warnings + more
+    if names:
+        table, warnings = read_columns(path, counts=names)
+        rows = zip(*(table[name] for name in names), strict=True)
+        counts = list(map(WheelCounts, table.stamps_s, rows))
+        growing_counts, more = keep_growing(counts, table.lines, path)
+        return tuple(growing_counts), warnings + more
+    ticks, warnings = read_wheels(path)
+    return tuple(ticks), warnings
+
+
+def _has_columns(path: Path, names: Sequence[str]) -> bool:
+    try:
+        return bool(column_names(path, ("stamp_s", *names)))
+    except RecordingError:
+        return False
+
+
+def _read_yaw_rates(folder: Path, calibration: Calibration) -> tuple[list[YawRate], list[str]]:
+    """The readings of gyro.csv in order of time, or where it has none those of the camera's gyroscope; and warnings."""
+    rates, warnings = _read_gyro(folder / "gyro.csv")
+    if rates or not is_there(folder / IMU_FILE):
+        return rates, warnings
+    turns, more = read_angular_velocities(folder / IMU_FILE)
+    mount = calibration.T_base_camera
+    if mount is None:
+        unused = f"{len(turns)} readings in {IMU_FILE} are not used: T_base_camera, how the camera sits, is not known."
+        return [], [*warnings, *more, *([unused] if turns else [])]
+    return [turn.yaw_rate(mount) for turn in turns], [*warnings, *more]
+
+
+def read_angular_velocities(path: Path) -> tuple[list[AngularVelocity], list[str]]:
+    """The readings of imu.csv in order of time, about the camera's axes, and warnings. Raises RecordingError."""
+    names = IMU_HEADER.split(",")[1:]
+    table, warnings = read_columns(path, numbers=names)
+    turns = list(map(AngularVelocity, table.stamps_s, *(table[name] for name in names)))
+    growing, more = keep_growing(turns, table.lines, path)
+    return growing, warnings + more
+
+
+def camera_turns(folder: StrPath) -> tuple[list[AngularVelocity], list[str]]:
+    """What the gyroscope in a recording's camera told, and warnings; nothing where the recording keeps none."""
+    path = Path(folder) / IMU_FILE
+    return read_angular_velocities(path) if is_there(path) else ([], [])
+
+
+def _read_gyro(path: Path) -> tuple[list[YawRate], list[str]]:
+    """The readings of gyro.csv in order of time, and warnings; none where there is no such file."""
+    if not is_there(path):
+        return [], []
+    table, warnings = read_columns(path, numbers=("yaw_rate_rad_s",))
+    rates = list(map(YawRate, table.stamps_s, table["yaw_rate_rad_s"]))
+    growing, more = keep_growing(rates, table.lines, path)
+    return growing, warnings + more
+
+
+# Writing recordings in wheelsight's own layout, so that a broken-off recording is only a shorter one.
+
+
+_IMAGE_HEADERS = {
+    "rgb.txt": "# color images\n# timestamp filename\n",
+    "depth.txt": "# depth maps\n# timestamp filename\n",
+}
+_GYRO_HEADERS = {"gyro.csv": f"{GYRO_HEADER}\n"}
+TRUTH_FILES = {"camera": "groundtruth.txt", "base": "groundtruth_base.txt"}
+_LABELS = "labels.csv"
+_LABELS_HEADER = "stamp_s,area\n"
+_DEEPEST_UNITS = np.iinfo(np.uint16).max
+_INFRARED = "infrared.txt"
+_INFRARED_HEADER = "# infrared images\n# timestamp filename\n"
+# What a stamp of each list must come after.
+_KINDS = {
+    "rgb.txt": ("RgbdFrame",),
+    "wheels.csv": ("WheelTicks", "WheelCounts", "OdometryReading"),
+    "gyro.csv": ("YawRate",),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenFrame:
+    """A frame whose images are in the folder, and which no list names yet.
+
+    Attributes:
+        lines: what the lists are to get, by their names.
+        size_bytes: of the images.
+        too_far: depth pixels beyond 13.107 m.
+    """
+
+    lines: dict[str, str]
+    size_bytes: int
+    too_far: int
+
+
+class LiveWriter(Protocol):
+    """Where what live sensors say is written: frames by several threads, listed by one in the order they came."""
+
+    @property
+    def last_stamp_s(self) -> float:
+        """The newest of all sensors; -∞ before the first."""
+
+    @property
+    def frames(self) -> int:
+        """How many it has by now."""
+
+    @property
+    def readings(self) -> int:
+        """How many wheel readings it has."""
+
+    def check(self, event: Event) -> None:
+        """Refuse what cannot be read again. Raises ArgumentError, RecordingError."""
+
+    def add(self, event: Event) -> None:
+        """Write one event. Raises as `check`, and OutputError."""
+
+    def add_angular_velocity(self, turn: AngularVelocity) -> None:
+        """Write a reading of the camera's gyroscope. Raises as `add`."""
+
+    def write_frame(self, frame: RgbdFrame, infrared: UInt16Array | None = None) -> Any:
+        """Encode a frame that was checked; what it comes to tells its `size_bytes`. Raises OutputError."""
+
+    def list_frame(self, written: Any, clock: FrameClock | None = None) -> None:
+        """Let readers find a frame. Raises OutputError."""
+
+    def close(self) -> None:
+        """End. Raises OutputError."""
+
+
+class RecordingWriter(OneCaller):
+    """Writes events into a folder as they come; use it in a `with` block, and `open_recording` reads them again.
+
+    Colour is kept exactly, unless as JPEG, depth to 0.1 mm: 5000 units a metre in 16 bits, as in the TUM benchmark,
+    so that any TUM tool reads it. That ends at 13.107 m; what lies beyond is written as not measured and counted in
+    `depths_too_far`. Images appear whole or not at all, and a list names an image only once it is
+    there; a recording broken off at any point, even by a power cut, is a valid shorter one.
+
+    Of a robot without cameras, by its calibration, it is a recording of the wheels alone; so it is where `calibration`
+    is None, of a robot not calibrated yet.
+
+    Several threads may `write_frame` at once, which takes nearly all the time of a frame; one of them `list_frame`.
+
+    Args:
+        folder: made if need be.
+        calibration: of the robot; None of one that is not calibrated yet.
+        force: whether a recording in the folder is overwritten.
+        color: "png" keeps colour exactly, "jpeg" with quality 95, in a tenth of the time and a fifth of the room.
+        resume: whether to go on behind what the folder holds, by its own calibration; where it holds nothing, anew.
+
+    Attributes:
+        folder: where the recording lies.
+        frames: how many it has by now.
+        readings: how many wheel readings it has.
+        depths_too_far: depth pixels beyond 13.107 m, in all frames that were added.
+
+    Raises:
+        OutputError: the folder is not empty and neither `force` nor `resume` is on, cannot be written, or the disk is
+            full; or what is to be resumed is no recording of these sensors.
+    """
+
+    def __init__(
+        self,
+        folder: StrPath,
+        calibration: Calibration | None,
+        force: bool = False,
+        *,
+        color: ColorFormat = "png",
+        resume: bool = False,
+    ) -> None:
+        calibration = None if calibration is None else need_calibration(calibration)
+        if resume:
+            check_resumable(Path(folder), calibration)
+        self.folder = make_output_folder(Path(folder), force or resume)
+        self.frames = self.readings = self.depths_too_far = 0
+        self._calibration, self._color, self._resumes = calibration, color, resume
+        self._last_stamp_s: dict[str, float] = {}
+        self._stamps = StampCheck()
+        has_cameras = calibration is not None and calibration.color is not None
+        if resume:
+            remove_leftovers(self.folder)
+        else:
+            self._begin_anew()
+        for name in ("rgb", "depth") if has_cameras else ():
+            make_output_folder(self.folder / name, force=True)
+        if calibration is not None:
+            # Depth is written as it was corrected when it was read; it must not be corrected again.
+            save_calibration(replace(calibration, depth_error=DepthError()), self.folder / "calibration.yaml")
+        of_wheels = {"wheels.csv": f"{wheels_header(calibration)}\n"}
+        headers = (_IMAGE_HEADERS if has_cameras else {}) | of_wheels | _GYRO_HEADERS
+        self._lists = {name: GrowingText(self.folder / name, header, resume) for name, header in headers.items()}
+        self._count_earlier()
+
+    def _begin_anew(self) -> None:
+        """Leave nothing of a recording before that this one may lack."""
+        for name in (*TRUTH_FILES.values(), _LABELS, _INFRARED, CLOCK_FILE, IMU_FILE, "calibration.yaml"):
+            (self.folder / name).unlink(missing_ok=True)
+
+    def _count_earlier(self) -> None:
+        """What is resumed counts, and its stamps are those that others must come after."""
+        for name, kinds in _KINDS.items():
+            if name in self._lists and (earlier := self._lists[name].earlier):
+                self._last_stamp_s |= dict.fromkeys(kinds, last_stamp_s(earlier))
+        self.readings = len(self._lists["wheels.csv"].earlier)
+        self.frames = len(self._lists["depth.txt"].earlier) if "depth.txt" in self._lists else 0
+
+    @property
+    def last_stamp_s(self) -> float:
+        """The newest of all sensors; -∞ before the first."""
+        return max(self._last_stamp_s.values(), default=-np.inf)
+
+    @one_at_a_time
+    def add(self, event: Event) -> None:
+        """Write one event; frames that were skipped when they were read leave no trace.
+
+        Raises:
+            ArgumentError: no event, stamps that are no seconds, or numbers or images that cannot be read again as they
+                are: of another size or kind than the calibration's, or depth that is not in metres.
+            RecordingError: stamps that do not grow.
+            OutputError: the disk is full or the folder has gone.
+        """
+        if isinstance(event, SkippedFrame):
+            check_event(event)
+            return
+        self.check(event)
+        if isinstance(event, RgbdFrame):
+            self.list_frame(self.write_frame(event))
+        elif isinstance(event, WheelReading):
+            self._lists["wheels.csv"].append(f"{seconds(event.stamp_s)},{','.join(_columns_of(event))}\n")
+            self.readings += 1
+        elif isinstance(event, YawRate):
+            self._lists["gyro.csv"].append(f"{seconds(event.stamp_s)},{seconds(event.yaw_rate_rad_s)}\n")
+
+    def add_angular_velocity(self, turn: AngularVelocity) -> None:
+        """Write a reading of the camera's gyroscope, in imu.csv: how the camera sits need not be known yet.
+
+        Raises:
+            ArgumentError: a number that is not finite.
+            RecordingError: a stamp that does not grow.
+            OutputError: as `add`.
+        """
+        numbers = (turn.stamp_s, turn.x_rad_s, turn.y_rad_s, turn.z_rad_s)
+        if not np.isfinite(numbers).all():
+            raise ArgumentError(f"{turn} holds what is no number", fix="leave it out")
+        lines = self._list(IMU_FILE, f"{IMU_HEADER}\n")
+        if lines.earlier and IMU_FILE not in self._last_stamp_s:
+            self._last_stamp_s[IMU_FILE] = last_stamp_s(lines.earlier)
+        self._check_stamps(IMU_FILE, turn.stamp_s, turn.stamp_s)
+        lines.append(",".join(map(seconds, numbers)) + "\n")
+
+    def check(self, event: Event) -> None:
+        """Refuse what `add` refuses, and take note of its stamp: others of its kind must come after it.
+
+        Raises ArgumentError, RecordingError.
+        """
+        check_event(event, finite=True)
+        if isinstance(event, WheelSpeeds):
+            raise RecordingError("wheel speeds have no place here: wheels.csv holds ticks", path=self.folder)
+        if isinstance(event, WheelReading):
+            self._check_wheels(event)
+        if isinstance(event, RgbdFrame):
+            check_images(event, self._known_calibration())
+        self._stamps.check(event)
+        self._check_stamps(type(event).__name__, event.stamp_s, event.stamp_s)
+
+    def _check_wheels(self, reading: WheelReading) -> None:
+        """Refuse readings of other wheels than the calibration's: wheels.csv has the columns of these."""
+        of = None if self._calibration is None else self._calibration.holonomic
+        header = wheels_header(self._calibration)
+        kind = WheelTicks if of is None else WheelCounts if of.wheel_names else OdometryReading
+        given = len(_columns_of(reading))
+        if type(reading) is not kind or given != header.count(","):
+            problem = f"a {type(reading).__name__} of {given} numbers has no place here"
+            fix = f"wheels.csv has {header}, by the calibration's wheels"
+            raise RecordingError(problem, path=self.folder, fix=fix)
+
+    def write_frame(self, frame: RgbdFrame, infrared: UInt16Array | None = None) -> WrittenFrame:
+        """Write the images of a frame that was checked, and (H, W) infrared beside depth; no list names them yet.
+
+        Raises OutputError.
+        """
+        color, depth = seconds(frame.stamp_s), seconds(frame.stamp_s + frame.depth_late_s)
+        names = {"rgb.txt": f"rgb/{color}{SUFFIXES[self._color]}", "depth.txt": f"depth/{depth}.png"}
+        lines = {"rgb.txt": f"{color} {names['rgb.txt']}\n", "depth.txt": f"{depth} {names['depth.txt']}\n"}
+        units, too_far = _depth_units(frame.depth_m)
+        size = write_color(self.folder / names["rgb.txt"], frame.color, self._color)
+        size += write_units(self.folder / names["depth.txt"], units)
+        if infrared is not None:
+            make_output_folder(self.folder / "infrared", force=True)
+            size += write_units(self.folder / f"infrared/{depth}.png", infrared)
+            lines[_INFRARED] = f"{depth} infrared/{depth}.png\n"
+        return WrittenFrame(lines, size, too_far)
+
+    def list_frame(self, written: WrittenFrame, clock: FrameClock | None = None) -> None:
+        """Name the images of a frame in their lists, in the order of stamps, and how it got its stamp.
+
+        Raises OutputError.
+        """
+        if clock is not None:
+            self._list(CLOCK_FILE, f"{CLOCK_HEADER}\n").append(clock.line)
+        if _INFRARED in written.lines:
+            self._list(_INFRARED, _INFRARED_HEADER)
+        for name, line in written.lines.items():
+            self._lists[name].append(line)
+        self.frames += 1
+        self.depths_too_far += written.too_far
+
+    def _list(self, name: str, header: str) -> GrowingText:
+        """One that not every recording has."""
+        if name not in self._lists:
+            self._lists[name] = GrowingText(self.folder / name, header, self._resumes)
+        return self._lists[name]
+
+    @one_at_a_time
+    def add_ground_truth(self, truth: Trajectory) -> None:
+        """Write the true trajectory of the camera or the base; if the calibration joins the two, both.
+
+        Raises:
+            CalibrationError: the trajectory describes the base and no T_base_camera says where the camera is.
+            OutputError: it cannot be written.
+        """
+        calibration = self._known_calibration()
+        bodies: tuple[str, ...] = ("camera",) if calibration.T_base_camera is None else ("camera", "base")
+        if calibration.color is None:
+            bodies = ("base",)
+        for body in bodies:
+            write_tum(express_for(body, truth, calibration), self.folder / TRUTH_FILES[body])
+
+    def append_ground_truth(self, truth: Trajectory) -> None:
+        """Append true poses of the camera or the base as they become known, to that body's file alone.
+
+        Unlike `add_ground_truth` it believes no T_base_camera: whoever knows both bodies' truth gives both.
+
+        Raises:
+            RecordingError: the body is another, or stamps do not come after those appended before.
+            OutputError: as `add`.
+        """
+        name = TRUTH_FILES.get(truth.body)
+        if name is None:
+            raise RecordingError(f"the truth of {truth.body!r} has no place here", path=self.folder)
+        if not len(truth):
+            return
+        self._check_stamps(name, float(truth.stamps_s[0]), float(truth.stamps_s[-1]))
+        self._list(name, tum_header(truth)).append("".join(tum_lines(truth)))
+
+    @one_at_a_time
+    def add_label(self, stamp_s: float, area: str | None) -> None:
+        """Say in which area the robot was at a frame's time, None for no area; they land in labels.csv.
+
+        Raises:
+            RecordingError: a stamp that does not grow, or a name that would break its line.
+            OutputError: as `add`.
+        """
+        name = area or ""
+        if any(sign in name for sign in ',"\r\n#'):
+            raise RecordingError(f"an area cannot be called {name!r}", path=self.folder / _LABELS)
+        self._check_stamps(_LABELS, stamp_s, stamp_s)
+        self._list(_LABELS, _LABELS_HEADER).append(f"{seconds(stamp_s)},{name}\n")
+
+    def close(self) -> None:
+        """End the recording. Nothing is lost without it but what the system had not yet written."""
+        for stream in self._lists.values():
+            stream.close()
+
+    def __enter__(self) -> RecordingWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _known_calibration(self) -> Calibration:
+        if self._calibration is None:
+            raise CalibrationError("is missing", path=self.folder / "calibration.yaml", fix="record with a calibration")
+        return self._calibration
+
+    def _check_stamps(self, what: str, first_s: float, last_s: float) -> None:
+        """Refuse stamps that do not come after those of the same kind, or are no numbers."""
+        before_s = self._last_stamp_s.get(what, -np.inf)
+        if not before_s < first_s <= last_s < np.inf:
+            raise RecordingError(f"stamp {first_s:.6f} does not come after {before_s:.6f}", path=self.folder)
+        self._last_stamp_s[what] = last_s
+
+
+def write_recording(folder: StrPath, recording: Recording, force: bool = False) -> RecordingWriter:
+    """Write any recording in wheelsight's own layout; answers the closed writer with its counts.
+
+    Raises:
+        OutputError: as `RecordingWriter`.
+        RecordingError: as `RecordingWriter`.
+    """
+    folder = Path(folder)
+    with RecordingWriter(folder, recording.calibration, force) as writer:
+        if recording.ground_truth is not None:
+            writer.add_ground_truth(recording.ground_truth)
+        for event in recording.events():
+            writer.add(event)
+    return writer
+
+
+def _columns_of(reading: WheelReading) -> list[str]:
+    """The numbers of a reading after its stamp, as wheels.csv has them."""
+    if isinstance(reading, WheelTicks):
+        return [str(int(reading.left)), str(int(reading.right))]
+    if isinstance(reading, WheelCounts):
+        return [str(int(count)) for count in reading.counts]
+    if isinstance(reading, OdometryReading):
+        return [seconds(number) for number in (reading.x_m, reading.y_m, reading.yaw_rad)]
+    return [seconds(number) for number in (reading.left_rad_s, reading.right_rad_s)]
+
+
+def _depth_units(depth_m: Float32Array) -> tuple[NDArray[np.uint16], int]:
+    """Depth (H, W) as a file holds it, and how many pixels were too far for that."""
+    units = np.rint(np.asarray(depth_m, np.float64) * DEPTH_FACTOR)
+    is_too_far = units > _DEEPEST_UNITS
+    return np.where(is_too_far, 0, units).astype(np.uint16), int(np.count_nonzero(is_too_far))
+
+
+# Going on with a recording that was broken off: whether that can be, and what is left over of its end.
+
+
+_IMAGE_FOLDERS = "rgb", "depth", "infrared"
+_LEFT_OVER = re.compile(r"\..+\.[0-9a-f]{8}")  # as files.atomic_write calls what is not whole yet
+
+
+def resumed_calibration(folder: Path) -> Calibration | None:
+    """Of the recording that is to go on; None where there is none yet, or it has no calibration.
+
+    Raises CalibrationError.
+    """
+    path = folder / "calibration.yaml"
+    return load_calibration(path) if is_there(path) else None
+
+
+def check_resumable(folder: Path, calibration: Calibration | None) -> None:
+    """Refuse a folder that holds something else, or a recording that frames of these cameras do not go on.
+
+    Raises OutputError.
+    """
+    if not folder.is_dir() or not any(folder.iterdir()):
+        return
+    another = "record into another --out"
+    if not is_there(folder / "wheels.csv"):
+        raise OutputError("holds no recording that could go on", path=folder, fix=another)
+    try:
+        before = resumed_calibration(folder)
+    except CalibrationError as error:
+        raise OutputError(f"cannot go on: {error.problem}", path=error.path or folder, fix=another) from error
+    if _sizes(before) != _sizes(calibration):
+        problem = f"holds a recording of {_told(before)}, which {_told(calibration)} cannot go on"
+        raise OutputError(problem, path=folder, fix=another)
+    headers = [wheels_header(of) for of in (before, calibration)]
+    if headers[0] != headers[1]:
+        problem = f"its wheels.csv has {headers[0]}, which {headers[1]} cannot go on"
+        raise OutputError(problem, path=folder, fix=another)
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what was written only in part when the recording was broken off."""
+    for place in (folder, *(folder / name for name in _IMAGE_FOLDERS)):
+        for path in place.glob(".*") if place.is_dir() else ():
+            if _LEFT_OVER.fullmatch(path.name) and path.is_file():
+                with suppress(OSError):
+                    path.unlink()
+
+
+def last_stamp_s(lines: Sequence[str]) -> float:
+    """The stamp of the last line of a list or table. Raises OutputError where it is none."""
+    word = re.split(r"[\s,]", lines[-1], maxsplit=1)[0]
+    try:
+        return float(word)
+    except ValueError as error:
+        raise OutputError(f"a last line of {lines[-1]!r} has no stamp", fix="remove the line, then --resume") from error
+
+
+def _sizes(calibration: Calibration | None) -> tuple[tuple[int, int], ...]:
+    """Of the images of both cameras; nothing where there are none."""
+    if calibration is None or calibration.color is None:
+        return ()
+    return tuple((camera.width, camera.height) for camera in calibration.cameras)
+
+
+def _told(calibration: Calibration | None) -> str:
+    sizes = _sizes(calibration)
+    return f"a camera of {' and '.join(f'{w}×{h}' for w, h in dict.fromkeys(sizes))}" if sizes else "wheels alone"
+
+
+# camera_clock.csv: how each frame of a live camera got its stamp, and how sure that is.
+
+
+CLOCK_FILE = "camera_clock.csv"
+CLOCK_HEADER = "stamp_s,stamp_sigma_s,arrived_s,device_s,sequence"
+
+
+@dataclass(frozen=True, slots=True)
+class FrameClock:
+    """Of one frame; all times but `device_s` are of the host's clock.
+
+    Attributes:
+        stamp_s: of the frame, mapped from the camera's clock.
+        stamp_sigma_s: standard deviation of that mapping.
+        arrived_s: when the host was handed the frame.
+        device_s: the camera's own stamp, by its own clock; None where it has none.
+        sequence: the camera's own number of it; None where it has none.
+    """
+
+    stamp_s: float
+    stamp_sigma_s: float
+    arrived_s: float
+    device_s: float | None = None
+    sequence: int | None = None
+
+    @property
+    def line(self) -> str:
+        """Of the file; what is not known is left empty."""
+        device = "" if self.device_s is None else seconds(self.device_s)
+        numbers = (seconds(value) for value in (self.stamp_s, self.stamp_sigma_s, self.arrived_s))
+        return ",".join([*numbers, device, "" if self.sequence is None else str(self.sequence)]) + "\n"
+
+
+def read_frame_clocks(folder: Path) -> tuple[FrameClock, ...]:
+    """Of each frame of a recording in wheelsight's own layout; none where it has no such file.
+
+    Raises RecordingError.
+    """
+    path = folder / CLOCK_FILE
+    if not is_there(path):
+        return ()
+    rows, _ = read_table(path, CLOCK_HEADER.split(","))
+    return tuple(map(_clock, rows))
+
+
+def _clock(row: Row) -> FrameClock:
+    known = {name: bool(row.words[row.columns[name]]) for name in ("device_s", "sequence")}
+    device_s = row["device_s"] if known["device_s"] else None
+    sequence = row.whole("sequence") if known["sequence"] else None
+    return FrameClock(row.stamp_s, row["stamp_sigma_s"], row["arrived_s"], device_s, sequence)
+
+
+# loops.csv: matches from outside, which anybody's place recognition may write beside a recording.
+
+
+MATCHES_FILE = "loops.csv"
+_STAMPS = ("stamp_a_s", "stamp_b_s")
+_POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+_SIGMAS = ("sigma_m", "sigma_rad")
+_SCORE = "score"
+_UNIT_TOLERANCE = 0.01
+# A match a second over a whole day; each is checked by itself, which takes 25 µs.
+_FILE = replace(LIST, name="a list of matches", most_mb=32, most_lines=100_000)
+
+
+def read_matches(path: StrPath) -> tuple[list[Match], list[str]]:
+    """Matches of a table, one a line, and warnings.
+
+    Columns, named in the first line, in any order: stamp_a_s and stamp_b_s; if there are any, all of x_m, y_m, z_m, qx,
+    qy, qz, qw, the pose of the body at b seen from a; sigma_m and sigma_rad of that pose; score, 0 to 1.
+
+    Raises:
+        RecordingError: naming file and line, for columns that are missing, or what is no number, pose or score.
+    """
+    path = Path(path)
+    has = set(column_names(path, _STAMPS, _FILE))
+    given = [name for group in (_POSE, _SIGMAS) for name in group if set(group) & has]
+    if set(_SIGMAS) & has and not set(_POSE) & has:
+        raise RecordingError("has sigmas and no poses", path=path, line=1, fix=f"columns {', '.join(_POSE)}")
+    columns = (*_STAMPS, *given, *((_SCORE,) if _SCORE in has else ()))
+    rows, warnings = read_table(path, columns, _FILE)
+    return [_match(row, has) for row in rows], warnings
+
+
+def matches_of(recording: Recording) -> tuple[list[Match], list[str]]:
+    """The recording's own, and those of a loops.csv in its folder; and warnings. Raises RecordingError."""
+    own = list(recording.matches) if isinstance(recording, GivesMatches) else []
+    path = recording.path / MATCHES_FILE
+    if not is_there(path):
+        return own, []
+    others, warnings = read_matches(path)
+    return own + others, warnings
+
+
+def _match(row: Row, has: set[str]) -> Match:
+    a_s, b_s = (parse_stamp(row.words[row.columns[name]], row.path, row.number) for name in _STAMPS)
+    score = row[_SCORE] if _SCORE in has else None
+    if score is not None and not 0 <= score <= 1:
+        raise RecordingError(f"score is {score:g}", path=row.path, line=row.number, fix="0 to 1: how probable it is")
+    if _POSE[0] not in has:
+        return Match(a_s, b_s, score=score)
+    *position, qx, qy, qz, qw = (row[name] for name in _POSE)
+    quaternion = np.array([qx, qy, qz, qw])
+    if abs(np.linalg.norm(quaternion) - 1) > _UNIT_TOLERANCE:
+        problem = f"quaternion has length {np.linalg.norm(quaternion):.4g}, not 1"
+        raise RecordingError(problem, path=row.path, line=row.number, fix="write qx qy qz qw")
+    T_a_b = se3.from_parts(so3.from_quaternion(quaternion / np.linalg.norm(quaternion)), position)
+    return Match(a_s, b_s, T_a_b, _covariance(row) if _SIGMAS[0] in has else None, score)
+
+
+def _covariance(row: Row) -> FloatArray:
+    sigmas = [row[name] for name in _SIGMAS]
+    if min(sigmas) <= 0:
+        raise RecordingError("a sigma is not positive", path=row.path, line=row.number, fix="standard deviations")
+    return np.diag(np.square(np.repeat(sigmas, 3)))

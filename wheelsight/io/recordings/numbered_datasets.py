@@ -1,0 +1,515 @@
+"""Datasets of numbered frames without stamps, with poses as matrices. Readers for ICL-NUIM, 7-Scenes, 3DMatch,
+Redwood and Replica.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import CalibrationError, RecordingError, TrajectoryError
+from wheelsight.core.geometry import FloatArray, PinholeCamera, se3, so3
+from wheelsight.core.inputs import Kind, is_there, parse_json, read_text
+from wheelsight.core.trajectory import Trajectory, read_tum
+from wheelsight.io.recordings.image_recording import FramePaths, ImageRecording, pair_images, recording_of
+from wheelsight.io.recordings.images import DepthEncoding, color_size
+from wheelsight.io.recordings.recording import Layout, LeftOut, OpenOptions, Reader, choose_calibration, load_camera
+from wheelsight.io.recordings.tables import Line, ListedFile, read_lines
+from wheelsight.io.recordings.tum_datasets import DEPTH_FACTOR
+
+# Frames that are numbered and have no stamps, and poses that are matrices: what several formats share.
+
+
+_ASSUMED_RATE_HZ = 30.0  # of the Kinects, Xtions and renderings that these formats come from
+_ORTHONORMAL_TOLERANCE = 1e-2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WrittenPose:
+    """A pose as a file holds it: its time, the matrix (4, 4), and where it stands."""
+
+    stamp_s: float
+    T: FloatArray
+    path: Path
+    line: int | None = None
+
+
+def rate_of(options: OpenOptions, warnings: list[str]) -> float:
+    """How many frames a second are counted, the one given or 30; what is assumed is added to the warnings."""
+    rate_hz = options.rate_hz or _ASSUMED_RATE_HZ
+    assumed = "" if options.rate_hz else "; others by --rate-hz"
+    warnings.append(f"The format has no time stamps; {rate_hz:g} frames a second are assumed{assumed}.")
+    return rate_hz
+
+
+def numbered_files(paths: Iterable[Path], pattern: re.Pattern[str], rate_hz: float) -> list[ListedFile]:
+    """The files whose whole names match, in order of the number in the pattern's first group, stamped by it."""
+    matches = ((pattern.fullmatch(path.name), path) for path in paths)
+    found = {int(match[1]): path for match, path in sorted(matches, key=lambda item: item[1]) if match}
+    return [ListedFile(number / rate_hz, found[number]) for number in sorted(found)]
+
+
+def need_files(files: Sequence[ListedFile], what: str, folder: Path, needs: str) -> None:
+    """Raise RecordingError where there are none."""
+    if not files:
+        raise RecordingError(f"holds no {what}", path=folder, fix=f"it needs {needs}")
+
+
+def read_matrix(path: Path, size: int) -> FloatArray:
+    """The (size, size) numbers in a text file. Raises RecordingError naming it."""
+    try:
+        rows = [[float(word) for word in line.text.split()] for line in read_lines(path)]
+        matrix = np.array(rows, np.float64)
+    except ValueError as error:
+        raise RecordingError(f"is not a {size}×{size} matrix: {error}", path=path) from error
+    if matrix.shape != (size, size):
+        raise RecordingError(f"holds {matrix.size} numbers, not a {size}×{size} matrix", path=path)
+    return matrix
+
+
+def intrinsic_numbers(path: Path) -> tuple[float, float, float, float]:
+    """fx, fy, cx, cy of the matrix (3, 3) in a text file. Raises RecordingError or CalibrationError."""
+    (fx, skew, cx), (_, fy, cy), bottom = read_matrix(path, 3).tolist()
+    if skew != 0 or bottom != [0, 0, 1]:
+        raise CalibrationError("is not an intrinsic matrix fx 0 cx, 0 fy cy, 0 0 1")
+    return fx, fy, cx, cy
+
+
+def true_poses(poses: Sequence[WrittenPose], warnings: list[str]) -> Trajectory | None:
+    """T_frame_camera; poses that are not finite, where tracking was lost, are left out, and told of in the warnings.
+
+    Rotations are brought to the nearest orthonormal one. Raises TrajectoryError for what is none.
+    """
+    known = [pose for pose in poses if np.isfinite(pose.T).all()]
+    if len(known) < len(poses):
+        gone = len(poses) - len(known)
+        told = f"{gone} of {len(poses)} true poses are not finite and were left out."
+        warnings.append(LeftOut(told, gone, len(poses), "true poses are not finite"))
+    if not known:
+        return None
+    T = np.stack([pose.T for pose in known])
+    R = so3.nearest(T[:, :3, :3])
+    off = np.abs(R - T[:, :3, :3]).max(axis=(1, 2))
+    if off.max() > _ORTHONORMAL_TOLERANCE:
+        worst = known[int(off.argmax())]
+        fix = "give poses as rotation and translation, without scale"
+        raise TrajectoryError("the first 3×3 numbers are no rotation", path=worst.path, line=worst.line, fix=fix)
+    return Trajectory(np.array([pose.stamp_s for pose in known]), se3.from_parts(R, T[:, :3, 3]))
+
+
+# ICL-NUIM, rendered rooms, as published for TUM's tools and as rendered (Handa et al., ICRA 2014).
+
+
+_TRUTH = "*.gt.freiburg"
+_FRAME = re.compile(r"(\d{1,9})\.png")
+_COLOR = re.compile(r"scene_\d+_(\d{1,9})\.png")
+_DISTANCES = re.compile(r"scene_\d+_(\d{1,9})\.depth")
+_UP_DOWN = np.diag([1.0, -1.0, 1.0, 1.0])
+
+
+class IclNuimReader:
+    """Colour and registered depth: 16-bit PNG at 5000 units a metre, or text of distances along the pixels' rays."""
+
+    name = "icl_nuim"
+    layout = Layout.NUMBERED
+    needs = "*.gt.freiburg, rgb/ and depth/, or scene_*.png and .depth"
+
+    def recognises(self, folder: Path) -> bool:
+        """Whether true poses called as theirs, or distances as rendered, are there."""
+        return any(True for _ in folder.glob(_TRUTH)) or any(True for _ in folder.glob("scene_*.depth"))
+
+    def open(self, folder: Path, options: OpenOptions) -> ImageRecording:
+        """The recording in `folder`. Stamps are the frames' numbers at 30 Hz, or the rate given. Raises InputError."""
+        warnings: list[str] = []
+        rate_hz = rate_of(options, warnings)
+        calibration = choose_calibration(folder, options, lambda: load_camera(self.name))
+        color, depth = _list_files(folder, rate_hz)
+        need_files(color, "colour image", folder, self.needs)
+        need_files(depth, "depth image", folder, self.needs)
+        images = pair_images(color, depth, 0.0, folder)
+        return recording_of(
+            folder,
+            self.name,
+            calibration,
+            images,
+            _encoding(depth, calibration, options),
+            _read_truth(folder, rate_hz, warnings),
+            warnings,
+        )
+
+
+def _list_files(folder: Path, rate_hz: float) -> tuple[list[ListedFile], list[ListedFile]]:
+    """Colour and depth files, as published for TUM's tools, else as rendered."""
+    published = [numbered_files((folder / name).glob("*.png"), _FRAME, rate_hz) for name in ("rgb", "depth")]
+    if any(published):
+        return published[0], published[1]
+    rendered = list(folder.glob("scene_*"))
+    return numbered_files(rendered, _COLOR, rate_hz), numbered_files(rendered, _DISTANCES, rate_hz)
+
+
+def _encoding(depth: list[ListedFile], calibration: Calibration, options: OpenOptions) -> DepthEncoding:
+    if depth[0].path.suffix != ".depth":
+        return DepthEncoding(options.depth_factor or DEPTH_FACTOR)
+    return DepthEncoding(options.depth_factor or 1.0, rays=calibration.cameras[1])
+
+
+def _read_truth(folder: Path, rate_hz: float, warnings: list[str]) -> Trajectory | None:
+    """T_frame_camera in the optical frame; the file's y axes, the camera's and the room's, point up.
+
+    Raises TrajectoryError naming file and line, and RecordingError for several files.
+    """
+    found = sorted(folder.glob(_TRUTH))
+    if len(found) > 1:
+        problem = f"holds {len(found)} files of true poses: {', '.join(path.name for path in found)}"
+        raise RecordingError(problem, path=folder, fix="leave the one that belongs to these images")
+    if not found:
+        warnings.append(f"There is no {_TRUTH}, so that nothing can be evaluated.")
+        return None
+    truth = read_tum(found[0], "camera", warnings.append)
+    T = _UP_DOWN @ truth.T_frame_body @ _UP_DOWN
+    return replace(truth, stamps_s=truth.stamps_s / rate_hz, T_frame_body=T)
+
+
+# Microsoft's 7-Scenes: frame-NNNNNN.color.png, .depth.png, .pose.txt (Shotton et al., CVPR 2013).
+
+
+_DEPTH = DepthEncoding(factor=1000.0, invalid=65535)
+_FILE = re.compile(r"frame-(\d{6})\.(?:(color)\.(?:png|jpe?g)|(depth)\.png|(pose)\.txt)")
+
+_OF_TRUTH = "True poses come from the tracker of a Kinect, not from motion capture: good to about 2 cm."
+
+
+class SevenScenesReader:
+    """Colour and depth that are not registered; depth in millimetres, 65535 where nothing was measured.
+
+    The colour camera sits 25 mm beside the depth camera and shows things 0.90 times as large. At 2 m, colour lies about
+    25 px right of depth at the image's left edge, 7 px left of it in the middle, and 40 px left at the right edge.
+    """
+
+    name = "seven_scenes"
+    layout = Layout.NUMBERED
+    needs = "frame-NNNNNN.color.png or .jpg, and .depth.png"
+
+    def recognises(self, folder: Path) -> bool:
+        """Whether a file is called as the frames are."""
+        return has_frames(folder)
+
+    def open(self, folder: Path, options: OpenOptions) -> ImageRecording:
+        """The recording in `folder`. Stamps are the frames' numbers at 30 Hz, or the rate given. Raises InputError."""
+        calibration = choose_calibration(folder, options, lambda: _calibration(folder))
+        return open_frames(folder, options, self, _OF_TRUTH, lambda _: calibration)
+
+
+def has_frames(folder: Path) -> bool:
+    """Whether a file is called as the frames are."""
+    return any(_FILE.fullmatch(path.name) for path in folder.glob("frame-*"))
+
+
+def open_frames(
+    folder: Path,
+    options: OpenOptions,
+    reader: Reader,
+    of_truth: str,
+    calibration_of: Callable[[tuple[FramePaths, ...]], Calibration],
+) -> ImageRecording:
+    """The recording of the frames in `folder`, as `reader`'s; `of_truth` says what its poses are. Raises InputError."""
+    warnings: list[str] = []
+    files = _seven_scenes_list_files(folder, rate_of(options, warnings))
+    for kind in ("color", "depth"):
+        need_files(files[kind], f"frame-NNNNNN.{kind} image", folder, reader.needs)
+    images = pair_images(files["color"], files["depth"], 0.0, folder)
+    calibration = calibration_of(images.frames)
+    if not calibration.is_registered:
+        warnings.append(
+            "Colour and depth images are not registered: things lie up to about 40 px apart in them. "
+            f"They are joined by T_color_depth of: {calibration.source}."
+        )
+    return recording_of(
+        folder,
+        reader.name,
+        calibration,
+        images,
+        replace(_DEPTH, factor=options.depth_factor or _DEPTH.factor),
+        _seven_scenes_read_truth(files["pose"], of_truth, warnings),
+        warnings,
+    )
+
+
+def _seven_scenes_list_files(folder: Path, rate_hz: float) -> dict[str, list[ListedFile]]:
+    """Colour, depth and pose files in order of their numbers."""
+    found: dict[str, dict[int, Path]] = {"color": {}, "depth": {}, "pose": {}}
+    for path in sorted(folder.glob("frame-*")):
+        if match := _FILE.fullmatch(path.name):
+            found[match[2] or match[3] or match[4]][int(match[1])] = path
+    return {
+        kind: [ListedFile(number / rate_hz, paths[number]) for number in sorted(paths)] for kind, paths in found.items()
+    }
+
+
+def _calibration(folder: Path) -> Calibration:
+    """The shipped calibration, its depth camera replaced by camera-intrinsics.txt where that is there."""
+    shipped = load_camera("seven_scenes")
+    path = folder / "camera-intrinsics.txt"
+    if not is_there(path):
+        return shipped
+    try:
+        fx, fy, cx, cy = intrinsic_numbers(path)
+        depth = replace(shipped.cameras[1], fx=fx, fy=fy, cx=cx, cy=cy)
+    except (CalibrationError, RecordingError) as error:
+        raise CalibrationError(error.problem, path=path, fix="correct or remove the file") from error
+    return replace(shipped, depth=depth)
+
+
+def _seven_scenes_read_truth(poses: list[ListedFile], of_truth: str, warnings: list[str]) -> Trajectory | None:
+    """T_frame_camera of the depth camera; the files' rotations are 4e-4 off orthonormal."""
+    truth = true_poses([WrittenPose(pose.stamp_s, read_matrix(pose.path, 4), pose.path) for pose in poses], warnings)
+    if truth is not None:
+        warnings.append(of_truth)
+    return truth
+
+
+# 3DMatch's RGB-D reconstructions: frames as in 7-Scenes, one camera for all sequences (Zeng et al., CVPR 2017).
+
+
+_INTRINSICS = "camera-intrinsics.txt"
+_UNREGISTERED = "7-scenes"
+_THREE_D_MATCH_OF_TRUTH = "True poses are those of the reconstructions that 3DMatch took over, not motion capture."
+
+
+class ThreeDMatchReader:
+    """Colour and depth registered to it; depth in millimetres, 0 or 65535 where nothing was measured."""
+
+    name = "three_d_match"
+    layout = Layout.NUMBERED
+    needs = "as seven_scenes, and camera-intrinsics.txt above"
+
+    def recognises(self, folder: Path) -> bool:
+        """Whether a camera lies above frames; those taken over from 7-Scenes are not registered, and left to that."""
+        above = folder.resolve().parent
+        is_alone = is_there(above / _INTRINSICS) and not is_there(folder / _INTRINSICS)
+        return is_alone and not above.name.startswith(_UNREGISTERED) and has_frames(folder)
+
+    def open(self, folder: Path, options: OpenOptions) -> ImageRecording:
+        """The recording in `folder`. Stamps are the frames' numbers at 30 Hz, or the rate given. Raises InputError."""
+        path = folder.resolve().parent / _INTRINSICS
+
+        def calibration_of(frames: tuple[FramePaths, ...]) -> Calibration:
+            return choose_calibration(folder, options, lambda: _three_d_match_calibration(path, frames))
+
+        return open_frames(folder, options, self, _THREE_D_MATCH_OF_TRUTH, calibration_of)
+
+
+def _three_d_match_calibration(path: Path, frames: tuple[FramePaths, ...]) -> Calibration:
+    width, height = color_size(frame.color for frame in frames)
+    try:
+        camera = PinholeCamera(width, height, *intrinsic_numbers(path))
+        return Calibration.registered_camera(camera, source=f"{path.name} of {path.parent.name}")
+    except (CalibrationError, RecordingError) as error:
+        raise CalibrationError(error.problem, path=path, fix="correct it, or give --camera") from error
+
+
+# Redwood's indoor recordings: folders of images and a trajectory in .log (Choi, Zhou, Koltun, CVPR 2015).
+
+
+_COLOR_FOLDERS = ("rgb", "image", "color")
+_IMAGE = re.compile(r"(\d{1,9})(?:-\d+)?\.(?:png|jpe?g)", re.IGNORECASE)
+_DEPTH_FACTOR = 1000.0
+_LINES_A_POSE = 5
+_FIX = "a pose is a line of three whole numbers and four lines of four"
+
+
+class RedwoodReader:
+    """Colour and registered depth in millimetres; poses in the log map the camera into the room."""
+
+    name = "redwood"
+    layout = Layout.NUMBERED
+    needs = "rgb/, image/ or color/ with N.jpg, depth/N.png and one *.log"
+
+    def recognises(self, folder: Path) -> bool:
+        """Whether a log lies beside folders called as theirs."""
+        has_images = _color_folder(folder) is not None and (folder / "depth").is_dir()
+        return has_images and any(True for _ in folder.glob("*.log"))
+
+    def open(self, folder: Path, options: OpenOptions) -> ImageRecording:
+        """The recording in `folder`. Stamps are the frames' numbers at 30 Hz, or the rate given. Raises InputError."""
+        warnings: list[str] = []
+        rate_hz = rate_of(options, warnings)
+        calibration = choose_calibration(folder, options, lambda: load_camera(self.name))
+        color_folder = _color_folder(folder) or folder
+        color, depth = (numbered_files(place.iterdir(), _IMAGE, rate_hz) for place in (color_folder, folder / "depth"))
+        need_files(color, "colour image called by its number", color_folder, self.needs)
+        need_files(depth, "depth image called by its number", folder / "depth", self.needs)
+        images = pair_images(color, depth, 0.0, folder)
+        return recording_of(
+            folder,
+            self.name,
+            calibration,
+            images,
+            DepthEncoding(options.depth_factor or _DEPTH_FACTOR),
+            true_poses(_read_log(_only_log(folder), depth, warnings), warnings),
+            warnings,
+        )
+
+
+def _color_folder(folder: Path) -> Path | None:
+    return next((folder / name for name in _COLOR_FOLDERS if (folder / name).is_dir()), None)
+
+
+def _only_log(folder: Path) -> Path:
+    logs = sorted(folder.glob("*.log"))
+    if len(logs) != 1:
+        problem = f"holds {len(logs)} logs: {', '.join(log.name for log in logs)}"
+        raise RecordingError(problem, path=folder, fix="leave the one with these images' poses")
+    return logs[0]
+
+
+def _read_log(path: Path, depth: list[ListedFile], warnings: list[str]) -> list[WrittenPose]:
+    """Poses of depth images, which the third number counts from 1 in order. Raises TrajectoryError with the line."""
+    lines = read_lines(path)
+    if not lines or len(lines) % _LINES_A_POSE:
+        problem = f"holds {len(lines)} lines, not five a pose"
+        raise TrajectoryError(problem, path=path, line=lines[-1].number if lines else None, fix=_FIX)
+    poses = [_pose(lines[at : at + _LINES_A_POSE], depth, path) for at in range(0, len(lines), _LINES_A_POSE)]
+    known = [pose for pose in poses if pose is not None]
+    if len(known) < len(poses):
+        warnings.append(f"{len(poses) - len(known)} of {len(poses)} poses of {path.name} are of no depth image here.")
+    stamps = [pose.stamp_s for pose in known]
+    if any(later <= before for before, later in pairwise(stamps)):
+        raise TrajectoryError("its third numbers do not grow", path=path, fix="put its poses in order of frames")
+    return known
+
+
+def _pose(lines: list[Line], depth: list[ListedFile], path: Path) -> WrittenPose | None:
+    """The pose of five lines; None where there is no depth image of its number."""
+    first = lines[0]
+    try:
+        _, _, count = (int(word) for word in first.text.split())
+    except ValueError as error:
+        raise TrajectoryError("three whole numbers are expected", path=path, line=first.number, fix=_FIX) from error
+    rows = []
+    for line in lines[1:]:
+        try:
+            a, b, c, d = (float(word) for word in line.text.split())
+        except ValueError as error:
+            raise TrajectoryError("four numbers are expected", path=path, line=line.number, fix=_FIX) from error
+        rows.append((a, b, c, d))
+    if not 1 <= count <= len(depth):
+        return None
+    return WrittenPose(depth[count - 1].stamp_s, np.array(rows), path, first.number)
+
+
+# Replica's rooms as NICE-SLAM renders them: results/, traj.txt, cam_params.json (Zhu et al., CVPR 2022).
+
+
+_REPLICA_COLOR = re.compile(r"frame(\d{1,9})\.(?:jpe?g|png)")
+_REPLICA_DEPTH = re.compile(r"depth(\d{1,9})\.png")
+_REPLICA_TRUTH, _CAMERA = "traj.txt", "cam_params.json"
+_REPLICA_DEPTH_FACTOR = 6553.5  # 65535 is 10 m
+_REPLICA_FIX = 'it needs {"camera": {"w", "h", "fx", "fy", "cx", "cy", "scale"}}'
+_POSE_FIX = "one pose a line, row by row"
+_JSON = Kind("a camera's description", most_mb=1)
+
+
+class ReplicaReader:
+    """Colour and depth, both rendered at one place; units a metre as the camera's file says."""
+
+    name = "replica"
+    layout = Layout.NUMBERED
+    needs = "results/frameN.jpg and depthN.png, and cam_params.json"
+
+    def recognises(self, folder: Path) -> bool:
+        """Whether images lie in results/ called as theirs."""
+        results = folder / "results"
+        return results.is_dir() and any(_REPLICA_DEPTH.fullmatch(path.name) for path in results.glob("depth*.png"))
+
+    def open(self, folder: Path, options: OpenOptions) -> ImageRecording:
+        """The recording in `folder`. Stamps are the frames' numbers at 30 Hz, or the rate given. Raises InputError."""
+        warnings: list[str] = []
+        rate_hz = rate_of(options, warnings)
+        written = _read_camera(folder)
+        calibration = choose_calibration(folder, options, lambda: _replica_calibration(folder, written))
+        files = list((folder / "results").iterdir())
+        color, depth = (numbered_files(files, pattern, rate_hz) for pattern in (_REPLICA_COLOR, _REPLICA_DEPTH))
+        need_files(color, "colour image", folder / "results", self.needs)
+        images = pair_images(color, depth, 0.0, folder / "results")
+        return recording_of(
+            folder,
+            self.name,
+            calibration,
+            images,
+            DepthEncoding(options.depth_factor or _units_a_metre(written)),
+            _replica_read_truth(folder / _REPLICA_TRUTH, rate_hz, warnings),
+            warnings,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Written:
+    """What a camera's file holds, and which that is."""
+
+    path: Path
+    values: dict[str, Any]
+
+
+def _read_camera(folder: Path) -> _Written | None:
+    """The camera's file in the folder, else in the one above, where one serves all rooms; None without any."""
+    beside = [above / _CAMERA for above in (folder, folder.resolve().parent)]
+    path = next((path for path in beside if is_there(path)), None)
+    if path is None:
+        return None
+    try:
+        values = parse_json(read_text(path, _JSON, CalibrationError))["camera"]
+        return _Written(path, dict(values))
+    except (KeyError, TypeError, ValueError) as error:
+        raise CalibrationError(f"describes no camera: {error}", path=path, fix=_REPLICA_FIX) from error
+
+
+def _units_a_metre(written: _Written | None) -> float:
+    if written is None:
+        return _REPLICA_DEPTH_FACTOR
+    factor = written.values.get("scale", _REPLICA_DEPTH_FACTOR)
+    if isinstance(factor, bool) or not isinstance(factor, int | float) or not factor > 0:
+        raise CalibrationError(f"scale is {factor!r}, not a positive number", path=written.path, fix=_REPLICA_FIX)
+    return float(factor)
+
+
+def _replica_calibration(folder: Path, written: _Written | None) -> Calibration:
+    if written is None:
+        fix = f"copy {_CAMERA} of the data set here, or say which camera with --camera"
+        raise CalibrationError(f"there is no {_CAMERA}, here or in the folder above", path=folder, fix=fix)
+    try:
+        width, height, fx, fy, cx, cy = (written.values[name] for name in ("w", "h", "fx", "fy", "cx", "cy"))
+        camera = PinholeCamera(width, height, fx, fy, cx, cy)
+        return Calibration.registered_camera(camera, source=_CAMERA)
+    except KeyError as error:
+        raise CalibrationError(f"camera has no {error}", path=written.path, fix=_REPLICA_FIX) from error
+    except CalibrationError as error:
+        raise CalibrationError(error.problem, path=written.path, fix=error.fix or _REPLICA_FIX) from error
+
+
+def _replica_read_truth(path: Path, rate_hz: float, warnings: list[str]) -> Trajectory | None:
+    """T_frame_camera, sixteen numbers a line, a line a frame from 0, in the optical frame already."""
+    if not is_there(path):
+        return None
+    poses = []
+    for number, line in enumerate(read_lines(path)):
+        try:
+            T = np.array([float(word) for word in line.text.split()], np.float64)
+        except ValueError as error:
+            raise TrajectoryError(
+                f"holds what is no number: {error}", path=path, line=line.number, fix=_POSE_FIX
+            ) from error
+        if T.size != 16:
+            problem = f"holds {T.size} numbers where the sixteen of a 4×4 matrix are expected"
+            raise TrajectoryError(problem, path=path, line=line.number, fix=_POSE_FIX)
+        poses.append(WrittenPose(number / rate_hz, T.reshape(4, 4), path, line.number))
+    if not poses:
+        raise RecordingError("holds no poses", path=path, fix="copy it again, or remove it")
+    return true_poses(poses, warnings)

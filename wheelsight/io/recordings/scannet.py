@@ -1,0 +1,324 @@
+"""ScanNet: one `.sens` file (version 4) of cameras, JPEG colour, compressed depth and poses (Dai et al., CVPR 2017)."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import CalibrationError, RecordingError
+from wheelsight.core.geometry import MOST_PIXELS, FloatArray, PinholeCamera, se3
+from wheelsight.core.inputs import Kind, decompressed, open_binary
+from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings.images import DepthEncoding, corrected_depth, decoded_color, depth_of_units, read_ahead
+from wheelsight.io.recordings.numbered_datasets import WrittenPose, rate_of, true_poses
+from wheelsight.io.recordings.recording import (
+    AssociationReport,
+    Layout,
+    ListedFrame,
+    OpenOptions,
+    choose_calibration,
+    express_for,
+)
+
+# Bytes of a .sens file, version 4, little-endian: its header, where each frame lies, and a frame's two images.
+#
+# A frame is a pose (16 float32, row by row, camera to world), stamps of colour and depth and sizes of both in bytes
+# (four uint64), then the two images. Only sizes are read when a file is opened: it has gigabytes.
+
+
+_VERSION = 4
+_MATRIX, _SIZES, _FRAME = struct.Struct("<16f"), struct.Struct("<iiIIIIfQ"), struct.Struct("<16fQQQQ")
+_LONGEST_NAME = 1024
+_MOST_FRAMES = 500_000  # as in a list of images
+_LARGEST_IMAGE = 1 << 27  # bytes, as an image's file
+_COLOR_KINDS = {1: "PNG", 2: "JPEG"}
+_RAW, _ZLIB = 0, 1
+_COPY = "copy the file again"
+_FILE = Kind("a .sens", 1 << 40)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensHeader:
+    """What stands before the frames. Sizes are width and height; T_base_color, T_base_depth are the extrinsics."""
+
+    sensor: str
+    K_color: FloatArray
+    T_base_color: FloatArray
+    K_depth: FloatArray
+    T_base_depth: FloatArray
+    depth_kind: int
+    color_size: tuple[int, int]
+    depth_size: tuple[int, int]
+    units_a_metre: float
+    frame_count: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensFrame:
+    """Where a frame's colour begins, and how many bytes both images have; depth follows colour."""
+
+    T_frame_camera: FloatArray
+    color_stamp: int
+    at: int
+    color_bytes: int
+    depth_bytes: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensFile:
+    """A file's header and frames; `cut_off` says how many frames are missing, and is empty where none is."""
+
+    header: SensHeader
+    frames: tuple[SensFrame, ...]
+    cut_off: str = ""
+
+
+def read_sens(path: Path) -> SensFile:
+    """Header and frames, no image. Raises RecordingError naming the file and the field."""
+    try:
+        with open_binary(path, _FILE, RecordingError) as stream:
+            size = stream.seek(0, 2)
+            stream.seek(0)
+            header = _read_header(stream, path)
+            frames = _read_frames(stream, header, size, path)
+    except OSError as error:
+        raise RecordingError(f"cannot be read: {error.strerror}", path=path) from error
+    if not frames:
+        raise RecordingError("is cut off before the end of its first frame", path=path, fix=_COPY)
+    missing = header.frame_count - len(frames)
+    told = f"The file is cut off: {missing} of {header.frame_count} frames are missing." if missing else ""
+    return SensFile(header, tuple(frames), told)
+
+
+def color_of(path: Path, frame: SensFrame) -> bytes:
+    """The compressed colour image."""
+    return _read_at(path, frame.at, frame.color_bytes)
+
+
+def depth_units_of(path: Path, frame: SensFrame, header: SensHeader) -> NDArray[np.uint16]:
+    """Depth (H, W) in the file's units. Raises RecordingError."""
+    data = _read_at(path, frame.at + frame.color_bytes, frame.depth_bytes)
+    width, height = header.depth_size
+    expected = 2 * width * height
+    if header.depth_kind == _ZLIB:
+        try:
+            data = decompressed(data, "zlib", expected)
+        except ValueError as error:
+            raise RecordingError(f"depth image {error}", path=path, fix=_COPY) from error
+    if len(data) != expected:
+        problem = f"depth image holds {len(data)} bytes where {width}×{height} pixels have {expected}"
+        raise RecordingError(problem, path=path, fix=_COPY)
+    return np.frombuffer(data, "<u2").reshape(height, width).astype(np.uint16)
+
+
+def _read_header(stream: BinaryIO, path: Path) -> SensHeader:
+    (version,) = struct.unpack("<I", _exactly(stream, 4, path))
+    if version != _VERSION:
+        fix = "convert it with ScanNet's tools"
+        raise RecordingError(f"is no .sens of version {_VERSION}: its version field is {version}", path=path, fix=fix)
+    (length,) = struct.unpack("<Q", _exactly(stream, 8, path))
+    if length > _LONGEST_NAME:
+        raise RecordingError(f"its sensor name would have {length} characters", path=path, fix=_COPY)
+    sensor = _exactly(stream, length, path).decode("utf-8", "replace")
+    matrices = [
+        np.array(_MATRIX.unpack(_exactly(stream, _MATRIX.size, path)), np.float64).reshape(4, 4) for _ in range(4)
+    ]
+    color_kind, depth_kind, *sizes, shift, count = _SIZES.unpack(_exactly(stream, _SIZES.size, path))
+    if color_kind not in _COLOR_KINDS:
+        problem = f"its colour compression field is {color_kind}; read are 1 (PNG) and 2 (JPEG)"
+        raise RecordingError(problem, path=path, fix="convert it with ScanNet's tools")
+    if depth_kind not in (_RAW, _ZLIB):
+        problem = f"its depth compression field is {depth_kind}; read are 0 (none) and 1 (zlib)"
+        raise RecordingError(problem, path=path, fix="convert it with ScanNet's tools")
+    if not shift > 0 or count > _MOST_FRAMES or sizes[2] * sizes[3] > MOST_PIXELS:
+        problem = f"its header says {shift:g} units a metre, {count} frames, depth of {sizes[2]}×{sizes[3]} pixels"
+        raise RecordingError(problem, path=path, fix=_COPY)
+    color_size, depth_size = (sizes[0], sizes[1]), (sizes[2], sizes[3])
+    K_color, T_color, K_depth, T_depth = matrices
+    return SensHeader(
+        sensor, K_color, T_color, K_depth, T_depth, depth_kind, color_size, depth_size, float(shift), count
+    )
+
+
+def _read_frames(stream: BinaryIO, header: SensHeader, size: int, path: Path) -> list[SensFrame]:
+    """The frames that are whole."""
+    frames: list[SensFrame] = []
+    for number in range(header.frame_count):
+        data = stream.read(_FRAME.size)
+        if len(data) < _FRAME.size:
+            break
+        *pose, color_stamp, _, color_bytes, depth_bytes = _FRAME.unpack(data)
+        if max(color_bytes, depth_bytes) > _LARGEST_IMAGE:
+            problem = f"frame {number} says its images have {color_bytes} and {depth_bytes} bytes"
+            raise RecordingError(problem, path=path, fix=_COPY)
+        at = stream.tell()
+        if at + color_bytes + depth_bytes > size:
+            break
+        T = np.array(pose, np.float64).reshape(4, 4)
+        frames.append(SensFrame(T, color_stamp, at, color_bytes, depth_bytes))
+        stream.seek(at + color_bytes + depth_bytes)
+    return frames
+
+
+def _exactly(stream: BinaryIO, count: int, path: Path) -> bytes:
+    data = stream.read(count)
+    if len(data) < count:
+        raise RecordingError("is cut off within its header", path=path, fix=_COPY)
+    return data
+
+
+def _read_at(path: Path, at: int, count: int) -> bytes:
+    """Bytes of the file, maybe fewer where it was cut off since; raises RecordingError where it cannot be read."""
+    try:
+        with open_binary(path, _FILE, RecordingError) as stream:
+            stream.seek(at)
+            return stream.read(count)
+    except OSError as error:
+        raise RecordingError(f"cannot be read: {error.strerror}", path=path) from error
+
+
+# ScanNet's .sens: one file of cameras, JPEG colour, compressed depth and poses (Dai et al., CVPR 2017).
+
+
+_FRAMES_READ_AHEAD = 4
+_MICROSECONDS = 1e6
+_RIGID_TOLERANCE = 1e-2
+
+
+class ScanNetReader:
+    """A file of ScanNet's, or of another program that writes version 4 of its format."""
+
+    name = "scannet"
+    layout = Layout.FILE
+    needs = "a .sens"
+
+    def recognises(self, folder: Path) -> bool:
+        """Whether it is a file of that name."""
+        return folder.suffix.lower() == ".sens" and folder.is_file()
+
+    def open(self, folder: Path, options: OpenOptions) -> ScanNetRecording:
+        """The recording in a file. Raises InputError naming it."""
+        sens = read_sens(folder)
+        warnings = [sens.cut_off] if sens.cut_off else []
+        stamps_s = _stamps_s(sens, options, warnings)
+        calibration = choose_calibration(folder, options, lambda: _calibration(sens.header, folder))
+        poses = [
+            WrittenPose(stamp_s, frame.T_frame_camera, folder)
+            for stamp_s, frame in zip(stamps_s, sens.frames, strict=True)
+        ]
+        truth = true_poses(poses, warnings)
+        if truth is not None:
+            warnings.append("True poses are ScanNet's own reconstruction by BundleFusion, not motion capture.")
+        count = len(sens.frames)
+        recording = ScanNetRecording(
+            name=folder.stem,
+            path=folder,
+            calibration=calibration,
+            association=AssociationReport(count, count, count, options.max_gap_s),
+            header=sens.header,
+            frames=sens.frames,
+            stamps_s=tuple(stamps_s),
+            encoding=DepthEncoding(options.depth_factor or sens.header.units_a_metre, invalid=65535),
+            ground_truth=truth,
+            warnings=tuple(warnings),
+        )
+        return recording.tried()
+
+
+@dataclass(frozen=True, eq=False)
+class ScanNetRecording:
+    """A `Recording`. Frames are read from the file as they are asked for."""
+
+    name: str
+    path: Path
+    calibration: Calibration
+    association: AssociationReport
+    header: SensHeader
+    frames: tuple[SensFrame, ...]
+    stamps_s: tuple[float, ...]
+    encoding: DepthEncoding
+    ground_truth: Trajectory | None = None
+    warnings: tuple[str, ...] = ()
+    format: str = ScanNetReader.name
+    wheel_count: int = 0
+
+    @property
+    def body(self) -> str:
+        """The frame a trajectory describes: "base" where the calibration says T_base_camera, else "camera"."""
+        return "camera" if self.calibration.T_base_camera is None else "base"
+
+    @property
+    def frame_count(self) -> int:
+        """How many frames `events()` will yield, skipped ones included."""
+        return len(self.frames)
+
+    def events(self, *, images: bool = True) -> Iterator[Event]:
+        """Frames in order of time, from the start at each call; none without `images`. Decoded a few ahead."""
+        listed = self.listed() if images else iter(())
+        return read_ahead((event.read() for event in listed), _FRAMES_READ_AHEAD)
+
+    def listed(self) -> Iterator[ListedFrame]:
+        """Frames that are still to be decoded."""
+        for index, (stamp_s, next_stamp_s) in enumerate(pairwise((*self.stamps_s, math.inf))):
+            yield ListedFrame(stamp_s, next_stamp_s, partial(self._frame_or_reason, index))
+
+    def read_frame(self, index: int) -> RgbdFrame:
+        """The frame at `index`. Raises RecordingError naming the file and what makes it unusable."""
+        frame = self.frames[index]
+        color = decoded_color(color_of(self.path, frame), self.path)
+        units = depth_units_of(self.path, frame, self.header)
+        depth_m = depth_of_units(units, self.encoding, self.path)
+        depth_m = corrected_depth(color, depth_m, self.calibration, (self.path, self.path))
+        return RgbdFrame(self.stamps_s[index], color, depth_m, index)
+
+    def _frame_or_reason(self, index: int) -> RgbdFrame | SkippedFrame:
+        try:
+            return self.read_frame(index)
+        except RecordingError as error:
+            return SkippedFrame(self.stamps_s[index], error.problem, index)
+
+    def tried(self) -> ScanNetRecording:
+        """Itself, with truth of its body. Raises RecordingError where neither first nor middle frame can be used."""
+        middle = self._frame_or_reason(len(self.frames) // 2)
+        if isinstance(middle, SkippedFrame):
+            self.read_frame(0)
+        if self.ground_truth is None:
+            return self
+        return replace(self, ground_truth=express_for(self.body, self.ground_truth, self.calibration))
+
+
+def _stamps_s(sens: SensFile, options: OpenOptions, warnings: list[str]) -> list[float]:
+    """Of colour, in microseconds in the file; where they do not grow, as in files that have none, by a rate."""
+    stamps = np.array([frame.color_stamp for frame in sens.frames], np.float64)
+    if options.rate_hz is None and (np.diff(stamps) > 0).all() and stamps[-1] > 0:
+        return [float(stamp_s) for stamp_s in stamps / _MICROSECONDS]
+    rate_hz = rate_of(options, warnings)
+    return [number / rate_hz for number in range(len(stamps))]
+
+
+def _calibration(header: SensHeader, path: Path) -> Calibration:
+    """Two cameras of their own sizes at nearly one place: the extrinsic of depth leads to colour's."""
+    try:
+        color, depth = (
+            PinholeCamera(*size, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
+            for size, K in ((header.color_size, header.K_color), (header.depth_size, header.K_depth))
+        )
+        for T in (header.T_base_color, header.T_base_depth):
+            if not se3.is_valid(T, _RIGID_TOLERANCE):
+                raise CalibrationError("an extrinsic matrix is no rigid motion")
+        T_color_depth = se3.nearest(np.linalg.inv(header.T_base_color) @ header.T_base_depth)
+        return Calibration(color, depth, T_color_depth, source=f"{path.name}, {header.sensor}")
+    except CalibrationError as error:
+        fix = error.fix or "give a calibration.yaml with --camera"
+        raise CalibrationError(f"its header: {error.problem}", path=path, fix=fix) from error

@@ -1,0 +1,576 @@
+"""Text files of recordings: tables with named columns, lists of stamped numbers and of stamped files, and
+`GrowingText`, which appends whole lines.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import re
+from bisect import bisect_left
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from operator import lt
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from wheelsight.core.errors import RecordingError
+from wheelsight.core.files import check_name, output_error
+from wheelsight.core.inputs import (
+    Kind,
+    as_number,
+    is_there,
+    lines_of,
+    plain_rows,
+    read_bytes,
+    read_text,
+    split_words,
+    unquoted,
+)
+from wheelsight.core.stamps import column_unit
+from wheelsight.io.recordings.recording import LeftOut
+
+# Text files of recordings: lines with their numbers, stamps, and that these must grow.
+
+
+_SHARE_OUT_OF_ORDER_ALLOWED = 0.01
+# In stretches that are shorter on the average, lines lie about; longer ones are in order, each by itself.
+_FEWEST_IN_ORDER = 10
+LARGEST_STAMP = 1e20  # over a hundred years in nanoseconds: a wrong unit, which others name; beyond, no unit has it
+_STAMP_NAME = re.compile(r"(?:time_?stamps?|stamps?|time|t)(?![a-z])", re.IGNORECASE)
+_OTHER_UNIT = re.compile(r"(?<![a-z])(?:[nmuµ]s|[nmu]secs?|(?:nano|micro|milli)sec\w*)(?![a-z])", re.IGNORECASE)
+COMMENT = re.compile(r"(^|\s)#.*")
+
+
+class _Stamped(Protocol):
+    @property
+    def stamp_s(self) -> float: ...
+
+
+# An hour of a gyroscope at 1 kHz has 3.6 million lines and 110 MB.
+LIST = Kind("a list", most_mb=192, most_lines=6_000_000, missing="is missing", fix="each recording needs it")
+
+IMAGE_LIST = replace(LIST, name="a list of images", most_mb=96, most_lines=500_000)
+
+S = TypeVar("S", bound=_Stamped)
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line that is no comment, with its number in the file, from 1."""
+
+    number: int
+    text: str
+
+
+def read_list(path: Path, kind: Kind = LIST) -> str:
+    """The text of a list or table of a recording. Raises RecordingError naming the file."""
+    return read_text(path, kind, RecordingError)
+
+
+def read_lines(path: Path) -> list[Line]:
+    """The lines of a text file without comments and blank lines; any line ends, with or without byte order mark.
+
+    Raises:
+        RecordingError: naming the file, if it is missing, no text, no regular file, or too large.
+    """
+    lines = enumerate(lines_of(read_list(path)), start=1)
+    bare = (Line(number, COMMENT.sub("", line).strip()) for number, line in lines)
+    return [line for line in bare if line.text]
+
+
+def listed_lines(path: Path) -> tuple[list[Line], float]:
+    """The lines of a list of images, and how many of their stamps are a second, as a line above them may name it.
+
+    # may stand in a name: only lines that begin with it are comments. A first line of names is left out.
+
+    Raises:
+        RecordingError: as `read_lines`, and for a unit in the first line that cannot be told.
+    """
+    lines: list[Line] = []
+    per_second = 1.0
+    for number, text in enumerate(lines_of(read_list(path, IMAGE_LIST)), start=1):
+        bare = text.strip()
+        if not lines and (unit := column_unit(bare.lstrip("# \t"))) is not None and unit.per_second is not None:
+            per_second = unit.per_second
+        if bare and not bare.startswith("#"):
+            lines.append(Line(number, bare))
+    return lines[bool(lines and _is_header(lines[0], path)) :], per_second
+
+
+def _is_header(line: Line, path: Path) -> bool:
+    """Whether a list's first line names its columns, a stamp first. Raises RecordingError for a unit not understood."""
+    name = unquoted(re.split(r"[;,\t]", line.text)[0])
+    if not _STAMP_NAME.match(name):
+        return False
+    if column_unit(line.text) is None and _OTHER_UNIT.search(name):
+        fix = "write them in seconds, or name their unit as in stamp_ms"
+        raise RecordingError(f"stamps are {name!r}", path=path, line=line.number, fix=fix)
+    return True
+
+
+def parse_stamp(word: str, path: Path, line: int) -> float:
+    """A stamp in seconds. Raises RecordingError naming file and line."""
+    stamp_s = as_number(word)
+    if not abs(stamp_s) <= LARGEST_STAMP:
+        fix = "begin the line with the time in seconds, such as 12.034"
+        raise RecordingError(f"{word!r} is not a stamp in seconds", path=path, line=line, fix=fix)
+    return stamp_s
+
+
+def keep_growing(items: Sequence[S], lines: Sequence[int], path: Path) -> tuple[list[S], list[str]]:
+    """The longest part of `items` whose stamps strictly grow, and a warning if that leaves any out.
+
+    A few lines out of order, up to 1 % of the file, are left out; more say that the file is wrong.
+
+    Raises:
+        RecordingError: naming file and line of the first that would have to go, or at which a clock was set back.
+    """
+    stamps_s = [item.stamp_s for item in items]
+    if all(map(lt, stamps_s, stamps_s[1:])):
+        return list(items), []
+    kept = _longest_growing(stamps_s)
+    first = next(i for i, item in enumerate(items) if i >= len(kept) or kept[i] != i)
+    problem = f"stamp {items[first].stamp_s:.6f} repeats another or is out of order"
+    if len(items) - len(kept) > _SHARE_OUT_OF_ORDER_ALLOWED * len(items):
+        _refuse_clock_set_back(stamps_s, lines, path)
+        raise RecordingError(
+            problem, path=path, line=lines[first], fix="sort the lines by stamp and keep one of each stamp"
+        )
+    gone = len(items) - len(kept)
+    told = f"{path.name}:{lines[first]}: {problem}; {gone} of {len(items)} lines like it were left out"
+    reason = f"{path.name}: stamps repeat others or are out of order"
+    return [items[i] for i in kept], [LeftOut(told, gone, len(items), reason)]
+
+
+def _refuse_clock_set_back(stamps_s: Sequence[float], lines: Sequence[int], path: Path) -> None:
+    """Refuse stretches in order that begin again earlier, which sorting would mix. Raises RecordingError."""
+    begins = [i for i in range(2, len(stamps_s)) if _begins_again(stamps_s, i)]
+    if not begins or len(stamps_s) < _FEWEST_IN_ORDER * (len(begins) + 1):
+        return
+    at = begins[0]
+    by_s = stamps_s[at - 1] - stamps_s[at]
+    problem = f"stamp {stamps_s[at]:.6f} is {by_s:.3g} s earlier than the one before it: a clock was set back"
+    fix = "cut the file before this line, or record again; sort the lines only if somebody put them in another order"
+    raise RecordingError(problem, path=path, line=lines[at], fix=fix)
+
+
+def _begins_again(stamps_s: Sequence[float], i: int) -> bool:
+    """Whether a stamp and the one after it come before both of those that were; one alone may be a bad one."""
+    before_s = stamps_s[i - 2 : i]
+    return stamps_s[i] < min(before_s) and stamps_s[min(i + 1, len(stamps_s) - 1)] < before_s[1]
+
+
+def _longest_growing(stamps: Sequence[float]) -> list[int]:
+    """Indices of a longest strictly growing subsequence (patience sorting); of equal stamps the first."""
+    ends: list[float] = []
+    indices: list[int] = []
+    before: list[int] = []
+    for i, stamp in enumerate(stamps):
+        length = bisect_left(ends, stamp)
+        before.append(indices[length - 1] if length else -1)
+        if length == len(ends):
+            ends.append(stamp)
+            indices.append(i)
+        elif stamp < ends[length]:
+            ends[length], indices[length] = stamp, i
+    chain = [indices[-1]] if indices else []
+    while chain and before[chain[-1]] >= 0:
+        chain.append(before[chain[-1]])
+    return chain[::-1]
+
+
+# Tables of numbers whose first line names their columns, as people's programs write them.
+
+
+_FIX = "correct or remove the line"
+_LARGEST = 1e15  # of numbers: squares of larger ones no longer add up
+_UNIT_APART = re.compile(r"\s+(?=[\[(])()")  # "time [ms] left": one name, where white space parts names
+_LARGEST_COUNT = (1 << 64) - 1  # of the widest counter
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of a table: its number in the file, from 1, the words of its columns, how stamps count."""
+
+    path: Path
+    number: int
+    columns: dict[str, int]
+    words: tuple[str, ...]
+    per_second: float = 1.0
+
+    @property
+    def stamp_s(self) -> float:
+        """Of column stamp_s, in seconds. Raises RecordingError."""
+        return parse_stamp(self.words[self.columns["stamp_s"]], self.path, self.number) / self.per_second
+
+    def __getitem__(self, column: str) -> float:
+        """A finite number. Raises RecordingError."""
+        value = as_number(self.words[self.columns[column]])
+        if not abs(value) <= _LARGEST:
+            raise self._error(column, "a number")
+        return value
+
+    def whole(self, column: str) -> int:
+        """A whole number, "7" or "7.0". Raises RecordingError."""
+        word = self.words[self.columns[column]]
+        try:
+            value = int(word)
+        except ValueError:
+            number = as_number(word)
+            value = int(number) if math.isfinite(number) and number.is_integer() else _LARGEST_COUNT + 1
+        if abs(value) > _LARGEST_COUNT:
+            raise self._error(column, "a whole number")
+        return value
+
+    def _error(self, column: str, what: str) -> RecordingError:
+        problem = f"{column} is {self.words[self.columns[column]]!r}, not {what}"
+        return RecordingError(problem, path=self.path, line=self.number, fix=_FIX)
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """A table's columns: stamps (N,) in seconds, the others by name, and the number of each row's line, from 1."""
+
+    stamps_s: list[float]
+    values: dict[str, list[Any]]
+    lines: Sequence[int]
+
+    def __getitem__(self, name: str) -> list[Any]:
+        return self.values[name]
+
+
+def read_columns(path: Path, numbers: Sequence[str] = (), counts: Sequence[str] = ()) -> tuple[Columns, list[str]]:
+    """Column stamp_s of a table, its `numbers` and its `counts`, which are whole; and warnings. See `read_table`.
+
+    Raises:
+        RecordingError: as `read_table`, and for what is no number, or no whole one.
+    """
+    text = read_list(path)
+    header = _header(text, path, ("stamp_s", *numbers, *counts))
+    columns = _plain_columns(text, header, numbers, counts)
+    if columns is not None:
+        return columns, []
+    warnings: list[str] = []
+    stamps_s, lines, values = [], [], {name: list[Any]() for name in (*numbers, *counts)}
+    for row in _rows(text, header, path, warnings):
+        stamps_s.append(row.stamp_s)
+        lines.append(row.number)
+        for name in numbers:
+            values[name].append(row[name])
+        for name in counts:
+            values[name].append(row.whole(name))
+    return Columns(stamps_s, values, lines), warnings
+
+
+def column_names(path: Path, columns: Sequence[str], kind: Kind = LIST) -> tuple[str, ...]:
+    """All columns that the first line of a table names; `columns` must be among them. Raises RecordingError."""
+    return _header(read_list(path, kind), path, columns).names
+
+
+def read_table(path: Path, columns: Sequence[str], kind: Kind = LIST) -> tuple[list[Row], list[str]]:
+    """The rows of a table whose first line names its columns, of which `columns` are read; and warnings.
+
+    Its first line says what parts the columns: semicolons (numbers may then have decimal commas), tabs, commas or
+    spaces; it may begin with #, be in capitals or have quotes. For stamp_s any name of stamps with a unit may stand,
+    such as stamp_ms or `time [ns]`. A last line that does not end was cut off while it was written; its numbers may
+    lack digits, so it is left out.
+
+    Raises:
+        RecordingError: naming file and line, for a column that is missing, or a line of too few or too many words.
+    """
+    text, warnings = read_list(path, kind), list[str]()
+    return list(_rows(text, _header(text, path, columns), path, warnings)), warnings
+
+
+@dataclass(frozen=True, slots=True)
+class _Header:
+    """The line that names the columns: its number, what parts them (None: white space), and how stamps count."""
+
+    number: int
+    between: str | None
+    names: tuple[str, ...]
+    per_second: float
+
+
+def _plain_columns(text: str, header: _Header, numbers: Sequence[str], counts: Sequence[str]) -> Columns | None:
+    """The columns of a table of nothing but numbers, read at once; None for any other."""
+    begin = _start_of_line(text, header.number + 1)
+    if "\r" in text or not text.endswith("\n"):
+        return None
+    found = plain_rows(text[begin:], [name in counts for name in header.names], header.between)
+    if found is None:
+        return None
+    by_name = dict(zip(header.names, found, strict=True))
+    largest = {"stamp_s": LARGEST_STAMP, **dict.fromkeys(numbers, _LARGEST)}
+    if not all((np.abs(by_name[name]) <= most).all() for name, most in largest.items()):
+        return None
+    stamps_s = (by_name["stamp_s"] / header.per_second).tolist()
+    values = {name: by_name[name].tolist() for name in (*numbers, *counts)}
+    return Columns(stamps_s, values, range(header.number + 1, header.number + 1 + len(stamps_s)))
+
+
+def _start_of_line(text: str, number: int) -> int:
+    begin = 0
+    for _ in range(number - 1):
+        begin = text.find("\n", begin) + 1
+    return begin
+
+
+def _rows(text: str, header: _Header, path: Path, warnings: list[str]) -> Iterator[Row]:
+    places, last = {name: place for place, name in enumerate(header.names)}, 0
+    for last, line in enumerate(_lines(text), start=1):
+        bare = COMMENT.sub("", line).strip() if "#" in line else line.strip()
+        if last <= header.number or not bare:
+            continue
+        words = _split(bare, header.between)
+        while len(words) > len(places) and not words[-1]:
+            words.pop()
+        if len(words) != len(places):
+            fix = "decimal commas need semicolons between the columns" if len(words) > len(places) else _FIX
+            problem = f"{len(words)} values where {len(places)} are expected"
+            raise RecordingError(problem, path=path, line=last, fix=fix)
+        yield Row(path, last, places, tuple(words), header.per_second)
+    if COMMENT.sub("", _rest(text)).strip() and last + 1 > header.number:
+        told = f"{path.name}:{last + 1}: the last line is cut off and was left out"
+        warnings.append(LeftOut(told, 1, last + 1, f"{path.name}: the last line is cut off"))
+
+
+def _lines(text: str) -> Iterator[str]:
+    """The lines that end, one by one, as `lines_of` counts them."""
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+    begin = 0
+    while (end := text.find("\n", begin)) >= 0:
+        yield text[begin:end]
+        begin = end + 1
+
+
+def _rest(text: str) -> str:
+    """What stands after the last line that ends."""
+    return text[max(text.rfind("\n"), text.rfind("\r")) + 1 :]
+
+
+def _header(text: str, path: Path, columns: Sequence[str]) -> _Header:
+    """The line that names the columns."""
+    first = None
+    for number, line in enumerate(itertools.chain(_lines(text), [_rest(text)]), start=1):
+        is_comment = line.lstrip().startswith("#")
+        if not line.strip():
+            continue
+        between = next((mark for mark in ";\t," if mark in line), None)
+        bare = line.lstrip("# \t").lower()
+        names, per_second = _with_stamps(_split(bare if between else _UNIT_APART.sub(r"\1", bare), between))
+        if all(column in names for column in columns):
+            for name, count in Counter(names).items():
+                if count > 1:
+                    raise RecordingError(f"has column {name!r} twice", path=path, line=number, fix="name each once")
+            return _Header(number, between, tuple(names), per_second)
+        if not is_comment:
+            first = (number, next(column for column in columns if column not in names))
+            break
+    number, missing = first or (1, columns[0])
+    expected = f"the first line must name the columns {', '.join(columns)}"
+    raise RecordingError(f"has no column {missing}", path=path, line=number, fix=expected)
+
+
+def _with_stamps(names: list[str]) -> tuple[list[str], float]:
+    """The names, with stamp_s for the one that is of stamps in some unit, and how many of these are a second."""
+    if "stamp_s" in names:
+        return names, 1.0
+    found = [(i, unit.per_second) for i, name in enumerate(names) if (unit := column_unit(name)) is not None]
+    if len(found) != 1:
+        return names, 1.0
+    place, per_second = found[0]
+    return [*names[:place], "stamp_s", *names[place + 1 :]], per_second or 1.0
+
+
+def _split(text: str, between: str | None) -> list[str]:
+    words = text.strip().split(between)
+    return [unquoted(word) for word in words] if "'" in text or '"' in text else [word.strip() for word in words]
+
+
+# Lists of stamped images, `stamp file` a line, as people's programs write them.
+
+
+_STAMP = r"[+-]?\d+,\d+(?=[\s;\"'])|[^\s,;\"']+"
+_ENTRY = re.compile(rf"[\"']?(?P<stamp>{_STAMP})[\"']?(?:\s*[,;]\s*|\s+)(?P<rest>.*\S)")
+_IMAGE = re.compile(r".+?\.(?:png|jpe?g|tiff?|bmp|p[gpn]m)(?=[\s,;]|$)", re.IGNORECASE)
+_NUMBER_FIRST = re.compile(r"\d+(?:\.\d+)?[\s,;]")
+_PARTS = re.compile(r"[\s,;]")
+_NAMES_TRIED = 20
+
+
+@dataclass(frozen=True, slots=True)
+class ListedFile:
+    """A file and its time in seconds, as a list file names them."""
+
+    stamp_s: float
+    path: Path
+
+
+def read_file_list(path: Path, rate_hz: float | None = None) -> tuple[list[ListedFile], list[str]]:
+    """The files that a list names, one `stamp file` a line, at growing stamps; and warnings about what was done to it.
+
+    White space, comma or semicolon part the two; quotes, more columns and a first line of names are passed over, and
+    names that lack the folder called as the list, or part folders by backslashes, are found all the same. Stamps count
+    `rate_hz` a second; where that is None, the unit that a first line or comment names, else seconds.
+
+    Raises:
+        RecordingError: naming file and line, for a line that is none, stamps out of order, or an empty list.
+    """
+    lines, per_second = listed_lines(path)
+    if not lines:
+        raise RecordingError("lists no images", path=path, fix="one `stamp file` a line is expected")
+    stamps_s, names = [], []
+    for line in lines:
+        entry = _ENTRY.fullmatch(line.text)
+        name = "" if entry is None else _name_in(entry["rest"], path, line.number)
+        if entry is None or not name:
+            fix = "one `stamp file` a line is expected"
+            raise RecordingError("a stamp and a file are expected", path=path, line=line.number, fix=fix)
+        stamps_s.append(parse_stamp(entry["stamp"], path, line.number) / (rate_hz or per_second))
+        names.append(name)
+    found, warnings = find_files(names, path, path.stem)
+    files = [ListedFile(stamp_s, file) for stamp_s, file in zip(stamps_s, found, strict=True)]
+    growing, more = keep_growing(files, [line.number for line in lines], path)
+    return growing, warnings + more
+
+
+def find_files(names: Sequence[str], path: Path, folder: str) -> tuple[list[Path], list[str]]:
+    """The files that the list at `path` means by `names`, and a warning where they are not as they are written.
+
+    Args:
+        names: as written.
+        path: of the list; names are relative to its folder.
+        folder: below it, where files of names without a folder lie.
+    """
+    beside = path.parent
+    tried = names[:: max(len(names) // _NAMES_TRIED, 1)]
+    ways: tuple[Callable[[str], Path], ...] = (
+        lambda name: beside / name,
+        lambda name: beside / name.replace("\\", "/"),
+        lambda name: beside / folder / name,
+        lambda name: beside / folder / re.split(r"[\\/]", name)[-1],
+    )
+    for number, way in enumerate(ways):
+        if any(is_there(way(name)) for name in tried):
+            told = f"{path.name}: its names are not those of files; the files in {way(names[0]).parent} were taken."
+            return [way(name) for name in names], [told] if number > 1 else []
+    return [beside / name for name in names], []
+
+
+def pair_of_files(line: Line, path: Path) -> tuple[tuple[float, str], tuple[float, str]]:
+    """The two stamps and names of a line `stamp file stamp file`; more columns are passed over.
+
+    Raises:
+        RecordingError: naming file and line.
+    """
+    words = split_words(line.text)
+    has_more = len(words) > 4 and all(_IMAGE.fullmatch(word) for word in (words[1], words[3]))
+    if len(words) != 4 and not has_more:
+        problem = "`stamp color-file stamp depth-file` is expected"
+        fix = "remove the file to have images paired by stamp"
+        raise RecordingError(problem, path=path, line=line.number, fix=fix)
+    first, second = ((parse_stamp(words[i], path, line.number), words[i + 1]) for i in (0, 2))
+    return first, second
+
+
+def _name_in(rest: str, path: Path, line: int) -> str:
+    """The file's name among what follows a stamp."""
+    if rest[0] in "\"'" and rest.find(rest[0], 1) > 0:
+        return rest[1 : rest.find(rest[0], 1)].strip()
+    rest = rest.rstrip(" \t,;")
+    if not _PARTS.search(rest) or is_there(path.parent / rest):
+        return rest
+    if _NUMBER_FIRST.match(rest):
+        fix = "write stamps with a decimal point, the file next, and quotes around a name with spaces"
+        raise RecordingError(f"{rest!r} is no file", path=path, line=line, fix=fix)
+    image = _IMAGE.match(rest)
+    return rest if image is None else image[0]
+
+
+# Text files that grow while a recording goes on, by whole lines only.
+
+
+_LIST = Kind("a list that a recording goes on with", 1 << 10)  # ten hours of readings at 300 Hz have 300 MB
+
+
+class GrowingText:
+    """A text file that is appended to, on its way to the disk at once; what cannot be written whole is taken back.
+
+    A disk that fills up in the middle of a line, or Ctrl-C, would else leave half a line, which no reader takes.
+
+    Args:
+        path: of the file.
+        header: its first lines.
+        resume: whether to go on behind the whole lines that it has; else it begins anew.
+
+    Attributes:
+        earlier: the lines that it went on behind, without comments and the header; empty where it began anew.
+
+    Raises:
+        OutputError: the file cannot be made.
+        RecordingError: what is to be resumed is no ordinary file.
+    """
+
+    def __init__(self, path: Path, header: str, resume: bool = False) -> None:
+        self._path = path
+        self._length = 0
+        self.earlier: tuple[str, ...] = ()
+        check_name(path)
+        try:
+            kept = _whole_lines(path) if resume else b""
+            self._stream = path.open("r+b" if kept else "wb", buffering=0)
+            if kept:
+                self._length = len(kept)
+                self._stream.truncate(self._length)
+                self._stream.seek(self._length)
+        except OSError as error:
+            raise output_error(error, path) from error
+        if not kept:
+            self.append(header)
+            return
+        lines, first = kept.decode("utf-8", "replace").splitlines(), header.splitlines()
+        self.earlier = tuple(line for line in lines if line.strip() and line[0] != "#" and line not in first)
+
+    def append(self, text: str) -> None:
+        """Write whole lines. Raises OutputError, and adds nothing, where the disk is full or the folder has gone."""
+        data = memoryview(text.encode("utf-8", "backslashreplace"))
+        try:
+            self._write(data)
+        except BaseException as error:
+            with suppress(OSError):
+                os.ftruncate(self._stream.fileno(), self._length)
+                self._stream.seek(self._length)
+            if isinstance(error, OSError):
+                raise output_error(error, self._path) from error
+            raise
+        self._length += len(data)
+
+    def _write(self, data: memoryview) -> None:
+        while data:
+            data = data[self._stream.write(data) :]
+
+    def close(self) -> None:
+        """Nothing is lost without it but what the system had not yet written."""
+        self._stream.close()
+
+
+def seconds(stamp_s: float) -> str:
+    """A stamp with all its decimals, never in powers of ten, so that it reads back exactly."""
+    return np.format_float_positional(stamp_s, min_digits=6)
+
+
+def _whole_lines(path: Path) -> bytes:
+    """What a file has up to its last line end, and up to the first zero: a power cut leaves such where lines were."""
+    if not is_there(path):
+        return b""
+    data = read_bytes(path, _LIST, RecordingError)
+    data = data[: data.find(b"\0")] if b"\0" in data else data
+    return data[: data.rfind(b"\n") + 1]

@@ -1,0 +1,347 @@
+"""`WheelRecording`: a recording of wheels without images, and its formats: odometry.csv, encoders of a skid-steered
+robot, and the measurement lines of TU Chemnitz.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from pathlib import Path
+
+import numpy as np
+
+from wheelsight.core.calibration import Calibration, load_calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import CalibrationError, RecordingError
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.inputs import is_there
+from wheelsight.core.messages import Event, Match, SpeedVariances, WheelReading, WheelSpeeds, WheelTicks, YawRate
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings.recording import AssociationReport, Layout, LeftOut, OpenOptions, choose_calibration
+from wheelsight.io.recordings.tables import keep_growing, read_columns, read_lines, read_table
+from wheelsight.io.recordings.tum_datasets import read_truth
+
+# A recording of wheels without images: what all formats of that kind come down to once their files are read.
+
+
+_FOLDER = Path(__file__).parent / "robots"
+
+
+@dataclass(frozen=True, eq=False)
+class WheelRecording:
+    """A `Recording` of wheel readings. Attributes beside the protocol's:
+
+    wheels: readings of the wheels in order of time, all ticks or all speeds.
+    yaw_rates: readings of a gyroscope in order of time.
+    matches: where somebody took two places for one.
+    speed_variances: what the recording states of its odometry's errors, or None.
+    """
+
+    name: str
+    path: Path
+    format: str
+    calibration: Calibration
+    wheels: tuple[WheelReading, ...]
+    yaw_rates: tuple[YawRate, ...] = ()
+    ground_truth: Trajectory | None = None
+    warnings: tuple[str, ...] = ()
+    matches: tuple[Match, ...] = ()
+    speed_variances: SpeedVariances | None = None
+
+    @property
+    def body(self) -> str:
+        """The frame the ground truth describes."""
+        return "base"
+
+    @property
+    def frame_count(self) -> int:
+        """None has images."""
+        return 0
+
+    @property
+    def wheel_count(self) -> int:
+        """How many wheel readings `events()` will yield."""
+        return len(self.wheels)
+
+    @property
+    def association(self) -> AssociationReport:
+        """Nothing to pair."""
+        return AssociationReport(0, 0, 0, 0.0)
+
+    def events(self, *, images: bool = True) -> Iterator[Event]:
+        """Readings of gyroscope and wheels in order of time, from the start at each call; there are no `images`."""
+        sources: Sequence[Sequence[Event]] = (self.yaw_rates, self.wheels)
+        yield from heapq.merge(*sources, key=lambda event: event.stamp_s)
+
+
+def shipped_robot(name: str) -> Calibration:
+    """Nominal wheels that come with the package for a format whose files do not tell of them."""
+    return load_calibration(_FOLDER / f"{name}.yaml")
+
+
+def speeds_of_wheels(wheels: Wheels, stamp_s: float, forward_m_s: float, yaw_rate_rad_s: float) -> WheelSpeeds:
+    """The speeds of wheels that together go forward and turn so: what `wheels` would have told."""
+    across_m_s = yaw_rate_rad_s * wheels.track_width_m / 2
+    left, right = forward_m_s - across_m_s, forward_m_s + across_m_s
+    return WheelSpeeds(stamp_s, left / wheels.left_radius_m, right / wheels.right_radius_m)
+
+
+def need_wheels(calibration: Calibration) -> Wheels:
+    """The calibration's wheels. Raises CalibrationError where there are none."""
+    if calibration.wheels is None:
+        problem = f"the calibration ({calibration.source}) {calibration.lacks_two_wheels}"
+        raise CalibrationError(problem, fix="give a calibration.yaml with wheels by --calibration")
+    return calibration.wheels
+
+
+# Speeds as a robot's own odometry tells them: odometry.csv, with true poses in ground_truth.csv.
+
+
+class VelocityReader:
+    """Forward speed and yaw rate, each until the next row, and poses of a motion-capture system.
+
+    odometry.csv: stamp_s, v_mps, w_radps. ground_truth.csv: stamp_s, x_m, y_m, yaw_rad and valid, 0 where the pose is
+    none. The robot's wheels are not told of: `robots/velocities.yaml` stands for them.
+    """
+
+    name = "velocities"
+    layout = Layout.WHEELS
+    needs = "odometry.csv and ground_truth.csv"
+
+    def recognises(self, folder: Path) -> bool:
+        """Whether both are there."""
+        return all(is_there(folder / name) for name in ("odometry.csv", "ground_truth.csv"))
+
+    def open(self, folder: Path, options: OpenOptions) -> WheelRecording:
+        """The recording in `folder`. Raises InputError naming file and line."""
+        speeds, warnings = _read_speeds(folder / "odometry.csv")
+        truth, more = _read_truth(folder / "ground_truth.csv")
+        return WheelRecording(
+            name=folder.resolve().name,
+            path=folder,
+            format=self.name,
+            calibration=choose_calibration(folder, options, lambda: shipped_robot("velocities")),
+            wheels=tuple(speeds),
+            ground_truth=truth,
+            warnings=(*warnings, *more),
+        )
+
+
+def _read_speeds(path: Path) -> tuple[list[WheelSpeeds], list[str]]:
+    nominal = need_wheels(shipped_robot("velocities"))
+    table, warnings = read_columns(path, numbers=("v_mps", "w_radps"))
+    told = zip(table.stamps_s, table["v_mps"], table["w_radps"], strict=True)
+    growing, more = keep_growing([speeds_of_wheels(nominal, *row) for row in told], table.lines, path)
+    return growing, warnings + more
+
+
+def _read_truth(path: Path) -> tuple[Trajectory | None, list[str]]:
+    """T_frame_base of the rows that are valid."""
+    rows, warnings = read_table(path, ("stamp_s", "x_m", "y_m", "yaw_rad", "valid"))
+    rows = [row for row in rows if row["valid"] != 0]
+    rows, more = keep_growing(rows, [row.number for row in rows], path)
+    warnings += more
+    if not rows:
+        return None, [*warnings, f"{path.name}: no true pose is marked valid."]
+    x, y, yaw = np.array([[row[name] for name in ("x_m", "y_m", "yaw_rad")] for row in rows]).T
+    stamps_s = np.array([row.stamp_s for row in rows])
+    return Trajectory(stamps_s, se3.from_plane(x, y, yaw), body="base"), warnings
+
+
+# Four encoders of a skid-steered robot beside an IMU: encoders.csv, imu.csv and, if there is one, reference.txt.
+
+
+_SIDES = (("front_left", "rear_left"), ("front_right", "rear_right"))
+
+
+class SkidSteerReader:
+    """Ticks since the reading before of four wheels, and the yaw rate of an IMU.
+
+    encoders.csv: stamp_s, front_right, front_left, rear_right, rear_left, in any order. imu.csv: stamp_s and wz_radps,
+    others are left alone. reference.txt: TUM text of the base, by another system. A side's ticks are the sum of its two
+    encoders, so that `ticks_per_turn` of a calibration.yaml is twice that of one.
+    """
+
+    name = "skid_steer"
+    layout = Layout.WHEELS
+    needs = "encoders.csv and imu.csv"
+
+    def recognises(self, folder: Path) -> bool:
+        """Whether both are there."""
+        return all(is_there(folder / name) for name in ("encoders.csv", "imu.csv"))
+
+    def open(self, folder: Path, options: OpenOptions) -> WheelRecording:
+        """The recording in `folder`. Raises InputError naming file and line."""
+        calibration = choose_calibration(folder, options, lambda: shipped_robot("skid_steer"))
+        ticks, warnings = _read_ticks(folder / "encoders.csv")
+        rates, more = _read_rates(folder / "imu.csv")
+        warnings += more
+        reference = read_truth(folder / "reference.txt", warnings, body="base")
+        if reference is not None:
+            warnings.append("The reference trajectory is another system's estimate: errors against it hold its own.")
+        return WheelRecording(
+            name=folder.resolve().name,
+            path=folder,
+            format=self.name,
+            calibration=calibration,
+            wheels=tuple(ticks),
+            yaw_rates=tuple(rates),
+            ground_truth=reference,
+            warnings=tuple(warnings),
+        )
+
+
+def _read_ticks(path: Path) -> tuple[list[WheelTicks], list[str]]:
+    """Counts summed up from the first reading; a row whose stamp is out of order keeps its ticks."""
+    table, warnings = read_columns(path, counts=(*_SIDES[0], *_SIDES[1]))
+    left, right = (accumulate(map(sum, zip(*(table[name] for name in side), strict=True))) for side in _SIDES)
+    growing, more = keep_growing(list(map(WheelTicks, table.stamps_s, left, right)), table.lines, path)
+    return growing, warnings + more
+
+
+def _read_rates(path: Path) -> tuple[list[YawRate], list[str]]:
+    table, warnings = read_columns(path, numbers=("wz_radps",))
+    growing, more = keep_growing(list(map(YawRate, table.stamps_s, table["wz_radps"])), table.lines, path)
+    return growing, warnings + more
+
+
+# Text with one measurement a line, its kind first: odom2 and loop in *_Input.txt, point2 and angle in *_GT.txt.
+#
+# The layout of TU Chemnitz's SLAM datasets (Neubert, Schubert & Protzel, RA-L 2019).
+
+
+_INPUT, _TRUTH = "*_Input.txt", "*_GT.txt"
+_NUMBERS = {"odom2": 7, "loop": 3, "point2": 7, "angle": 3}
+_SAME_STAMP_S = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class _Measurement:
+    stamp_s: float
+    line: int
+    values: tuple[float, ...]
+
+
+class MeasurementLineReader:
+    """Speeds of lines odom2 (stamp, vx, vy, turn rate, variances), each until the next; true poses of point2 and angle.
+
+    Of the speeds, that across is left out: wheels cannot tell of it. Lines `loop` (stamp, stamp of the same place
+    before, score) are matches. The robot's wheels are not told of: `robots/velocities.yaml` stands for them.
+    """
+
+    name = "measurement_lines"
+    layout = Layout.WHEELS
+    needs = f"one {_INPUT} of odom2 lines, and {_TRUTH}"
+
+    def recognises(self, folder: Path) -> bool:
+        """Whether a file of each name is there."""
+        return any(folder.glob(_INPUT)) and any(folder.glob(_TRUTH))
+
+    def open(self, folder: Path, options: OpenOptions) -> WheelRecording:
+        """The recording in `folder`. Raises InputError naming file and line."""
+        path = _only(folder, _INPUT)
+        kinds = _read(path)
+        speeds, warnings = _speeds(kinds["odom2"], path)
+        truth, more = _measurement_lines_read_truth(_only(folder, _TRUTH))
+        return WheelRecording(
+            name=folder.resolve().name,
+            path=folder,
+            format=self.name,
+            calibration=choose_calibration(folder, options, lambda: shipped_robot("velocities")),
+            wheels=tuple(speeds),
+            ground_truth=truth,
+            warnings=(*warnings, *more),
+            matches=tuple(Match(m.values[0], m.stamp_s, score=m.values[1]) for m in kinds["loop"]),
+            speed_variances=_variances(kinds["odom2"], path),
+        )
+
+
+def _only(folder: Path, pattern: str) -> Path:
+    found = sorted(folder.glob(pattern))
+    if len(found) > 1:
+        raise RecordingError(f"holds {len(found)} files {pattern}", path=folder, fix="keep each recording in a folder")
+    return found[0]
+
+
+def _speeds(odometry: list[_Measurement], path: Path) -> tuple[list[WheelSpeeds], list[str]]:
+    if not odometry:
+        raise RecordingError("holds no line odom2", path=path, fix="odom2 stamp vx vy turn-rate and three variances")
+    nominal = need_wheels(shipped_robot("velocities"))
+    speeds = [speeds_of_wheels(nominal, m.stamp_s, m.values[0], m.values[2]) for m in odometry]
+    growing, warnings = keep_growing(speeds, [m.line for m in odometry], path)
+    across_m_s = max(abs(m.values[1]) for m in odometry)
+    if across_m_s > 0:
+        warnings.append(f"Speeds across, up to {across_m_s:.2g} m/s, are left out: wheels cannot tell of them.")
+    return growing, warnings
+
+
+def _variances(odometry: list[_Measurement], path: Path) -> SpeedVariances:
+    """What the lines state of their own errors. Raises RecordingError for variances below 0."""
+    for m in odometry:
+        if min(m.values[3:]) < 0:
+            raise RecordingError("a variance is negative", path=path, line=m.line, fix="three variances from 0 up")
+    stated = sorted(odometry, key=lambda m: m.stamp_s)
+    return SpeedVariances(np.array([m.stamp_s for m in stated]), np.array([m.values[3:] for m in stated]))
+
+
+def _measurement_lines_read_truth(path: Path) -> tuple[Trajectory | None, list[str]]:
+    """T_frame_base where a point and an angle share their stamp."""
+    kinds = _read(path)
+    points, warnings = keep_growing(kinds["point2"], [m.line for m in kinds["point2"]], path)
+    angles, more = keep_growing(kinds["angle"], [m.line for m in kinds["angle"]], path)
+    warnings += more
+    stamps_s, angle_stamps_s = (np.array([m.stamp_s for m in kind]) for kind in (points, angles))
+    beside = np.searchsorted(angle_stamps_s, stamps_s - _SAME_STAMP_S).clip(max=max(len(angles) - 1, 0))
+    if not len(angles) or not len(points):
+        kind, missing = ("point2", "angle") if len(points) else ("angle", "point2")
+        count = max(len(points), len(angles))
+        warnings += [_without_partner(path, kind, missing, count, count)] if count else []
+        return None, [*warnings, f"{path.name}: has no lines angle beside point2, so no true poses."]
+    is_pose = np.abs(angle_stamps_s[beside] - stamps_s) < _SAME_STAMP_S
+    if not is_pose.all():
+        warnings.append(_without_partner(path, "point2", "angle", int(np.count_nonzero(~is_pose)), len(points)))
+    lone = len(angles) - len(np.unique(beside[is_pose]))
+    if lone:
+        warnings.append(_without_partner(path, "angle", "point2", lone, len(angles)))
+    x, y = _column(points, 0)[is_pose], _column(points, 1)[is_pose]
+    yaw_rad = _column(angles, 0)[beside][is_pose]
+    return Trajectory(stamps_s[is_pose], se3.from_plane(x, y, yaw_rad), body="base"), warnings
+
+
+def _without_partner(path: Path, kind: str, missing: str, count: int, of: int) -> LeftOut:
+    reason = f"lines {kind} have no {missing}"
+    return LeftOut(
+        f"{path.name}: {count} {reason} of their stamp and were left out.", count, of, f"{path.name}: {reason}"
+    )
+
+
+def _column(measurements: list[_Measurement], column: int) -> FloatArray:
+    return np.array([m.values[column] for m in measurements])
+
+
+def _read(path: Path) -> dict[str, list[_Measurement]]:
+    """The measurements of each kind."""
+    found: dict[str, list[_Measurement]] = {kind: [] for kind in _NUMBERS}
+    for line in read_lines(path):
+        kind, *words = line.text.split()
+        if kind not in found:
+            known = ", ".join(_NUMBERS)
+            raise RecordingError(f"unknown measurement {kind!r}", path=path, line=line.number, fix=f"known: {known}")
+        if len(words) != _NUMBERS[kind]:
+            problem = f"{kind} has {len(words)} numbers, not {_NUMBERS[kind]}"
+            raise RecordingError(problem, path=path, line=line.number)
+        stamp_s, *values = _numbers(words, path, line.number)
+        found[kind].append(_Measurement(stamp_s, line.number, tuple(values)))
+    return found
+
+
+def _numbers(words: list[str], path: Path, line: int) -> list[float]:
+    try:
+        values = [float(word) for word in words]
+    except ValueError as error:
+        raise RecordingError(str(error), path=path, line=line) from error
+    if not np.isfinite(values).all():
+        raise RecordingError("a value is not finite", path=path, line=line)
+    return values

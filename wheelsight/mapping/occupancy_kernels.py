@@ -1,0 +1,292 @@
+"""Compiled inner loops of occupancy: what a keyframe's rays pass and meet, and what that says of each cell.
+
+Of each cell a keyframe tells one thing a channel. Channel 0 is the ground, the last one what hangs above the robot, and
+those between are layers of height. A ray is straight in the map and its height over the base's floor is linear along
+it, so that one matrix (3, 4) takes points of the camera to column and row in cells, and height in metres.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from wheelsight.core.compiled import kernel
+
+HIDDEN, PASSED, MET = 1, 2, 3
+FLOOR, DROP = 1, 2
+_THING = 3
+
+
+class DepthRays(NamedTuple):
+    """Depth (h, w) in metres, 0 where unknown, and the slopes x / z (w,) and y / z (h,) of its rays."""
+
+    depth_m: Any
+    slope_x: Any
+    slope_y: Any
+
+
+class Bands(NamedTuple):
+    """Heights over the floor by which things are told apart, and what else rays go by; see `OccupancySettings`."""
+
+    resolution_m: float
+    floor_m: float
+    drop_m: float
+    tilt_rad: float
+    layer_m: float
+    height_m: float
+    overhang_m: float
+    far_m: float
+    bridged_m: float
+    hidden_m: float
+
+
+class Noise(NamedTuple):
+    """Standard deviation of a depth z: constant_m + quadratic_per_m · z²; and before how many a ray frees nothing."""
+
+    constant_m: float
+    quadratic_per_m: float
+    margin_sigmas: float
+
+
+class Window(NamedTuple):
+    """What one keyframe sees of the cells about it.
+
+    `seen` is (rows, columns, channels) uint8: FLOOR or DROP on the ground, HIDDEN, PASSED or MET elsewhere, or 0.
+    `is_touched` (rows, columns) uint8 tells where any is, and `touched` (rows · columns, 2) lists these cells; `count`
+    (1,) of them.
+    """
+
+    seen: Any
+    is_touched: Any
+    touched: Any
+    count: Any
+
+
+class Steps(NamedTuple):
+    """By what log-odds change, and between what they stay; in steps of the table, all of them even.
+
+    So 1 is nothing but a layer of which nothing was ever seen since something hid it.
+    """
+
+    met: int
+    passed: int
+    least: int
+    most: int
+
+
+@kernel(error_model="numpy")
+def trace(rays: DepthRays, M: Any, bands: Bands, noise: Noise, window: Window) -> None:
+    """Mark in a window what one keyframe sees.
+
+    Args:
+        rays: of the keyframe.
+        M: (3, 4) that takes points of the camera to column and row in the window, in cells, and height in metres.
+        bands, noise: as in settings.
+        window: of nothing.
+    """
+    begin, end = M[:, 3].copy(), np.empty(3)
+    # What the ray of the row above says, where, and how high that is.
+    above = np.zeros(4)
+    height, width = rays.depth_m.shape
+    angle = abs(rays.slope_x[1] - rays.slope_x[0]) if width > 1 else 1.0
+    for u in range(width):
+        above[0] = 0
+        for v in range(height):
+            z = rays.depth_m[v, u]
+            if not z > 0:
+                above[0] = 0
+                continue
+            for i in range(3):
+                end[i] = begin[i] + z * (M[i, 0] * rays.slope_x[u] + M[i, 1] * rays.slope_y[v] + M[i, 2])
+            sigma_m = noise.constant_m + noise.quadratic_per_m * z * z
+            margin_m = noise.margin_sigmas * sigma_m + bands.resolution_m
+            _follow(window, begin, end, _needed_from(u, v, angle, bands) / z, margin_m, bands, above)
+
+
+@kernel(error_model="numpy")
+def _follow(window: Window, begin: Any, end: Any, needed: float, margin_m: float, bands: Bands, above: Any) -> None:
+    """Mark what a ray passes from a share of its way on, and what it ends at, which `above` is for the next one."""
+    way_m = bands.resolution_m * np.sqrt((end[0] - begin[0]) ** 2 + (end[1] - begin[1]) ** 2)
+    tilt_m = bands.tilt_rad * min(way_m, bands.far_m)
+    reach = 1.0 if way_m <= bands.far_m else bands.far_m / way_m
+    is_drop = end[2] < -bands.drop_m - tilt_m and begin[2] > 0
+    ends = begin[2] / (begin[2] - end[2]) if is_drop else 1.0
+    a_metre = 1 / max(way_m, 1e-6)
+    _pass(window, begin, end, needed, min(reach, ends - margin_m * a_metre), bands, PASSED)
+    before, x_before, y_before, h_before = int(above[0]), above[1], above[2], above[3]
+    above[0] = 0
+    if ends > reach:
+        return
+    x, y = begin[0] + ends * (end[0] - begin[0]), begin[1] + ends * (end[1] - begin[1])
+    above[1], above[2], above[3] = x, y, end[2]
+    if is_drop or abs(end[2]) <= bands.floor_m + tilt_m:
+        above[0] = what = DROP if is_drop else FLOOR
+        _mark(window, x, y, 0, what)
+        if before == what:
+            _fill(window, x_before, y_before, x, y, 0, what)
+    elif 0 < end[2] < bands.overhang_m:
+        above[0] = _THING
+        channel = _channel_at(end[2], bands, window.seen.shape[2])
+        _mark(window, x, y, channel, MET)
+        if needed < 1:
+            _pass(window, begin, end, 1.0, 1 + bands.hidden_m * a_metre, bands, HIDDEN)
+        gap_m = bands.resolution_m * np.sqrt((x - x_before) ** 2 + (y - y_before) ** 2)
+        if before == _THING and gap_m <= bands.bridged_m and abs(end[2] - h_before) < bands.layer_m:
+            _fill(window, x_before, y_before, x, y, channel, MET)
+
+
+@kernel(error_model="numpy")
+def _needed_from(u: int, v: int, angle: float, bands: Bands) -> float:
+    """The depth from which on a ray passes what its neighbours do not pass.
+
+    Every second column does up to where these lie a cell apart, every fourth up to half of that; of rows, where they
+    lie a layer apart.
+    """
+    every_u, every_v = 2, 2
+    while every_u < 16 and u % every_u == 0:
+        every_u *= 2
+    while every_v < 16 and v % every_v == 0:
+        every_v *= 2
+    of_columns = bands.resolution_m / (angle * every_u) if every_u < 16 else 0.0
+    of_rows = bands.layer_m / (angle * every_v) if every_v < 16 else 0.0
+    return max(of_columns, of_rows)
+
+
+@kernel(error_model="numpy")
+def _touch(window: Window, row: int, column: int) -> None:
+    if not window.is_touched[row, column]:
+        window.is_touched[row, column] = 1
+        n = window.count[0]
+        window.touched[n, 0], window.touched[n, 1] = row, column
+        window.count[0] = n + 1
+
+
+@kernel(error_model="numpy")
+def _mark(window: Window, x: float, y: float, channel: int, what: int) -> None:
+    """What says more counts: a drop stays one, and so does what was met."""
+    row, column, seen = int(np.floor(y)), int(np.floor(x)), window.seen
+    if 0 <= row < seen.shape[0] and 0 <= column < seen.shape[1] and seen[row, column, channel] < what:
+        _touch(window, row, column)
+        seen[row, column, channel] = what
+
+
+@kernel(error_model="numpy")
+def _fill(window: Window, x: float, y: float, to_x: float, to_y: float, channel: int, what: int) -> None:
+    """Between two neighbouring rays that meet the floor there is floor: what stands there would hide the farther.
+
+    Likewise there is none where both go on below it, and one thing where both meet the same height near to each other.
+    """
+    steps = int(np.ceil(2 * max(abs(to_x - x), abs(to_y - y))))
+    for step in range(1, steps):
+        share = step / steps
+        _mark(window, x + share * (to_x - x), y + share * (to_y - y), channel, what)
+
+
+@kernel(error_model="numpy")
+def _channel_at(h_m: float, bands: Bands, channels: int) -> int:
+    """Of a height over the floor; what is below `floor_m`, and yet no floor, is in the lowest layer."""
+    top = (bands.height_m - bands.floor_m) / bands.layer_m
+    return _channel(max((h_m - bands.floor_m) / bands.layer_m, 0.0), top, channels)
+
+
+@kernel(error_model="numpy")
+def _channel(layer: float, top: float, channels: int) -> int:
+    """Of a height in layers over `floor_m`, where the robot is `top` layers high."""
+    return channels - 1 if layer >= top else min(1 + int(layer), channels - 2)
+
+
+@kernel(error_model="numpy")
+def _pass(window: Window, begin: Any, end: Any, at: float, until: float, bands: Bands, what: int) -> None:
+    """Mark what lies on a ray from one share of its way to another, cell by cell (Amanatides & Woo 1987)."""
+    dx, dy, dh = end[0] - begin[0], end[1] - begin[1], end[2] - begin[2]
+    # Only where it is within the bands.
+    if dh > 0:
+        at, until = max(at, (bands.floor_m - begin[2]) / dh), min(until, (bands.overhang_m - begin[2]) / dh)
+    elif dh < 0:
+        at, until = max(at, (bands.overhang_m - begin[2]) / dh), min(until, (bands.floor_m - begin[2]) / dh)
+    elif not bands.floor_m <= begin[2] < bands.overhang_m:
+        return
+    if at >= until:
+        return
+    seen, is_touched, step_x, step_y = window.seen, window.is_touched, 1 if dx > 0 else -1, 1 if dy > 0 else -1
+    x, y = begin[0] + at * dx, begin[1] + at * dy
+    column, row = int(np.floor(x)), int(np.floor(y))
+    a_cell_x = 1 / abs(dx) if dx != 0 else np.inf
+    a_cell_y = 1 / abs(dy) if dy != 0 else np.inf
+    next_x = at + ((column + 1 - x) if dx > 0 else (x - column)) * a_cell_x if dx != 0 else np.inf
+    next_y = at + ((row + 1 - y) if dy > 0 else (y - row)) * a_cell_y if dy != 0 else np.inf
+    rows, columns, channels = seen.shape
+    top = (bands.height_m - bands.floor_m) / bands.layer_m
+    base, climb = (begin[2] - bands.floor_m) / bands.layer_m, dh / bands.layer_m
+    # Rounding must not put an end below the first layer.
+    here = _channel(max(base + at * climb, 0.0), top, channels)
+    while at < until:
+        at = min(next_x, next_y, until)
+        there = _channel(max(base + at * climb, 0.0), top, channels)
+        if 0 <= row < rows and 0 <= column < columns:
+            if not is_touched[row, column]:  # most are, and need no call
+                _touch(window, row, column)
+            _see(seen, row, column, here, there, what)
+        here = there
+        if next_x < next_y:
+            column += step_x
+            next_x += a_cell_x
+        else:
+            row += step_y
+            next_y += a_cell_y
+
+
+@kernel(error_model="numpy")
+def _see(seen: Any, row: int, column: int, channel: int, last: int, what: int) -> None:
+    """From a channel of a cell to another."""
+    seen[row, column, channel] = max(seen[row, column, channel], what)
+    while channel != last:
+        channel += 1 if channel < last else -1
+        seen[row, column, channel] = max(seen[row, column, channel], what)
+
+
+@kernel(error_model="numpy")
+def stand(window: Window, x: float, y: float, radius: float) -> None:
+    """Mark floor, and nothing above it, about where the robot stands; all in cells."""
+    seen = window.seen
+    for row in range(max(int(y - radius), 0), min(int(y + radius) + 2, seen.shape[0])):
+        for column in range(max(int(x - radius), 0), min(int(x + radius) + 2, seen.shape[1])):
+            if (row + 0.5 - y) ** 2 + (column + 0.5 - x) ** 2 <= radius * radius:
+                _mark(window, column + 0.5, row + 0.5, 0, FLOOR)
+                for channel in range(1, seen.shape[2] - 1):
+                    _mark(window, column + 0.5, row + 0.5, channel, PASSED)
+
+
+@kernel(error_model="numpy")
+def add(window: Window, log_odds: Any, row: int, column: int, steps: Steps) -> None:
+    """Add what one keyframe saw to a table, and clear the window.
+
+    Args:
+        window: as `trace` and `stand` leave it.
+        log_odds: (R, C, channels) int8; on the ground, of a floor that is there.
+        row, column: in the table of the window's first cell; the window lies within.
+        steps: of a layer that is met or passed.
+    """
+    channels = window.seen.shape[2]
+    for n in range(window.count[0]):
+        i, j = window.touched[n, 0], window.touched[n, 1]
+        window.is_touched[i, j] = 0
+        for channel in range(channels):
+            what = window.seen[i, j, channel]
+            if what == 0:
+                continue
+            window.seen[i, j, channel] = 0
+            value = int(log_odds[row + i, column + j, channel])
+            if channel == 0:
+                # That the floor is missing is as surely seen as that it is there.
+                value += steps.met if what == FLOOR else -steps.met
+                value = min(max(value, -steps.most), steps.most)
+            elif what == HIDDEN:
+                value = 1 if value == 0 else value
+            else:
+                value = 0 if value == 1 else value
+                value += steps.met if what == MET else steps.passed
+                value = min(max(value, steps.least), steps.most)
+            log_odds[row + i, column + j, channel] = value
+    window.count[0] = 0

@@ -1,0 +1,296 @@
+"""Compiled costmap: inflation and costs, marking and clearing of the live layer, and unknown cells in sight."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from wheelsight.core.compiled import kernel
+
+# Compiled: marks obstacles in a grid from cells of another one, and says what driving over each cell costs.
+
+
+_PARTS = 4
+
+
+class Cells(NamedTuple):
+    """A grid's cells: side in metres, and x and y of the corner of cell (0, 0)."""
+
+    resolution_m: float
+    x: float
+    y: float
+
+
+class Falls(NamedTuple):
+    """How cost falls away from obstacles; see `CostmapSettings`.
+
+    Attributes:
+        near_m: from the middle of an obstacle's cell to where it begins to fall.
+        inflation_m, decay_per_m, unknown_cost: of the settings.
+    """
+
+    near_m: float
+    inflation_m: float
+    decay_per_m: float
+    unknown_cost: float
+
+
+@kernel
+def mark_occupied(is_occupied: Any, of: Cells, T: Any, to: Cells, occupied: int, state: Any) -> None:
+    """Mark all cells of a grid in which any sixteenth of another grid's occupied cell has its middle.
+
+    Args:
+        is_occupied: (h, w) of the other grid, whose cells are `of`.
+        T: x, y, cosine and sine of where that lies in this one's frame.
+        to, state: (H, W) this grid.
+        occupied: value that marks.
+    """
+    x, y, c, s = T
+    for i in range(is_occupied.shape[0]):
+        for j in range(is_occupied.shape[1]):
+            if not is_occupied[i, j]:
+                continue
+            for k in range(_PARTS * _PARTS):
+                a = of.x + of.resolution_m * (j + (k % _PARTS + 0.5) / _PARTS)
+                b = of.y + of.resolution_m * (i + (k // _PARTS + 0.5) / _PARTS)
+                column = int(np.floor((x + c * a - s * b - to.x) / to.resolution_m))
+                row = int(np.floor((y + s * a + c * b - to.y) / to.resolution_m))
+                if 0 <= row < state.shape[0] and 0 <= column < state.shape[1]:
+                    state[row, column] = occupied
+
+
+@kernel
+def costs(state: Any, is_lethal: Any, distance_m: Any, falls: Falls, unknown: int) -> Any:
+    """(H, W) float32 from 0 to 1, 1 on obstacles: exp(-decay · distance) about them, and no less where unknown."""
+    rows, columns = state.shape
+    found = np.zeros((rows, columns), np.float32)
+    for i in range(rows):
+        for j in range(columns):
+            cost = 0.0
+            beyond_m = max(distance_m[i, j] - falls.near_m, 0.0)
+            if is_lethal[i, j]:
+                cost = 1.0
+            elif beyond_m <= falls.inflation_m:
+                cost = np.exp(-falls.decay_per_m * beyond_m)
+            if state[i, j] == unknown:
+                cost = max(cost, falls.unknown_cost)
+            found[i, j] = cost
+    return found
+
+
+# Compiled: what a depth image shows about the robot, in cells and layers of height.
+#
+# Channel 0 of a cell is a floor that is missing, the others are layers of height. One matrix (3, 4) takes points of
+# the camera to column and row in cells, and height over the floor in metres.
+
+
+PASSED, MET = 1, 2
+
+
+class View(NamedTuple):
+    """A depth image (h, w), 0 where nothing was measured, and its rays' slopes x / z and y / z (h, w, 2).
+
+    Attributes:
+        depth_m, slopes: of the image.
+        M: (3, 4) as above.
+    """
+
+    depth_m: Any
+    slopes: Any
+    M: Any
+
+
+class Heights(NamedTuple):
+    """By what things are told apart; see `LiveLayerSettings`."""
+
+    resolution_m: float
+    floor_m: float
+    drop_m: float
+    tilt_rad: float
+    layer_m: float
+    height_m: float
+    far_m: float
+    measured: float
+    pixels: int
+
+
+class Noise(NamedTuple):
+    """Standard deviation of a depth z: constant_m + quadratic_per_m · z²; and how many of them a ray ends before."""
+
+    constant_m: float
+    quadratic_per_m: float
+    margin_sigmas: float
+
+
+class Rules(NamedTuple):
+    """When what was met is gone; see `LiveLayerSettings`."""
+
+    passes: int
+    forget_s: float
+    stays: float
+
+
+@kernel(error_model="numpy")
+def _end(view: View, v: int, u: int, z: float) -> Any:
+    """Column, row and height of the point at a depth."""
+    M, a, b = view.M, view.slopes[v, u, 0], view.slopes[v, u, 1]
+    x = M[0, 3] + z * (M[0, 0] * a + M[0, 1] * b + M[0, 2])
+    y = M[1, 3] + z * (M[1, 0] * a + M[1, 1] * b + M[1, 2])
+    return x, y, M[2, 3] + z * (M[2, 0] * a + M[2, 1] * b + M[2, 2])
+
+
+@kernel(error_model="numpy")
+def mark_met(view: View, heights: Heights, is_own: Any, seen: Any) -> None:
+    """Mark what each pixel shows in `seen` (rows, columns, channels), but where the robot itself is (rows, columns)."""
+    M, (height, width) = view.M, view.depth_m.shape
+    for v in range(height):
+        for u in range(width):
+            z = view.depth_m[v, u]
+            if not (z > 0 and z < np.inf):
+                continue
+            x, y, h = _end(view, v, u, z)
+            way_m = heights.resolution_m * np.sqrt((x - M[0, 3]) ** 2 + (y - M[1, 3]) ** 2)
+            tilt_m = heights.tilt_rad * way_m
+            channel, what = 0, MET
+            if h < -heights.drop_m - tilt_m and M[2, 3] > 0:
+                share = M[2, 3] / (M[2, 3] - h)
+                x, y, way_m = M[0, 3] + share * (x - M[0, 3]), M[1, 3] + share * (y - M[1, 3]), way_m * share
+            elif abs(h) <= heights.floor_m + tilt_m:
+                what = PASSED
+            elif 0 < h < heights.height_m:
+                channel = _channel(h, heights, seen.shape[2])
+            else:
+                continue
+            row, column = int(np.floor(y)), int(np.floor(x))
+            if way_m > heights.far_m or not (0 <= row < seen.shape[0] and 0 <= column < seen.shape[1]):
+                continue
+            if not is_own[row, column]:
+                seen[row, column, channel] = max(seen[row, column, channel], what)
+
+
+@kernel(error_model="numpy")
+def _channel(h_m: float, heights: Heights, channels: int) -> int:
+    return min(1 + int(max(h_m - heights.floor_m, 0.0) / heights.layer_m), channels - 1)
+
+
+@kernel(error_model="numpy")
+def mark_passed(view: View, heights: Heights, noise: Noise, seen: Any) -> None:
+    """Mark the layers of cells that blocks of pixels see through, up to the nearest depth of each block."""
+    (height, width), size = view.depth_m.shape, heights.pixels
+    for v in range(0, height, size):
+        for u in range(0, width, size):
+            nearest, measured, count = np.inf, 0, 0
+            for i in range(v, min(v + size, height)):
+                for j in range(u, min(u + size, width)):
+                    z = float(view.depth_m[i, j])
+                    count += 1
+                    if z > 0 and z < np.inf:
+                        measured += 1
+                        nearest = min(nearest, z)
+            if measured == 0 or measured < heights.measured * count:
+                continue
+            i, j = min(v + size // 2, height - 1), min(u + size // 2, width - 1)
+            margin_m = noise.margin_sigmas * (noise.constant_m + noise.quadratic_per_m * nearest * nearest)
+            _pass(view, (i, j, nearest), margin_m + heights.resolution_m, heights, seen)
+
+
+@kernel(error_model="numpy")
+def _pass(view: View, ray: Any, margin_m: float, heights: Heights, seen: Any) -> None:
+    """Mark what a ray (row and column of its pixel, depth) passes until a margin before its end."""
+    M, channels = view.M, seen.shape[2]
+    x, y, h = _end(view, ray[0], ray[1], ray[2])
+    dx, dy, dh = x - M[0, 3], y - M[1, 3], h - M[2, 3]
+    way_m = heights.resolution_m * np.hypot(dx, dy)
+    if way_m <= margin_m:
+        return
+    until = min(1.0 - margin_m / way_m, heights.far_m / way_m)
+    steps = int(np.ceil(2.0 * np.hypot(dx, dy)))
+    for k in range(int(until * steps) + 1):
+        share = (k + 0.5) / steps
+        height = M[2, 3] + share * dh
+        if share > until or height < heights.floor_m:
+            return
+        row, column = int(np.floor(M[1, 3] + share * dy)), int(np.floor(M[0, 3] + share * dx))
+        if height >= heights.height_m or not (0 <= row < seen.shape[0] and 0 <= column < seen.shape[1]):
+            continue
+        channel = _channel(height, heights, channels)
+        seen[row, column, channel] = max(seen[row, column, channel], PASSED)
+
+
+@kernel
+def remember(seen: Any, is_own: Any, left: Any, met_s: Any, stamp_s: float, rules: Rules) -> None:
+    """Bring `left` (rows, columns, channels), how often each must yet be seen through, up to date; empty `seen`.
+
+    `met_s` (rows, columns, 2) says when something was met in a cell first and last.
+    """
+    rows, columns, channels = left.shape
+    for i in range(rows):
+        for j in range(columns):
+            is_met, is_left = False, False
+            for channel in range(channels):
+                if is_own[i, j]:
+                    left[i, j, channel] = 0
+                elif seen[i, j, channel] == MET:
+                    left[i, j, channel], is_met = rules.passes, True
+                elif seen[i, j, channel] == PASSED and left[i, j, channel] > 0:
+                    left[i, j, channel] -= 1
+                is_left = is_left or left[i, j, channel] > 0
+                seen[i, j, channel] = 0
+            if is_met:
+                met_s[i, j, 1] = stamp_s
+                met_s[i, j, 0] = min(met_s[i, j, 0], stamp_s)
+            if is_left and stamp_s - met_s[i, j, 1] > rules.forget_s + rules.stays * (met_s[i, j, 1] - met_s[i, j, 0]):
+                left[i, j, :] = 0
+                is_left = False
+            if not is_left:
+                met_s[i, j, 0] = np.inf
+
+
+@kernel
+def any_left(left: Any) -> Any:
+    """(rows, columns) where any of `left`'s channels is over 0: numpy's own takes ten times as long."""
+    rows, columns, channels = left.shape
+    found = np.zeros((rows, columns), np.bool_)
+    for i in range(rows):
+        for j in range(columns):
+            for channel in range(channels):
+                if left[i, j, channel] > 0:
+                    found[i, j] = True
+                    break
+    return found
+
+
+# Compiled: which unknown cells of a grid lie in sight of a place.
+
+
+@kernel
+def mark_in_sight(state: Any, place: Any, reach: float, states: Any, found: Any) -> None:
+    """Mark unknown cells whose middle is within reach of a place with nothing occupied on the line between them.
+
+    Args:
+        state: (H, W) of cells.
+        place: (2,) column and row, in cells from the grid's corner.
+        reach: in cells.
+        states: which value is unknown, and which occupied.
+        found: (H, W) bool, marked.
+    """
+    unknown, occupied = states
+    height, width = state.shape
+    for row in range(max(int(place[1] - reach), 0), min(int(place[1] + reach) + 2, height)):
+        for column in range(max(int(place[0] - reach), 0), min(int(place[0] + reach) + 2, width)):
+            x, y = column + 0.5 - place[0], row + 0.5 - place[1]
+            if state[row, column] == unknown and np.sqrt(x * x + y * y) <= reach:
+                found[row, column] = _is_open(state, place, (x, y), reach, occupied)
+
+
+@kernel
+def _is_open(state: Any, place: Any, way: Any, reach: float, occupied: int) -> bool:
+    """Whether a way (x, y) in cells from a place meets nothing occupied."""
+    steps = 1 + int(2 * reach)
+    for k in range(steps + 1):
+        share = k / steps
+        row, column = int(np.floor(place[1] + share * way[1])), int(np.floor(place[0] + share * way[0]))
+        if 0 <= row < state.shape[0] and 0 <= column < state.shape[1] and state[row, column] == occupied:
+            return False
+    return True

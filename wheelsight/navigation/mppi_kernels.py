@@ -1,0 +1,299 @@
+"""Compiled: rollouts of commands through a robot's dynamics, what each costs, and their mean by weight.
+
+Williams, Aldrich, Theodorou: Model predictive path integral control: from theory to parallel computation, 2017.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from wheelsight.core.compiled import kernel
+from wheelsight.core.geometry.arrays import Float32Array, FloatArray
+from wheelsight.navigation.clearance_kernels import (
+    CostField,
+    Outline,
+    clearance_at,
+    cost_and_speed_at,
+    people_apart,
+    toward,
+)
+
+# Obstacles nearer than the margin are looked for after so many metres of any corner, at the least.
+_LOOK_M = 0.1
+# What leaves infinity and NaN as they are.
+_FAST = {"contract", "nsz", "arcp"}
+
+
+class Begin(NamedTuple):
+    """Where rollouts begin: pose, measured speeds, the way's point there, and how far obstacles and people are."""
+
+    x: float
+    y: float
+    yaw: float
+    forward_m_s: float
+    turn_rad_s: float
+    point: int
+    clearance_m: float
+    apart_m: float
+
+
+class Way(NamedTuple):
+    """A piece of a path that is driven in one direction.
+
+    Attributes:
+        points: (M, 6) x, y, cosine and sine of the robot's heading, metres along, and the fastest speed there.
+        direction: 1 forward, -1 backward.
+    """
+
+    points: FloatArray
+    direction: float
+
+
+class Dynamics(NamedTuple):
+    """How a base follows commands.
+
+    Attributes:
+        outline: what must touch nothing.
+        forward_m_s, backward_m_s, turn_rad_s: the fastest.
+        speed_up, slow_down, turn_change: by how much speeds change in one step, at most.
+        share: of what is left to a command, a step's part by its lag.
+        step_s: seconds a step.
+        reach_m: from the axle to the farthest corner.
+    """
+
+    outline: Outline
+    forward_m_s: float
+    backward_m_s: float
+    turn_rad_s: float
+    speed_up: float
+    slow_down: float
+    turn_change: float
+    share: float
+    step_s: float
+    reach_m: float
+
+
+class Weights(NamedTuple):
+    """What counts how much, for a second of a rollout where nothing else is said.
+
+    What is near counts by the way that leads past it, not by the time: else a robot creeps, or stands, before a goal
+    beside a wall.
+
+    Attributes:
+        aside: half a square metre beside the way; beyond `aside_m` it grows as the distance.
+        heading: heading against the way's, 1 - cosine.
+        progress: a metre less along the way, at the end.
+        beyond: a square metre beyond the way's end.
+        wrong_way: a metre a second against the way's direction.
+        too_fast: a metre a second above a zone's limit.
+        cost: a metre through the field's cost.
+        near: a metre along an obstacle, from 0 at `near_m` to all at `margin_m`, as a square.
+        change_forward, change_turn: the square of a command's change in one step.
+        contact: of coming nearer than `margin_m`, once.
+        people: a second near people, as `near`, within `people_m`.
+    """
+
+    aside: float
+    aside_m: float
+    heading: float
+    progress: float
+    beyond: float
+    wrong_way: float
+    too_fast: float
+    cost: float
+    near: float
+    change_forward: float
+    change_turn: float
+    contact: float
+    people: float
+    margin_m: float
+    near_m: float
+    people_margin_m: float
+    people_m: float
+
+
+@kernel(error_model="numpy", fastmath=_FAST)
+def draw(nominal: FloatArray, noise: Float32Array, spread: Any, dynamics: Dynamics, drawn: Float32Array) -> None:
+    """Commands (K, T, 2) about the nominal ones (T, 2) by standard noise (K, T, 2), within the limits.
+
+    The first is the nominal one, the second a stop.
+    """
+    rollouts, steps, _ = noise.shape
+    for k in range(rollouts):
+        for t in range(steps):
+            v = nominal[t, 0] + spread[0] * noise[k, t, 0]
+            w = nominal[t, 1] + spread[1] * noise[k, t, 1]
+            if k <= 1:
+                v, w = (nominal[t, 0], nominal[t, 1]) if k == 0 else (0.0, 0.0)
+            drawn[k, t, 0] = min(max(v, -dynamics.backward_m_s), dynamics.forward_m_s)
+            drawn[k, t, 1] = min(max(w, -dynamics.turn_rad_s), dynamics.turn_rad_s)
+
+
+@kernel(error_model="numpy", fastmath=_FAST)
+def costs_of(
+    begin: Begin,
+    way: Way,
+    field: CostField,
+    people: FloatArray,
+    dynamics: Dynamics,
+    weights: Weights,
+    drawn: Float32Array,
+    costs: FloatArray,
+) -> None:
+    """What each of several rollouts (K, T, 2) costs, into (K,)."""
+    poses = np.empty((0, 3))
+    for k in range(len(drawn)):
+        costs[k], _ = roll_out(begin, way, field, people, dynamics, weights, drawn[k], poses)
+
+
+@kernel(error_model="numpy", fastmath=_FAST)
+def roll_out(
+    begin: Begin,
+    way: Way,
+    field: CostField,
+    people: FloatArray,
+    dynamics: Dynamics,
+    weights: Weights,
+    commands: Float32Array,
+    poses: FloatArray,
+) -> Any:
+    """What one rollout (T, 2) costs, and the step in which it touches something, or T; its poses (T, 3), or (0, 3)."""
+    steps = len(commands)
+    pose = (begin.x, begin.y, np.cos(begin.yaw), np.sin(begin.yaw))
+    v, w, point, way_m = begin.forward_m_s, begin.turn_rad_s, begin.point, 0.0
+    around = _look(field, pose, begin.clearance_m, weights)
+    apart, close, touches, total = begin.apart_m, _close(begin.apart_m, weights), False, 0.0
+    for t in range(steps):
+        v, w = _follow(v, w, _ends(commands[t, 0], way, point), commands[t, 1], dynamics)
+        pose = _moved(pose, v * dynamics.step_s, w * dynamics.step_s)
+        point = _advance(way, point, pose[0], pose[1])
+        if len(poses) > 0:
+            poses[t, 0], poses[t, 1], poses[t, 2] = pose[0], pose[1], np.arctan2(pose[3], pose[2])
+        way_m += (abs(v) + dynamics.reach_m * abs(w)) * dynamics.step_s
+        # No point of the outline went farther than this: what was farther off cannot have been touched.
+        if way_m >= max(around[0] - weights.margin_m, _LOOK_M) or t == steps - 1:
+            clearance = clearance_at(field, dynamics.outline, pose, weights.margin_m)
+            touches = _touches(clearance, around[0], weights.margin_m)
+            around, way_m = _look(field, pose, clearance, weights), 0.0
+        if len(people) > 0 and t % 2 == 1:
+            before, apart = apart, people_apart(people, dynamics.outline, pose, (t + 1) * dynamics.step_s)
+            touches |= _touches(apart, before, weights.people_margin_m)
+            close = _close(apart, weights)
+        if touches:
+            return total + weights.contact * (2.0 - t / steps), t
+        cost = _of_way(way, point, pose, v, weights) + _of_changes(commands, t, weights)
+        total += (cost + abs(v) * around[1] + close + weights.too_fast * max(abs(v) - around[2], 0.0)) * dynamics.step_s
+    return total + _of_end(way, begin.point, point, pose, weights), steps
+
+
+@kernel(error_model="numpy", fastmath=_FAST)
+def _look(field: CostField, pose: Any, clearance: float, weights: Weights) -> Any:
+    """Clearance, what a metre there costs, and the fastest speed there."""
+    share = max(weights.near_m - clearance, 0.0) / (weights.near_m - weights.margin_m)
+    floor, fastest = cost_and_speed_at(field, pose[0], pose[1])
+    return clearance, weights.near * share * share + weights.cost * floor, fastest
+
+
+@kernel(error_model="numpy", fastmath=_FAST)
+def _close(apart: float, weights: Weights) -> Any:
+    """What being so far from people costs a second."""
+    share = max(weights.people_m - apart, 0.0) / (weights.people_m - weights.people_margin_m)
+    return weights.people * share * share
+
+
+@kernel(error_model="numpy", fastmath=_FAST)
+def _follow(v: float, w: float, wanted_v: float, wanted_w: float, dynamics: Dynamics) -> Any:
+    """Speeds one step on."""
+    v = toward(v, v + dynamics.share * (wanted_v - v), dynamics.speed_up, dynamics.slow_down)
+    change = dynamics.share * (wanted_w - w)
+    return v, w + min(max(change, -dynamics.turn_change), dynamics.turn_change)
+
+
+@kernel(error_model="numpy", fastmath=_FAST)
+def _moved(pose: Any, way_m: float, turn_rad: float) -> Any:
+    """As `moved`, for turns of a step, by series: 1e-7 off at a fifth of a radian."""
+    x, y, c, s = pose
+    h = turn_rad / 2
+    hh = h * h
+    hc, hs = 1.0 - hh * (0.5 - hh / 24.0), h * (1.0 - hh * (1.0 / 6.0 - hh / 120.0))
+    mc, ms = c * hc - s * hs, s * hc + c * hs
+    chord = way_m * (1.0 - hh / 6.0)
+    return x + chord * mc, y + chord * ms, mc * hc - ms * hs, ms * hc + mc * hs
+
+
+@kernel(error_model="numpy", fastmath=_FAST)
+def _along(way: Way, point: int, x: float, y: float) -> Any:
+    """How far beyond a point of the way, in its direction, something lies."""
+    p = way.points
+    return way.direction * ((x - p[point, 0]) * p[point, 2] + (y - p[point, 1]) * p[point, 3])
+
+
+@kernel(error_model="numpy", fastmath=_FAST)
+def _advance(way: Way, point: int, x: float, y: float) -> Any:
+    """The point of the way that a robot is at, from the one that it was at."""
+    last = len(way.points) - 1
+    while point < last:
+        if _along(way, point, x, y) <= (way.points[point + 1, 4] - way.points[point, 4]) / 2:
+            break
+        point += 1
+    return point
+
+
+@kernel(error_model="numpy", fastmath=_FAST)
+def _ends(v: float, way: Way, point: int) -> Any:
+    """A commanded speed, so that the robot stands at the way's end."""
+    most = way.points[point, 5]
+    return min(max(v, -most), most)
+
+
+@kernel(error_model="numpy", fastmath=_FAST)
+def _of_way(way: Way, point: int, pose: Any, v: float, weights: Weights) -> Any:
+    p = way.points
+    px, py, pc, ps = p[point, 0], p[point, 1], p[point, 2], p[point, 3]
+    aside = (pose[1] - py) * pc - (pose[0] - px) * ps
+    cosine = pose[2] * pc + pose[3] * ps
+    against = max(-way.direction * v, 0.0)
+    # Near the way as a square, far from it as the distance: whoever goes around a thing is not drawn into it.
+    off = weights.aside_m * (np.sqrt(aside * aside + weights.aside_m * weights.aside_m) - weights.aside_m)
+    return weights.aside * off + weights.heading * (1.0 - cosine) + weights.wrong_way * against
+
+
+@kernel(error_model="numpy", fastmath=_FAST)
+def _of_changes(commands: Float32Array, t: int, weights: Weights) -> Any:
+    if t == 0:
+        return 0.0
+    dv, dw = commands[t, 0] - commands[t - 1, 0], commands[t, 1] - commands[t - 1, 1]
+    return weights.change_forward * dv * dv + weights.change_turn * dw * dw
+
+
+@kernel(error_model="numpy", fastmath=_FAST)
+def _touches(clearance: float, before: float, margin_m: float) -> Any:
+    """Whether a robot comes too near; not where it was, and leaves."""
+    return clearance <= margin_m and not (before <= margin_m and clearance > before + 1e-4)
+
+
+@kernel(error_model="numpy", fastmath=_FAST)
+def _of_end(way: Way, begin: int, point: int, pose: Any, weights: Weights) -> Any:
+    along = _along(way, point, pose[0], pose[1])
+    beyond = max(along, 0.0) if point == len(way.points) - 1 else 0.0
+    return weights.beyond * beyond * beyond - weights.progress * (way.points[point, 4] - way.points[begin, 4] + along)
+
+
+@kernel(error_model="numpy", fastmath=_FAST)
+def blend(costs: FloatArray, drawn: Float32Array, temperature: float, blended: FloatArray) -> Any:
+    """Mean of commands (K, T, 2) by exp(-cost / temperature), into (T, 2); the row of the cheapest."""
+    best = int(np.argmin(costs))
+    blended[:] = 0.0
+    total = 0.0
+    for k in range(len(costs)):
+        weight = np.exp((costs[best] - costs[k]) / temperature)
+        if weight < 1e-6:
+            continue
+        total += weight
+        for t in range(drawn.shape[1]):
+            blended[t, 0] += weight * drawn[k, t, 0]
+            blended[t, 1] += weight * drawn[k, t, 1]
+    blended /= total
+    return best

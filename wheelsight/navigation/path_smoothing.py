@@ -1,0 +1,307 @@
+"""Path smoothing by any-angle lines, rounded corners and shortcuts. Drivable: checks paths against footprint and
+costmap.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, IntArray
+from wheelsight.core.robots import RobotLimits
+from wheelsight.navigation.costmap import Costmap
+from wheelsight.navigation.footprint import Footprint
+from wheelsight.navigation.planner_kernels import (
+    CURVE,
+    CURVE_BACK,
+    TURN_AND_DRIVE,
+    WAYS,
+    Cells,
+    Rules,
+    Shape,
+    cost_of,
+    least_clearance,
+    tightnesses,
+    write_arc,
+    write_way,
+)
+from wheelsight.navigation.settings import PlannerSettings
+
+# Ways made shorter: straight lines over cells, rounded corners, and curves that leave out detours.
+
+
+# Metres before and after a corner at which a curve may begin and end; the first that is free is taken.
+_ROUNDINGS_M = (1.5, 1.0, 0.6, 0.35)
+_LEAST_GAIN = 1e-3
+# Of pieces whose middles are tried elsewhere: about two metres; and where: metres to the left, radians.
+_PIECE_POSES = 40
+_SHIFTS = [(a, t) for a in (0.0, 0.02, -0.02, 0.05, -0.05) for t in (0.0, 0.04, -0.04) if a or t]
+
+
+def any_angle(way: IntArray, known: FloatArray, drivable: Drivable, metre_cost: Float32Array) -> FloatArray:
+    """(N, 2) places of a way over cells (K, 2), joined by straight lines that cost no more than the cells left out."""
+    corners, at = [0], 0
+    while at < len(way) - 1:
+        # As far as doubling goes, then halving back: a line of sight mostly ends once.
+        span, best = 2, at + 1
+        while at + span < len(way) and _is_cheaper(way, at, at + span, known, drivable, metre_cost):
+            best, span = at + span, span * 2
+        low, high = best, min(at + span, len(way) - 1)
+        if high > low and _is_cheaper(way, at, high, known, drivable, metre_cost):
+            low = high
+        while high - low > 1:
+            middle = (low + high) // 2
+            if _is_cheaper(way, at, middle, known, drivable, metre_cost):
+                low = middle
+            else:
+                high = middle
+        corners.append(low)
+        at = low
+    return np.asarray(drivable.costmap.middle_of(way[corners]))
+
+
+def _is_cheaper(
+    way: IntArray, begin: int, end: int, known: FloatArray, drivable: Drivable, metre_cost: Float32Array
+) -> bool:
+    a, b = way[begin].astype(float), way[end].astype(float)
+    steps = max(int(np.ceil(2 * np.hypot(*(b - a)))), 1)
+    shares = (np.arange(steps) + 0.5) / steps
+    cells = np.rint(a + shares[:, None] * (b - a)).astype(np.int64)
+    size_m = drivable.costmap.resolution_m
+    line = float(metre_cost[cells[:, 0], cells[:, 1]].mean(dtype=float) * np.hypot(*(b - a)) * size_m)
+    before = float(known[tuple(way[begin])] - known[tuple(way[end])])
+    return line <= before * (1 + 1e-6)
+
+
+def driven(corners: FloatArray, start: FloatArray, goal: FloatArray, drivable: Drivable) -> FloatArray | None:
+    """(N, 4) along straight lines between places (K, 2), from a pose (4,) to another (3,); None where none is free.
+
+    At a corner it goes on a curve, or turns in place, whichever is free and costs less. A goal without a heading is
+    reached in that of the last line.
+    """
+    lines = np.diff(corners, axis=0)
+    lengths = np.hypot(lines[:, 0], lines[:, 1])
+    headings = np.arctan2(lines[:, 1], lines[:, 0])
+    pieces, pose = [start[None]], start
+    for k in range(len(lines) - 1):
+        best, best_cost = None, np.inf
+        for rounding_m in (*_ROUNDINGS_M, 0.0):
+            if 2 * rounding_m > min(lengths[k], lengths[k + 1]):
+                continue
+            piece = _corner(pose, corners[k + 1], headings[k : k + 2], rounding_m, drivable)
+            cost = drivable.cost(piece) if len(piece) else np.inf
+            if cost < best_cost:
+                best, best_cost = piece, cost
+        if best is None:
+            return None
+        pieces.append(best[1:])
+        pose = best[-1]
+    reached = headings[-1] if lengths[-1] > 0 else pose[2]
+    yaw = reached if np.isnan(goal[2]) else goal[2]
+    last = drivable.way(pose, np.array([goal[0], goal[1], yaw]), TURN_AND_DRIVE)
+    if not len(last) or drivable.cost(last) == np.inf:
+        return None
+    return np.concatenate([*pieces, last[1:]])
+
+
+def _corner(
+    pose: FloatArray, corner: FloatArray, headings: FloatArray, rounding_m: float, drivable: Drivable
+) -> FloatArray:
+    """(N, 4) from a pose to behind a corner, which is left out by so much on both sides; empty where it cannot be."""
+    a, b = ((np.cos(h), np.sin(h)) for h in headings)
+    to = np.array([*(corner - rounding_m * np.array(a)), headings[0]])
+    line = drivable.way(pose, to, TURN_AND_DRIVE)
+    if rounding_m == 0.0 or not len(line):
+        return line
+    behind = np.array([*(corner + rounding_m * np.array(b)), headings[1]])
+    curve = drivable.way(line[-1], behind, CURVE)
+    return np.concatenate([line, curve[1:]]) if len(curve) else curve
+
+
+def shortened(poses: FloatArray, drivable: Drivable) -> FloatArray:
+    """Poses (N, 4) with pieces replaced by curves or turns and lines, where those are free and cost less.
+
+    Long pieces are tried first, then ever shorter ones, each begun halfway along the last.
+    """
+    span = len(poses) - 1
+    while span >= 4:
+        at = 0
+        while at + 2 < len(poses):
+            end = min(at + span, len(poses) - 1)
+            replaced = _shorter(poses[at : end + 1], drivable)
+            if replaced is not None:
+                poses = np.concatenate([poses[:at], replaced, poses[end + 1 :]])
+                end = at + len(replaced) - 1
+            at += max((end - at) // 2, 1)
+        span //= 2
+    return poses
+
+
+def _shorter(piece: FloatArray, drivable: Drivable) -> FloatArray | None:
+    """The cheapest way between a piece's ends, where it gains anything."""
+    before, best = drivable.cost(piece), None
+    limit = before * (1 - _LEAST_GAIN)
+    goes_back = bool((piece[1:, 3] < 0).any())
+    for way in range(WAYS) if goes_back else (TURN_AND_DRIVE, CURVE):
+        made = drivable.way(piece[0], piece[-1], way)
+        if len(made) < 2:
+            continue
+        cost = drivable.cost(made)
+        # The next piece begins in the direction in which this one ended, or pays for the change.
+        cost += drivable.rules.switch_m if made[-1, 3] != piece[-1, 3] else 0.0
+        if cost < limit:
+            best, limit = made, cost
+    return best
+
+
+def centred(poses: FloatArray, drivable: Drivable, rounds: int) -> FloatArray:
+    """Poses (N, 4) shifted sideways and turned a little, piece by piece, where that costs less: away from obstacles.
+
+    Every half of a piece on, its middle is tried in other places, joined to both its ends by curves.
+    """
+    for _ in range(rounds):
+        at, has_changed = 0, False
+        while at + 4 < len(poses):
+            end = min(at + _PIECE_POSES, len(poses) - 1)
+            moved = _recentred(poses[at : end + 1], drivable)
+            if moved is not None:
+                poses, has_changed = np.concatenate([poses[:at], moved, poses[end + 1 :]]), True
+                end = at + len(moved) - 1
+            at += max((end - at) // 2, 1)
+        if not has_changed:
+            break
+    return poses
+
+
+def _recentred(piece: FloatArray, drivable: Drivable) -> FloatArray | None:
+    """A piece with its middle elsewhere, where that gains anything; pieces that change direction stay."""
+    before = drivable.cost(piece)
+    if drivable.tightness(piece[:, :3]).max() == 0 or (piece[:, 3] != piece[-1, 3]).any():
+        return None
+    middle, best, limit = piece[len(piece) // 2], None, before * (1 - _LEAST_GAIN)
+    way = CURVE if piece[-1, 3] > 0 else CURVE_BACK
+    for aside_m, turn in _SHIFTS:
+        c, s = np.cos(middle[2]), np.sin(middle[2])
+        via = np.array([middle[0] - s * aside_m, middle[1] + c * aside_m, middle[2] + turn])
+        first = drivable.way(piece[0], via, way)
+        second = drivable.way(first[-1], piece[-1], way) if len(first) > 1 else first
+        if len(second) < 2:
+            continue
+        made = np.concatenate([first, second[1:]])
+        cost = drivable.cost(made)
+        if cost < limit:
+            best, limit = made, cost
+    return best
+
+
+# Drivable: what is asked of a costmap, a footprint and settings along a way, in kernels' terms.
+
+
+MOST_CLEARANCE_M = 0.5
+# Poses that one piece of a way may have: at 5 cm each, 400 m.
+_ROOM = 8192
+# Margins that are told apart, from the wanted one to the least.
+_OUTLINES = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drivable:
+    """A costmap as kernels take it, with a footprint and what driving costs.
+
+    Attributes:
+        costmap, footprint: as given.
+        margins_m: (K,) of the outlines, from the wanted one to the least.
+        cells, shape, rules: of both, and of settings.
+    """
+
+    costmap: Costmap
+    footprint: Footprint
+    margins_m: FloatArray
+    cells: Cells
+    shape: Shape
+    rules: Rules
+
+    @classmethod
+    def of(
+        cls, costmap: Costmap, footprint: Footprint, settings: PlannerSettings, limits: RobotLimits | None = None
+    ) -> Drivable:
+        """Of a costmap, a footprint and settings; what limits of zero forbid costs infinitely much."""
+        sums = np.zeros((costmap.is_lethal.shape[0], costmap.is_lethal.shape[1] + 1), np.int32)
+        np.cumsum(costmap.is_lethal, axis=1, out=sums[:, 1:], dtype=np.int32)
+        metre_cost = _metre_cost(costmap, settings)
+        cells = Cells(sums, costmap.distance_m, metre_cost, float(costmap.resolution_m), *map(float, costmap.origin))
+        margins_m = np.linspace(settings.wanted_margin_m, settings.margin_m, _OUTLINES)
+        outlines = [footprint.padded(float(margin_m)) for margin_m in margins_m]
+        middle = (outlines[0].corners.min(axis=0) + outlines[0].corners.max(axis=0)) / 2
+        around_m = float(np.linalg.norm(outlines[0].corners - middle, axis=1).max())
+        corners = np.ascontiguousarray([one.corners for one in outlines])
+        shape = Shape(corners, outlines[-1].inscribed_m, float(middle[0]), float(middle[1]), around_m)
+        rules = _rules(outlines[-1], settings, limits or RobotLimits())
+        return cls(costmap, footprint, margins_m, cells, shape, rules)
+
+    def may(self, way_m: float, turn: float) -> bool:
+        """Whether limits of zero leave an arc."""
+        factor = self.rules.backward if way_m < 0 else self.rules.forward
+        return (way_m == 0 or math.isfinite(factor)) and (turn == 0 or math.isfinite(self.rules.turn_m))
+
+    def tightness(self, poses: FloatArray) -> FloatArray:
+        """(N,) of poses (N, 3): 0 where the wanted margin is free, 1 where the least one alone is, infinite: none."""
+        found = np.empty(len(poses))
+        tightnesses(self.cells, self.shape, np.ascontiguousarray(poses), found)
+        return found
+
+    def is_free(self, poses: FloatArray) -> BoolArray:
+        """(N,) whether the footprint fits with the least margin at poses (N, 3)."""
+        return np.isfinite(self.tightness(poses))
+
+    def cost(self, poses: FloatArray) -> float:
+        """Of driving along poses (N, 4) with their directions; infinite where one of them collides but the first."""
+        return float(cost_of(self.cells, self.shape, self.rules, poses, 1, len(poses)))
+
+    def clearance_m(self, poses: FloatArray) -> float:
+        """Of the footprint at poses (N, 3), at most `MOST_CLEARANCE_M`."""
+        corners = np.ascontiguousarray(self.footprint.corners)
+        return float(least_clearance(self.cells, corners, np.ascontiguousarray(poses), MOST_CLEARANCE_M))
+
+    def arc(self, pose: FloatArray, way_m: float, turn: float) -> FloatArray:
+        """(N, 4) along an arc from a pose (4,), which is the first."""
+        out = np.empty((_ROOM, 4))
+        out[0] = pose
+        return out[: max(write_arc(out, 1, (float(way_m), float(turn)), self.rules), 1)].copy()
+
+    def way(self, pose: FloatArray, to: FloatArray, way: int) -> FloatArray:
+        """(N, 4) from a pose (4,), which is the first, to another (3,) by one of the kernels' ways; empty: none."""
+        out = np.empty((_ROOM, 4))
+        out[0] = pose
+        return out[: write_way(out, 1, np.ascontiguousarray(to[:3]), way, self.rules)].copy()
+
+
+def _rules(least: Footprint, settings: PlannerSettings, limits: RobotLimits) -> Rules:
+    return Rules(
+        step_m=2 * settings.margin_m,
+        turn_m=settings.turn_m if limits.turn_rad_s > 0 else math.inf,
+        bend_m=settings.bend_m if limits.turn_rad_s > 0 else math.inf,
+        forward=1.0 if limits.forward_m_s > 0 else math.inf,
+        backward=settings.backward_cost if limits.backward_m_s > 0 else math.inf,
+        switch_m=settings.switch_m,
+        tight=settings.tight_cost,
+        radius_m=settings.radius_m,
+        reach_m=least.circumscribed_m,
+        headings=settings.headings,
+        place_m=settings.place_m,
+        narrow_m=least.inscribed_m + settings.narrow_m,
+        stride_m=max(settings.stride_m, 1.5 * settings.place_m),
+        greed=settings.greed,
+        connect_m=settings.connect_m,
+        most_states=settings.most_states,
+    )
+
+
+def _metre_cost(costmap: Costmap, settings: PlannerSettings) -> Float32Array:
+    """(H, W) of a metre of the centre of rotation's way, where nothing says it cannot be there."""
+    metre = 1 + np.float32(settings.nearness_cost) * costmap.cost
+    slow = np.float32(settings.usual_m_s) / costmap.speed_m_s
+    dear = np.float32(1) if costmap.dearness is None else costmap.dearness
+    return np.ascontiguousarray(metre * np.maximum(slow, 1) * dear, np.float32)

@@ -1,0 +1,699 @@
+"""Compiled planner: cost-to-go on the grid, Hybrid A*, motion primitives, and cells under a footprint."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from wheelsight.core.compiled import kernel
+
+# Compiled: what it costs to get from each cell to the goal, and the way down.
+#
+# Cells wait in buckets that are no wider than the cheapest step, so that whatever is in the lowest bucket is final
+# (Denardo & Fox 1979): Dijkstra's answer without a heap.
+
+
+_DIAGONAL = np.sqrt(2.0)
+# Of the cheapest step; rounding must not put a cell into the bucket that it was reached from.
+_WIDTH = 0.999
+
+
+@kernel(error_model="numpy")
+def cost_to_go_kernel(metre_cost: Any, resolution_m: float, goals: Any, goal_costs: Any) -> Any:
+    """(H, W) float64 of the cheapest ways along 8 neighbours to any of goals (N, 2) of row and column; infinite: none.
+
+    A step costs its length times the mean of what a metre costs in both cells. No way cuts the corner of a blocked
+    cell.
+
+    Args:
+        metre_cost: (H, W) float32, at least 1; infinite where blocked.
+        resolution_m: side of a cell.
+        goals: (N, 2).
+        goal_costs: (N,) what is left to pay there.
+    """
+    rows, columns = metre_cost.shape
+    wide = columns + 2
+    costs = np.full((rows + 2) * wide, np.inf, np.float32)
+    highest = np.float32(1.0)
+    for i in range(rows):
+        for j in range(columns):
+            costs[(i + 1) * wide + j + 1] = metre_cost[i, j]
+            if metre_cost[i, j] < np.inf:
+                highest = max(highest, metre_cost[i, j])
+    known = np.full(len(costs), np.inf)
+    width = _WIDTH * resolution_m
+    last = 0.0
+    for k in range(len(goals)):
+        last = max(last, goal_costs[k])
+    buckets = int(max(_DIAGONAL * highest * resolution_m, last) / width) + 3
+    heads = np.full(buckets, -1, np.int32)
+    links = np.full((len(costs), 2), -1, np.int32)
+    waiting = 0
+    for k in range(len(goals)):
+        cell = (goals[k, 0] + 1) * wide + goals[k, 1] + 1
+        if costs[cell] < np.inf and goal_costs[k] < known[cell]:
+            waiting += _put(cell, goal_costs[k], known, heads, links, width)
+    _spread(costs, known, heads, links, wide, resolution_m, waiting)
+    return known.reshape(rows + 2, wide)[1:-1, 1:-1].copy()
+
+
+@kernel(error_model="numpy")
+def _put(cell: int, cost: float, known: Any, heads: Any, links: Any, width: float) -> Any:
+    """Move a cell to the bucket of its new cost, which is lower; 1 where it was in none, else 0."""
+    is_new = 1
+    if known[cell] < np.inf:
+        is_new = 0
+        _take(cell, int(known[cell] / width) % len(heads), heads, links)
+    known[cell] = cost
+    bucket = int(cost / width) % len(heads)
+    links[cell, 0], links[cell, 1] = -1, heads[bucket]
+    if heads[bucket] >= 0:
+        links[heads[bucket], 0] = cell
+    heads[bucket] = cell
+    return is_new
+
+
+@kernel(error_model="numpy")
+def _take(cell: int, bucket: int, heads: Any, links: Any) -> None:
+    before, after = links[cell, 0], links[cell, 1]
+    if before >= 0:
+        links[before, 1] = after
+    else:
+        heads[bucket] = after
+    if after >= 0:
+        links[after, 0] = before
+
+
+@kernel(error_model="numpy")
+def _spread(costs: Any, known: Any, heads: Any, links: Any, wide: int, resolution_m: float, waiting: int) -> None:
+    """Settle all cells that wait, and those reached from them."""
+    width = _WIDTH * resolution_m
+    straight = np.array([1, -1, wide, -wide])
+    sides = np.array([[1, wide], [1, -wide], [-1, wide], [-1, -wide]])
+    half, diagonal = 0.5 * resolution_m, 0.5 * _DIAGONAL * resolution_m
+    bucket = 0
+    while waiting > 0:
+        cell = heads[bucket]
+        if cell < 0:
+            bucket = (bucket + 1) % len(heads)
+            continue
+        _take(cell, bucket, heads, links)
+        waiting -= 1
+        here, paid = costs[cell], known[cell]
+        for k in range(4):
+            other = cell + straight[k]
+            cost = paid + half * (here + costs[other])
+            if cost < known[other]:
+                waiting += _put(other, cost, known, heads, links, width)
+            if costs[cell + sides[k, 0]] == np.inf or costs[cell + sides[k, 1]] == np.inf:
+                continue
+            other = cell + sides[k, 0] + sides[k, 1]
+            cost = paid + diagonal * (here + costs[other])
+            if cost < known[other]:
+                waiting += _put(other, cost, known, heads, links, width)
+
+
+@kernel(error_model="numpy")
+def descend(known: Any, metre_cost: Any, resolution_m: float, row: int, column: int) -> Any:
+    """(N, 2) rows and columns of the cheapest way from a cell to the goal, each a neighbour of the last."""
+    rows, columns = known.shape
+    way = np.empty((rows * columns, 2), np.int64)
+    count = 0
+    while True:
+        way[count, 0], way[count, 1] = row, column
+        count += 1
+        best, next_row, next_column = np.inf, -1, -1
+        for i in range(max(row - 1, 0), min(row + 2, rows)):
+            for j in range(max(column - 1, 0), min(column + 2, columns)):
+                if (
+                    metre_cost[i, column] == np.inf
+                    or metre_cost[row, j] == np.inf
+                    or not known[i, j] < known[row, column]
+                ):
+                    continue
+                step = _DIAGONAL if i != row and j != column else 1.0
+                cost = known[i, j] + 0.5 * step * resolution_m * (metre_cost[i, j] + metre_cost[row, column])
+                if cost < best:
+                    best, next_row, next_column = cost, i, j
+        if next_row < 0:
+            return way[:count].copy()
+        row, column = next_row, next_column
+
+
+# Compiled: the search over places and headings for a way that a footprint can drive (Hybrid A*, Dolgov et al. 2010).
+#
+# A base with two driven wheels goes ahead and back along arcs, and turns in place. States are told apart by place and
+# heading, in steps, and keep the exact ones. What is left is guessed by the cost-to-go of the cells, which no
+# footprint beats.
+
+
+# Arcs by headings that they turn, for both directions; and turns in place.
+_BENDS = (0, 1, -1, 2, -2)
+MOVES = 12
+_ROOM = 512
+FOUND, NOTHING_LEFT, TOO_MANY = 0, 1, 2
+
+
+class Tree(NamedTuple):
+    """States that were reached.
+
+    Attributes:
+        pose: (n, 4) x, y, yaw and direction of the last motion.
+        cost: (n,) paid so far.
+        link: (n, 2) int32 the state before, and the move from it; WAYS of the goal are counted from MOVES on.
+        table: (2^k,) int32 of states by cell and heading, -1 where empty.
+        is_closed: (n,) uint8.
+        keys: (n,) int64.
+    """
+
+    pose: Any
+    cost: Any
+    link: Any
+    table: Any
+    is_closed: Any
+    keys: Any
+
+
+class Heap(NamedTuple):
+    """What waits: keys (n,) float64, states (n,) int32, and (1,) how many."""
+
+    keys: Any
+    states: Any
+    count: Any
+
+
+@kernel
+def _push(heap: Heap, key: float, state: int) -> None:
+    k = heap.count[0]
+    heap.count[0] += 1
+    while k > 0:
+        up = (k - 1) >> 1
+        if heap.keys[up] <= key:
+            break
+        heap.keys[k], heap.states[k] = heap.keys[up], heap.states[up]
+        k = up
+    heap.keys[k], heap.states[k] = key, state
+
+
+@kernel
+def _pop(heap: Heap) -> Any:
+    top = heap.states[0]
+    heap.count[0] -= 1
+    last = heap.count[0]
+    key, state, k = heap.keys[last], heap.states[last], 0
+    while 2 * k + 1 < last:
+        down = 2 * k + 1
+        if down + 1 < last and heap.keys[down + 1] < heap.keys[down]:
+            down += 1
+        if heap.keys[down] >= key:
+            break
+        heap.keys[k], heap.states[k] = heap.keys[down], heap.states[down]
+        k = down
+    heap.keys[k], heap.states[k] = key, state
+    return int(top)
+
+
+@kernel(error_model="numpy")
+def search(cells: Cells, shape: Shape, rules: Rules, known: Any, start: Any, goal: Any, tree: Tree) -> Any:
+    """How it ended, the last state, and how many were reached.
+
+    Args:
+        cells, shape, rules: of the place, the robot and its driving.
+        known: (H, W) cost-to-go of the cells.
+        start: (3,) free.
+        goal: (3,) free; its heading NaN where any will do.
+        tree: empty.
+    """
+    most = len(tree.cost)
+    heap = Heap(np.empty(4 * most), np.empty(4 * most, np.int32), np.zeros(1, np.int64))
+    out = np.empty((_ROOM, 4))
+    tree.pose[0, :3], tree.pose[0, 3] = start, 1.0
+    tree.cost[0], tree.link[0, 0], tree.link[0, 1], tree.is_closed[0] = 0.0, -1, -1, 0
+    slot = _slot(tree, _key(cells, rules, start[0], start[1], start[2]))
+    tree.keys[0], tree.table[slot] = _key(cells, rules, start[0], start[1], start[2]), 0
+    count, popped = 1, 0
+    _push(heap, 0.0, 0)
+    while heap.count[0] > 0:
+        state = _pop(heap)
+        if tree.link[state, 1] >= MOVES:
+            return FOUND, state, count
+        if tree.is_closed[state]:
+            continue
+        tree.is_closed[state] = 1
+        popped += 1
+        if count + MOVES + WAYS >= most or heap.count[0] + MOVES + WAYS >= len(heap.keys):
+            return TOO_MANY, -1, count
+        left_m = np.hypot(tree.pose[state, 0] - goal[0], tree.pose[state, 1] - goal[1])
+        # The farther it is, the more rarely that succeeds, and the longer it takes to see.
+        every = 1 + int(left_m / rules.stride_m)
+        if left_m < rules.connect_m and (popped % every == 0 or state == 0):
+            count = _connect(cells, shape, rules, goal, tree, (state, count), heap, out)
+        for move in range(MOVES):
+            count = _expand(cells, shape, rules, known, tree, (state, move, count), heap, out)
+    return NOTHING_LEFT, -1, count
+
+
+@kernel(error_model="numpy")
+def arc_of(rules: Rules, yaw: float, move: int) -> Any:
+    """Way and turn of a move from a heading; all but the first end at one of the `headings`."""
+    unit = 2 * np.pi / rules.headings
+    nearest = np.rint(yaw / unit) * unit
+    bends = len(_BENDS)
+    if move >= 2 * bends:
+        return 0.0, nearest + unit * (1 if move == 2 * bends else -1) - yaw
+    way_m = rules.stride_m if move < bends else -rules.stride_m
+    return way_m, nearest + unit * _BENDS[move % bends] - yaw
+
+
+@kernel(error_model="numpy")
+def _key(cells: Cells, rules: Rules, x: float, y: float, yaw: float) -> Any:
+    """Of a place and a heading; between narrow walls places are told apart twice as finely."""
+    row, column = cell_of(cells, x, y)
+    is_narrow = row >= 0 and cells.distance_m[row, column] < rules.narrow_m
+    size_m = 0.5 * rules.place_m if is_narrow else rules.place_m
+    heading = int(np.rint(yaw * rules.headings / (2 * np.pi))) % rules.headings
+    place = (np.int64((y - cells.y0) / size_m) << 22) + np.int64((x - cells.x0) / size_m)
+    return 2 * (place * rules.headings + heading) + is_narrow
+
+
+@kernel(error_model="numpy")
+def _slot(tree: Tree, key: Any) -> Any:
+    """Where in the table a key is or belongs."""
+    mask = len(tree.table) - 1
+    # The product stays below 2^63.
+    slot = (((key ^ (key >> 21)) & 0x7FFFFFFF) * 0x9E3779B1 >> 16) & mask
+    while tree.table[slot] >= 0 and tree.keys[tree.table[slot]] != key:
+        slot = (slot + 1) & mask
+    return int(slot)
+
+
+@kernel(error_model="numpy")
+def _expand(cells: Cells, shape: Shape, rules: Rules, known: Any, tree: Tree, at: Any, heap: Heap, out: Any) -> Any:
+    """Reach the state after a move, where that is free and cheaper than before; how many states there are then."""
+    state, move, count = at
+    for k in range(4):
+        out[0, k] = tree.pose[state, k]
+    arc = arc_of(rules, out[0, 2], move)
+    end = write_arc(out, 1, arc, rules)
+    if end <= 1:
+        return count
+    row, column = cell_of(cells, out[end - 1, 0], out[end - 1, 1])
+    if row < 0 or known[row, column] == np.inf:
+        return count
+    key = _key(cells, rules, out[end - 1, 0], out[end - 1, 1], out[end - 1, 2])
+    slot = _slot(tree, key)
+    there = tree.table[slot]
+    paid = tree.cost[state]
+    if there >= 0 and (tree.is_closed[there] or tree.cost[there] <= paid + abs(arc[0])):
+        return count
+    paid += cost_of(cells, shape, rules, out, 1, end)
+    if paid == np.inf or (there >= 0 and tree.cost[there] <= paid):
+        return count
+    if there < 0:
+        there = count
+        tree.table[slot], tree.keys[there], tree.is_closed[there] = there, key, 0
+        count += 1
+    tree.pose[there, 0], tree.pose[there, 1] = out[end - 1, 0], out[end - 1, 1]
+    tree.pose[there, 2], tree.pose[there, 3] = wrapped(out[end - 1, 2]), out[end - 1, 3]
+    tree.cost[there], tree.link[there, 0], tree.link[there, 1] = paid, state, move
+    _push(heap, paid + rules.greed * known[row, column], there)
+    return count
+
+
+@kernel(error_model="numpy")
+def _connect(cells: Cells, shape: Shape, rules: Rules, goal: Any, tree: Tree, at: Any, heap: Heap, out: Any) -> Any:
+    """Try to reach the goal from a state in one go; how many states there are then."""
+    state, count = at
+    best, chosen = np.inf, -1
+    for way in range(WAYS):
+        for k in range(4):
+            out[0, k] = tree.pose[state, k]
+        end = write_to_goal(out, 1, goal, way, rules)
+        if end > 0:
+            cost = cost_of(cells, shape, rules, out, 1, end)
+            if cost < best:
+                best, chosen = cost, way
+    if chosen < 0:
+        return count
+    tree.pose[count, :3], tree.pose[count, 3] = goal, 1.0
+    tree.cost[count], tree.link[count, 0], tree.link[count, 1] = tree.cost[state] + best, state, MOVES + chosen
+    tree.is_closed[count], tree.keys[count] = 0, -1
+    _push(heap, tree.cost[count], count)
+    return count + 1
+
+
+@kernel(error_model="numpy")
+def write_to_goal(out: Any, at: int, goal: Any, way: int, rules: Rules) -> Any:
+    """As `write_way`; where any heading will do, it is that in which the goal is reached without a turn there."""
+    to = goal.copy()
+    if np.isnan(to[2]):
+        dx, dy = to[0] - out[at - 1, 0], to[1] - out[at - 1, 1]
+        if way in (CURVE, CURVE_BACK):
+            return 0
+        sense = 1.0 if way == TURN_AND_DRIVE else -1.0
+        to[2] = np.arctan2(sense * dy, sense * dx) if np.hypot(dx, dy) > 0.0 else out[at - 1, 2]
+    return write_way(out, at, to, way, rules)
+
+
+@kernel(error_model="numpy")
+def way_to(rules: Rules, tree: Tree, last: int, goal: Any, out: Any) -> Any:
+    """Write all poses from the start to a state into `out` (n, 4); how many, or 0 where there is no room."""
+    length, state = 0, last
+    while state >= 0:
+        length += 1
+        state = tree.link[state, 0]
+    states = np.empty(length, np.int64)
+    state = last
+    for k in range(length):
+        states[length - 1 - k] = state
+        state = tree.link[state, 0]
+    out[0] = tree.pose[states[0]]
+    at = 1
+    for k in range(1, length):
+        move = tree.link[states[k], 1]
+        if move >= MOVES:
+            at = write_to_goal(out, at, goal, move - MOVES, rules)
+        else:
+            at = write_arc(out, at, arc_of(rules, out[at - 1, 2], move), rules)
+        if at <= 0:
+            return 0
+    return at
+
+
+# Compiled: poses along arcs, turns in place and curves, and what it costs to drive along them.
+#
+# Poses (N, 4) are x, y, yaw and direction, 1 forward and -1 backward, in steps in which no point of the robot moves
+# farther than `Rules.step_m`.
+
+
+TURN_AND_DRIVE, BACK_AND_TURN, CURVE, CURVE_BACK = 0, 1, 2, 3
+WAYS = 4
+_EPSILON = 1e-9
+_TWO_PI = 2 * np.pi
+
+
+class Rules(NamedTuple):
+    """What driving costs and how it is searched; see `PlannerSettings`."""
+
+    step_m: float
+    turn_m: float
+    bend_m: float
+    forward: float
+    backward: float
+    switch_m: float
+    tight: float
+    radius_m: float
+    reach_m: float
+    headings: int
+    place_m: float
+    narrow_m: float
+    stride_m: float
+    greed: float
+    connect_m: float
+    most_states: int
+
+
+@kernel(error_model="numpy")
+def wrapped(angle: float) -> Any:
+    """An angle in [-π, π)."""
+    return angle - _TWO_PI * np.floor((angle + np.pi) / _TWO_PI)
+
+
+@kernel(error_model="numpy")
+def write_arc(out: Any, at: int, arc: Any, rules: Rules) -> Any:
+    """Write poses after pose `at - 1` along an arc of (way, turn), backward where the way is negative; how many then.
+
+    A turn in place keeps the direction. Where there is no room it is 0.
+    """
+    way_m, turn = arc
+    x, y, yaw = out[at - 1, 0], out[at - 1, 1], out[at - 1, 2]
+    sense = out[at - 1, 3] if way_m == 0.0 else np.sign(way_m)
+    steps = int(np.ceil((abs(way_m) + rules.reach_m * abs(turn)) / rules.step_m - _EPSILON))
+    if at + steps > len(out):
+        return 0
+    for k in range(steps):
+        share = (k + 1) / steps
+        half = 0.5 * turn * share
+        chord = way_m * share * (np.sin(half) / half if abs(half) > _EPSILON else 1.0)
+        out[at + k, 0], out[at + k, 1] = x + chord * np.cos(yaw + half), y + chord * np.sin(yaw + half)
+        out[at + k, 2], out[at + k, 3] = yaw + turn * share, sense
+    return at + steps
+
+
+@kernel(error_model="numpy")
+def write_way(out: Any, at: int, to: Any, way: int, rules: Rules) -> Any:
+    """Write poses after pose `at - 1` to another (3,) by one of WAYS; how many there are then, 0 where it cannot be."""
+    if way >= CURVE:
+        return _write_curve(out, at, to, 1.0 if way == CURVE else -1.0, rules)
+    dx, dy = to[0] - out[at - 1, 0], to[1] - out[at - 1, 1]
+    length_m = np.hypot(dx, dy)
+    yaw, sense = out[at - 1, 2], 1.0 if way == TURN_AND_DRIVE else -1.0
+    if length_m < _EPSILON:
+        return write_arc(out, at, (0.0, wrapped(to[2] - yaw)), rules)
+    heading = np.arctan2(sense * dy, sense * dx)
+    at = write_arc(out, at, (0.0, wrapped(heading - yaw)), rules)
+    at = write_arc(out, at, (sense * length_m, 0.0), rules) if at > 0 else 0
+    return write_arc(out, at, (0.0, wrapped(to[2] - heading)), rules) if at > 0 else 0
+
+
+@kernel(error_model="numpy")
+def _write_curve(out: Any, at: int, to: Any, sense: float, rules: Rules) -> Any:
+    """A cubic curve (Hermite's) that begins and ends along both headings, nowhere narrower than `radius_m`."""
+    x, y, yaw = out[at - 1, 0], out[at - 1, 1], out[at - 1, 2]
+    length_m = np.hypot(to[0] - x, to[1] - y)
+    turn = abs(wrapped(to[2] - yaw))
+    if length_m < _EPSILON or turn > 0.75 * np.pi:
+        return 0
+    ax, ay = sense * length_m * np.cos(yaw), sense * length_m * np.sin(yaw)
+    bx, by = sense * length_m * np.cos(to[2]), sense * length_m * np.sin(to[2])
+    # A curve turns more than its ends tell, and goes farther; what it moves by is looked at below.
+    steps = int(np.ceil((1.2 * length_m + rules.reach_m * (turn + 0.5)) / rules.step_m)) + 2
+    if at + steps > len(out):
+        return 0
+    heading, past_x, past_y = yaw, x, y
+    for k in range(steps):
+        t = (k + 1) / steps
+        h1, h2, h3 = t * t * (3 - 2 * t), t * (1 - t) * (1 - t), t * t * (t - 1)
+        px, py = x + h1 * (to[0] - x) + h2 * ax + h3 * bx, y + h1 * (to[1] - y) + h2 * ay + h3 * by
+        d1, d2, d3 = 6 * t * (1 - t), (1 - t) * (1 - 3 * t), t * (3 * t - 2)
+        vx, vy = d1 * (to[0] - x) + d2 * ax + d3 * bx, d1 * (to[1] - y) + d2 * ay + d3 * by
+        change = wrapped(np.arctan2(sense * vy, sense * vx) - heading)
+        moved_m = np.hypot(px - past_x, py - past_y)
+        if abs(change) * rules.radius_m > moved_m or moved_m + rules.reach_m * abs(change) > rules.step_m:
+            return 0
+        heading, past_x, past_y = heading + change, px, py
+        out[at + k, 0], out[at + k, 1], out[at + k, 2], out[at + k, 3] = px, py, heading, sense
+    return at + steps
+
+
+@kernel(error_model="numpy")
+def cost_of(cells: Cells, shape: Shape, rules: Rules, poses: Any, begin: int, end: int) -> Any:
+    """What it costs to drive from pose `begin - 1` over those up to `end`; infinite where one is not free.
+
+    `begin` is at least 1.
+    """
+    total = 0.0
+    for k in range(begin, end):
+        x, y, yaw = poses[k, 0], poses[k, 1], poses[k, 2]
+        tight = tightness(cells, shape, x, y, yaw)
+        if tight == np.inf:
+            return np.inf
+        row, column = cell_of(cells, x, y)
+        # By the square, so that what is a little too near hardly bends a way.
+        tight = rules.tight * tight * tight
+        way_m = np.hypot(x - poses[k - 1, 0], y - poses[k - 1, 1])
+        turn = abs(yaw - poses[k - 1, 2])
+        if way_m < _EPSILON:
+            # What is not allowed costs infinitely much, and times nothing would be no number.
+            total += rules.turn_m * turn * (1.0 + tight) if turn > _EPSILON else 0.0
+            continue
+        factor = rules.backward if poses[k, 3] < 0 else rules.forward
+        total += way_m * (cells.metre_cost[row, column] + tight) * factor
+        if turn > _EPSILON:
+            total += rules.bend_m * turn
+        if poses[k, 3] != poses[k - 1, 3]:
+            total += rules.switch_m
+    return total
+
+
+# Compiled: cells under a footprint, and how far it is from cells that are occupied.
+#
+# A cell is a square, and it is under a footprint where the two share more than an edge. In each row of cells a convex
+# outline covers one stretch, and sums along rows tell how many of its cells are occupied.
+
+
+# In cells: what only touches is not under it.
+_TOUCH = 1e-9
+OUTSIDE = 1 << 30
+_HALF_DIAGONAL = 0.7071068
+
+
+class Cells(NamedTuple):
+    """The cells that a footprint is held against.
+
+    Attributes:
+        sums: (H, W + 1) int32, how many cells left of each corner are occupied, row by row.
+        distance_m: (H, W) float32 from each cell's centre to that of the nearest occupied one.
+        metre_cost: (H, W) float32 what a metre costs: 1 or more.
+        resolution_m: side of a cell.
+        x0, y0: of the corner of cell (0, 0), metres.
+    """
+
+    sums: Any
+    distance_m: Any
+    metre_cost: Any
+    resolution_m: float
+    x0: float
+    y0: float
+
+
+class Shape(NamedTuple):
+    """A footprint with its margins.
+
+    Attributes:
+        outlines: (K, N, 2) corners, from the outline that is to be free where there is room, to the one that has to be.
+        inscribed_m: of the last.
+        middle_x, middle_y, around_m: of the disc in `base` that holds the first.
+    """
+
+    outlines: Any
+    inscribed_m: float
+    middle_x: float
+    middle_y: float
+    around_m: float
+
+
+@kernel(error_model="numpy")
+def count_under(cells: Cells, corners: Any, x: float, y: float, yaw: float) -> Any:
+    """How many occupied cells lie under an outline (N, 2) at a pose; OUTSIDE where it reaches beyond the cells."""
+    rows, columns = cells.distance_m.shape
+    n, c, s = len(corners), np.cos(yaw), np.sin(yaw)
+    u, v = np.empty(n), np.empty(n)
+    low, high = np.inf, -np.inf
+    for k in range(n):
+        u[k] = (x + c * corners[k, 0] - s * corners[k, 1] - cells.x0) / cells.resolution_m
+        v[k] = (y + s * corners[k, 0] + c * corners[k, 1] - cells.y0) / cells.resolution_m
+        low, high = min(low, v[k]), max(high, v[k])
+        if not (u[k] >= -_TOUCH and u[k] <= columns + _TOUCH):
+            return OUTSIDE
+    if not (low >= -_TOUCH and high <= rows + _TOUCH):
+        return OUTSIDE
+    found = 0
+    for row in range(max(int(np.floor(low + _TOUCH)), 0), min(int(np.ceil(high - _TOUCH)), rows)):
+        left, right = _stretch(u, v, row + _TOUCH, row + 1 - _TOUCH)
+        first, after = max(int(np.floor(left + _TOUCH)), 0), min(int(np.ceil(right - _TOUCH)), columns)
+        if after > first:
+            found += cells.sums[row, after] - cells.sums[row, first]
+    return found
+
+
+@kernel(error_model="numpy")
+def _stretch(u: Any, v: Any, low: float, high: float) -> Any:
+    """From where to where a convex outline reaches between two heights."""
+    left, right, before = np.inf, -np.inf, len(u) - 1
+    for k in range(len(u)):
+        if low <= v[k] <= high:
+            left, right = min(left, u[k]), max(right, u[k])
+        rise = v[k] - v[before]
+        for height in (low, high):
+            if (v[k] - height) * (v[before] - height) < 0:
+                at = u[before] + (u[k] - u[before]) * (height - v[before]) / rise
+                left, right = min(left, at), max(right, at)
+        before = k
+    return left, right
+
+
+@kernel(error_model="numpy")
+def cell_of(cells: Cells, x: float, y: float) -> Any:
+    """Row and column of a point; -1 and -1 outside."""
+    row = int(np.floor((y - cells.y0) / cells.resolution_m))
+    column = int(np.floor((x - cells.x0) / cells.resolution_m))
+    rows, columns = cells.distance_m.shape
+    if row < 0 or column < 0 or row >= rows or column >= columns:
+        return -1, -1
+    return row, column
+
+
+@kernel(error_model="numpy")
+def tightness(cells: Cells, shape: Shape, x: float, y: float, yaw: float) -> Any:
+    """0 where the widest outline is free, 1 where the narrowest alone is, between by which one is; infinite: none."""
+    row, column = cell_of(cells, x, y)
+    # From a point to the nearest occupied square it is this much less, or more, than from centre to centre.
+    slack_m = _HALF_DIAGONAL * cells.resolution_m
+    if row < 0 or cells.distance_m[row, column] < shape.inscribed_m + 0.5 * cells.resolution_m - slack_m:
+        return np.inf
+    c, s = np.cos(yaw), np.sin(yaw)
+    at_x, at_y = x + c * shape.middle_x - s * shape.middle_y, y + s * shape.middle_x + c * shape.middle_y
+    row, column = cell_of(cells, at_x, at_y)
+    if row >= 0 and cells.distance_m[row, column] > shape.around_m + 2 * slack_m:
+        edge_m = min(row, column, cells.distance_m.shape[0] - 1 - row, cells.distance_m.shape[1] - 1 - column)
+        if edge_m * cells.resolution_m > shape.around_m:
+            return 0.0
+    last = len(shape.outlines) - 1
+    if count_under(cells, shape.outlines[last], x, y, yaw) > 0:
+        return np.inf
+    for k in range(last):
+        if count_under(cells, shape.outlines[k], x, y, yaw) == 0:
+            return k / last
+    return 1.0
+
+
+@kernel(error_model="numpy")
+def tightnesses(cells: Cells, shape: Shape, poses: Any, found: Any) -> None:
+    """`tightness` of each of poses (N, 3)."""
+    for k in range(len(poses)):
+        found[k] = tightness(cells, shape, poses[k, 0], poses[k, 1], poses[k, 2])
+
+
+@kernel(error_model="numpy")
+def counts_under(cells: Cells, corners: Any, poses: Any, found: Any) -> None:
+    """`count_under` of each of poses (N, 3)."""
+    for k in range(len(poses)):
+        found[k] = count_under(cells, corners, poses[k, 0], poses[k, 1], poses[k, 2])
+
+
+@kernel(error_model="numpy")
+def least_clearance(cells: Cells, corners: Any, poses: Any, most_m: float) -> Any:
+    """Metres from an outline at any of poses (N, 3) to the nearest occupied square, at most `most_m`; 0 within."""
+    least, size_m = most_m, cells.resolution_m
+    rows, columns = cells.distance_m.shape
+    n = len(corners)
+    placed, reach_m = np.empty((n, 2)), 0.0
+    for k in range(n):
+        reach_m = max(reach_m, np.hypot(corners[k, 0], corners[k, 1]))
+    for p in range(len(poses)):
+        x, y, yaw = poses[p, 0], poses[p, 1], poses[p, 2]
+        row, column = cell_of(cells, x, y)
+        if row < 0 or count_under(cells, corners, x, y, yaw) > 0:
+            return 0.0
+        if cells.distance_m[row, column] - 2 * _HALF_DIAGONAL * size_m > reach_m + least:
+            continue
+        c, s = np.cos(yaw), np.sin(yaw)
+        for k in range(n):
+            placed[k, 0] = (x + c * corners[k, 0] - s * corners[k, 1] - cells.x0) / size_m
+            placed[k, 1] = (y + s * corners[k, 0] + c * corners[k, 1] - cells.y0) / size_m
+        window = int((reach_m + least) / size_m) + 2
+        for i in range(max(row - window, 0), min(row + window + 1, rows)):
+            for j in range(max(column - window, 0), min(column + window + 1, columns)):
+                if cells.distance_m[i, j] == 0:
+                    least = min(least, size_m * _apart(placed, j, i))
+    return least
+
+
+@kernel(error_model="numpy")
+def _apart(placed: Any, left: int, low: int) -> Any:
+    """Cells from an outline to the unit square with that lower left corner, which are apart."""
+    least, before = np.inf, len(placed) - 1
+    for k in range(len(placed)):
+        x, y = placed[k, 0], placed[k, 1]
+        least = min(least, np.hypot(max(left - x, x - left - 1, 0.0), max(low - y, y - low - 1, 0.0)))
+        bx, by = placed[before, 0], placed[before, 1]
+        wx, wy = x - bx, y - by
+        length2 = wx * wx + wy * wy
+        for corner in range(4):
+            px, py = left + corner % 2, low + corner // 2
+            share = min(max(((px - bx) * wx + (py - by) * wy) / length2, 0.0), 1.0)
+            least = min(least, np.hypot(bx + share * wx - px, by + share * wy - py))
+        before = k
+    return least

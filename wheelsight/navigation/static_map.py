@@ -1,0 +1,299 @@
+"""Floor: where a navigator has its static layer from: a map of before, or one that grows while it drives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.geometry import BoolArray, FloatArray, IntArray
+from wheelsight.core.geometry.se2 import wrap_angle
+from wheelsight.core.keyframes import KeyframeStore
+from wheelsight.mapping import EditKind, MapEdits, OccupancyGrid, OccupancyMapper, OccupancySettings
+from wheelsight.navigation.costmap import CellState, StaticLayer
+from wheelsight.navigation.costmap_kernels import mark_in_sight
+from wheelsight.navigation.footprint import Footprint
+from wheelsight.navigation.localization import Localization
+from wheelsight.navigation.workers import Worker, WorkerInStep
+
+# Half a cell: keyframes that moved by less show the same cells.
+_LEAST_SHIFT_M = 0.025
+# A grid of an hour's keyframes takes a second to make; longer than this its worker hangs.
+_SILENT_S = 10.0
+# From one outline to the next where a robot drove.
+_STAMP_M, _STAMP_RAD = 0.05, 0.1
+# So far beside the outline of a robot that drove is floor, too: more than the 4 cm that plans and controllers keep
+# (follow.margin_m), for poses of a plan are not just those that were driven.
+_BESIDE_M = 0.05
+
+
+class Floor(Protocol):
+    """What is known of the floor by now."""
+
+    @property
+    def revision(self) -> int:
+        """Another number each time it has changed."""
+
+    @property
+    def layer(self) -> StaticLayer:
+        """In the frame `map`."""
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether it stays as it is, so that what is seen can be laid on it."""
+
+    @property
+    def has_keep_out(self) -> bool:
+        """Whether somebody forbade a part of it, which no camera sees."""
+
+    def update(self, pose: FloatArray | None, now_s: float) -> None:
+        """Look whether more is known, of a robot at (3,) in the map; called once a period, and quick."""
+
+    def is_silent(self, now_s: float) -> bool:
+        """Whether what makes it does not answer."""
+
+
+class KnownFloor:
+    """Of a map that stays as it is, but for floor that the robot itself drives over.
+
+    Args:
+        grid: of the map.
+        edits: what people said of it.
+        T_map_keyframe: (K, 4, 4) where keyframes are, where any edit is anchored.
+        driven: stretches (K, 3) of x, y, yaw at which a robot stood, about straight from each to the next: what lies
+            under its outline, and 5 cm beside it, is floor where nothing else is known.
+        footprint: that robot's, and of the one that drives now: where it stands, there is floor. None: not even there.
+        trusted_m: radius about where this drive begins, in sight of there, within which unknown floor is free: a person
+            who looked at it says so.
+    """
+
+    is_fixed = True
+
+    def __init__(
+        self,
+        grid: OccupancyGrid,
+        edits: MapEdits | None = None,
+        T_map_keyframe: ArrayLike = (),
+        driven: Sequence[FloatArray] = (),
+        footprint: Footprint | None = None,
+        trusted_m: float = 0.0,
+    ) -> None:
+        static, self.revision = StaticLayer.of(grid, edits, T_map_keyframe), 0
+        self.has_keep_out = edits is not None and any(edit.kind is EditKind.KEEP_OUT for edit in edits.edits)
+        self.layer, self._footprint, self._trusted_m = static, footprint, trusted_m
+        self._stood: FloatArray | None = None
+        if footprint is not None and len(driven):
+            self.layer = _driven_over(static, np.concatenate([_densely(stretch) for stretch in driven]), footprint)
+
+    def update(self, pose: FloatArray | None, now_s: float) -> None:
+        """See `Floor`: where the robot stands there is floor, and near to where it began."""
+        if pose is None or self._footprint is None or (self._stood is not None and not _apart(pose, self._stood)):
+            return
+        layer = _driven_over(self.layer, pose[None], self._footprint)
+        if self._stood is None and self._trusted_m:
+            layer = layer.grown(pose[:2] + self._trusted_m * np.array([[-1.0], [1.0]]))
+            layer = layer.with_floor(_in_sight(layer, pose[:2], self._trusted_m), is_told=True)
+        self._stood = pose
+        if layer is not self.layer:
+            self.layer, self.revision = layer, self.revision + 1
+
+    def is_silent(self, now_s: float) -> bool:
+        """See `Floor`: nothing makes it."""
+        return False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenFloor:
+    """What a camera has seen of the floor: as a map, and as a costmap takes it."""
+
+    grid: OccupancyGrid
+    layer: StaticLayer
+
+
+class GrowingFloor:
+    """Of the keyframes that a localization keeps; made anew where they moved.
+
+    Where the robot stood there is floor; and so far about where it began, for whoever began it looked.
+
+    Args:
+        localization: whose keyframes.
+        calibration: of the robot.
+        footprint: of the robot.
+        trusted_m: radius of floor about the begin that is free, which the camera cannot see from there.
+        settings: of occupancy, or the defaults.
+        holds: (N, 2) places that the layer holds, though nobody may have seen them: a goal that lies beyond all that
+            is known would else be outside of the map.
+        worker: that makes the grid; None: at once. Whoever made it closes it.
+
+    Attributes:
+        grid: as the camera alone has it by now.
+
+    Raises:
+        MapError: the calibration does not say where the camera sits on the base.
+    """
+
+    is_fixed = has_keep_out = False
+
+    def __init__(
+        self,
+        localization: Localization,
+        calibration: Calibration,
+        footprint: Footprint,
+        trusted_m: float = 0.0,
+        settings: OccupancySettings | None = None,
+        holds: ArrayLike = (),
+        worker: Worker[SeenFloor] | None = None,
+    ) -> None:
+        self._localization, self._footprint, self._trusted_m = localization, footprint, trusted_m
+        self._reached = np.array([[np.inf] * 2, [-np.inf] * 2])
+        self._reach(np.asarray(holds, float).reshape(-1, 2))
+        self._mapper = OccupancyMapper(calibration, settings)
+        self._worker: Worker[SeenFloor] = worker or WorkerInStep()
+        self._stood: list[FloatArray] = []
+        self._stamped = 0
+        self._marked: tuple[BoolArray, tuple[float, float]] | None = None
+        self._trusted: tuple[tuple[StaticLayer, tuple[float, float], tuple[int, ...]], BoolArray] | None = None
+        self._count, self._store_revision, self._asked_s = 0, -1, 0.0
+        self.revision = 0
+        self.grid = self._mapper.grid()
+        self._seen = self.layer = StaticLayer.of(self.grid)
+
+    def update(self, pose: FloatArray | None, now_s: float) -> None:
+        """See `Floor`: keyframes that moved may take a second, and come when they are ready."""
+        has_moved = pose is not None and (not self._stood or _apart(pose, self._stood[-1]))
+        if pose is not None and has_moved:
+            self._stood.append(pose)
+            self._reach(pose[None, :2])
+        self._look(now_s)
+        seen = self._worker.answer(now_s)
+        if seen is not None:
+            self.grid, self._seen = seen.grid, seen.layer
+        elif not has_moved:
+            return
+        self.layer = self._seen if not self._stood else self._with_stood(self._seen.grown(self._bounds()))
+        self.revision += 1
+
+    def is_silent(self, now_s: float) -> bool:
+        """See `Floor`."""
+        return self._worker.is_asked and now_s - self._asked_s > _SILENT_S
+
+    def _look(self, now_s: float) -> None:
+        """Have the grid made anew where there are other keyframes, one time after another."""
+        store = self._localization.keyframes
+        if store is None or self._worker.is_asked:
+            return
+        if len(store) == self._count and store.revision == self._store_revision:
+            return
+        self._count, self._store_revision, self._asked_s = len(store), store.revision, now_s
+        self._worker.ask(lambda: self._made_of(store), now_s)
+
+    def _made_of(self, store: KeyframeStore) -> SeenFloor:
+        self._mapper.update(store, _LEAST_SHIFT_M)
+        grid = self._mapper.grid()
+        return SeenFloor(grid, StaticLayer.of(grid))
+
+    def _reach(self, places: FloatArray) -> None:
+        """Widen the bounds to hold (N, 2) more."""
+        if len(places):
+            low, high = self._reached
+            self._reached = np.array([np.minimum(low, places.min(axis=0)), np.maximum(high, places.max(axis=0))])
+
+    def _bounds(self) -> FloatArray:
+        """(2, 2) low and high corner of all floor that is known by standing there, and of what it is to hold."""
+        reach_m = max(self._footprint.circumscribed_m, self._trusted_m) + 0.1
+        return self._reached + [[-reach_m], [reach_m]]
+
+    def _with_stood(self, static: StaticLayer) -> StaticLayer:
+        """With the floor where the robot stood, and near to where it began."""
+        is_stood = np.zeros(static.state.shape, bool)
+        if self._marked is not None:
+            # Both lie on whole cells of one grid.
+            before, origin = self._marked
+            _paste(is_stood, before, np.rint((np.array(origin) - static.origin) / static.resolution_m).astype(int))
+        for pose in self._stood[self._stamped :]:
+            _stamp(is_stood, static, pose, self._footprint)
+        self._stamped, self._marked = len(self._stood), (is_stood, static.origin)
+        known = static.with_floor(is_stood)
+        return known.with_floor(self._trusted_floor(static), is_told=True) if self._trusted_m else known
+
+    def _trusted_floor(self, static: StaticLayer) -> BoolArray:
+        """(H, W) floor near to where the robot began; kept while the same was seen, since it takes 16 ms."""
+        of = self._seen, static.origin, static.state.shape
+        if self._trusted is None or self._trusted[0][0] is not self._seen or self._trusted[0][1:] != of[1:]:
+            self._trusted = of, _in_sight(static, self._stood[0][:2], self._trusted_m)
+        return self._trusted[1]
+
+
+def _driven_over(static: StaticLayer, poses: FloatArray, footprint: Footprint) -> StaticLayer:
+    """The same with floor at poses (N, 3), and large enough for it; the same object where nothing is new."""
+    reach_m = footprint.circumscribed_m + 2 * _BESIDE_M
+    bounds = np.array([poses[:, :2].min(axis=0) - reach_m, poses[:, :2].max(axis=0) + reach_m])
+    high = np.array(static.origin) + np.array(static.state.shape[::-1]) * static.resolution_m
+    is_inside = (bounds[0] >= static.origin).all() and (bounds[1] <= high).all()
+    grown = static if is_inside else static.grown(bounds)
+    is_stood = np.zeros(grown.state.shape, bool)
+    for pose in poses:
+        _stamp(is_stood, grown, pose, footprint)
+    is_new = (is_stood & (grown.state == CellState.UNKNOWN)).any()
+    return grown.with_floor(is_stood) if is_new else grown
+
+
+def _densely(stretch: FloatArray) -> FloatArray:
+    """(N, 3) poses of a way with others between them, a cell and some degrees apart."""
+    poses = [stretch[:1]]
+    for before, after in pairwise(stretch):
+        turn = float(wrap_angle(after[2] - before[2]))
+        count = 1 + int(max(np.hypot(*(after - before)[:2]) / _STAMP_M, abs(turn) / _STAMP_RAD))
+        poses.append(before + np.linspace(0, 1, count + 1)[1:, None] * [*(after - before)[:2], turn])
+    return np.concatenate(poses)
+
+
+def _paste(into: BoolArray, part: BoolArray, at: IntArray) -> None:
+    """Lay one grid into another, at column and row (2,), as far as it lies within."""
+    (column, row), (height, width) = at, part.shape
+    low = np.maximum([row, column], 0)
+    high = np.minimum([row + height, column + width], into.shape)
+    if (low < high).all():
+        into[low[0] : high[0], low[1] : high[1]] = part[
+            low[0] - row : high[0] - row, low[1] - column : high[1] - column
+        ]
+
+
+def _apart(pose: FloatArray, other: FloatArray) -> bool:
+    """Whether a robot that moved so stands on other floor."""
+    return bool(np.hypot(*(pose[:2] - other[:2])) > _STAMP_M or abs(wrap_angle(pose[2] - other[2])) > _STAMP_RAD)
+
+
+def _stamp(found: BoolArray, static: StaticLayer, pose: FloatArray, footprint: Footprint) -> None:
+    """Mark the cells under an outline at a pose, and close beside it."""
+    # All cells that a plan's outline touches: a cell's corners are half a diagonal off its middle.
+    outline = footprint.padded(_BESIDE_M + np.sqrt(0.5) * static.resolution_m)
+    cut, away = _about(static, pose[:2], outline.circumscribed_m)
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    found[cut] |= outline.contains(away @ np.array([[c, -s], [s, c]]))
+
+
+def _in_sight(static: StaticLayer, xy: FloatArray, reach_m: float) -> BoolArray:
+    """(H, W) unknown cells that near to a place, with nothing known between."""
+    found = np.zeros(static.state.shape, bool)
+    cells, reach = (xy - np.array(static.origin)) / static.resolution_m, reach_m / static.resolution_m
+    mark_in_sight(static.state, cells, reach, (int(CellState.UNKNOWN), int(CellState.OCCUPIED)), found)
+    return found
+
+
+def _about(static: StaticLayer, xy: FloatArray, reach_m: float) -> tuple[tuple[slice, slice], FloatArray]:
+    """The cells about a place, and where their middles are from it (h, w, 2)."""
+    low = np.maximum(np.floor((xy - reach_m - static.origin) / static.resolution_m).astype(int), 0)
+    high = np.ceil((xy + reach_m - static.origin) / static.resolution_m).astype(int)
+    right, top = np.minimum(high, static.state.shape[::-1]).tolist()
+    left, bottom = low.tolist()
+    x, y = (
+        (np.arange(a, b) + 0.5) * static.resolution_m + origin - at
+        for a, b, origin, at in zip((left, bottom), (right, top), static.origin, xy, strict=True)
+    )
+    return (slice(bottom, top), slice(left, right)), np.stack(np.meshgrid(x, y), axis=-1)

@@ -1,0 +1,55 @@
+"""Maps that outlast a drive: a folder of keyframes, where they are and how they hang together.
+
+Written while driving so that a kill at any moment loses the last seconds at most; opened by the next drive.
+"""
+
+from wheelsight.slam.maps.contents import (
+    MAP_FOLDER,
+    MapInfo,
+    driven_way,
+    find_map,
+    info_of,
+    is_map,
+    lie_together,
+    occupancy_of,
+    save_occupancy,
+)
+from wheelsight.slam.maps.folder import MapFolder, discard_map
+from wheelsight.slam.maps.journal import DRIVE, FolderContents, Health, MapCamera, MapHeader
+from wheelsight.slam.maps.keyframes import KeptKeyframes
+from wheelsight.slam.maps.rebuilding import MergedMap, PrunedMap, fused_anew, merge, prune, rebuild
+from wheelsight.slam.maps.records import Place
+from wheelsight.slam.maps.writer import MapWriter, SeenKeyframe, odometry_edge
+from wheelsight.slam.settings import PruneSettings, SessionSettings
+
+__all__ = [
+    "DRIVE",
+    "MAP_FOLDER",
+    "FolderContents",
+    "Health",
+    "KeptKeyframes",
+    "MapCamera",
+    "MapFolder",
+    "MapHeader",
+    "MapInfo",
+    "MapWriter",
+    "MergedMap",
+    "Place",
+    "PruneSettings",
+    "PrunedMap",
+    "SeenKeyframe",
+    "SessionSettings",
+    "discard_map",
+    "driven_way",
+    "find_map",
+    "fused_anew",
+    "info_of",
+    "is_map",
+    "lie_together",
+    "merge",
+    "occupancy_of",
+    "odometry_edge",
+    "prune",
+    "rebuild",
+    "save_occupancy",
+]

@@ -1,0 +1,436 @@
+"""Contents of a map folder: its keyframes as parts of a new map, connected pieces, occupancy grid and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from wheelsight.core.errors import MapError
+from wheelsight.core.files import StrPath
+from wheelsight.core.geometry import BoolArray, FloatArray, IntArray
+from wheelsight.core.inputs import is_there
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.core.settings import RecognitionSettings
+from wheelsight.io.ros_map import write_ros_map
+from wheelsight.mapping import MapEdits, NamedPoses, OccupancyGrid, OccupancyMapper, OccupancySettings, SurfelMap
+from wheelsight.places.recognition import Recognizer
+from wheelsight.slam.graph import RelativePose
+from wheelsight.slam.maps.folder import OCCUPANCY_FILE, OCCUPANCY_IMAGE, RECOGNITION_FILE, SURFELS_FILE, MapFolder
+from wheelsight.slam.maps.journal import GRAPH, HEADER_FILE, KEYFRAMES, Health, MapHeader, Record, journals_of
+from wheelsight.slam.maps.keyframes import KeptKeyframes, Size
+from wheelsight.slam.maps.records import Place
+from wheelsight.slam.settings import SessionSettings
+
+# MapParts: what a new map is made of: keyframes of other maps, which stay on disk, under numbers of their own.
+
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapParts:
+    """Keyframes from 0 on without holes, where they are, and edges between them.
+
+    Attributes:
+        where: journal and record of each keyframe.
+        places: where each was when it was kept.
+        T_map_keyframe: (N, 4, 4) by now.
+        edges: that hold.
+        camera_px: width and height of their camera.
+    """
+
+    where: tuple[tuple[Path, Record], ...]
+    places: tuple[Place, ...]
+    T_map_keyframe: FloatArray
+    edges: tuple[RelativePose, ...]
+    camera_px: Size
+
+    @classmethod
+    def of(cls, folder: MapFolder) -> Self:
+        """All keyframes of a map, in their order, but those that damage took, with image or pose."""
+        kept = np.flatnonzero(are_there(folder))
+        where, places = folder.contents.where, folder.contents.places
+        records, at = [where[number] for number in kept.tolist()], [places[number] for number in kept.tolist()]
+        numbers = new_numbers(kept, len(folder.store))
+        T, edges = folder.store.T_map_keyframe[kept], renumbered(folder.edges, numbers)
+        return cls(tuple(records), tuple(at), T, edges, folder.header.camera.size_px)
+
+    def __len__(self) -> int:
+        return len(self.where)
+
+    def beside(self, other: MapParts) -> MapParts:
+        """Both, the other one's keyframes after these."""
+        shift = np.arange(len(other)) + len(self)
+        T = np.concatenate([self.T_map_keyframe, other.T_map_keyframe])
+        edges = (*self.edges, *renumbered(other.edges, shift))
+        return MapParts((*self.where, *other.where), (*self.places, *other.places), T, edges, self.camera_px)
+
+    def some(self, kept: Sequence[int] | IntArray) -> MapParts:
+        """These keyframes alone, in ascending order, and edges between them."""
+        rows = np.asarray(kept, np.int64)
+        where, places = [self.where[row] for row in rows.tolist()], [self.places[row] for row in rows.tolist()]
+        edges = renumbered(self.edges, new_numbers(rows, len(self)))
+        return MapParts(tuple(where), tuple(places), self.T_map_keyframe[rows], edges, self.camera_px)
+
+    def store(self, memory_keyframes: int) -> KeptKeyframes:
+        """The keyframes, read when one asks for them."""
+        return KeptKeyframes(dict(enumerate(self.where)), self.T_map_keyframe, memory_keyframes, self.camera_px)
+
+
+def are_there(folder: MapFolder) -> BoolArray:
+    """(N,) which keyframes of a map have both, image and pose."""
+    there: BoolArray = np.asarray(np.isfinite(folder.store.T_map_keyframe).all(axis=(1, 2)))
+    there[[int(number) for number in folder.store.missing]] = False
+    return there
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SaidOfMap:
+    """What people said of a map: edits and names, which hang on its keyframes."""
+
+    edits: MapEdits
+    poses: NamedPoses
+
+    def save(self, folder: MapFolder) -> None:
+        """Keep them in a map that is open to write. Raises OutputError."""
+        if len(self.edits):
+            folder.save_edits(self.edits)
+        if len(self.poses):
+            folder.save_named_poses(self.poses)
+
+
+def edits_as_known(folder: MapFolder) -> MapEdits:
+    """The edits of a map; one that hung on a keyframe that damage took is where it was drawn. Raises MapError."""
+    return folder.map_edits().carried(folder.store.T_map_keyframe, _own_numbers(folder))
+
+
+def names_as_known(folder: MapFolder) -> NamedPoses:
+    """The named poses of a map, likewise. Raises MapError."""
+    return folder.named_poses().carried(folder.store.T_map_keyframe, _own_numbers(folder))
+
+
+def _own_numbers(folder: MapFolder) -> IntArray:
+    """(K,) of keyframes that stay in a map; -1 of those that damage took."""
+    there = are_there(folder)
+    return np.where(there, np.arange(len(there)), -1)
+
+
+def carried(folder: MapFolder, kept: IntArray, first: int = 0, *, is_same_frame: bool = True) -> SaidOfMap:
+    """What people said of a map for one that is made of its parts, see `MapEdits.carried`. Raises MapError.
+
+    Args:
+        folder: of which they said it.
+        kept: rows of the new map's parts that are kept, in ascending order.
+        first: row of the folder's first keyframe in these parts.
+        is_same_frame: whether the new map has the folder's frame.
+    """
+    there = np.flatnonzero(are_there(folder))
+    numbers = np.full(len(folder.store), -1)
+    of_kept = new_numbers(kept, max(int(kept.max(initial=-1)) + 1, first + len(there)))
+    numbers[there] = of_kept[first : first + len(there)]
+    T = folder.store.T_map_keyframe
+    edits = folder.map_edits().carried(T, numbers, is_same_frame=is_same_frame)
+    return SaidOfMap(edits, folder.named_poses().carried(T, numbers, is_same_frame=is_same_frame))
+
+
+def new_numbers(kept: IntArray, count: int) -> IntArray:
+    """(count,) the number that each keyframe gets where these alone are kept; -1 for the others."""
+    numbers = np.full(count, -1)
+    numbers[kept] = np.arange(len(kept))
+    return numbers
+
+
+def renumbered(edges: Sequence[RelativePose], numbers: IntArray) -> tuple[RelativePose, ...]:
+    """Edges between keyframes that have a new number (N,), others left out."""
+    ends = ((edge, int(numbers[edge.first]), int(numbers[edge.second])) for edge in edges)
+    return tuple(
+        replace(edge, first=KeyframeId(first), second=KeyframeId(second))
+        for edge, first, second in ends
+        if min(first, second) >= 0
+    )
+
+
+def write_parts(
+    parts: MapParts, new: MapFolder, made: tuple[Recognizer, SurfelMap | None, SaidOfMap], on_keyframe: Progress
+) -> None:
+    """Write parts into a map that has nothing yet.
+
+    Args:
+        parts: what to write.
+        new: see `map_being_made`.
+        made: of the keyframes: what recognises them, surfels that hang on them, and what people said.
+        on_keyframe: called with what is being done, how many keyframes are done, and of how many.
+
+    Raises MapError where a keyframe cannot be read, and OutputError.
+    """
+    recognizer, surfel_map, said = made
+    store = parts.store(new.settings.memory_keyframes)
+    for number, place in enumerate(parts.places):
+        new.append_keyframe(number, store[KeyframeId(number)], parts.T_map_keyframe[number], place.T_odom_keyframe)
+        on_keyframe("writing", number + 1, len(parts))
+    new.append_edges(parts.edges)
+    new.save_recognition(recognizer)
+    if surfel_map is not None:
+        new.save_surfels(surfel_map)
+    said.save(new)
+
+
+def recognizer_of(parts: MapParts, settings: RecognitionSettings | None, on_keyframe: Progress) -> Recognizer:
+    """What recognises the keyframes of parts, made anew."""
+    store, made = parts.store(1), Recognizer(settings)
+    for number in store:
+        made.add(number, store[number])
+        on_keyframe("recognition", number + 1, len(parts))
+    return made
+
+
+# How the keyframes of a map hang together: in one piece, or in some of which nobody knows how they lie.
+
+
+def lie_together(folder: MapFolder) -> BoolArray:
+    """(N,) which keyframes of a map hang together by edges that are sure: the largest such piece."""
+    there = are_there(folder)
+    together = np.zeros(len(there), bool)
+    together[there] = pieces_of(MapParts.of(folder), folder.settings) == 0
+    return together
+
+
+def pieces_of(parts: MapParts, settings: SessionSettings) -> IntArray:
+    """(N,) the piece that each keyframe is in, by edges that are sure; the largest piece is 0."""
+    piece = connected([edge for edge in parts.edges if is_sure(edge, settings)], len(parts))
+    order = np.argsort(-np.bincount(piece, minlength=1), kind="stable")
+    return np.asarray(np.argsort(order)[piece], np.int64)
+
+
+def connected(edges: Sequence[RelativePose], count: int) -> IntArray:
+    """(count,) the piece that each keyframe is in, from 0 on, by edges between them."""
+    if not count:
+        return np.zeros(0, np.int64)
+    ends = np.array([(edge.first, edge.second) for edge in edges], np.int64).reshape(-1, 2)
+    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], np.int64)
+
+
+def is_sure(edge: RelativePose, settings: SessionSettings) -> bool:
+    """Whether an edge tells how its ends lie to each other; that of a camera that was carried off does not."""
+    sigmas: FloatArray = np.sqrt(np.diag(edge.covariance))
+    return bool((sigmas[:3] < settings.sure_m).all() and (sigmas[3:] < settings.sure_rad).all())
+
+
+# The occupancy map of a map folder: of its keyframes where they are by now, with its edits, as map_server reads it.
+
+
+OccupancyProgress = Callable[[int, int], None]
+
+# On a step of a metre in which the robot turned by 90 degrees it was 0.2 m beside the straight line, on a longer one it
+# may have been behind a wall.
+_STRAIGHT_M = 1.0
+
+
+def occupancy_of(
+    folder: MapFolder,
+    settings: OccupancySettings | None = None,
+    on_keyframe: OccupancyProgress = lambda done, total: None,
+    mapper: OccupancyMapper | None = None,
+) -> OccupancyGrid:
+    """The floor of a map, with what its edits say.
+
+    It is of the largest part that hangs together by edges that are sure: where another part lies nobody knows.
+
+    Args:
+        folder: an open map.
+        settings: or the map's.
+        on_keyframe: called with how many are read, and of how many, where any is to be.
+        mapper: that keeps some of its keyframes already, and is of these settings.
+
+    Raises:
+        MapError: the calibration does not say where the camera sits, a keyframe or the edits cannot be read, or the map
+            would have too many cells.
+    """
+    made = mapper or OccupancyMapper(folder.calibration, settings or folder.settings.occupancy)
+    together = lie_together(folder)
+    todo = [KeyframeId(int(number)) for number in np.flatnonzero(together) if number not in made]
+    for done, number in enumerate(todo, start=1):
+        made.keep(number, folder.store[number])
+        on_keyframe(done, len(todo))
+    made.move(folder.store.T_map_keyframe, together)
+    return edits_as_known(folder).applied(made.grid(), folder.store.T_map_keyframe)
+
+
+def save_occupancy(
+    folder: MapFolder, on_keyframe: OccupancyProgress = lambda done, total: None, mapper: OccupancyMapper | None = None
+) -> OccupancyGrid | None:
+    """Write the occupancy map of an open map into its folder; None where nobody knows where the camera sits.
+
+    Raises as `occupancy_of` does, and OutputError.
+    """
+    if folder.calibration.T_base_camera is None:
+        return None
+    grid = occupancy_of(folder, None, on_keyframe, mapper)
+    write_ros_map(grid.to_ros(), folder.path / OCCUPANCY_FILE)
+    return grid
+
+
+def add_occupancy(new: MapFolder, on_keyframe: Callable[[str, int, int], None]) -> None:
+    """Write the occupancy map of one that is being made, if it can be made: a map is whole without it.
+
+    Why there is none `occupancy_of` says. Raises OutputError.
+    """
+    with suppress(MapError):
+        so_far = MapFolder.open(new.path, settings=new.settings, is_incomplete_read=True)
+        save_occupancy(so_far, lambda done, total: on_keyframe("occupancy", done, total))
+
+
+def driven_way(folder: MapFolder) -> tuple[FloatArray, ...]:
+    """Stretches (K, 3) of x, y, yaw of the base at the keyframes of a map that lie together; of no base, the camera.
+
+    Within a stretch the robot drove from each to the next, about straight. Between stretches nobody knows where it
+    drove, or it was another drive.
+    """
+    numbers = np.flatnonzero(lie_together(folder))
+    if not len(numbers):
+        return ()
+    T = folder.store.T_map_keyframe[numbers]
+    if folder.calibration.T_base_camera is not None:
+        T = T @ np.linalg.inv(folder.calibration.T_base_camera)
+    at = np.column_stack([T[:, :2, 3], np.arctan2(T[:, 1, 0], T[:, 0, 0])])
+    driven = {
+        (int(edge.first), int(edge.second))
+        for edge in folder.edges
+        if not edge.is_loop and is_sure(edge, folder.settings)
+    }
+    is_step = np.array([ends in driven for ends in pairwise(numbers.tolist())], bool)  # empty for one keyframe
+    is_step &= np.linalg.norm(np.diff(at[:, :2], axis=0), axis=1) <= _STRAIGHT_M
+    return tuple(np.split(at, np.flatnonzero(~is_step) + 1))
+
+
+# MapInfo: what a map folder holds, in figures.
+
+
+MAP_FOLDER = "map"
+_OF_RUN = ("", "joined", "dense", "features", "own")
+
+
+@dataclass(frozen=True, slots=True)
+class MapInfo:
+    """Figures of a map folder.
+
+    Attributes:
+        header: what it says of itself.
+        keyframes: how many are there.
+        edges, loops: between them: by odometry, and by places that were seen again.
+        parts: how many parts hang together by edges.
+        begin_s, end_s: stamps of the first and the last keyframe; None without any.
+        length_m: of the way from keyframe to keyframe, where they are by now.
+        bytes: of all files.
+        keyframe_bytes: a keyframe, with its place, its edges and its moves.
+        surfel_bytes, recognition_bytes, occupancy_bytes: of these files; None where they are missing.
+        edits: how many zones and wiped obstacles; None where their file cannot be read.
+        areas: names of areas, which are in the same file; likewise.
+        places: names of poses; likewise.
+        health: what is wrong.
+    """
+
+    header: MapHeader
+    keyframes: int
+    edges: int
+    loops: int
+    parts: int
+    begin_s: float | None
+    end_s: float | None
+    length_m: float
+    bytes: int
+    keyframe_bytes: float
+    surfel_bytes: int | None
+    recognition_bytes: int | None
+    occupancy_bytes: int | None
+    edits: int | None
+    areas: tuple[str, ...] | None
+    places: tuple[str, ...] | None
+    health: Health
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain nested values."""
+        told = {name: getattr(self, name) for name in self.__slots__ if name not in ("header", "health")}
+        health = {"is_whole": self.health.is_whole, "notes": list(self.health.notes)}
+        return {**asdict(self.header), **told, "health": health}
+
+
+def info_of(folder: MapFolder) -> MapInfo:
+    """The figures of an open map."""
+    path, store, edges, edits = folder.path, folder.store, folder.edges, _edits(folder)
+    numbers = list(store)
+    stamps_s = [folder.contents.places[number].stamp_s for number in numbers]
+    at = store.T_map_keyframe[numbers][:, :3, 3]
+    journals = [*journals_of(path, KEYFRAMES), *journals_of(path, GRAPH)]
+    journal_bytes = sum(file.stat().st_size for file in journals)
+    between = renumbered(edges, new_numbers(np.array(numbers, np.int64), len(store)))
+    return MapInfo(
+        header=folder.header,
+        keyframes=len(numbers),
+        edges=sum(not edge.is_loop for edge in edges),
+        loops=sum(edge.is_loop for edge in edges),
+        parts=len(np.unique(connected(between, len(numbers)))),
+        begin_s=min(stamps_s, default=None),
+        end_s=max(stamps_s, default=None),
+        length_m=float(np.linalg.norm(np.diff(at, axis=0), axis=1).sum()),
+        bytes=sum(file.stat().st_size for file in path.iterdir() if file.is_file()),
+        keyframe_bytes=journal_bytes / max(len(numbers), 1),
+        surfel_bytes=_size(path / SURFELS_FILE),
+        recognition_bytes=_size(path / RECOGNITION_FILE),
+        occupancy_bytes=_occupancy_bytes(path),
+        edits=None if edits is None else len(edits) - len(edits.areas),
+        areas=None if edits is None else edits.area_names,
+        places=_places(folder),
+        health=folder.contents.health,
+    )
+
+
+def is_map(path: StrPath) -> bool:
+    """Whether a folder has what says that it is a map."""
+    return is_there(Path(path) / HEADER_FILE)
+
+
+def find_map(path: StrPath) -> Path:
+    """The map folder that a path names: itself, or that of a run's folder. Raises MapError."""
+    path = Path(path)
+    if not is_there(path):
+        raise MapError("there is no such folder", path=path, fix="check the path")
+    own = [path, *(path / track / MAP_FOLDER for track in _OF_RUN)]
+    found = next((folder for folder in own if is_map(folder)), None)
+    if found is None:
+        fix = "make one: wheelsight run RECORDING --odometry dense --map surfels --out DIR"
+        raise MapError("is no map, and no folder of a run with one", path=path, fix=fix)
+    return found
+
+
+def _occupancy_bytes(path: Path) -> int | None:
+    """Of both files; the image alone is none."""
+    about, image = _size(path / OCCUPANCY_FILE), _size(path / OCCUPANCY_IMAGE)
+    return None if about is None or image is None else about + image
+
+
+def _edits(folder: MapFolder) -> MapEdits | None:
+    try:
+        return folder.map_edits()
+    except MapError:
+        return None
+
+
+def _places(folder: MapFolder) -> tuple[str, ...] | None:
+    try:
+        return folder.named_poses().names
+    except MapError:
+        return None
+
+
+def _size(path: Path) -> int | None:
+    return path.stat().st_size if path.is_file() else None

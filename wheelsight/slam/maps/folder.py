@@ -1,0 +1,560 @@
+"""MapFolder: reads and writes a map piece by piece. MapLock: prevents two runs from writing the same map."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Self
+
+from wheelsight.core.calibration import Calibration, load_calibration, save_calibration
+from wheelsight.core.errors import ArgumentError, InputError, MapError, OutputError
+from wheelsight.core.files import StrPath, make_output_folder, output_error, refuse_full
+from wheelsight.core.geometry import FloatArray, IntArray, se3
+from wheelsight.core.geometry.arrays import UInt64Array
+from wheelsight.core.inputs import is_there
+from wheelsight.core.keyframes import Keyframe, KeyframeId
+from wheelsight.core.settings import RecognitionSettings
+from wheelsight.mapping import MapEdits, NamedPoses, SurfelMap, load_map, save_map
+from wheelsight.places.recognition import NO_FEATURES, Recognizer
+from wheelsight.slam.graph import RelativePose
+from wheelsight.slam.maps import records
+from wheelsight.slam.maps.journal import (
+    GRAPH,
+    HEADER_FILE,
+    KEYFRAMES,
+    REMOVAL,
+    RUN_AGAIN,
+    FolderContents,
+    Health,
+    JournalWriter,
+    MapCamera,
+    MapHeader,
+    Record,
+    journal_name,
+    journals_of,
+    next_number,
+    read_contents,
+    read_header,
+)
+from wheelsight.slam.maps.keyframes import DepthSteps, KeptKeyframes, pack_keyframe, read_descriptors
+from wheelsight.slam.maps.records import Place, RecordKind
+from wheelsight.slam.settings import SessionSettings
+
+# MapFolder: a map that outlasts its drive, written piece by piece, and read by the next.
+
+
+CALIBRATION_FILE, RECOGNITION_FILE, SURFELS_FILE = "calibration.yaml", "recognition.npz", "map.surfels"
+OCCUPANCY_FILE, OCCUPANCY_IMAGE, EDITS_FILE = "occupancy.yaml", "occupancy.pgm", "edits.json"
+PLACES_FILE = "places.json"
+_MADE = (RECOGNITION_FILE, SURFELS_FILE, OCCUPANCY_FILE, OCCUPANCY_IMAGE, EDITS_FILE, PLACES_FILE)
+_FILES = (HEADER_FILE, CALIBRATION_FILE, *_MADE)
+_TEMPORARY = re.compile(rf"\.({'|'.join(map(re.escape, _FILES))})\.[0-9a-f]{{8}}")
+_READ_ONLY = "open it with read_only=False"
+# Of a journal that is not of keyframes; three times as many are read.
+_GRAPH_RECORDS = 100_000
+NEW_FOLDER = "choose a folder that is empty or not there yet: no map is written over"
+
+
+class MapFolder:
+    """A map on disk: keyframes, where they are, edges between them, and what was made of them.
+
+    `create` begins a new one, `open` reads one; to one that is not read-only keyframes, edges and poses are appended.
+    What it held when it was opened is told by `store`, `edges` and `health`; what is appended later is not in them.
+
+    Nothing is rewritten in place: each writer begins journals of its own. Not to be used by two threads at once.
+
+    Attributes:
+        path: the folder.
+        header: what it says of itself.
+        calibration: of the robot that made it.
+        settings: how it is written and read.
+        contents: its journals, as they were when it was opened.
+        store: its keyframes, as they were when it was opened.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        header: MapHeader,
+        calibration: Calibration,
+        contents: FolderContents,
+        settings: SessionSettings,
+        lock: MapLock | None,
+    ) -> None:
+        self.path, self.header, self.calibration, self.settings = path, header, calibration, settings
+        self.contents, self._lock = contents, lock
+        self.store = KeptKeyframes(
+            contents.where, contents.T_map_keyframe, settings.memory_keyframes, header.camera.size_px
+        )
+        self._steps = DepthSteps.of_noise(calibration.depth_noise, settings.depth_sigmas)
+        self._pieces = _Pieces(path, settings.piece_keyframes)
+        self._edge_count = contents.edge_count
+        self._where = dict(contents.where)
+
+    @classmethod
+    def create(
+        cls,
+        path: StrPath,
+        calibration: Calibration,
+        settings: SessionSettings | None = None,
+        *,
+        source: str = "",
+        depth_factor: float | None = None,
+        unfinished: str = "",
+    ) -> Self:
+        """Begin a map in a folder that is empty or not there.
+
+        Args:
+            path: the folder.
+            calibration: of the robot; with a camera.
+            settings: or the defaults.
+            source: name of the recording or live source.
+            depth_factor: depth units a metre, where they are not those of the recording's format.
+            unfinished: what makes it until `finish`, one of `header.MAKERS`; "": it is finished at any time.
+
+        Raises:
+            OutputError: the folder holds something, or cannot be made or written.
+            CalibrationError: there is no camera.
+        """
+        settings, path = settings or SessionSettings(), Path(path)
+        header = MapHeader.new(MapCamera.of(calibration, depth_factor), source, unfinished)
+        refuse_full(path, NEW_FOLDER)
+        make_output_folder(path, force=True)
+        lock = MapLock(path)
+        try:
+            save_calibration(calibration, path / CALIBRATION_FILE)
+            header.save(path)  # the last: a folder with it is a map
+            return cls(path, header, calibration, read_contents(path), settings, lock)
+        except BaseException:
+            lock.release()
+            raise
+
+    @classmethod
+    def open(
+        cls,
+        path: StrPath,
+        *,
+        read_only: bool = True,
+        settings: SessionSettings | None = None,
+        is_incomplete_read: bool = False,
+    ) -> Self:
+        """Read a map.
+
+        Args:
+            path: the folder.
+            read_only: whether nothing is to be appended.
+            settings: or the defaults.
+            is_incomplete_read: whether what rebuild, merge or prune left when they were ended is read, too.
+
+        Raises:
+            MapError: it is none, of a newer version, incomplete, damaged beyond what can be left out, or written by
+                another run.
+            CalibrationError: its calibration is damaged.
+            OutputError: it is to be written and cannot be.
+        """
+        path, settings = Path(path), settings or SessionSettings()
+        header = read_header(path)
+        state: dict[str, Any] = {"unfinished": header.unfinished}
+        state["is_being_made"] = bool(header.unfinished) and MapLock.is_held(path)
+        incomplete = Health(**state).incomplete
+        if incomplete and not is_incomplete_read:
+            raise MapError(f"is {incomplete}", path=path, fix=RUN_AGAIN)
+        lock = None if read_only else MapLock(path)
+        try:
+            contents = read_contents(path)
+            contents = replace(contents, health=replace(contents.health, **state))
+            if lock is not None:
+                _remove(_temporaries(path))
+            calibration = load_calibration(path / CALIBRATION_FILE)
+            return cls(path, header, calibration, contents, settings, lock)
+        except BaseException:
+            if lock is not None:
+                lock.release()
+            raise
+
+    @property
+    def edges(self) -> tuple[RelativePose, ...]:
+        """Those that hold, of odometry and loops, when it was opened."""
+        return self.contents.edges
+
+    def check_camera(self, calibration: Calibration, depth_factor: float | None = None) -> None:
+        """Raises MapError, saying what differs, where a calibration is of another camera than the map's."""
+        camera = MapCamera.of(calibration, depth_factor)
+        why = self.header.camera.why_other(camera, self.settings.camera_share)
+        if why is not None:
+            fix = "give the map of this camera, or --camera and --calibration as when it was made"
+            raise MapError(f"is of another camera: {why}", path=self.path, fix=fix)
+
+    def append_keyframe(
+        self, number: int, keyframe: Keyframe, T_map_keyframe: FloatArray, T_odom_keyframe: FloatArray | None = None
+    ) -> tuple[Path, Record]:
+        """Keep a keyframe, and tell in which journal and record; of one number the last counts.
+
+        Args:
+            number: of the keyframe in the map.
+            keyframe: what was seen.
+            T_map_keyframe: (4, 4) by what is known now.
+            T_odom_keyframe: (4, 4) in the frame that never jumps, if that is known.
+
+        Raises:
+            OutputError: it cannot be written, or the map is read-only.
+            ArgumentError: a pose that is no rigid motion.
+        """
+        for T in (T_map_keyframe, T_odom_keyframe):
+            if T is not None and not se3.is_valid(T):
+                raise ArgumentError(f"the pose of keyframe {number} is no rigid motion", fix="give SE(3), (4, 4)")
+        self._need_lock()
+        content = pack_keyframe(keyframe, self._steps, self.settings)
+        journal = self._pieces.of_keyframes()
+        record = journal.append(RecordKind.KEYFRAME, number, content)
+        self._where[number] = journal.path, record
+        place = records.pack_place(Place(keyframe.stamp_s, T_map_keyframe, T_odom_keyframe))
+        self._pieces.graph().append(RecordKind.PLACE, number, place)
+        return journal.path, record
+
+    def append_edges(self, edges: Sequence[RelativePose]) -> tuple[int, ...]:
+        """Keep edges; their numbers, by which they can be withdrawn. Raises OutputError."""
+        self._need_lock()
+        first = self._edge_count
+        if edges:
+            self._pieces.graph().append(RecordKind.EDGES, first, records.pack_edges(edges))
+            self._edge_count += len(edges)
+        return tuple(range(first, self._edge_count))
+
+    def withdraw_edges(self, numbers: Sequence[int]) -> None:
+        """Edges that do not hold, such as loops that were found to be false. Raises OutputError."""
+        self._need_lock()
+        if numbers:
+            self._pieces.graph().append(RecordKind.WITHDRAWN, 0, records.pack_numbers(numbers))
+
+    def append_poses(self, numbers: Sequence[int] | IntArray, T_map_keyframe: FloatArray) -> None:
+        """Where keyframes (K,) are by now (K, 4, 4); of each the last counts. Raises OutputError."""
+        self._need_lock()
+        if len(numbers):
+            self._pieces.graph().append(RecordKind.POSES, 0, records.pack_poses(numbers, T_map_keyframe))
+
+    def flush(self) -> None:
+        """Make what was appended outlive a loss of power. Raises OutputError."""
+        self._pieces.flush()
+
+    def save_recognition(self, recognizer: Recognizer) -> None:
+        """Keep what recognises the keyframes, so that the next drive need not make it anew. Raises OutputError."""
+        self._need_lock()
+        recognizer.save(self.path / RECOGNITION_FILE, self._descriptors)
+
+    def save_surfels(self, surfel_map: SurfelMap) -> None:
+        """Keep a surfel map whose surfels hang on the map's keyframes. Raises OutputError."""
+        self._need_lock()
+        save_map(surfel_map, self.path / SURFELS_FILE)
+
+    def map_edits(self) -> MapEdits:
+        """What somebody said of the map: zones and wiped obstacles; none where no file of them is. Raises MapError."""
+        path = self.path / EDITS_FILE
+        return MapEdits.load(path) if is_there(path) else MapEdits()
+
+    def save_edits(self, edits: MapEdits) -> None:
+        """Keep edits of the map, in place of what it has. Raises OutputError."""
+        self._need_lock()
+        edits.save(self.path / EDITS_FILE)
+
+    def named_poses(self) -> NamedPoses:
+        """What people call poses of the map; none where no file of them is. Raises MapError."""
+        path = self.path / PLACES_FILE
+        return NamedPoses.load(path) if is_there(path) else NamedPoses()
+
+    def save_named_poses(self, poses: NamedPoses) -> None:
+        """Keep names of poses, in place of what it has. Raises OutputError."""
+        self._need_lock()
+        poses.save(self.path / PLACES_FILE)
+
+    def begin(self, unfinished: str) -> None:
+        """Mark the map as one that is being made by one of `header.MAKERS`, until `finish`. Raises OutputError."""
+        self._need_lock()
+        if self.header.unfinished != unfinished:
+            self.header = replace(self.header, unfinished=unfinished)
+            self.header.save(self.path)
+
+    def finish(self) -> None:
+        """Mark the map as finished, once all of it is on the disk. Raises OutputError."""
+        self.flush()
+        self.begin("")
+
+    def close(self) -> None:
+        """Flush, and let others write. Raises OutputError."""
+        lock, self._lock = self._lock, None
+        try:
+            self._pieces.close()
+        finally:
+            if lock is not None:
+                lock.release()
+
+    def recognizer(
+        self,
+        settings: RecognitionSettings | None = None,
+        on_keyframe: Callable[[int, int], None] = lambda done, total: None,
+    ) -> Recognizer:
+        """What recognises the keyframes: as kept, completed, or made anew where its file is missing or of others.
+
+        Args:
+            settings: or the defaults; a file of other settings is not used.
+            on_keyframe: called with how many are done, and of how many, where any is to be made.
+
+        Raises MapError where a keyframe cannot be read.
+        """
+        found, numbers = self._kept_recognizer(settings or RecognitionSettings()), list(self.store)
+        known = set(found.keyframes)
+        if not known <= set(numbers):
+            found, known = Recognizer(settings), set()
+        todo = [number for number in numbers if number not in known]
+        for done, number in enumerate(todo, start=1):
+            found.add(number, self.store[number])
+            on_keyframe(done, len(todo))
+        return found
+
+    def surfels(self) -> SurfelMap | None:
+        """The surfel map, moved to where its keyframes are by now; None where there is none. Raises MapError."""
+        path = self.path / SURFELS_FILE
+        if not is_there(path):
+            return None
+        surfel_map = load_map(path)
+        if len(surfel_map.T_map_keyframe) > len(self.store):
+            fix = "make it anew: wheelsight map rebuild"
+            raise MapError("hangs on keyframes that the map does not have", path=path, fix=fix)
+        surfel_map.hang_on(self.store)
+        return surfel_map
+
+    def _kept_recognizer(self, settings: RecognitionSettings) -> Recognizer:
+        """As its file has it; a new one where that is missing, damaged or of other settings."""
+        path = self.path / RECOGNITION_FILE
+        if is_there(path):
+            try:
+                return Recognizer.load(path, self._descriptors, settings=settings, most_keyframes=len(self.store))
+            except MapError:  # all that it holds can be made again
+                pass
+        return Recognizer(settings)
+
+    def _descriptors(self, number: KeyframeId) -> UInt64Array:
+        """Those of a keyframe's record; none where that is lost."""
+        try:
+            return read_descriptors(*self._where[number])
+        except (KeyError, MapError):
+            return NO_FEATURES.descriptors
+
+    def _need_lock(self) -> None:
+        if self._lock is None:
+            raise OutputError("is read-only here", path=self.path, fix=_READ_ONLY)
+
+
+class _Pieces:
+    """The journals of one writer, begun when they are needed; of keyframes one after the other."""
+
+    def __init__(self, folder: Path, most_keyframes: int) -> None:
+        self._folder, self._most = folder, most_keyframes
+        self._keyframes: JournalWriter | None = None
+        self._graph: JournalWriter | None = None
+        self._count = self._graph_count = 0
+
+    def of_keyframes(self) -> JournalWriter:
+        """Where the next keyframe goes."""
+        if self._keyframes is not None and self._count >= self._most:
+            full, self._keyframes = self._keyframes, None
+            full.close()
+        if self._keyframes is None:
+            self._keyframes, self._count = self._begun(KEYFRAMES), 0
+        self._count += 1
+        return self._keyframes
+
+    def graph(self) -> JournalWriter:
+        """Where all else goes."""
+        if self._graph is not None and self._graph_count >= _GRAPH_RECORDS:
+            full, self._graph = self._graph, None
+            full.close()
+        if self._graph is None:
+            self._graph, self._graph_count = self._begun(GRAPH), 0
+        self._graph_count += 1
+        return self._graph
+
+    def flush(self) -> None:
+        """Images first: a place whose keyframe is lost is worth nothing."""
+        for journal in (self._keyframes, self._graph):
+            if journal is not None:
+                journal.flush()
+
+    def close(self) -> None:
+        """Both of them, even if one of them fails."""
+        keyframes, self._keyframes = self._keyframes, None
+        graph, self._graph = self._graph, None
+        try:
+            if keyframes is not None:
+                keyframes.close()
+        finally:
+            if graph is not None:
+                graph.close()
+
+    def _begun(self, kind: str) -> JournalWriter:
+        return JournalWriter(self._folder / journal_name(kind, next_number(self._folder, kind)))
+
+
+@contextmanager
+def map_being_made(out: StrPath, maker: str, like: MapFolder, source: str | None = None) -> Iterator[MapFolder]:
+    """A new map of the calibration and settings of another, to be written within the block.
+
+    At its end the map is finished. Where the block fails nothing of it stays; where the process is killed the map says
+    that it is incomplete, and the next one in its place begins again.
+
+    Args:
+        out: a folder that is empty or not there, or that such a map was left in.
+        maker: one of `header.MAKERS`.
+        like: of which calibration and settings it is.
+        source: its name; else as `like` has it.
+
+    Raises OutputError, and MapError where another process makes a map there.
+    """
+    make_room(out)
+    name, factor = like.header.source if source is None else source, like.header.camera.depth_factor
+    new = MapFolder.create(out, like.calibration, like.settings, source=name, depth_factor=factor, unfinished=maker)
+    try:
+        yield new
+        new.finish()
+        new.close()
+    except BaseException:
+        with suppress(InputError):
+            new.close()
+        with suppress(InputError):
+            discard_map(out)
+        raise
+
+
+def make_room(out: StrPath) -> None:
+    """Remove what a rebuild, merge or prune left that was ended; raises OutputError where there is anything else.
+
+    Raises MapError where another process makes a map there.
+    """
+    out = Path(out)
+    if _is_left_over(out):
+        discard_map(out)
+    refuse_full(out, NEW_FOLDER)
+
+
+def _is_left_over(path: Path) -> bool:
+    """Whether a folder holds a map that is of no use, or what such a map begins or ends with."""
+    if not is_there(path / HEADER_FILE):
+        return _is_bare(path)
+    try:
+        return not read_header(path).is_usable
+    except MapError:
+        return False
+
+
+def _is_bare(path: Path) -> bool:
+    """Whether a folder holds no more than what a map begins with, before anything says that it is one."""
+    try:
+        files = list(path.iterdir())
+    except OSError:
+        return False
+    return (path / LOCK_FILE) in files and {*files} <= {path / LOCK_FILE, path / CALIBRATION_FILE, *_temporaries(path)}
+
+
+def _temporaries(path: Path) -> list[Path]:
+    """Files that were being written when a process was killed, see `files.atomic_write`."""
+    return [file for file in path.iterdir() if _TEMPORARY.fullmatch(file.name)]
+
+
+def _remove(files: Iterable[Path]) -> None:
+    """Raises OSError."""
+    for file in files:
+        file.unlink(missing_ok=True)
+
+
+def discard_map(path: StrPath) -> None:
+    """Remove a map that an earlier run left; other files in its folder stay.
+
+    Raises:
+        MapError: another run writes it.
+        OutputError: it cannot be removed.
+    """
+    path = Path(path)
+    if not is_there(path / HEADER_FILE) and not _is_bare(path):
+        return
+    lock = MapLock(path)
+    try:
+        # A kill in between leaves no map that lacks a part, but one of which `make_room` knows that it is to go.
+        try:
+            replace(read_header(path), unfinished=REMOVAL).save(path)
+        except InputError:  # it is damaged, or the disk is full
+            _remove([path / HEADER_FILE])
+        _remove([*journals_of(path, KEYFRAMES), *journals_of(path, GRAPH), *_temporaries(path)])
+        _remove(path / name for name in (*_MADE, CALIBRATION_FILE, HEADER_FILE, LOCK_FILE))
+        if not any(path.iterdir()):
+            path.rmdir()
+    except OSError as error:
+        raise output_error(error, path) from error
+    finally:
+        lock.release()
+
+
+# MapLock: two runs never write one map.
+
+
+LOCK_FILE = "lock"
+_LONGEST = 32
+
+
+class MapLock:
+    """Holds a map folder for one writer, until `release`.
+
+    The system lets go of it when its process ends, however it ends: what a dead process left locks nothing.
+
+    Raises:
+        MapError: another run writes the map.
+        OutputError: nobody may write there.
+    """
+
+    def __init__(self, folder: StrPath) -> None:
+        path = Path(folder) / LOCK_FILE
+        try:
+            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
+        except OSError as error:
+            raise output_error(error, path) from error
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.ftruncate(self._descriptor, 0)
+            os.pwrite(self._descriptor, f"{os.getpid()}\n".encode(), 0)
+        except BlockingIOError as error:
+            holder = self._holder()
+            os.close(self._descriptor)
+            fix = "wait until it ends, or choose another map"
+            raise MapError(f"another run, of process {holder}, writes this map", path=Path(folder), fix=fix) from error
+        except OSError as error:
+            os.close(self._descriptor)
+            raise output_error(error, path) from error
+
+    @staticmethod
+    def is_held(folder: StrPath) -> bool:
+        """Whether somebody writes a map at the moment."""
+        try:
+            descriptor = os.open(Path(folder) / LOCK_FILE, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
+        except OSError:
+            return False
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except OSError:
+            return True
+        finally:
+            os.close(descriptor)
+        return False
+
+    def release(self) -> None:
+        """Let others write; the file stays."""
+        descriptor, self._descriptor = self._descriptor, -1
+        with suppress(OSError):
+            os.close(descriptor)
+
+    def _holder(self) -> str:
+        told = os.pread(self._descriptor, _LONGEST, 0).decode("ascii", "replace").strip()
+        return told if told.isdecimal() else "unknown number"

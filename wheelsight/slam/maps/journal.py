@@ -1,0 +1,588 @@
+"""Files of a map folder: append-only journals, their contents as values, and the header `map.json`."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+
+from wheelsight._version import __version__
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import MapError
+from wheelsight.core.files import StrPath, output_error, write_text
+from wheelsight.core.geometry import MOST_PIXELS, FloatArray
+from wheelsight.core.inputs import Kind, parse_json, read_bytes, read_text
+from wheelsight.slam.graph import RelativePose
+from wheelsight.slam.maps import records
+from wheelsight.slam.maps.records import Place, RecordKind
+
+# Journals: files that records are put to the end of, and that are never rewritten in place.
+#
+# A file begins with its name, its version and a checksum of both. Each record has a head: a mark, its kind, its key,
+# how long it is, a checksum of what it holds, and one of the head itself. Numbers are in little-endian order.
+#
+# A robot may lose power at any moment. What is not whole at the end of a file is dropped and counted: the torn tail.
+# What is not whole before a record that is whole was damaged on the disk: it is skipped, counted, and told with its
+# place.
+
+
+# 2: keyframes of another kind than 1 has, which older readers would pass over as lost.
+VERSION = 2
+_NAME = b"WSJOURNL"
+_MARK = b"\xf5WSR"
+_FILE_HEAD = struct.Struct("<8sI")
+_HEAD = struct.Struct("<4sHHQII")
+_CRC = struct.Struct("<I")
+HEAD_BYTES = _HEAD.size + _CRC.size
+FIRST_RECORD = _FILE_HEAD.size + _CRC.size
+_JOURNAL = Kind("a journal of a map", most_mb=2048, fix="give a folder that `wheelsight run` left as its map")
+_NEWER = "read it with the wheelsight that wrote it, or a newer one"
+_DAMAGED = "use another copy of the map"
+# Of a journal that is read: a writer begins another one long before, and to go through so many takes 2 s and 150 MB.
+_MOST_RECORDS = 300_000
+# Bytes that are checksummed in vain, in a journal twice as long at most and 64 MB besides: where a disk damages a
+# journal that is each of its bytes once. To look at a head takes as long as to checksum 4 kB.
+_VAIN_SHARE, _VAIN_BYTES, _BYTES_A_HEAD = 2, 64 << 20, 4096
+
+
+class Record(NamedTuple):
+    """Where a record is in its journal.
+
+    Attributes:
+        kind: what it holds.
+        key: such as the number of a keyframe.
+        offset: of its head in the file, bytes.
+        length: of what it holds, bytes.
+        crc: of what it holds.
+    """
+
+    kind: int
+    key: int
+    offset: int
+    length: int
+    crc: int
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """Bytes of a journal, with whole records after them, that are no record."""
+
+    path: Path
+    offset: int
+    length: int
+
+    def __str__(self) -> str:
+        return f"{self.path.name}: {self.length:,} bytes from byte {self.offset:,} on are damaged"
+
+
+@dataclass(frozen=True, slots=True)
+class JournalContents:
+    """What a journal holds.
+
+    Attributes:
+        path: the file.
+        records: those that are whole, in their order, with what they hold.
+        damages: what was skipped between them.
+        torn_bytes: what was dropped at the end.
+    """
+
+    path: Path
+    records: tuple[tuple[Record, memoryview], ...]
+    damages: tuple[Damage, ...]
+    torn_bytes: int
+
+
+class JournalWriter:
+    """Puts records to the end of a new journal.
+
+    Nothing is kept back: what was appended outlives the process. `flush` makes it outlive a loss of power, too.
+
+    Raises:
+        OutputError: the file cannot be made or written; also by each of its methods.
+    """
+
+    def __init__(self, path: StrPath) -> None:
+        self.path, self.size = Path(path), 0
+        try:
+            self._stream: IO[bytes] = self.path.open("xb", buffering=0)
+        except OSError as error:
+            raise output_error(error, self.path) from error
+        self._write(_with_crc(_FILE_HEAD.pack(_NAME, VERSION)))
+
+    def append(self, kind: int, key: int, content: bytes) -> Record:
+        """Write a record."""
+        record = Record(kind, key, self.size, len(content), zlib.crc32(content))
+        self._write(_with_crc(_HEAD.pack(_MARK, kind, 0, key, record.length, record.crc)) + content)
+        return record
+
+    def flush(self) -> None:
+        """Wait until all that was appended is on the disk."""
+        try:
+            os.fsync(self._stream.fileno())
+        except OSError as error:
+            raise output_error(error, self.path) from error
+
+    def close(self) -> None:
+        """The same, and close the file, whatever went wrong."""
+        try:
+            self.flush()
+        finally:
+            self._stream.close()
+
+    def abandon(self) -> None:
+        """Close the file as it is."""
+        self._stream.close()
+
+    def _write(self, data: bytes) -> None:
+        try:
+            written = 0
+            while written < len(data):  # a disk that is nearly full takes a part
+                written += self._stream.write(data[written:])
+        except OSError as error:
+            raise output_error(error, self.path) from error
+        self.size += len(data)
+
+
+def read_journal(path: StrPath) -> JournalContents:
+    """All records of a journal that are whole.
+
+    Raises:
+        MapError: naming the file: it cannot be read, is no journal, is of a newer version, holds too many records, or
+            is damaged in more places than a disk damages.
+    """
+    path = Path(path)
+    data = memoryview(read_bytes(path, _JOURNAL, MapError))
+    begin = _first_record(data, path)
+    records, damages = list[tuple[Record, memoryview]](), list[Damage]()
+    end = begin
+    for record in _whole_records(data, begin, path):
+        if len(records) == _MOST_RECORDS:
+            raise MapError(f"holds more than {_MOST_RECORDS:,} records", path=path, fix="is it the right file?")
+        if record.offset > end:
+            damages.append(Damage(path, end, record.offset - end))
+        end = record.offset + HEAD_BYTES + record.length
+        records.append((record, data[end - record.length : end]))
+    if begin == 0 and not records and len(data) >= FIRST_RECORD:
+        raise MapError("is no journal of a map", path=path, fix=_JOURNAL.fix)
+    return JournalContents(path, tuple(records), tuple(damages), len(data) - end)
+
+
+def read_record(path: StrPath, record: Record) -> bytes:
+    """What a record holds, read anew. Raises MapError, naming file and place, where it is not what it was."""
+    path = Path(path)
+    try:
+        with path.open("rb") as stream:
+            stream.seek(record.offset + HEAD_BYTES)
+            content = stream.read(record.length)
+    except OSError as error:
+        raise MapError(f"cannot be read: {error.strerror}", path=path, fix="copy the whole folder") from error
+    if len(content) != record.length or zlib.crc32(content) != record.crc:
+        raise MapError(f"its record at byte {record.offset:,} is damaged", path=path, fix=_DAMAGED)
+    return content
+
+
+def _first_record(data: memoryview, path: Path) -> int:
+    """Where records begin: after the head of the file, or at 0 where that is not whole. Raises MapError."""
+    if len(data) < FIRST_RECORD or not _is_sound(data[:FIRST_RECORD]):
+        return 0
+    name, version = _FILE_HEAD.unpack_from(data)
+    if name != _NAME:
+        raise MapError("is no journal of a map", path=path, fix=_JOURNAL.fix)
+    if version > VERSION:
+        raise MapError(f"is of version {version}, newer than {VERSION}", path=path, fix=_NEWER)
+    return FIRST_RECORD
+
+
+def _whole_records(data: memoryview, begin: int, path: Path) -> Iterator[Record]:
+    """One after the other; behind what is damaged, on from the next mark that a whole record begins with.
+
+    A mark may stand within what a sound head names its content: to checksum each such content would take time that
+    grows with the square of their number. Raises MapError where more is checksummed in vain than damage explains.
+    """
+    raw, at, vain = data.obj, begin, 0
+    assert isinstance(raw, bytes)
+    while 0 <= at <= len(data) - HEAD_BYTES:
+        record = _head_at(data, at)
+        end = at + HEAD_BYTES + (0 if record is None else record.length)
+        if record is not None and end <= len(data) and zlib.crc32(data[at + HEAD_BYTES : end]) == record.crc:
+            yield record
+            at = end
+            continue
+        vain += _BYTES_A_HEAD + (end - at if end <= len(data) else 0)
+        if vain > _VAIN_SHARE * len(data) + _VAIN_BYTES:
+            raise MapError("is damaged in more places than a disk damages", path=path, fix=_DAMAGED)
+        at = raw.find(_MARK, at + 1)
+
+
+def _head_at(data: memoryview, at: int) -> Record | None:
+    """The record that a sound head names, whether or not its content is whole."""
+    if not _is_sound(data[at : at + HEAD_BYTES]):
+        return None
+    mark, kind, _, key, length, crc = _HEAD.unpack_from(data, at)
+    return Record(kind, key, at, length, crc) if mark == _MARK else None
+
+
+def _with_crc(head: bytes) -> bytes:
+    return head + _CRC.pack(zlib.crc32(head))
+
+
+def _is_sound(head: memoryview) -> bool:
+    """Whether the last four bytes are the checksum of those before."""
+    return bool(_CRC.unpack(head[-_CRC.size :])[0] == zlib.crc32(head[: -_CRC.size]))
+
+
+# What a map folder holds, read from its journals: all but the images, which stay on disk.
+
+
+KEYFRAMES, GRAPH = "keyframes", "graph"
+_SUFFIX = ".journal"
+# More edges than a thousand hours of driving leave.
+_MOST_EDGES = 5_000_000
+# Tables are as long as the largest number of a keyframe, which grows by one with each. Half of all keyframes may be
+# lost, and of a short map several journals; a number beyond that would ask for memory that no keyframe explains.
+_LOST_SHARE, _LOST_KEYFRAMES = 2, 10_000
+# Ten digits would be of more journals than a folder has files.
+_JOURNAL_NAME = re.compile(r"[0-9]{1,9}")
+RUN_AGAIN = "run it again"
+_CUT_OFF = "The drive was ended before its map was finished: what it saw last may be missing."
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """What is wrong with a map folder, if anything; all else of it is whole.
+
+    Attributes:
+        torn_bytes: dropped at the ends of journals: what a kill or a loss of power cut off.
+        dropped: keyframes at the end of which not all was written any more.
+        damages: bytes between whole records that are no record.
+        missing: keyframes that damage took.
+        beyond: keyframes that are left out, since their numbers are beyond what the others explain.
+        unfinished: what made the map when it was ended, see `MapHeader`; "" where it was finished.
+        is_being_made: whether that still makes it.
+    """
+
+    torn_bytes: int = 0
+    dropped: int = 0
+    damages: tuple[Damage, ...] = ()
+    missing: tuple[int, ...] = ()
+    beyond: tuple[int, ...] = ()
+    unfinished: str = ""
+    is_being_made: bool = False
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether nothing but the torn end is wrong."""
+        return not self.damages and not self.missing and not self.beyond and not self.incomplete
+
+    @property
+    def incomplete(self) -> str:
+        """Why a map of less than all keyframes is no map of a drive either; "" where nothing is wrong so."""
+        if self.unfinished in ("", DRIVE):
+            return ""
+        why = f"{self.unfinished} is still making it" if self.is_being_made else f"{self.unfinished} was ended"
+        return f"incomplete: {why}"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A sentence about each thing that is wrong."""
+        told = [f"The map is {self.incomplete}; {RUN_AGAIN}."] if self.incomplete else []
+        if self.unfinished == DRIVE:
+            told.append("A drive still writes it." if self.is_being_made else _CUT_OFF)
+        if self.torn_bytes or self.dropped:
+            what = f"{self.torn_bytes:,} bytes and {self.dropped} keyframes at the end"
+            told.append(f"The drive was cut off: {what} were not whole and are left out.")
+        told += [f"{damage}." for damage in self.damages]
+        if self.missing:
+            told.append(f"{len(self.missing)} keyframes are lost: {_shown(self.missing)}.")
+        if self.beyond:
+            told.append(f"Keyframes of impossible numbers are left out: {_shown(self.beyond)}.")
+        return tuple(told)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FolderContents:
+    """What the journals of a map folder hold.
+
+    Attributes:
+        where: journal and record of each keyframe that is whole, by number.
+        places: where each keyframe was when it was kept, by number.
+        T_map_keyframe: (N, 4, 4) by now; NaN where damage took the pose.
+        edges: those that hold.
+        edge_count: how many there were, with those withdrawn.
+        health: what is wrong.
+    """
+
+    where: dict[int, tuple[Path, Record]]
+    places: dict[int, Place]
+    T_map_keyframe: FloatArray
+    edges: tuple[RelativePose, ...]
+    edge_count: int
+    health: Health
+
+
+@dataclass
+class _Graph:
+    """What graph journals tell, record by record."""
+
+    places: dict[int, Place] = field(default_factory=dict)
+    T: dict[int, FloatArray] = field(default_factory=dict)
+    edges: dict[int, RelativePose] = field(default_factory=dict)
+    edge_count: int = 0
+
+    def take(self, record: Record, content: bytes) -> None:
+        """Raises MapError for a record that contradicts itself."""
+        if record.kind == RecordKind.PLACE:
+            place = records.unpack_place(content)
+            self.places[record.key], self.T[record.key] = place, place.T_map_keyframe
+        elif record.kind == RecordKind.EDGES:
+            if record.key > _MOST_EDGES:
+                raise MapError(f"holds edge {record.key}", fix=_DAMAGED)
+            # By the number of the first: damage before it must not shift those that are withdrawn.
+            found = records.unpack_edges(content)
+            self.edges |= dict(enumerate(found, start=record.key))
+            self.edge_count = max(self.edge_count, record.key + len(found))
+        elif record.kind == RecordKind.WITHDRAWN:
+            for number in records.unpack_numbers(content):
+                self.edges.pop(number, None)
+        elif record.kind == RecordKind.POSES:
+            numbers, T = records.unpack_poses(content)
+            self.T.update(zip(numbers.tolist(), T, strict=True))
+
+
+def journal_name(kind: str, number: int) -> str:
+    """Such as keyframes-00002.journal."""
+    return f"{kind}-{number:05d}{_SUFFIX}"
+
+
+def journals_of(folder: Path, kind: str) -> list[Path]:
+    """The journals of a kind, in the order in which they were written."""
+    return [path for _, path in sorted(_numbered(folder, kind))]
+
+
+def next_number(folder: Path, kind: str) -> int:
+    """Of the journal that is written next."""
+    return 1 + max((number for number, _ in _numbered(folder, kind)), default=-1)
+
+
+def _numbered(folder: Path, kind: str) -> Iterator[tuple[int, Path]]:
+    """Journals with their numbers; other files may have names that are alike."""
+    for path in folder.glob(f"{kind}-*{_SUFFIX}"):
+        digits = path.stem.removeprefix(f"{kind}-")
+        if _JOURNAL_NAME.fullmatch(digits):
+            yield int(digits), path
+
+
+def read_contents(folder: Path) -> FolderContents:
+    """All journals of a folder. Raises MapError for a file that cannot be read, or whose contents are impossible."""
+    where: dict[int, tuple[Path, Record]] = {}
+    torn_bytes, damages = 0, list[Damage]()
+    for journal in _read(folder, KEYFRAMES):
+        torn_bytes += journal.torn_bytes
+        damages += journal.damages
+        found = (
+            record for record, _ in journal.records if record.kind in (RecordKind.KEYFRAME, RecordKind.FIRST_KEYFRAME)
+        )
+        where |= {record.key: (journal.path, record) for record in found}
+    graph = _Graph()
+    for journal in _read(folder, GRAPH):
+        torn_bytes += journal.torn_bytes
+        damages += journal.damages
+        _take_all(graph, journal)
+    known = where.keys() & graph.places.keys()
+    end = _LOST_SHARE * len(known) + _LOST_KEYFRAMES
+    beyond = tuple(sorted(number for number in known if number >= end))
+    count = 1 + max(known.difference(beyond), default=-1)
+    missing = tuple(number for number in range(count) if number not in known)
+    dropped = sum(number >= count for number in where.keys() | graph.places.keys()) - len(beyond)
+    T_map_keyframe = np.full((count, 4, 4), np.nan)
+    for number, T in graph.T.items():
+        if 0 <= number < count:
+            T_map_keyframe[number] = T
+    held = {number: where[number] for number in sorted(known) if number < count}
+    edges = tuple(edge for _, edge in sorted(graph.edges.items()) if max(edge.first, edge.second) < count)
+    health = Health(torn_bytes, dropped, tuple(damages), missing, beyond)
+    places = {number: place for number, place in graph.places.items() if number < count}
+    return FolderContents(held, places, T_map_keyframe, edges, graph.edge_count, health)
+
+
+def _shown(numbers: tuple[int, ...]) -> str:
+    return ", ".join(map(str, numbers[:5])) + (" and more" if len(numbers) > 5 else "")
+
+
+def _read(folder: Path, kind: str) -> Iterator[JournalContents]:
+    for path in journals_of(folder, kind):
+        yield read_journal(path)
+
+
+def _take_all(graph: _Graph, journal: JournalContents) -> None:
+    for record, content in journal.records:
+        try:
+            graph.take(record, bytes(content))
+        except MapError as error:
+            problem = f"its record at byte {record.offset:,} {error.problem}"
+            raise MapError(problem, path=journal.path, fix=error.fix) from error
+
+
+# MapHeader: map.json, which says what a map folder is, who made it, and of which camera it is.
+
+
+FORMAT, HEADER_VERSION = "wheelsight-map-folder", 1
+HEADER_FILE = "map.json"
+DRIVE, REBUILD, MERGE, PRUNE, REMOVAL = MAKERS = ("drive", "rebuild", "merge", "prune", "removal")
+"""What changes maps for long: drives, commands that write another one, and what removes one."""
+_NO_MAP = "give a folder that `wheelsight run` left as its map"
+_FILE = Kind("what a map says of itself", most_mb=1, fix=_NO_MAP, missing="is no map: map.json is missing")
+_LENS = ("fx", "fy", "cx", "cy")
+_SIZE = ("width", "height")
+
+
+@dataclass(frozen=True, slots=True)
+class MapCamera:
+    """The camera of a map: its images' size and its lens, by which another is known to be the same.
+
+    Attributes:
+        width, height: of depth images, pixels.
+        fx, fy, cx, cy: of the depth camera, pixels.
+        is_registered: whether colour and depth share one pixel grid.
+        depth_factor: depth units a metre, where the run was told other than its format's; else None.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    is_registered: bool
+    depth_factor: float | None = None
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of depth images; keyframes have none that are larger."""
+        return self.width, self.height
+
+    @classmethod
+    def of(cls, calibration: Calibration, depth_factor: float | None = None) -> MapCamera:
+        """The depth camera of a calibration. Raises CalibrationError where it has none."""
+        _, depth = calibration.cameras
+        fx, fy, cx, cy = (float(getattr(depth, name)) for name in _LENS)
+        return cls(int(depth.width), int(depth.height), fx, fy, cx, cy, calibration.is_registered, depth_factor)
+
+    def why_other(self, other: MapCamera, share: float) -> str | None:
+        """What makes another camera not this one, within a share of its numbers; None where nothing does."""
+        if (self.width, self.height) != (other.width, other.height):
+            return f"its images are {self.width}×{self.height}, these {other.width}×{other.height}"
+        limits = {"fx": self.fx, "fy": self.fy, "cx": self.width, "cy": self.height}
+        for name, size in limits.items():
+            mine, theirs = getattr(self, name), getattr(other, name)
+            if abs(mine - theirs) > share * size:
+                return f"its {name} is {mine:.1f} px, here {theirs:.1f}"
+        if self.is_registered != other.is_registered:
+            return (
+                "its depth is registered to colour, here it is not"
+                if self.is_registered
+                else ("its depth is not registered to colour, here it is")
+            )
+        factors = self.depth_factor, other.depth_factor
+        if factors[0] is not None and factors[1] is not None and abs(factors[0] / factors[1] - 1) > share:
+            return f"its depth factor is {factors[0]:g}, here {factors[1]:g}"
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class MapHeader:
+    """What a map folder says of itself.
+
+    Attributes:
+        camera: whose map it is.
+        made_by: the program and its version.
+        made: when, as ISO 8601 in UTC.
+        source: the recording's name, or the live source's.
+        unfinished: what makes the map, or has made it when it was ended: one of `MAKERS`; "" of a finished one.
+        version: of the format.
+    """
+
+    camera: MapCamera
+    made_by: str
+    made: str
+    source: str = ""
+    unfinished: str = ""
+    version: int = HEADER_VERSION
+
+    @classmethod
+    def new(cls, camera: MapCamera, source: str = "", unfinished: str = "") -> MapHeader:
+        """Of a map that begins now."""
+        made = datetime.now(UTC).isoformat(timespec="seconds")
+        return cls(camera, f"wheelsight {__version__}", made, source, unfinished)
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether it is finished, or of a drive, each part of which is a map; a part of a merged map is none."""
+        return self.unfinished in ("", DRIVE)
+
+    def save(self, folder: StrPath) -> None:
+        """Write map.json. Raises OutputError."""
+        camera = {name: getattr(self.camera, name) for name in (*_SIZE, *_LENS, "is_registered", "depth_factor")}
+        told = {"made_by": self.made_by, "made": self.made, "source": self.source, "camera": camera}
+        document: dict[str, Any] = {"format": FORMAT, "version": self.version, **told}
+        if self.unfinished:
+            document["unfinished"] = self.unfinished
+        document["crc32"] = _crc(document)
+        write_text(Path(folder) / HEADER_FILE, json.dumps(document, indent=2) + "\n")
+
+
+def read_header(folder: StrPath) -> MapHeader:
+    """Read map.json. Raises MapError: it is missing, damaged, or of a newer version."""
+    path = Path(folder) / HEADER_FILE
+    text = read_text(path, _FILE, MapError)
+    try:
+        document = parse_json(text)
+    except ValueError as error:
+        raise MapError(f"is damaged: {error}", path=path, fix=_DAMAGED) from error
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise MapError(f"is not of format {FORMAT!r}", path=path, fix=_NO_MAP)
+    version = document.get("version")
+    if type(version) is not int or version < 1:
+        raise MapError(f"its version is {version!r}", path=path, fix=_DAMAGED)
+    if version > HEADER_VERSION:
+        problem = f"is of version {version}, newer than {HEADER_VERSION}, which this wheelsight reads"
+        raise MapError(problem, path=path, fix="open it with the wheelsight that wrote it, or a newer one")
+    crc = document.pop("crc32", None)
+    if crc != _crc(document):
+        raise MapError("its checksum is wrong: it is damaged, or was edited", path=path, fix=_DAMAGED)
+    try:
+        return _header(document)
+    except (KeyError, TypeError, ValueError) as error:
+        raise MapError(f"is damaged: {type(error).__name__}", path=path, fix=_DAMAGED) from error
+
+
+def _header(document: dict[str, Any]) -> MapHeader:
+    camera, factor = document["camera"], document["camera"]["depth_factor"]
+    width, height = (int(camera[name]) for name in _SIZE)
+    fx, fy, cx, cy = (float(camera[name]) for name in _LENS)
+    if min(width, height) < 1 or width * height > MOST_PIXELS or not all(map(math.isfinite, (fx, fy, cx, cy))):
+        raise ValueError("no camera has such images")
+    depth_factor = None if factor is None else float(factor)
+    if depth_factor is not None and not 0 < depth_factor < math.inf:
+        raise ValueError("no camera has such units")
+    of_camera = MapCamera(width, height, fx, fy, cx, cy, bool(camera["is_registered"]), depth_factor)
+    made_by, made, source = (str(document[name]) for name in ("made_by", "made", "source"))
+    unfinished = document.get("unfinished", "")
+    if unfinished not in ("", *MAKERS):
+        raise ValueError("nothing makes maps so")
+    return MapHeader(of_camera, made_by, made, source, unfinished, document["version"])
+
+
+def _crc(document: dict[str, Any]) -> int:
+    """Of all that is told, in whatever order and layout."""
+    return zlib.crc32(json.dumps(document, sort_keys=True, separators=(",", ":")).encode())

@@ -1,0 +1,348 @@
+"""Solvers of pose graphs: GTSAM with iSAM2, and Levenberg-Marquardt with scipy's sparse factors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import SuperLU, splu
+
+from wheelsight.core.geometry import FloatArray, IntArray, se3
+from wheelsight.core.keyframes import KeyframeId
+from wheelsight.core.runtime import needed, why_missing
+from wheelsight.slam.graph import (
+    EdgeArrays,
+    GraphContents,
+    PoseGraph,
+    Prior,
+    RelativePose,
+    arrays_of,
+    arrays_of_priors,
+    cauchy_loss,
+    edge_errors,
+    edge_jacobians,
+    inverse_left_jacobian,
+)
+
+# GtsamPoseGraph: a pose graph solved by GTSAM, by iSAM2 while driving and by Levenberg–Marquardt as a whole.
+#
+# The only file that knows GTSAM (4.3 or newer). GTSAM's tangents are (ω, v) and its perturbations multiply from the
+# right; here they are turned into ours and back, exactly.
+
+
+_SWAPPED = np.array([3, 4, 5, 0, 1, 2])
+# A pose that has moved by less, in metres and radians, keeps its linear form: GTSAM's own default is 0.1.
+_RELINEARISE = 0.01
+_MOST_STEPS, _STEPS_OF_UPDATE = 100, 2
+_LEAST_GAIN = 1e-7
+
+
+def new_pose_graph(cauchy_scale: float = 1.0) -> PoseGraph:
+    """GTSAM's where it is installed, else our own."""
+    return OwnPoseGraph(cauchy_scale) if why_missing("gtsam") else GtsamPoseGraph(cauchy_scale)
+
+
+class GtsamPoseGraph(GraphContents):
+    """A `PoseGraph` of GTSAM. Raises ConfigError where that is not installed."""
+
+    def __init__(self, cauchy_scale: float = 1.0) -> None:
+        super().__init__(cauchy_scale)
+        self._gtsam = needed("gtsam")
+        self._isam: Any = None
+        self._held = (0, 0, 0)  # keyframes, edges and priors that iSAM2 has
+        self._marginals: Any = None
+        self._own: OwnPoseGraph | None = None  # tells covariances where GTSAM cannot
+
+    def update(self) -> None:
+        """What is new goes into iSAM2; after edges were taken out, or poses found as a whole, it begins anew."""
+        self._need_prior()
+        if self.unheld().any():
+            self.optimise()  # iSAM2 has no damping, and would hand out covariances of rounding errors
+            return
+        if self._isam is None:
+            parameters = self._gtsam.ISAM2Params()
+            parameters.setRelinearizeThreshold(_RELINEARISE)
+            parameters.relinearizeSkip = 1
+            self._isam, self._held = self._gtsam.ISAM2(parameters), (0, 0, 0)
+        keyframes, edges, priors = self._held
+        try:
+            self._isam.update(self._factors(edges, priors), self._values(keyframes))
+            for _ in range(_STEPS_OF_UPDATE):
+                self._isam.update()
+            self._T = self._poses_of(self._isam.calculateEstimate())
+        except RuntimeError:
+            # What hangs by loops that have let go leaves its Cholesky factor short of digits; damped it is solved.
+            self.optimise()
+            return
+        self._held = (len(self), len(self._edges), len(self._priors))
+        self._marginals = self._own = None
+
+    def optimise(self, T_start: FloatArray | None = None) -> float:
+        """See `PoseGraph`."""
+        self._need_prior()
+        if T_start is not None:
+            self._T = np.array(T_start, float).reshape(len(self), 4, 4)
+        graph = self._factors(0, 0)
+        parameters = self._gtsam.LevenbergMarquardtParams()
+        parameters.setMaxIterations(_MOST_STEPS)
+        parameters.setRelativeErrorTol(_LEAST_GAIN)
+        found = self._gtsam.LevenbergMarquardtOptimizer(graph, self._values(0), parameters).optimize()
+        self._T, self._isam = self._poses_of(found), None
+        self._marginals = self._own = None
+        return float(graph.error(found))
+
+    def marginal(self, keyframe: KeyframeId) -> FloatArray | None:
+        """See `PoseGraph`."""
+        return self._covariance([keyframe])
+
+    def joint(self, first: KeyframeId, second: KeyframeId) -> FloatArray | None:
+        """See `PoseGraph`."""
+        return self._covariance([first, second])
+
+    def _covariance(self, keyframes: list[KeyframeId]) -> FloatArray | None:
+        self._need_prior()
+        if self._own is None:
+            # Long ways whose loops have let go leave GTSAM's Cholesky factors short of digits; ours is LU.
+            with suppress(RuntimeError):
+                source = self._source()
+                if source is not None:
+                    return self._by_gtsam(source, keyframes)
+            self._own = self._own_copy()
+        return self._own.marginal(*keyframes) if len(keyframes) == 1 else self._own.joint(*keyframes)
+
+    def _source(self) -> Any:
+        """What tells covariances: iSAM2 where it holds all, else the graph linearised; None where a piece floats."""
+        if self._isam is not None and self._held == (len(self), len(self._edges), len(self._priors)):
+            return self._isam
+        if self._marginals is None and not self.unheld().any():
+            self._marginals = self._gtsam.Marginals(self._factors(0, 0), self._values(0))
+        return self._marginals
+
+    def _by_gtsam(self, source: Any, keyframes: list[KeyframeId]) -> FloatArray:
+        keys = [int(one) for one in keyframes]
+        if len(keys) == 1:
+            blocks = [[source.marginalCovariance(keys[0])]]
+        else:
+            found = source.jointMarginalCovariance(keys)
+            blocks = [[found.at(a, b) for b in keys] for a in keys]
+        Ad = se3.adjoint(self._T[keyframes])
+        ours = Ad[:, None] @ np.array(blocks)[:, :, _SWAPPED][..., _SWAPPED] @ np.swapaxes(Ad, 1, 2)
+        return np.concatenate(np.concatenate(ours, axis=1), axis=1)
+
+    def _own_copy(self) -> OwnPoseGraph:
+        other = OwnPoseGraph(self.cauchy_scale)
+        for T in self._T:
+            other.add(se3.nearest(T))
+        for prior in self._priors:
+            other.add_prior(prior)
+        other.add_edges(self._edges)
+        return other
+
+    def _factors(self, from_edge: int, from_prior: int) -> Any:
+        gtsam, graph = self._gtsam, self._gtsam.NonlinearFactorGraph()
+        for prior in self._priors[from_prior:]:
+            noise = self._noise(prior.T_map_keyframe, prior.covariance)
+            graph.add(gtsam.PriorFactorPose3(int(prior.keyframe), gtsam.Pose3(prior.T_map_keyframe), noise))
+        for edge in self._edges[from_edge:]:
+            noise = self._noise(edge.T_first_second, edge.covariance)
+            if edge.is_loop:
+                kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(self.cauchy_scale)
+                noise = gtsam.noiseModel.Robust.Create(kernel, noise)
+            measured = gtsam.Pose3(edge.T_first_second)
+            graph.add(gtsam.BetweenFactorPose3(int(edge.first), int(edge.second), measured, noise))
+        return graph
+
+    def _noise(self, T: FloatArray, covariance: FloatArray) -> Any:
+        """Of the right perturbation (ω, v) that amounts to a left one (v, ω): it is seen from the far end."""
+        Ad = se3.adjoint(se3.invert(T))
+        C = Ad @ covariance @ Ad.T
+        return self._gtsam.noiseModel.Gaussian.Covariance(((C + C.T) / 2)[np.ix_(_SWAPPED, _SWAPPED)])
+
+    def _values(self, from_keyframe: int) -> Any:
+        values = self._gtsam.Values()
+        for keyframe in range(from_keyframe, len(self)):
+            values.insert(keyframe, self._gtsam.Pose3(self._T[keyframe]))
+        return values
+
+    def _poses_of(self, values: Any) -> FloatArray:
+        return np.array([values.atPose3(keyframe).matrix() for keyframe in range(len(self))])
+
+    def remove_edges(self, edges: Sequence[RelativePose]) -> None:
+        """See `PoseGraph`."""
+        super().remove_edges(edges)
+        self._isam = None
+
+    def remove_prior(self, prior: Prior) -> None:
+        """See `PoseGraph`."""
+        super().remove_prior(prior)
+        self._isam = None
+
+    def _changed(self) -> None:
+        self._marginals = self._own = None
+
+
+# OwnPoseGraph: a pose graph solved by Levenberg–Marquardt with scipy's sparse factors alone.
+#
+# It stands in where GTSAM has no wheel, and is what GTSAM's answers are tested against.
+
+
+_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-5, 1e-12, 1e10
+_MOST_STEPS_OF_OWN, _STEPS_OF_OWN_UPDATE = 100, 3
+# A step that gains less than this share of the cost is the last.
+_LEAST_GAIN_OF_OWN = 1e-7
+_SIDE = np.arange(6)
+
+
+class _Problem(NamedTuple):
+    edges: EdgeArrays
+    priors: tuple[IntArray, FloatArray, FloatArray]
+    cauchy_scale: float
+
+
+class _Linear(NamedTuple):
+    information: sparse.csc_array
+    gradient: FloatArray
+
+
+class OwnPoseGraph(GraphContents):
+    """A `PoseGraph` of numpy and scipy."""
+
+    def __init__(self, cauchy_scale: float = 1.0) -> None:
+        super().__init__(cauchy_scale)
+        self._held_factor: tuple[SuperLU | None, IntArray] | None = None
+        self._problem: _Problem | None = None
+
+    def update(self) -> None:
+        """Some steps from where the poses are."""
+        self._descend(_STEPS_OF_OWN_UPDATE)
+
+    def optimise(self, T_start: FloatArray | None = None) -> float:
+        """See `PoseGraph`."""
+        if T_start is not None:
+            self._T = np.array(T_start, float).reshape(len(self), 4, 4)
+        return self._descend(_MOST_STEPS_OF_OWN)
+
+    def marginal(self, keyframe: KeyframeId) -> FloatArray | None:
+        """See `PoseGraph`."""
+        return self._covariance([keyframe])
+
+    def joint(self, first: KeyframeId, second: KeyframeId) -> FloatArray | None:
+        """See `PoseGraph`."""
+        return self._covariance([first, second])
+
+    def _covariance(self, keyframes: Sequence[KeyframeId]) -> FloatArray | None:
+        if self._held_factor is None:
+            self._held_factor = self._factor_of_held()
+        factor, row = self._held_factor
+        if factor is None or (row[keyframes] < 0).any():
+            return None
+        rows = (6 * row[keyframes][:, None] + _SIDE).ravel()
+        unit = np.zeros((factor.shape[0], len(rows)))
+        unit[rows, np.arange(len(rows))] = 1.0
+        C = factor.solve(unit)[rows]
+        is_told = np.isfinite(C).all() and (np.diag(C) > 0).all()
+        return np.asarray((C + C.T) / 2) if is_told else None
+
+    def _factor_of_held(self) -> tuple[SuperLU | None, IntArray]:
+        """Of the information of keyframes that a prior holds, and the row (N,) of each in it, or -1.
+
+        One that floats would make the whole matrix singular, and take from all others what is known of them.
+        """
+        information, is_held = _linearised(self._T, self._as_arrays()).information, self.unheld() == 0
+        rows = np.flatnonzero(np.repeat(is_held, 6))
+        row = np.where(is_held, np.cumsum(is_held) - 1, -1)
+        return _factor(information[rows][:, rows].tocsc()), row
+
+    def _descend(self, most_steps: int) -> float:
+        """Levenberg–Marquardt; answers with the cost that is left."""
+        problem, damping = self._as_arrays(), _FIRST_DAMPING
+        cost = _cost(self._T, problem)
+        for _ in range(most_steps):
+            linear, gain = _linearised(self._T, problem), 0.0
+            while damping < _MOST_DAMPING:
+                T_tried = _stepped(self._T, linear, damping)
+                cost_tried = np.inf if T_tried is None else _cost(T_tried, problem)
+                if T_tried is not None and cost_tried <= cost:
+                    gain, damping = cost - cost_tried, max(damping / 10, _LEAST_DAMPING)
+                    self._T, cost = T_tried, cost_tried
+                    break
+                damping *= 10
+            if gain <= _LEAST_GAIN_OF_OWN * cost:
+                break
+        self._held_factor = None
+        return cost
+
+    def _as_arrays(self) -> _Problem:
+        self._need_prior()
+        if self._problem is None:
+            self._problem = _Problem(arrays_of(self._edges), arrays_of_priors(self._priors), self.cauchy_scale)
+        return self._problem
+
+    def _changed(self) -> None:
+        self._held_factor = self._problem = None
+
+
+def _factor(information: sparse.csc_array) -> SuperLU | None:
+    """None where the matrix is singular, as far as its digits go."""
+    try:
+        # What is symmetric and positive definite needs no pivots, and fills up least so.
+        return splu(information, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError:
+        return None
+
+
+def _stepped(T: FloatArray, linear: _Linear, damping: float) -> FloatArray | None:
+    """Poses a step on, or None where more damping is needed to tell of one."""
+    H = linear.information
+    factor = _factor((H + sparse.diags_array(damping * H.diagonal())).tocsc())
+    return None if factor is None else se3.exp(-factor.solve(linear.gradient).reshape(-1, 6)) @ T
+
+
+def _cost(T: FloatArray, problem: _Problem) -> float:
+    edges, (at, T_inverse, W) = problem.edges, problem.priors
+    chi2 = _squares(edge_errors(T, edges), edges.whitening)
+    loss = np.where(edges.is_loop, cauchy_loss(chi2, problem.cauchy_scale), chi2 / 2)
+    return float(loss.sum() + _squares(se3.log(T[at] @ T_inverse), W).sum() / 2)
+
+
+def _squares(errors: FloatArray, whitening: FloatArray) -> FloatArray:
+    return np.asarray(((whitening @ errors[..., None])[..., 0] ** 2).sum(axis=-1))
+
+
+def _linearised(T: FloatArray, problem: _Problem) -> _Linear:
+    """Normal equations; each loop has the weight that Cauchy's kernel leaves it."""
+    edges, (at, T_inverse, W_prior), n = problem.edges, problem.priors, len(T)
+    r = edge_errors(T, edges)
+    chi2 = _squares(r, edges.whitening)
+    weight = np.where(edges.is_loop, 1 / (1 + chi2 / problem.cauchy_scale**2), 1.0)
+    J = edges.whitening @ edge_jacobians(T, edges, r)
+    B = weight[:, None, None] * (np.swapaxes(J, 1, 2) @ J)
+    g = weight[:, None] * np.einsum("eij,ei->ej", J, (edges.whitening @ r[..., None])[..., 0])
+    r_prior = se3.log(T[at] @ T_inverse)
+    J_prior = W_prior @ inverse_left_jacobian(r_prior)
+    blocks, gradient = np.zeros((n, 6, 6)), np.zeros((n, 6))
+    for keyframes, block in ((edges.first, B), (edges.second, B), (at, np.swapaxes(J_prior, 1, 2) @ J_prior)):
+        np.add.at(blocks, keyframes, block)
+    np.add.at(gradient, edges.first, -g)
+    np.add.at(gradient, edges.second, g)
+    np.add.at(gradient, at, np.einsum("pij,pi->pj", J_prior, (W_prior @ r_prior[..., None])[..., 0]))
+    every = np.arange(n)
+    return _Linear(
+        _sparse(
+            np.concatenate([every, edges.first, edges.second]),
+            np.concatenate([every, edges.second, edges.first]),
+            np.concatenate([blocks, -B, -B]),
+            n,
+        ),
+        gradient.ravel(),
+    )
+
+
+def _sparse(rows: IntArray, columns: IntArray, blocks: FloatArray, n: int) -> sparse.csc_array:
+    """A matrix (6N, 6N) of blocks (K, 6, 6); those in one place are summed up."""
+    i = np.broadcast_to((6 * rows[:, None] + _SIDE)[:, :, None], blocks.shape)
+    j = np.broadcast_to((6 * columns[:, None] + _SIDE)[:, None, :], blocks.shape)
+    return sparse.coo_array((blocks.ravel(), (i.ravel(), j.ravel())), shape=(6 * n, 6 * n)).tocsc()

@@ -1,7 +1,0 @@
-"""A run or a drive in Rerun's viewer: written as it goes to a file, or to a viewer on this machine (extra `rerun`)."""
-
-from wheelsight.viewer.drive_log import DriveLog
-from wheelsight.viewer.rerun_log import RerunLog
-from wheelsight.viewer.targets import SPAWN, is_file, open_drive_log, open_rerun, start_viewer, why_no_rerun
-
-__all__ = ["SPAWN", "DriveLog", "RerunLog", "is_file", "open_drive_log", "open_rerun", "start_viewer", "why_no_rerun"]

@@ -1,0 +1,220 @@
+"""`ViewTaker` collects views of a board from a live camera. `advise` returns which views are still missing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wheelsight.core.files import make_output_folder
+from wheelsight.core.geometry import FloatArray, PinholeCamera
+from wheelsight.core.geometry.arrays import UInt16Array
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.recordings.images import write_color, write_units
+from wheelsight.vision.camera_calibration.board import Board
+from wheelsight.vision.camera_calibration.model import poses_in, usual_lens
+from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings, CoachSettings
+from wheelsight.vision.camera_calibration.views import Corners, as_grey, find_corners
+
+# Views of a board from a live camera: taken by themselves where the board stands still and shows something new.
+
+
+_NONE = np.iinfo(np.uint16).max
+
+
+class ViewTaker:
+    """Looks at frames, and says which are views.
+
+    Args:
+        board: that is shown.
+        lens: of colour, as it is known before.
+        settings: of detection and coach.
+        seen: corners of views that are there already.
+
+    Attributes:
+        seen: corners of all views.
+    """
+
+    def __init__(
+        self,
+        board: Board,
+        lens: PinholeCamera,
+        settings: CameraCalibrationSettings | None = None,
+        seen: Sequence[Corners] = (),
+    ) -> None:
+        self._board, self._lens, self._settings = board, lens, settings or CameraCalibrationSettings()
+        self.seen = list(seen)
+        self._still: tuple[float, Corners] | None = None
+        self._more = 0
+
+    @property
+    def advice(self) -> Advice:
+        """What to show next."""
+        size = self._lens.width, self._lens.height
+        return advise(self.seen, self._board, size, self._settings.coach, self._lens)
+
+    def has_enough(self) -> bool:
+        """Whether nothing is missing, and as many views came since `ask_more` as were asked for."""
+        return len(self.seen) >= self._more and not self.advice.missing
+
+    def ask_more(self) -> None:
+        """The views did not determine it: some more, before it is tried again."""
+        self._more = len(self.seen) + self._settings.coach.more_views
+
+    def look(self, frame: RgbdFrame) -> str:
+        """Why a frame is no view; "" where it is one, and counts from now on."""
+        found = find_corners(as_grey(frame.color[..., ::-1]), self._board, self._settings.detection)
+        if isinstance(found, str):
+            self._still = None
+            return found
+        coach, width = self._settings.coach, self._lens.width
+        if self._still is None or np.median(_apart_px(found, self._still[1])) > coach.still_share * width:
+            self._still = frame.stamp_s, found
+        if any(_apart_px(found, other).max() < coach.new_share * width for other in self.seen):
+            return "such a view is there already: move the board"
+        if frame.stamp_s - self._still[0] < coach.still_s:
+            return "hold still"
+        self.seen.append(found)
+        return ""
+
+
+def _apart_px(one: Corners, other: Corners) -> FloatArray:
+    """By how far each corner that both show lies from itself; one that is infinite where they share none."""
+    _, first, second = np.intersect1d(one.ids, other.ids, return_indices=True)
+    if not len(first):
+        return np.array([np.inf])
+    return np.asarray(np.linalg.norm(one.px[first] - other.px[second], axis=1))
+
+
+def save_view(folder: Path, frame: RgbdFrame, infrared: UInt16Array | None = None, depth_factor: float = 1000.0) -> str:
+    """Write a view into a folder as `read_views` reads it, beside those that are there; its name.
+
+    Raises OutputError.
+    """
+    make_output_folder(folder, force=True)
+    number = 1
+    while (folder / f"{number:03d}-color.png").exists():
+        number += 1
+    name = f"{number:03d}"
+    units = np.rint(np.asarray(frame.depth_m, np.float64) * depth_factor)
+    write_units(folder / f"{name}-depth.png", np.where(units < _NONE, units, 0).astype(np.uint16))
+    if infrared is not None:
+        write_units(folder / f"{name}-ir.png", infrared)
+    write_color(folder / f"{name}-color.png", frame.color, "png")
+    return name
+
+
+# Which views of a board are still missing, from those seen so far: for live views and for folders.
+
+
+_ACROSS, _DOWN = 8, 6
+_WHERE_X, _WHERE_Y = ("left", "", "right"), ("upper", "", "lower")
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """What views are there and which to take next.
+
+    Attributes:
+        missing: in words, what to show next first; empty where nothing is.
+        cover: share of the image's 8 × 6 cells that hold corners.
+        nearest_m, farthest_m: distances of boards, by the lens that is known or a usual one; in squares where their
+            side is not known.
+        tilts_deg: the greatest tilt so far with the board's left side, right side, top and bottom nearer.
+    """
+
+    missing: tuple[str, ...]
+    cover: float
+    nearest_m: float
+    farthest_m: float
+    tilts_deg: tuple[float, float, float, float]
+
+    def __str__(self) -> str:
+        """In a line."""
+        return f"next: {self.missing[0]}" if self.missing else "nothing is missing"
+
+
+def advise(
+    seen: Sequence[Corners],
+    board: Board,
+    size: tuple[int, int],
+    settings: CoachSettings | None = None,
+    lens: PinholeCamera | None = None,
+) -> Advice:
+    """What to show next, after the corners seen so far in images of `size`; `lens`: known, or a usual one is taken."""
+    settings = settings or CoachSettings()
+    if not seen:
+        return Advice(("the whole board, in the middle of the image",), 0.0, np.nan, np.nan, (0.0, 0.0, 0.0, 0.0))
+    T = poses_in(lens or usual_lens(size), seen, board).T_camera_board
+    T[:, :3, 3] *= board.square_m
+    cover = covered_share([corners.px for corners in seen], size)
+    nearest_m, farthest_m = distances(T)
+    tilts = _tilts_deg(T)
+    missing = [*_tilts_missing(tilts, settings), *_places_missing(seen, size, settings)]
+    if farthest_m < settings.near_far * nearest_m:
+        word = "nearer" if cover < 0.5 else "farther away"
+        missing.insert(0, f"{word}: boards are all {nearest_m:.2g} to {farthest_m:.2g} m away")
+    if not missing and len(seen) < settings.enough:
+        missing.append(f"more like these: {len(seen)} of {settings.enough} views")
+    return Advice(tuple(missing), cover, nearest_m, farthest_m, tilts)
+
+
+def covered_share(px: Sequence[FloatArray], size: tuple[int, int]) -> float:
+    """Share of the image's 8 × 6 cells that hold corners of any view."""
+    cells = np.concatenate([np.asarray(points).reshape(-1, 2) for points in px]) * (_ACROSS / size[0], _DOWN / size[1])
+    whole = np.unique(np.floor(cells).astype(int).clip(0, (_ACROSS - 1, _DOWN - 1)), axis=0)
+    return len(whole) / (_ACROSS * _DOWN)
+
+
+def largest_tilt_deg(T_camera_board: FloatArray) -> float:
+    """The largest angle between two boards' normals (V, 4, 4)."""
+    n = T_camera_board[:, :3, 2]
+    return float(np.degrees(np.arccos(np.clip((n @ n.T).min(), -1, 1))))
+
+
+def distances(T_camera_board: FloatArray) -> tuple[float, float]:
+    """Nearest and farthest board along the camera's axis."""
+    z = T_camera_board[:, 2, 3]
+    return float(z.min()), float(z.max())
+
+
+def _tilts_deg(T: FloatArray) -> tuple[float, float, float, float]:
+    """Greatest tilts towards each side, against the line of sight to the board."""
+    n = T[:, :3, 2]
+    across, down = np.degrees(np.arctan2(n[:, 0], n[:, 2])), np.degrees(np.arctan2(n[:, 1], n[:, 2]))
+    # A normal that points away and to the right is of a board whose right side is nearer.
+    greatest = ((-across).max(), across.max(), (-down).max(), down.max())
+    left, right, top, bottom = (max(float(value), 0.0) for value in greatest)
+    return left, right, top, bottom
+
+
+def _tilts_missing(tilts: tuple[float, float, float, float], settings: CoachSettings) -> list[str]:
+    sides = ("left side", "right side", "upper edge", "lower edge")
+    return [
+        f"the board's {side} nearer to the camera, by about {settings.tilt_deg:.0f}°"
+        for side, tilt in zip(sides, tilts, strict=True)
+        if tilt < 0.8 * settings.tilt_deg
+    ]
+
+
+def _places_missing(seen: Sequence[Corners], size: tuple[int, int], settings: CoachSettings) -> list[str]:
+    columns, rows = settings.columns, settings.rows
+    px = np.concatenate([corners.px for corners in seen])
+    cells = np.floor(px * (columns / size[0], rows / size[1])).astype(int).clip(0, (columns - 1, rows - 1))
+    there = {(int(u), int(v)) for u, v in cells}
+    return [
+        f"the board in the {_place(u, v, columns, rows)} of the image"
+        for v in range(rows)
+        for u in range(columns)
+        if (u, v) not in there
+    ]
+
+
+def _place(u: int, v: int, columns: int, rows: int) -> str:
+    x = _WHERE_X[1 + int(np.sign(2 * u - columns + 1))]
+    y = _WHERE_Y[1 + int(np.sign(2 * v - rows + 1))]
+    if x and y:
+        return f"{y} {x} corner"
+    return f"{x} part" if x else f"{y} part" if y else "middle"

@@ -1,0 +1,532 @@
+"""Levenberg-Marquardt solver of a camera calibration, with its residuals and priors. `agreeing` rejects outliers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from wheelsight.core.geometry import BoolArray, FloatArray, IntArray, PinholeCamera, se3
+from wheelsight.vision.camera_calibration.model import (
+    BARE_LENS,
+    BEFORE_KNOTS,
+    Counted,
+    Model,
+    Points,
+    Sigmas,
+    cubic_grid_weights,
+    cubic_weights,
+    lens_parameters,
+)
+from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings
+from wheelsight.vision.camera_calibration.views import RAW_DISPARITY, Corners
+
+# Least squares over a model: Levenberg-Marquardt with numeric derivatives, and what its answer is worth.
+#
+# Each residual sees one pose at most. Poses are therefore eliminated view by view (the Schur complement of bundle
+# adjustment), and what is solved is as large as the cameras' parameters alone.
+
+
+_STEP = 1e-6  # of parameters that are all about a hundredth to one
+_MOST_STEPS, _SMALL_GAIN = 60, 1e-6
+_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-9, 1e12
+_POSE = 6
+_TINY = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The best parameters, what is known of those before the poses, and how well they fit.
+
+    Attributes:
+        x: parameters (n,).
+        covariance: (g, g), as noise has it that is independent of cell to cell and corner to corner.
+        by_views: (g, g), as views disagree.
+        cost: half the sum of squares.
+    """
+
+    x: FloatArray
+    covariance: FloatArray
+    by_views: FloatArray
+    cost: float
+
+    def sigmas_of(self, J: FloatArray, columns: slice | list[int]) -> FloatArray:
+        """Standard deviations (m,) of what has these derivatives (m, c) by some parameters: the larger of both."""
+        at = np.arange(len(self.covariance))[columns]
+        some = (C[np.ix_(at, at)] for C in (self.covariance, self.by_views))
+        variances = np.array([np.einsum("mi,ij,mj->m", J, C, J) for C in some])
+        return np.asarray(np.sqrt(np.maximum(variances.max(axis=0), 0)))
+
+
+class _Linear(NamedTuple):
+    """Residuals (m,) and their derivatives: by the cameras' parameters (m, g), and by the pose (m, 6) of `view` (m,).
+
+    `view` is -1 of priors, which see no pose.
+    """
+
+    r: FloatArray
+    by_cameras: FloatArray
+    by_pose: FloatArray
+    view: IntArray
+
+
+class _Normal(NamedTuple):
+    """Normal equations: A (g, g), B (V, g, 6) and D (V, 6, 6), and the gradients (g,) and (V, 6)."""
+
+    A: FloatArray
+    B: FloatArray
+    D: FloatArray
+    of_cameras: FloatArray
+    of_poses: FloatArray
+
+
+def solve(residuals: Residuals, start: FloatArray, small_gain: float = _SMALL_GAIN) -> Solution:
+    """The parameters of least cost, from a start near it, until an undamped step lowers it by less than `small_gain`.
+
+    That is a share of it. A damped step that gains little is no end: where parameters can stand in for each other, as
+    scale, offset and curve of time of flight, only what is known beforehand parts them, and damping hides that little.
+    """
+    x, damping = start.copy(), _DAMPING
+    linear = _linearised(residuals, x)
+    for _ in range(_MOST_STEPS):
+        normal, cost, gain, first = _normal(residuals, linear), float(linear.r @ linear.r), None, damping
+        while gain is None and damping < _MOST_DAMPING:
+            moved = x + _step(normal, damping)
+            r = _all(residuals, moved)
+            if np.isfinite(r).all() and r @ r <= cost:
+                gain, x, damping = 1 - float(r @ r) / max(cost, 1e-30), moved, max(damping / 10, _LEAST_DAMPING)
+            else:
+                damping *= 10
+        linear = _linearised(residuals, x)
+        if gain is None or (gain < small_gain and first == _LEAST_DAMPING):
+            break
+        damping = _LEAST_DAMPING if gain < small_gain else damping
+    return Solution(x, *_covariances(residuals, linear), float(linear.r @ linear.r) / 2)
+
+
+def _all(residuals: Residuals, x: FloatArray) -> FloatArray:
+    """All residuals (m,), in the order of `_linearised`."""
+    blocks = (residuals.color(x), residuals.infrared(x), residuals.depth(x), residuals.priors(x))
+    return np.concatenate([block.ravel() for block in blocks])
+
+
+def _linearised(residuals: Residuals, x: FloatArray) -> _Linear:
+    m, at = residuals.model, residuals.at
+    first = at["poses"].start
+    lens_of_depth = {"depth", "apart", "square"} | ({"color"} if m.is_registered else set())
+    parts = []
+    for block, view, sees in (
+        (residuals.color, np.repeat(m.color.view, 2), {"color", "square"}),
+        (residuals.infrared, np.repeat(m.infrared.view, 2), lens_of_depth),
+        (residuals.depth, m.cells.view, lens_of_depth),
+    ):
+        here = block(x).ravel()
+        by_cameras, by_pose = np.zeros((len(here), first)), np.zeros((len(here), _POSE))
+        parts.append(_Linear(here, by_cameras, by_pose, view))
+        if not len(here):
+            continue
+        for k in (k for name in sorted(sees) for k in range(at[name].start, at[name].stop)):
+            moved = x.copy()
+            moved[k] += _STEP
+            by_cameras[:, k] = (block(moved).ravel() - here) / _STEP
+        for k in range(_POSE):
+            moved = x.copy()
+            moved[first + k :: _POSE] += _STEP
+            by_pose[:, k] = (block(moved).ravel() - here) / _STEP
+    _by_error(residuals, x, parts[2])
+    priors = residuals.priors(x)
+    parts.append(
+        _Linear(priors, residuals.prior_rows[:, :first], np.zeros((len(priors), _POSE)), np.full(len(priors), -1))
+    )
+    return _Linear(*(np.concatenate(items) for items in zip(*parts, strict=True)))
+
+
+def _by_error(residuals: Residuals, x: FloatArray, depth: _Linear) -> None:
+    """Fill in the derivatives of depth by its error: knots all move what they are weights of."""
+    at = residuals.at["error"]
+    knots = at.start + residuals.knots_from
+    for k in range(at.start, min(knots, at.stop)):
+        moved = x.copy()
+        moved[k] += _STEP
+        depth.by_cameras[:, k] = (residuals.depth(moved) - depth.r) / _STEP
+    if at.stop > knots:
+        of_sum = (residuals.depth(x, more=_STEP) - depth.r) / _STEP
+        depth.by_cameras[:, knots : at.stop] = residuals.by_knots(x, of_sum, depth.r)
+
+
+def _normal(residuals: Residuals, linear: _Linear) -> _Normal:
+    r, J, P, view = linear
+    count, size = residuals.model.count, J.shape[1]
+    B, D, of_poses = np.zeros((count, size, _POSE)), np.zeros((count, _POSE, _POSE)), np.zeros((count, _POSE))
+    for k in range(count):
+        rows = view == k
+        B[k], D[k], of_poses[k] = J[rows].T @ P[rows], P[rows].T @ P[rows], P[rows].T @ r[rows]
+    return _Normal(J.T @ J, B, D, J.T @ r, of_poses)
+
+
+def _step(normal: _Normal, damping: float) -> FloatArray:
+    """What to add to all parameters."""
+    A = normal.A + damping * np.diag(np.diag(normal.A) + _TINY)
+    diagonal = np.einsum("vii->vi", normal.D)
+    D = normal.D + damping * diagonal[:, :, None] * np.eye(_POSE) + _TINY * np.eye(_POSE)
+    B_over_D = np.linalg.solve(D, normal.B.transpose(0, 2, 1)).transpose(0, 2, 1)
+    S = A - (B_over_D @ normal.B.transpose(0, 2, 1)).sum(axis=0)
+    g = normal.of_cameras - np.einsum("vgp,vp->g", B_over_D, normal.of_poses)
+    of_cameras = -np.linalg.lstsq(S, g, rcond=None)[0]
+    of_poses = -np.linalg.solve(D, (normal.of_poses + np.einsum("vgp,g->vp", normal.B, of_cameras))[..., None])
+    return np.concatenate([of_cameras, of_poses.ravel()])
+
+
+def _covariances(residuals: Residuals, linear: _Linear) -> tuple[FloatArray, FloatArray]:
+    """(g, g) twice: the inverse Hessian, and what leaving out one view after the other tells.
+
+    Cells of one depth image share errors that their scatter does not show: what the curve or the pattern cannot follow,
+    rounding. So do corners of a bent board. The view is what errs independently. Each view's share of the reduced
+    normal equations gives the answer without it by one Gauss-Newton step, and the sum over views of what it moved
+    by is the jackknife (Efron 1982; MacKinnon & White 1985, HC3, here by cluster: Bell & McCaffrey 2002). It takes in
+    how much a view pulls the answer to itself, which Huber's sandwich does not: that one is too small where few views
+    decide. What is known beforehand adds what it is worth.
+    """
+    normal, count = _normal(residuals, linear), residuals.model.count
+    D = normal.D + _TINY * np.eye(_POSE)
+    B_over_D = np.linalg.solve(D, normal.B.transpose(0, 2, 1)).transpose(0, 2, 1)
+    S = normal.A - (B_over_D @ normal.B.transpose(0, 2, 1)).sum(axis=0)
+    plain = np.linalg.pinv(S, hermitian=True)
+    by_views = plain @ _information(linear, -1) @ plain
+    for k in range(count):
+        of_view = _information(linear, k) - B_over_D[k] @ normal.B[k].T
+        rows = linear.view == k
+        pull = linear.by_cameras[rows].T @ linear.r[rows] - B_over_D[k] @ normal.of_poses[k]
+        moved = np.linalg.pinv(S - of_view, hermitian=True) @ pull
+        by_views += np.outer(moved, moved) * (count - 1) / count
+    return plain, by_views
+
+
+def _information(linear: _Linear, view: int) -> FloatArray:
+    """(g, g) of one view about the cameras, its pose held; of the priors for -1."""
+    J = linear.by_cameras[linear.view == view]
+    return np.asarray(J.T @ J)
+
+
+# Residuals of a model: what it predicts less what was measured, by σ.
+
+
+_LEAST_SLOPE = 0.1  # of corrected depth by the reading, of parameters that are no sensor's
+
+
+@dataclass(eq=False)
+class Residuals:
+    """Residuals of a model, block by block, over given σs."""
+
+    model: Model
+    sigmas: Sigmas
+
+    def __post_init__(self) -> None:
+        m = self.model
+        self.at = m.slices()
+        self.size = self.at["poses"].stop
+        self.knot_weights, self.knot_slopes = _weights_of(m)
+        constant, quadratic = m.noise
+        # Of raw disparities in nominal inverse depth, 1/m, as a step has it; else in metres.
+        is_raw = m.sensor == RAW_DISPARITY
+        self._reading_sigma = quadratic if is_raw else constant + quadratic * m.cells.reading**2
+        self._rays: tuple[PinholeCamera | None, FloatArray] = (None, np.empty((0, 2)))
+        self._priors = prior_rows(m)
+
+    def color(self, x: FloatArray) -> FloatArray:
+        """Of colour corners (N, 2), in σ."""
+        p = self._points(x, self.model.color)
+        px = self.model.color_camera(x).denormalise(p[:, :2] / p[:, 2:])
+        return (px - self.model.color.px) / self.sigmas.color_px
+
+    def infrared(self, x: FloatArray) -> FloatArray:
+        """Of infrared corners (N, 2), in σ."""
+        if not len(self.model.infrared.px):
+            return np.empty((0, 2))
+        p = se3.apply(se3.invert(self.model.T_color_depth_of(x)), self._points(x, self.model.infrared))
+        px = self.model.depth_camera(x).denormalise(p[:, :2] / p[:, 2:])
+        return (px - self.model.infrared.px) / self.sigmas.infrared_px
+
+    @property
+    def knots_from(self) -> int:
+        """How many numbers of the depth error stand before its knots."""
+        return BEFORE_KNOTS
+
+    def depth(self, x: FloatArray, more: float = 0.0) -> FloatArray:
+        """Of depth cells (N,), in σ; `more` is added to what the knots make of each."""
+        if not len(self.model.cells.px):
+            return np.empty(0)
+        off_m, sigma_m = self.depth_m(x, more)
+        return off_m / sigma_m
+
+    def depth_m(self, x: FloatArray, more: float = 0.0) -> tuple[FloatArray, FloatArray]:
+        """How far cells are off the boards' planes along the axis, and their σ, metres (N,)."""
+        m = self.model
+        camera = m.depth_camera(x)
+        if self._rays[0] != camera:
+            self._rays = camera, camera.normalise(m.cells.px)
+        rays = self._rays[1]
+        R, t = m.poses_of(x)
+        T = m.T_color_depth_of(x)
+        n = R[:, :, 2]
+        # The plane n · p = h of the colour camera's frame, in the depth camera's.
+        h = (n * t).sum(axis=1) - n @ T[:3, 3]
+        n_depth = n @ T[:3, :3]
+        view = m.cells.view
+        z = h[view] / ((n_depth[view, :2] * rays).sum(axis=1) + n_depth[view, 2])
+        true_m, slope = self._true_m(x, rays, more)
+        return true_m - z, self.sigmas.depth * self._reading_sigma * slope
+
+    def _true_m(self, x: FloatArray, rays: FloatArray, more: float) -> tuple[FloatArray, FloatArray]:
+        """`DepthError.of_readings` of all cells, with what does not change kept, and its derivative by the reading.
+
+        Noise is of readings: off over derivative is how far the reading is from what is expected of it. The derivative
+        must be whole. One that leaves the curve's slope out grows as a line is moved from the curve to the scale,
+        which changes no depth: thousands of cells then pull the scale up (by 2 %), and it ends beside the curve's end.
+        """
+        m, p = self.model, x[self.at["error"]]
+        reading, knots = m.cells.reading, p[BEFORE_KNOTS:]
+        radius2 = (rays**2).sum(axis=1)
+        if m.sensor == "tof":
+            scale = float(np.exp(p[0]))
+            true_m = scale * reading + p[1] + p[2] * radius2 + self.knot_weights @ knots + more
+            return true_m, np.maximum(scale + self.knot_slopes @ knots, _LEAST_SLOPE)
+        if m.sensor == "stereo":
+            scale, inverse = float(np.exp(p[0])), 1 / reading + p[1]
+            return scale / inverse + p[2] * radius2, scale / (inverse * reading) ** 2
+        if m.sensor == RAW_DISPARITY:
+            q, scale, of_reading = self._inverse_of_raw(p), 1.0, np.full(len(reading), np.exp(p[0]))
+            inverse = q
+        else:
+            q, scale, of_reading = 1 / reading, float(np.exp(p[0])), 1 / reading**2
+            inverse = q + p[1]
+        fade, steeper = self._fading(p, q)
+        inverse = inverse + (self.knot_weights @ knots.reshape(2, -1)[0]) * fade
+        inverse = np.maximum(inverse + self.knot_weights @ knots.reshape(2, -1)[1] + more, 1e-3)
+        return scale / inverse, scale * of_reading * steeper / inverse**2
+
+    def _fading(self, p: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What is left (N,) of the fading pattern at inverse depths, and the derivative (N,) of 1/z by q with it."""
+        fade_m = float(np.clip(p[2], 0, 10))
+        fade = np.exp(fade_m * (q - 1))
+        pattern = self.knot_weights @ p[BEFORE_KNOTS:].reshape(2, -1)[0]
+        return fade, np.maximum(1 + fade_m * fade * pattern, _LEAST_SLOPE)
+
+    def by_knots(self, x: FloatArray, of_sum: FloatArray, r: FloatArray) -> FloatArray:
+        """Derivatives (N, K) of depth's residuals r (N,) by all knots.
+
+        From `of_sum` (N,), the derivatives by what is added to all of them, and from what knots do to σ.
+        """
+        weights, p = self.knot_weights, x[self.at["error"]]
+        if not self.model.has_pattern:
+            slope = np.maximum(float(np.exp(p[0])) + self.knot_slopes @ p[BEFORE_KNOTS:], _LEAST_SLOPE)
+            return of_sum[:, None] * weights - (r / slope)[:, None] * self.knot_slopes
+        q = 1 / self.model.cells.reading
+        if self.model.sensor == RAW_DISPARITY:
+            q = self._inverse_of_raw(p)
+        fade, steeper = self._fading(p, q)
+        of_fading = of_sum * fade - r * float(np.clip(p[2], 0, 10)) * fade / steeper
+        return np.concatenate([of_fading[:, None] * weights, of_sum[:, None] * weights], axis=1)
+
+    def _inverse_of_raw(self, p: FloatArray) -> FloatArray:
+        m = self.model
+        at_zero = -m.nominal_step * m.settings.model.disparity_of_infinity + p[1]
+        return np.asarray(at_zero + m.nominal_step * np.exp(p[0]) * m.cells.reading)
+
+    def _points(self, x: FloatArray, points: Points) -> FloatArray:
+        R, t = self.model.poses_of(x)
+        square_m = self.model.square_of(x)
+        return np.asarray(np.einsum("nij,nj->ni", R[points.view], square_m * points.square) + t[points.view])
+
+    @property
+    def prior_rows(self) -> FloatArray:
+        """The derivatives (P, n) of `priors`."""
+        return self._priors[0]
+
+    def priors(self, x: FloatArray) -> FloatArray:
+        """Of what is known beforehand, in σ."""
+        rows, expected = self._priors
+        return np.asarray(rows @ x - expected)
+
+
+def _weights_of(model: Model) -> tuple[FloatArray, FloatArray]:
+    """What each knot of pattern or curve counts at each cell (N, K), and of the curve the same of its slope.
+
+    Splines, not lines: between knots 0.25 m apart lines have slopes that are up to 1 % off a swing of 7 mm in 1.9 m,
+    which tilts every board that is seen there, and all of them alike.
+    """
+    none = np.zeros((len(model.cells.px), 0))
+    if model.has_pattern:
+        return cubic_grid_weights(model.cells.px, model.depth_start, model.grid), none
+    if model.sensor != "tof" or not len(model.knots_m):
+        return none, none
+    reading, knots_m = model.cells.reading, model.knots_m
+    return cubic_weights(reading, knots_m), cubic_weights(reading, knots_m, derivative=1)
+
+
+# What is known of the parameters beforehand, as rows of a least squares.
+
+
+_HELD = 1e-6  # of what is not sought
+_OF_FADE = 0.5  # of Herrera et al.'s: exp(-0.0018 d) is exp(0.6 m / z)
+
+
+def prior_rows(model: Model) -> tuple[FloatArray, FloatArray]:
+    """What is known beforehand, as rows (P, n) and values (P,) in σ: rows @ x is about the values."""
+    priors = _Priors(model.slices()["poses"].stop)
+    at = model.slices()
+    if model.keeps_color:
+        _held(priors, at["color"], model.color_start)
+    else:
+        _of_lens(priors, model, at["color"], model.color_start)
+    _of_lens(priors, model, at["depth"], model.depth_start, is_nominal=not len(model.infrared.px))
+    for k in range(at["apart"].start, min(at["apart"].start + 3, at["apart"].stop)):
+        priors.add([k], [1], 0.0, model.settings.prior.apart_m)
+    if at["error"].stop > at["error"].start:
+        _of_error(priors, model, at["error"].start)
+    return np.array(priors.rows).reshape(-1, priors.size), np.array(priors.values)
+
+
+class _Priors:
+    """Rows and values, one by one."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.rows: list[FloatArray] = []
+        self.values: list[float] = []
+
+    def add(self, columns: list[int], weights: list[float], value: float, sigma: float) -> None:
+        """A weighted sum of parameters that is about a value, to a σ."""
+        row = np.zeros(self.size)
+        row[columns] = np.array(weights) / sigma
+        self.rows.append(row)
+        self.values.append(value / sigma)
+
+
+def _held(priors: _Priors, place: slice, start: PinholeCamera) -> None:
+    """A lens that stays as it is."""
+    for k, value in enumerate(lens_parameters(start, start)):
+        priors.add([place.start + k], [1], float(value), _HELD)
+
+
+def _of_lens(priors: _Priors, model: Model, place: slice, start: PinholeCamera, *, is_nominal: bool = False) -> None:
+    """What is known of a lens: of lenses as such, and of one without corners of its own, `is_nominal`, by `start`."""
+    first, length, prior = place.start, place.stop - place.start, model.settings.prior
+    if not length:
+        return
+    known = lens_parameters(start, start)
+    if is_nominal:
+        priors.add([first], [1], 0.0, prior.depth_focal)
+    priors.add([first + 1], [1], float(np.log(start.fy / start.fx)), prior.aspect)
+    centre = (1.0 if is_nominal else 2.0) * prior.depth_centre_px * start.width / 640 / start.fx
+    for k in (2, 3):
+        priors.add([first + k], [1], float(known[k]), centre)
+    bent = [*prior.radial[:2], prior.tangential, prior.tangential, prior.radial[2]]
+    for k in range(BARE_LENS, length):
+        priors.add([first + k], [1], float(known[k]) if is_nominal else 0.0, bent[k - BARE_LENS])
+
+
+def _of_error(priors: _Priors, model: Model, first: int) -> None:
+    prior, knots = model.settings.prior, first + BEFORE_KNOTS
+    if not model.is_scale_free:
+        priors.add([first], [1], 0.0, _HELD)
+    if model.sensor == "tof":
+        priors.add([first], [1], 0.0, prior.tof_scale)
+        for k in range(len(model.knots_m)):
+            priors.add([knots + k], [1], 0.0, prior.curve_m)
+        for k in range(len(model.knots_m) - 2):
+            priors.add([knots + k, knots + k + 1, knots + k + 2], [1, -2, 1], 0.0, prior.curve_bend_m)
+    if not model.has_pattern:
+        return
+    priors.add([first + 2], [1], _OF_FADE, prior.fade_m)
+    rows, columns = model.grid
+    for number in knots + np.arange(2 * rows * columns).reshape(2, rows, columns):
+        for knot in number.ravel().tolist():
+            priors.add([knot], [1], 0.0, prior.pattern_per_m)
+        for line in [*number.tolist(), *number.T.tolist()]:
+            for three in zip(line, line[1:], line[2:], strict=False):
+                priors.add(list(three), [1, -2, 1], 0.0, prior.pattern_bend_per_m)
+
+
+# What agrees with a fit: standard deviations as residuals have them, and views, corners and cells left out.
+
+
+_AGREEMENT_POSE, _LENS, _OF_DEPTH = 6, 9, 3
+_LEAST_FACTOR = 1e-3
+_AS_BAD = 0.8
+_LEAST_MEDIAN = 0.3  # in σ: of views that all agree better than they should, none is left out
+
+
+def sigmas_of(residuals: Residuals, x: FloatArray) -> Sigmas:
+    """Standard deviations as residuals have them, each freed of what its own parameters took of it."""
+    model, before = residuals.model, residuals.sigmas
+
+    def of(r: FloatArray, taken: int) -> float:
+        return float(np.sqrt((r**2).sum() / max(r.size - taken, r.size / 4, 1))) if r.size else 1.0
+
+    least = model.settings.detection.least_sigma_px
+    return Sigmas(
+        max(before.color_px * of(residuals.color(x), _AGREEMENT_POSE * model.count + _LENS), least),
+        max(before.infrared_px * of(residuals.infrared(x), _LENS), least),
+        max(before.depth * of(residuals.depth(x), _OF_DEPTH), _LEAST_FACTOR),
+    )
+
+
+def agreeing(counted: Counted, residuals: Residuals, x: FloatArray) -> Counted:
+    """The views, corners and cells that agree with the rest."""
+    model, robust = residuals.model, residuals.model.settings.robust
+    color, infrared = (np.linalg.norm(block(x), axis=1) for block in (residuals.color, residuals.infrared))
+    depth = np.abs(residuals.depth(x))
+    gone: dict[int, str] = {}
+    for off, view, factor, what in (
+        (color, model.color.view, robust.view_factor, "corners in colour"),
+        (infrared, model.infrared.view, robust.view_factor, "corners in infrared"),
+        (depth, model.cells.view, robust.depth_view_factor, "depth"),
+    ):
+        # A view that moved pulls the depth of others off; that is judged once corners agree.
+        for k, times in ({} if gone else _unlike(off, view, model.count, factor)).items():
+            gone.setdefault(k, f"its {what} disagree with the other views': {times:.1f} times theirs")
+    most = robust.corner_sigmas * np.sqrt(2)
+    new_color = [
+        _fewer(seen, color[model.color.view == k] <= most, model.settings) for k, seen in enumerate(counted.color)
+    ]
+    new_infrared = [
+        None if seen is None else _fewer(seen, infrared[model.infrared.view == k] <= most, model.settings)
+        for k, seen in enumerate(counted.infrared)
+    ]
+    cells = []
+    for k, seen_cells in enumerate(counted.cells):
+        kept = depth[model.cells.view == k] <= robust.cell_sigmas
+        cells.append(seen_cells.only(kept))
+    dropped = _corners(counted.color) + _corners(counted.infrared) - _corners(new_color) - _corners(new_infrared)
+    new = replace(
+        counted,
+        color=tuple(new_color),
+        infrared=tuple(new_infrared),
+        cells=tuple(cells),
+        dropped_corners=counted.dropped_corners + dropped,
+        dropped_cells=counted.dropped_cells + len(depth) - sum(len(c.reading) for c in cells),
+    )
+    return new.without(gone)
+
+
+def _unlike(off: FloatArray, view: IntArray, count: int, factor: float) -> dict[int, float]:
+    """Views whose median is over `factor` times the usual view's, and how many times; one bad corner is no bad view."""
+    medians = {k: float(np.median(off[view == k])) for k in range(count) if (view == k).any()}
+    if not medians:
+        return {}
+    usual = max(float(np.median(list(medians.values()))), _LEAST_MEDIAN)
+    # A bad view pulls good ones off with it: these are judged again without it, in the next round.
+    least = max(factor * usual, _AS_BAD * max(medians.values()))
+    return {k: value / usual for k, value in medians.items() if value > factor * usual and value >= least}
+
+
+def _fewer(corners: Corners, kept: BoolArray, settings: CameraCalibrationSettings) -> Corners:
+    """A view's corners without those that disagree, as long as enough are left."""
+    enough = np.count_nonzero(kept) >= min(settings.detection.fewest_corners, len(kept))
+    return corners.only(kept) if enough else corners
+
+
+def _corners(views: tuple[Corners | None, ...] | list[Corners] | list[Corners | None]) -> int:
+    return sum(0 if seen is None else len(seen.ids) for seen in views)

@@ -1,0 +1,389 @@
+"""`View` holds the corners and depth of a board in one view. `find_corners` detects corners; `read_views` reads
+views from folders of images.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wheelsight.core.depth_errors import NO_DISPARITY
+from wheelsight.core.errors import RecordingError
+from wheelsight.core.files import StrPath
+from wheelsight.core.geometry import MOST_PIXELS, BoolArray, ByteArray, FloatArray, IntArray
+from wheelsight.core.inputs import Kind, picture_size, read_bytes, scan_count
+from wheelsight.vision.camera_calibration.board import Board
+from wheelsight.vision.camera_calibration.settings import DetectionSettings
+
+# What is seen of a board in one view, before anything is calibrated.
+
+
+SENSORS = ("structured-light", "tof", "stereo")
+RAW_DISPARITY = "raw-disparity"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Corners:
+    """Corners of a board in an image: their numbers (N,), row by row from 0, and pixels (N, 2)."""
+
+    ids: IntArray
+    px: FloatArray
+
+    def only(self, kept: BoolArray) -> Corners:
+        """Those of them."""
+        return Corners(self.ids[kept], self.px[kept])
+
+    def turned(self, count: int) -> Corners:
+        """The same seen as the board that is turned by half."""
+        return Corners(count - 1 - self.ids, self.px)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class View:
+    """One board before the cameras, still.
+
+    Attributes:
+        name: for messages.
+        color: corners in the colour image.
+        infrared: corners in the infrared image, where there is one.
+        reading: (H, W) the depth image as it is read, metres along the axis or raw disparities; 0 and NaN: none.
+    """
+
+    name: str
+    color: Corners
+    infrared: Corners | None = None
+    reading: NDArray[Any] | None = None
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ViewSet:
+    """Views of one board by one pair of cameras.
+
+    Attributes:
+        views: those in which the board was found.
+        color_size, depth_size: width and height of the images; the latter None where there is neither depth nor
+            infrared.
+        left_out: names of other views, and why.
+        is_disparity: whether readings are raw disparities of Kinect v1.
+    """
+
+    views: tuple[View, ...]
+    color_size: tuple[int, int]
+    depth_size: tuple[int, int] | None = None
+    left_out: tuple[tuple[str, str], ...] = field(default=())
+    is_disparity: bool = False
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether some view has a depth image."""
+        return any(view.reading is not None for view in self.views)
+
+    @property
+    def has_infrared(self) -> bool:
+        """Whether some view has corners in an infrared image."""
+        return any(view.infrared is not None for view in self.views)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DepthCells:
+    """Readings of the board's plane in one view: pixels (N, 2) and readings (N,), means of small cells.
+
+    `scatter` (N,) is the standard deviation of a pixel about the plane in each, of inverse depths or raw disparities.
+    """
+
+    px: FloatArray
+    reading: FloatArray
+    scatter: FloatArray
+
+    def only(self, kept: BoolArray | IntArray) -> DepthCells:
+        """Those of them."""
+        return DepthCells(self.px[kept], self.reading[kept], self.scatter[kept])
+
+    @staticmethod
+    def none() -> DepthCells:
+        """Of a view that shows no plane."""
+        return DepthCells(np.empty((0, 2)), np.empty(0), np.empty(0))
+
+
+# A board's corners in one image, or why there are none.
+
+
+_FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_EXHAUSTIVE
+# Infrared images are dark but for reflections: what lies between these percentiles is stretched.
+_DARKEST, _BRIGHTEST = 1.0, 99.0
+_OTHER_SIZES = tuple((columns, rows) for columns in range(4, 13) for rows in range(3, columns + 1))
+
+
+def find_corners(image: ByteArray, board: Board, settings: DetectionSettings) -> Corners | str:
+    """The board's corners in a grey image (H, W) uint8, or why it has none."""
+    found = _charuco(image, board) if board.is_charuco else _checkerboard(image, board, settings)
+    if found is None:
+        return "no whole board is seen" if not board.is_charuco else "no board is seen"
+    if len(found.ids) < min(settings.fewest_corners, board.count):
+        return f"only {len(found.ids)} corners of the board are seen"
+    width_px = edge_width_px(image, found, board)
+    if width_px > settings.blurred_px:
+        return f"blurred: edges take {width_px:.1f} px"
+    return found
+
+
+def as_grey(image: Any) -> ByteArray:
+    """An image of any depth and channels as grey (H, W) uint8, stretched where it has 16 bits."""
+    if image.ndim == 3:
+        image = cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2GRAY)
+    if image.dtype == np.uint8:
+        return np.asarray(image, np.uint8)
+    low, high = np.percentile(image, (_DARKEST, _BRIGHTEST))
+    return np.asarray(np.clip((image.astype(float) - low) / max(high - low, 1) * 255, 0, 255), np.uint8)
+
+
+def _checkerboard(image: ByteArray, board: Board, settings: DetectionSettings) -> Corners | None:
+    size = (board.columns, board.rows)
+    found, px = cv2.findChessboardCornersSB(image, size, flags=_FLAGS)
+    if not found and image.shape[1] < settings.enlarge_below_px:
+        large = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+        found, px = cv2.findChessboardCornersSB(large, size, flags=_FLAGS)
+        if found:
+            px = (px + 0.5) / 2 - 0.5
+    if not found:
+        return None
+    return Corners(np.arange(board.count), np.asarray(px, float).reshape(-1, 2))
+
+
+def _charuco(image: ByteArray, board: Board) -> Corners | None:
+    px, ids, _, _ = cv2.aruco.CharucoDetector(board.charuco()).detectBoard(image)
+    if ids is None or not len(ids):
+        return None
+    return Corners(np.asarray(ids, np.int64).ravel(), np.asarray(px, float).reshape(-1, 2))
+
+
+def edge_width_px(image: ByteArray, corners: Corners, board: Board) -> float:
+    """How many pixels an edge between squares takes from 10 to 90 %: the median over pairs of neighbouring corners.
+
+    0 where no two neighbours are seen.
+    """
+    places = {int(number): px for number, px in zip(corners.ids, corners.px, strict=True)}
+    widths = []
+    for number, px in places.items():
+        for step in (1, board.columns):
+            if number + step in places and (step != 1 or (number + 1) % board.columns):
+                widths.append(_width_across(image, px, places[number + step]))
+    return float(np.median(widths)) if widths else 0.0
+
+
+def _width_across(image: ByteArray, a: Any, b: Any) -> float:
+    """Of the edge from corner a to corner b, measured across it at its middle: 0.8 of its contrast over its slope."""
+    length = float(np.linalg.norm(b - a))
+    across = np.array([a[1] - b[1], b[0] - a[0]]) / max(length, 1e-9)
+    reach = 0.45 * length
+    at = np.linspace(-reach, reach, 41)
+    along = a + (b - a) * np.linspace(0.3, 0.7, 5)[:, None]
+    map_px = (along[:, None] + at[None, :, None] * across).astype(np.float32)
+    profile = cv2.remap(image.astype(np.float32), map_px[..., 0], map_px[..., 1], cv2.INTER_LINEAR).mean(axis=0)
+    contrast = abs(float(profile[:6].mean() - profile[-6:].mean()))
+    slope = float(np.abs(np.gradient(profile, at)).max())
+    return 0.8 * contrast / max(slope, 1e-6)
+
+
+def other_size(image: ByteArray, board: Board) -> tuple[int, int] | None:
+    """Inner corners of a checkerboard that is in the image while `board` is not; None where none is found."""
+    for columns, rows in _OTHER_SIZES:
+        if {columns, rows} == {board.columns, board.rows}:
+            continue
+        found, px = cv2.findChessboardCornersSB(
+            image, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
+        )
+        if found and len(px) == columns * rows:
+            return columns, rows
+    return None
+
+
+# Views of a board from folders of images: colour, infrared and depth of one moment, paired by their names.
+
+
+_SUFFIXES = {".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".bmp", ".tif", ".tiff"}
+_WORDS = {
+    "color": ("c1", "c", "color", "colour", "rgb"),
+    "infrared": ("ir", "infrared"),
+    "depth": ("d", "depth", "disparity"),
+}
+_KIND_OF = {word: kind for kind, words in _WORDS.items() for word in words}
+_NAMED = re.compile(
+    rf"^(?:(?P<a>.*?)[-_ .])?(?P<kind>{'|'.join(sorted(_KIND_OF, key=len, reverse=True))})(?:[-_ .]?(?P<b>\d.*))?$",
+    re.IGNORECASE,
+)
+# Pixels over all scans of a progressive JPEG, as of recordings.
+_MOST_DECODED = 8 * MOST_PIXELS
+_IMAGE = Kind("an image", most_mb=128)
+_FIX = "name images VIEW-color.png, VIEW-ir.png, VIEW-depth.png, or put them into folders color, ir and depth"
+_OTHERS_TRIED = 3
+
+
+def find_view_files(folders: Sequence[StrPath]) -> dict[str, dict[str, Path]]:
+    """The image files of each view, by its name and then by kind: color, infrared, depth.
+
+    Raises:
+        RecordingError: a folder that is none, or holds no colour image by name.
+    """
+    views: dict[str, dict[str, Path]] = {}
+    for folder in map(Path, folders):
+        if not folder.is_dir():
+            raise RecordingError("is no folder of images", path=folder, fix=_FIX)
+        for path in sorted(path for path in folder.rglob("*") if path.suffix.lower() in _SUFFIXES):
+            kind, name = _kind_and_name(path, folder)
+            if kind is not None:
+                full = name if len(folders) == 1 else f"{folder.name}/{name}"
+                views.setdefault(full, {}).setdefault(kind, path)
+    if not any("color" in files for files in views.values()):
+        raise RecordingError("holds no colour image", path=Path(folders[0]), fix=_FIX)
+    return dict(sorted(views.items()))
+
+
+def _kind_and_name(path: Path, folder: Path) -> tuple[str | None, str]:
+    above = path.relative_to(folder).parent
+    kind = _KIND_OF.get(above.name.lower())
+    if kind is not None:
+        return kind, (above.parent / path.stem).as_posix()
+    found = _NAMED.match(path.stem)
+    if not found:
+        return None, path.stem
+    name = "-".join(part for part in (found["a"], found["b"]) if part)
+    return _KIND_OF[found["kind"].lower()], (above / name).as_posix()
+
+
+def read_views(
+    folders: Sequence[StrPath],
+    board: Board,
+    settings: DetectionSettings,
+    depth_factor: float = 1000.0,
+    on_view: Callable[[], None] = lambda: None,
+) -> ViewSet:
+    """Views with the corners found in them; what cannot be used is left out, by name and reason.
+
+    Args:
+        folders: of images.
+        board: that they show.
+        settings: of its detection.
+        depth_factor: units of depth images a metre; of raw disparities without meaning.
+        on_view: is told after each.
+
+    Raises:
+        RecordingError: no view shows the board; says which board the first ones show, where they show another.
+    """
+    left_out, seen = [], []
+    for name, files in find_view_files(folders).items():
+        found = _read_view(name, files, board, settings)
+        if isinstance(found, str):
+            left_out.append((name, found))
+        else:
+            seen.append(found)
+        on_view()
+    if not seen:
+        raise _none_found(folders, board, left_out)
+    views, size, depth_size = _of_one_size(seen, left_out)
+    is_disparity = _is_disparity([view.reading for view in views if view.reading is not None])
+    read = tuple(_in_units(view, is_disparity, depth_factor) for view in views)
+    return ViewSet(read, size, depth_size, tuple(left_out), is_disparity)
+
+
+_Seen = tuple[View, tuple[int, int], tuple[int, int] | None]
+
+
+def _of_one_size(
+    seen: list[_Seen], left_out: list[tuple[str, str]]
+) -> tuple[list[View], tuple[int, int], tuple[int, int] | None]:
+    """The views whose images have the size of most, and those sizes; the others are added to those left out."""
+    size = Counter(size for _, size, _ in seen).most_common(1)[0][0]
+    depth_sizes = Counter(depth for _, _, depth in seen if depth is not None).most_common(1)
+    depth_size = depth_sizes[0][0] if depth_sizes else None
+    views = []
+    for view, own, own_depth in seen:
+        if own != size:
+            left_out.append((view.name, f"colour image is {_told(own)}, others {_told(size)}"))
+        elif own_depth is not None and depth_size is not None and own_depth != depth_size:
+            left_out.append((view.name, f"depth image is {_told(own_depth)}, others {_told(depth_size)}"))
+        else:
+            views.append(view)
+    return views, size, depth_size
+
+
+def _read_view(name: str, files: dict[str, Path], board: Board, settings: DetectionSettings) -> _Seen | str:
+    if "color" not in files:
+        return "has no colour image"
+    try:
+        images = {kind: _read_image(path) for kind, path in files.items()}
+    except RecordingError as error:
+        return f"{error.path.name if error.path else name}: {error.problem}"
+    color = find_corners(as_grey(images["color"]), board, settings)
+    if isinstance(color, str):
+        return color
+    infrared = find_corners(as_grey(images["infrared"]), board, settings) if "infrared" in images else None
+    depth = images.get("depth")
+    if depth is not None and (depth.ndim != 2 or depth.dtype != np.uint16):
+        return f"{files['depth'].name}: is no 16-bit image of one channel"
+    sizes = {_size(image) for image in (images.get("infrared"), depth) if image is not None}
+    if len(sizes) > 1:
+        return "infrared and depth image differ in size"
+    view = View(name, color, None if isinstance(infrared, str) else infrared, depth)
+    return view, _size(images["color"]), next(iter(sizes), None)
+
+
+def _read_image(path: Path) -> Any:
+    data = read_bytes(path, _IMAGE, RecordingError)
+    size = picture_size(data)
+    if size is None:
+        raise RecordingError("is damaged, or no image", path=path)
+    if size[0] * size[1] > MOST_PIXELS or size[0] * size[1] * scan_count(data) > _MOST_DECODED:
+        raise RecordingError(f"says it is {size[0]}×{size[1]} pixels", path=path)
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
+    if image is None:
+        raise RecordingError("is damaged, or no image", path=path)
+    return image
+
+
+def _none_found(folders: Sequence[StrPath], board: Board, left_out: list[tuple[str, str]]) -> RecordingError:
+    whole = f"none of {len(left_out)} views shows the board {board}"
+    files = find_view_files(folders)
+    for name, reason in left_out[:_OTHERS_TRIED] if not board.is_charuco else []:
+        if "no whole board" in reason:
+            size = other_size(as_grey(_read_image(files[name]["color"])), board)
+            if size is not None:
+                fix = f"{name} shows {size[0]}×{size[1]} inner corners: --board {size[0]}x{size[1]}:SIDE"
+                return RecordingError(whole, path=Path(folders[0]), fix=fix)
+    name, reason = left_out[0]
+    return RecordingError(f"{whole}; {name}: {reason}", path=Path(folders[0]), fix="check --board, light and focus")
+
+
+def _is_disparity(readings: list[Any]) -> bool:
+    """Kinect v1's raw disparities have 11 bits, the greatest of which means none; depth images mark none by 0."""
+    return bool(readings) and all(image.max() == NO_DISPARITY and image.min() > 0 for image in readings)
+
+
+def _in_units(view: View, is_disparity: bool, depth_factor: float) -> View:
+    if view.reading is None:
+        return view
+    raw = view.reading
+    if is_disparity:
+        reading = np.where(raw < NO_DISPARITY, raw, 0).astype(np.float32)
+    else:
+        reading = np.where(raw < np.iinfo(np.uint16).max, raw, 0).astype(np.float32) / np.float32(depth_factor)
+    return View(view.name, view.color, view.infrared, reading)
+
+
+def _size(image: Any) -> tuple[int, int]:
+    return int(image.shape[1]), int(image.shape[0])
+
+
+def _told(size: tuple[int, int]) -> str:
+    return f"{size[0]}×{size[1]}"

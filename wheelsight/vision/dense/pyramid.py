@@ -1,0 +1,433 @@
+"""`Gridder` resamples frames onto the pixel grid of an ideal camera, as image pyramids. `ReferenceMaker` makes the
+references that frames are aligned with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import DepthNoise
+from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, IntArray, PinholeCamera
+from wheelsight.core.keyframes import PredictedView
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.threads import Rows
+from wheelsight.vision.dense.alignment_kernels import CHANNELS
+from wheelsight.vision.dense.pyramid_kernels import (
+    Exposure,
+    halve_depth,
+    halve_grey,
+    normals,
+    pack,
+    sample_color,
+    sample_grey,
+    straighten,
+    straighten_color,
+)
+from wheelsight.vision.dense.settings import DenseSettings
+
+# Frames on the grid of an ideal camera: lens, rolling shutter and the gap between the cameras taken out.
+
+
+_NO_IMAGE = np.empty((0, 0), np.float32)
+_BRIGHTEST = np.float32(255)
+# Every so many pixels are asked whether an image is dark.
+_DARK_STRIDE = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Level:
+    """One scale of a frame.
+
+    Attributes:
+        intrinsics: fx, fy, cx, cy of the ideal camera at this scale.
+        depth_m: (h, w) float32, 0 where unknown.
+        grey: (h, w) float32 from 0 to 255, -1 where unknown.
+    """
+
+    intrinsics: FloatArray
+    depth_m: Float32Array
+    grey: Float32Array
+
+    def points(self) -> tuple[FloatArray, IntArray, IntArray]:
+        """(N, 3) in the camera frame of all that has depth, and the rows and columns (N,) of its pixels."""
+        fx, fy, cx, cy = self.intrinsics
+        rows, columns = np.nonzero(self.depth_m)
+        z = self.depth_m[rows, columns].astype(float)
+        return np.column_stack([z * (columns - cx) / fx, z * (rows - cy) / fy, z]), rows, columns
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GridFrame:
+    """A frame on the ideal grid, as if all rows were read at its stamp: `levels` from the finest to the coarsest.
+
+    Attributes:
+        stamp_s: of the frame.
+        levels: the pyramid; the last is for turns only.
+        twist: (6,) the velocity (v, ω) a second in the camera's own frame by which rows were straightened.
+        vignetting: the exponent by which its grey was evened; see `Gridder.even`.
+    """
+
+    stamp_s: float
+    levels: tuple[Level, ...]
+    twist: FloatArray
+    vignetting: float = 0.0
+
+    @property
+    def depth_share(self) -> float:
+        """Of the finest level's pixels, those with depth."""
+        depth_m = self.levels[0].depth_m
+        return float(np.count_nonzero(depth_m) / depth_m.size)
+
+
+class Gridder:
+    """Brings frames of one camera onto the ideal grid."""
+
+    def __init__(self, calibration: Calibration, settings: DenseSettings, rows: Rows) -> None:
+        self._color, self._depth = calibration.cameras
+        self._calibration, self._settings, self._rows = calibration, settings, rows
+        self.halvings = 0
+        while self._depth.width >> self.halvings > settings.finest_width_px:
+            self.halvings += 1
+        self.intrinsics = self._halved(self._depth)
+        self.shape = (self._depth.height >> self.halvings, self._depth.width >> self.halvings)
+        self._source_px = self._lens()
+        height = self.shape[0]
+        late_share = (np.arange(height) + 0.5) / height - 0.5
+        self.late_s: FloatArray = late_share * calibration.rolling_shutter_s
+        self.depth_late_s = calibration.depth_late_s
+        self._darker = self._lens_vignetting()
+        self.even(0.0)
+
+    def even(self, exponent: float) -> None:
+        """From now on, brighten grey by what the lens takes from it: cos⁴ to the axis, to the power of `exponent`."""
+        self._vignetting = exponent
+        self._brighter: Float32Array = np.exp(-exponent * self._darker)
+
+    def on_grid(self, frame: RgbdFrame, twist: FloatArray) -> GridFrame:
+        """The frame's pyramid, straightened for a camera moving at `twist` (6,).
+
+        Where the lights are off or the lens is covered, grey is noise: of a frame with hardly a pixel brighter than
+        `dark_grey`, no grey is known.
+        """
+        depth_m, grey = self._small_depth(frame), self._small_grey(frame)
+        behind_s = frame.depth_late_s + self.depth_late_s
+        if not (self._is_straight and behind_s == 0):
+            depth_m, grey = self._straightened(depth_m, grey, twist, behind_s)
+        if not self._calibration.is_registered:
+            grey = self._looked_up(grey, depth_m, twist)
+        return GridFrame(frame.stamp_s, self.pyramid(depth_m, grey), twist, self._vignetting)
+
+    def pyramid(self, depth_m: Float32Array, grey: Float32Array) -> tuple[Level, ...]:
+        """All scales of images (h, w) that are on the grid."""
+        return coarser(Level(self.intrinsics, depth_m, grey), self._settings, self._rows)
+
+    def color_on_grid(self, frame: RgbdFrame, grid: GridFrame) -> Float32Array:
+        """Red, green and blue (h, w, 3) from 0 to 255 of the frame that `grid` was made of, known where its grey is.
+
+        Unknown colours are -1.
+        """
+        if self._is_dark(frame.color):
+            return np.full((*self.shape, 3), -1, np.float32)
+        image = self._small(frame.color)
+        if not self._calibration.is_registered:
+            return self._looked_up(image, grid.levels[0].depth_m, grid.twist)
+        return image.astype(np.float32) if self._is_straight else self._straightened_color(image, frame, grid.twist)
+
+    @property
+    def _is_straight(self) -> bool:
+        return not self._depth.has_distortion and not self._calibration.rolling_shutter_s
+
+    def _halved(self, camera: PinholeCamera) -> FloatArray:
+        """fx, fy, cx, cy (4,) of its halved images."""
+        return _scaled(np.array([camera.fx, camera.fy, camera.cx, camera.cy]), self.halvings)
+
+    def _lens(self) -> Float32Array:
+        """(h, w, 2) where each pixel of the ideal grid lies in the halved depth image."""
+        ideal = PinholeCamera(self.shape[1], self.shape[0], *self.intrinsics.tolist())
+        lens = replace(ideal, distortion=self._depth.distortion)
+        return lens.denormalise(ideal.rays()[..., :2]).astype(np.float32)
+
+    def _lens_vignetting(self) -> Float32Array:
+        """(H, W) `vignetting_of` each pixel of the halved colour image."""
+        width, height = self._color.width >> self.halvings, self._color.height >> self.halvings
+        fx, fy, cx, cy = self._halved(self._color)
+        small = replace(self._color, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
+        return vignetting_of((small.rays()[..., :2] ** 2).sum(axis=-1)).astype(np.float32)
+
+    def _small_depth(self, frame: RgbdFrame) -> Float32Array:
+        """Depth (h, w) as measured, halved."""
+        depth_m = frame.depth_m
+        for _ in range(self.halvings):
+            depth_m = halved_depth(depth_m, self._settings.depth_jump, self._rows)
+        return depth_m
+
+    def _small_grey(self, frame: RgbdFrame) -> Float32Array:
+        """Grey (H, W), halved and evened; -1 in the dark."""
+        grey = np.minimum(self._small(_grey(frame.color)) * self._brighter, _BRIGHTEST)
+        return np.full_like(grey, -1) if self._is_dark(frame.color) else grey
+
+    def _small(self, image: ByteArray) -> ByteArray:
+        size = (image.shape[1] >> self.halvings, image.shape[0] >> self.halvings)
+        return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8) if self.halvings else image
+
+    def _straightened(
+        self, depth_m: Float32Array, grey: Float32Array, twist: FloatArray, behind_s: float
+    ) -> tuple[Float32Array, Float32Array]:
+        """Depth without lens and shutter, of colour's time, and grey too where it shares depth's grid."""
+        registered = self._calibration.is_registered
+        out = np.empty((1 + registered, *self.shape), np.float32)
+        images = (depth_m, grey if registered else _NO_IMAGE)
+        exposure = self._exposure(twist, behind_s if twist.any() else 0.0)
+        given = (*images, self._source_px, exposure, np.float32(self._settings.depth_jump))
+        self._rows.share(self.shape[0], lambda begin, end: straighten(*given, (begin, end), out))
+        return out[0], out[1] if registered else grey
+
+    def _straightened_color(self, image: ByteArray, frame: RgbdFrame, twist: FloatArray) -> Float32Array:
+        """Colour (h, w, 3) on depth's grid, without lens and shutter."""
+        depth_m = self._small_depth(frame) if self._shutter_s(twist) else _NO_IMAGE
+        given = (image, depth_m, self._source_px, self._exposure(twist))
+        out = np.empty((*self.shape, 3), np.float32)
+        self._rows.share(len(out), lambda begin, end: straighten_color(*given, (begin, end), out))
+        return out
+
+    def _looked_up(self, image: Float32Array | ByteArray, depth_m: Float32Array, twist: FloatArray) -> Float32Array:
+        """What a colour camera of its own saw, in grey (H, W) or colour (H, W, 3), at the 3D point of each pixel."""
+        color = self._color
+        lens = (*self._halved(color), *color.distortion)
+        T_color_camera = _numbers(np.asarray(self._calibration.T_color_depth)[:3])
+        given = (image, depth_m, self._exposure(twist), T_color_camera, _numbers(lens))
+        out = np.empty((*self.shape, *image.shape[2:]), np.float32)
+        sample = sample_grey if image.ndim == 2 else sample_color
+        self._rows.share(len(out), lambda begin, end: sample(*given, (begin, end), out))
+        return out
+
+    def _exposure(self, twist: FloatArray, depth_late_s: float = 0.0) -> Exposure:
+        shutter_s = np.float32(self._shutter_s(twist))
+        return Exposure(_numbers(self.intrinsics), _numbers(twist), shutter_s, np.float32(depth_late_s))
+
+    def _is_dark(self, color: ByteArray) -> bool:
+        """Whether a colour image (H, W, 3) shows nothing but noise: judged by some of its pixels."""
+        some = _grey(np.ascontiguousarray(color[::_DARK_STRIDE, ::_DARK_STRIDE]))
+        bright = np.count_nonzero(some > self._settings.dark_grey)
+        return bool(bright < self._settings.dark_share * some.size)
+
+    def _shutter_s(self, twist: FloatArray) -> float:
+        return self._calibration.rolling_shutter_s if twist.any() else 0.0
+
+
+def coarser(finest: Level, settings: DenseSettings, rows: Rows) -> tuple[Level, ...]:
+    """A level and those made of it by halving: `settings.levels`, and a coarser one for turns."""
+    levels = [finest]
+    for number in range(settings.levels):
+        last = levels[-1]
+        # The same slope is twice the step from pixel to pixel.
+        depth_m = halved_depth(last.depth_m, settings.depth_jump * (1 << number), rows)
+        levels.append(Level(_scaled(last.intrinsics, 1), depth_m, _halved_grey(last.grey, rows)))
+    return tuple(levels)
+
+
+def halved_depth(depth_m: Float32Array, jump: float, rows: Rows) -> Float32Array:
+    """Depth (h, w) at half the size: of each 2×2 block the mean of its nearest surface, never over an edge.
+
+    Args:
+        depth_m: (H, W), 0 where unknown; a row or column left over is not looked at.
+        jump: share of the nearest depth by which others on its surface lie behind it at most.
+        rows: that share the work.
+    """
+    half = np.empty((depth_m.shape[0] // 2, depth_m.shape[1] // 2), np.float32)
+    rows.share(len(half), lambda begin, end: halve_depth(depth_m, jump, begin, end, half))
+    return half
+
+
+def vignetting_of(squared_tangent: FloatArray) -> FloatArray:
+    """Logarithm of the fourth power of the cosine to the axis, by the squared tangent."""
+    return np.asarray(-2 * np.log1p(squared_tangent))
+
+
+def _grey(color: ByteArray) -> ByteArray:
+    return np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
+
+
+def _halved_grey(grey: Float32Array, rows: Rows) -> Float32Array:
+    half = np.empty((grey.shape[0] // 2, grey.shape[1] // 2), np.float32)
+    rows.share(len(half), lambda begin, end: halve_grey(grey, begin, end, half))
+    return half
+
+
+def _scaled(intrinsics: FloatArray, halvings: int) -> FloatArray:
+    """fx, fy, cx, cy of images halved so often, pixel centres at integers."""
+    factor = 2.0**halvings
+    fx, fy, cx, cy = intrinsics
+    return np.array([fx / factor, fy / factor, (cx + 0.5) / factor - 0.5, (cy + 0.5) / factor - 0.5])
+
+
+def _numbers(values: ArrayLike) -> tuple[np.float32, ...]:
+    """As kernels read them fastest."""
+    return tuple(np.asarray(values, np.float32).ravel())
+
+
+# What a frame is aligned with: an earlier frame, or the view that a map predicts.
+
+
+# No limit to how far a surface may be off its plane.
+_ANY_BEND = 1e6
+# How much of a residual is the frame's own noise: against another frame, which has as much, half; against a map all.
+_AS_NOISY, _MAPPED = 0.5, 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReferenceLevel:
+    """One scale of a reference.
+
+    Attributes:
+        normal: (h, w, 3) float32 in the camera frame, towards the camera; 0 where unknown.
+        pixels: (h, w, 8) float32: the plane n·q = d through each pixel's point q as n and d, depth, grey, and grey's
+            gradient along u and v a pixel; NaN where unknown. Side by side, since a look-up needs them together.
+    """
+
+    normal: Float32Array
+    pixels: Float32Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """By what it is judged which motions a view shows, where noise is averaged out.
+
+    Attributes:
+        planes: of the coarsest level for alignment.
+        slopes: of grey, of the second level.
+    """
+
+    planes: ReferenceLevel
+    slopes: ReferenceLevel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scales:
+    """A reference at all scales.
+
+    Attributes:
+        levels: from the finest to the coarsest, as a `GridFrame` has them.
+        steep: the coarsest level for alignment once more, with normals of steep surfaces but none at creases: what
+            a view shows is told by all of its planes, and by nothing that is none.
+    """
+
+    levels: tuple[ReferenceLevel, ...]
+    steep: ReferenceLevel
+
+
+class Reference:
+    """What frames are aligned with, and where it was seen from.
+
+    Its scales are made when they are asked for, and may be forgotten: the frame they are made of takes a sixth of them.
+
+    Attributes:
+        T_map_reference: (4, 4).
+        own_noise: how much of what a frame is off this is the frame's own noise.
+        vignetting: the exponent by which its grey was evened.
+    """
+
+    __slots__ = ("T_map_reference", "_made", "_make", "own_noise", "vignetting")
+
+    def __init__(
+        self, T_map_reference: FloatArray, make: Callable[[], Scales], own_noise: float, vignetting: float = 0.0
+    ) -> None:
+        self.T_map_reference, self.own_noise, self.vignetting = T_map_reference, own_noise, vignetting
+        self._make = make
+        self._made: Scales | None = None
+
+    @property
+    def is_at_hand(self) -> bool:
+        """Whether its scales are made and not forgotten."""
+        return self._made is not None
+
+    @property
+    def scales(self) -> Scales:
+        """At all scales."""
+        if self._made is None:
+            self._made = self._make()
+        return self._made
+
+    @property
+    def levels(self) -> tuple[ReferenceLevel, ...]:
+        """From the finest to the coarsest."""
+        return self.scales.levels
+
+    @property
+    def steep(self) -> ReferenceLevel:
+        """See `Scales`."""
+        return self.scales.steep
+
+    def forget(self) -> None:
+        """Give the room of its scales back; asked for again, they are made again, alike to the bit."""
+        self._made = None
+
+
+class ReferenceMaker:
+    """Makes references of frames and of predicted views."""
+
+    def __init__(self, noise: DepthNoise, settings: DenseSettings, rows: Rows) -> None:
+        self._noise = np.array([noise.constant_m, noise.quadratic_per_m], np.float32)
+        self._settings, self._rows = settings, rows
+        self._boundary = self._step(settings.occlusion_share, settings.occlusion_sigmas)
+
+    def of_frame(self, frame: GridFrame, T_map_camera: FloatArray) -> Reference:
+        """A frame with its pose as reference."""
+
+        def make() -> Scales:
+            levels = tuple(self._level(level, self.normals(level)) for level in frame.levels)
+            return Scales(levels, self._steep(frame.levels))
+
+        return Reference(T_map_camera, make, _AS_NOISY, frame.vignetting)
+
+    def of_view(self, view: PredictedView, T_map_camera: FloatArray, intrinsics: FloatArray) -> Reference:
+        """A predicted view, with the pose (4, 4) it was predicted for, as reference."""
+        finest = Level(intrinsics, view.depth_m, view.grey)
+        levels = coarser(finest, self._settings, self._rows)
+        fitted = (self._level(level, self.normals(level)) for level in levels[1:])
+        pyramid = (self._level(finest, view.normal), *fitted)
+        scales = Scales(pyramid, self._steep(levels))
+        return Reference(T_map_camera, lambda: scales, _MAPPED)
+
+    def shown_by(self, frame: GridFrame) -> Shown:
+        """What a frame itself shows."""
+        number = min(1, self._settings.levels - 1)
+        no_planes = np.zeros((*frame.levels[number].depth_m.shape, 3), np.float32)
+        return Shown(self._steep(frame.levels), self._level(frame.levels[number], no_planes))
+
+    def normals(self, level: Level, steepness: int = 1, bend: float = _ANY_BEND) -> Float32Array:
+        """Unit normals (h, w, 3) float32 of a level's surfaces, towards the camera; 0 where unknown.
+
+        Neighbours on one surface differ by `depth_jump` times `steepness`, and by noise; `bend` is by how many standard
+        deviations of depth a surface may be off its plane.
+        """
+        normal = np.empty((*level.depth_m.shape, 3), np.float32)
+        limits = (
+            self._step(steepness * self._settings.depth_jump, self._settings.depth_jump_sigmas),
+            np.float32(bend) * self._noise,
+        )
+        given = (level.depth_m, level.intrinsics.astype(np.float32), self._settings.normal_radius_px, *limits)
+        self._rows.share(len(normal), lambda begin, end: normals(*given, begin, end, normal))
+        return normal
+
+    def _steep(self, levels: tuple[Level, ...]) -> ReferenceLevel:
+        number = self._settings.levels - 1
+        # The same slope is a larger step from pixel to pixel where pixels are larger.
+        return self._level(levels[number], self.normals(levels[number], 1 << number, self._settings.crease_sigmas))
+
+    def _level(self, level: Level, normal: Float32Array) -> ReferenceLevel:
+        pixels = np.empty((*level.depth_m.shape, CHANNELS), np.float32)
+        given = (level.depth_m, normal, level.grey, level.intrinsics.astype(np.float32), self._boundary)
+        self._rows.share(len(pixels), lambda begin, end: pack(*given, begin, end, pixels))
+        return ReferenceLevel(normal, pixels)
+
+    def _step(self, share: float, sigmas: float) -> Float32Array:
+        """A step in depth (3,), as kernels take it: a share of the depth and so many standard deviations of it."""
+        constant, quadratic = np.float32(sigmas) * self._noise
+        return np.array([constant, share, quadratic], np.float32)

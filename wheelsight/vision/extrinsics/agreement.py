@@ -1,0 +1,296 @@
+"""Agreement: whether wheels and camera tell of one drive, and what explains it where they do not.
+
+Both drives are cut into pieces of some centimetres or degrees. Of each, the wheels tell a way ahead and a turn to the
+left; the camera, by its mount, tells a way and a turn of three components each. What may be wrong is linear: a wheel
+that counts backwards, sizes, a depth's factor, a mirrored image, a mount turned otherwise. So only the sums of products
+over all pieces are kept, and each explanation is weighed by how much of both motions it leaves unexplained.
+
+Some explanations cannot be told apart by motions: mirrored images and swapped wheels turn alike the wrong way, and on a
+straight way depth too short and wheels too large are the same. Then witnesses decide: the floor, seen where the mount
+has it or so many times too near, and a gyroscope, which turns with one of both.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from wheelsight.core.calibration_parts import HolonomicWheels, Wheels
+from wheelsight.core.geometry import FloatArray, so3
+from wheelsight.vision.extrinsics.settings import DEFAULTS, AgreementSettings
+
+_LEAST_WAY_M = 0.005  # shorter ways of a holonomic base have no direction: those of turns on the spot
+_LITTLE = 1e-3  # of the usual squares: what a fit is held by where a drive does not turn
+_UP = np.array([0.0, 0.0, 1.0])
+_WAYS, _TURNS, _WHEELS = slice(2, 5), slice(5, 8), slice(2)
+
+
+class Culprit(Enum):
+    """Whose motions are wrong."""
+
+    WHEELS = "wheels"
+    CAMERA = "camera"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Explanation:
+    """What may be wrong, if it explains all pieces.
+
+    Attributes:
+        culprit: whose motions are then wrong.
+        cause: as a clause, with the fix.
+        expected: (6, 2) way and turn of the camera that follow from way and turn of the wheels.
+        is_scale: whether it is a factor, as clocks that are apart and wheels that slip may show one for a while.
+        depth: the factor of depth that it says, or None.
+        tilts: whether the mount's up is another.
+    """
+
+    culprit: Culprit
+    cause: str
+    expected: FloatArray
+    is_scale: bool = False
+    depth: float | None = None
+    tilts: bool = False
+
+
+@dataclass(slots=True)
+class Agreement:
+    """The sums over all pieces.
+
+    Attributes:
+        wheels: as they are believed to be. T_base_camera: (4, 4) as the camera is believed to sit.
+        settings: when both agree, and what explains that they do not.
+        products: (8, 8) of way and turn of the wheels, way (3) and turn (3) of the camera, in the base's axes.
+        of_gyro: (3, 3) of turns by wheels, camera and gyroscope, where that tells.
+        pieces: how many.
+        drift: sum of the squared turns that both may have apart.
+        ways_m, turns_rad: (2,) how far they went by the wheels, and by the camera.
+    """
+
+    wheels: Wheels | HolonomicWheels
+    T_base_camera: FloatArray
+    settings: AgreementSettings = DEFAULTS.agreement
+    products: FloatArray = field(default_factory=lambda: np.zeros((8, 8)))
+    of_gyro: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    pieces: int = 0
+    drift: float = 0.0
+    ways_m: FloatArray = field(default_factory=lambda: np.zeros(2))
+    turns_rad: FloatArray = field(default_factory=lambda: np.zeros(2))
+
+    @property
+    def way_m(self) -> float:
+        """By the one that tells of more."""
+        return float(self.ways_m.max())
+
+    @property
+    def turn_rad(self) -> float:
+        """Likewise."""
+        return float(self.turns_rad.max())
+
+    def add(self, T_by_wheels: FloatArray, T_by_camera: FloatArray, gyro_rad: float | None) -> bool:
+        """Take the base's motion (4, 4) by each since the piece began; False while that is too little for one."""
+        w, c = _way_and_turn(T_by_wheels), _way_and_turn(T_by_camera)
+        ways_m, turns_rad = (np.array([_size(w[part]), _size(c[part])]) for part in (np.s_[:3], np.s_[3:]))
+        if ways_m.max() < self.settings.piece_m and turns_rad.max() < self.settings.piece_rad:
+            return False
+        if isinstance(self.wheels, HolonomicWheels):  # in axes along the way by the wheels, wherever the base looks
+            along = so3.exp([0.0, 0.0, -math.atan2(w[1], w[0]) if _size(w[:2]) > _LEAST_WAY_M else 0.0])
+            w, c = (np.concatenate([along @ motion[:3], along @ motion[3:]]) for motion in (w, c))
+        told = np.array([w[0], w[5], *c])
+        if gyro_rad is not None:
+            turns = np.array([w[5], c[5], gyro_rad])
+            self.of_gyro += np.outer(turns, turns)
+        slip = self._slip_rad2(float(ways_m[0]))
+        self.drift += self.settings.slips * slip + (self.settings.drift_rad_per_m * ways_m.max()) ** 2
+        self.products += np.outer(told, told)
+        self.pieces += 1
+        self.ways_m += ways_m
+        self.turns_rad += turns_rad
+        return True
+
+    def _slip_rad2(self, way_m: float) -> float:
+        """Variance of the turn by the wheels' slip over a way."""
+        if isinstance(self.wheels, HolonomicWheels):
+            return self.wheels.turn_variance_per_m * way_m
+        return 2 * self.wheels.slip_m_per_sqrt_m**2 * way_m / self.wheels.track_width_m**2
+
+    def unexplained(self, expected: FloatArray) -> tuple[float, float]:
+        """The shares of the ways and of the turns that are other than `expected` (6, 2) of the wheels."""
+        G = self.products
+        cross = expected @ G[_WHEELS, 2:]
+        left = np.diag(G[2:, 2:] - cross - cross.T + expected @ G[_WHEELS, _WHEELS] @ expected.T)
+        # What differs as usual contradicts nobody; of turns on the spot, ways are nothing else.
+        usual = np.square([self.settings.usual_m, self.settings.usual_rad]) / self.settings.disagrees
+        least_m2, least_rad2 = self.pieces * usual
+        way = max(np.trace(G[_WAYS, _WAYS]), G[0, 0], least_m2)
+        turn = max(np.trace(G[_TURNS, _TURNS]), G[1, 1], least_rad2)
+        return float(left[:3].sum() / way), max(float(left[3:].sum() - self.drift), 0.0) / turn
+
+    def agrees(self, most: float | None = None) -> bool:
+        """Whether both tell of one drive, but for such a share of the squared motion; None for the settings' own."""
+        return max(self.unexplained(_seen_of(np.eye(2)))) < (self.settings.disagrees if most is None else most)
+
+    def explanations(self, floor_ratio: float | None, *, is_accused: bool = False) -> list[Explanation]:
+        """What explains it, by the witnesses too, if both do not tell of one drive.
+
+        Args:
+            floor_ratio: the camera's height over the floor by its view, over that by its mount; None for no floor.
+            is_accused: whether something was found before, which is dropped only where both agree well.
+        """
+        if not self.pieces or self.agrees(self.settings.explained if is_accused else None):
+            return []
+        turned = self._turned()
+        is_near = min(turned[0, 0], turned[2, 2]) > math.cos(math.radians(self.settings.least_turn_deg))
+        looks_elsewhere = [] if is_near else [self._of_mount(turned)]
+        fit = [*self._explained(self._of_wheels())[:1], *self._explained([*self._of_camera(), *looks_elsewhere])]
+        found = fit or self._explained([self._of_mount(turned, self._swings()[:, 1]) for _ in looks_elsewhere])
+        return self._by_gyro(self._by_floor(found, floor_ratio))
+
+    def _explained(self, candidates: list[Explanation]) -> list[Explanation]:
+        return [one for one in candidates if max(self.unexplained(one.expected)) < self.settings.explained]
+
+    def _of_wheels(self) -> list[Explanation]:
+        """Signs and places of both wheels, and their sizes, the simplest first."""
+        G = self.products
+        half_m = self.wheels.track_width_m / 2 if isinstance(self.wheels, Wheels) else 1.0
+        left = np.array([[0.0, half_m], [1 / half_m, 0.0]])
+        swapped = np.diag([1.0, -1.0])
+        ways: tuple[tuple[FloatArray, str], ...] = (
+            (left, "the left wheel counts backwards: turn its sign"),
+            (-left, "the right wheel counts backwards: turn its sign"),
+            (-np.eye(2), "both wheels count backwards: turn their signs"),
+            (swapped, "left and right wheel are swapped: swap their columns"),
+            (-swapped, "left and right wheel are swapped and count backwards: swap their columns and turn their signs"),
+            (swapped @ left, "left and right wheel are swapped, and one counts backwards: see which"),
+            (left @ swapped, "left and right wheel are swapped, and one counts backwards: see which"),
+        )
+        if isinstance(self.wheels, HolonomicWheels):
+            ways = ((-np.eye(2), "all wheels count backwards: turn their signs"),)
+        found = [Explanation(Culprit.WHEELS, cause, _seen_of(M)) for M, cause in ways]
+        way, turn = _ratio(G[0, 2], G[0, 0]), _ratio(G[1, 7], G[1, 1])
+        weights = np.array([G[0, 0] / self.settings.usual_m**2, G[1, 1] / self.settings.usual_rad**2])
+        both = float(weights @ [way, turn] / max(weights.sum(), 1e-12))
+        sizes = (
+            ((both, both), both, "their ways and turns are {} times the true ones: check ticks_per_turn and radii"),
+            ((1.0, turn), turn, "their turns are {} times the true ones: check track_width_m"),
+            ((way, 1.0), way, "their ways, not their turns, are {} times the true ones: check radii and track_width_m"),
+        )
+        for M, ratio, cause in sizes:
+            if 1 / self.settings.largest_factor < ratio < self.settings.largest_factor:
+                told = cause.format(f"{1 / ratio:.2g}")
+                found.append(Explanation(Culprit.WHEELS, told, _seen_of(np.diag(M)), is_scale=True))
+        return found
+
+    def _of_camera(self) -> list[Explanation]:
+        """Depth's factor, and images turned over."""
+        way, R = _ratio(self.products[0, 2], self.products[0, 0]), self.T_base_camera[:3, :3]
+        swing = np.cross(_UP, self._place)  # of the camera, in a turn
+        found = []
+        if 1 / self.settings.largest_factor < way < self.settings.largest_factor:
+            told = _seen_of(np.diag([way, 1.0]))
+            told[:3, 1] = (way - 1) * swing
+            found.append(Explanation(Culprit.CAMERA, depth_cause(way), told, True, way))
+        for axis, how in enumerate(("left to right", "top to bottom")):
+            over = R @ np.diag(np.where(np.arange(3) == axis, -1.0, 1.0)) @ R.T
+            told = np.zeros((6, 2))
+            told[:3, 0], told[3:, 1] = over[:, 0], -over[:, 2]
+            told[:3, 1] = over @ swing + np.cross(over[:, 2], self._place)
+            found.append(
+                Explanation(Culprit.CAMERA, f"its images are mirrored {how}: turn them back", told, tilts=axis == 1)
+            )
+        return found
+
+    @property
+    def _place(self) -> FloatArray:
+        """Where the camera sits (3,)."""
+        return self.T_base_camera[:3, 3]
+
+    def _swings(self) -> FloatArray:
+        """(3, 2) what of the camera's ways goes with the wheels' ways and turns, by least squares."""
+        G = self.products
+        usual = self.pieces * np.diag(np.square([self.settings.usual_m, self.settings.usual_rad])) * _LITTLE
+        return np.asarray(G[_WAYS, _WHEELS] @ np.linalg.inv(G[_WHEELS, _WHEELS] + usual))
+
+    def _turned(self) -> FloatArray:
+        """The rotation (3, 3) that lays the wheels' motions on the camera's best (Kabsch).
+
+        A usual difference holds it where the mount is said to be: turns on the spot tell no direction of travel, and
+        whatever the camera errs by would pass for one.
+        """
+        G, M = self.products, np.eye(3)
+        M[:, 0] += self._swings()[:, 0] * G[0, 0] / self.settings.usual_m**2
+        M[:, 2] += G[_TURNS, 1] / self.settings.usual_rad**2
+        return np.asarray(so3.nearest(M))
+
+    def _of_mount(self, turned: FloatArray, swing: FloatArray | None = None) -> Explanation:
+        """A camera that looks elsewhere by `turned`, from where it is said to sit, or else swings in turns by (3,)."""
+        G, told = self.products, np.zeros((6, 2))
+        told[:3, 0], told[3:, 1] = turned[:, 0], turned[:, 2]
+        told[:3, 1] = np.cross(self._place - turned @ self._place, turned[:, 2]) if swing is None else swing
+        is_turning = G[1, 1] > self.pieces * self.settings.usual_rad**2
+        off_deg = math.degrees(float(so3.angle(turned))) if is_turning else _degrees(turned[0, 0])
+        cause = f"it looks about {off_deg:.0f}° from where T_base_camera says (wheelsight calibrate base finds it)"
+        return Explanation(
+            Culprit.CAMERA,
+            cause,
+            told,
+            tilts=is_turning and turned[2, 2] < math.cos(math.radians(self.settings.largest_tilt_deg)),
+        )
+
+    def _by_floor(self, found: list[Explanation], ratio: float | None) -> list[Explanation]:
+        """Without those that the floor contradicts: it is where the mount has it, or as wrong as the ways are."""
+        if ratio is None:
+            return found
+        near = self.settings.same_scale
+        if abs(math.log(ratio)) < near:
+            return [one for one in found if one.depth is None and not one.tilts]
+        return [one for one in found if one.depth is not None and abs(math.log(ratio / one.depth)) < near] or found
+
+    def _by_gyro(self, found: list[Explanation]) -> list[Explanation]:
+        """Without those that a gyroscope contradicts, where it turns clearly with one of both."""
+        wheels, camera, gyro = np.diag(self.of_gyro)
+        if gyro < self.pieces * self.settings.usual_rad**2 or len({one.culprit for one in found}) < 2:
+            return found
+        by_wheels = (wheels + gyro - 2 * self.of_gyro[0, 2]) / max(wheels, gyro)
+        by_camera = (camera + gyro - 2 * self.of_gyro[1, 2]) / max(camera, gyro)
+        if (
+            max(by_wheels, by_camera) < 2 * self.settings.disagrees
+            or min(by_wheels, by_camera) > self.settings.disagrees
+        ):
+            return found
+        wrong = Culprit.CAMERA if by_wheels < by_camera else Culprit.WHEELS
+        return [one for one in found if one.culprit is wrong]
+
+
+def depth_cause(ratio: float) -> str:
+    """What to say of depth that is so many times the true one."""
+    return f"depth is {ratio:.2g} times the true one: check depth_factor"
+
+
+def _way_and_turn(T: FloatArray) -> FloatArray:
+    """(6,) of a motion (4, 4): its way in the axes halfway through its turn, and its turn."""
+    turn = so3.log(T[:3, :3])
+    return np.concatenate([so3.exp(-turn / 2) @ T[:3, 3], turn])
+
+
+def _seen_of(M: FloatArray) -> FloatArray:
+    """(6, 2) of true way and turn that are M (2, 2) times those told by the wheels, as a camera sees them."""
+    told = np.zeros((6, 2))
+    told[0], told[5] = M
+    return told
+
+
+def _ratio(product: float, square: float) -> float:
+    """A factor by least squares; 1 where nothing tells it."""
+    return float(product / square) if abs(product) > 1e-6 else 1.0
+
+
+def _degrees(cosine: float) -> float:
+    return math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
+
+
+def _size(v: FloatArray) -> float:
+    return float(np.linalg.norm(v))

@@ -1,0 +1,448 @@
+"""`calibrate_base` returns the mount of a camera and the clock offset of the wheels. It refuses drives in which
+these are not observable.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.camera_errors import motion_errors, moved_in_camera_m
+from wheelsight.core.checks import Repeats
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera, se3
+from wheelsight.core.messages import RgbdFrame, SkippedFrame
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings import Recording
+from wheelsight.io.recordings.clock_checks import apart, refuse_if_apart
+from wheelsight.vision.dense import DenseOdometry
+from wheelsight.vision.extrinsics.mount import (
+    Floor,
+    FloorViews,
+    MountFit,
+    Turning,
+    common_turning,
+    cut_level,
+    fit_floor,
+    fit_mount,
+    level_rotation,
+    levelled,
+    tilt_of,
+)
+from wheelsight.vision.extrinsics.settings import (
+    DEFAULTS,
+    DriveSettings,
+    ExtrinsicsSettings,
+    FloorSettings,
+    SightingSettings,
+)
+from wheelsight.wheels import Drive, drive_of, drive_path
+
+# When a drive does not show where the camera sits: said, with what to drive instead.
+
+
+WHAT_TO_DRIVE = "drive a minute or two as usual, straight and with turns both ways, some of them on the spot"
+
+_TILT, _PLACE = ("roll", "pitch", "yaw"), ("x", "y", "height")
+
+
+def refuse_if_hardly_moving(drive: Drive, wheels: Wheels, settings: DriveSettings = DEFAULTS.drive) -> None:
+    """Raise CalibrationError for a drive that by its wheels alone can't do: before any image is looked at."""
+    samples = np.arange(drive.stamps_s[0], drive.stamps_s[-1], settings.sample_s)
+    if len(samples) < 2:
+        raise CalibrationError(f"the wheels tell of {np.ptp(drive.stamps_s):.2f} s only", fix=WHAT_TO_DRIVE)
+    path = drive_path(drive, wheels, samples - wheels.delay_s)
+    yaw_rad = np.unwrap(np.arctan2(path.T_frame_body[:, 1, 0], path.T_frame_body[:, 0, 0]))
+    turned_rad = float(np.abs(np.diff(yaw_rad)).sum())
+    if path.length_m < settings.least_way_m and turned_rad < settings.least_turn_rad:
+        raise CalibrationError(f"by its wheels the robot stands, it goes {path.length_m:.2f} m", fix=WHAT_TO_DRIVE)
+    if turned_rad < settings.least_turn_rad:
+        raise CalibrationError(
+            f"the drive hardly turns, by {np.degrees(turned_rad):.0f}° in all: x and y of the camera stay unseen",
+            fix="drive some turns too, both ways, also on the spot",
+        )
+    if path.length_m < settings.least_way_m:
+        raise CalibrationError(
+            f"the robot hardly leaves its place, it goes {path.length_m:.2f} m: where the camera looks stays unseen",
+            fix="drive straight for some metres too",
+        )
+
+
+def refuse_if_clocks_apart(drive: Drive, first_s: float, last_s: float, settings: DriveSettings) -> None:
+    """Raise CalibrationError where frames from `first_s` to `last_s` share hardly any time with the readings."""
+    told = apart((float(drive.stamps_s[0]), float(drive.stamps_s[-1])), (first_s, last_s), settings.least_shared_s)
+    if told is not None:
+        raise CalibrationError(told[0], fix=told[1])
+
+
+def refuse_if_lost(sightings: Sightings, settings: DriveSettings) -> None:
+    """Raise CalibrationError where the camera could not be followed for most of the drive."""
+    tracked, total = len(sightings.camera), sightings.frame_count
+    if tracked < max(settings.fewest_tracked, settings.least_tracked_share * total):
+        raise CalibrationError(
+            f"the camera could be followed in {tracked} of {total} frames only",
+            fix="drive slowly, past things one to four metres away, not at bare walls alone",
+        )
+
+
+def refuse_if_unlike(
+    turning: Turning,
+    wheels: Wheels,
+    up_expected: FloatArray | None,
+    largest_delay_s: float,
+    settings: DriveSettings,
+) -> None:
+    """Raise CalibrationError where wheels and camera turn differently, or too far apart in time.
+
+    `up_expected` (3,) is up in the camera frame by the nominal mount, or None; delays are searched up to the largest.
+    """
+    if turning.agreement < settings.least_agreement:
+        raise CalibrationError(
+            "wheels and camera do not turn together: their turns agree by "
+            f"{100 * turning.agreement:.0f} %, less than {100 * settings.least_agreement:.0f} %",
+            fix=f"see that both are of one drive and their clocks at most 10 s apart, and {WHAT_TO_DRIVE}",
+        )
+    up = np.array([0.0, -1.0, 0.0]) if up_expected is None else up_expected
+    if turning.up_camera @ up < -0.5:
+        raise CalibrationError(
+            "the camera turns left where the wheels turn right",
+            fix="swap left and right wheel, or, for a camera that hangs upside down, give T_base_camera roughly",
+        )
+    change_s = turning.delay_s - wheels.delay_s
+    if abs(change_s) > largest_delay_s:
+        raise CalibrationError(
+            f"the wheels' stamps seem {change_s:+.2f} s late, more than the ±{largest_delay_s:g} s that are searched",
+            fix=f"give wheels.delay_s: {turning.delay_s:.2f} by --calibration, or correct the clocks",
+        )
+
+
+def refuse_if_tilted(floor: Floor, turning: Turning, settings: DriveSettings) -> None:
+    """Raise CalibrationError where the plane in sight is not the one on which the robot turns."""
+    off_rad = float(np.arccos(np.clip(floor.up_camera @ turning.up_camera, -1, 1)))
+    if off_rad > np.radians(settings.most_tilt_deg):
+        raise CalibrationError(
+            f"the plane under the camera leans by {np.degrees(off_rad):.1f}° against the one that the robot turns on",
+            fix="drive on level ground with free floor before the camera",
+        )
+
+
+def refuse_if_few(segment_count: int, settings: DriveSettings) -> None:
+    """Raise CalibrationError for too few pieces of the drive to judge them by one another."""
+    if segment_count < settings.fewest_segments:
+        raise CalibrationError(
+            f"the drive holds {segment_count} pieces of a third of a metre or a quarter of a radian with readings and "
+            f"frames, {settings.fewest_segments} are needed",
+            fix=WHAT_TO_DRIVE,
+        )
+
+
+def refuse_if_unobservable(sigmas: Mapping[str, float], fit: MountFit, settings: DriveSettings) -> None:
+    """Raise CalibrationError where a standard deviation is so large that a protractor and a tape would do as well."""
+    vague = [name for name, sigma in sigmas.items() if not sigma <= _allowed(name, settings)]
+    if vague:
+        told = ", ".join(f"{name} (σ {_told(name, sigmas[name])})" for name in vague)
+        raise CalibrationError(f"the drive does not determine: {told}", fix=_advice(vague, fit))
+
+
+def refuse_if_out_of_scale(nominal: Wheels, fitted: Wheels, settings: DriveSettings) -> None:
+    """Raise CalibrationError where camera and wheels tell of ways so different that something else is wrong."""
+    factor = (fitted.left_radius_m + fitted.right_radius_m) / (nominal.left_radius_m + nominal.right_radius_m)
+    if not 1 / settings.largest_factor < factor < settings.largest_factor:
+        raise CalibrationError(
+            f"the camera sees ways {factor:.2f} times as long as the wheels tell",
+            fix="check the depth factor, the wheels' radii and ticks_per_turn",
+        )
+
+
+def _advice(vague: list[str], fit: MountFit) -> str:
+    if vague == ["delay"]:
+        return "start, stop and turn now and then, as steady motion hides the delay"
+    turn_rad = fit.segments.motions[:, 2]
+    left_rad, right_rad = turn_rad[turn_rad > 0].sum(), -turn_rad[turn_rad < 0].sum()
+    if min(left_rad, right_rad) < 0.1 * max(left_rad, right_rad):
+        return "the drive turns one way only: turn the other way too"
+    return WHAT_TO_DRIVE.replace("a minute or two", "longer")
+
+
+def _allowed(name: str, settings: DriveSettings) -> float:
+    if name in _TILT:
+        return float(np.radians(settings.most_uncertain_deg))
+    return settings.most_uncertain_m if name in _PLACE else settings.most_uncertain_s
+
+
+def _told(name: str, sigma: float) -> str:
+    if name in _TILT:
+        return f"{np.degrees(sigma):.2g}°"
+    return f"{100 * sigma:.2g} cm" if name in _PLACE else f"{1e3 * sigma:.2g} ms"
+
+
+# Sightings: all that one pass over a drive leaves for finding where its camera sits.
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """What wheels and camera saw of one drive.
+
+    Attributes:
+        drive: the wheels' readings.
+        camera: T_map_camera of the frames that were tracked in all directions, by dense odometry; its map is the
+            first of them.
+        frame_count: of all frames, lost ones included.
+        span_s: stamps of the first and last of them; NaN without any.
+        views: thinned depth images.
+    """
+
+    drive: Drive
+    camera: Trajectory
+    frame_count: int
+    span_s: tuple[float, float]
+    views: FloorViews
+
+
+def watch(
+    recording: Recording,
+    wheels: Wheels,
+    on_frame: Callable[[str], None] = lambda _: None,
+    settings: SightingSettings = DEFAULTS.sightings,
+) -> Sightings:
+    """Read a recording once, wheels and images.
+
+    Args:
+        recording: with wheel readings and a camera.
+        wheels: what its counters count.
+        on_frame: told the camera's status after each frame.
+        settings: what is kept of depth images.
+
+    Raises:
+        CalibrationError: fewer than two wheel readings, or no camera.
+    """
+    drive = drive_of(recording, wheels)
+    _, depth_camera = recording.calibration.cameras
+    odometry = DenseOdometry(recording.calibration)
+    gatherer = _ViewGatherer(depth_camera, settings)
+    poses, repeats = list[tuple[float, FloatArray]](), Repeats()
+    frame_count, span_s = 0, (math.nan, math.nan)
+    for event in recording.events():
+        if isinstance(event, SkippedFrame):
+            estimate = odometry.miss(event.stamp_s)
+        elif isinstance(event, RgbdFrame):
+            if repeats.lasting_s(event) > 0:
+                continue
+            estimate = odometry.process(event)
+            gatherer.add(event)
+        else:
+            continue
+        frame_count, span_s = frame_count + 1, (event.stamp_s if not frame_count else span_s[0], event.stamp_s)
+        if estimate.T_odom_body is not None and estimate.motion.shows_all:
+            poses.append((estimate.stamp_s, estimate.T_odom_body))
+        on_frame(estimate.status)
+    odometry.store.close()
+    return Sightings(drive, _trajectory(poses), frame_count, span_s, gatherer.views)
+
+
+def _trajectory(poses: list[tuple[float, FloatArray]]) -> Trajectory:
+    return Trajectory(np.array([stamp_s for stamp_s, _ in poses]), np.array([T for _, T in poses]).reshape(-1, 4, 4))
+
+
+class _ViewGatherer:
+    """Keeps a coarse grid of depth now and then, less often in long drives, so that memory stays flat."""
+
+    def __init__(self, camera: PinholeCamera, settings: SightingSettings) -> None:
+        step = max(1, camera.height // settings.rows)
+        self._grid = np.s_[step // 2 :: step, step // 2 :: step]
+        self._rays = camera.rays()[self._grid].reshape(-1, 3)
+        self._stamps_s: list[float] = []
+        self._depths_m: list[Float32Array] = []
+        self._period_s, self._most_views = settings.first_period_s, settings.most_views
+
+    def add(self, frame: RgbdFrame) -> None:
+        if self._stamps_s and frame.stamp_s < self._stamps_s[-1] + self._period_s:
+            return
+        self._stamps_s.append(frame.stamp_s)
+        self._depths_m.append(frame.depth_m[self._grid].ravel())
+        if len(self._stamps_s) > self._most_views:
+            del self._stamps_s[1::2], self._depths_m[1::2]
+            self._period_s *= 2
+
+    @property
+    def views(self) -> FloorViews:
+        depth_m = np.array(self._depths_m, np.float64).reshape(len(self._stamps_s), len(self._rays))
+        return FloorViews(np.array(self._stamps_s), self._rays, depth_m)
+
+
+# calibrate_base: where the camera sits on its robot, and how late the wheels' clock is, from an ordinary drive.
+#
+# The robot's turns tell which way is up for the camera, and the delay roughly. The floor seen in depth tells roll,
+# pitch and height. With the camera levelled by that, the motions of wheels and camera tell yaw, x, y and the delay.
+
+
+_MOST_POINTS = 4000  # that tell what a camera's errors make of its motions: more tell the same
+
+QUANTITIES = ("roll", "pitch", "yaw", "x", "y", "height", "delay")
+
+
+@dataclass(frozen=True, eq=False)
+class BaseCalibration:
+    """A camera's mount and the wheels' delay, with what they were found by.
+
+    Attributes:
+        recording: its name.
+        nominal: what was known before.
+        T_base_camera: (4, 4).
+        wheels: nominal ones with the delay found.
+        values, sigmas: of each of QUANTITIES, radians, metres and seconds, see `mount_values`; and their standard
+            deviations.
+        camera_sigmas: the part of these that the camera's calibration leaves open, however long the drive.
+        sightings, turning, floor, fit: the steps.
+        warnings: one sentence each.
+    """
+
+    recording: str
+    nominal: Calibration
+    T_base_camera: FloatArray
+    wheels: Wheels
+    values: dict[str, float]
+    sigmas: dict[str, float]
+    camera_sigmas: dict[str, float]
+    sightings: Sightings
+    turning: Turning
+    floor: Floor
+    fit: MountFit
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def calibration(self) -> Calibration:
+        """Mount and wheels alone, to stand in place of those of a recording."""
+        source = f"mount found on {self.recording}"
+        return Calibration(T_base_camera=self.T_base_camera, wheels=self.wheels, gyro=self.nominal.gyro, source=source)
+
+    @property
+    def nominal_values(self) -> dict[str, float]:
+        """What was known before of QUANTITIES; the delay alone where no mount was known."""
+        mount, wheels = self.nominal.T_base_camera, self.nominal.wheels
+        before = {} if mount is None else mount_values(mount)
+        return before if wheels is None else before | {"delay": wheels.delay_s}
+
+
+def calibrate_base(
+    recording: Recording,
+    on_frame: Callable[[str], None] = lambda _: None,
+    settings: ExtrinsicsSettings = DEFAULTS,
+) -> BaseCalibration:
+    """Find T_base_camera and the wheels' delay from a drive with wheels and camera.
+
+    Args:
+        recording: with nominal wheels in its calibration, sizes right to a few hundredths. A nominal T_base_camera is
+            only compared with.
+        on_frame: told the camera's status after each frame.
+        settings: or the defaults.
+
+    Raises:
+        RecordingError: wheels and camera share hardly any time.
+        CalibrationError: no wheels or camera, or a drive that does not show what is sought; says what to drive.
+    """
+    nominal = recording.calibration
+    if nominal.wheels is None:
+        raise CalibrationError(
+            f"the calibration of {recording.name} ({nominal.source}) {nominal.lacks_two_wheels}",
+            fix="give nominal ones in a calibration.yaml by --calibration: radii, track width, ticks a turn",
+        )
+    nominal.cameras  # noqa: B018  refuses a recording without, before anything is read
+    refuse_if_apart(recording, settings.drive.least_shared_s)
+    refuse_if_hardly_moving(drive_of(recording, nominal.wheels), nominal.wheels, settings.drive)
+    sightings = watch(recording, nominal.wheels, on_frame, settings.sightings)
+    found = base_from(sightings, nominal, settings)
+    return replace(found, recording=recording.name, warnings=(*recording.warnings, *found.warnings))
+
+
+def base_from(sightings: Sightings, nominal: Calibration, settings: ExtrinsicsSettings = DEFAULTS) -> BaseCalibration:
+    """The same from what a pass over a recording left; `nominal` has wheels. Raises CalibrationError."""
+    wheels, drive, mount = nominal.wheels, sightings.drive, nominal.T_base_camera
+    assert wheels is not None
+    refuse_if_clocks_apart(drive, *sightings.span_s, settings.drive)
+    refuse_if_lost(sightings, settings.drive)
+    turning = common_turning(drive, wheels, sightings.camera, settings.turning)
+    up_expected, largest_s = None if mount is None else mount[2, :3], settings.mount.largest_delay_s
+    refuse_if_unlike(turning, wheels, up_expected, largest_s, settings.drive)
+    floor = fit_floor(sightings.views, turning.up_camera, nominal.depth_noise, settings.floor)
+    refuse_if_tilted(floor, turning, settings.drive)
+    segments = cut_level(drive, wheels, levelled(sightings.camera, floor.up_camera), settings.mount)
+    refuse_if_few(len(segments), settings.drive)
+    errors = level_errors(sightings.views, floor, nominal, settings.floor)
+    fit = fit_mount(drive, wheels, segments, turning.delay_s, settings.mount, settings.fit, errors)
+    refuse_if_out_of_scale(wheels, fit.wheels, settings.drive)
+    T_base_camera = _mount(fit, floor)
+    values = mount_values(T_base_camera) | {"delay": fit.wheels.delay_s}
+    by_drive = _sigmas(fit.covariance, floor.covariance)
+    refuse_if_unobservable(by_drive, fit, settings.drive)
+    by_camera = _sigmas(fit.by_camera, floor.by_camera(moved_in_camera_m(nominal, floor.points_m)))
+    sigmas = {name: float(np.hypot(by_drive[name], by_camera[name])) for name in QUANTITIES}
+    late = replace(wheels, delay_s=fit.wheels.delay_s)
+    told = (T_base_camera, late, values, sigmas, by_camera, sightings, turning, floor, fit)
+    doubts = (*_doubts(T_base_camera, mount, settings), *_uncalibrated(nominal, by_camera))
+    return BaseCalibration("", nominal, *told, doubts)
+
+
+def mount_values(T_base_camera: FloatArray) -> dict[str, float]:
+    """roll, pitch, yaw (how far a camera (4, 4) leans right, looks down, looks left) and x, y, height of it."""
+    roll, pitch = tilt_of(T_base_camera[2, :3])
+    yaw = np.arctan2(T_base_camera[1, 2], T_base_camera[0, 2])
+    names = ("roll", "pitch", "yaw", "x", "y", "height")
+    return dict(zip(names, map(float, (roll, pitch, yaw, *T_base_camera[:3, 3])), strict=True))
+
+
+def _mount(fit: MountFit, floor: Floor) -> FloatArray:
+    x, y, yaw = fit.mount
+    T_base_level = se3.from_plane(x, y, yaw)
+    T_base_level[2, 3] = floor.height_m
+    T_level_camera = se3.invert(se3.from_parts(level_rotation(floor.up_camera), np.zeros(3)))
+    return T_base_level @ T_level_camera
+
+
+def level_errors(
+    views: FloorViews, floor: Floor, calibration: Calibration, settings: FloorSettings = DEFAULTS.floor
+) -> FloatArray:
+    """`motion_errors` (K, 3, 3) of the levelled camera, by some of the points that views show."""
+    noise = calibration.depth_noise
+    view, pixel = np.nonzero((views.depth_m > noise.near_m) & (views.depth_m < min(noise.far_m, settings.farthest_m)))
+    some = np.linspace(0, len(view) - 1, min(len(view), _MOST_POINTS)).astype(int)
+    depth_m = views.depth_m[view[some], pixel[some]]
+    points_m = views.rays[pixel[some]] * depth_m[:, None]
+    T_level_camera = se3.invert(se3.from_parts(level_rotation(floor.up_camera), np.zeros(3)))
+    return motion_errors(calibration, T_level_camera, points_m)
+
+
+def _sigmas(of_mount: FloatArray, of_floor: FloatArray) -> dict[str, float]:
+    roll, pitch, height = np.sqrt(np.diag(of_floor)).tolist()
+    x, y, yaw, delay = np.sqrt(np.diag(of_mount)[3:7]).tolist()
+    return dict(zip(QUANTITIES, (roll, pitch, yaw, x, y, height, delay), strict=True))
+
+
+def _uncalibrated(nominal: Calibration, by_camera: dict[str, float]) -> tuple[str, ...]:
+    """What it costs that no board says how far off the camera's points are."""
+    if nominal.point_errors is not None:
+        return ()
+    turn_deg = np.degrees(max(by_camera[name] for name in ("roll", "pitch", "yaw")))
+    way_mm = 1e3 * max(by_camera[name] for name in ("x", "y", "height"))
+    return (
+        "The camera's calibration does not say how sure it is, as one by a board does: by what nominal values are off, "
+        f"the mount is unsure by {turn_deg:.1f}° and {way_mm:.0f} mm, as σ says (wheelsight calibrate camera).",
+    )
+
+
+def _doubts(T_base_camera: FloatArray, nominal: FloatArray | None, settings: ExtrinsicsSettings) -> tuple[str, ...]:
+    if nominal is None:
+        return ()
+    cosine = (np.trace(nominal[:3, :3].T @ T_base_camera[:3, :3]) - 1) / 2
+    off_rad = float(np.arccos(np.clip(cosine, -1, 1)))
+    if off_rad < np.radians(settings.drive.far_off_deg):
+        return ()
+    return (
+        f"The camera looks {np.degrees(off_rad):.0f}° away from where its nominal mount says: if it does not, "
+        "the wheels may count backwards.",
+    )

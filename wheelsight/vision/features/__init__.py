@@ -1,0 +1,7 @@
+"""Feature odometry: ORB keypoints, Hamming matches, 3D–3D alignment, and a state that knows when it is lost (Zhang)."""
+
+from wheelsight.vision.features.extraction import FeatureSettings
+from wheelsight.vision.features.odometry import FeatureOdometry
+from wheelsight.vision.features.tracking import FeatureEstimate, MatchedPixels
+
+__all__ = ["FeatureEstimate", "FeatureOdometry", "FeatureSettings", "MatchedPixels"]

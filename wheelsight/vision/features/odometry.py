@@ -1,0 +1,301 @@
+"""FeatureOdometry: the camera's pose, frame by frame, or an honest word that it is lost (Zhang, Fig. 3)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.camera_errors import frame_covariance, with_frame_error
+from wheelsight.core.checks import check_frame, need_calibration, need_motion, need_twist
+from wheelsight.core.estimates import MotionEstimate, Reason
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.keyframes import KeyframeId, KeyframeStore
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.stamps import StampCheck
+from wheelsight.core.threads import OneCaller, one_at_a_time
+from wheelsight.vision.features.extraction import FeatureExtractor, Features, FeatureSettings, KeyframeMaker
+from wheelsight.vision.features.tracking import (
+    FeatureEstimate,
+    Fix,
+    LandmarkMap,
+    MapTracker,
+    MatchedPixels,
+    View,
+    ViewTracker,
+    velocity_of,
+)
+from wheelsight.vision.tracking_state import START_VARIANCE, Stopwatch, TrackingState, twist_between
+
+
+class FeatureOdometry(OneCaller):
+    """ORB + 3D–3D alignment with the state machine of Zhang's Fig. 3, and recovery.
+
+    The first frame with enough keypoints starts the map. Each later frame is aligned with the frame tracked last
+    and, unless `reference` is "previous", with the landmarks of near keyframes. A frame that fails is counted;
+    after `lost_after` in a row the state is LOST, and goes on being so until the last keyframes are recognised.
+
+    Keyframes are kept in the store, and when they are moved there, all that is known by them moves along before the
+    next frame: landmarks, views, and so the pose. Against the previous frame alone, all hangs on the first one.
+
+    Args:
+        calibration: of the cameras.
+        settings: or the defaults.
+        T_map_first: (4, 4) where the camera is at the first frame tracked; by default at the map's origin.
+        store: of the keyframes; by default one of its own.
+
+    Attributes:
+        store: of the keyframes.
+        landmarks: what is known of the place; they are changed as frames come.
+        stage_seconds: time the last frame spent in "extract", "match", "align" and "map".
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        settings: FeatureSettings | None = None,
+        T_map_first: FloatArray | None = None,
+        store: KeyframeStore | None = None,
+    ) -> None:
+        self._calibration, self._settings = need_calibration(calibration), settings or FeatureSettings()
+        self.store = KeyframeStore() if store is None else store
+        self._moves = self.store.follow()
+        self._maker = KeyframeMaker(calibration)
+        self._extractor = FeatureExtractor(calibration, self._settings)
+        self.landmarks = LandmarkMap(self._settings)
+        self._watch = Stopwatch()
+        self._view_tracker = ViewTracker(calibration, self._settings, self._watch)
+        self._map_tracker = MapTracker(calibration, self._settings)
+        self._T_color_camera = calibration.T_color_camera
+        self._of_frame = frame_covariance(calibration)
+        self.begin_at(np.eye(4) if T_map_first is None else T_map_first)
+        self._last: View | None = None
+        self._first_raw: Features | None = None
+        self._velocity: FloatArray = np.zeros(6)
+        self._state, self._stamps = TrackingState(self._settings.lost_after), StampCheck()
+        self._frames = 0
+
+    @property
+    def stage_seconds(self) -> dict[str, float]:
+        """Seconds the last frame spent in each stage."""
+        return self._watch.seconds
+
+    @one_at_a_time
+    def process(
+        self,
+        frame: RgbdFrame,
+        T_previous_current_prior: FloatArray | None = None,
+        *,
+        twist: FloatArray | None = None,
+    ) -> FeatureEstimate:
+        """The camera's pose at a frame, T_map_camera, or why there is none.
+
+        Args:
+            frame: newer than the one before.
+            T_previous_current_prior: (4, 4) expected motion of the camera since the last tracked frame, from wheels
+                for instance; bounds the search for matches. Where that finds nothing, a search without it decides.
+            twist: (6,) the camera's velocity (v, ω) in its own frame now, as others tell. It counts where the last
+                frame is so long ago that the mean velocity until then says little, and rows are exposed one by one.
+
+        Raises:
+            ArgumentError: images or a motion of another shape or type, depth that is not in metres, a stamp that is not
+                in seconds.
+        """
+        check_frame(frame, self._calibration, prior=T_previous_current_prior)
+        self._stamps.check(frame)
+        self._watch.restart()
+        self._follow()
+        self._frames += 1
+        with self._watch.stage("extract"):
+            raw = self._extractor.extract(frame)
+        if np.count_nonzero(raw.has_depth) < self._settings.min_inliers:
+            return self._fail(raw.stamp_s, MotionEstimate.failed(Reason.TOO_FEW_KEYPOINTS))
+        twist, longest_s = None if twist is None else need_twist(twist), self._settings.longest_step_s
+        if twist is not None and self._last is not None and raw.stamp_s - self._last.features.stamp_s > longest_s:
+            self._velocity = se3.adjoint(self._T_color_camera) @ twist
+        if self._last is None:
+            self._first_raw = raw
+            return self._start(frame, raw, self._T_map_first)
+        fix = self._locate(raw, self._last, T_previous_current_prior)
+        if isinstance(fix, Fix) and self._first_raw is not None:
+            fix = self._begin_again(self._first_raw, raw, fix)
+        return self._succeed(frame, fix) if isinstance(fix, Fix) else self._fail(raw.stamp_s, fix)
+
+    @one_at_a_time
+    def begin_at(self, T_map_camera: FloatArray) -> None:
+        """Say before the first tracked frame where the camera is then, (4, 4). Raises ArgumentError for no motion."""
+        T_map_camera = need_motion("T_map_first", T_map_camera)
+        self._T_map_first: FloatArray = T_map_camera @ se3.invert(self._T_color_camera)
+
+    @one_at_a_time
+    def miss(self, stamp_s: float) -> FeatureEstimate:
+        """Count a frame that came to nothing before it reached odometry, as a failed one."""
+        self._watch.restart()
+        return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
+
+    @one_at_a_time
+    def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> FeatureEstimate:
+        """Go on at a frame that shows nothing known, at a pose (4, 4) that others tell; what was known is given up."""
+        check_frame(frame, self._calibration, T_map_camera=T_map_camera, covariance=covariance)
+        self._watch.restart()
+        self._follow()
+        self._first_raw = None
+        with self._watch.stage("extract"):
+            raw = self._extractor.extract(frame)
+        if np.count_nonzero(raw.has_depth) < self._settings.min_inliers:
+            return self._fail(raw.stamp_s, MotionEstimate.failed(Reason.TOO_FEW_KEYPOINTS))
+        return self._start(frame, raw, T_map_camera @ se3.invert(self._T_color_camera), covariance)
+
+    def _follow(self) -> None:
+        """Go with the keyframes that were moved since the last frame."""
+        T_new_old = self._moves.moves()
+        if T_new_old is not None:
+            self.landmarks.move(T_new_old)
+            self._last = None if self._last is None else self._last.moved(T_new_old)
+
+    def _start(
+        self, frame: RgbdFrame, features: Features, T_map_color: FloatArray, covariance: FloatArray | None = None
+    ) -> FeatureEstimate:
+        certain = START_VARIANCE * np.eye(6)
+        number = self._keep(frame, features, T_map_color)
+        self._last = self._begin(features, T_map_color, certain if covariance is None else covariance, number)
+        self._state = self._state.tracked()
+        return self._answer(self._last, MotionEstimate(np.eye(4), certain), None)
+
+    def _begin(self, features: Features, T_map_color: FloatArray, covariance: FloatArray, number: KeyframeId) -> View:
+        """A new map with its first keyframe."""
+        self.landmarks = LandmarkMap(self._settings)
+        return self.landmarks.add_keyframe(View(features, T_map_color, covariance, np.full(len(features), -1)), number)
+
+    def _keep(self, frame: RgbdFrame, features: Features, T_map_color: FloatArray) -> KeyframeId:
+        """The frame as a keyframe of the store."""
+        return self.store.add(partial(self._maker.keyframe, frame, features), T_map_color @ self._T_color_camera)
+
+    def _begin_again(self, first_raw: Features, raw: Features, fix: Fix) -> Fix:
+        """Straighten the first frame too, now that the second tells the camera's speed, and locate the second anew."""
+        assert self._last is not None
+        velocity = velocity_of(self._last, fix.view, self._settings.longest_step_s)
+        straight = self._view_tracker.straighten(first_raw, velocity)
+        self._first_raw = None
+        if straight is first_raw:
+            return fix
+        assert self._last.keyframe is not None
+        bent = self.landmarks, self._last
+        self._last = self._begin(straight, self._last.T_map_color, self._last.covariance, self._last.keyframe)
+        better = self._locate(raw, self._last, None)
+        if isinstance(better, Fix):
+            return better
+        self.landmarks, self._last = bent  # a fix belongs to the map whose landmarks it names
+        return fix
+
+    def _locate(self, raw: Features, last: View, prior: FloatArray | None) -> Fix | MotionEstimate:
+        """Align with the first reference that works, then with the map; refuse what no camera could have done."""
+        attempts: list[tuple[View, FloatArray | None]] = [(view, None) for view in self._references(last)]
+        if prior is not None:
+            attempts.insert(0, (last, self._in_color(prior)))
+        failure = MotionEstimate.failed(Reason.TOO_FEW_MATCHES)
+        for reference, expected in attempts:
+            found = self._view_tracker.track(raw, reference, self._velocity, expected, self._frames)
+            if isinstance(found, Fix):
+                break
+            failure = found if reference is last else failure
+        else:
+            return failure
+        if self._settings.reference == "keyframes":
+            with self._watch.stage("map"):
+                refined = self._map_tracker.track(raw, found, last, self.landmarks)
+            # A quick turn may leave the map behind at once; the view alone then carries on, and becomes a keyframe.
+            found = refined if isinstance(refined, Fix) else found
+        if not self._is_plausible(last, found):
+            return MotionEstimate.failed(Reason.IMPLAUSIBLE_MOTION, found.motion.matches, found.motion.inliers)
+        return found
+
+    def _references(self, last: View) -> list[View]:
+        """The view tracked last; while frames fail, also the newest keyframe; once lost, some older ones in turn."""
+        keyframes = self.landmarks.keyframes
+        references = [last]
+        if self._state.failures > 0:
+            references.append(keyframes[-1])
+        if self._state.is_lost and len(keyframes) > 1:
+            references.append(keyframes[-1 - self._state.failures % len(keyframes)])
+        frames = [view.features for view in references]
+        return [view for place, view in enumerate(references) if all(view.features is not f for f in frames[:place])]
+
+    def _is_plausible(self, last: View, fix: Fix) -> bool:
+        seconds = fix.view.features.stamp_s - last.features.stamp_s
+        velocity = twist_between(last.T_map_color, fix.view.T_map_color, seconds)
+        fast = np.linalg.norm(velocity[:3]) > self._settings.max_speed_m_s
+        return not (fast or np.linalg.norm(velocity[3:]) > self._settings.max_turn_rad_s)
+
+    def _succeed(self, frame: RgbdFrame, fix: Fix) -> FeatureEstimate:
+        fix = self._with_frame_error(fix)
+        with self._watch.stage("map"):
+            view = self._update(frame, fix)
+        longest_s = self._settings.longest_step_s
+        self._velocity = velocity_of(self._last, view, longest_s) if self._last else np.zeros(6)
+        self._last, self._state = view, self._state.tracked()
+        return self._answer(view, self._in_camera(fix.motion), fix.matched)
+
+    def _with_frame_error(self, fix: Fix) -> Fix:
+        """A fix with what is off about the whole frame, beside the noise of its keypoints."""
+        motion, view = fix.motion, fix.view
+        assert motion.T_reference_current is not None
+        assert motion.covariance is not None
+        spread = with_frame_error(motion.covariance, motion.T_reference_current, self._of_frame)
+        in_map = with_frame_error(view.covariance, view.T_map_color, self._of_frame)
+        return replace(fix, motion=replace(motion, covariance=spread), view=replace(view, covariance=in_map))
+
+    def _update(self, frame: RgbdFrame, fix: Fix) -> View:
+        """Remember what was seen; keep the view as a keyframe when too little of the last one is in sight."""
+        if self._settings.reference == "previous":
+            self.landmarks.keyframes[:] = [fix.view]
+            return fix.view
+        seen = np.flatnonzero(fix.view.landmark >= 0)
+        self.landmarks.see_again(fix.view.landmark[seen], fix.view.features, seen, fix.view.T_map_color)
+        known = np.count_nonzero(self.landmarks.keyframes[-1].landmark >= 0)
+        if len(seen) < self._settings.keyframe_share * known:
+            return self.landmarks.add_keyframe(fix.view, self._keep(frame, fix.view.features, fix.view.T_map_color))
+        return fix.view
+
+    def _fail(self, stamp_s: float, failure: MotionEstimate) -> FeatureEstimate:
+        self._state = self._state.failed()
+        self._velocity = np.zeros(6)
+        return FeatureEstimate(
+            stamp_s,
+            self._state.status,
+            reason=failure.reason,
+            matches=failure.matches,
+            inliers=failure.inliers,
+            motion=failure,
+        )
+
+    def _answer(self, view: View, motion: MotionEstimate, matched: MatchedPixels | None) -> FeatureEstimate:
+        assert view.keyframe is not None
+        T_map_camera = view.T_map_color @ self._T_color_camera
+        return FeatureEstimate(
+            view.features.stamp_s,
+            self._state.status,
+            T_map_camera,
+            view.covariance,
+            matches=motion.matches,
+            inliers=motion.inliers,
+            keyframe=view.keyframe,
+            T_keyframe_body=se3.invert(self.store.pose(view.keyframe)) @ T_map_camera,
+            motion=motion,
+            matched=matched,
+        )
+
+    def _in_color(self, T_previous_current: FloatArray) -> FloatArray:
+        """A motion of the camera frame as one of the colour camera."""
+        return self._T_color_camera @ T_previous_current @ se3.invert(self._T_color_camera)
+
+    def _in_camera(self, motion: MotionEstimate) -> MotionEstimate:
+        """A motion of the colour camera as one of the camera frame."""
+        if motion.T_reference_current is None or motion.covariance is None:
+            return motion
+        T_camera_color = se3.invert(self._T_color_camera)
+        Ad = se3.adjoint(T_camera_color)
+        T_reference_current = T_camera_color @ motion.T_reference_current @ self._T_color_camera
+        return replace(motion, T_reference_current=T_reference_current, covariance=Ad @ motion.covariance @ Ad.T)

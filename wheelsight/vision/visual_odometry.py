@@ -1,0 +1,274 @@
+"""A visual odometry of a user's own: the protocol, and what follows a camera by it, keyframe by keyframe."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Protocol
+
+import numpy as np
+
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.checks import answer_of, array_of, check_frame, need_calibration, need_method, need_motion
+from wheelsight.core.errors import ArgumentError, PartError
+from wheelsight.core.estimates import CameraEstimate, MotionEstimate, Reason
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.geometry.motion_kernels import is_definite
+from wheelsight.core.keyframes import KeyframeId, KeyframeStore
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.stamps import StampCheck
+from wheelsight.core.threads import OneCaller, one_at_a_time
+from wheelsight.vision.features.extraction import FeatureExtractor, FeatureSettings, KeyframeMaker
+from wheelsight.vision.tracking_state import START_VARIANCE, Stopwatch, TrackingState, twist_between
+
+# A turn by a radian counts as 1.5 m: at this distance views of rooms still overlap by more than half.
+_KEYFRAME_WAY_M = 0.4
+# Frames that are kept to be aligned with: the reference, and older ones that a lost camera is shown in turn.
+_KEPT = 5
+# A covered sensor still has specks: with less depth than this share of the pixels no map begins.
+_LEAST_DEPTH = 0.01
+# Off by more than this share of its largest entry, a covariance is not symmetric, and rounding is not the cause.
+_ASYMMETRY = 1e-6
+
+
+class VisualOdometry(Protocol):
+    """The motion of a depth camera between two frames, by a method of your own.
+
+    `Localizer` and `run` take one as `visual_odometry` in place of dense or feature odometry. They choose reference
+    frames, count failures, join the motion with wheels, and have loops closed.
+    """
+
+    def align(
+        self, reference: RgbdFrame, current: RgbdFrame, T_reference_current_prior: FloatArray | None
+    ) -> MotionEstimate:
+        """T_reference_current (4, 4) of the camera with its covariance (6, 6), or `MotionEstimate.failed(reason)`.
+
+        The covariance is of the left perturbation (v, ω), metres and radians; it must be positive definite. Directions
+        that the images do not show are named in `degenerate`. A frame may be compared with several references.
+
+        A result with numbers that are not finite counts as a failed frame. An exception, another type or shape, a
+        matrix that is no rigid motion, or a covariance that is not positive definite ends the run by a `PartError`.
+
+        Args:
+            reference: an earlier frame, or the keyframe that was tracked last; not to be written to.
+            current: the newest frame.
+            T_reference_current_prior: (4, 4) the motion that wheels expect; None where nothing is expected.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reference:
+    """A frame to align with: its keyframe, where it is relative to that, and its covariance in its own frame."""
+
+    frame: RgbdFrame
+    keyframe: KeyframeId
+    T_keyframe_frame: FloatArray
+    covariance: FloatArray
+
+    def T_map_frame(self, store: KeyframeStore) -> FloatArray:
+        return np.asarray(store.pose(self.keyframe) @ self.T_keyframe_frame)
+
+
+class OwnOdometry(OneCaller):
+    """Follows a camera by a `VisualOdometry`, as `FeatureOdometry` does by features.
+
+    Args:
+        part: that aligns two frames.
+        calibration: of the cameras.
+        settings: `lost_after`, `max_speed_m_s` and `max_turn_rad_s` count, and how keypoints of keyframes are found.
+        T_map_first: (4, 4) where the camera is at the first frame; by default at the map's origin.
+        store: of the keyframes; by default one of its own.
+
+    Attributes:
+        store: of the keyframes.
+    """
+
+    def __init__(
+        self,
+        part: VisualOdometry,
+        calibration: Calibration,
+        settings: FeatureSettings | None = None,
+        T_map_first: FloatArray | None = None,
+        store: KeyframeStore | None = None,
+    ) -> None:
+        need_method("visual_odometry", part, "align")
+        self._part, self._settings = part, settings or FeatureSettings()
+        self._calibration = need_calibration(calibration)
+        self.store = KeyframeStore() if store is None else store
+        self._maker, self._extractor = KeyframeMaker(calibration), FeatureExtractor(calibration, self._settings)
+        self._watch, self._stamps = Stopwatch(), StampCheck()
+        self._state = TrackingState(self._settings.lost_after)
+        self._references: deque[_Reference] = deque(maxlen=_KEPT)  # keyframes, the newest last
+        self._last: _Reference | None = None
+        self.begin_at(np.eye(4) if T_map_first is None else T_map_first)
+
+    @property
+    def stage_seconds(self) -> dict[str, float]:
+        """Seconds the last frame spent in each stage."""
+        return self._watch.seconds
+
+    @one_at_a_time
+    def process(
+        self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None, *, twist: FloatArray | None = None
+    ) -> CameraEstimate:
+        """The camera's pose at a frame, T_map_camera, or why there is none.
+
+        Args:
+            frame: newer than the one before.
+            T_previous_current_prior: (4, 4) expected motion of the camera since the last tracked frame.
+            twist: not used.
+
+        Raises:
+            ArgumentError: as `FeatureOdometry.process`.
+            PartError: what `VisualOdometry.align` says.
+        """
+        check_frame(frame, self._calibration, prior=T_previous_current_prior)
+        self._stamps.check(frame)
+        self._watch.restart()
+        last = self._last
+        if last is None:
+            return self._start(frame, self._T_map_first, START_VARIANCE * np.eye(6))
+        failure: MotionEstimate | None = None
+        for reference in self._to_try(last):
+            prior = None
+            if T_previous_current_prior is not None:
+                T_map_expected = last.T_map_frame(self.store) @ T_previous_current_prior
+                prior = se3.nearest(se3.invert(reference.T_map_frame(self.store)) @ T_map_expected)
+            with self._watch.stage("align"):
+                found = self._aligned(reference.frame, frame, prior)
+            if found.reason is None and not self._is_plausible(last, reference, found, frame.stamp_s):
+                found = MotionEstimate.failed(Reason.IMPLAUSIBLE_MOTION, found.matches, found.inliers)
+            if found.reason is None:
+                return self._succeed(frame, reference, found)
+            failure = failure or found
+        assert failure is not None
+        return self._fail(frame.stamp_s, failure)
+
+    @one_at_a_time
+    def begin_at(self, T_map_camera: FloatArray) -> None:
+        """Say before the first tracked frame where the camera is then, (4, 4). Raises ArgumentError for no motion."""
+        self._T_map_first = need_motion("T_map_first", T_map_camera)
+
+    @one_at_a_time
+    def miss(self, stamp_s: float) -> CameraEstimate:
+        """Count a frame that came to nothing before it reached odometry, as a failed one."""
+        self._watch.restart()
+        return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
+
+    @one_at_a_time
+    def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> CameraEstimate:
+        """Go on at a frame that shows nothing known, at a pose (4, 4) by others; older references are dropped."""
+        check_frame(frame, self._calibration, T_map_camera=T_map_camera, covariance=covariance)
+        self._watch.restart()
+        return self._start(frame, T_map_camera, covariance)
+
+    def _to_try(self, last: _Reference) -> Sequence[_Reference]:
+        """The newest keyframe, the frame tracked last; for a lost camera, an older keyframe in turn."""
+        tried = [self._references[-1], last]
+        if self._state.is_lost:
+            tried.append(self._references[-1 - self._state.failures % len(self._references)])
+        return [one for at, one in enumerate(tried) if all(one.frame is not before.frame for before in tried[:at])]
+
+    def _aligned(self, reference: RgbdFrame, frame: RgbdFrame, prior: FloatArray | None) -> MotionEstimate:
+        """What the part answers, checked. Raises PartError."""
+        name = f"{type(self._part).__name__}.align"
+        found = answer_of(self._part, "align", reference, frame, prior)
+        if not isinstance(found, MotionEstimate):
+            fix = "MotionEstimate(T_reference_current, covariance), or MotionEstimate.failed(Reason.TOO_FEW_MATCHES)"
+            raise PartError(f"{name} answered {type(found).__name__}, not a MotionEstimate", fix=fix)
+        if found.reason is not None or found.T_reference_current is None:
+            return MotionEstimate.failed(found.reason or Reason.INVALID, found.matches, found.inliers)
+        if found.covariance is None:
+            raise PartError(f"{name} answered a motion without a covariance", fix="(6, 6), of the left perturbation")
+        try:
+            return self._checked(name, found)
+        except ArgumentError as error:
+            raise PartError(f"{name}: {error.problem}", fix=error.fix) from error
+
+    def _checked(self, name: str, found: MotionEstimate) -> MotionEstimate:
+        T = array_of("T_reference_current", found.T_reference_current, (4, 4))
+        C = array_of("covariance", found.covariance, (6, 6))
+        hidden: Any = np.zeros((0, 6)) if found.degenerate is None else found.degenerate
+        hidden = array_of("degenerate", hidden, (len(hidden), 6))
+        if not all(np.isfinite(numbers).all() for numbers in (T, C, hidden)):
+            return MotionEstimate.failed(Reason.INVALID, found.matches, found.inliers)
+        T = need_motion("T_reference_current", T)
+        if np.abs(C - C.T).max() > _ASYMMETRY * np.abs(C).max() or not is_definite((C + C.T) / 2):
+            fix = "variances above 0 on the diagonal, large ones for what the images do not show"
+            raise PartError(f"{name}: the covariance is not positive definite", fix=fix)
+        degenerate = hidden if len(hidden) else None
+        return replace(found, T_reference_current=se3.nearest(T), covariance=(C + C.T) / 2, degenerate=degenerate)
+
+    def _is_plausible(self, last: _Reference, reference: _Reference, found: MotionEstimate, stamp_s: float) -> bool:
+        """Whether a camera may have moved so since the last tracked frame."""
+        assert found.T_reference_current is not None
+        T_map_camera = reference.T_map_frame(self.store) @ found.T_reference_current
+        velocity = twist_between(last.T_map_frame(self.store), T_map_camera, stamp_s - last.frame.stamp_s)
+        fast = np.linalg.norm(velocity[:3]) > self._settings.max_speed_m_s
+        return not (fast or np.linalg.norm(velocity[3:]) > self._settings.max_turn_rad_s)
+
+    def _succeed(self, frame: RgbdFrame, reference: _Reference, found: MotionEstimate) -> CameraEstimate:
+        assert found.T_reference_current is not None
+        assert found.covariance is not None
+        Ad = se3.adjoint(se3.invert(found.T_reference_current))
+        spread = Ad @ (reference.covariance + found.covariance) @ Ad.T
+        T_keyframe_frame = se3.nearest(reference.T_keyframe_frame @ found.T_reference_current)
+        self._last = _Reference(frame, reference.keyframe, T_keyframe_frame, spread)
+        if reference is not self._references[-1]:  # the newest keyframe is out of sight, and this one is not
+            if reference in self._references:
+                self._references.remove(reference)
+            self._references.append(reference)
+        self._state = self._state.tracked()
+        if se3.view_shift_m(T_keyframe_frame) > _KEYFRAME_WAY_M:
+            self._keep(frame, self._last.T_map_frame(self.store), spread)
+        return self._answer(found)
+
+    def _start(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> CameraEstimate:
+        """Begin at a frame; `covariance` (6, 6) is of the left perturbation of its pose."""
+        if np.count_nonzero(frame.depth_m > 0) < _LEAST_DEPTH * frame.depth_m.size:
+            return self._fail(frame.stamp_s, MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH))
+        Ad = se3.adjoint(se3.invert(T_map_camera))
+        self._references.clear()
+        self._keep(frame, se3.nearest(T_map_camera), Ad @ covariance @ Ad.T)
+        self._state = self._state.tracked()
+        return self._answer(MotionEstimate(np.eye(4), START_VARIANCE * np.eye(6)))
+
+    def _keep(self, frame: RgbdFrame, T_map_camera: FloatArray, spread: FloatArray) -> None:
+        """Make a frame a keyframe, and the next reference; its keypoints are for recognition alone."""
+        with self._watch.stage("keyframe"):
+            features = self._extractor.extract(frame)
+            number = self.store.add(partial(self._maker.keyframe, frame, features), T_map_camera)
+        self._last = _Reference(frame, number, np.eye(4), spread)
+        self._references.append(self._last)
+
+    def _fail(self, stamp_s: float, failure: MotionEstimate) -> CameraEstimate:
+        self._state = self._state.failed()
+        return CameraEstimate(
+            stamp_s,
+            self._state.status,
+            reason=failure.reason,
+            matches=failure.matches,
+            inliers=failure.inliers,
+            motion=failure,
+        )
+
+    def _answer(self, motion: MotionEstimate) -> CameraEstimate:
+        last = self._last
+        assert last is not None
+        T_map_camera = last.T_map_frame(self.store)
+        Ad = se3.adjoint(T_map_camera)
+        return CameraEstimate(
+            last.frame.stamp_s,
+            self._state.status,
+            se3.nearest(T_map_camera),
+            Ad @ last.covariance @ Ad.T,
+            matches=motion.matches,
+            inliers=motion.inliers,
+            keyframe=last.keyframe,
+            T_keyframe_body=last.T_keyframe_frame,
+            motion=motion,
+            shows_all=motion.shows_all,
+        )

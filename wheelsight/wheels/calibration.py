@@ -1,0 +1,521 @@
+"""Calibration of wheels against a reference trajectory: `fit_wheels` estimates radii, track width and clock offset.
+`try_calibration` fits on the first part of a recording and evaluates on the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.camera_errors import typical_motion_errors, with_error
+from wheelsight.core.errors import CalibrationError, EvaluationError
+from wheelsight.core.geometry import BoolArray, FloatArray, se3
+from wheelsight.core.robust_fit import (
+    DEFAULTS,
+    UNKNOWN_SIGMA,
+    Problem,
+    RobustFit,
+    RobustFitSettings,
+    response,
+    robust_fit,
+    spread,
+)
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.evaluation import Evaluation, evaluate
+from wheelsight.io.recordings import Recording
+from wheelsight.io.recordings.recording import express_for
+from wheelsight.wheels.drive import Drive, Segments, cut, drive_of, drive_path
+
+# fit_wheels: both radii, track width and clock delay by least squares against a reference trajectory.
+#
+# The reference, ground truth or visual odometry, is cut into short pieces. What the wheels make of each is compared
+# with what the reference says, along and across the way and in yaw, and wheel sizes and delay are sought for which
+# the differences are least. The body that the reference follows, a marker or a camera, may sit off the middle of the
+# axle and look a little aside: its mount is fitted along with the rest. Pieces where a wheel slipped or the reference
+# jumped lose their weight (see `odometry._robust_fit`).
+
+
+PARAMETERS = ("left_radius_m", "right_radius_m", "track_width_m", "delay_s")
+LARGEST_DELAY_S = 0.5
+
+_FEWEST_SEGMENTS = 12
+_COARSE_STEP_S = 0.02
+_MOUNT_SIGMAS = np.array([0.5, 0.5, 0.3])  # how far off a mount may well be; holds what a straight drive leaves open
+
+
+@dataclass(frozen=True, eq=False)
+class WheelFit:
+    """Wheels fitted to a reference.
+
+    Attributes:
+        nominal, wheels: before and after.
+        sigmas: standard deviation of each of PARAMETERS that was fitted, by name, in its unit.
+        ratio_sigma: standard deviation of right radius over left, far smaller than what each radius alone allows.
+        mount: (3,) x, y in metres and yaw in radians of T_axle_body: how the reference's body was found to sit.
+        segments: what the wheels had to explain.
+        residuals: (M, 3) of the fitted wheels, along and across each segment in metres, yaw in radians.
+        weights: (M,) 0 to 1 of the segments; a slip has about 0.
+        is_slip: (M,) segments whose residual is beyond what one in a thousand would show without a slip.
+    """
+
+    nominal: Wheels
+    wheels: Wheels
+    sigmas: dict[str, float]
+    ratio_sigma: float
+    mount: FloatArray
+    segments: Segments
+    residuals: FloatArray
+    weights: FloatArray
+    is_slip: BoolArray
+
+    @property
+    def spread(self) -> FloatArray:
+        """Robust standard deviation (3,) of the residuals of a segment: along, across in metres, yaw in radians."""
+        return spread(self.residuals)
+
+
+def fit_wheels(
+    wheels: Wheels,
+    drive: Drive,
+    reference: Trajectory,
+    *,
+    segment_m: float = 1.0,
+    with_delay: bool = True,
+    on_step: Callable[[str], None] = lambda _: None,
+    camera_errors: FloatArray | None = None,
+) -> WheelFit:
+    """Wheels that explain `reference`, with standard deviations, or a refusal that says what drive would do.
+
+    Args:
+        wheels: nominal ones: radii and track width right to a factor of two, delay to half a second.
+        drive: the readings of both wheels.
+        reference: T_odom_base, right to decimetres and degrees (of the camera: `recordings.bodies.express_for`).
+        segment_m: way between two poses that are compared: long for a noisy reference, short for frequent slips.
+        with_delay: also fit `delay_s`; else the nominal one is kept.
+        on_step: told in a word what is being done.
+        camera_errors: (K, 3, 3) of the base, of a reference by a camera (`camera_errors.motion_errors`); σ holds them.
+
+    Raises:
+        CalibrationError: too short a drive, one that determines not all, a reference of another body, time or drive.
+    """
+    segments = _segments(wheels, drive, reference, segment_m)
+    problem = _Problem(drive, segments, wheels, with_delay)
+    on_step("searching the delay")
+    start = problem.coarse()
+    on_step("fitting")
+    found = robust_fit(problem, start)
+    values, fitted = found.values, problem.fitted(found.values)
+    refuse_if_unlike(segments, found.residuals, drive, fitted.delay_s)
+    refuse_if_unobservable(problem.sigmas(values, found.covariance), fitted, segments)
+    refuse_if_impossible(wheels, fitted, LARGEST_DELAY_S)
+    covariance = found.covariance + (0 if camera_errors is None else covariance_by(problem, found, camera_errors))
+    sigmas, ratio_sigma = problem.sigmas(values, covariance), _ratio_sigma(fitted, covariance)
+    known = stated(fitted, ratio_sigma, sigmas["track_width_m"] / fitted.track_width_m, _scale_sigma(covariance))
+    explained = (found.residuals, found.weights, found.is_outlier)
+    return WheelFit(wheels, known, sigmas, ratio_sigma, problem.mount(values), segments, *explained)
+
+
+def _scale_sigma(covariance: FloatArray) -> float:
+    """Of half the sum of both radii's logarithms: as a share, what both have in common adds up."""
+    return float(np.sqrt(covariance[:2, :2].sum()) / 2)
+
+
+def _segments(wheels: Wheels, drive: Drive, reference: Trajectory, segment_m: float) -> Segments:
+    """What the wheels have to explain, if there is enough of it."""
+    if reference.body != "base":
+        raise CalibrationError(
+            f"the reference is of the {reference.body}, but wheels move the base", fix="give T_base_camera to join them"
+        )
+    segments = cut(drive, reference, wheels, segment_m, LARGEST_DELAY_S + abs(wheels.delay_s))
+    if len(segments) < _FEWEST_SEGMENTS:
+        raise CalibrationError(
+            f"the drive holds {len(segments)} pieces of {segment_m:g} m or a radian with readings and reference, "
+            f"{_FEWEST_SEGMENTS} are needed",
+            fix="drive further, turning both ways, or choose a larger part of the recording",
+        )
+    return segments
+
+
+def _ratio_sigma(fitted: Wheels, covariance: FloatArray) -> float:
+    """Standard deviation of right radius over left, from the covariance (P, P) of what was sought."""
+    difference = np.array([-1, 1]) @ covariance[:2, :2] @ np.array([-1, 1])
+    return float(fitted.right_radius_m / fitted.left_radius_m * np.sqrt(difference))
+
+
+class _Problem:
+    """Residuals as a function of what is sought: logarithms of sizes over nominal, mount, change of delay."""
+
+    def __init__(self, drive: Drive, segments: Segments, nominal: Wheels, with_delay: bool) -> None:
+        self.drive, self.segments, self.nominal = drive, segments, nominal
+        self.nominal_sizes = np.array([nominal.left_radius_m, nominal.right_radius_m, nominal.track_width_m])
+        self.bounds = np.array([np.log(8.0)] * 3 + [3.0, 3.0, 1.5] + [2 * LARGEST_DELAY_S] * with_delay)
+        self.prior_sigmas = np.full(len(self.bounds), UNKNOWN_SIGMA)
+        self.prior_sigmas[3:6] = _MOUNT_SIGMAS
+        self.with_delay = with_delay
+
+    def sizes(self, values: FloatArray) -> FloatArray:
+        return np.asarray(self.nominal_sizes * np.exp(values[:3]))
+
+    def mount(self, values: FloatArray) -> FloatArray:
+        return np.asarray(values[3:6])
+
+    def delay_s(self, values: FloatArray) -> float:
+        return self.nominal.delay_s + (float(values[6]) if self.with_delay else 0.0)
+
+    def residuals(self, values: FloatArray) -> FloatArray:
+        """(M, 3) in metres, metres, radians."""
+        robot = (self.sizes(values), self.delay_s(values), self.mount(values))
+        return self.segments.residuals(self.segments.predicted(self.drive, *robot))
+
+    def coarse(self) -> FloatArray:
+        """Nominal sizes with the delay for which wheel angles best go along with the reference, linearly."""
+        values = np.zeros(len(self.bounds))
+        if self.with_delay:
+            steps = round(LARGEST_DELAY_S / _COARSE_STEP_S)
+            delays_s = _COARSE_STEP_S * np.arange(-steps, steps + 1)
+            values[6] = delays_s[np.argmin([self._linear_misfit(delay_s) for delay_s in delays_s])]
+        return values
+
+    def _linear_misfit(self, delay_s: float) -> float:
+        """How badly any radii and track width explain chords and turns with this change of delay."""
+        clock_s = self.nominal.delay_s + delay_s
+        start, end = (self.drive.angles_at(s + clock_s) for s in (self.segments.start_s, self.segments.end_s))
+        turned = np.stack([end[0] - start[0], end[1] - start[1]], axis=-1)
+        yaw_rad = self.segments.motions[:, 2]
+        along_m = chords_m(self.segments) / np.sinc(yaw_rad / (2 * np.pi))
+        return sum(_misfit(turned, wanted) for wanted in (along_m, yaw_rad))
+
+    def fitted(self, values: FloatArray) -> Wheels:
+        left_m, right_m, track_m = (float(size) for size in self.sizes(values))
+        return replace(
+            self.nominal,
+            left_radius_m=left_m,
+            right_radius_m=right_m,
+            track_width_m=track_m,
+            delay_s=self.delay_s(values),
+        )
+
+    def sigmas(self, values: FloatArray, covariance: FloatArray) -> dict[str, float]:
+        deviations = np.sqrt(np.diag(covariance))
+        found = dict(zip(PARAMETERS, (self.sizes(values) * deviations[:3]).tolist(), strict=False))
+        return found | ({"delay_s": float(deviations[6])} if self.with_delay else {})
+
+
+def _misfit(regressors: FloatArray, wanted: FloatArray) -> float:
+    """Logarithm of the mean squared residual of a linear fit, with slips cut off at three spreads."""
+    off = wanted - regressors @ np.linalg.lstsq(regressors, wanted)[0]
+    limit = 3 * max(float(spread(off[:, None])[0]), 1e-9)
+    return float(np.log(np.mean(np.minimum(off**2, limit**2)) + 1e-12))
+
+
+# WheelTrial: wheels calibrated on the first part of a recording and tried on the rest.
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """What some wheels make of the part of a recording that they were not fitted to.
+
+    Attributes:
+        path: dead-reckoned T_odom_base at the reference's stamps, begun at the reference's first pose there.
+        evaluation: of it.
+        end_error_m: how far from the reference it ends.
+    """
+
+    path: Trajectory
+    evaluation: Evaluation
+    end_error_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class WheelTrial:
+    """A calibration and its proof.
+
+    Attributes:
+        recording: its name.
+        fit: to the part before `split_s`, a stamp in seconds.
+        reference: of the whole recording, T_odom_base.
+        held_out: the part of the reference after `split_s`, of the axle's middle: `fit.mount` taken off.
+        before, after: nominal and fitted wheels on that part.
+        warnings: of the recording, one sentence each.
+    """
+
+    recording: str
+    fit: WheelFit
+    reference: Trajectory
+    split_s: float
+    held_out: Trajectory
+    before: Attempt
+    after: Attempt
+    warnings: tuple[str, ...] = ()
+
+
+def try_calibration(
+    recording: Recording,
+    reference: Trajectory | None = None,
+    *,
+    train_share: float = 0.5,
+    segment_m: float = 1.0,
+    with_delay: bool = True,
+    by_camera: bool = False,
+    on_step: Callable[[str], None] = lambda _: None,
+) -> WheelTrial:
+    """Fit a recording's wheels to the first `train_share` of the time it shares with `reference`; try them on the rest.
+
+    Args:
+        recording: with wheel readings, and nominal wheels in its calibration.
+        reference: of the base or the camera; None for the recording's ground truth.
+        train_share: 0 to 1, both left out.
+        by_camera: whether the reference is by its own camera: σ then holds what that one's calibration leaves open.
+        segment_m, with_delay, on_step: see `fit_wheels`.
+
+    Raises:
+        CalibrationError: no wheels, no reference, a camera's reference without T_base_camera, a drive that does not
+            determine the wheels (see `fit_wheels`), or a rest too short to try them on.
+    """
+    if not 0 < train_share < 1:
+        raise CalibrationError(f"the share to calibrate on is {train_share:g}, not between 0 and 1")
+    nominal = _nominal(recording)
+    on_step("reading")
+    reference = _reference(recording, reference)
+    drive = drive_of(recording, nominal)
+    common = reference.between(*(drive.stamps_s[[0, -1]] - nominal.delay_s))
+    split_s = float(common.stamps_s[0] + train_share * common.duration_s) if len(common) else reference.stamps_s[0]
+    seen = reference.between(-np.inf, split_s) if len(common) else reference
+    errors = _camera_errors(recording.calibration) if by_camera else None
+    fit = fit_wheels(
+        nominal, drive, seen, segment_m=segment_m, with_delay=with_delay, on_step=on_step, camera_errors=errors
+    )
+    held_out = _at_axle(common.between(split_s, np.inf), fit.mount)
+    on_step("trying on the rest")
+    before, after = (_attempt(drive, wheels, held_out) for wheels in (nominal, fit.wheels))
+    return WheelTrial(recording.name, fit, reference, split_s, held_out, before, after, recording.warnings)
+
+
+def _camera_errors(calibration: Calibration) -> FloatArray | None:
+    is_known = calibration.color is not None and calibration.T_base_camera is not None
+    return typical_motion_errors(calibration) if is_known else None
+
+
+def _nominal(recording: Recording) -> Wheels:
+    wheels = recording.calibration.wheels
+    if wheels is None:
+        raise CalibrationError(
+            f"the calibration of {recording.name} ({recording.calibration.source}) has no wheels",
+            fix="give nominal ones in a calibration.yaml by --calibration: radii, track width, ticks a turn",
+        )
+    return wheels
+
+
+def _reference(recording: Recording, given: Trajectory | None) -> Trajectory:
+    reference = given or recording.ground_truth
+    if reference is None:
+        raise CalibrationError(
+            f"{recording.name} has no ground truth to calibrate against",
+            fix="give a trajectory with --reference, such as visual odometry's of this very recording",
+        )
+    return express_for("base", reference, recording.calibration)
+
+
+def _at_axle(reference: Trajectory, mount: FloatArray) -> Trajectory:
+    """T_odom_axle from the trajectory of a body that sits there by x, y, yaw (3,) of T_axle_body."""
+    T_body_axle = se3.invert(se3.from_plane(*mount))
+    return Trajectory(reference.stamps_s, reference.T_frame_body @ T_body_axle, body="base", frame=reference.frame)
+
+
+def _attempt(drive: Drive, wheels: Wheels, held_out: Trajectory) -> Attempt:
+    path = drive_path(drive, wheels, held_out.stamps_s)
+    if len(path):
+        T_there_here = held_out.T_frame_body[0] @ se3.invert(path.T_frame_body[0])
+        path = Trajectory(path.stamps_s, T_there_here @ path.T_frame_body, body="base", frame=held_out.frame)
+    try:
+        evaluation = evaluate(path, held_out)
+    except EvaluationError as error:
+        raise CalibrationError(
+            f"too little is left to try the wheels on: {error}", fix="calibrate on a smaller share"
+        ) from error
+    end_error_m = float(np.linalg.norm(path.positions_m[-1] - held_out.positions_m[-1]))
+    return Attempt(path, evaluation, end_error_m)
+
+
+# What errors of the motions that wheels are held against make of what is fitted to them.
+
+
+class SegmentsProblem(Problem, Protocol):
+    """A fit to pieces of a reference; `segments` are those."""
+
+    segments: Segments
+
+
+def covariance_by(
+    problem: SegmentsProblem, found: RobustFit, errors: FloatArray, settings: RobustFitSettings = DEFAULTS
+) -> FloatArray:
+    """Covariance (P, P) of what independent errors (K, 3, 3) of the motions, of one σ each, make of the values found.
+
+    Errors are as `camera_errors.motion_errors` tells them.
+    """
+    segments, moved = problem.segments, []
+    for error in errors:
+        problem.segments = replace(segments, motions=with_error(segments.motions, error))
+        moved.append(problem.residuals(found.values) - found.residuals)
+    problem.segments = segments
+    shifts = response(problem, found, np.reshape(moved, (-1, *found.residuals.shape)), settings)
+    return np.asarray(shifts.T @ shifts)
+
+
+# When a drive does not determine the wheels, or is not the reference's: said, with what would help.
+
+
+_MOST_UNCERTAIN_SHARE = 0.03  # a tape measure does as well
+_MOST_UNCERTAIN_DELAY_S = 0.1
+_LARGEST_FACTOR = 2.5
+_LEAST_EXPLAINED = 0.5
+_LITTLE_TURNING_RAD, _LITTLE_WAY_M = 0.05, 0.02
+_NAMES = {
+    "left_radius_m": "left radius",
+    "right_radius_m": "right radius",
+    "track_width_m": "track width",
+    "delay_s": "delay",
+}
+
+
+def refuse_if_unlike(segments: Segments, residuals: FloatArray, drive: Drive, delay_s: float) -> None:
+    """Raise CalibrationError where even the best wheels leave most of the reference's motion unexplained.
+
+    Args:
+        segments, residuals: M of them, and (M, 3) what the fitted wheels leave.
+        drive, delay_s: to tell wheels that are swapped from those that are another drive's.
+    """
+    along_m, turn_rad = chords_m(segments), segments.motions[:, 2]
+    way_m, way_left_m = _typical(along_m, residuals[:, 0])
+    turning_rad, turning_left_rad = _typical(turn_rad, residuals[:, 2])
+    wrong = way_left_m > _LEAST_EXPLAINED * way_m > _LEAST_EXPLAINED * _LITTLE_WAY_M
+    wrong |= turning_left_rad > _LEAST_EXPLAINED * turning_rad > _LEAST_EXPLAINED * _LITTLE_TURNING_RAD
+    if not wrong:
+        return
+    start, end = (drive.angles_at(stamps_s + delay_s) for stamps_s in (segments.start_s, segments.end_s))
+    left_rad, right_rad = (after - before for before, after in zip(start, end, strict=True))
+    forward = _agreement(left_rad + right_rad, along_m)
+    turned = _agreement(right_rad - left_rad, turn_rad)
+    fix = "give the reference of this very drive, on the same clock, or raise the segments' length"
+    if turned < -0.5:
+        fix = "both wheels count backwards" if forward < -0.5 else "left and right are swapped"
+    raise CalibrationError(
+        f"wheels and reference do not tell of one drive: where a segment goes {way_m:.2g} m, {way_left_m:.2g} m stay "
+        f"unexplained, and {np.degrees(turning_left_rad):.2g}° where it turns by {np.degrees(turning_rad):.2g}°",
+        fix=fix,
+    )
+
+
+def refuse_if_unobservable(sigmas: dict[str, float], wheels: Wheels, segments: Segments) -> None:
+    """Raise CalibrationError where a standard deviation is so large that a tape measure would do as well."""
+    vague = [name for name, sigma in sigmas.items() if not sigma <= _allowed(name, wheels)]
+    if vague:
+        told = ", ".join(f"{_NAMES[name]} (σ {_uncertainty(name, sigmas[name], wheels)})" for name in vague)
+        raise CalibrationError(f"the drive does not determine: {told}", fix=_advice(vague, segments))
+
+
+def refuse_if_impossible(nominal: Wheels, fitted: Wheels, largest_delay_s: float) -> None:
+    """Raise CalibrationError for a fit so far from nominal that something else must be wrong."""
+    for name in ("left_radius_m", "right_radius_m", "track_width_m"):
+        factor = getattr(fitted, name) / getattr(nominal, name)
+        if not 1 / _LARGEST_FACTOR < factor < _LARGEST_FACTOR:
+            raise CalibrationError(
+                f"the reference asks for {factor:.3g} times the nominal {_NAMES[name]}",
+                fix="check ticks_per_turn and the nominal sizes, and that the reference is in metres",
+            )
+    change_s = fitted.delay_s - nominal.delay_s
+    if abs(change_s) > largest_delay_s:
+        raise CalibrationError(
+            f"wheels and reference seem {change_s:+.2f} s apart, more than the {largest_delay_s:g} s that are searched",
+            fix="correct the clocks by that, or give delay_s, first",
+        )
+
+
+def chords_m(segments: Segments) -> FloatArray:
+    """Way (M,) along each segment's chord, negative backwards."""
+    x, y, yaw_rad = segments.motions.T
+    return np.asarray(x * np.cos(yaw_rad / 2) + y * np.sin(yaw_rad / 2))
+
+
+def _typical(motion: FloatArray, residual: FloatArray) -> tuple[float, float]:
+    """Medians of the sizes of motion (M,) and residual (M,) over the segments that move as such drives do."""
+    moving = np.abs(motion) >= 0.5 * np.sqrt(np.mean(motion**2))
+    return float(np.median(np.abs(motion[moving]))), float(np.median(np.abs(residual[moving])))
+
+
+def _allowed(name: str, wheels: Wheels) -> float:
+    return _MOST_UNCERTAIN_DELAY_S if name == "delay_s" else _MOST_UNCERTAIN_SHARE * float(getattr(wheels, name))
+
+
+def _uncertainty(name: str, sigma: float, wheels: Wheels) -> str:
+    if name == "delay_s":
+        return f"{sigma:.2g} s"
+    share = sigma / float(getattr(wheels, name))
+    return f"{100 * share:.2g} %" if share < 1 else "over 100 %"
+
+
+def _advice(vague: list[str], segments: Segments) -> str:
+    """What to drive so that the parameters become known."""
+    turn_rad = segments.motions[:, 2]
+    turned_left, turned_right = turn_rad[turn_rad > 0].sum(), -turn_rad[turn_rad < 0].sum()
+    if vague == ["delay_s"]:
+        return "start, stop and turn now and then, as steady motion hides the delay, or keep it (--no-delay)"
+    if np.abs(chords_m(segments)).sum() < 2.0:
+        return "the run hardly leaves its place: drive straight for some metres too"
+    if turned_left + turned_right < 2 * np.pi:
+        return "the run hardly turns: drive some full turns, both ways"
+    if min(turned_left, turned_right) < 0.1 * max(turned_left, turned_right):
+        return "the run turns one way only: turn the other way and drive straight too"
+    return "drive longer, straight and with turns both ways, or give a better reference"
+
+
+def _agreement(a: FloatArray, b: FloatArray) -> float:
+    """Cosine between (M,) and (M,), -1 to 1."""
+    size = float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
+    return float(np.sum(a * b)) / size if size > 0 else 0.0
+
+
+# How sure the sizes of calibrated wheels are: what a fit says, and what no fit knows of tomorrow.
+
+
+@dataclass(frozen=True, slots=True)
+class FromDayToDay:
+    """What tyres change, which no fit knows of: standard deviations as a calibration states them.
+
+    Reckoned: two kilograms more on one side press that tyre in by 0.06 % of its radius, on wheels half a metre apart a
+    milliradian a metre; air and warmth do the like to both; where in its width a tyre touches the floor is the track's.
+    """
+
+    scale: float = 0.003
+    drift_rad_per_m: float = 0.001
+    turn: float = 0.003
+
+
+def stated(
+    wheels: Wheels,
+    ratio_sigma: float,
+    track_share: float,
+    scale_share: float | None = None,
+    daily: FromDayToDay | None = None,
+) -> Wheels:
+    """Wheels that say how sure they are.
+
+    Args:
+        wheels: as fitted.
+        ratio_sigma: standard deviation of right radius over left.
+        track_share: of the track width, as a share of it.
+        scale_share: of the mean radius, likewise; None where nothing was learned of it.
+        daily: or the default.
+    """
+    daily = daily or FromDayToDay()
+    scale = wheels.scale_sigma if scale_share is None else float(np.hypot(scale_share, daily.scale))
+    drift = float(np.hypot(ratio_sigma / wheels.track_width_m, daily.drift_rad_per_m))
+    turn = float(np.hypot(track_share, daily.turn))
+    return replace(
+        wheels, scale_sigma=min(scale, 1.0), drift_sigma_rad_per_m=min(drift, 1.0), turn_sigma=min(turn, 1.0)
+    )

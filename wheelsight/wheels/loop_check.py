@@ -1,0 +1,193 @@
+"""A drive that ends where it began: how far its wheels' path does not close, against what is known of the wheels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import CalibrationError
+from wheelsight.core.geometry import FloatArray, chi_square
+from wheelsight.core.settings import CHOSEN, Settings, setting
+from wheelsight.wheels.drive import Drive, poses_at
+
+_STEP = 1e-5
+_ROUNDS, _NOTHING = 6, 1e-6
+
+
+class LoopCheckSettings(Settings):
+    """When the path of wheels closes."""
+
+    shortest_m: float = setting(
+        5.0, "way of a loop, m: on less the mark is most of what is off", "reckoned", gt=0, le=1e6
+    )
+    mark_m: float = setting(
+        0.02, "standard deviation, m, by which a robot is put back beside its mark, each axis", CHOSEN, gt=0, le=10
+    )
+    mark_deg: float = setting(1.0, "likewise of its heading, degrees", CHOSEN, gt=0, le=90)
+    confidence: float = setting(
+        0.9973, "share of loops of wheels that are as stated which are found so: 3σ of one number", CHOSEN, gt=0, lt=1
+    )
+    explained_share: float = setting(
+        0.9,
+        "of what is off, in σ squared, that one size takes away which is told as its cause, even where slip that is "
+        "larger than stated leaves more than there should be",
+        CHOSEN,
+        gt=0,
+        le=1,
+    )
+    good_share: float = setting(
+        0.02,
+        "of the way, off at the end: a calibrated differential drive is off by about 1 %, and one that is off by more, "
+        "however unsure it is said to be, is worth another calibration",
+        CHOSEN,
+        gt=0,
+        le=1,
+    )
+    good_deg_per_m: float = setting(0.2, "likewise of its heading, degrees a metre", CHOSEN, gt=0, le=90)
+
+
+class LoopCause(StrEnum):
+    """What of the wheels' sizes may be wrong; a loop does not tell the mean radius, by which it closes all the same."""
+
+    DRIFT = "one radius against the other"
+    TURN = "track width against radii"
+
+
+@dataclass(frozen=True, slots=True)
+class LoopCheck:
+    """By how much a loop does not close.
+
+    Attributes:
+        way_m: driven, backwards counted too, turns on the spot not.
+        turns: whole turns between start and end, counter-clockwise positive; 0 of a figure of eight.
+        off_m, off_rad: at the end, by the wheels; the heading counter-clockwise.
+        off_sigma_m, off_sigma_rad: what the wheels' stated σ, their slip and the mark make likely.
+        sizes_sigma_m, sizes_sigma_rad: the part of the wheels' stated σ alone.
+        is_as_stated: whether it is off by no more than that, all three numbers together.
+        is_good: whether it is off by little, whatever is stated.
+        causes: what alone explains it, the likeliest first, and how much of it: radians that are turned too far to the
+            left a metre, or the share by which turns are too large; none where it is as stated.
+    """
+
+    way_m: float
+    turns: int
+    off_m: float
+    off_rad: float
+    off_sigma_m: float
+    off_sigma_rad: float
+    sizes_sigma_m: float
+    sizes_sigma_rad: float
+    is_as_stated: bool
+    is_good: bool
+    causes: tuple[tuple[LoopCause, float], ...]
+
+
+def check_loop(drive: Drive, wheels: Wheels, settings: LoopCheckSettings | None = None) -> LoopCheck:
+    """What a drive whose end is its start, heading and all, tells of wheels.
+
+    Raises:
+        CalibrationError: a drive that is too short.
+    """
+    settings = settings or LoopCheckSettings()
+    poses = poses_at(drive, _sizes(wheels), drive.stamps_s)
+    steps_m = np.diff(np.stack([drive.left_rad, drive.right_rad], axis=-1), axis=0) * _sizes(wheels)[:2]
+    way_m = float(np.abs(steps_m.mean(axis=1)).sum())
+    if way_m < settings.shortest_m:
+        problem, fix = f"is a drive of {way_m:.1f} m", f"drive {settings.shortest_m:g} m or more"
+        raise CalibrationError(problem, fix=fix)
+    off = poses[-1].copy()
+    turns = round(off[2] / (2 * np.pi))
+    off[2] -= 2 * np.pi * turns
+    J = _by_sizes(drive, wheels)
+    stated = np.array([wheels.scale_sigma, wheels.drift_sigma_rad_per_m, wheels.turn_sigma])
+    of_sizes = (J * stated**2) @ J.T
+    of_drive = _by_slip(poses, np.abs(steps_m), wheels) + _of_mark(settings)
+    sigmas, of_sizes_alone = _sigmas(of_sizes + of_drive), _sigmas(of_sizes)
+    most = chi_square.quantile(settings.confidence, 3)
+    is_as_stated = float(off @ np.linalg.solve(of_sizes + of_drive, off)) <= most
+    most = max(most, (1 - settings.explained_share) * float(off @ np.linalg.solve(of_drive, off)))
+    off_m, off_rad = float(np.hypot(*off[:2])), float(off[2])
+    is_good = off_m <= settings.good_share * way_m and np.degrees(abs(off_rad)) <= settings.good_deg_per_m * way_m
+    closed = np.array([0.0, 0.0, 2 * np.pi * turns])
+    causes = () if is_as_stated else _causes(drive, wheels, closed, of_drive, most)
+    return LoopCheck(way_m, turns, off_m, off_rad, *sigmas, *of_sizes_alone, is_as_stated, bool(is_good), causes)
+
+
+def _sizes(wheels: Wheels) -> FloatArray:
+    return np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
+
+
+def _end(drive: Drive, wheels: Wheels, scale: float = 0.0, drift: float = 0.0, turn: float = 0.0) -> FloatArray:
+    """x, y, yaw (3,) of the end, with wheels that make ways longer, turn so much more a metre, and turn more."""
+    half = drift * wheels.track_width_m / 2
+    sizes = _sizes(wheels) * (1 + scale) * np.array([1 - half, 1 + half, 1 / (1 + turn)])
+    return np.asarray(poses_at(drive, sizes, drive.stamps_s[-1:])[0], float)
+
+
+def _by_sizes(drive: Drive, wheels: Wheels) -> FloatArray:
+    """Derivatives (3, 3) of the end by scale, drift and turn, as a calibration states their σ."""
+    here = _end(drive, wheels)
+    return np.stack([(_end(drive, wheels, *change) - here) / _STEP for change in _STEP * np.eye(3)], axis=-1)
+
+
+def _by_slip(poses: FloatArray, steps_m: FloatArray, wheels: Wheels) -> FloatArray:
+    """Covariance (3, 3) of the end by each wheel's random slip, step by step.
+
+    A wheel that went δ too far moved the base by δ/2 ahead and turned it by ±δ over the track width, and with it all of
+    the way from there to the end.
+    """
+    rest = poses[-1, :2] - poses[1:, :2]
+    ahead = np.stack([np.cos(poses[:-1, 2]), np.sin(poses[:-1, 2])], axis=-1) / 2
+    covariance = np.zeros((3, 3))
+    for side, sign in ((0, -1.0), (1, 1.0)):
+        turn = sign / wheels.track_width_m
+        moved = np.column_stack([ahead + turn * np.column_stack([-rest[:, 1], rest[:, 0]]), np.full(len(rest), turn)])
+        covariance += (moved * (wheels.slip_m_per_sqrt_m**2 * steps_m[:, side : side + 1])).T @ moved
+    return covariance
+
+
+def _of_mark(settings: LoopCheckSettings) -> FloatArray:
+    return np.diag(np.square([settings.mark_m, settings.mark_m, np.radians(settings.mark_deg)]))
+
+
+def _sigmas(covariance: FloatArray) -> tuple[float, float]:
+    """Of the position, both axes together, and of the heading."""
+    return float(np.sqrt(covariance[0, 0] + covariance[1, 1])), float(np.sqrt(covariance[2, 2]))
+
+
+def _causes(
+    drive: Drive, wheels: Wheels, closed: FloatArray, of_drive: FloatArray, most: float
+) -> tuple[tuple[LoopCause, float], ...]:
+    """What alone explains an end that is not `closed` (3,), and by how much it is wrong; the likeliest first."""
+    found = []
+    for cause, unit in ((LoopCause.DRIFT, np.eye(3)[1]), (LoopCause.TURN, np.eye(3)[2])):
+        amount = _amount(drive, wheels, unit, closed, of_drive)
+        left = _end(drive, wheels, *(-amount * unit)) - closed
+        found.append((float(left @ np.linalg.solve(of_drive, left)), cause, amount))
+    return tuple((cause, amount) for rest, cause, amount in sorted(found, key=lambda one: one[0]) if rest <= most)
+
+
+def _amount(drive: Drive, wheels: Wheels, unit: FloatArray, closed: FloatArray, of_drive: FloatArray) -> float:
+    """How much too large one error (of `_end`, by its unit) makes the end `closed`, nearest in σ.
+
+    By the heading first, which is linear in it however far it is off; then Gauss-Newton.
+    """
+    amount, weights = 0.0, np.diag([0.0, 0.0, 1.0])
+    for _ in range(_ROUNDS):
+        left = _end(drive, wheels, *(-amount * unit)) - closed
+        column = (_end(drive, wheels, *(-(amount + _STEP) * unit)) - closed - left) / _STEP
+        information = float(column @ weights @ column)
+        # The track's width tells nothing at the end of a figure of eight.
+        amount -= float(column @ weights @ left) / information if information > _NOTHING else 0.0
+        weights = np.linalg.inv(of_drive)
+    return amount
+
+
+def with_sigmas(wheels: Wheels, scale: float, drift_rad_per_m: float, turn: float) -> Wheels:
+    """Wheels of which nobody says how sure they are, with these σ; others as they are."""
+    if wheels.scale_sigma or wheels.drift_sigma_rad_per_m or wheels.turn_sigma:
+        return wheels
+    return replace(wheels, scale_sigma=scale, drift_sigma_rad_per_m=drift_rad_per_m, turn_sigma=turn)

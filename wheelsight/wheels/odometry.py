@@ -1,0 +1,699 @@
+"""`WheelOdometry` integrates the readings of a differential drive into a pose with covariance. Also its settings,
+the correction of reading times, and the encoder model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import model_validator
+
+from wheelsight.core.calibration_parts import Gyro, HolonomicWheels, Wheels, least_step
+from wheelsight.core.checks import check_event, need_kind, need_number
+from wheelsight.core.errors import ArgumentError, CalibrationError
+from wheelsight.core.estimates import Reason, Status, WheelEstimate
+from wheelsight.core.geometry import BoolArray, ByteArray, FloatArray, se3
+from wheelsight.core.messages import OdometryReading, WheelCounts, WheelReading, WheelSpeeds, WheelTicks
+from wheelsight.core.settings import CHOSEN, ON_SIMULATOR, Settings, conflict, setting
+from wheelsight.core.stamps import StampCheck
+from wheelsight.core.threads import OneCaller, one_at_a_time
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.wheels import state_kernels as at
+from wheelsight.wheels.odometry_kernels import (
+    ARC,
+    BACKWARDS,
+    COUNT_VARIANCE,
+    EULER,
+    GAP_LIMIT,
+    GYRO_VARIANCE,
+    IMPLAUSIBLE,
+    INTEGRATION,
+    LEFT_M,
+    MIDPOINT,
+    OK,
+    PARAMETERS_SIZE,
+    RIGHT_M,
+    SLIP_SQUARED,
+    SPAN,
+    SPEED_LIMIT,
+    TRACK,
+    WALK_VARIANCE,
+    Log,
+    Poses,
+    integrate,
+    likelier,
+    update,
+)
+
+# WheelOdometry: dead reckoning from the counts of two wheels, reading by reading or a whole log at once.
+#
+# The robot drives differentially: from the travel of both wheels follow way and turn (Trinh et al., eq. 2), from
+# these the next pose by one of three integrations: "euler", along the old heading (Trinh et al., eq. 3); "midpoint",
+# along the heading halfway (Ligocki, eq. 1); "arc", along the arc itself, exact for wheels that turn evenly. The
+# variance of a wheel's travel grows with its way, independently of the other wheel's. A gyroscope's yaw rate, where
+# there is one, is joined with the turn that the wheels tell of, five times a second (`_gyro_kernels`). It is believed
+# as it is given: whether it contradicts the wheels says `GyroCheck`.
+
+
+Integration = Literal["arc", "midpoint", "euler"]
+
+_INTEGRATIONS = {"euler": EULER, "midpoint": MIDPOINT, "arc": ARC}
+_REASONS = (None, Reason.CLOCK_BACKWARDS, Reason.GAP, Reason.COUNTER_AMBIGUOUS, Reason.IMPLAUSIBLE_MOTION)
+_WIDE = 2**53  # beyond, a roll-over as a float has lost counts
+_PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
+
+
+class WheelOdometry(OneCaller):
+    """Where the base is in the frame `odom`, which is where it was at the first reading.
+
+    A reading is refused when its stamp does not come after the last one's, when it comes too late (`max_gap_s`), when
+    counters may have rolled over more than half their range since, or when a wheel would have had to roll faster than
+    `max_speed_m_s`. Then the pose keeps, the covariance grows by all that the wheels could have done meanwhile, and the
+    way goes on from there with the next reading; one whose stamp runs backwards changes nothing at all.
+
+    Args:
+        wheels: of the robot. Estimates are stamped with the time the wheels stood so: `stamp_s - delay_s`.
+        integration: "arc", "midpoint" or "euler".
+        gyro: what the yaw rates given are worth; None for the defaults of `Gyro`.
+    """
+
+    def __init__(self, wheels: Wheels, integration: Integration = "arc", gyro: Gyro | None = None) -> None:
+        self._wheels = need_kind("wheels", wheels, Wheels, "calibration.wheels")
+        self._parameters, self._states = _prepare(wheels, integration, gyro or Gyro())
+        self._span = self._parameters[SPAN]
+        self._ticks_per_rad = wheels.ticks_per_turn / (2 * math.pi)
+        self._T_odom_base, self._covariance = np.eye(4), np.zeros((6, 6))
+        self._last: WheelTicks | WheelSpeeds | None = None
+        self._stamps = StampCheck()
+        self._answered: tuple[float, FloatArray, FloatArray] | None = None
+        self._paused_s = self._step_s = 0.0
+
+    @property
+    def _state(self) -> FloatArray:
+        return np.asarray(self._states[likelier(self._states)])
+
+    @property
+    def T_odom_base(self) -> FloatArray:
+        """The pose (4, 4) after the last reading."""
+        return self._T_odom_base.copy()
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(6, 6) of the left perturbation (v, ω) of `T_odom_base`; zero out of the plane."""
+        return self._covariance.copy()
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """x, y in metres and yaw in [-π, π] radians of the base in odom."""
+        x_m, y_m, yaw_rad = self._state[:3]
+        return float(x_m), float(y_m), float(yaw_rad)
+
+    @property
+    def twist(self) -> tuple[float, float]:
+        """Forward speed in m/s and yaw rate in rad/s over the last step; zero after a reading that was refused."""
+        return float(self._state[at.SPEED]), float(self._state[at.YAW_RATE])
+
+    def motion_in(self, seconds: float) -> FloatArray:
+        """T_now_then (4, 4) after so many seconds more at this twist."""
+        speed, yaw_rate = self.twist
+        half = yaw_rate * seconds / 2
+        # Along the arc's chord, as the exponential of this twist: in closed form, as it is asked for at each reading.
+        chord_m = speed * seconds * (math.sin(half) / half if half else 1.0)
+        return se3.from_plane(chord_m * math.cos(half), chord_m * math.sin(half), 2 * half)
+
+    @property
+    def moved(self) -> FloatArray:
+        """T_before_now (4, 4) of the last step alone: with nothing of what it has told of the way before.
+
+        `T_odom_base` leaps where the gyroscope's bias, or how wheels are off, turns out to be another than was thought.
+        """
+        step, turn = self.motion_in(self._step_s), self._state[at.TOLD] if self._step_s else 0.0
+        return step @ se3.from_plane(0.0, 0.0, turn)
+
+    @property
+    def turned_rad(self) -> float:
+        """By how much the wheels alone, by their calibration, turned the base in the last step that was not refused."""
+        return float(self._state[at.TURNED])
+
+    def copy(self) -> WheelOdometry:
+        """Another that goes on from here by itself."""
+        other = WheelOdometry.__new__(WheelOdometry)
+        other.__dict__.update({name: value for name, value in vars(self).items() if name not in vars(other)})
+        other._parameters, other._states = self._parameters.copy(), self._states.copy()
+        other._T_odom_base, other._covariance = self._T_odom_base.copy(), self._covariance.copy()
+        return other
+
+    @property
+    def gyro_bias_rad_s(self) -> float:
+        """What the gyroscope is thought to show at rest, as far as it is known by now."""
+        return float(self._state[at.BIAS])
+
+    @property
+    def gyro_bias_sigma_rad_s(self) -> float:
+        """How far off that may be, as a standard deviation."""
+        return math.sqrt(self._state[at.BIAS_VARIANCE])
+
+    @one_at_a_time
+    def pause(self, seconds: float) -> None:
+        """Before the next reading, so long may have passed, whatever stamps say: as while a host slept, or a bus hung.
+
+        Counts tell the way all the same; one that is too long for its stamps is then believed.
+        """
+        self._paused_s = seconds
+
+    @one_at_a_time
+    def process(self, reading: WheelReading, yaw_rate_rad_s: float | None = None) -> WheelEstimate:
+        """The pose at a reading, and the step there from the one before.
+
+        Args:
+            reading: cumulative ticks, or speeds that hold until the next reading.
+            yaw_rate_rad_s: the gyroscope's mean since the reading before, or None.
+
+        Returns:
+            `Status.TRACKING` with the pose; or, of a reading that was refused, `Status.FAILING` with the reason, the
+            pose as it was before and the covariance grown. Its `step` is the motion since the reading before, as
+            `ErrorStateFilter.predict` takes it.
+
+        Raises:
+            ArgumentError: no reading, numbers that are none, counts with a fraction, or stamps that are no seconds.
+        """
+        check_event(reading)
+        if not isinstance(reading, WheelTicks | WheelSpeeds):
+            fix = "WheelTicks or WheelSpeeds; of a holonomic base, HolonomicOdometry takes others"
+            raise ArgumentError(f"a {type(reading).__name__} is no reading of two wheels", fix=fix)
+        self._stamps.check(reading)
+        rate_rad_s = math.nan if yaw_rate_rad_s is None else need_number("yaw_rate_rad_s", yaw_rate_rad_s)
+        why = self._advance(reading, rate_rad_s)
+        stamp_s, before = reading.stamp_s - self._wheels.delay_s, self._answered
+        T, C = self._T_odom_base.copy(), self._covariance.copy()
+        if why == BACKWARDS:
+            before = None
+        else:
+            self._answered = stamp_s, T, C
+        status = Status.FAILING if why else Status.TRACKING
+        return WheelEstimate(stamp_s, status, T, C, _REASONS[why], "base", before=before)
+
+    def _advance(self, reading: WheelTicks | WheelSpeeds, rate_rad_s: float) -> int:
+        last, self._step_s = self._last, 0.0
+        if last is None:
+            self._last = reading
+            return OK
+        dt_s = reading.stamp_s - last.stamp_s
+        ticks = _ticks_between(last, reading, self._ticks_per_rad * dt_s, self._wheels.counter_span)
+        counts = isinstance(reading, WheelTicks)
+        self._parameters[SPAN] = self._span if counts else 0.0
+        self._parameters[COUNT_VARIANCE] = _count_variance(self._wheels) if counts else 0.0
+        why = self._update(ticks, dt_s, rate_rad_s, self._paused_s if counts else 0.0)
+        if why != BACKWARDS:
+            self._last, self._paused_s, self._step_s = reading, 0.0, dt_s
+        return why
+
+    def _update(self, ticks: tuple[float, float], dt_s: float, rate_rad_s: float, paused_s: float) -> int:
+        """Why a step is refused, or OK; of a reading after a pause, by the longer of both times where it needs that."""
+        before = self.copy() if paused_s > dt_s > 0 else None
+        filled = (self._T_odom_base, self._covariance)
+        self._states[:, at.TOLD] = 0.0
+        why: int = update(self._states, self._parameters, *ticks, dt_s, rate_rad_s, *filled)
+        if before is None or why != IMPLAUSIBLE:
+            return why
+        self._states, self._T_odom_base, self._covariance = before._states, before._T_odom_base, before._covariance
+        parameters, filled = self._parameters.copy(), (self._T_odom_base, self._covariance)
+        parameters[SPEED_LIMIT] *= paused_s / dt_s
+        why = update(self._states, parameters, *ticks, dt_s, rate_rad_s, *filled)
+        return why
+
+
+@dataclass(frozen=True, eq=False)
+class WheelTrack:
+    """A whole log, dead-reckoned.
+
+    Attributes:
+        stamps_s: (N,) as given, less `delay_s`; not growing where the clock ran backwards.
+        poses: (N, 3), x, y in metres and yaw in [-π, π] radians of T_odom_base.
+        covariance_parts: (N, 6), xx, xy, xω, yy, yω, ωω of the left perturbation (vx, vy, ω).
+        reason_codes: (N,) 0, or why a reading was refused; see `reason`.
+    """
+
+    stamps_s: FloatArray
+    poses: FloatArray
+    covariance_parts: FloatArray
+    reason_codes: ByteArray
+
+    def __len__(self) -> int:
+        return len(self.stamps_s)
+
+    @property
+    def is_refused(self) -> BoolArray:
+        """(N,) which readings were refused."""
+        return np.not_equal(self.reason_codes, OK)
+
+    def reason(self, index: int) -> Reason | None:
+        """Why a reading was refused, or None."""
+        return _REASONS[self.reason_codes[index]]
+
+    @property
+    def covariances(self) -> FloatArray:
+        """(N, 3, 3) of the left perturbation (vx, vy, ω)."""
+        return self.covariance_parts[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+
+    def trajectory(self) -> Trajectory:
+        """T_odom_base, without the readings that were refused."""
+        kept = ~self.is_refused
+        poses = self.poses[kept]
+        covariances = np.zeros((len(poses), 6, 6))
+        covariances[np.ix_(np.arange(len(poses)), _PLANE, _PLANE)] = self.covariances[kept]
+        return Trajectory(self.stamps_s[kept], se3.from_plane(*poses.T), covariances, body="base", frame="odom")
+
+
+def integrate_log(
+    wheels: Wheels,
+    stamps_s: ArrayLike,
+    left: ArrayLike,
+    right: ArrayLike,
+    *,
+    integration: Integration = "arc",
+    yaw_rates_rad_s: ArrayLike | None = None,
+    gyro: Gyro | None = None,
+) -> WheelTrack:
+    """Dead reckoning of a whole log; the same as `WheelOdometry`, reading by reading, in one go.
+
+    Args:
+        wheels: of the robot.
+        stamps_s: (N,) seconds.
+        left, right: (N,) cumulative ticks, up to 2⁵³; they may be fractions (see `ticks_from_speeds`).
+        integration: "arc", "midpoint" or "euler".
+        yaw_rates_rad_s: (N,) the gyroscope's mean since the reading before (see `mean_yaw_rates`), NaN
+            for none; or None.
+        gyro: what these are worth; None for the defaults of `Gyro`.
+    """
+    stamps = np.ascontiguousarray(stamps_s, np.float64)
+    left, right = (np.ascontiguousarray(side, np.float64) for side in (left, right))
+    rates = np.empty(0) if yaw_rates_rad_s is None else np.ascontiguousarray(yaw_rates_rad_s, np.float64)
+    n = len(stamps)
+    if any(side.shape != (n,) for side in (left, right)) or rates.shape not in ((0,), (n,)):
+        raise ValueError(f"{n} stamps need as many ticks of each wheel, and as many yaw rates if any")
+    parameters, states = _prepare(wheels, integration, gyro or Gyro())
+    if len(rates) and not all(np.array_equal(side, np.rint(side)) for side in (left, right)):
+        parameters[COUNT_VARIANCE] = 0.0
+    found = Poses(np.empty((n, 3)), np.empty((n, 6)), np.zeros(n, np.uint8))
+    integrate(states, parameters, Log(stamps, left, right, rates), found)
+    return WheelTrack(stamps - wheels.delay_s, *found)
+
+
+def ticks_from_speeds(
+    wheels: Wheels, stamps_s: ArrayLike, left_rad_s: ArrayLike, right_rad_s: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """Cumulative ticks (N,), with fractions, of wheels that turn at speeds (N,), each until the next stamp (N,)."""
+    steps_s = np.diff(np.asarray(stamps_s, float))
+
+    def turned(speeds_rad_s: ArrayLike) -> FloatArray:
+        steps_rad = np.asarray(speeds_rad_s, float)[:-1] * steps_s
+        return np.concatenate([[0.0], np.cumsum(steps_rad)]) * wheels.ticks_per_turn / (2 * np.pi)
+
+    return turned(left_rad_s), turned(right_rad_s)
+
+
+def sides_of_four(
+    front_left: ArrayLike, rear_left: ArrayLike, front_right: ArrayLike, rear_right: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """Ticks (N,) of the left and right side of a skid-steered robot: means of front and rear wheels, each (N,)."""
+    pairs = ((front_left, rear_left), (front_right, rear_right))
+    left, right = (np.mean([np.asarray(wheel, float) for wheel in pair], axis=0) for pair in pairs)
+    return left, right
+
+
+def _ticks_between(
+    last: WheelTicks | WheelSpeeds, now: WheelTicks | WheelSpeeds, ticks_per_speed: float, span: int
+) -> tuple[float, float]:
+    if isinstance(now, WheelTicks) and isinstance(last, WheelTicks):
+        steps = (now.left - last.left, now.right - last.right)
+        left, right = (least_step(step, span) if span > _WIDE else step for step in steps)
+        return float(left), float(right)
+    if isinstance(last, WheelSpeeds) and isinstance(now, WheelSpeeds):
+        return last.left_rad_s * ticks_per_speed, last.right_rad_s * ticks_per_speed
+    raise TypeError("a robot's wheels tell either ticks or speeds, not both")
+
+
+def _count_variance(wheels: Wheels) -> float:
+    """rad² of a turn between two readings: each count may stand for any angle within it, at both ends."""
+    return (wheels.left_m_per_tick**2 + wheels.right_m_per_tick**2) / 6 / wheels.track_width_m**2
+
+
+def _prepare(wheels: Wheels, integration: Integration, gyro: Gyro) -> tuple[FloatArray, FloatArray]:
+    """Parameters and first states (2, STATE_SIZE) as the kernels take them."""
+    if integration not in _INTEGRATIONS:
+        raise ArgumentError(f"integration is {integration!r}", fix=f"one of {', '.join(_INTEGRATIONS)}")
+    parameters, state = np.zeros(PARAMETERS_SIZE), np.zeros(at.STATE_SIZE)
+    parameters[INTEGRATION] = _INTEGRATIONS[integration]
+    parameters[TRACK] = wheels.track_width_m
+    parameters[SLIP_SQUARED] = wheels.slip_m_per_sqrt_m**2
+    parameters[SPEED_LIMIT] = wheels.max_speed_m_s
+    parameters[GAP_LIMIT] = wheels.max_gap_s
+    parameters[GYRO_VARIANCE] = gyro.noise_rad_per_sqrt_s**2
+    parameters[WALK_VARIANCE] = gyro.bias_walk_rad_s_per_sqrt_s**2
+    parameters[LEFT_M], parameters[RIGHT_M] = wheels.left_m_per_tick, wheels.right_m_per_tick
+    parameters[SPAN] = float(wheels.counter_span)
+    parameters[COUNT_VARIANCE] = _count_variance(wheels)
+    state[at.BIAS], state[at.BIAS_VARIANCE] = gyro.bias_rad_s, gyro.bias_sigma_rad_s**2
+    state[at.RATIO] = 1.0
+    return parameters, np.stack([state, state])
+
+
+# WheelSettings: what can be set about wheels and the gyroscope beside them, with the reasons for the defaults.
+
+
+_FROM_0002 = "docs/decisions/0002: three simulated flats, and the log of a real skid-steered robot"
+_DATA_SHEETS = "reckoned from data sheets and tape measures"
+
+
+class ReadingTimesSettings(Settings):
+    """When readings were taken that are stamped when they arrive; see `ReadingTimes`."""
+
+    speed_steps: int = setting(
+        8,
+        "steps over which the speed is a mean: the noise of stamps is a tenth of it then, and robots' speeds much the"
+        " same",
+        _FROM_0002,
+        ge=2,
+        le=1000,
+    )
+    acceleration_m_s2: float = setting(
+        1.0, "how fast robots indoors speed up and brake, m/s²", "reckoned", gt=0, le=100
+    )
+    slowest_m_s: float = setting(0.03, "slower, m/s, a count more or less is much of the way", "reckoned", ge=0, le=10)
+    stopping_share: float = setting(
+        0.5, "a step of less than this share of the usual way is of a base that stops", _FROM_0002, ge=0, lt=1
+    )
+    gap_factor: float = setting(1.5, "a step so many times as long as usual, and", _FROM_0002, gt=1, le=100)
+    gap_sigmas: float = setting(
+        3.0, "longer than its way takes by so many standard deviations, has a gap in it", _FROM_0002, gt=0, le=100
+    )
+    waiting_share: float = setting(
+        0.5,
+        "those behind a gap waited too, until one is taken less than this share of a period before its stamp,",
+        _FROM_0002,
+        gt=0,
+        le=10,
+    )
+    pace_share: float = setting(
+        0.6,
+        "or some come at their usual pace, as they do behind a second gap within the first: longer than this share of "
+        "what their ways take,",
+        _FROM_0002,
+        gt=0,
+        lt=1,
+    )
+    patience: int = setting(3, "so many of them", _FROM_0002, ge=1, le=1000)
+    latest_s: float = setting(
+        0.2,
+        "no reading is believed to be farther off its stamp, seconds: filters take events so late",
+        "reckoned",
+        gt=0,
+        le=10,
+    )
+    memory_steps: int = setting(
+        40, "the noise of stamps is the root mean square over about so many steps on the way", _FROM_0002, ge=1, le=1e6
+    )
+    least_noise_s: float = setting(1e-3, "noise that is taken for granted at first, seconds", _FROM_0002, gt=0, le=1)
+    exact_s: float = setting(
+        3e-3,
+        "less noise is none, seconds: wheels that count in steps make so much of it, and a clean drive stays the same",
+        _FROM_0002,
+        ge=0,
+        le=1,
+    )
+
+
+class GyroCheckSettings(Settings):
+    """Whether a gyroscope tells of the wheels' turns; see `GyroCheck`."""
+
+    block_s: float = setting(0.25, "length of the blocks in which turns are compared, seconds", CHOSEN, gt=0, le=10)
+    most_lag_s: float = setting(0.4, "lags that are looked for, either way, seconds", CHOSEN, gt=0, le=10)
+    lags: int = setting(17, "how many, evenly spaced; odd, so that none is one of them", CHOSEN, ge=3, le=1001)
+    turning_rad_s: float = setting(
+        0.05, "turns of the wheels that count, rad/s; slower, counts and noise are most of it", "reckoned", gt=0, le=10
+    )
+    last_turns: int = setting(40, "turning blocks that are looked at: 10 s of turning", CHOSEN, ge=3, le=100_000)
+    last_blocks: int = setting(400, "within so many blocks: 100 s", CHOSEN, ge=3, le=1_000_000)
+    trust_after: int = setting(8, "turning blocks before it may be believed: 2 s", ON_SIMULATOR, ge=3, le=100_000)
+    accuse_after: int = setting(20, "turning blocks before it may be left out: 5 s", ON_SIMULATOR, ge=3, le=100_000)
+    lowest_scale: float = setting(
+        0.85,
+        "of its turns over those of the wheels: radii and tracks by tape measure, and gyroscopes by data sheet, are "
+        "good to some percent",
+        _DATA_SHEETS,
+        gt=0,
+        lt=1,
+    )
+    highest_scale: float = setting(1.15, "likewise", _DATA_SHEETS, gt=1, le=100)
+    lowest_slipping_scale: float = setting(
+        0.5, "the same of wheels that slip in turns, as a skid-steered robot's do", "one real drive", gt=0, lt=1
+    )
+    highest_slipping_scale: float = setting(1.3, "likewise", "one real drive", gt=1, le=100)
+    slipping_scatter: float = setting(
+        0.015,
+        "share of the rate by which it is off the line from which on wheels slip in turns: 0.03 to 0.09 of a skid-"
+        "steered robot, less than 0.01 of wheels that grip",
+        "the first is a real drive, the others the simulator's",
+        gt=0,
+        lt=1,
+    )
+    sigmas: float = setting(3.0, "standard deviations by which a scale must lie outside", CHOSEN, gt=0, le=100)
+    followed_share: float = setting(
+        0.8, "share of the rates' variance that the line explains of one that is believed", ON_SIMULATOR, gt=0, lt=1
+    )
+    deaf_share: float = setting(
+        0.5, "share below which it tells of other turns than the wheels", ON_SIMULATOR, gt=0, lt=1
+    )
+    late_s: float = setting(
+        0.1,
+        "lag that is worth a word, seconds: wheels' stamps are late by some 0.05 s where nobody measured their delay",
+        "reckoned",
+        gt=0,
+        le=10,
+    )
+    clearer: float = setting(2.0, "so many times less is left at the best lag", ON_SIMULATOR, ge=1, le=1000)
+    recent_blocks: int = setting(4, "blocks in which it must agree to be kept: one second", CHOSEN, ge=1, le=100_000)
+    stuck_s: float = setting(1.0, "the same number for so long, seconds, is of one that is stuck,", CHOSEN, gt=0, le=60)
+    stuck_rad: float = setting(
+        0.2,
+        "while the wheels turned by so much else, radians: more than they slip in that time",
+        ON_SIMULATOR,
+        gt=0,
+        le=10,
+    )
+    stuck_blocks: int = setting(40, "in so many blocks, at most: 10 s", CHOSEN, ge=2, le=100_000)
+    unheard_s: float = setting(1.0, "so long it is waited for, seconds", CHOSEN, gt=0, le=60)
+    kept_s: float = setting(
+        2.0,
+        "how far back the way goes on by the wheels alone where it fails, seconds: longer than it takes to notice",
+        "reckoned",
+        gt=0,
+        le=600,
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.lags % 2 == 0:
+            raise conflict("lags", f"is {self.lags}, and none of them is 0", "an odd number")
+        if self.last_blocks < self.last_turns:
+            problem = f"is {self.last_blocks}, less than last_turns: {self.last_turns}"
+            raise conflict("last_blocks", problem, "let last_blocks be the larger")
+        for name in ("trust_after", "accuse_after"):
+            if getattr(self, name) > self.last_blocks:
+                problem = f"is {getattr(self, name)}, more than last_blocks: {self.last_blocks}"
+                raise conflict(name, problem, "let last_blocks be the larger")
+        if self.followed_share < self.deaf_share:
+            problem = f"is {self.followed_share:g}, less than deaf_share: {self.deaf_share:g}"
+            raise conflict("followed_share", problem, "let followed_share be the larger")
+        return self
+
+
+class WheelSettings(Settings):
+    """How wheel readings become a pose."""
+
+    integration: Integration = setting(
+        "arc", "of a step: exact, by Ligocki's eq. 1 (midpoint), or by Trinh's eq. 3 (euler)", "the papers"
+    )
+    gyro: bool = setting(
+        True,
+        "join the yaw rates of a gyroscope, where the recording has them",
+        "docs/wheel-odometry.md: a real skid-steered robot, and ten simulated drives",
+    )
+    gyro_gap_s: float = setting(
+        0.1, "a gyroscope that is silent for longer tells no turn between two readings, seconds", CHOSEN, gt=0, le=10
+    )
+    reading_times: ReadingTimesSettings = ReadingTimesSettings()
+    gyro_check: GyroCheckSettings = GyroCheckSettings()
+
+
+# ReadingTimes: when wheel readings were taken, though they are stamped when they arrive.
+#
+# Wheels tell ways, and a count is right whenever it arrives; its stamp is off by what host and wire were busy with. A
+# step took about as long as its way takes at the speed there was. By how much steps last more or less than their ways
+# take tells how far off stamps are, beyond what slip and a change of speed would make of it; the time of a reading
+# lies between both, the nearer to its stamp the better stamps are. One that comes late, after a gap in which those
+# behind it waited too, was taken when its way says.
+
+
+Timed = WheelTicks | WheelCounts | OdometryReading
+"""Readings whose ways say how long they took; speeds have none of their own."""
+
+
+class ReadingTimes:
+    """Tells when a robot's readings were taken, one after another.
+
+    Args:
+        wheels: of the robot.
+        settings: of None, the defaults.
+
+    Attributes:
+        late: how many readings were taken well before their stamp says.
+    """
+
+    def __init__(self, wheels: Wheels | HolonomicWheels, settings: ReadingTimesSettings | None = None) -> None:
+        self.settings = settings or ReadingTimesSettings()
+        self._wheels, self._slip_m_per_sqrt_m = wheels, wheels.slip_m_per_sqrt_m
+        self._last: Timed | None = None
+        self._time_s = -math.inf
+        self._steps: deque[tuple[float, float]] = deque(maxlen=self.settings.speed_steps)  # seconds, and way in metres
+        self._variance_s2 = self.settings.least_noise_s**2
+        self._patience = self.late = 0
+
+    @property
+    def noise_s(self) -> float:
+        """Standard deviation of the stamps, beyond what may be a change of speed; 0 where they are exact."""
+        return math.sqrt(self._variance_s2) if self._variance_s2 > self.settings.exact_s**2 else 0.0
+
+    def time_of(self, reading: Timed) -> float:
+        """When a reading was taken, in seconds; times grow where stamps do."""
+        last, self._last = self._last, reading
+        step_s = math.inf if last is None else reading.stamp_s - last.stamp_s
+        if last is None or not 0 < step_s < self.settings.latest_s:
+            self._steps.clear()
+            self._time_s, self._patience = reading.stamp_s, 0
+            return reading.stamp_s
+        way_m, before_s = self._way_between(last, reading), self._time_s
+        self._time_s = max(self._told(reading.stamp_s, step_s, way_m), before_s + 1e-6)
+        self._steps.append((self._time_s - before_s, way_m))
+        return self._time_s
+
+    def _told(self, stamp_s: float, step_s: float, way_m: float) -> float:
+        """The time of a reading: by its stamp and its way, or by that alone where it waited."""
+        of = self.settings
+        speed_m_s, period_s = self._speed_m_s, sum(seconds for seconds, _ in self._steps) / of.speed_steps
+        if speed_m_s < of.slowest_m_s or way_m < of.stopping_share * period_s * speed_m_s:
+            self._patience = 0
+            return stamp_s
+        took_s, lag_s = way_m / speed_m_s, period_s * of.speed_steps / 2
+        of_slip_s = self._slip_m_per_sqrt_m * math.sqrt(way_m / 2) / speed_m_s
+        unsure_s = math.hypot(took_s * min(of.acceleration_m_s2 * lag_s / speed_m_s, 1.0), of_slip_s)
+        due_s = self._time_s + took_s
+        if self._waited(stamp_s - due_s, step_s, took_s, (unsure_s, period_s)):
+            return due_s
+        self._learn(((step_s - took_s) ** 2 - unsure_s**2) / 2)  # both ends of a step are off
+        noise_s = self.noise_s
+        if noise_s == 0:
+            return stamp_s
+        told_s = due_s + unsure_s / (unsure_s + noise_s / 2) * (stamp_s - due_s)
+        return told_s if abs(stamp_s - told_s) < of.latest_s else stamp_s
+
+    def _waited(self, late_s: float, step_s: float, took_s: float, usual: tuple[float, float]) -> bool:
+        of, (unsure_s, period_s) = self.settings, usual
+        off_s = of.gap_sigmas * math.hypot(math.sqrt(2) * self.noise_s, unsure_s)
+        begins = step_s > of.gap_factor * period_s and step_s - took_s > off_s
+        if begins:
+            self._patience = of.patience
+        elif step_s > of.pace_share * took_s:
+            self._patience -= 1
+        if not of.waiting_share * period_s < late_s < of.latest_s:
+            self._patience = 0
+        self.late += self._patience > 0
+        return self._patience > 0
+
+    def _learn(self, found_s2: float) -> None:
+        # None counts as more than three times what was known: a speed that changes at once is no noise.
+        counted_s2 = min(max(found_s2, self.settings.least_noise_s**2), 9 * self._variance_s2)
+        self._variance_s2 += (counted_s2 - self._variance_s2) / self.settings.memory_steps
+
+    @property
+    def _speed_m_s(self) -> float:
+        """The mean over the last steps; 0 where too few are known."""
+        if len(self._steps) < self.settings.speed_steps:
+            return 0.0
+        return sum(way_m for _, way_m in self._steps) / sum(seconds for seconds, _ in self._steps)
+
+    def _way_between(self, before: Timed, now: Timed) -> float:
+        """Mean of all wheels' ways, in metres; of a base's own odometry, that of a wheel, about."""
+        of = self._wheels
+        if isinstance(of, Wheels) and isinstance(before, WheelTicks) and isinstance(now, WheelTicks):
+            steps = (now.left - before.left, now.right - before.right)
+            sizes_m = (of.left_m_per_tick, of.right_m_per_tick)
+            return sum(abs(least_step(n, of.counter_span) * m) for n, m in zip(steps, sizes_m, strict=True)) / 2
+        if not isinstance(of, HolonomicWheels):
+            return 0.0  # no reading of these wheels, as odometry says
+        if isinstance(before, OdometryReading) and isinstance(now, OdometryReading):
+            turn_rad = abs(math.remainder(now.yaw_rad - before.yaw_rad, 2 * math.pi))
+            return math.hypot(now.x_m - before.x_m, now.y_m - before.y_m) + of.lever_m * turn_rad
+        if not (isinstance(before, WheelCounts) and isinstance(now, WheelCounts)):
+            return 0.0
+        span = 1 << of.counter_bits if of.counter_bits else 0
+        counts = [abs(least_step(a - b, span)) for a, b in zip(now.counts, before.counts, strict=False)]
+        return of.m_per_tick * sum(counts) / max(len(counts), 1)
+
+
+# Encoder: what a quadrature encoder on a geared motor can tell of a wheel (Trinh et al., eq. 4).
+
+
+_SECONDS_A_MINUTE = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Encoder:
+    """An incremental encoder on a motor's shaft, whose pulses on channel A are counted.
+
+    Attributes:
+        counts_per_turn: pulses of one channel in a turn of the shaft (CPR).
+        gear_ratio: turns of the shaft a turn of the wheel.
+        wheel_radius_m: of the driven wheel.
+
+    Raises:
+        CalibrationError: a number that is not positive.
+    """
+
+    counts_per_turn: float
+    gear_ratio: float
+    wheel_radius_m: float
+
+    def __post_init__(self) -> None:
+        for name in ("counts_per_turn", "gear_ratio", "wheel_radius_m"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise CalibrationError(f"{name} is {value}, not a positive number")
+
+    @property
+    def ticks_per_turn(self) -> float:
+        """Pulses a turn of the wheel, as `Wheels.ticks_per_turn` takes them."""
+        return self.counts_per_turn * self.gear_ratio
+
+    @property
+    def m_per_pulse(self) -> float:
+        """How far the wheel rolls from one pulse to the next (DistanceResolution)."""
+        return 2 * math.pi * self.wheel_radius_m / self.ticks_per_turn
+
+    def pulses_per_s(self, motor_rpm: float) -> float:
+        """Pulses a second at a speed of the motor (MaxGeneratedPulse at its highest)."""
+        return motor_rpm / _SECONDS_A_MINUTE * self.counts_per_turn
+
+    def interrupts_per_s(self, motor_rpm: float) -> float:
+        """Two a pulse (MaxExternalInterrupts): both edges of this encoder, or one edge of two such encoders."""
+        return 2 * self.pulses_per_s(motor_rpm)
+
+    def wheel_speed_m_s(self, motor_rpm: float) -> float:
+        """How fast the wheel rolls at a speed of the motor."""
+        return self.pulses_per_s(motor_rpm) * self.m_per_pulse

@@ -1,0 +1,612 @@
+"""Compiled steps of dead reckoning, and the Kalman filter that joins wheels and a gyroscope."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from wheelsight.core.compiled import kernel
+from wheelsight.core.geometry.arrays import ByteArray, FloatArray
+from wheelsight.wheels import state_kernels as at
+from wheelsight.wheels.state_kernels import (
+    BEGUN,
+    BIAS_VARIANCE,
+    COVARIANCE,
+    DRIFT,
+    EXACT,
+    IS_REST,
+    IS_STILL,
+    OFF,
+    RATIO,
+    SCALE,
+    SHARED_COVARIANCE,
+    SLIP_COVARIANCE,
+    SPEED,
+    STRETCH_S,
+    TURNED,
+    YAW,
+    YAW_RATE,
+    X,
+    Y,
+    add_outer,
+    add_product,
+    add_shared,
+)
+
+# One step of dead reckoning, and whole logs of them; numba over arrays and numbers.
+#
+# A state is an array of STATE_SIZE numbers, its places named in `_state_kernels`. Steps move it by what the wheels
+# tell; a gyroscope corrects it stretch by stretch, and begins a second one beside it (`_gyro_kernels`).
+
+
+TRACK, SLIP_SQUARED, SPEED_LIMIT, GAP_LIMIT, GYRO_VARIANCE, WALK_VARIANCE, LEFT_M, RIGHT_M, SPAN = range(9)
+COUNT_VARIANCE = 9  # of a turn between two counts; 0 where wheels tell no counts
+INTEGRATION, PARAMETERS_SIZE = 10, 11  # EULER, MIDPOINT or ARC
+
+EULER, MIDPOINT, ARC = 0, 1, 2
+OK, BACKWARDS, GAP, AMBIGUOUS, IMPLAUSIBLE = 0, 1, 2, 3, 4
+
+# Stamps given on arrival jitter: ticks of a long while may come stamped as those of a short one.
+STAMP_JITTER_S = 0.05
+# m/s², of wheels that spin up in the air.
+MOST_ACCELERATION = 20.0
+# m/s², of a wheel that turns back: its whole way since it stood still, where a counter that wraps leaps at full speed.
+MOST_REVERSAL = 7.0
+_SERIES_BELOW = 0.1
+
+
+class Log(NamedTuple):
+    """Readings (N,) of a whole drive: stamps, cumulative ticks; yaw rates (N,), or empty."""
+
+    stamps_s: FloatArray
+    left: FloatArray
+    right: FloatArray
+    rates_rad_s: FloatArray
+
+
+class Poses(NamedTuple):
+    """What comes of a log: x, y, yaw (N, 3), covariances (N, 6) as in `read_covariance`, and reasons (N,) or 0."""
+
+    poses: FloatArray
+    covariances: FloatArray
+    reasons: ByteArray
+
+
+@kernel
+def unrolled(ticks: float, span: float) -> float:
+    """A difference of counters that roll over after `span` (0: never), as the least step that explains it."""
+    return ticks - span * math.floor(ticks / span + 0.5) if span > 0 else ticks
+
+
+@kernel
+def fault(state: FloatArray, parameters: FloatArray, left_m: float, right_m: float, dt_s: float) -> int:
+    """Why a step is refused, or OK.
+
+    More than the fastest wheel rolls in the time that stamps tell may still be the ticks of a longer while, if the
+    robot went about so fast before; else it is a counter that leaped.
+    """
+    if not 0 < dt_s < math.inf:
+        return BACKWARDS
+    if dt_s > parameters[GAP_LIMIT]:
+        return GAP
+    half_m = 0.5 * parameters[SPAN] * min(parameters[LEFT_M], parameters[RIGHT_M])
+    if half_m > 0 and parameters[SPEED_LIMIT] * dt_s >= half_m:
+        return AMBIGUOUS
+    while_s, way_m = dt_s + STAMP_JITTER_S, max(abs(left_m), abs(right_m))
+    pace_m_s = abs(state[SPEED]) + 0.5 * parameters[TRACK] * abs(state[YAW_RATE])
+    by_pace_m = max(parameters[SPEED_LIMIT] * dt_s, (2 * pace_m_s + MOST_ACCELERATION * while_s) * while_s)
+    is_known = pace_m_s > 0 or state[IS_STILL] > 0
+    farthest_m = parameters[SPEED_LIMIT] * while_s
+    if way_m > (min(farthest_m, by_pace_m) if is_known else farthest_m):
+        return IMPLAUSIBLE
+    turn_m_s = 0.5 * parameters[TRACK] * state[YAW_RATE]
+    is_leap = _leaps_back(state[SPEED] - turn_m_s, left_m, while_s) or _leaps_back(
+        state[SPEED] + turn_m_s, right_m, while_s
+    )
+    return IMPLAUSIBLE if is_leap else OK
+
+
+@kernel
+def _leaps_back(before_m_s: float, way_m: float, while_s: float) -> bool:
+    """Whether a wheel that went at some speed rolled back much faster than that, and than it could within the while."""
+    return before_m_s * way_m < 0 and abs(way_m) > max(MOST_REVERSAL * while_s, 3 * abs(before_m_s)) * while_s
+
+
+@kernel
+def widen(state: FloatArray, parameters: FloatArray, dt_s: float) -> None:
+    """Let the covariance say that in `dt_s` the robot may have gone anywhere its wheels could take it, evenly so."""
+    end_stretch(state, parameters[GYRO_VARIANCE], parameters[COUNT_VARIANCE])
+    reach_m = parameters[SPEED_LIMIT] * (dt_s + STAMP_JITTER_S)
+    turn_rad = min(2 * reach_m / parameters[TRACK], math.pi)
+    add_outer(state, COVARIANCE, turn_rad**2 / 3, state[Y], -state[X], 1.0)
+    state[COVARIANCE] += reach_m**2 / 3
+    state[COVARIANCE + 3] += reach_m**2 / 3
+    state[BIAS_VARIANCE] += parameters[WALK_VARIANCE] * dt_s
+    state[IS_STILL] = state[SPEED] = state[YAW_RATE] = 0.0
+
+
+@kernel
+def step(
+    state: FloatArray,
+    parameters: FloatArray,
+    left_m: float,
+    right_m: float,
+    dt_s: float,
+    rate_rad_s: float,
+) -> None:
+    """Move the state by the travel of both wheels in `dt_s`; the gyroscope's mean rate may be NaN for none."""
+    track_m, slip_squared = parameters[TRACK], parameters[SLIP_SQUARED]
+    left_variance, right_variance = slip_squared * abs(left_m), slip_squared * abs(right_m)
+    way_m, turn_rad = (left_m + right_m) / 2, (right_m - left_m) / track_m
+    way_variance = (left_variance + right_variance) / 4
+    shared = (right_variance - left_variance) / (2 * track_m)
+    state[TURNED] = turn_rad
+    turn_rad += state[DRIFT] * way_m + state[SCALE] * turn_rad
+    is_still, is_gyro_silent = left_m == 0 and right_m == 0, math.isnan(rate_rad_s)
+    was_still, state[IS_STILL] = state[IS_STILL] > 0, 1.0 if is_still else 0.0
+    of_gyro = (parameters[GYRO_VARIANCE], parameters[COUNT_VARIANCE])
+    state[BIAS_VARIANCE] += parameters[WALK_VARIANCE] * dt_s
+    state[SPEED], state[YAW_RATE] = way_m / dt_s, turn_rad / dt_s
+    if is_gyro_silent and state[STRETCH_S] > 0:
+        end_stretch(state, *of_gyro)
+    if is_still:
+        if was_still and not is_gyro_silent:
+            add_rest(state, *of_gyro, dt_s, rate_rad_s * dt_s)
+        return
+    (wx, wy), (tx, ty) = move(state, int(parameters[INTEGRATION]), way_m, turn_rad)
+    # as left perturbations: a turn where the robot now stands is one about the origin, and a shift
+    along, slip = (wx, wy, tx + state[Y], ty - state[X]), (4 * way_variance / track_m**2, shared)
+    state[COVARIANCE] += way_variance * wx * wx
+    state[COVARIANCE + 1] += way_variance * wx * wy
+    state[COVARIANCE + 3] += way_variance * wy * wy
+    if is_gyro_silent:
+        add_outer(state, COVARIANCE, slip[0], along[2], along[3], 1.0)
+        add_shared(state, COVARIANCE, shared, *along)
+    else:
+        add_step(state, *of_gyro, Step(dt_s, way_m, turn_rad, rate_rad_s, slip, along))
+
+
+@kernel
+def _step_each(
+    states: FloatArray,
+    parameters: FloatArray,
+    left_m: float,
+    right_m: float,
+    dt_s: float,
+    rate_rad_s: float,
+) -> None:
+    """`step` of both states (2, STATE_SIZE); of one, where no gyroscope was heard yet."""
+    if states[OFF, BEGUN] == 0 and not math.isnan(rate_rad_s):
+        begin_off(states)
+    step(states[EXACT], parameters, left_m, right_m, dt_s, rate_rad_s)
+    if states[OFF, BEGUN] > 0:
+        step(states[OFF], parameters, left_m, right_m, dt_s, rate_rad_s)
+
+
+@kernel
+def _widen_each(states: FloatArray, parameters: FloatArray, dt_s: float) -> None:
+    for i in range(len(states)):
+        widen(states[i], parameters, dt_s)
+
+
+@kernel
+def _chord(turn_rad: float) -> tuple[float, float]:
+    """Length of the chord of an arc of length 1 that turns so far, and its derivative by the turn."""
+    h = turn_rad / 2
+    if abs(h) < _SERIES_BELOW:
+        q = h * h
+        return 1 - q / 6 * (1 - q / 20 * (1 - q / 42)), -h / 6 * (1 - q / 10 * (1 - q / 28 * (1 - q / 54)))
+    return math.sin(h) / h, (math.cos(h) - math.sin(h) / h) / h / 2
+
+
+@kernel
+def _shape(integration: int, turn_rad: float) -> tuple[float, float, float]:
+    """Chord of an arc of length 1, its derivative by the turn, and the share of the turn at which it points."""
+    if integration == EULER:
+        return 1.0, 0.0, 0.0
+    if integration == MIDPOINT:
+        return 1.0, 0.0, 0.5
+    chord, slope = _chord(turn_rad)
+    return chord, slope, 0.5
+
+
+@kernel
+def move(
+    state: FloatArray, integration: int, way_m: float, turn_rad: float
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Move the pose; answers the derivatives of (x, y) by the way and by the turn."""
+    chord, slope, share = _shape(integration, turn_rad)
+    heading_rad = state[YAW] + share * turn_rad
+    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    state[X] += chord * way_m * c
+    state[Y] += chord * way_m * s
+    yaw_rad = state[YAW] + turn_rad
+    if abs(yaw_rad) > math.pi:
+        yaw_rad = math.atan2(math.sin(yaw_rad), math.cos(yaw_rad))
+    state[YAW] = yaw_rad
+    bend, swing = way_m * slope, way_m * chord * share
+    return (chord * c, chord * s), (bend * c - swing * s, bend * s + swing * c)
+
+
+@kernel
+def read_covariance(state: FloatArray, six: FloatArray) -> None:
+    """Write xx, xy, xω, yy, yω, ωω into `six` (6,), that of the stretch which the gyroscope has not joined included."""
+    root = math.sqrt(state[RATIO])
+    for i in range(6):
+        six[i] = state[COVARIANCE + i]
+        if state[STRETCH_S] > 0 and state[IS_REST] == 0:
+            six[i] += state[RATIO] * state[SLIP_COVARIANCE + i] + root * state[SHARED_COVARIANCE + i]
+
+
+@kernel
+def update(
+    states: FloatArray,
+    parameters: FloatArray,
+    left_ticks: float,
+    right_ticks: float,
+    dt_s: float,
+    rate_rad_s: float,
+    T_odom_base: FloatArray,
+    covariance: FloatArray,
+) -> int:
+    """One reading of the stream: step, or widen and say why; fills T (4, 4) and covariance (6, 6).
+
+    `states` is (2, STATE_SIZE).
+    """
+    left_m = parameters[LEFT_M] * unrolled(left_ticks, parameters[SPAN])
+    right_m = parameters[RIGHT_M] * unrolled(right_ticks, parameters[SPAN])
+    state = states[likelier(states)]
+    why = fault(state, parameters, left_m, right_m, dt_s)
+    if why == OK:
+        _step_each(states, parameters, left_m, right_m, dt_s, rate_rad_s)
+    elif why != BACKWARDS:
+        _widen_each(states, parameters, dt_s)
+    state = states[likelier(states)]
+    c, s = math.cos(state[YAW]), math.sin(state[YAW])
+    T_odom_base[0, 0], T_odom_base[0, 1], T_odom_base[0, 3] = c, -s, state[X]
+    T_odom_base[1, 0], T_odom_base[1, 1], T_odom_base[1, 3] = s, c, state[Y]
+    six = np.empty(6)
+    read_covariance(state, six)
+    covariance[0, 0], covariance[1, 1], covariance[5, 5] = six[0], six[3], six[5]
+    covariance[0, 1] = covariance[1, 0] = six[1]
+    covariance[0, 5] = covariance[5, 0] = six[2]
+    covariance[1, 5] = covariance[5, 1] = six[4]
+    return why
+
+
+@kernel
+def integrate(states: FloatArray, parameters: FloatArray, log: Log, out: Poses) -> None:
+    """Dead reckoning of a log; fills what comes of it."""
+    stamps_s, left, right, rates_rad_s = log
+    poses, covariances, reasons = out
+    last, state = 0, states[EXACT]
+    for i in range(len(stamps_s)):
+        if i > 0:
+            dt_s = stamps_s[i] - stamps_s[last]
+            left_m = parameters[LEFT_M] * unrolled(left[i] - left[last], parameters[SPAN])
+            right_m = parameters[RIGHT_M] * unrolled(right[i] - right[last], parameters[SPAN])
+            reasons[i] = fault(state, parameters, left_m, right_m, dt_s)
+            if reasons[i] == OK:
+                rate = rates_rad_s[i] if len(rates_rad_s) else math.nan
+                _step_each(states, parameters, left_m, right_m, dt_s, rate)
+            elif reasons[i] != BACKWARDS:
+                _widen_each(states, parameters, dt_s)
+            if reasons[i] != BACKWARDS:
+                last = i
+        if len(rates_rad_s):
+            state = states[likelier(states)]
+        poses[i, 0], poses[i, 1], poses[i, 2] = state[X], state[Y], state[YAW]
+        read_covariance(state, covariances[i])
+
+
+# Wheels and gyroscope joined: the bias, how noisy the wheels are, and the turn by both; numba over arrays.
+#
+# A Kalman filter over the pose and what is wrong all the time: the gyroscope's bias b, and of the wheels the turn d
+# that they miss in a metre (unequal radii) and the ratio s by which they turn too little (track width). Over a
+# stretch of T seconds the gyroscope turns by Δ + b T + n, the wheels by Δ - d way - s turn + m, so that their
+# difference z ~ N(b T + d way + s turn, N² T + ρ M) measures these, and with them the noise m of the turn by which
+# the wheels have moved the pose; M is the wheels' variance by their calibration. Each stretch moves the pose by all
+# that is known of how such errors went into it.
+#
+# The ratio ρ, how noisy the wheels are on this floor, is told by pairs of pieces that follow each other: of them the
+# bias is the same, so that their difference tells of noise alone, as a distribution over a few values (Magill 1965).
+# It comes first: a bias that is large for its calibration, against wheels that hold better than theirs says, would
+# turn the pose. While the wheels stand still the difference is the bias itself, and the pose stays.
+#
+# Two such filters run: one of wheels that are exactly as calibrated, one in which d and s are unknown. Were these
+# always reckoned with, exact wheels would lose by what a drive cannot tell from the bias; the evidence decides.
+
+
+# Long enough that noise is more than a count, short enough that a turn is not far off meanwhile.
+PIECE_S = 0.2
+# So many pairs tell the ratio within a factor of two: 2.4 s of driving.
+ENOUGH_PAIRS = 6
+# From 2^-10, a thirtieth of the deviation (so much better than stated the simulator's wheels hold), to 2^10: alike to
+# both sides, so that the calibration stands where nothing is told of it.
+LOWEST_OCTAVE = -10
+_NATS_AN_OCTAVE = 0.2  # by which a calibration that is wrong by a factor of two is less likely
+_MOST_NATS = 4.0  # of one pair: wheels that spun are one
+_KEPT = 0.98  # of what pairs have told, after the next: a floor is left behind in 20 s
+# The stamps of both may be so far apart, and a base follows its tyres late: where the rate changes, that is a turn.
+_LATE_S = 0.01
+_GATE = 10.83  # χ² of one number, 0.999: beyond it the wheels have slipped
+_LONGEST_SLIP_S = 2.0  # to one side without a break
+_NATS_OF_LEAP = 12.0  # of a bias that is none of those expected: wheels that are a tenth off are likelier
+# Of wheels that are off: the turn that they miss in a metre, the ratio they turn too little by, how both wander.
+_DRIFT_SIGMA_RAD_PER_M, _SCALE_SIGMA, _WALK = 0.02, 0.03, 0.0005  # as the default filter has it
+# Nats by which they must explain the drive better: less is what noise does, and exact wheels are the better for it.
+_DECISIVE = 4.0
+
+
+class Step(NamedTuple):
+    """A step of moving wheels: their way and turn, and the gyroscope's mean rate meanwhile.
+
+    `slip` is the variance of the turn, and what it shares with the way; `along` is wx, wy, tx, ty, where the noise of
+    way and turn moves the pose.
+    """
+
+    dt_s: float
+    way_m: float
+    turn_rad: float
+    rate_rad_s: float
+    slip: tuple[float, float]
+    along: tuple[float, float, float, float]
+
+
+@kernel
+def begin_off(states: FloatArray) -> None:
+    """Go on for wheels that are off, too, from where exact ones are: (2, STATE_SIZE)."""
+    states[at.OFF] = states[at.EXACT]
+    states[at.OFF, at.DRIFT_VARIANCE], states[at.OFF, at.SCALE_VARIANCE] = _DRIFT_SIGMA_RAD_PER_M**2, _SCALE_SIGMA**2
+    states[at.OFF, at.BEGUN] = 1.0
+
+
+@kernel
+def likelier(states: FloatArray) -> int:
+    """Which of both states the drive speaks for."""
+    lead = states[at.OFF, at.EVIDENCE] - states[at.EXACT, at.EVIDENCE]
+    return at.OFF if states[at.OFF, at.BEGUN] > 0 and lead > _DECISIVE else at.EXACT
+
+
+@kernel
+def add_step(state: FloatArray, gyro_variance: float, count_variance: float, step: Step) -> None:
+    """Take a step of moving wheels into the stretch.
+
+    The variances are those of the gyroscope in one second, and of a turn between two counts of the encoders.
+    """
+    dt_s, way_m, turn_rad, rate_rad_s, slip, along = step
+    if state[at.STRETCH_S] > 0 and state[at.IS_REST] > 0:
+        end_stretch(state, gyro_variance, count_variance)
+    if state[at.STRETCH_S] == 0:
+        state[at.FIRST_RATE] = rate_rad_s
+    if state[at.PIECE_S] == 0:
+        state[at.PIECE_FIRST_RATE] = rate_rad_s
+    state[at.IS_REST], state[at.LAST_RATE] = 0.0, rate_rad_s
+    apart_rad = rate_rad_s * dt_s - turn_rad
+    for first in (at.STRETCH_S, at.PIECE_S):
+        state[first] += dt_s
+        state[first + 1] += apart_rad
+        state[first + 2] += slip[0]
+        state[first + 3] += way_m
+        state[first + 4] += turn_rad
+    _add_noise(state, slip, along)
+    for i in range(3):
+        t = along[2 + i] if i < 2 else 1.0
+        state[at.BY_DRIFT + i] += way_m * t
+        state[at.BY_SCALE + i] += turn_rad * t
+    if state[at.PIECE_S] >= PIECE_S:
+        change = rate_rad_s - state[at.PIECE_FIRST_RATE]
+        _end_piece(state, _known(gyro_variance, count_variance, state[at.PIECE_S], change))
+        if state[at.PAIRS] >= ENOUGH_PAIRS:
+            end_stretch(state, gyro_variance, count_variance)
+
+
+@kernel
+def _add_noise(state: FloatArray, slip: tuple[float, float], along: tuple[float, float, float, float]) -> None:
+    turn_variance, shared = slip
+    wx, wy, tx, ty = along
+    add_outer(state, at.SLIP_COVARIANCE, turn_variance, tx, ty, 1.0)
+    add_shared(state, at.SHARED_COVARIANCE, shared, wx, wy, tx, ty)
+    state[at.SLIP_WITH_TURN] += turn_variance * tx
+    state[at.SLIP_WITH_TURN + 1] += turn_variance * ty
+    state[at.SLIP_WITH_TURN + 2] += turn_variance
+    state[at.SHARED_WITH_TURN] += shared * wx
+    state[at.SHARED_WITH_TURN + 1] += shared * wy
+
+
+@kernel
+def add_rest(state: FloatArray, gyro_variance: float, count_variance: float, dt_s: float, turn_rad: float) -> None:
+    """Take a step of wheels that stand still, in which the gyroscope turned."""
+    if state[at.STRETCH_S] > 0 and state[at.IS_REST] == 0:
+        end_stretch(state, gyro_variance, count_variance)
+    state[at.IS_REST] = 1.0
+    state[at.STRETCH_S] += dt_s
+    state[at.APART] += turn_rad
+    if state[at.STRETCH_S] >= PIECE_S:
+        end_stretch(state, gyro_variance, count_variance)
+
+
+@kernel
+def end_stretch(state: FloatArray, gyro_variance: float, count_variance: float) -> None:
+    """Join what both have told; the pose as the wheels alone have it where nothing is known of their noise yet."""
+    if state[at.STRETCH_S] > 0 and state[at.IS_REST] > 0:
+        _learn_bias(state, gyro_variance)
+    elif state[at.STRETCH_S] > 0 and state[at.PAIRS] >= ENOUGH_PAIRS:
+        _join(state, gyro_variance, count_variance)
+    elif state[at.STRETCH_S] > 0:
+        _settle(state, state[at.RATIO])
+    for i in range(at.STRETCH_S, at.LAST_RATE + 1):
+        state[i] = 0.0
+
+
+@kernel
+def _learn_bias(state: FloatArray, gyro_variance: float) -> None:
+    """By a gyroscope at rest: the pose stays, which is then less uncertain by the bias."""
+    seconds = state[at.STRETCH_S]
+    H = np.array([seconds, 0.0, 0.0])
+    told = seconds * state[at.WITH_ERRORS : at.WITH_ERRORS + 9 : 3]
+    S = gyro_variance * seconds + seconds**2 * state[at.BIAS_VARIANCE]
+    _learn(state, H, S, told, state[at.APART] - state[at.BIAS] * seconds)
+
+
+@kernel
+def _learn(state: FloatArray, H: FloatArray, S: float, told: FloatArray, off: float) -> None:
+    """The Kalman update of the errors, by a difference of which `told` (3,) is the covariance with the pose."""
+    P = state[at.ERRORS_COVARIANCE : at.ERRORS_COVARIANCE + 9].reshape(3, 3)
+    C = state[at.WITH_ERRORS : at.WITH_ERRORS + 9].reshape(3, 3)
+    gain = np.zeros(3)
+    for i in range(3):
+        gain[i] = (P[i, 0] * H[0] + P[i, 1] * H[1] + P[i, 2] * H[2]) / S
+    for i in range(3):
+        state[at.BIAS + i] += gain[i] * off
+        for j in range(3):
+            P[i, j] -= gain[i] * gain[j] * S
+            C[i, j] -= told[i] * gain[j]
+
+
+@kernel
+def _settle(state: FloatArray, ratio: float) -> None:
+    """Add the stretch's noise to the pose's, of wheels whose variance is `ratio` times the calibration's."""
+    for i in range(6):
+        state[at.COVARIANCE + i] += ratio * state[at.SLIP_COVARIANCE + i]
+        state[at.COVARIANCE + i] += math.sqrt(ratio) * state[at.SHARED_COVARIANCE + i]
+
+
+@kernel
+def _go_astray(state: FloatArray) -> None:
+    """Let the pose err by what drift and scale have moved it in the stretch; both wander with the way."""
+    P = state[at.ERRORS_COVARIANCE : at.ERRORS_COVARIANCE + 9].reshape(3, 3)
+    C = state[at.WITH_ERRORS : at.WITH_ERRORS + 9].reshape(3, 3)
+    for a in range(2):
+        P[1 + a, 1 + a] += _WALK**2 * abs(state[at.WAY]) * state[at.BEGUN]
+        by = state[at.BY_DRIFT + 3 * a : at.BY_DRIFT + 3 * a + 3]
+        add_product(state, 1.0, by, C[:, 1 + a].copy())
+        for i in range(3):
+            for j in range(3):
+                C[i, j] += by[i] * P[1 + a, j]
+        add_product(state, 0.5 * P[1 + a, 1 + a], by, by)
+
+
+@kernel
+def _join(state: FloatArray, gyro_variance: float, count_variance: float) -> None:
+    """The Kalman update of pose and errors by how far wheels and gyroscope are apart."""
+    _go_astray(state)
+    seconds, slip, ratio = state[at.STRETCH_S], state[at.SLIP], state[at.RATIO]
+    H = np.array([seconds, state[at.WAY], state[at.TURN]])
+    known = _known(gyro_variance, count_variance, seconds, state[at.LAST_RATE] - state[at.FIRST_RATE])
+    known += _unsure(state, H)
+    off = state[at.APART] - state[at.BIAS] * seconds
+    if off**2 > _GATE * (known + ratio * slip) and slip > 0:
+        went = state[at.ASTRAY_S] if off * state[at.ASTRAY_S] > 0 else 0.0
+        state[at.ASTRAY_S] = went + math.copysign(seconds, off)
+        if abs(state[at.ASTRAY_S]) > _LONGEST_SLIP_S:
+            # That is no slip: a bias is but expected to be as small as stated.
+            state[at.BIAS_VARIANCE] += (off / seconds) ** 2
+            known += off**2
+            state[at.ASTRAY_S] = 0.0
+            state[at.EVIDENCE] -= _NATS_OF_LEAP
+        else:
+            # Wheels slip now and then by more than they do all the time: as far as they did here.
+            ratio = (off**2 - known) / slip
+    else:
+        state[at.ASTRAY_S] = 0.0
+    S = known + ratio * slip
+    state[at.EVIDENCE] -= 0.5 * (off**2 / S + math.log(S))
+    state[at.TOLD] = _told_of_stretch(state, H, ratio) / S * off
+    _settle(state, ratio)
+    C = state[at.WITH_ERRORS : at.WITH_ERRORS + 9].reshape(3, 3)
+    told, gain = np.zeros(3), np.zeros(3)
+    for i in range(3):
+        told[i] = C[i, 0] * H[0] + C[i, 1] * H[1] + C[i, 2] * H[2] + ratio * state[at.SLIP_WITH_TURN + i]
+        # Ways are left as they are, though they share noise with turns: a gain that goes along with the very travels it
+        # weighs by shortens every way.
+        gain[i] = told[i] / S
+        if i < 2:
+            told[i] += math.sqrt(ratio) * state[at.SHARED_WITH_TURN + i]
+    add_product(state, 0.5 * S, gain, gain)
+    add_product(state, -1.0, gain, told)
+    _learn(state, H, S, told, off)
+    _perturb(state, gain[0] * off, gain[1] * off, gain[2] * off)
+
+
+@kernel
+def _told_of_stretch(state: FloatArray, H: FloatArray, ratio: float) -> float:
+    """Covariance of the stretch's own turn, without the way before, with how far wheels and gyroscope are apart."""
+    P = state[at.ERRORS_COVARIANCE : at.ERRORS_COVARIANCE + 9].reshape(3, 3)
+    told: float = ratio * state[at.SLIP_WITH_TURN + 2]
+    for i in range(1, 3):
+        told += H[i] * (P[i, 0] * H[0] + P[i, 1] * H[1] + P[i, 2] * H[2])
+    return told
+
+
+@kernel
+def _unsure(state: FloatArray, H: FloatArray) -> float:
+    """Variance of the errors along H (3,)."""
+    P = state[at.ERRORS_COVARIANCE : at.ERRORS_COVARIANCE + 9].reshape(3, 3)
+    variance = 0.0
+    for i in range(3):
+        for j in range(3):
+            variance += H[i] * P[i, j] * H[j]
+    return variance
+
+
+@kernel
+def _perturb(state: FloatArray, vx: float, vy: float, turn_rad: float) -> None:
+    """T ← exp(vx, vy, ω) T."""
+    half = turn_rad / 2
+    chord = math.sin(half) / half if abs(half) > 1e-6 else 1.0
+    ch, sh = math.cos(half), math.sin(half)
+    c, s, x, y = math.cos(turn_rad), math.sin(turn_rad), state[at.X], state[at.Y]
+    state[at.X] = c * x - s * y + chord * (ch * vx - sh * vy)
+    state[at.Y] = s * x + c * y + chord * (sh * vx + ch * vy)
+    yaw_rad = state[at.YAW] + turn_rad
+    state[at.YAW] = math.atan2(math.sin(yaw_rad), math.cos(yaw_rad)) if abs(yaw_rad) > math.pi else yaw_rad
+
+
+@kernel
+def _known(gyro_variance: float, count_variance: float, seconds: float, change_rad_s: float) -> float:
+    """Variance of what both turn apart, but for the bias and the wheels' slip, while the rate changes so much."""
+    return gyro_variance * seconds + count_variance + (_LATE_S * change_rad_s) ** 2
+
+
+@kernel
+def _end_piece(state: FloatArray, known: float) -> None:
+    if state[at.BEFORE_S] > 0 and state[at.PIECE_SLIP] > 0 and state[at.BEFORE_SLIP] > 0:
+        _learn_ratio(state, known)
+        state[at.BEFORE_S] = 0.0
+    else:
+        for i in range(5):
+            state[at.BEFORE_S + i] = state[at.PIECE_S + i]
+        state[at.BEFORE_KNOWN] = known
+    for i in range(5):
+        state[at.PIECE_S + i] = 0.0
+
+
+@kernel
+def _learn_ratio(state: FloatArray, known: float) -> None:
+    """By how two pieces differ in what seems to be the bias."""
+    one_s, other_s = state[at.PIECE_S], state[at.BEFORE_S]
+    off2 = (state[at.PIECE_APART] / one_s - state[at.BEFORE_APART] / other_s) ** 2
+    H = np.zeros(3)
+    for i in range(1, 3):
+        H[i] = state[at.PIECE_WAY + i - 1] / one_s - state[at.BEFORE_WAY + i - 1] / other_s
+    known = known / one_s**2 + state[at.BEFORE_KNOWN] / other_s**2 + _unsure(state, H)
+    slip = state[at.PIECE_SLIP] / one_s**2 + state[at.BEFORE_SLIP] / other_s**2
+    nats, likely = state[at.NATS : at.NATS + at.RATIOS], np.empty(at.RATIOS)
+    for i in range(at.RATIOS):
+        S = known + 2.0 ** (i + LOWEST_OCTAVE) * slip
+        likely[i] = -0.5 * (off2 / S + math.log(S))
+    best = likely.max()
+    for i in range(at.RATIOS):
+        nats[i] = _KEPT * nats[i] + max(likely[i] - best, -_MOST_NATS)
+        likely[i] = nats[i] - _NATS_AN_OCTAVE * abs(i + LOWEST_OCTAVE)
+    weight, octave, best = 0.0, 0.0, likely.max()
+    for i in range(at.RATIOS):
+        w = math.exp(likely[i] - best)
+        weight += w
+        octave += w * (i + LOWEST_OCTAVE)
+    state[at.PAIRS] += 1.0
+    if state[at.PAIRS] >= ENOUGH_PAIRS:
+        state[at.RATIO] = 2.0 ** (octave / weight)

@@ -1,0 +1,267 @@
+"""Which depth cameras can be simulated. CameraUnit is one unit of a camera with its own errors; Carriage tells where
+it truly is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.core.calibration_parts import DepthNoise
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera, se3
+from wheelsight.core.trajectory import Trajectory
+from wheelsight_sim.body_motion import BodyMotion, mounted
+from wheelsight_sim.color_sensor import Lens, as_delivered, ideal_lens, lens_of
+from wheelsight_sim.depth_sensor import (
+    DepthDistortion,
+    DepthSensor,
+    DisparityDistortion,
+    DisparityDistortionSettings,
+    IdealDepth,
+    PhaseDistortion,
+    PhaseDistortionSettings,
+    Registration,
+    StructuredLight,
+    TimeOfFlight,
+)
+from wheelsight_sim.robot import Robot
+from wheelsight_sim.scene import View
+from wheelsight_sim.settings import Realism, stream
+from wheelsight_sim.world import World
+
+# Which depth cameras can be simulated, with their sizes, lenses, shutters and sensors.
+
+
+_LARGEST_PX = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class CameraModel:
+    """A depth camera whose depth images are registered to its colour images.
+
+    Attributes:
+        name: what `--camera` calls it.
+        description: one line for `--list`.
+        camera: of colour and depth alike, without distortion: as drivers deliver registered images.
+        rate_hz: frames a second.
+        rolling_shutter_s: from the first row's time to the last row's; 0 for a global shutter.
+        depth: how it measures.
+        depth_noise: what its owner believes of that, for the calibration.
+    """
+
+    name: str
+    description: str
+    camera: PinholeCamera
+    rate_hz: float
+    rolling_shutter_s: float
+    depth: DepthSensor
+    depth_noise: DepthNoise
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether it has no errors at all: what remains of an error is then not the camera's."""
+        return isinstance(self.depth, IdealDepth)
+
+    def resized(self, width: int, height: int) -> CameraModel:
+        """The same camera with other pixels over the same field of view.
+
+        What sensors say in pixels is in pixels of the native image, and they scale it by the focal length.
+
+        Raises:
+            ConfigError: a size no image has.
+        """
+        if not (1 <= width <= _LARGEST_PX and 1 <= height <= _LARGEST_PX):
+            raise ConfigError(f"images of {width}×{height} pixels cannot be made", fix=f"1 to {_LARGEST_PX} each way")
+        c = self.camera
+        a, b = width / c.width, height / c.height
+        # Pixel centres lie at integers: an image's edge is at -0.5, and that is what must stay.
+        lens = PinholeCamera(
+            width, height, c.fx * a, c.fy * b, (c.cx + 0.5) * a - 0.5, (c.cy + 0.5) * b - 0.5, c.distortion
+        )
+        return replace(self, camera=lens)
+
+
+def camera_names() -> tuple[str, ...]:
+    """Of the cameras there are, sorted."""
+    return tuple(sorted(_MODELS))
+
+
+def camera_model(name: str, size: tuple[int, int] | None = None) -> CameraModel:
+    """A camera by its name; `size` (width, height) in pixels replaces its own.
+
+    Raises:
+        ConfigError: a name that is none, listing those there are, or an impossible size.
+    """
+    if name not in _MODELS:
+        raise ConfigError(f"camera {name!r} is not known", fix=f"choose from {', '.join(camera_names())}")
+    model = _MODELS[name]
+    return model if size is None else model.resized(*size)
+
+
+def _centred(width: int, height: int, focal_px: float) -> PinholeCamera:
+    return PinholeCamera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
+
+
+_MODELS = {
+    model.name: model
+    for model in (
+        CameraModel(
+            "ideal",
+            "640×480, no noise, all pixels at once",
+            _centred(640, 480, 586.0),
+            rate_hz=30.0,
+            rolling_shutter_s=0.0,
+            depth=IdealDepth(),
+            depth_noise=DepthNoise(constant_m=0.001, quadratic_per_m=0.0, near_m=0.05, far_m=20.0),
+        ),
+        # Khoshelham & Elberink's focal length: 57.3° × 44.5°. The shutter is the one that feature odometry finds in
+        # recordings of two real cameras.
+        CameraModel(
+            "kinect-v1",
+            "640×480, structured light, 0.8 to 3.5 m, rolling shutter",
+            _centred(640, 480, 586.0),
+            rate_hz=30.0,
+            rolling_shutter_s=0.026,
+            depth=StructuredLight(),
+            depth_noise=DepthNoise(constant_m=0.001, quadratic_per_m=1.425e-3, near_m=0.45, far_m=10.0),
+        ),
+        # 70.0° × 60.2°: focal lengths of depth cameras read out of several units lie around 365.5 px. Depth is timed in
+        # all pixels at once, and a frame has one set of rays, so that colour, registered to it, is of one moment too.
+        CameraModel(
+            "kinect-v2",
+            "512×424, time of flight, 0.5 to 4.5 m, flying pixels at edges",
+            _centred(512, 424, 365.5),
+            rate_hz=30.0,
+            rolling_shutter_s=0.0,
+            depth=TimeOfFlight(),
+            depth_noise=DepthNoise(constant_m=1.5e-3, quadratic_per_m=0.2e-3, near_m=0.5, far_m=8.0),
+        ),
+    )
+}
+
+
+# One unit of a camera: its lens, its registration, its distortion of depth.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraUnit:
+    """A camera of a model, with the errors that its seed gives it.
+
+    Attributes:
+        model: in the size wanted.
+        lens: the true one, and the calibrated one.
+        realism: the parts, or None where there are no errors but the sensors' noise.
+        registration: of depth to colour, or None where it is exact.
+        seed: of the unit.
+    """
+
+    model: CameraModel
+    lens: Lens
+    realism: Realism | None
+    registration: Registration | None
+    seed: int
+
+    def distortion(self, scattered: FloatArray) -> DepthDistortion | None:
+        """Of depth, among geoms that scatter the shares (G,) of infrared light; None where there is none."""
+        if self.realism is None:
+            return None
+        rng = stream(self.seed, "depth distortion")
+        if isinstance(self.model.depth, StructuredLight):
+            return DisparityDistortion(DisparityDistortionSettings(), self.lens.true, rng)
+        if isinstance(self.model.depth, TimeOfFlight):
+            return PhaseDistortion(PhaseDistortionSettings(), self.lens.true, scattered, rng)
+        return None
+
+    def seen_by_depth(
+        self,
+        view: View,
+        sun: Float32Array | None,
+        distortion: DepthDistortion | None,
+        twist: FloatArray,
+        stamp_s: float,
+    ) -> View:
+        """What the depth sensor has to measure, whose colour image shows `view`, in sunlight `sun` (H, W)."""
+        if self.registration is None or self.realism is None:
+            return view
+        seen = self.registration.seen_by_depth(view, twist, stamp_s)
+        depth_m = seen.depth_m if distortion is None else distortion.distorted(seen)
+        geom = seen.geom
+        if sun is not None:
+            blinded = sun > self.realism.sunlight.blinds_from
+            depth_m, geom = np.where(blinded, np.float32(0), depth_m), np.where(blinded, np.int32(-1), geom)
+        return View(depth_m, geom, seen.normal_world, seen.T_world_camera, seen.rays)
+
+    def delivered(self, color: ByteArray) -> ByteArray:
+        """A colour image (H, W, 3) as the host gets it."""
+        return color if self.realism is None else as_delivered(color, self.realism.pixels)
+
+
+def unit_of(model: CameraModel, realism: Realism | None, seed: int) -> CameraUnit:
+    """The unit of a camera that a seed gives. A model without noise has no errors of its own either."""
+    if realism is None or model.is_exact:
+        return CameraUnit(model, ideal_lens(model.camera), None, None, seed)
+    lens = lens_of(model.camera, realism.lens, stream(seed, "lens"))
+    registration = Registration(realism.registration, model.camera.width, stream(seed, "registration"))
+    return CameraUnit(model, lens, realism, registration, seed)
+
+
+# How a camera is carried along a drive: where it truly is at any time.
+
+
+_TWIST_S = 0.01
+
+
+class MovingBody(Protocol):
+    """A body that moves against its base."""
+
+    def T_base_body(self, stamps_s: ArrayLike) -> FloatArray:
+        """(N, 4, 4) where it is at times (N,), from where it is on a level floor at rest."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Carriage:
+    """A camera on a robot.
+
+    Attributes:
+        truth: T_world_base.
+        T_base_camera: (4, 4) the mount as it truly is, of a body at rest.
+        body: how the body moves against the base, or None for one that does not.
+    """
+
+    truth: Trajectory
+    T_base_camera: FloatArray
+    body: MovingBody | None = None
+
+    def T_world_base(self, stamp_s: float) -> FloatArray:
+        """(4, 4) at a time; before the drive begins and after it ends the robot stands."""
+        return np.asarray(self.truth.at(np.clip(stamp_s, *self.truth.stamps_s[[0, -1]]))[0])
+
+    def T_world_camera(self, stamps_s: ArrayLike) -> FloatArray:
+        """(N, 4, 4) at times (N,); before the drive begins and after it ends the robot stands."""
+        within_s = np.atleast_1d(np.clip(stamps_s, self.truth.stamps_s[0], self.truth.stamps_s[-1]))
+        T_world_base = self.truth.at(within_s)
+        if self.body is None:
+            return np.asarray(se3.compose(T_world_base, self.T_base_camera))
+        T_base_camera = se3.compose(self.body.T_base_body(within_s), self.T_base_camera)
+        return np.asarray(se3.compose(T_world_base, T_base_camera))
+
+    def twist_camera(self, stamp_s: float) -> FloatArray:
+        """(6,) velocity (v, ω) of the camera in its own frame, m/s and rad/s."""
+        ends_s = np.clip(
+            [stamp_s - _TWIST_S / 2, stamp_s + _TWIST_S / 2], self.truth.stamps_s[0], self.truth.stamps_s[-1]
+        )
+        before, after = self.T_world_camera(ends_s)
+        return np.asarray(se3.log(se3.compose(se3.invert(before), after)) / (ends_s[1] - ends_s[0]))
+
+
+def carriage_of(truth: Trajectory, world: World, robot: Robot, realism: Realism | None, seed: int) -> Carriage:
+    """How a robot carries its camera along a drive."""
+    if realism is None:
+        return Carriage(truth, robot.T_base_camera)
+    floor = realism.floor_of(world, seed)
+    body = BodyMotion(truth, robot, floor, realism.body, stream(seed, "body"))
+    return Carriage(truth, mounted(robot.T_base_camera, realism.mount, stream(seed, "mount")), body)

@@ -1,0 +1,396 @@
+"""Doors that open and shut while the robot drives, and never where it or somebody else is about to pass."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import shapely
+
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.geometry import BoolArray, FloatArray
+from wheelsight_sim.people import RADIUS_M, Passersby
+from wheelsight_sim.robot import Drive, Robot, outline_at
+from wheelsight_sim.world import Leaf, World
+
+# Doors that open and shut while the robot drives, and never where it or somebody else is about to pass.
+
+
+_STREAM = 0xD00
+_STEP_S = 0.1  # at which the robot's way is looked at; at 1.2 m/s it goes on by 12 cm
+_STEP_RAD = math.radians(5.0)
+# Beside the hinge a leaf is next to its wall by right, and at its free end next to the other jamb.
+_AT_HINGE_M, _AT_END_M = 0.15, 0.06
+_OVER_FLOOR_M = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class DoorSettings:
+    """How doors move.
+
+    Attributes:
+        swing_s: (quickest, slowest) time that a leaf takes from one end to the other. Chosen; door closers are set to
+            3 to 7 s (EN 1154), hands are quicker.
+        rests_s: (shortest, longest) time between two swings of a leaf, in seconds. Chosen: short, so that a drive of a
+            minute meets some.
+        clearance_m: how far from all places that a leaf sweeps the robot and people are while it is not at rest where
+            the world has it. Chosen.
+    """
+
+    swing_s: tuple[float, float] = (0.5, 2.0)
+    rests_s: tuple[float, float] = (3.0, 15.0)
+    clearance_m: float = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Swing:
+    """One movement of a leaf: from where the world has it (0) to its other end (1), or back.
+
+    Attributes:
+        begin_s, end_s: when.
+        to_share: where it ends, 0 or 1.
+    """
+
+    begin_s: float
+    end_s: float
+    to_share: float
+
+
+class Leaves:
+    """Leaves of doors that swing; whoever moves them says how far they are turned.
+
+    Args:
+        boards: the leaves.
+    """
+
+    def __init__(self, boards: list[Board]) -> None:
+        self._boards = boards
+
+    @property
+    def leaves(self) -> tuple[Leaf, ...]:
+        """Those that move."""
+        return tuple(board.leaf for board in self._boards)
+
+    def turns_at(self, stamp_s: float) -> FloatArray:
+        """(N,) how far each leaf is turned from where the world has it, radians, anticlockwise."""
+        raise NotImplementedError
+
+    def poses_at(self, stamp_s: float) -> tuple[FloatArray, FloatArray]:
+        """Middles (N, 3) of the leaves at a time, metres, and their yaws (N,), radians."""
+        turned = [board.turned(turn) for board, turn in zip(self._boards, self.turns_at(stamp_s), strict=True)]
+        return np.array([middle for middle, _ in turned]), np.array([yaw_rad for _, yaw_rad in turned])
+
+    def add_to(self, spec: Any, *, is_solid: bool = False) -> None:
+        """Put them as mocap bodies into a MuJoCo MjSpec, in place of the geoms of the same names.
+
+        Solid ones touch what has a conaffinity of 2, which a wheelchair's hull has and walls do not.
+        """
+        import mujoco
+
+        for board in self._boards:
+            name, geom = board.leaf.geom, spec.geom(board.leaf.geom)
+            material = geom.material
+            spec.delete(geom)
+            body = spec.worldbody.add_body(name=name, mocap=True, pos=board.middle_m.tolist())
+            size, kind = board.half_m.tolist(), mujoco.mjtGeom.mjGEOM_BOX
+            body.add_geom(name=name, type=kind, size=size, material=material, contype=2 * is_solid, conaffinity=0)
+
+
+class Doors(Leaves):
+    """Some of a world's leaves, which swing at times of their own.
+
+    The drive is known before they move. While robot or people are within reach of a leaf, it is at rest where the world
+    has it, which is in nobody's way: open where the route leads through. A swing is faster in its middle, as hands move
+    (minimum jerk; Flash & Hogan, J. Neuroscience 5, 1985).
+
+    Args:
+        world: whose leaves they are.
+        drive: finished.
+        count: how many move; the seed chooses.
+        seed: of which move and when.
+        robot: whose outline they keep away from.
+        passersby: whom, too, they keep away from.
+        settings: how they move.
+
+    Raises:
+        ConfigError: the world has fewer leaves that have room to swing.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        drive: Drive,
+        count: int,
+        seed: int,
+        robot: Robot | None = None,
+        passersby: Passersby | None = None,
+        settings: DoorSettings | None = None,
+    ) -> None:
+        settings = settings or DoorSettings()
+        super().__init__(swinging(world, count, seed))
+        start_s, end_s = (float(stamp_s) for stamp_s in drive.truth.stamps_s[[0, -1]])
+        times_s = np.minimum(start_s + _STEP_S * np.arange(math.ceil((end_s - start_s) / _STEP_S) + 1), end_s)
+        outlines, people = _outlines(drive, times_s, robot or Robot()), _people(passersby, times_s)
+        rng = np.random.default_rng([seed, _STREAM, 1])
+        self.starts, self.swings = [], []
+        for board in self._boards:
+            is_busy = is_near(board.swept(), outlines, people, settings.clearance_m)
+            start, swings = _swings(times_s, is_busy, settings, rng)
+            self.starts.append(start)
+            self.swings.append(swings)
+
+    def turns_at(self, stamp_s: float) -> FloatArray:
+        """(N,) how far each leaf is turned from where the world has it, radians, anticlockwise."""
+        shares = [_share(start, swings, stamp_s) for start, swings in zip(self.starts, self.swings, strict=True)]
+        return np.array([share * board.leaf.turn_rad for share, board in zip(shares, self._boards, strict=True)])
+
+    def to_csv(self) -> str:
+        """When each leaf swings, and how far it is turned then from where truth/world.xml has it."""
+        lines = ["leaf,begin_s,end_s,from_deg,to_deg"]
+        for board, start, swings in zip(self._boards, self.starts, self.swings, strict=True):
+            turn_deg, share = math.degrees(board.leaf.turn_rad), start
+            # A leaf that has been left the other way is told as one that has come there before the drive.
+            rows = [Swing(0.0, 0.0, start), *swings]
+            for swing in rows:
+                turns = f"{share * turn_deg + 0.0:.2f},{swing.to_share * turn_deg + 0.0:.2f}"
+                lines.append(f"{board.leaf.geom},{swing.begin_s:.4f},{swing.end_s:.4f},{turns}")
+                share = swing.to_share
+        return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True, eq=False)
+class Board:
+    """A leaf with its box: middle (3,), half lengths (3,), and yaw, where the world has it."""
+
+    leaf: Leaf
+    middle_m: FloatArray
+    half_m: FloatArray
+    yaw_rad: float
+
+    def turned(self, turn_rad: float) -> tuple[FloatArray, float]:
+        """Middle (3,) and yaw once it is turned about its hinge."""
+        c, s = math.cos(turn_rad), math.sin(turn_rad)
+        hinge = np.array(self.leaf.hinge_m)
+        x, y = self.middle_m[:2] - hinge
+        return np.array([hinge[0] + c * x - s * y, hinge[1] + s * x + c * y, self.middle_m[2]]), self.yaw_rad + turn_rad
+
+    def covers(self, turn_rad: float) -> shapely.Polygon:
+        """What it covers of the floor once it is turned about its hinge."""
+        return self._footprint(*self.turned(turn_rad), 0.0, 0.0)
+
+    def swept(self, at_hinge_m: float = 0.0, at_end_m: float = 0.0) -> shapely.Geometry:
+        """All that it covers of the floor as it swings, without so much of it at its hinge and its end."""
+        steps = max(math.ceil(abs(self.leaf.turn_rad) / _STEP_RAD), 1)
+        turns = self.leaf.turn_rad * np.linspace(0, 1, steps + 1)
+        places = [self._footprint(*self.turned(float(turn)), at_hinge_m, at_end_m) for turn in turns]
+        return shapely.union_all([shapely.MultiPolygon(pair).convex_hull for pair in pairwise(places)])
+
+    def _footprint(self, middle: FloatArray, yaw_rad: float, at_hinge_m: float, at_end_m: float) -> shapely.Polygon:
+        along = np.array([math.cos(yaw_rad), math.sin(yaw_rad)])
+        if (np.array(self.leaf.hinge_m) - middle[:2]) @ along > 0:
+            along = -along
+        begin = middle[:2] - (self.half_m[0] - at_hinge_m) * along
+        end = middle[:2] + (self.half_m[0] - at_end_m) * along
+        return shapely.LineString([begin, end]).buffer(self.half_m[1], cap_style="flat")
+
+
+def swinging(world: World, count: int, seed: int) -> list[Board]:
+    """So many of a world's leaves with room to swing, by seed.
+
+    Raises:
+        ConfigError: there are not so many.
+    """
+    boards = _boards(world) if count else []
+    rng = np.random.default_rng([seed, _STREAM, 0])
+    found: list[Board] = []
+    for k in rng.permutation(len(boards)):
+        swept = boards[k].swept()
+        if all(shapely.disjoint(swept, other.swept()) for other in found):
+            found.append(boards[k])
+    if len(found) < count:
+        problem = f"--doors is {count}; in world {world.name} there is room for {len(found)} to swing"
+        raise ConfigError(problem, fix=f"0 to {len(found)}" if found else "choose flat, or a --plan with doorways")
+    return found[:count]
+
+
+def _boards(world: World) -> list[Board]:
+    """The world's leaves, but for those that would swing into something."""
+    import mujoco
+
+    from wheelsight_sim.clearance import footprints
+
+    if not world.leaves:
+        return []
+    model = mujoco.MjModel.from_xml_string(world.mjcf)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    things = footprints(world)
+    boards = []
+    for leaf in world.leaves:
+        g = model.geom(leaf.geom).id
+        R = data.geom_xmat[g].reshape(3, 3)
+        yaw_rad = math.atan2(R[1, 0], R[0, 0])
+        board = Board(leaf, data.geom_xpos[g].copy(), model.geom_size[g].copy(), yaw_rad)
+        top_m = board.middle_m[2] + board.half_m[2] - _OVER_FLOOR_M
+        others = [
+            thing.polygon
+            for thing in things
+            if thing.name != leaf.geom and thing.top_m > _OVER_FLOOR_M and thing.bottom_m < top_m
+        ]
+        if shapely.disjoint(board.swept(_AT_HINGE_M, _AT_END_M), others).all():
+            boards.append(board)
+    return boards
+
+
+def _outlines(drive: Drive, times_s: FloatArray, robot: Robot) -> list[shapely.Polygon]:
+    """The robot's outline from above at these times."""
+    return [outline_at(robot, T) for T in drive.truth.at(times_s)]
+
+
+def _people(passersby: Passersby | None, times_s: FloatArray) -> list[shapely.Geometry]:
+    """All people from above at these times, as points."""
+    if passersby is None:
+        return [shapely.MultiPoint() for _ in times_s]
+    return [shapely.MultiPoint(passersby.positions_at(float(time_s))) for time_s in times_s]
+
+
+def is_near(
+    swept: shapely.Geometry, outlines: list[shapely.Polygon], people: list[shapely.Geometry], clearance_m: float
+) -> BoolArray:
+    """(N,) when somebody is too near to where a leaf sweeps."""
+    shapely.prepare(swept)
+    near_robot = shapely.dwithin(outlines, swept, clearance_m)
+    return np.asarray(near_robot | shapely.dwithin(people, swept, RADIUS_M + clearance_m), bool)
+
+
+def _swings(
+    times_s: FloatArray, is_busy: BoolArray, settings: DoorSettings, rng: np.random.Generator
+) -> tuple[float, tuple[Swing, ...]]:
+    """Where a leaf begins, and how it moves: it comes back before its place is busy, and stays till nobody is there."""
+    edges = np.flatnonzero(np.diff(is_busy)) + 1
+    parts = [part for part in np.split(np.arange(len(times_s)), edges) if not is_busy[part[0]]]
+    start, swings = 0.0, list[Swing]()
+    for part in parts:
+        now_s, until_s = float(times_s[part[0]]), float(times_s[part[-1]])
+        is_last = part[-1] == len(times_s) - 1
+        share = 0.0
+        if part[0] == 0:
+            # Some have been left the other way before the drive began.
+            is_away = bool(rng.random() < 0.5) and (is_last or until_s - now_s > settings.swing_s[1])
+            start = share = float(is_away)
+        while True:
+            begin_s = now_s + float(rng.uniform(*settings.rests_s))
+            takes_s = float(rng.uniform(*settings.swing_s))
+            # One that is away must come back in time, and one that goes away must have the time to.
+            latest_s = until_s if is_last else until_s - (0.0 if share else settings.rests_s[0] + settings.swing_s[1])
+            if share and not is_last:
+                begin_s = min(begin_s, until_s - settings.swing_s[1])
+            if begin_s + takes_s > latest_s:
+                break
+            share, now_s = 1.0 - share, begin_s + takes_s
+            swings.append(Swing(begin_s, now_s, share))
+    return start, tuple(swings)
+
+
+def _share(start: float, swings: tuple[Swing, ...], stamp_s: float) -> float:
+    """How far from 0 to 1 a leaf has swung at a time."""
+    share = start
+    for swing in swings:
+        if stamp_s < swing.begin_s:
+            break
+        done = min((stamp_s - swing.begin_s) / (swing.end_s - swing.begin_s), 1.0)
+        share += (swing.to_share - share) * done**3 * (10 - 15 * done + 6 * done**2)
+    return share
+
+
+# Doors that open and shut where a robot drives whose way nobody knows before.
+
+
+_LIVE_DOORS_STREAM = 0xD01
+_LOOKS_AGAIN_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Move:
+    """A leaf's last movement, from a share of its whole turn to another; held where it was stopped at `end_s`."""
+
+    begin_s: float
+    takes_s: float
+    end_s: float
+    from_share: float
+    to_share: float
+
+    def share_at(self, stamp_s: float) -> float:
+        done = min(max((min(stamp_s, self.end_s) - self.begin_s) / self.takes_s, 0.0), 1.0)
+        return self.from_share + (self.to_share - self.from_share) * done**3 * (10 - 15 * done + 6 * done**2)
+
+
+class LiveDoors(Leaves):
+    """Some of a world's leaves, which swing at times of their own while nobody is within their reach.
+
+    A leaf into whose reach somebody comes is held where it is, and goes on to where the world has it once it can.
+
+    Args:
+        world: whose leaves they are.
+        outline: of the robot where it begins.
+        count: how many move; the seed chooses.
+        seed: of which move and when.
+        settings: how they move.
+
+    Raises:
+        ConfigError: the world has fewer leaves that have room to swing.
+    """
+
+    def __init__(
+        self, world: World, outline: shapely.Polygon, count: int, seed: int, settings: DoorSettings | None = None
+    ) -> None:
+        super().__init__(swinging(world, count, seed))
+        self._settings = settings or DoorSettings()
+        self._rng = np.random.default_rng([seed, _LIVE_DOORS_STREAM])
+        self._swept = [board.swept() for board in self._boards]
+        is_away = self._rng.random(count) < 0.5
+        for i, swept in enumerate(self._swept):
+            is_away[i] &= not is_near(swept, [outline], [shapely.MultiPoint()], self._settings.clearance_m)[0]
+        self._moves = [_Move(-1.0, 1.0, 0.0, share, share) for share in is_away.astype(float).tolist()]
+        self._next_s = self._rng.uniform(*self._settings.rests_s, count).tolist()
+
+    def step(self, stamp_s: float, outline: shapely.Polygon, people_m: FloatArray) -> None:
+        """Begin, hold or end movements, with the robot and people (N, 2) as they stand now."""
+        people = shapely.MultiPoint(people_m)
+        for i, swept in enumerate(self._swept):
+            is_busy = bool(is_near(swept, [outline], [people], self._settings.clearance_m)[0])
+            move = self._moves[i]
+            if stamp_s < move.end_s and is_busy:
+                share = move.share_at(stamp_s)
+                self._moves[i] = _Move(move.begin_s, move.takes_s, stamp_s, move.from_share, move.to_share)
+                self._next_s[i] = stamp_s + _LOOKS_AGAIN_S if 0 < share < 1 else self._next_s[i]
+            elif stamp_s >= max(move.end_s, self._next_s[i]):
+                self._next_s[i] = stamp_s + _LOOKS_AGAIN_S
+                if not is_busy:
+                    self._begin(i, stamp_s)
+
+    def _begin(self, i: int, stamp_s: float) -> None:
+        share = self._moves[i].share_at(stamp_s)
+        takes_s = float(self._rng.uniform(*self._settings.swing_s))
+        self._moves[i] = _Move(stamp_s, takes_s, stamp_s + takes_s, share, 1.0 if share == 0.0 else 0.0)
+        self._next_s[i] = stamp_s + takes_s + float(self._rng.uniform(*self._settings.rests_s))
+
+    def turns_at(self, stamp_s: float) -> FloatArray:
+        """(N,) how far each leaf is turned from where the world has it, radians, anticlockwise."""
+        shares = [move.share_at(stamp_s) for move in self._moves]
+        return np.array([share * board.leaf.turn_rad for share, board in zip(shares, self._boards, strict=True)])
+
+    def places_at(self, stamp_s: float) -> list[shapely.Polygon]:
+        """What each leaf covers of the floor."""
+        turns = self.turns_at(stamp_s)
+        return [board.covers(float(turn)) for board, turn in zip(self._boards, turns, strict=True)]
+
+    def velocity_at(self, index: int, place_m: FloatArray, stamp_s: float) -> FloatArray:
+        """(2,) how fast a leaf moves at a place (2,) of it, m/s."""
+        step_s = 1e-3
+        turn_rad_s = float((self.turns_at(stamp_s + step_s) - self.turns_at(stamp_s))[index]) / step_s
+        x, y = place_m - np.array(self._boards[index].leaf.hinge_m)
+        return turn_rad_s * np.array([-y, x])

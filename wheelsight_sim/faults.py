@@ -1,0 +1,584 @@
+"""What goes wrong with cameras, stamps and surroundings: faults laid over any stream of events, where they act told
+with them.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import count
+from typing import Literal, Protocol
+
+import cv2
+import numpy as np
+
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.geometry import BoolArray, ByteArray, Float32Array, FloatArray
+from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelReading, WheelTicks
+
+# What goes wrong with a camera: faults laid over any stream of events, where they act told with them.
+#
+# Each fault is a function from events to events: frames change, go missing or are stamped anew; wheel readings pass
+# untouched. What is random about a frame follows from the fault's seed and the frame's index alone, so that the same
+# fault does the same to a frame wherever a stream begins. `events_with` lays several over one another.
+
+
+_STREAM = 0xCA3
+_BLACK_LEVEL, _BLACK_NOISE = 2.0, 1.5
+_GAMMA = 2.2
+
+
+class CameraFault(Protocol):
+    """A fault, and when it acts."""
+
+    @property
+    def begin_s(self) -> float:
+        """True time of the first moment at which it acts."""
+        ...
+
+    @property
+    def end_s(self) -> float:
+        """True time from which on it no longer acts; infinite for a fault that stays."""
+        ...
+
+    def apply(self, events: Iterable[Event]) -> Iterator[Event]:
+        """The events in order of time, as they come with this fault."""
+        ...
+
+
+def events_with(faults: Iterable[CameraFault], events: Iterable[Event]) -> Iterator[Event]:
+    """Events with all faults, the first given acting first."""
+    for fault in faults:
+        events = fault.apply(events)
+    yield from events
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Interval:
+    """Acts on what was taken from `begin_s` on and before `end_s`. Raises ConfigError for a time that is none."""
+
+    begin_s: float = 0.0
+    end_s: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not self.begin_s < self.end_s:
+            raise ConfigError(f"a fault from {self.begin_s} to {self.end_s} s never acts", fix="give growing times")
+
+    def acts_at(self, stamp_s: float) -> bool:
+        """Whether the fault acts at a time."""
+        return self.begin_s <= stamp_s < self.end_s
+
+
+@dataclass(frozen=True, kw_only=True)
+class _ImageFault(_Interval):
+    """Changes images one by one.
+
+    Attributes:
+        seed: of what is random about it.
+    """
+
+    seed: int = 0
+
+    def apply(self, events: Iterable[Event]) -> Iterator[Event]:
+        """The events, images changed where the fault acts."""
+        for event in events:
+            if isinstance(event, RgbdFrame) and self.acts_at(event.stamp_s):
+                yield self._changed(event, np.random.default_rng([self.seed, _STREAM, event.index]))
+            else:
+                yield event
+
+    def _changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightsOff(_ImageFault):
+    """The light goes out: colour is black but for the sensor's noise; depth, which brings its own light, goes on."""
+
+    def _changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+        return replace(frame, color=_black(frame.color, rng))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Covered(_ImageFault):
+    """Something lies on the camera: colour is black, and depth is empty or shows the cover.
+
+    Attributes:
+        cover_m: how far away depth takes the cover to be; 0 for a camera that measures nothing so near.
+    """
+
+    cover_m: float = 0.0
+
+    def _changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+        depth_m = np.full_like(frame.depth_m, self.cover_m)
+        return replace(frame, color=_black(frame.color, rng), depth_m=depth_m)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthHoles(_ImageFault):
+    """Depth is missing in blobs that come and go, as on glass and in sunlight, and in single pixels everywhere.
+
+    Attributes:
+        blobs: share of the image that blobs take.
+        speckle: share of the pixels left that is missing too.
+        blob_share: size of a blob as a share of the image's height.
+        holds_frames: how many frames see the same blobs.
+    """
+
+    blobs: float = 0.4
+    speckle: float = 0.1
+    blob_share: float = 0.15
+    holds_frames: int = 15
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_share("blobs", self.blobs)
+        _check_share("speckle", self.speckle)
+
+    def _changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+        lasting = np.random.default_rng([self.seed, _STREAM, 1, frame.index // self.holds_frames])
+        missing = self._in_blob(frame.depth_m.shape, lasting)
+        missing |= rng.random(frame.depth_m.shape) < self.speckle
+        return replace(frame, depth_m=np.where(missing, np.float32(0), frame.depth_m))
+
+    def _in_blob(self, shape: tuple[int, ...], rng: np.random.Generator) -> BoolArray:
+        """Where smoothed noise is highest: that share of the image exactly."""
+        cells = max(2, round(1 / self.blob_share))
+        coarse = rng.standard_normal((cells, max(2, round(cells * shape[1] / shape[0]))))
+        smooth = cv2.resize(coarse, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC)
+        return np.asarray(smooth > np.quantile(smooth, 1 - self.blobs))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExposureSteps(_ImageFault):
+    """The exposure jumps: light times a gain drawn anew every so often, clipped where it exceeds what a byte holds.
+
+    Attributes:
+        period_s: between jumps.
+        stops: largest gain in powers of two, either way.
+    """
+
+    period_s: float = 0.5
+    stops: float = 1.5
+
+    def gain_at(self, stamp_s: float) -> float:
+        """By which light is multiplied at a time."""
+        if not self.acts_at(stamp_s):
+            return 1.0
+        step = math.floor((stamp_s - self.begin_s) / self.period_s)
+        rng = np.random.default_rng([self.seed, _STREAM, 2, step])
+        return math.exp2(rng.uniform(-self.stops, self.stops))
+
+    def _changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+        # Bytes stand for light to the power of 1/2.2, so that a gain of light is its power of bytes.
+        gain = self.gain_at(frame.stamp_s) ** (1 / _GAMMA)
+        return replace(frame, color=_bytes(frame.color * np.float32(gain)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CableOut(_Interval):
+    """No frame comes at all."""
+
+    def apply(self, events: Iterable[Event]) -> Iterator[Event]:
+        """The events without the frames of that time."""
+        return (event for event in events if not (_is_frame(event) and self.acts_at(event.stamp_s)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FramesDropped(_Interval):
+    """A share of the frames is lost, each by chance.
+
+    Attributes:
+        share: of the frames, 0 to 1.
+        seed: of the chance.
+    """
+
+    share: float = 0.2
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_share("share", self.share)
+
+    def apply(self, events: Iterable[Event]) -> Iterator[Event]:
+        """The events without the frames lost."""
+        return (event for event in events if not self._is_lost(event))
+
+    def _is_lost(self, event: Event) -> bool:
+        if not (isinstance(event, RgbdFrame | SkippedFrame) and self.acts_at(event.stamp_s)):
+            return False
+        return bool(np.random.default_rng([self.seed, _STREAM, 3, event.index]).random() < self.share)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LowRate(_Interval):
+    """Frames come at a lower rate: of those in each period the first.
+
+    Attributes:
+        rate_hz: frames a second, at most.
+    """
+
+    rate_hz: float = 5.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
+            raise ConfigError(f"a rate of {self.rate_hz} frames a second is none", fix="above 0")
+
+    def apply(self, events: Iterable[Event]) -> Iterator[Event]:
+        """The events without the frames between."""
+        last = -math.inf
+        for event in events:
+            if _is_frame(event) and self.acts_at(event.stamp_s):
+                # Stamps are rounded to the microsecond: a frame just before its period belongs to it.
+                period = math.floor(event.stamp_s * self.rate_hz + 1e-3)
+                if period == last:
+                    continue
+                last = period
+            yield event
+
+
+@dataclass(frozen=True, kw_only=True)
+class LateClock(_Interval):
+    """The camera's clock is late or early: frames are stamped so much after their true time.
+
+    Events come in order of their stamps, as from a recording; frames therefore change places with wheel readings.
+
+    Attributes:
+        late_s: stamp minus true time; negative for a clock that is early.
+    """
+
+    late_s: float = 0.03
+
+    def apply(self, events: Iterable[Event]) -> Iterator[Event]:
+        """The events, frames stamped anew."""
+        waiting: list[tuple[float, int, Event]] = []
+        order = count()
+        for event in events:
+            true_s, told = event.stamp_s, event
+            if isinstance(event, RgbdFrame | SkippedFrame) and self.acts_at(true_s):
+                told = replace(event, stamp_s=true_s + self.late_s)
+            heapq.heappush(waiting, (told.stamp_s, next(order), told))
+            # Nothing that is still to come will be stamped earlier than this.
+            while waiting and waiting[0][0] <= true_s + min(self.late_s, 0.0):
+                yield heapq.heappop(waiting)[2]
+        while waiting:
+            yield heapq.heappop(waiting)[2]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StuckImage(_Interval):
+    """The same image comes again and again, with new stamps: a driver that hangs."""
+
+    def apply(self, events: Iterable[Event]) -> Iterator[Event]:
+        """The events; frames of that time show what the last one before it showed, or else the first of them."""
+        shown: RgbdFrame | None = None
+        for event in events:
+            if not isinstance(event, RgbdFrame):
+                yield event
+                continue
+            if shown is None or not self.acts_at(event.stamp_s):
+                shown = event
+            yield replace(event, color=shown.color, depth_m=shown.depth_m)
+
+
+def _is_frame(event: Event) -> bool:
+    return isinstance(event, RgbdFrame | SkippedFrame)
+
+
+def _black(color: ByteArray, rng: np.random.Generator) -> ByteArray:
+    return _bytes(_BLACK_LEVEL + _BLACK_NOISE * rng.standard_normal(color.shape, np.float32))
+
+
+def _bytes(levels: Float32Array) -> ByteArray:
+    return np.asarray(np.clip(np.rint(levels), 0, 255), np.uint8)
+
+
+def _check_share(name: str, value: float) -> None:
+    if not 0 <= value <= 1:
+        raise ConfigError(f"{name} is {value}", fix="a share from 0 to 1")
+
+
+# What a place does to a camera, and a person to a robot: glass, mirrors, sun, the dark, a view that stands, silence.
+#
+# Faults as those of `camera_faults`. They are put on images as they come, so that they know no walls: glass and
+# mirror fill a part of the view for as long as they act, whatever the camera's way. What they show is worse than a
+# real pane, whose mirror image is a room that stands still.
+
+
+# Of light in a room; a Kinect's colour camera shows little but noise then, in levels.
+_DARK_LIGHT, _DARK_NOISE = 0.004, 3.0
+# Of what comes from a pane, seen from aslant; of infrared light that comes back from it.
+_REFLECTED, _PANE_SHOWS = 0.25, 0.15
+_DEPTH_NOISE_PER_M, _COLOR_NOISE = 1.4e-3, 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class _PartOfView(_ImageFault):
+    """Changes the right part of each image.
+
+    Attributes:
+        share: of the view's width.
+    """
+
+    share: float = 0.4
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_share("share", self.share)
+
+    def _columns(self, width: int) -> slice:
+        return slice(width - round(self.share * width), width)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GlassWall(_PartOfView):
+    """A pane: colour shows what is behind, and a reflection; most depth is missing, the rest is of what is behind."""
+
+    def _changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+        columns = self._columns(frame.color.shape[1])
+        color, depth_m = frame.color.astype(np.float32), frame.depth_m.copy()
+        color[:, columns] += _REFLECTED * (frame.color[:, ::-1][:, columns] - color[:, columns])
+        is_missing = rng.random(depth_m[:, columns].shape) > _PANE_SHOWS
+        depth_m[:, columns][is_missing] = 0
+        return replace(frame, color=_bytes(color), depth_m=depth_m)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mirror(_PartOfView):
+    """Colour and depth of the view's other side, turned left to right: what moves there moves the other way."""
+
+    def _changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+        columns = self._columns(frame.color.shape[1])
+        color, depth_m = frame.color.copy(), frame.depth_m.copy()
+        color[:, columns], depth_m[:, columns] = frame.color[:, ::-1][:, columns], frame.depth_m[:, ::-1][:, columns]
+        return replace(frame, color=color, depth_m=depth_m)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DirectSun(_ImageFault):
+    """The sun shines in: a patch is white and without depth, and the exposure, ruled by it, darkens the rest.
+
+    Attributes:
+        radius_share: of the patch, as a share of the image's width.
+        darkens: by how much light elsewhere is divided.
+        period_s: how long the patch takes from the left of the view to its right.
+    """
+
+    radius_share: float = 0.25
+    darkens: float = 3.0
+    period_s: float = 3.0
+
+    def _changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+        is_white = self._patch(frame.depth_m.shape, frame.stamp_s)
+        color = frame.color * np.float32(self.darkens ** (-1 / _GAMMA))
+        color[is_white] = 255
+        return replace(frame, color=_bytes(color), depth_m=np.where(is_white, np.float32(0), frame.depth_m))
+
+    def _patch(self, shape: tuple[int, ...], stamp_s: float) -> BoolArray:
+        rows, columns = np.ogrid[: shape[0], : shape[1]]
+        x = shape[1] * ((stamp_s - self.begin_s) / self.period_s % 1.0)
+        return np.asarray((columns - x) ** 2 + (rows - shape[0] / 2) ** 2 < (self.radius_share * shape[1]) ** 2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DarkRoom(_ImageFault):
+    """Hardly any light: colour is a few levels and the sensor's noise; depth, which brings its own light, goes on."""
+
+    def _changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+        color = frame.color * np.float32(_DARK_LIGHT ** (1 / _GAMMA))
+        return replace(frame, color=_bytes(color + _DARK_NOISE * rng.standard_normal(color.shape, np.float32)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class StillView(_Interval):
+    """The view stands still though the robot moves, as in an elevator; each image is new, with a noise of its own.
+
+    Attributes:
+        seed: of the noise.
+    """
+
+    seed: int = 0
+
+    def apply(self, events: Iterable[Event]) -> Iterator[Event]:
+        """The events; frames of that time show what the first of them showed."""
+        shown: RgbdFrame | None = None
+        for event in events:
+            if not (isinstance(event, RgbdFrame) and self.acts_at(event.stamp_s)):
+                yield event
+                continue
+            shown = event if shown is None else shown
+            rng = np.random.default_rng([self.seed, 0x57, event.index])
+            color, depth_m = _measured_again(shown.color, shown.depth_m, rng)
+            yield replace(event, color=color, depth_m=depth_m)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WheelsStand(_Interval):
+    """The wheels do not turn though the robot moves, as when it is carried: counts go on from where they stood."""
+
+    def apply(self, events: Iterable[Event]) -> Iterator[Event]:
+        """The events; what is counted in that time is taken from all counts from then on."""
+        last = WheelTicks(0.0, 0, 0)
+        left = right = 0
+        for event in events:
+            if not isinstance(event, WheelTicks):
+                yield event
+                continue
+            if self.acts_at(event.stamp_s):
+                left, right = left + event.left - last.left, right + event.right - last.right
+            last = event
+            yield replace(event, left=event.left - left, right=event.right - right)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Silence(_Interval):
+    """Nothing comes at all, of no sensor: a bus that hangs."""
+
+    def apply(self, events: Iterable[Event]) -> Iterator[Event]:
+        """The events without all those of that time."""
+        return (event for event in events if not self.acts_at(event.stamp_s))
+
+
+def _measured_again(
+    color: ByteArray, depth_m: Float32Array, rng: np.random.Generator
+) -> tuple[ByteArray, Float32Array]:
+    """The same view with other noise: a Kinect's of depth, some levels of colour."""
+    noisy = color + _COLOR_NOISE * rng.standard_normal(color.shape, np.float32)
+    off_m = _DEPTH_NOISE_PER_M * depth_m**2 * rng.standard_normal(depth_m.shape, np.float32)
+    return _bytes(noisy), np.asarray(np.where(depth_m > 0, np.maximum(depth_m + off_m, 0.05), 0), np.float32)
+
+
+# What goes wrong with stamps: readings that come late or together, clocks that leap, hosts that sleep.
+#
+# Each fault is a function from events to events: stamps change, counts and images never do. Readings keep their
+# order, as they do on a wire. The events that come out are in order of their new stamps, as a recording lists them,
+# but where clocks leap. One whose new stamp is not later than that of the reading before is left out, as readers of
+# recordings do. What is random follows from the fault's seed alone.
+
+
+Sensors = Literal["wheels", "camera", "both"]
+_CLOCK_FAULTS_STREAM = 0xC10C
+
+
+class ClockFault(Protocol):
+    """A fault of stamps."""
+
+    def apply(self, events: Iterable[Event]) -> list[Event]:
+        """The events as they come with this fault: in order of their new stamps, but where clocks leap."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingsTogether:
+    """So many readings arrive together, when the last of them is taken, and are stamped `apart_s` after each other."""
+
+    count: int = 2
+    apart_s: float = 1e-4
+
+    def apply(self, events: Iterable[Event]) -> list[Event]:
+        """See the class."""
+        wheels, others = _parted(events)
+        stamps_s = _stamps(wheels)
+        place = np.arange(len(stamps_s))
+        last = np.minimum(place // self.count * self.count + self.count - 1, len(stamps_s) - 1)
+        return _merged(_stamped(wheels, stamps_s[last] + place % self.count * self.apart_s), others)
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingsStalled:
+    """A share of the readings arrives `late_s` late, and those behind it catch up, `apart_s` after each other."""
+
+    share: float = 0.05
+    late_s: float = 0.06
+    apart_s: float = 1e-6
+    seed: int = 0
+
+    def apply(self, events: Iterable[Event]) -> list[Event]:
+        """See the class."""
+        wheels, others = _parted(events)
+        stamps_s = _stamps(wheels)
+        rng = np.random.default_rng([_CLOCK_FAULTS_STREAM, self.seed])
+        arrivals_s = stamps_s + self.late_s * (rng.random(len(stamps_s)) < self.share)
+        for i in range(1, len(arrivals_s)):
+            arrivals_s[i] = max(arrivals_s[i], arrivals_s[i - 1] + self.apart_s)
+        return _merged(_stamped(wheels, arrivals_s), others)
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingsJitter:
+    """Each reading's stamp is off by Gaussian noise."""
+
+    sigma_s: float = 0.01
+    seed: int = 0
+
+    def apply(self, events: Iterable[Event]) -> list[Event]:
+        """See the class."""
+        wheels, others = _parted(events)
+        noise = np.random.default_rng([_CLOCK_FAULTS_STREAM, self.seed]).standard_normal(len(wheels))
+        return _merged(_stamped(wheels, _stamps(wheels) + self.sigma_s * noise), others)
+
+
+@dataclass(frozen=True, slots=True)
+class ClockLeaps:
+    """From `at_s` on, stamps are `by_s` more; the events of `missing_s` before are missing, as while a host sleeps.
+
+    The events keep the order in which they come, as on a robot: no reader can list them by such stamps.
+    """
+
+    at_s: float
+    by_s: float
+    sensors: Sensors = "both"
+    missing_s: float = 0.0
+
+    def apply(self, events: Iterable[Event]) -> list[Event]:
+        """See the class."""
+        there = [event for event in events if not self.at_s - self.missing_s <= event.stamp_s < self.at_s]
+        return [self._leapt(event) for event in there]
+
+    def _leapt(self, event: Event) -> Event:
+        is_of_camera = isinstance(event, RgbdFrame | SkippedFrame)
+        leaps = event.stamp_s >= self.at_s and self.sensors in ("both", "camera" if is_of_camera else "wheels")
+        return replace(event, stamp_s=event.stamp_s + self.by_s) if leaps else event
+
+
+@dataclass(frozen=True, slots=True)
+class ColorLate:
+    """Each depth image comes with the colour image of so many frames before, and that one's stamp is the frame's."""
+
+    frames: int = 1
+
+    def apply(self, events: Iterable[Event]) -> list[Event]:
+        """See the class."""
+        wheels, others = _parted(events)
+        frames = [event for event in others if isinstance(event, RgbdFrame)]
+        pairs = zip(frames, frames[self.frames :], strict=False)
+        late = [replace(now, color=before.color) for before, now in pairs]
+        return _merged(wheels, [*(event for event in others if not isinstance(event, RgbdFrame)), *late])
+
+
+def _parted(events: Iterable[Event]) -> tuple[list[Event], list[Event]]:
+    wheels: list[Event] = []
+    others: list[Event] = []
+    for event in events:
+        (wheels if isinstance(event, WheelReading) else others).append(event)
+    return wheels, others
+
+
+def _stamps(events: list[Event]) -> FloatArray:
+    return np.array([event.stamp_s for event in events])
+
+
+def _stamped(events: list[Event], stamps_s: FloatArray) -> list[Event]:
+    growing: list[Event] = []
+    for event, stamp_s in zip(events, stamps_s.tolist(), strict=True):
+        if not growing or stamp_s > growing[-1].stamp_s:
+            growing.append(replace(event, stamp_s=stamp_s))
+    return growing
+
+
+def _merged(wheels: list[Event], others: list[Event]) -> list[Event]:
+    """In order of stamps; at one stamp, frames last."""
+    return sorted([*wheels, *others], key=lambda e: (e.stamp_s, isinstance(e, RgbdFrame | SkippedFrame)))

@@ -1,0 +1,591 @@
+"""Compiled lighting: what lamps, windows and all round about send to a point, what shadows hide, and where the sun
+shines in.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from wheelsight.core.compiled import kernel
+from wheelsight.core.geometry.arrays import BoolArray, Float32Array, FloatArray, Int32Array
+from wheelsight_sim.texture_kernels import cover, hash_unit, stripes
+
+# Compiled lighting: what lamps, windows and all that is round about send to a point of a surface.
+
+
+_SPILL = 0.25
+_SEAM_M = 0.10
+_CORNER_M = 0.3
+_STRIDE_PX = 4
+
+
+class Views(NamedTuple):
+    """`View`'s arrays."""
+
+    depth_m: Float32Array
+    geom: Int32Array
+    normal_world: Float32Array
+    T_world_camera: FloatArray
+    rays: FloatArray
+
+
+class Light(NamedTuple):
+    """`Lighting`'s arrays but for its lattice."""
+
+    tints: FloatArray
+    sun: FloatArray
+    grid: FloatArray
+    flux: Float32Array
+    clearance: Float32Array
+
+
+@kernel(error_model="numpy")
+def lamp_power(i: int, j: int, seed: int) -> Any:
+    """Relative brightness of a lamp of the ceiling's lattice: they have aged, and some are switched off."""
+    draw = hash_unit(i, j, seed)
+    return 0.2 if draw < 0.12 else 0.8 + 0.3 * draw
+
+
+@kernel(error_model="numpy")
+def lamp_at(x: float, y: float, wx: float, wy: float, lattice: Any) -> Any:
+    """Mean glow of a footprint on a ceiling of panels: `lattice` is pitch, half lengths in x, y, glow, seed."""
+    pitch, half_x, half_y, seed = lattice[0], lattice[1], lattice[2], int(lattice[4])
+    i, j = math.floor(x / pitch), math.floor(y / pitch)
+    a, b = x - (i + 0.5) * pitch, y - (j + 0.5) * pitch
+    share = cover(a, -half_x, half_x, wx) * cover(b, -half_y, half_y, wy)
+    if share <= 0:
+        return 0.0
+    tubes = 0.75 + 0.5 * stripes(a - 0.25 * half_x, 0.5 * half_x, 0.25 * half_x, wx)
+    return share * lattice[3] * lamp_power(i, j, seed) * tubes
+
+
+@kernel(error_model="numpy")
+def nine(R: Any) -> Any:
+    """A matrix (3, 3) as nine numbers, row by row, which stay in registers."""
+    return R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2]
+
+
+@kernel(error_model="numpy")
+def turned(R: Any, v: Any) -> Any:
+    """R v of a matrix as nine numbers and a vector as three."""
+    return (
+        R[0] * v[0] + R[1] * v[1] + R[2] * v[2],
+        R[3] * v[0] + R[4] * v[1] + R[5] * v[2],
+        R[6] * v[0] + R[7] * v[1] + R[8] * v[2],
+    )
+
+
+@kernel(error_model="numpy")
+def light_row(v: int, view: Views, light: Light, out: Any) -> None:
+    """Irradiance over π into row v of `out` (H, W, 3); `view` and `light` as for `paint_rows`.
+
+    Light changes slowly: along a flat face it is computed for each fourth pixel, and between them interpolated.
+    """
+    depth_m, geom, normal_world, T_world_camera, rays = view
+    tints, sun, grid, flux, clearance = light
+    width = depth_m.shape[1]
+    R = nine(T_world_camera[v])
+    last = -1
+    for u in range(width):
+        g = geom[v, u]
+        if g < 0 or (u % _STRIDE_PX and u != width - 1 and _is_between(v, u, geom, normal_world)):
+            continue
+        z, ray = float(depth_m[v, u]), turned(R, (rays[v, u, 0], rays[v, u, 1], rays[v, u, 2]))
+        n = (float(normal_world[v, u, 0]), float(normal_world[v, u, 1]), float(normal_world[v, u, 2]))
+        p = (
+            T_world_camera[v, 0, 3] + z * ray[0],
+            T_world_camera[v, 1, 3] + z * ray[1],
+            T_world_camera[v, 2, 3] + z * ray[2],
+        )
+        shade, lamp, window = light_at(p, n, sun, grid, flux, clearance)
+        for c in range(3):
+            out[v, u, c] = tinted(c, shade, lamp, window, tints)
+        # What was left out since the last one lies between the two.
+        for between in range(last + 1, u):
+            k = (between - last) / (u - last)
+            if last >= 0 and geom[v, between] >= 0:
+                for c in range(3):
+                    out[v, between, c] = (1 - k) * out[v, last, c] + k * out[v, u, c]
+        last = u
+
+
+@kernel(error_model="numpy")
+def tinted(c: int, shade: float, lamp: float, window: float, tints: Any) -> Any:
+    """What comes in one of three colours of the light that `light_at` tells."""
+    return shade * (tints[0, c] + tints[1, c] * lamp + tints[2, c] * window)
+
+
+@kernel(error_model="numpy")
+def _is_between(v: int, u: int, geom: Any, normal_world: Any) -> Any:
+    """Whether a pixel and the strided ones on both sides of it are all on the same flat face."""
+    a = u - u % _STRIDE_PX
+    b = min(a + _STRIDE_PX, geom.shape[1] - 1)
+    for other in range(a, b + 1):
+        if geom[v, other] != geom[v, u]:
+            return False
+    bend = abs(normal_world[v, a, 0] - normal_world[v, b, 0]) + abs(normal_world[v, a, 1] - normal_world[v, b, 1])
+    return bend + abs(normal_world[v, a, 2] - normal_world[v, b, 2]) < 1e-3
+
+
+@kernel(error_model="numpy")
+def light_at(p: Any, n: Any, sun: Any, grid: Any, flux: Any, clearance: Any) -> Any:
+    """Shade 0 to 1 of the light from all round, light of lamps, and of windows, at p with normal n, by Lambert's law.
+
+    `grid` is x and y of the tables' first cell, the sizes of a cell in flux and in clearance, flux's layers' distance;
+    `flux` (Z, Y, X, 4) is the vector towards the lamps, as long as they are bright, and their sum whatever side they
+    are on; `clearance` (2, Y, X) the distance to what stands on the floor, and to what is tall too, metres.
+    """
+    a, b = (p[0] - grid[0]) / grid[2], (p[1] - grid[1]) / grid[2]
+    c = p[2] / grid[4]
+    a, b, c = _inside(a, flux.shape[2]), _inside(b, flux.shape[1]), _inside(c, flux.shape[0])
+    i, j, k = int(a), int(b), int(c)
+    a, b, c = a - i, b - j, c - k
+    facing, spill = 0.0, 0.0
+    for corner in range(8):
+        layer, row, column = corner >> 2, (corner >> 1) & 1, corner & 1
+        share = (c if layer else 1 - c) * (b if row else 1 - b) * (a if column else 1 - a)
+        layer, row, column = k + layer, j + row, i + column
+        facing += share * (
+            n[0] * flux[layer, row, column, 0] + n[1] * flux[layer, row, column, 1] + n[2] * flux[layer, row, column, 2]
+        )
+        spill += share * flux[layer, row, column, 3]
+    window = max(0.0, n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2])
+    return _shade(p, n, grid, clearance), max(facing, 0.0) + _SPILL * spill, window
+
+
+@kernel(error_model="numpy")
+def _inside(index: float, count: int) -> Any:
+    return min(max(index, 0.0), count - 1.001)
+
+
+@kernel(error_model="numpy")
+def _shade(p: Any, n: Any, grid: Any, clearance: Any) -> Any:
+    """How open the surroundings are: little light gets to where walls, floor, ceiling and furniture meet."""
+    if abs(n[2]) > 0.5 and (n[2] < 0 or p[2] > 0.05):
+        return 1.0 if n[2] > 0 else 0.85
+    tall = 0 if n[2] > 0.5 else 1
+    reach = tall * _CORNER_M
+    a, b = (p[0] + reach * n[0] - grid[0]) / grid[3], (p[1] + reach * n[1] - grid[1]) / grid[3]
+    a, b = _inside(a, clearance.shape[2]), _inside(b, clearance.shape[1])
+    i, j = int(a), int(b)
+    a, b = a - i, b - j
+    near = (1 - b) * ((1 - a) * clearance[tall, j, i] + a * clearance[tall, j, i + 1])
+    near += b * ((1 - a) * clearance[tall, j + 1, i] + a * clearance[tall, j + 1, i + 1])
+    if not tall:
+        return 1 - 0.4 / (1 + (near / _SEAM_M) ** 2)
+    shade = 1 - 0.3 * max(0.0, 1 - near / _CORNER_M) - 0.3 / (1 + (max(p[2], 0.0) / _SEAM_M) ** 2)
+    return shade - 0.2 / (1 + (max(grid[5] - p[2], 0.0) / _SEAM_M) ** 2)
+
+
+# Compiled shadows: how much of the light of the lamps round about things hide from the points of a view.
+#
+# A lamp is a level rectangle, and what stands in its light an upright box. From a point, the rays to all places of
+# the lamp make a pencil. A box hides a share of it: as much as its slab across each axis covers where the pencil is
+# within the box's heights, and no more than it covers in plan. Edges of boxes that lie along the lamp's are exact so,
+# with their penumbra. A round thing is taken for the box around it that faces the lamp.
+
+
+STRIDE_PX = 4
+# Between two pixels whose shares differ by less, those of the pixels between are interpolated.
+_ALIKE = 0.02
+_LEAST_RISE_M = 0.05
+_NEAREST_LAMP_M = 0.4
+_TO_CEILING_M = 0.12  # below a lamp's height; what reaches higher is a wall
+_ABOVE_M = 1e-3  # from which a box reaches over a point
+_THIN = 1e-9
+# Light that no lamp nearby sends: a sixth of what one in the ceiling sends to the floor right below. Chosen, so that
+# what hardly faces any lamp has no shadow.
+_ELSEWHERE = 0.02
+
+
+class Lamps(NamedTuple):
+    """All lamps, and which are the brightest at each place.
+
+    Attributes:
+        lamps: (L, 6) position, power, half lengths in x and y.
+        grid: (3,) x and y of the first cell's corner, size of a cell, metres.
+        brightest: (Y, X, K) of each cell, -1 for none.
+    """
+
+    lamps: FloatArray
+    grid: FloatArray
+    brightest: Int32Array
+
+
+class Blockers(NamedTuple):
+    """What can stand in the light.
+
+    Attributes:
+        boxes: (B, 8) x and y of the middle, lowest and highest z, cosine and sine of the yaw, half lengths.
+        is_round: (B,) whether it is as one that faces whatever lamp it hides.
+        geom: (B,) which geom it is, -1 for none that is seen.
+        moving: (M,) those that can be anywhere.
+        starts: (Y · X · K + 1,) where the list of each cell and lamp begins in `listed`.
+        listed: (N,) those that stand still and may hide a lamp from a cell.
+    """
+
+    boxes: FloatArray
+    is_round: BoolArray
+    geom: Int32Array
+    moving: Int32Array
+    starts: Int32Array
+    listed: Int32Array
+
+
+class Shadowing(NamedTuple):
+    """All that decides of shadows; `glows` (G,) tells geoms that have light of their own."""
+
+    lamps: Lamps
+    blockers: Blockers
+    glows: BoolArray
+    strength: float
+
+
+@kernel(error_model="numpy")
+def keep(view: Views, shadowing: Shadowing, out: Any) -> None:
+    """Put into `out` (H, W) the share of each pixel's light that is left where lamps are hidden from it.
+
+    Along a flat face it is found for each fourth pixel, and for those between where two of them differ.
+    """
+    geom, normal_world = view.geom, view.normal_world
+    height, width = geom.shape
+    for v in range(height):
+        R = nine(view.T_world_camera[v])
+        last = 0
+        for u in range(width):
+            if u % STRIDE_PX and u != width - 1 and _is_inside(v, u, geom, normal_world):
+                continue
+            out[v, u] = _kept(v, u, R, view, shadowing)
+            is_alike = abs(out[v, u] - out[v, last]) < _ALIKE
+            for between in range(last + 1, u):
+                k = (between - last) / (u - last)
+                if is_alike:
+                    out[v, between] = (1 - k) * out[v, last] + k * out[v, u]
+                else:
+                    out[v, between] = _kept(v, between, R, view, shadowing)
+            last = u
+
+
+@kernel(error_model="numpy")
+def _is_inside(v: int, u: int, geom: Any, normal_world: Any) -> Any:
+    """Whether a pixel and the strided ones on both sides of it are all on the same flat face."""
+    a = u - u % STRIDE_PX
+    b = min(a + STRIDE_PX, geom.shape[1] - 1)
+    for other in range(a, b + 1):
+        if geom[v, other] != geom[v, u]:
+            return False
+    bend = abs(normal_world[v, a, 0] - normal_world[v, b, 0]) + abs(normal_world[v, a, 1] - normal_world[v, b, 1])
+    return bend + abs(normal_world[v, a, 2] - normal_world[v, b, 2]) < 1e-3
+
+
+@kernel(error_model="numpy")
+def _kept(v: int, u: int, R: Any, view: Views, shadowing: Shadowing) -> Any:
+    """The share of a pixel's light that is left."""
+    g = view.geom[v, u]
+    if g < 0 or shadowing.glows[g]:
+        return 1.0
+    n = (float(view.normal_world[v, u, 0]), float(view.normal_world[v, u, 1]), float(view.normal_world[v, u, 2]))
+    z, ray = float(view.depth_m[v, u]), turned(R, (view.rays[v, u, 0], view.rays[v, u, 1], view.rays[v, u, 2]))
+    p = (
+        view.T_world_camera[v, 0, 3] + z * ray[0],
+        view.T_world_camera[v, 1, 3] + z * ray[1],
+        view.T_world_camera[v, 2, 3] + z * ray[2],
+    )
+    return 1 - shadowing.strength * hidden_at(p, n, g, shadowing.lamps, shadowing.blockers)
+
+
+@kernel(error_model="numpy")
+def hidden_at(p: Any, n: Any, own: int, lamps: Lamps, blockers: Blockers) -> Any:
+    """Share of the light of the brightest lamps that does not reach p, with normal n, on the geom `own`."""
+    rows, columns, count = lamps.brightest.shape
+    column = min(max(int((p[0] - lamps.grid[0]) / lamps.grid[2]), 0), columns - 1)
+    row = min(max(int((p[1] - lamps.grid[1]) / lamps.grid[2]), 0), rows - 1)
+    # The least bright one does not count, others by how much they are brighter: no seam where cells take other lamps.
+    last, least = lamps.brightest[row, column, count - 1], 0.0
+    if last >= 0:
+        least = lamps.lamps[last, 3] * light_of(_towards(p, lamps.lamps[last]), (0.0, 0.0, 1.0))
+    lost, whole = 0.0, _ELSEWHERE
+    for k in range(count):
+        lamp = lamps.brightest[row, column, k]
+        if lamp < 0:
+            break
+        d, power = _towards(p, lamps.lamps[lamp]), lamps.lamps[lamp, 3]
+        light = power * light_of(d, n)
+        if light > 0 and last >= 0:
+            light *= max(1 - least / (power * light_of(d, (0.0, 0.0, 1.0))), 0.0)
+        if light > 0:
+            half = (lamps.lamps[lamp, 4], lamps.lamps[lamp, 5])
+            walled, hidden = _hidden(p, d, half, own, (row * columns + column) * count + k, blockers)
+            lost, whole = lost + light * (1 - walled) * hidden, whole + light * (1 - walled)
+    return lost / whole
+
+
+@kernel(error_model="numpy")
+def _towards(p: Any, lamp: Any) -> Any:
+    return lamp[0] - p[0], lamp[1] - p[1], lamp[2] - p[2]
+
+
+@kernel(error_model="numpy")
+def light_of(d: Any, n: Any) -> Any:
+    """Light on a surface with normal n of a lamp of power 1 that is d away, as `Lighting` has it."""
+    square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
+    facing = n[0] * d[0] + n[1] * d[1] + n[2] * d[2]
+    if d[2] < _LEAST_RISE_M or facing <= 0:
+        return 0.0
+    down = max(d[2], _NEAREST_LAMP_M)
+    near = 0.3 + square
+    return facing * down / (near * np.sqrt(near * square))
+
+
+@kernel(error_model="numpy")
+def _hidden(p: Any, d: Any, half: Any, own: int, entry: int, blockers: Blockers) -> Any:
+    """Shares of one lamp that walls hide, and all else; `entry` tells its list of what stands still."""
+    walled, hidden = 0.0, 0.0
+    for i in range(blockers.starts[entry], blockers.starts[entry + 1]):
+        b = blockers.listed[i]
+        if blockers.geom[b] == own:
+            continue
+        share = covered(p, d, half, blockers.boxes[b], blockers.is_round[b])
+        if blockers.boxes[b, 3] > p[2] + d[2] - _TO_CEILING_M:
+            walled += share
+            if walled >= 1:
+                return 1.0, 0.0
+        else:
+            hidden += share
+    level = np.sqrt(d[0] * d[0] + d[1] * d[1])
+    for b in blockers.moving:
+        box = blockers.boxes[b]
+        x, y, reach = box[0] - p[0], box[1] - p[1], level + half[0] + half[1] + box[6] + box[7]
+        if blockers.geom[b] != own and x * x + y * y < reach * reach:
+            hidden += covered(p, d, half, blockers.boxes[b], blockers.is_round[b])
+    return walled, min(hidden, 1.0)
+
+
+@kernel(error_model="numpy")
+def covered(p: Any, d: Any, half: Any, box: Any, is_round: bool) -> Any:
+    """Share of a lamp, `half` (2) its half lengths and d away from p, that a box hides from there."""
+    enters, leaves = max((box[2] - p[2]) / d[2], 0.0), min((box[3] - p[2]) / d[2], 1.0)
+    if box[3] < p[2] + _ABOVE_M or enters >= leaves:
+        return 0.0
+    c, s = box[4], box[5]
+    if is_round:
+        level = np.sqrt(d[0] * d[0] + d[1] * d[1])
+        c, s = (d[0] / level, d[1] / level) if level > _THIN else (1.0, 0.0)
+    x, y = p[0] - box[0], p[1] - box[1]
+    x, y = c * x + s * y, c * y - s * x
+    dx, dy = c * d[0] + s * d[1], c * d[1] - s * d[0]
+    wide_x, wide_y = np.sqrt((half[0] * c) ** 2 + (half[1] * s) ** 2), np.sqrt((half[0] * s) ** 2 + (half[1] * c) ** 2)
+    across_x = _across(x, dx, wide_x, box[6], enters, leaves)
+    if across_x <= 0:
+        return 0.0
+    across = across_x * _across(y, dy, wide_y, box[7], enters, leaves)
+    if across <= 0:
+        return 0.0
+    return min(across, _in_plan(x, y, dx, dy, wide_x, wide_y, box, leaves))
+
+
+@kernel(error_model="numpy")
+def _across(o: float, e: float, wide: float, half: float, enters: float, leaves: float) -> Any:
+    """Share of a pencil that is in a slab of half a width `half` somewhere between two of its lengths.
+
+    Its middle begins at o and goes on by e; at its end it reaches `wide` to both sides.
+    """
+    if e < 0:
+        o, e = -o, -e
+    first, last = o + enters * e, o + leaves * e
+    if first - wide * enters >= half or last + wide * leaves <= -half:
+        return 0.0
+    before = 0.5 + 0.5 * (half - first) / max(wide * enters, _THIN)
+    behind = 0.5 + 0.5 * (half + last) / max(wide * leaves, _THIN)
+    return max(min(before, 1.0) + min(behind, 1.0) - 1.0, 0.0)
+
+
+@kernel(error_model="numpy")
+def _in_plan(x: float, y: float, dx: float, dy: float, wide_x: float, wide_y: float, box: Any, leaves: float) -> Any:
+    """Share of a pencil that a box's outline covers, seen from above."""
+    level = np.sqrt(dx * dx + dy * dy)
+    if level < _THIN:
+        return 1.0
+    a, b = dx / level, dy / level
+    way = min(max(-(x * a + y * b) / level, 0.0), leaves)
+    wide = way * np.sqrt((wide_x * b) ** 2 + (wide_y * a) ** 2)
+    middle, reach = y * a - x * b, box[6] * abs(b) + box[7] * abs(a)
+    if wide < _THIN:
+        return 1.0 if abs(middle) < reach else 0.0
+    share = (min(middle + wide, reach) - max(middle - wide, -reach)) / (2 * wide)
+    return min(max(share, 0.0), 1.0)
+
+
+@kernel
+def brightest_lamps(lamps: FloatArray, grid: FloatArray, reach_m: float, out: Any) -> None:
+    """Put the K brightest lamps on each cell's floor into `out` (Y, X, K), -1 where there are fewer within reach."""
+    rows, columns, count = out.shape
+    light = np.empty(count)
+    for row in range(rows):
+        for column in range(columns):
+            x, y = grid[0] + (column + 0.5) * grid[2], grid[1] + (row + 0.5) * grid[2]
+            light[:], out[row, column, :] = 0.0, -1
+            for lamp in range(len(lamps)):
+                d = (lamps[lamp, 0] - x, lamps[lamp, 1] - y, lamps[lamp, 2])
+                if d[0] * d[0] + d[1] * d[1] > reach_m * reach_m:
+                    continue
+                new, number = lamps[lamp, 3] * light_of(d, (0.0, 0.0, 1.0)), lamp
+                for k in range(count):
+                    if new > light[k]:
+                        light[k], new = new, light[k]
+                        out[row, column, k], number = number, out[row, column, k]
+
+
+@kernel
+def drop_hidden(lamps: Lamps, blockers: Blockers, out: Any) -> None:
+    """Put those of a cell's lamps into `out` (Y, X, K) that some place in the cell sees a part of; -1 for the rest.
+
+    Of nine places over the cell, at two heights each, none sees a lamp in another room.
+    """
+    rows, columns, count = lamps.brightest.shape
+    for row in range(rows):
+        for column in range(columns):
+            kept = 0
+            out[row, column, :] = -1
+            for k in range(count):
+                lamp = lamps.brightest[row, column, k]
+                if lamp < 0 or kept == out.shape[2]:
+                    break
+                if _is_seen(row, column, k, lamps, blockers):
+                    out[row, column, kept] = lamp
+                    kept += 1
+
+
+@kernel
+def _is_seen(row: int, column: int, k: int, lamps: Lamps, blockers: Blockers) -> bool:
+    columns, count = lamps.brightest.shape[1:]
+    place = lamps.lamps[lamps.brightest[row, column, k]]
+    for i in range(18):
+        x = lamps.grid[0] + (column + 0.5 * (i % 3)) * lamps.grid[2]
+        y = lamps.grid[1] + (row + 0.5 * (i // 3 % 3)) * lamps.grid[2]
+        p = (x, y, 0.05 + 1.5 * (i // 9))
+        d = _towards(p, place)
+        entry = (row * columns + column) * count + k
+        if d[2] > _LEAST_RISE_M and _hidden(p, d, (place[4], place[5]), -1, entry, blockers)[0] < 1:
+            return True
+    return False
+
+
+@kernel
+def list_blockers(lamps: Lamps, boxes: FloatArray, still: Int32Array, starts: Any, listed: Any) -> int:
+    """Fill `starts` and, as far as it is long enough, `listed` of `Blockers`; returns how long it must be.
+
+    Listed is what comes near to a line from the cell's middle to the lamp's, as near as both are large.
+    """
+    rows, columns, count = lamps.brightest.shape
+    size, found = lamps.grid[2], 0
+    for entry in range(rows * columns * count):
+        starts[entry] = found
+        row, column = entry // count // columns, entry // count % columns
+        lamp = lamps.brightest[row, column, entry % count]
+        if lamp < 0:
+            continue
+        x, y = lamps.grid[0] + (column + 0.5) * size, lamps.grid[1] + (row + 0.5) * size
+        place = lamps.lamps[lamp]
+        wide = max(0.7072 * size, np.sqrt(place[4] ** 2 + place[5] ** 2))
+        for b in still:
+            if boxes[b, 2] < place[2] and _is_near(x, y, place[0] - x, place[1] - y, boxes[b], wide):
+                if found < len(listed):
+                    listed[found] = b
+                found += 1
+    starts[rows * columns * count] = found
+    return found
+
+
+@kernel
+def _is_near(x: float, y: float, dx: float, dy: float, box: Any, wide: float) -> bool:
+    """Whether a line in plan comes into a box that is `wide` larger to all sides."""
+    c, s = box[4], box[5]
+    ox, oy = c * (x - box[0]) + s * (y - box[1]), c * (y - box[1]) - s * (x - box[0])
+    ex, ey = c * dx + s * dy, c * dy - s * dx
+    enters, leaves = 0.0, 1.0
+    for o, e, half in ((ox, ex, box[6] + wide), (oy, ey, box[7] + wide)):
+        if abs(e) < _THIN:
+            if abs(o) > half:
+                return False
+            continue
+        first, second = (-half - o) / e, (half - o) / e
+        enters, leaves = max(enters, min(first, second)), min(leaves, max(first, second))
+    return enters <= leaves
+
+
+# Compiled sunlight: which points of a view the sun reaches through a window.
+
+
+_NEAREST_M = 0.05
+_SHADE_M = 0.1  # behind what stands in the light before it is shaded; a cell of a pane is as wide
+
+
+class Panes(NamedTuple):
+    """Windows that the sun stands behind.
+
+    Attributes:
+        middle: (P, 3).
+        axes: (P, 3, 3) across, along and through the pane, as rows.
+        half_m: (P, 2) half lengths across and along.
+        reach_m: (P, A, B) how far sunlight comes from each cell of a pane before it meets something.
+    """
+
+    middle: FloatArray
+    axes: FloatArray
+    half_m: FloatArray
+    reach_m: Float32Array
+
+
+@kernel(error_model="numpy")
+def shine_in(view: Views, panes: Panes, towards: FloatArray, out: Any) -> None:
+    """Put the cosine of the sun's incidence into `out` (H, W) where it comes through a pane, else 0.
+
+    `towards` (3,) is the unit vector to the sun.
+    """
+    depth_m, _, normal_world, T_world_camera, rays = view
+    height, width = depth_m.shape
+    x, y, z = towards
+    for v in range(height):
+        R = nine(T_world_camera[v])
+        for u in range(width):
+            out[v, u] = 0.0
+            facing = normal_world[v, u, 0] * x + normal_world[v, u, 1] * y + normal_world[v, u, 2] * z
+            if facing <= 0 or depth_m[v, u] <= 0:
+                continue
+            ray = turned(R, (rays[v, u, 0], rays[v, u, 1], rays[v, u, 2]))
+            p0 = T_world_camera[v, 0, 3] + depth_m[v, u] * ray[0]
+            p1 = T_world_camera[v, 1, 3] + depth_m[v, u] * ray[1]
+            p2 = T_world_camera[v, 2, 3] + depth_m[v, u] * ray[2]
+            if _is_reached(p0, p1, p2, panes, towards):
+                out[v, u] = facing
+
+
+@kernel(error_model="numpy")
+def _is_reached(p0: float, p1: float, p2: float, panes: Panes, towards: FloatArray) -> bool:
+    """Whether the way from a point to the sun goes through a pane."""
+    middle, axes, half_m, reach_m = panes
+    cells_across, cells_along = reach_m.shape[1:]
+    for k in range(len(middle)):
+        a0, a1, a2 = middle[k, 0] - p0, middle[k, 1] - p1, middle[k, 2] - p2
+        along = axes[k, 2, 0] * towards[0] + axes[k, 2, 1] * towards[1] + axes[k, 2, 2] * towards[2]
+        if abs(along) < 1e-3:
+            continue
+        way_m = (axes[k, 2, 0] * a0 + axes[k, 2, 1] * a1 + axes[k, 2, 2] * a2) / along
+        if way_m < _NEAREST_M:
+            continue
+        b0, b1, b2 = way_m * towards[0] - a0, way_m * towards[1] - a1, way_m * towards[2] - a2
+        across = axes[k, 0, 0] * b0 + axes[k, 0, 1] * b1 + axes[k, 0, 2] * b2
+        if abs(across) >= half_m[k, 0]:
+            continue
+        along_m = axes[k, 1, 0] * b0 + axes[k, 1, 1] * b1 + axes[k, 1, 2] * b2
+        if abs(along_m) >= half_m[k, 1]:
+            continue
+        i = min(int((across / half_m[k, 0] + 1) * 0.5 * cells_across), cells_across - 1)
+        j = min(int((along_m / half_m[k, 1] + 1) * 0.5 * cells_along), cells_along - 1)
+        if way_m < reach_m[k, i, j] + _SHADE_M:
+            return True
+    return False

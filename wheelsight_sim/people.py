@@ -1,0 +1,432 @@
+"""People who walk: the ground they walk on, how each chooses a step, and what they look like. They keep out of the
+way of the robot, also of one to command.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d, label
+from scipy.spatial import cKDTree
+
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.geometry import BoolArray, ByteArray, FloatArray, IntArray
+from wheelsight_sim import walking_kernels as kernels
+from wheelsight_sim.robot import Drive, Robot, outline_m
+from wheelsight_sim.world import Surface, World
+
+# People who walk: the ground they walk on, how each chooses a step, and what they look like.
+
+
+RADIUS_M = 0.25
+HEIGHT_M = 1.70
+STEP_S = 0.25
+CELL_M = 0.1
+
+_WIDEST_M = 1.5
+_BEYOND_M = 6.0
+_CORNER_M = 0.4
+_WALK_M_S = (0.8, 1.3)
+_FASTEST_M_S = 1.6
+_GAP_TO_WALL_M = 0.05
+_PATIENCE_S = 3.0
+_APART_M = 0.8
+_START_AWAY_M = 3.0
+_TURNS_AFTER_S = (8.0, 40.0)
+_KEEPS_RIGHT_M = (0.2, 0.6)
+_CLOTHES = ((0.15, 0.17, 0.3), (0.45, 0.1, 0.12), (0.2, 0.35, 0.2), (0.5, 0.5, 0.48), (0.1, 0.1, 0.1), (0.6, 0.5, 0.3))
+
+
+class Ground:
+    """A grid of cells 10 cm wide over the ground, and the route on it.
+
+    Attributes:
+        corner_m: (2,) centre of the cell (0, 0); columns go along x, rows along y.
+        is_free: (R, C) uint8, whether somebody can stand there and walk there from the route.
+        along_m: (R, C) way along the route to its point nearest to the cell.
+        left_m: (R, C) how far left of it the cell is.
+        lap_m: after which way the route starts anew.
+    """
+
+    def __init__(self, world: World) -> None:
+        line, ahead = _line(np.asarray(world.route, float), world.is_loop)
+        low, high = line.min(axis=0) - _WIDEST_M, line.max(axis=0) + _WIDEST_M
+        self.corner_m = np.floor(low / CELL_M) * CELL_M
+        columns, rows = (np.ceil((high - self.corner_m) / CELL_M).astype(int) + 1).tolist()
+        xy_m = self.corner_m + CELL_M * np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
+        away_m, nearest = cKDTree(line).query(xy_m)
+        apart = xy_m - line[nearest]
+        self.along_m = CELL_M * nearest.astype(float)
+        self.left_m = ahead[nearest, 0] * apart[..., 1] - ahead[nearest, 1] * apart[..., 0]
+        self.lap_m = CELL_M * len(line) if world.is_loop else 1e9
+        is_free = away_m <= _WIDEST_M
+        is_free[is_free] = _free(world, xy_m[is_free])
+        pieces, _ = label(is_free)
+        extra = 0 if world.is_loop else round(_BEYOND_M / CELL_M)
+        on_route = np.round((line[extra : len(line) - extra] - self.corner_m) / CELL_M).astype(int)
+        reached = np.unique(pieces[on_route[:, 1], on_route[:, 0]])
+        self.is_free = np.isin(pieces, reached[reached > 0]).astype(np.uint8)
+
+    def xy_of(self, cells: IntArray) -> FloatArray:
+        """Centres (..., 2) of cells (..., 2) of row and column."""
+        return np.asarray(self.corner_m + CELL_M * cells[..., ::-1])
+
+
+def _line(points: FloatArray, is_loop: bool) -> tuple[FloatArray, FloatArray]:
+    """Points (N, 2) every 10 cm along a route with rounded corners, and its directions (N, 2).
+
+    Routes with two ends are made longer at both: people come from farther than where the robot begins.
+    """
+    if is_loop:
+        points = np.concatenate([points, points[:1]])
+    else:
+        first, last = points[0] - points[1], points[-1] - points[-2]
+        ends = points[0] + _BEYOND_M * first / np.hypot(*first), points[-1] + _BEYOND_M * last / np.hypot(*last)
+        points = np.concatenate([ends[0][None], points, ends[1][None]])
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    samples = np.linspace(0, along[-1], max(int(along[-1] / CELL_M), 4), endpoint=not is_loop)
+    line = np.stack([np.interp(samples, along, column) for column in points.T], axis=-1)
+    line = gaussian_filter1d(line, _CORNER_M / CELL_M, axis=0, mode="wrap" if is_loop else "nearest")
+    ahead = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0) if is_loop else np.gradient(line, axis=0)
+    return line, ahead / np.hypot(*ahead.T)[:, None]
+
+
+def _free(world: World, xy_m: FloatArray) -> BoolArray:
+    """(N,) whether somebody can stand at places (N, 2): nothing to bump into is nearer than 5 cm."""
+    import mujoco
+    import shapely
+
+    model = mujoco.MjModel.from_xml_string(world.mjcf)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
+    footprints = []
+    for g in np.flatnonzero((model.geom_contype != 0) & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)):
+        box = model.geom_aabb[g, :3] + corners * model.geom_aabb[g, 3:]
+        box = data.geom_xpos[g] + box @ data.geom_xmat[g].reshape(3, 3).T
+        if box[:, 2].max() > _GAP_TO_WALL_M and box[:, 2].min() < HEIGHT_M:
+            footprints.append(shapely.MultiPoint(box[:, :2]).convex_hull)
+    is_free = np.ones(len(xy_m), bool)
+    if footprints:
+        reach_m = RADIUS_M + _GAP_TO_WALL_M
+        touched = shapely.STRtree(footprints).query(shapely.points(xy_m), "dwithin", distance=reach_m)
+        is_free[touched[0]] = False
+    return is_free
+
+
+class Walkers:
+    """Each walks to and fro along the route at a speed of its own, on its own side, and turns back now and then.
+
+    Attributes:
+        cells: (count, 2) row and column where they stand.
+
+    Args:
+        ground: where they walk.
+        cells: (count, 2) where they begin.
+        rng: of who they are.
+    """
+
+    def __init__(self, ground: Ground, cells: NDArray[np.int64], rng: np.random.Generator) -> None:
+        count = len(cells)
+        self.cells = cells
+        self._rng, self._now = rng, 0
+        self._heading = rng.choice([-1, 1], count)
+        self._stride_m = rng.uniform(*_WALK_M_S, count) * STEP_S
+        self._right_m = rng.uniform(*_KEEPS_RIGHT_M, count)
+        self._turns_at_s = rng.uniform(*_TURNS_AFTER_S, count)
+        self._stuck_s = np.zeros(count)
+        self._steps = steps_within_reach()
+        self._route = kernels.Route(ground.along_m, ground.left_m, ground.lap_m)
+
+    def step(self, safe: Sequence[Sequence[ByteArray]]) -> NDArray[np.int64]:
+        """Where they stand a step of `STEP_S` later (count, 2).
+
+        Args:
+            safe: for each of them, cells (R, C) to step to; others, in turn, where none is in reach; else it stays.
+        """
+        self._now += 1
+        before, after = self.cells, self.cells.copy()
+        for i, choices in enumerate(safe):
+            others = np.concatenate([after[:i], before[i + 1 :]])
+            after[i] = self._step_of(i, choices, others)
+            moved_m = CELL_M * float(np.hypot(*(after[i] - before[i])))
+            self._turn_back(i, is_stuck=moved_m < 0.3 * self._stride_m[i])
+        self.cells = after
+        return after
+
+    def _step_of(self, i: int, choices: Sequence[ByteArray], others: NDArray[np.int64]) -> tuple[int, int]:
+        heading = self._heading[i]
+        wish = kernels.Wish(heading * self._stride_m[i], -heading * self._right_m[i])
+        row, column = self.cells[i]
+        for safe in choices:
+            found = kernels.best_step(safe, self._route, self._steps, row, column, wish, others, _APART_M / CELL_M)
+            if found[0] >= 0:
+                return found
+        return int(row), int(column)
+
+    def _turn_back(self, i: int, *, is_stuck: bool) -> None:
+        now_s = self._now * STEP_S
+        self._stuck_s[i] = self._stuck_s[i] + STEP_S if is_stuck else 0.0
+        if self._stuck_s[i] > _PATIENCE_S or now_s > self._turns_at_s[i]:
+            self._heading[i], self._stuck_s[i] = -self._heading[i], 0.0
+            self._turns_at_s[i] = now_s + self._rng.uniform(*_TURNS_AFTER_S)
+
+
+class Cylinders:
+    """Upright cylinders the size of people; whoever moves them says where they are.
+
+    Args:
+        xy_m: (N, 2) where they begin.
+    """
+
+    def __init__(self, xy_m: FloatArray) -> None:
+        self._begin_m = xy_m
+
+    @property
+    def count(self) -> int:
+        """How many."""
+        return len(self._begin_m)
+
+    @property
+    def surfaces(self) -> dict[str, Surface]:
+        """What they wear: a material each."""
+        return {f"passerby{i}": _clothes(i) for i in range(self.count)}
+
+    def add_to(self, spec: Any) -> None:
+        """Put them as mocap bodies into a MuJoCo MjSpec."""
+        import mujoco
+
+        for i, (x, y) in enumerate(self._begin_m):
+            name = f"passerby{i}"
+            spec.add_material(name=name, rgba=[*_clothes(i).rgb, 1.0])
+            body = spec.worldbody.add_body(name=name, mocap=True, pos=[x, y, HEIGHT_M / 2])
+            cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
+            body.add_geom(name=name, type=cylinder, size=[RADIUS_M, HEIGHT_M / 2, 0], material=name, contype=0)
+
+
+def reach_cells() -> int:
+    """How many cells somebody gets on in a step, at most."""
+    return int(_FASTEST_M_S * STEP_S / CELL_M + 1e-9)
+
+
+def steps_within_reach() -> NDArray[np.int64]:
+    """(K, 2) cells within a step's reach."""
+    side = np.arange(-reach_cells(), reach_cells() + 1)
+    steps: NDArray[np.int64] = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
+    return np.asarray(steps[np.hypot(*steps.T) <= reach_cells()])
+
+
+def starts(
+    ground: Ground, safe: ByteArray, xy_robot_m: FloatArray, count: int, rng: np.random.Generator
+) -> NDArray[np.int64]:
+    """(count, 2) safe cells, some metres from the robot where there are such."""
+    cells = np.argwhere(safe)
+    away_m = np.hypot(*(ground.xy_of(cells) - xy_robot_m).T)
+    far = cells[away_m > _START_AWAY_M]
+    return rng.choice(far if len(far) else cells, count)
+
+
+def _clothes(index: int) -> Surface:
+    return Surface("fabric", _CLOTHES[index % len(_CLOTHES)], scale_m=0.3, contrast=0.3, infrared=0.45)
+
+
+# People who walk to and fro along a route while the robot drives it, and keep out of the robot's way.
+
+
+CLEARANCE_M = 0.6
+
+# Between two steps both go on straight, which can bring them nearer than at either end.
+_MARGIN_M = 0.1
+_STREAM = 0x9A55
+
+
+class Passersby(Cylinders):
+    """Upright cylinders the size of people, walking to and fro along the world's route at 0.8 to 1.3 m/s.
+
+    The drive is known before they walk. Going back from its end, all places are found from which somebody can still
+    get out of the robot's way: those that are clear now, with one within a step that will be. Walkers choose among
+    these only, so that they step aside, wait or turn back in time. Their axes stay at least 0.6 m from the robot's
+    outline and 0.3 m from what stands in the world; from each other they keep away where they can.
+
+    Args:
+        world: whose route they walk and whose obstacles they go round.
+        drive: finished; they have walked since its first pose and stand still after its last.
+        count: how many.
+        seed: of where they begin, how fast they walk and when they turn back.
+        robot: whose outline they keep away from.
+
+    Raises:
+        ConfigError: a negative count, or a world so narrow that there is nowhere to go.
+    """
+
+    def __init__(self, world: World, drive: Drive, count: int, seed: int, robot: Robot | None = None) -> None:
+        if count < 0:
+            raise ConfigError(f"{count} passers-by", fix="0 or more")
+        self._start_s = float(drive.truth.stamps_s[0])
+        self._xy_m = np.zeros((1, 0, 2))
+        if count:
+            robot = robot or Robot()
+            times_s = np.arange(math.ceil(drive.duration_s / STEP_S) + 1) * STEP_S + self._start_s
+            T = drive.truth.at(times_s.clip(None, drive.truth.stamps_s[-1]))
+            ground = Ground(world)
+            safe = _safe_cells(ground, T, outline_m(robot), world.name)
+            self._xy_m = _walk(ground, safe, T[0, :2, 3], count, np.random.default_rng((seed, _STREAM)))
+        super().__init__(self._xy_m[0])
+
+    def positions_at(self, stamp_s: float) -> FloatArray:
+        """(N, 2) where their axes stand at a time in seconds; before and after the drive, where they begin and end."""
+        step = min(max((stamp_s - self._start_s) / STEP_S, 0.0), len(self._xy_m) - 1.0)
+        before = int(step)
+        after = min(before + 1, len(self._xy_m) - 1)
+        return np.asarray(self._xy_m[before] + (step - before) * (self._xy_m[after] - self._xy_m[before]))
+
+
+class _SafeCells:
+    """Which cells (R, C) are safe at each step; kept as what differs from the free ones, which is little."""
+
+    def __init__(self, is_free: ByteArray) -> None:
+        self._is_free, self._packed = is_free, list[bytes]()
+
+    def __len__(self) -> int:
+        return len(self._packed)
+
+    def put_before(self, safe: ByteArray) -> None:
+        """Add the step before those there are."""
+        self._packed.append(zlib.compress(np.packbits(safe ^ self._is_free).tobytes(), 1))
+
+    def at(self, step: int) -> ByteArray:
+        """(R, C) uint8."""
+        bits = np.frombuffer(zlib.decompress(self._packed[-1 - step]), np.uint8)
+        return np.unpackbits(bits, count=self._is_free.size).reshape(self._is_free.shape) ^ self._is_free
+
+
+def _safe_cells(ground: Ground, T_world_robot: FloatArray, reach_m: FloatArray, world: str) -> _SafeCells:
+    """Cells from which the robot at poses (N, 4, 4), a step apart, can be avoided until the last of them."""
+    reach = np.zeros((2 * reach_cells() + 1,) * 2, np.uint8)
+    reach[tuple((steps_within_reach() + reach_cells()).T)] = 1
+    cells, safe = _SafeCells(ground.is_free), ground.is_free
+    for T in T_world_robot[::-1]:
+        near_safe = cv2.dilate(safe, reach, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+        safe = np.where(near_safe, ground.is_free, np.uint8(0))
+        R, xy_m = np.ascontiguousarray(T[:2, :2]), np.ascontiguousarray(T[:2, 3])
+        kernels.keep_clear(safe, CELL_M, ground.corner_m, xy_m, R, reach_m, CLEARANCE_M + _MARGIN_M)
+        cells.put_before(safe)
+    if not safe.any():
+        raise ConfigError(f"world {world} leaves no room for passers-by beside the robot", fix="--passers-by 0")
+    return cells
+
+
+def _walk(ground: Ground, safe: _SafeCells, xy_robot_m: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
+    """(N, count, 2) positions, a step apart."""
+    walkers = Walkers(ground, starts(ground, safe.at(0), xy_robot_m, count, rng), rng)
+    cells = [walkers.cells]
+    for k in range(1, len(safe)):
+        cells.append(walkers.step([[safe.at(k)]] * count))
+    return ground.xy_of(np.array(cells))
+
+
+# People who walk where a robot drives whose way nobody knows before: they see it, and most keep away from it.
+
+
+_LIVE_PASSERSBY_STREAM = 0x11FE
+_KEPT_STEPS = 8  # two seconds; frames are rendered of the last tenth
+
+
+@dataclass(frozen=True, slots=True)
+class LivePeopleSettings:
+    """How people mind a robot.
+
+    Attributes:
+        clearance_m: from its outline to their axes, which they keep while they can: as `Passersby` do. Chosen.
+        least_m: the same where there is no room for that. Chosen: a hand's breadth from skin to robot.
+        careless: share of them who look at their phones: they walk on as if there was no robot, until they bump into
+            it. Chosen.
+    """
+
+    clearance_m: float = 0.6
+    least_m: float = 0.33
+    careless: float = 0.1
+
+
+class LivePassersby(Cylinders):
+    """Upright cylinders the size of people, who walk to and fro along the world's route and choose each step anew.
+
+    They step where the robot is not, neither now nor, going on as it does, a step later. Nobody knows what it does
+    next, so a robot that drives at somebody who has no room hits them. Who is careless walks into it.
+
+    Args:
+        world: whose route they walk and whose obstacles they go round.
+        T_world_base: (4, 4) where the robot begins.
+        count: how many.
+        seed: of who they are.
+        robot: whose outline they keep away from.
+        settings: how.
+
+    Raises:
+        ConfigError: a world so narrow that there is nowhere to go.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        T_world_base: FloatArray,
+        count: int,
+        seed: int,
+        robot: Robot,
+        settings: LivePeopleSettings | None = None,
+    ) -> None:
+        self._settings = settings or LivePeopleSettings()
+        self._ground, self._outline_m = Ground(world), outline_m(robot)
+        rng = np.random.default_rng((seed, _LIVE_PASSERSBY_STREAM))
+        clear = self._clear_of([T_world_base], self._settings.clearance_m)
+        if not clear.any():
+            raise ConfigError(
+                f"world {world.name} leaves no room for passers-by beside the robot", fix="--passers-by 0"
+            )
+        self._walkers = Walkers(self._ground, starts(self._ground, clear, T_world_base[:2, 3], count, rng), rng)
+        self._is_careless = rng.random(count) < self._settings.careless
+        self._steps_m: deque[FloatArray] = deque([self._ground.xy_of(self._walkers.cells)], _KEPT_STEPS)
+        self._newest = 0
+        super().__init__(self._steps_m[0])
+
+    def step(self, T_world_base: FloatArray, T_world_next: FloatArray) -> None:
+        """Choose where to be `STEP_S` after the last step, with the robot here, and there if it goes on as it does."""
+        both = [T_world_base, T_world_next]
+        minding = [self._clear_of(both, self._settings.clearance_m), self._clear_of(both, self._settings.least_m)]
+        # Half of a body overlaps the outline before a careless one has noticed.
+        careless = [self._clear_of([T_world_base], RADIUS_M / 2)]
+        cells = self._walkers.step([careless if is_careless else minding for is_careless in self._is_careless])
+        self._steps_m.append(self._ground.xy_of(cells))
+        self._newest += 1
+
+    def positions_at(self, stamp_s: float) -> FloatArray:
+        """(N, 2) where their axes stand at a time up to the last step, metres; of times long ago, the oldest known."""
+        before, after, share = self._around(stamp_s)
+        return np.asarray(before + share * (after - before))
+
+    def velocities_at(self, stamp_s: float) -> FloatArray:
+        """(N, 2) how fast they walk, m/s."""
+        before, after, _ = self._around(stamp_s)
+        return np.asarray((after - before) / STEP_S)
+
+    def _around(self, stamp_s: float) -> tuple[FloatArray, FloatArray, float]:
+        oldest = self._newest + 1 - len(self._steps_m)
+        step = min(max(stamp_s / STEP_S - oldest, 0.0), len(self._steps_m) - 1.0)
+        index = min(int(step), max(len(self._steps_m) - 2, 0))
+        return self._steps_m[index], self._steps_m[min(index + 1, len(self._steps_m) - 1)], step - index
+
+    def _clear_of(self, poses: list[FloatArray], distance_m: float) -> ByteArray:
+        """(R, C) free cells that are not so near to the robot at any of the poses."""
+        clear = self._ground.is_free.copy()
+        for T in poses:
+            R, xy_m = np.ascontiguousarray(T[:2, :2]), np.ascontiguousarray(T[:2, 3])
+            kernels.keep_clear(clear, CELL_M, self._ground.corner_m, xy_m, R, self._outline_m, distance_m)
+        return clear

@@ -1,0 +1,374 @@
+"""A world as the camera's rays meet it: MuJoCo casts them, many at a time. View holds what they hit."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, Int32Array, IntArray, PinholeCamera
+from wheelsight_sim.view_kernels import Bodies, Boxes, Hits, Image, Places, aim, choose, find, gather, put, spread
+from wheelsight_sim.world import Surface, World
+
+# A world as the camera's rays meet it: MuJoCo casts them, many at a time, at the few geoms they can hit.
+
+
+_KINDS = {0: "plane", 2: "sphere", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 6: "box"}
+_TILE_ROWS = 16
+_TILE_COLUMNS = 80
+_NO_LIMIT = 1e10
+# MuJoCo's bounding volumes are those of compilation; told that there are none, it tries every target.
+_NO_TREE = -1
+_FIRST_GROUP = np.array([1, 0, 0, 0, 0, 0], np.uint8)
+_FEWEST_TARGETS = 8
+# A row's own z axis may be turned from the tile's by as much as a shutter allows.
+_FAR_MARGIN = 1.05
+
+
+class People(Protocol):
+    """Who walks in a world."""
+
+    @property
+    def count(self) -> int:
+        """How many."""
+
+    @property
+    def surfaces(self) -> Mapping[str, Surface]:
+        """What they wear, by their materials' names."""
+
+    def positions_at(self, stamp_s: float) -> FloatArray:
+        """(N, 2) where their axes stand at a time, metres."""
+
+    def add_to(self, spec: Any) -> None:
+        """Put them as mocap bodies into a MuJoCo MjSpec."""
+
+
+class MovingLeaves(Protocol):
+    """Leaves of doors that swing in a world."""
+
+    def poses_at(self, stamp_s: float) -> tuple[FloatArray, FloatArray]:
+        """Middles (N, 3) of the leaves at a time, metres, and their yaws (N,), radians."""
+
+    def add_to(self, spec: Any) -> None:
+        """Put them as mocap bodies into a MuJoCo MjSpec, in place of the geoms of the same names."""
+
+
+class Scene:
+    """A world without robot, and the people who walk and the doors that swing in it, as rays see it.
+
+    Rows of a rolling shutter have poses of their own, and one call of MuJoCo's `mj_multiRay` has one origin. So rays
+    are cast in tiles of sixteen rows: every ray has its own row's direction, and what it hits from the origin of the
+    tile's middle row is carried to its own along the surface's tangent plane. At 1.2 m/s and Kinect's shutter the
+    origins of a tile of 640×480 differ by at most 0.5 mm (of 320×240, 1 mm): depth is exact on flat surfaces, and off
+    by micrometres on curved ones; an object's outline is where it is seen from half a millimetre aside.
+
+    A tile's rays are cast only at what they can hit, for which a small model takes the geoms' places: neither at what
+    lies outside the tile's frustum nor at what hides behind a wall that fills it. Nothing a ray could hit is left out,
+    and every tile is cast the same way whichever thread does it.
+
+    `moving` are the indices (M,) of the geoms that `move_to` moves.
+
+    Args:
+        world: with a name and a material for every geom.
+        passersby: who walks there, or None; `move_to` says when.
+        threads: how many cast at a time; None takes as many as there are processors, up to four.
+        doors: which swing there, or None.
+
+    Raises:
+        ConfigError: a geom without name or material, a material without surface, a mesh or height field.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        passersby: People | None = None,
+        threads: int | None = None,
+        doors: MovingLeaves | None = None,
+    ) -> None:
+        import mujoco
+
+        self.world = world
+        self.model = _compile(world, passersby, doors)
+        self.data = mujoco.MjData(self.model)
+        self.surfaces: Mapping[str, Surface] = {**world.surfaces, **(passersby.surfaces if passersby else {})}
+        self._passersby, self._doors = passersby, doors
+        self._threads = min(os.cpu_count() or 1, 4) if threads is None else threads
+        self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
+        self._targets = [_Targets() for _ in range(self._threads)]
+        mujoco.mj_kinematics(self.model, self.data)
+        names, materials = _names(self.model, self.surfaces, world.name)
+        self.geoms = Geoms(
+            names,
+            materials,
+            kind=np.array(self.model.geom_type, np.int32),
+            size_m=np.array(self.model.geom_size),
+            position_world=np.array(self.data.geom_xpos),
+            R_world_geom=np.array(self.data.geom_xmat).reshape(-1, 3, 3),
+        )
+        is_mocap = self.model.body_mocapid[self.model.geom_bodyid] >= 0
+        self.moving: IntArray = np.flatnonzero(is_mocap)
+        self._half_m = np.where(_visible(self.model)[:, None], self.model.geom_aabb[:, 3:], -1.0)
+
+    def move_to(self, stamp_s: float) -> None:
+        """Put people and doors where they are at a time, in seconds; without any nothing moves."""
+        if self._passersby is None and self._doors is None:
+            return
+        import mujoco
+
+        people = 0 if self._passersby is None else self._passersby.count
+        if self._passersby is not None:
+            self.data.mocap_pos[:people, :2] = self._passersby.positions_at(stamp_s)
+        if self._doors is not None:
+            middles, yaws_rad = self._doors.poses_at(stamp_s)
+            self.data.mocap_pos[people:] = middles
+            self.data.mocap_quat[people:, 0] = np.cos(yaws_rad / 2)
+            self.data.mocap_quat[people:, 3] = np.sin(yaws_rad / 2)
+        mujoco.mj_kinematics(self.model, self.data)
+        self.geoms.position_world[:] = self.data.geom_xpos
+        self.geoms.R_world_geom[:] = self.data.geom_xmat.reshape(-1, 3, 3)
+
+    def cast(self, camera: PinholeCamera, T_world_camera_rows: ArrayLike, far_m: float = np.inf) -> View:
+        """What each pixel's ray hits first, nearer than `far_m` along the camera's z axis.
+
+        Args:
+            camera: whose pixels; lens distortion is followed.
+            T_world_camera_rows: (H, 4, 4) its pose as each row is read, or (4, 4) for all of them.
+            far_m: hits beyond are none.
+        """
+        h, w = camera.height, camera.width
+        # A copy: kernels would be compiled once more for poses that may not be written.
+        T = np.array(np.broadcast_to(np.asarray(T_world_camera_rows, float), (h, 4, 4)), order="C")
+        view = _nothing(T, _rays(camera))
+        self._cast_tiles(view, _tiles(h, w), far_m)
+        return view
+
+    def outlines(self, view: View, far_m: float = np.inf) -> Outlines:
+        """What further rays hit in the pixels of a view beside which another face is seen.
+
+        They are cast by the rules of `cast`, at the geoms where they stand now, as seen from the poses of their rows.
+
+        Args:
+            view: what `cast` has returned, and people have not moved since.
+            far_m: hits beyond are none.
+        """
+        found = [find(view.geom, view.normal_world, tile) for tile in _tiles(*view.geom.shape)]
+        pixels = np.concatenate(found)
+        rays = spread(view.rays, pixels)
+        # Kernels that are compiled for a view's rays need not be compiled once more.
+        rays.setflags(write=view.rays.flags.writeable)
+        samples = _nothing(view.T_world_camera[pixels[:, 0]], rays)
+        ends = np.cumsum([0, *map(len, found)])
+        tiles = [np.array([a, b, 0, rays.shape[1]]) for a, b in pairwise(ends) if a < b]
+        self._cast_tiles(samples, tiles, far_m)
+        return Outlines(pixels, samples)
+
+    def reach_m(self, begins: FloatArray, direction: FloatArray) -> FloatArray:
+        """How far (N,) rays from points (N, 3) come in a unit direction (3,); infinitely far where nothing is hit."""
+        import mujoco
+
+        hit, normal = np.zeros(1, np.int32), np.zeros(3)
+        ways_m = [
+            mujoco.mj_ray(self.model, self.data, begin, direction, _FIRST_GROUP, True, -1, hit, normal)
+            for begin in begins
+        ]
+        return np.array([way_m if way_m >= 0 else np.inf for way_m in ways_m])
+
+    def _cast_tiles(self, view: View, tiles: list[IntArray], far_m: float) -> None:
+        center = self.geoms.position_world + np.einsum(
+            "gij,gj->gi", self.geoms.R_world_geom, self.model.geom_aabb[:, :3]
+        )
+
+        def work(thread: int) -> None:
+            for tile in tiles[thread :: self._threads]:
+                self._cast_tile(view, tile, center, far_m, self._targets[thread])
+
+        if self._pool is None:
+            work(0)
+        else:
+            list(self._pool.map(work, range(self._threads)))
+
+    def _cast_tile(self, view: View, tile: IntArray, center: FloatArray, far_m: float, targets: _Targets) -> None:
+        geoms, T = self.geoms, view.T_world_camera
+        middle = T[(tile[0] + tile[1]) // 2]
+        R, origin = np.ascontiguousarray(middle[:3, :3]), np.ascontiguousarray(middle[:3, 3])
+        rays = np.empty(((tile[1] - tile[0]) * (tile[3] - tile[2]), 3))
+        bounds = aim(view.rays, T, tile, R, rays)
+        boxes = Boxes(geoms.kind, geoms.size_m, center, self._half_m, geoms.R_world_geom)
+        chosen = choose(boxes, R, origin, bounds, far_m * _FAR_MARGIN)
+        if len(chosen):
+            hits = targets.cast(geoms, chosen, origin, rays)
+            image = Image(view.depth_m, view.geom, view.normal_world)
+            gather(hits, rays, T, tile, origin, far_m, chosen, image)
+
+
+class _Targets:
+    """Small models whose geoms are overwritten with those a tile's rays can hit.
+
+    MuJoCo looks at every geom of a model for every ray, half a nanosecond for each it rules out; a floor has hundreds,
+    and a tile of its image meets ten.
+    """
+
+    def __init__(self) -> None:
+        self._models: dict[int, tuple[Any, Any, Places]] = {}
+
+    def cast(self, geoms: Geoms, chosen: Int32Array, origin: FloatArray, rays: FloatArray) -> Hits:
+        """Which of `chosen` (K,) each ray (N, 3) hits first, or -1; how many ray lengths away; outward normals."""
+        import mujoco
+
+        n = len(rays)
+        model, data, places = self._of_size(len(chosen))
+        bodies = Bodies(geoms.kind, geoms.size_m, geoms.position_world, geoms.R_world_geom)
+        put(chosen, bodies, places)
+        hit, distance, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
+        out = hit, distance, normal.reshape(-1)
+        mujoco.mj_multiRay(model, data, origin, rays.reshape(-1), _FIRST_GROUP, True, -1, *out, n, _NO_LIMIT)
+        return Hits(hit, distance, normal)
+
+    def _of_size(self, count: int) -> tuple[Any, Any, Places]:
+        import mujoco
+
+        size = _FEWEST_TARGETS
+        while size < count:
+            size *= 2
+        if size not in self._models:
+            spec = mujoco.MjSpec()
+            for _ in range(size):
+                spec.worldbody.add_geom(size=[1, 1, 1])
+            model = spec.compile()
+            model.body_bvhadr[:] = _NO_TREE
+            data = mujoco.MjData(model)
+            places = Places(model.geom_type, model.geom_size, data.geom_xpos, data.geom_xmat, model.geom_group)
+            self._models[size] = model, data, places
+        return self._models[size]
+
+
+def _nothing(T_world_camera: FloatArray, rays: FloatArray) -> View:
+    """A view (H, W) of rays (H, W, 3) that have not hit anything, from a pose for each row (H, 4, 4)."""
+    h, w, _ = rays.shape
+    return View(
+        depth_m=np.zeros((h, w), np.float32),
+        geom=np.full((h, w), -1, np.int32),
+        normal_world=np.zeros((h, w, 3), np.float32),
+        T_world_camera=T_world_camera,
+        rays=rays,
+    )
+
+
+def _tiles(h: int, w: int) -> list[IntArray]:
+    """First and last row and column, the last left out, of the rectangles that cover an image."""
+    return [
+        np.array([top, min(top + _TILE_ROWS, h), left, min(left + _TILE_COLUMNS, w)])
+        for top in range(0, h, _TILE_ROWS)
+        for left in range(0, w, _TILE_COLUMNS)
+    ]
+
+
+@lru_cache(maxsize=8)
+def _rays(camera: PinholeCamera) -> FloatArray:
+    rays = np.ascontiguousarray(camera.rays())
+    rays.setflags(write=False)
+    return rays
+
+
+def _compile(world: World, passersby: People | None, doors: MovingLeaves | None) -> Any:
+    import mujoco
+
+    try:
+        spec = mujoco.MjSpec.from_string(world.mjcf)
+        if passersby is not None:
+            passersby.add_to(spec)
+        if doors is not None:
+            doors.add_to(spec)
+        return spec.compile()
+    except ValueError as error:
+        raise ConfigError(f"world {world.name}: MuJoCo does not take its MJCF: {error}") from error
+
+
+def _names(model: Any, surfaces: Mapping[str, Surface], world: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and materials of all geoms. Raises ConfigError where one cannot be cast at or painted."""
+    names, materials = [], []
+    for index in range(model.ngeom):
+        name = model.geom(index).name
+        where = f"world {world}: geom {name or index}"
+        if int(model.geom_type[index]) not in _KINDS:
+            raise ConfigError(f"{where} is no primitive", fix=f"build it of {', '.join(_KINDS.values())}")
+        if not name:
+            raise ConfigError(f"{where} has no name")
+        if model.geom_matid[index] < 0:
+            raise ConfigError(f"{where} has no material")
+        material = model.mat(model.geom_matid[index]).name
+        if material not in surfaces:
+            raise ConfigError(f"{where}: its material {material} has no surface")
+        names.append(name)
+        materials.append(material)
+    return tuple(names), tuple(materials)
+
+
+def _visible(model: Any) -> BoolArray:
+    """(G,) which geoms rays stop at: as in MuJoCo, those whose material is not fully transparent."""
+    return np.asarray(model.mat_rgba[model.geom_matid, 3] > 0)
+
+
+# What rays from the camera's pixels hit: the ideal image that sensor models turn into measurements.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """One ray a pixel, through the pixel's centre; row by row at the time the shutter reads it.
+
+    Attributes:
+        depth_m: (H, W) true depth along the camera's z axis; 0 where nothing was hit.
+        geom: (H, W) index of the MJCF geom that was hit, -1 where none was.
+        normal_world: (H, W, 3) outward unit normals in the world; 0 where nothing was hit.
+        T_world_camera: (H, 4, 4) the camera's pose as each row was read.
+        rays: (H, W, 3) what a depth of 1 m adds to the camera's origin, in the camera frame (z = 1).
+    """
+
+    depth_m: Float32Array
+    geom: Int32Array
+    normal_world: Float32Array
+    T_world_camera: FloatArray
+    rays: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outlines:
+    """More rays through the pixels of a view beside which another face is seen: edges run through them.
+
+    Attributes:
+        pixels: (N, 2) their rows and columns in the view.
+        samples: what each pixel's S further rays hit, in one row a pixel: (N, S) for (H, W). Poses are those of the
+            pixels' rows; what was hit through the pixel's middle is in the view alone.
+    """
+
+    pixels: Int32Array
+    samples: View
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Geoms:
+    """The geoms of a scene in the MJCF's order, as arrays that kernels can read; those of moving bodies change.
+
+    Attributes:
+        names: (G,) of the geoms.
+        materials: (G,) their materials' names: keys of `World.surfaces`.
+        kind: (G,) MuJoCo's geom type: plane 0, sphere 2, capsule 3, ellipsoid 4, cylinder 5, box 6.
+        size_m: (G, 3) MuJoCo's sizes: half lengths of a box, radius and half length of a cylinder.
+        position_world: (G, 3) centres.
+        R_world_geom: (G, 3, 3) orientations.
+    """
+
+    names: tuple[str, ...]
+    materials: tuple[str, ...]
+    kind: Int32Array
+    size_m: FloatArray
+    position_world: FloatArray
+    R_world_geom: FloatArray

@@ -1,0 +1,235 @@
+"""What a simulation is made of: all that must be known to make the same recording again. Realism says how hard it
+is.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from wheelsight.core.errors import ConfigError
+from wheelsight.core.files import StrPath
+from wheelsight_sim.appearance import LightSettings, ShadowSettings, SunlightSettings
+from wheelsight_sim.body_motion import BodySettings, Floor, FloorSettings, MountSettings, TyreSettings
+from wheelsight_sim.color_sensor import ControlSettings, LensSettings, PixelSettings
+from wheelsight_sim.depth_sensor import RegistrationSettings
+from wheelsight_sim.drivers import MAX_SPEED_M_S
+from wheelsight_sim.readings import StampSettings
+from wheelsight_sim.robot import Robot, WheelFaults, WheelSizeSettings
+from wheelsight_sim.world import World
+
+# Which floor plan a world is made of, and how far the robot is to drive in it.
+
+
+_LONGEST_WAY_M = 20_000.0
+
+
+@dataclass(frozen=True, slots=True)
+class FloorPlan:
+    """A plan that a world is to be made of.
+
+    Attributes:
+        path: of a map in ROS map_server's format (its YAML file), or of a bare image.
+        resolution_m: side of a pixel of a bare image; None for a YAML file.
+        areas: image of the same size that shows the rooms, one colour each or parted by lines; None for no areas.
+        start: x, y in metres and yaw in radians in the frame `map` where the base begins; None for a roomy place.
+        way_m: how far the route leads at least, where the building has a tour; None for one lap of up to 100 m.
+
+    Raises:
+        ConfigError: a start that is not finite, or a way of no length.
+    """
+
+    path: StrPath
+    resolution_m: float | None = None
+    areas: StrPath | None = None
+    start: tuple[float, float, float] | None = None
+    way_m: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.start is not None and not all(map(math.isfinite, self.start)):
+            raise ConfigError(f"--start is {self.start}", fix="x and y in metres and yaw in radians")
+        if self.way_m is not None and not 0 < self.way_m <= _LONGEST_WAY_M:
+            raise ConfigError(f"--way is {self.way_m:g} m", fix=f"over 0, up to {_LONGEST_WAY_M:g} m")
+
+    @property
+    def name(self) -> str:
+        """What the world is called: the file's name without its ending."""
+        return Path(self.path).stem
+
+
+# How hard a simulation is: nothing but the sensors' noise, or all that a robot's sensors are known to do.
+
+
+RealismName = Literal["ideal", "real"]
+
+
+@dataclass(frozen=True, slots=True)
+class Realism:
+    """All that a real robot's sensors do beside their noise, one part each; what is random comes from the drive's seed.
+
+    Attributes:
+        lens, registration, control, pixels: of the camera; one without error of its own has none of them.
+        mount, wheel_sizes, body, floor, tyres: of the robot and the floor under it.
+        stamps: of what the sensors say.
+        sunlight, lights, shadows: of the building.
+    """
+
+    lens: LensSettings = field(default_factory=LensSettings)
+    registration: RegistrationSettings = field(default_factory=RegistrationSettings)
+    control: ControlSettings = field(default_factory=ControlSettings)
+    pixels: PixelSettings = field(default_factory=PixelSettings)
+    mount: MountSettings = field(default_factory=MountSettings)
+    wheel_sizes: WheelSizeSettings = field(default_factory=WheelSizeSettings)
+    body: BodySettings = field(default_factory=BodySettings)
+    floor: FloorSettings = field(default_factory=FloorSettings)
+    tyres: TyreSettings = field(default_factory=TyreSettings)
+    stamps: StampSettings = field(default_factory=StampSettings)
+    sunlight: SunlightSettings = field(default_factory=SunlightSettings)
+    lights: LightSettings = field(default_factory=LightSettings)
+    shadows: ShadowSettings = field(default_factory=ShadowSettings)
+
+    def floor_of(self, world: World, seed: int) -> Floor:
+        """The floor of a world."""
+        return Floor(world, self.floor, stream(seed, "floor"))
+
+
+def realism_names() -> tuple[str, ...]:
+    """What `--realism` takes."""
+    return get_args(RealismName)
+
+
+def realism_of(name: str) -> Realism | None:
+    """The parts of a preset; None for the ideal one, which has none. Raises ConfigError for a name that is none."""
+    if name not in realism_names():
+        near = get_close_matches(name, realism_names(), n=1)
+        hint = f"did you mean {near[0]}? " if near else ""
+        raise ConfigError(f"--realism is {name}", fix=f"{hint}choose from {', '.join(realism_names())}")
+    return Realism() if name == "real" else None
+
+
+def stream(seed: int, part: str) -> np.random.Generator:
+    """Random numbers of one part of a drive: other parts, added or left out, do not change them."""
+    return np.random.default_rng([seed, zlib.crc32(part.encode())])
+
+
+# What a simulation is made of: all that must be known to make the same recording again.
+
+
+BaseName = Literal["differential", "mecanum", "omni-3", "omni-4", "increments"]
+
+_LARGEST_PX = 4096
+_SMALLEST_PX = 16
+
+
+@dataclass(frozen=True)
+class SimulationSettings:
+    """A world, a robot, a way through the world, and a camera; equal settings make equal recordings, byte for byte.
+
+    Attributes:
+        base: "differential": a wheelchair, moved by physics; "mecanum", "omni-3", "omni-4": a holonomic base that
+            looks elsewhere than where it goes; "increments": one whose own odometry is read.
+        world: one of `world_names()`; not looked at where there is a plan.
+        camera: one of `camera_names()`.
+        size: (width, height) of the images in pixels, or None for the camera's own.
+        rate_hz: images a second, or None for the camera's own.
+        laps: how often the world's route is driven.
+        seed: of everything random: textures, lighting, noise, passers-by, slip.
+        day: another one has other light, people, noise and slip, and chairs and bins stand elsewhere; building, robot
+            and camera stay those of the seed.
+        speed_m_s: of the robot on straights, up to 1.2.
+        duration_s: ends the drive after so long, or None for the whole route.
+        is_reverse: drives the route from its end to its start.
+        velocities: CSV of velocities to be driven in place of the route, `stamp_s,v_m_s,yaw_rate_rad_s`, or None.
+        stops_to_turn: whether the robot stops at each waypoint and turns on the spot, rather than round the corner.
+        passersby: how many people walk about.
+        doors: how many doors open and shut while the robot drives; which and when is another on each day.
+        has_motion_blur: whether colour images are smeared by the camera's motion during exposure.
+        realism: one of `realism_names()`: "ideal" has nothing but the sensors' noise, "real" all that real sensors
+            and robots do beside it, motion blur included.
+        has_slip: whether wheels slip on the floor.
+        robot: as it truly is; its owner believes in `Robot()`.
+        faults: of the wheels.
+        covered_s: (from, to) times in which something lies on the camera.
+        plan: a floor plan that a world is made of, in place of a built-in one.
+
+    Raises:
+        ConfigError: a value out of its range; names the option of `wheelsight simulate` that sets it.
+    """
+
+    world: str = "floor4"
+    camera: str = "kinect-v1"
+    size: tuple[int, int] | None = (320, 240)
+    rate_hz: float | None = None
+    laps: int = 1
+    seed: int = 0
+    day: int = 0
+    speed_m_s: float = 0.8
+    duration_s: float | None = None
+    is_reverse: bool = False
+    velocities: StrPath | None = None
+    stops_to_turn: bool = False
+    passersby: int = 0
+    doors: int = 0
+    has_motion_blur: bool = False
+    has_slip: bool = True
+    robot: Robot = field(default_factory=Robot)
+    faults: WheelFaults = field(default_factory=WheelFaults)
+    covered_s: tuple[tuple[float, float], ...] = ()
+    realism: RealismName = "ideal"
+    plan: FloorPlan | None = None
+    base: BaseName = "differential"
+
+    def __post_init__(self) -> None:
+        if self.base not in get_args(BaseName):
+            raise ConfigError(f"--base is {self.base!r}", fix=f"one of {', '.join(get_args(BaseName))}")
+        realism_of(self.realism)
+        _check_whole("--laps", self.laps, 1, 1000)
+        _check_whole("--seed", self.seed, 0, 2**32 - 1)
+        _check_whole("--day", self.day, 0, 100_000)
+        _check_whole("--passers-by", self.passersby, 0, 100)
+        _check_whole("--doors", self.doors, 0, 1000)
+        _check_range("--speed", self.speed_m_s, MAX_SPEED_M_S, "m/s")
+        if self.rate_hz is not None:
+            _check_range("--rate", self.rate_hz, 120, "Hz")
+        if self.duration_s is not None:
+            _check_range("--duration", self.duration_s, 24 * 3600, "s")
+        if self.size is not None and not all(_SMALLEST_PX <= side <= _LARGEST_PX for side in self.size):
+            raise ConfigError(f"--size is {self.size[0]}x{self.size[1]}", fix=f"{_SMALLEST_PX} to {_LARGEST_PX} pixels")
+        if self.velocities is not None and (self.is_reverse or self.stops_to_turn or self.laps != 1):
+            raise ConfigError("--drive has no route, so --laps, --reverse and --stop-and-turn mean nothing with it")
+
+    @property
+    def day_seed(self) -> int:
+        """Of what is another on each day; on day 0 the seed itself."""
+        return zlib.crc32(f"{self.seed}, day {self.day}".encode()) if self.day else self.seed
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain nested values under the same names, in lists and numbers that YAML keeps exactly."""
+        plain = _plain(asdict(self) | ({} if self.plan is None else {"world": self.plan.name}))
+        assert isinstance(plain, dict)
+        return plain
+
+
+def _check_whole(option: str, value: int, least: int, most: int) -> None:
+    if not least <= value <= most:
+        raise ConfigError(f"{option} is {value}", fix=f"{least} to {most}")
+
+
+def _check_range(option: str, value: float, most: float, unit: str) -> None:
+    if not (math.isfinite(value) and 0 < value <= most):
+        raise ConfigError(f"{option} is {value:g} {unit}", fix=f"over 0, up to {most:g} {unit}")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(inner) for key, inner in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(inner) for inner in value]
+    return value.name if isinstance(value, Path) else value

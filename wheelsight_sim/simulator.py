@@ -1,0 +1,573 @@
+"""Simulator: a robot to command, in a world that goes on while it is commanded: people walk, doors swing, and
+contacts are noted.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import count
+from types import TracebackType
+
+import numpy as np
+import shapely
+
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.errors import ArgumentError, ConfigError
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.messages import Event, RgbdFrame, VelocityCommand
+from wheelsight.core.robots import STOPPED, Duties, RobotLimits, VelocityControl, WheelControlSettings
+from wheelsight.core.runtime import needed
+from wheelsight.core.threads import OneCaller, one_at_a_time
+from wheelsight.core.trajectory import Trajectory
+from wheelsight_sim.body_motion import LiveBodyMotion, mounted
+from wheelsight_sim.cameras import Carriage, camera_model, unit_of
+from wheelsight_sim.doors import LiveDoors
+from wheelsight_sim.drivers import COMMAND_PERIOD_S
+from wheelsight_sim.faults import Covered
+from wheelsight_sim.frames import FrameMaker, Surroundings, camera_calibration, times_of
+from wheelsight_sim.people import RADIUS_M, STEP_S, LivePassersby, LivePeopleSettings
+from wheelsight_sim.physics import TRUTH_PERIOD_S, Reading, SteppedRobot, floor_of, poses_of, start_of, ticks_of
+from wheelsight_sim.readings import Delays
+from wheelsight_sim.robot import Motors, Robot, outline_at
+from wheelsight_sim.settings import SimulationSettings, realism_of, stream
+from wheelsight_sim.simulate import world_of
+from wheelsight_sim.simulated_recording import as_owned
+from wheelsight_sim.wheelchair import Touch
+from wheelsight_sim.world import World
+
+# Simulator: a robot to command, in a world that goes on while it is commanded.
+
+
+PERIOD_S = 0.05
+LONGEST_S = 4 * 3600.0
+
+_FALLEN = 0.7  # cosine of the lean from which on a chair does not come back
+
+
+class Simulator(OneCaller):
+    """A `Robot`: each step obeys a command for one control period, and answers what the sensors said in it.
+
+    Time stands still between steps. Wheels are held at their speeds by the loop that a real robot has, over encoders
+    as they are read; motors follow late. Frames are rendered in the step in which their last row is taken, with all
+    that recorded drives have. What is stamped later than a frame that is not there yet waits for it, so that events
+    come in the order of stamps. Equal arguments and commands, equal events, to the last bit.
+
+    Of the settings, those of a way or a driver mean nothing here: laps, speed, duration, direction, velocities. People
+    and doors see the robot as it drives. People are not solid: a robot drives through them, and `contacts` tells.
+
+    Args:
+        settings: world, camera, robot, faults, people, doors, realism, seed.
+        start: x, y in metres and yaw in radians in the frame `map` where the base begins; None for the world's own.
+        world: in place of the one the settings name.
+        people: how they mind the robot.
+        limits: which commands are held to.
+        control: of the wheels' loop.
+        period_s: of a step, a multiple of 5 ms.
+        has_camera: whether frames are rendered.
+        threads: how many render a frame.
+
+    Raises:
+        ConfigError: what `simulate` raises, a start where something stands, or a period that cannot be.
+    """
+
+    def __init__(
+        self,
+        settings: SimulationSettings,
+        *,
+        start: tuple[float, float, float] | None = None,
+        world: World | None = None,
+        people: LivePeopleSettings | None = None,
+        limits: RobotLimits | None = None,
+        control: WheelControlSettings | None = None,
+        period_s: float = PERIOD_S,
+        has_camera: bool = True,
+        threads: int = 1,
+    ) -> None:
+        needed("mujoco")
+        self._steps = _checked_steps(period_s)
+        self.settings, self._has_camera = settings, has_camera
+        self._live = LiveWorld(settings, start, world, people)
+        self._robot = _stepped(settings, self._live)
+        self._camera = LiveCamera(self._live.surroundings, settings, LONGEST_S, threads)
+        self._calibration = as_owned(settings, self._camera.calibration)
+        self._drive = _WheelDrive(settings, self._calibration, limits, control)
+        realism, seed = realism_of(settings.realism), settings.day_seed
+        stamps = None if realism is None else realism.stamps
+        self._wheel_delays = Delays(stamps, stream(seed, "live wheel stamps"))
+        self._gyro_delays = Delays(stamps, stream(seed, "live gyro stamps"))
+        self._waiting: list[tuple[float, int, Event]] = []
+        self._order = count()
+        self._broken, self._is_closed = "", False
+
+    @property
+    def world(self) -> World:
+        """Without people."""
+        return self._live.world
+
+    @property
+    def calibration(self) -> Calibration:
+        """What the robot's owner measured, as of recordings."""
+        return self._calibration
+
+    @property
+    def time_s(self) -> float:
+        """Simulated seconds since the start."""
+        return self._robot.time_s
+
+    @property
+    def now_s(self) -> float:
+        """As `Robot` has it: `time_s`."""
+        return self.time_s
+
+    @property
+    def stop_reason(self) -> str:
+        """As `Robot` has it."""
+        return self._broken or self._drive.control.reason
+
+    @property
+    def T_world_base(self) -> FloatArray:
+        """(4, 4) the truth of now, for judging."""
+        return self._robot.chair.T_world_base
+
+    @property
+    def T_world_camera(self) -> FloatArray:
+        """(4, 4) the truth of the last 5 ms, for judging."""
+        return self._camera.T_world_camera
+
+    @property
+    def people_m(self) -> FloatArray:
+        """(N, 2) where people truly stand, metres, for judging."""
+        return self._live.people_at(self.time_s)
+
+    def clearance_m(self, T_world_base: FloatArray | None = None) -> float:
+        """True distance from the robot's outline, here or at (4, 4), to the nearest thing, or door; not people."""
+        return self._live.clearance_m(self.T_world_base if T_world_base is None else T_world_base, self.time_s)
+
+    def people_clearance_m(self) -> float:
+        """True distance from the robot's outline to the nearest person's."""
+        return self._live.people_clearance_m(self.T_world_base, self.time_s)
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        """All that robot and others have come to touch so far, each once when it began, for judging."""
+        return tuple(self._live.contacts)
+
+    @property
+    def contact(self) -> Contact | None:
+        """The last of them."""
+        return self._live.contacts[-1] if self._live.contacts else None
+
+    @one_at_a_time
+    def step(self, command: VelocityCommand) -> list[Event]:
+        """Obey a command for one control period; what the sensors said, in the order of stamps.
+
+        Raises:
+            ArgumentError: it is closed, or has run for four hours.
+        """
+        if self._is_closed or self.time_s >= LONGEST_S:
+            problem = "is closed" if self._is_closed else f"has run for {LONGEST_S:g} s"
+            raise ArgumentError(f"the simulator {problem}", fix="make a new one")
+        for _ in range(self._steps):
+            if not self._broken:
+                self._tick(command)
+        return list(self._due())
+
+    def stop(self) -> None:
+        """Take the motors' voltage; the chair brakes by itself in the steps to come, until it is commanded to stand."""
+        self._drive.stop()
+
+    def close(self) -> None:
+        """Stop; nothing more can be asked of it but the truth."""
+        self.stop()
+        self._is_closed = True
+
+    def __enter__(self) -> Simulator:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _tick(self, command: VelocityCommand) -> None:
+        robot, tick = self._robot, self._robot.tick
+        reading = robot.read()
+        self._camera.follow(reading)
+        self._take(reading)
+        if tick % ticks_of(COMMAND_PERIOD_S) == 0:
+            robot.chair.turn_wheels(self._drive.rims_m_s(reading, command))
+        self._live.step(tick, robot)
+        robot.advance()
+        if robot.chair.is_broken:
+            self._broken = f"the physics became unstable at {self.time_s:.1f} s"
+        elif robot.chair.T_world_base[2, 2] < _FALLEN:
+            self._broken = f"the wheelchair fell over at {self.time_s:.1f} s"
+
+    def _take(self, reading: Reading) -> None:
+        if reading.ticks is not None:
+            self._put(self._wheel_delays.stamped(reading.ticks))
+        if reading.yaw_rate is not None:
+            self._put(self._gyro_delays.stamped(reading.yaw_rate))
+        for frame in self._camera.frames() if self._has_camera else ():
+            self._put(frame)
+
+    def _put(self, event: Event) -> None:
+        heapq.heappush(self._waiting, (event.stamp_s, next(self._order), event))
+
+    def _due(self) -> Iterator[Event]:
+        """What is stamped up to now, and before any frame that is still to come."""
+        until_s = min(self.time_s, self._camera.next_stamp_s if self._has_camera else np.inf)
+        while self._waiting and self._waiting[0][0] < until_s:
+            yield heapq.heappop(self._waiting)[2]
+
+
+class _WheelDrive:
+    """Wheel controller and motors: a command every 20 ms becomes speeds of the wheels' rims."""
+
+    def __init__(
+        self,
+        settings: SimulationSettings,
+        calibration: Calibration,
+        limits: RobotLimits | None,
+        control: WheelControlSettings | None,
+    ) -> None:
+        assert calibration.wheels is not None
+        self.control = VelocityControl(calibration.wheels, limits, control)
+        is_exact = realism_of(settings.realism) is None
+        self._motors = Motors(rng=None if is_exact else stream(settings.seed, "motors"))
+
+    def rims_m_s(self, reading: Reading, command: VelocityCommand) -> tuple[float, float]:
+        """Of the left and right wheel, called every `COMMAND_PERIOD_S`."""
+        duties = self.control.update(reading.stamp_s, reading.ticks, command)
+        return self._motors.after(duties, COMMAND_PERIOD_S)
+
+    def stop(self) -> None:
+        """Begin anew from a stand."""
+        self.control.stop(STOPPED)
+        self._motors.after(Duties(), np.inf)
+
+
+def _stepped(settings: SimulationSettings, live: LiveWorld) -> SteppedRobot:
+    return SteppedRobot(
+        live.world,
+        settings.robot,
+        live.T_world_start,
+        faults=settings.faults,
+        slip=settings.has_slip,
+        seed=settings.day_seed,
+        floor=floor_of(live.world, realism_of(settings.realism), settings.seed),
+        doors=live.doors,
+    )
+
+
+def _checked_steps(period_s: float) -> int:
+    steps = round(period_s / TRUTH_PERIOD_S) if np.isfinite(period_s) else 0
+    if not (1 <= steps <= 1000 and abs(steps * TRUTH_PERIOD_S - period_s) < 1e-9):
+        raise ConfigError(f"period_s is {period_s}", fix=f"a multiple of {TRUTH_PERIOD_S} s, up to 5 s")
+    return steps
+
+
+# A world that goes on while a robot is commanded: people walk, doors swing, and who touches the robot is noted.
+
+
+_LOOK_S = 0.02  # at 1.2 m/s, 24 mm
+_DOORS_S = 0.05
+_ANEW_S = 1.0  # what rests on something rings, and is one contact
+
+
+class LiveWorld:
+    """What is round a robot.
+
+    Attributes:
+        world: without people.
+        T_world_start: (4, 4) where the base begins.
+        contacts: all so far, each when it began.
+
+    Args:
+        settings: world, seed, day, robot, people, doors.
+        start: x, y, yaw of the base, or None for the world's own.
+        world: in place of the one the settings name.
+        people: how they mind the robot.
+
+    Raises:
+        ConfigError: a world that cannot be, or a start that touches something.
+    """
+
+    def __init__(
+        self,
+        settings: SimulationSettings,
+        start: tuple[float, float, float] | None = None,
+        world: World | None = None,
+        people: LivePeopleSettings | None = None,
+    ) -> None:
+        self.world = world or world_of(settings, start)
+        self.T_world_start = _start(self.world, start)
+        seed, robot = settings.day_seed, settings.robot
+        outline = outline_at(robot, self.T_world_start)
+        self.doors = LiveDoors(self.world, outline, settings.doors, seed) if settings.doors else None
+        count, T_start = settings.passersby, self.T_world_start
+        self._people = LivePassersby(self.world, T_start, count, seed, robot, people) if count else None
+        self._robot, self.contacts = robot, list[Contact]()
+        self._touched_s: dict[str, float] = {}
+        self._bystanders = Bystanders(self.world, robot, self._people, self.doors)
+        if self.clearance_m(self.T_world_start, 0.0) <= 0:
+            place = self.T_world_start[:2, 3].round(2).tolist()
+            raise ConfigError(f"the robot cannot begin at {place}: something stands there", fix="begin on free floor")
+
+    @property
+    def surroundings(self) -> Surroundings:
+        """For whoever renders it."""
+        return Surroundings(self.world, self._people, self.doors)
+
+    def clearance_m(self, T_world_base: FloatArray, stamp_s: float) -> float:
+        """From a robot's outline to the nearest thing, doors included and people not."""
+        return self._bystanders.clearance_m(T_world_base, stamp_s)
+
+    def people_clearance_m(self, T_world_base: FloatArray, stamp_s: float) -> float:
+        """From a robot's outline to the nearest person's."""
+        return self._bystanders.people_clearance_m(T_world_base, stamp_s)
+
+    def people_at(self, stamp_s: float) -> FloatArray:
+        """(N, 2) where people stand at a time of the last second, metres."""
+        return np.zeros((0, 2)) if self._people is None else self._people.positions_at(stamp_s)
+
+    def step(self, tick: int, stepped: SteppedRobot) -> None:
+        """Go on by a tick of physics: whose turn it is looks at the robot and moves."""
+        chair, stamp_s = stepped.chair, stepped.time_s
+        motion = Motion(chair.T_world_base, chair.velocity_m_s, chair.yaw_rate_rad_s)
+        if self._people is not None and tick % ticks_of(STEP_S) == 0:
+            self._people.step(motion.T_world_base, _going_on(motion, STEP_S))
+        if self.doors is not None:
+            if tick % ticks_of(_DOORS_S) == 0:
+                outline = outline_at(self._robot, motion.T_world_base)
+                self.doors.step(stamp_s, outline, self.people_at(stamp_s))
+            chair.swing(*self.doors.poses_at(stamp_s))
+        self._note(self._bystanders.touching_things(motion, chair.touches, stamp_s))
+        if tick % ticks_of(_LOOK_S) == 0:
+            self._note(self._bystanders.touching_people(motion, stamp_s))
+
+    def _note(self, contacts: list[Contact]) -> None:
+        """Keep those that begin now."""
+        for contact in contacts:
+            if contact.time_s - self._touched_s.get(contact.name, -np.inf) > _ANEW_S:
+                self.contacts.append(contact)
+            self._touched_s[contact.name] = contact.time_s
+
+
+def _start(world: World, start: tuple[float, float, float] | None) -> FloatArray:
+    if start is None:
+        return start_of(world)
+    x_min, y_min, x_max, y_max = world.size_m
+    if not (np.isfinite(start[2]) and x_min <= start[0] <= x_max and y_min <= start[1] <= y_max):
+        raise ConfigError(f"the robot cannot begin at {start}: there is no floor", fix="begin on free floor")
+    return se3.from_plane(*start)
+
+
+def _going_on(motion: Motion, seconds: float) -> FloatArray:
+    """T_world_base (4, 4) after so long, if the base goes on as it does."""
+    T = motion.T_world_base
+    v_base = np.append(motion.velocity_m_s, 0.0) @ T[:3, :3]
+    twist = np.array([v_base[0], v_base[1], 0, 0, 0, motion.turn_rad_s])
+    return np.asarray(se3.compose(T, se3.exp(seconds * twist)))
+
+
+# The camera of a robot to command: each frame is rendered as soon as all of its rows are taken.
+
+
+_KEPT_S = 0.25
+# Motion blur and the depth camera's own moment ask for the camera's velocity about the middle row's time.
+_AFTER_S = 0.005
+
+
+class LiveCamera:
+    """Frames along a drive that is not known yet.
+
+    Args:
+        surroundings: what there is to see.
+        settings: seed, day, robot, camera, images a second, motion blur, realism, times in which it is covered.
+        longest_s: of the drive.
+        threads: how many render a frame.
+    """
+
+    def __init__(
+        self, surroundings: Surroundings, settings: SimulationSettings, longest_s: float, threads: int = 1
+    ) -> None:
+        camera, realism = camera_model(settings.camera, settings.size), realism_of(settings.realism)
+        rate_hz = settings.rate_hz or camera.rate_hz
+        self._unit = unit_of(camera, realism, settings.seed)
+        self._times = times_of(int(longest_s * rate_hz), rate_hz, realism, settings.day_seed)
+        self._T_base_camera, self._body = settings.robot.T_base_camera, None
+        if realism is not None:
+            floor = realism.floor_of(surroundings.world, settings.seed)
+            rng = stream(settings.seed, "body")
+            self._body = LiveBodyMotion(TRUTH_PERIOD_S, settings.robot, floor, realism.body, rng)
+            self._T_base_camera = mounted(self._T_base_camera, realism.mount, stream(settings.seed, "mount"))
+        self._truth: deque[Reading] = deque(maxlen=round(_KEPT_S / TRUTH_PERIOD_S))
+        stands = Trajectory(np.zeros(1), np.eye(4)[None], body="base")
+        carriage = Carriage(stands, self._T_base_camera, self._body)
+        self._maker = FrameMaker(
+            surroundings, settings, self._unit, carriage, self._times, duration_s=longest_s, threads=threads
+        )
+        self._covers = [Covered(begin_s=begin, end_s=end, seed=settings.seed) for begin, end in settings.covered_s]
+        self._next = 0
+
+    @property
+    def calibration(self) -> Calibration:
+        """Of the camera alone, as its owner has it."""
+        return camera_calibration(self._unit, self._unit.lens.nominal)
+
+    @property
+    def T_world_camera(self) -> FloatArray:
+        """(4, 4) of now."""
+        carriage = self._carriage()
+        return np.asarray(carriage.T_world_camera(carriage.truth.stamps_s[-1])[0])
+
+    @property
+    def next_stamp_s(self) -> float:
+        """The stamp of the next frame."""
+        return float(self._times.told_s[self._next]) if self._next < len(self._times) else np.inf
+
+    def follow(self, reading: Reading) -> None:
+        """The base moves on."""
+        self._truth.append(reading)
+        if self._body is not None:
+            self._body.step(se3.from_quaternion(reading.position_m, np.roll(reading.quaternion_wxyz, -1)))
+
+    def frames(self) -> Iterator[RgbdFrame]:
+        """Those that are taken wholly by now, in order."""
+        after_s = max(self._unit.model.rolling_shutter_s / 2, _AFTER_S)
+        while self._next < len(self._times) and self._times.taken_s[self._next] + after_s <= self._truth[-1].stamp_s:
+            self._maker.carriage = self._carriage()
+            frame = self._maker.frame(self._next)
+            self._next += 1
+            self._maker.forget_before(self._next)
+            for cover in self._covers:
+                frame = next(f for f in cover.apply([frame]) if isinstance(f, RgbdFrame))
+            yield frame
+
+    def _carriage(self) -> Carriage:
+        readings = list(self._truth)
+        stamps_s = np.array([reading.stamp_s for reading in readings])
+        truth = Trajectory(stamps_s, poses_of(readings), body="base")
+        return Carriage(truth, self._T_base_camera, self._body)
+
+
+# How near a robot is to things and people, and what it touches: for judging, not for the robot.
+
+
+_STANDS_M_S = 0.02  # a rider who fidgets moves no point of a chair that stands by more than 0.0014
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """The robot and something else came to touch.
+
+    Attributes:
+        time_s: when.
+        name: what: a geom of the world, or `passerby` and a number.
+        place_m: (x, y) where.
+        robot_m_s: how fast the robot's outline moved towards it there.
+        other_m_s: how fast it moved towards the robot; 0 for what stands.
+    """
+
+    time_s: float
+    name: str
+    place_m: tuple[float, float]
+    robot_m_s: float
+    other_m_s: float
+
+    @property
+    def is_by_robot(self) -> bool:
+        """Whether the robot drove into it; what comes at a robot that stands or goes away has done it itself."""
+        return self.robot_m_s > _STANDS_M_S or self.other_m_s < _STANDS_M_S
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Of a base: T_world_base (4, 4), velocity (2,) in the world in m/s, and yaw rate in rad/s."""
+
+    T_world_base: FloatArray
+    velocity_m_s: FloatArray
+    turn_rad_s: float
+
+    def velocity_at(self, place_m: FloatArray) -> FloatArray:
+        """(2,) of the robot's body at a place (2,) of the world."""
+        x, y = place_m - self.T_world_base[:2, 3]
+        return np.asarray(self.velocity_m_s + self.turn_rad_s * np.array([-y, x]))
+
+
+class Bystanders:
+    """All that a robot can bump into.
+
+    Args:
+        world: what stands, between what a wheelchair rolls over and what it passes under.
+        robot: whose outline it is.
+        people: who walks, or None.
+        doors: which swing, or None.
+    """
+
+    def __init__(
+        self, world: World, robot: Robot, people: LivePassersby | None = None, doors: LiveDoors | None = None
+    ) -> None:
+        from wheelsight_sim.clearance import footprints
+
+        self._robot, self._people, self._doors = robot, people, doors
+        moving = set() if doors is None else {leaf.geom for leaf in doors.leaves}
+        things = [thing for thing in footprints(world) if thing.is_in_the_way and thing.name not in moving]
+        self._tree = shapely.STRtree([thing.polygon for thing in things])
+
+    def clearance_m(self, T_world_base: FloatArray, stamp_s: float) -> float:
+        """From the robot's outline to the nearest thing, doors included and people not; infinite where nothing is."""
+        outline = outline_at(self._robot, T_world_base)
+        leaves = [] if self._doors is None else self._doors.places_at(stamp_s)
+        distances = [float(outline.distance(leaf)) for leaf in leaves]
+        if len(self._tree.geometries):
+            distances.append(float(outline.distance(self._tree.geometries[self._tree.nearest(outline)])))
+        return min(distances, default=np.inf)
+
+    def people_clearance_m(self, T_world_base: FloatArray, stamp_s: float) -> float:
+        """From the robot's outline to the nearest person's; infinite where there is nobody."""
+        if self._people is None:
+            return np.inf
+        outline = outline_at(self._robot, T_world_base)
+        axes = shapely.points(self._people.positions_at(stamp_s))
+        return max(float(shapely.distance(outline, axes).min()) - RADIUS_M, 0.0)
+
+    def touching_things(self, motion: Motion, touches: list[Touch], stamp_s: float) -> list[Contact]:
+        """Contacts with what physics says that the hull touches."""
+        leaves = () if self._doors is None else self._doors.leaves
+        index_of = {leaf.geom: index for index, leaf in enumerate(leaves)}
+        found = []
+        for touch in touches:
+            velocity = np.zeros(2)
+            if self._doors is not None and touch.name in index_of:
+                velocity = self._doors.velocity_at(index_of[touch.name], touch.place_m, stamp_s)
+            found.append(_contact(stamp_s, touch.name, touch.place_m, motion, velocity, touch.towards))
+        return found
+
+    def touching_people(self, motion: Motion, stamp_s: float) -> list[Contact]:
+        """Contacts with people, of whom physics knows nothing."""
+        if self._people is None:
+            return []
+        outline = outline_at(self._robot, motion.T_world_base)
+        found = []
+        axes, velocities = self._people.positions_at(stamp_s), self._people.velocities_at(stamp_s)
+        for i, (axis, velocity) in enumerate(zip(axes, velocities, strict=True)):
+            line = shapely.shortest_line(outline, shapely.Point(axis))
+            if line.length <= RADIUS_M:
+                place_m = np.asarray(line.coords[0], float)
+                is_inside = line.length < 1e-6
+                towards = axis - (motion.T_world_base[:2, 3] if is_inside else place_m)
+                found.append(_contact(stamp_s, f"passerby{i}", place_m, motion, velocity, towards))
+        return found
+
+
+def _contact(
+    stamp_s: float, name: str, place_m: FloatArray, motion: Motion, velocity_m_s: FloatArray, towards: FloatArray
+) -> Contact:
+    unit = towards / max(float(np.hypot(*towards)), 1e-9)
+    robot_m_s, other_m_s = float(motion.velocity_at(place_m) @ unit), -float(velocity_m_s @ unit)
+    return Contact(stamp_s, name, (float(place_m[0]), float(place_m[1])), robot_m_s, other_m_s + 0.0)

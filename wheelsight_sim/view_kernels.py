@@ -1,0 +1,602 @@
+"""Compiled parts of a view: rays are aimed and become hits, outlines are found, and each pixel is painted."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from wheelsight.core.compiled import kernel
+from wheelsight.core.geometry.arrays import Float32Array, FloatArray, Int32Array, IntArray
+from wheelsight_sim.light_kernels import Light, Views, lamp_at, light_at, light_row, nine, tinted, turned
+from wheelsight_sim.texture_kernels import (
+    Footprint,
+    Look,
+    books,
+    carpet,
+    ceiling,
+    door,
+    fabric,
+    notice_board,
+    plaster,
+    poster,
+    scaled,
+    tiles,
+    used_wall,
+    wood,
+)
+
+# Compiled parts of casting rays: aiming them, finding the geoms they can hit, and turning hits into images.
+#
+# A tile is a rectangle of pixels, rows `tile`[0] to `tile`[1] and columns `tile`[2] to `tile`[3], the last left out;
+# its N rays are numbered row by row.
+
+
+_PLANE = 0
+_BOX = 6
+_BEHIND = 1e-3
+# Below this cosine between ray and surface, a shift of the origin may not be carried along the ray.
+_GRAZING = 0.02
+_TOLERANCE_M = 1e-6
+
+
+class Boxes(NamedTuple):
+    """Of each of G geoms MuJoCo's kind and size, and the box around it in its own frame.
+
+    Attributes:
+        kind: (G,).
+        size_m: (G, 3).
+        center: (G, 3) of the box, in the world.
+        half_m: (G, 3) of the box; -1 marks what is not to be hit.
+        R_world_geom: (G, 3, 3).
+    """
+
+    kind: Int32Array
+    size_m: FloatArray
+    center: FloatArray
+    half_m: FloatArray
+    R_world_geom: FloatArray
+
+
+class Bodies(NamedTuple):
+    """Of each of G geoms MuJoCo's kind (G,) and size (G, 3), where it is (G, 3) and how it is turned (G, 3, 3)."""
+
+    kind: Int32Array
+    size_m: FloatArray
+    position_world: FloatArray
+    R_world_geom: FloatArray
+
+
+class Places(NamedTuple):
+    """A small model's arrays for its M geoms: kinds, sizes, positions, orientations (M, 9) and groups."""
+
+    kind: Int32Array
+    size_m: FloatArray
+    position_world: FloatArray
+    R_world_geom: FloatArray
+    group: Int32Array
+
+
+class Hits(NamedTuple):
+    """What each of N rays hits first, or -1; how many ray lengths away; outward normals (N, 3)."""
+
+    hit: Int32Array
+    distance: FloatArray
+    normal: FloatArray
+
+
+class Image(NamedTuple):
+    """Depth in metres (H, W), index of the geom seen (H, W), and its normal in the world (H, W, 3)."""
+
+    depth_m: Float32Array
+    geom: Int32Array
+    normal_world: Float32Array
+
+
+@kernel
+def aim(rays: Any, T_world_rows: Any, tile: Any, R: Any, out: Any) -> Any:
+    """Turn a tile's `rays` (H, W, 3) into the world, each by its row of `T_world_rows` (H, 4, 4), into `out` (N, 3).
+
+    Returns (4,) the least and greatest x/z and y/z of all of them in a camera frame turned by R (3, 3); infinite where
+    one points backwards in it.
+    """
+    bounds = np.array([np.inf, -np.inf, np.inf, -np.inf])
+    i = 0
+    for row in range(tile[0], tile[1]):
+        T = T_world_rows[row]
+        for column in range(tile[2], tile[3]):
+            x, y, z = rays[row, column]
+            for k in range(3):
+                out[i, k] = T[k, 0] * x + T[k, 1] * y + T[k, 2] * z
+            a, b, c = out[i]
+            i += 1
+            depth = R[0, 2] * a + R[1, 2] * b + R[2, 2] * c
+            if depth < _BEHIND:
+                bounds[0], bounds[1], bounds[2], bounds[3] = -np.inf, np.inf, -np.inf, np.inf
+                continue
+            u = (R[0, 0] * a + R[1, 0] * b + R[2, 0] * c) / depth
+            v = (R[0, 1] * a + R[1, 1] * b + R[2, 1] * c) / depth
+            bounds[0], bounds[1] = min(bounds[0], u), max(bounds[1], u)
+            bounds[2], bounds[3] = min(bounds[2], v), max(bounds[3], v)
+    return bounds
+
+
+@kernel
+def choose(boxes: Boxes, R: Any, origin: Any, bounds: Any, far_m: float) -> Any:
+    """Indices of the geoms that rays in a frustum can hit; none that they can is left out.
+
+    The frustum starts at `origin` (3,), is turned by R (3, 3), and reaches from `bounds` (u_min, u_max, v_min,
+    v_max) on the plane z = 1 out to `far_m`.
+
+    Left out is what lies outside, and what lies behind a box or plane that the frustum's four corners hit: such a body
+    is convex, so that every ray between hits it too, and no deeper than the deepest corner.
+    """
+    kind, size_m, center, half_m, R_world_geom = boxes
+    bounded = np.isfinite(bounds[0])
+    sides, offsets = _sides(bounds, R, far_m)
+    found, nearest = np.empty(len(kind), np.int32), np.empty(len(kind))
+    count, limit = 0, np.inf
+    for g in range(len(kind)):
+        if half_m[g, 0] < 0:
+            continue
+        if kind[g] == _PLANE:
+            nearest[count] = -np.inf
+        else:
+            nearest[count] = _nearest(R, center[g] - origin, half_m[g], R_world_geom[g])
+            if bounded and not _touches(sides, offsets, center[g] - origin, half_m[g], R_world_geom[g]):
+                continue
+        found[count] = g
+        count += 1
+        if bounded and (kind[g] == _BOX or kind[g] == _PLANE):
+            limit = min(limit, _cover(kind[g], size_m[g], origin - center[g], R_world_geom[g], R, bounds))
+    kept = 0
+    for i in range(count):
+        if nearest[i] <= limit + _TOLERANCE_M:
+            found[kept] = found[i]
+            kept += 1
+    return found[:kept]
+
+
+@kernel
+def _sides(bounds: Any, R: Any, far_m: float) -> tuple[Any, Any]:
+    """Inward normals (6, 3) in the world and offsets (6,) of a frustum's planes, from its origin."""
+    sides = np.zeros((6, 3))
+    offsets = np.zeros(6)
+    if np.isfinite(bounds[0]):
+        sides[0] = (1.0, 0.0, -bounds[0])
+        sides[1] = (-1.0, 0.0, bounds[1])
+        sides[2] = (0.0, 1.0, -bounds[2])
+        sides[3] = (0.0, -1.0, bounds[3])
+        sides[4] = (0.0, 0.0, 1.0)
+        sides[5] = (0.0, 0.0, -1.0)
+        offsets[5] = far_m
+    return sides @ R.T, offsets
+
+
+@kernel
+def _nearest(R: Any, center: Any, half: Any, R_geom: Any) -> Any:
+    """Least depth of a box along the z axis of R."""
+    depth = 0.0
+    for k in range(3):
+        along = R[0, 2] * R_geom[0, k] + R[1, 2] * R_geom[1, k] + R[2, 2] * R_geom[2, k]
+        depth += R[k, 2] * center[k] - abs(along) * half[k]
+    return depth
+
+
+@kernel
+def _touches(sides: Any, offsets: Any, center: Any, half: Any, R: Any) -> bool:
+    for s in range(len(sides)):
+        n = sides[s]
+        reach = offsets[s] + _TOLERANCE_M
+        for k in range(3):
+            reach += n[k] * center[k] + abs(n[0] * R[0, k] + n[1] * R[1, k] + n[2] * R[2, k]) * half[k]
+        if reach < 0:
+            return False
+    return True
+
+
+@kernel
+def _cover(kind: int, size: Any, start: Any, R_geom: Any, R: Any, bounds: Any) -> float:
+    """Depth of the deepest of the four corner rays' hits on a box or plane; infinite where one misses.
+
+    `start` (3,) is where rays begin, from the geom's middle. A ray that begins inside counts as a miss.
+    """
+    S = R_geom.T @ R
+    o = R_geom.T @ start
+    deepest = 0.0
+    for corner in range(4):
+        u, v = bounds[corner % 2], bounds[2 + corner // 2]
+        enters, leaves = 0.0, np.inf
+        if kind == _PLANE:
+            d = S[2, 0] * u + S[2, 1] * v + S[2, 2]
+            if o[2] <= 0 or d >= -_TOLERANCE_M:
+                return np.inf
+            enters = -o[2] / d
+        for k in range(2 if kind == _PLANE else 3):
+            if kind == _PLANE and size[k] <= 0:
+                continue
+            d = S[k, 0] * u + S[k, 1] * v + S[k, 2]
+            reach = size[k] - _TOLERANCE_M
+            if kind == _PLANE:
+                if abs(o[k] + enters * d) > reach:
+                    return np.inf
+            elif abs(d) < 1e-12:
+                if abs(o[k]) > reach:
+                    return np.inf
+            else:
+                first, second = (-reach - o[k]) / d, (reach - o[k]) / d
+                enters, leaves = max(enters, min(first, second)), min(leaves, max(first, second))
+        if enters <= 0 or enters > leaves:
+            return np.inf
+        deepest = max(deepest, enters)
+    return deepest
+
+
+@kernel
+def put(chosen: Int32Array, bodies: Bodies, places: Places) -> None:
+    """Copy the `chosen` (K,) geoms into the first places of a small model, group 0; the others go to group 1."""
+    kind, size_m, position, R_world_geom = bodies
+    to_kind, to_size, to_position, to_R, to_group = places
+    to_group[:] = 1
+    for i in range(len(chosen)):
+        g = chosen[i]
+        to_kind[i], to_group[i] = kind[g], 0
+        to_size[i], to_position[i] = size_m[g], position[g]
+        for k in range(9):
+            to_R[i, k] = R_world_geom[g, k // 3, k % 3]
+
+
+@kernel
+def gather(
+    hits: Hits, rays_world: Any, T_world_rows: Any, tile: Any, origin: Any, far_m: float, chosen: Any, image: Image
+) -> None:
+    """Write what a tile's rays hit into an image.
+
+    `hits` are MuJoCo's answers for `rays_world` (N, 3) from `origin` (3,). A hit
+    surface is carried along its tangent plane to where the row's own origin sees it: exact for flat ones; where the ray
+    grazes it, the distance stays as it was. `chosen` (K,) are the indices of what was cast at. Where nothing is hit
+    within `far_m`, the image stays as it was.
+    """
+    hit, distance, normal = hits
+    depth_m, geom, normal_world = image
+    i = -1
+    for row in range(tile[0], tile[1]):
+        for column in range(tile[2], tile[3]):
+            i += 1
+            z = distance[i]
+            if hit[i] < 0 or z < 0:
+                continue
+            n, ray = normal[i], rays_world[i]
+            across, carried, square = 0.0, 0.0, 0.0
+            for k in range(3):
+                across += n[k] * ray[k]
+                carried += n[k] * (origin[k] - T_world_rows[row, k, 3])
+                square += ray[k] * ray[k]
+            if abs(across) > _GRAZING * np.sqrt(square):
+                z += carried / across
+            if 0 < z <= far_m:
+                depth_m[row, column], geom[row, column] = z, chosen[hit[i]]
+                for k in range(3):
+                    normal_world[row, column, k] = n[k]
+
+
+# Compiled search for the outlines in a view, and the further rays through the pixels there.
+
+
+# Faces of a box meet at 90 degrees; a curved face turns by less from a pixel to the next, unless it is tiny.
+_SAME_FACE = 0.9
+# x and y from a pixel's middle, in pixels. With the ray through the middle there is one in each fifth of the width and
+# of the height: upright and level edges, of which rooms are full, are told as finely as by a grid of 25.
+OFFSETS = np.array([[-0.4, 0.2], [-0.2, -0.4], [0.2, 0.4], [0.4, -0.2]])
+
+
+@kernel
+def is_same_face(one: int, n: Any, other: int, m: Any) -> Any:
+    """Whether two rays met one face of one geom, or both nothing.
+
+    Given are the geoms' indices, -1 for none, and the normals as three numbers: handing arrays over would take most of
+    the time.
+    """
+    return one == other and (one < 0 or n[0] * m[0] + n[1] * m[1] + n[2] * m[2] > _SAME_FACE)
+
+
+@kernel
+def three(vectors: Any, v: int, u: int) -> Any:
+    """A pixel's normal or ray as three numbers."""
+    return float(vectors[v, u, 0]), float(vectors[v, u, 1]), float(vectors[v, u, 2])
+
+
+@kernel
+def find(geom: Any, normal_world: Any, tile: Any) -> Any:
+    """Rows and columns (N, 2) of a tile's pixels with another face above, below, on the left or the right.
+
+    `geom` (H, W) and `normal_world` (H, W, 3) are of the whole view; `tile` is its rows from `tile`[0] to `tile`[1] and
+    columns from `tile`[2] to `tile`[3], the last left out. A straight edge through a pixel parts it from at least one
+    of those four, if nothing else is near.
+    """
+    height, width = geom.shape
+    found = np.empty(((tile[1] - tile[0]) * (tile[3] - tile[2]), 2), np.int32)
+    count = 0
+    for v in range(tile[0], tile[1]):
+        for u in range(tile[2], tile[3]):
+            g, n = geom[v, u], three(normal_world, v, u)
+            for a, b in ((v - 1, u), (v + 1, u), (v, u - 1), (v, u + 1)):
+                inside = 0 <= a < height and 0 <= b < width
+                if inside and not is_same_face(g, n, geom[a, b], three(normal_world, a, b)):
+                    found[count, 0], found[count, 1] = v, u
+                    count += 1
+                    break
+    return found[:count]
+
+
+@kernel
+def spread(rays: Any, pixels: Any) -> Any:
+    """Rays (N, S, 3) through parts of pixels, rows and columns (N, 2), from the `rays` (H, W, 3) through their middles.
+
+    Between neighbouring pixels a lens bends rays evenly.
+    """
+    height, width = rays.shape[:2]
+    out = np.empty((len(pixels), len(OFFSETS), 3))
+    for i in range(len(pixels)):
+        v, u = pixels[i]
+        left, right = max(u - 1, 0), min(u + 1, width - 1)
+        above, below = max(v - 1, 0), min(v + 1, height - 1)
+        for s in range(len(OFFSETS)):
+            x, y = OFFSETS[s, 0] / max(right - left, 1), OFFSETS[s, 1] / max(below - above, 1)
+            for k in range(3):
+                across, down = rays[v, right, k] - rays[v, left, k], rays[below, u, k] - rays[above, u, k]
+                out[i, s, k] = rays[v, u, k] + x * across + y * down
+    return out
+
+
+# Compiled painting of a view: where each pixel lies on its geom, what is printed there, and how it is lit.
+
+
+PLAIN, PLASTER, CARPET, TILES, WOOD, CEILING, DOOR, POSTER, NOTICE_BOARD, FABRIC, BOOKS = range(11)
+_CURVED = 3
+_FLAT_THING_M = 0.12
+_LEAST_FOOTPRINT_M = 1e-4
+_MOST_FOOTPRINT_M = 20.0
+
+
+class Things(NamedTuple):
+    """Of each of G geoms MuJoCo's type and size, middle and orientation, and its texture.
+
+    Attributes:
+        kind: (G,).
+        size_m: (G, 3).
+        position_world: (G, 3).
+        R_world_geom: (G, 3, 3).
+        origin: (G, 3) where the texture's origin lies in the geom's own frame.
+        looks: (G, 2) number of the texture, and seed.
+        colours: (G, 6) main and accent colour.
+        numbers: (G, 3) scale in metres, contrast and glow.
+    """
+
+    kind: Int32Array
+    size_m: FloatArray
+    position_world: FloatArray
+    R_world_geom: FloatArray
+    origin: FloatArray
+    looks: IntArray
+    colours: FloatArray
+    numbers: FloatArray
+
+
+class Scenery(NamedTuple):
+    """What is painted, and its light; `lattice` is `Lighting`'s."""
+
+    things: Things
+    light: Light
+    lattice: FloatArray
+
+
+@kernel(error_model="numpy")
+def face_of(kind: int, n: Any) -> int:
+    """Along which axis of its own a geom shows a face: 0, 1, 2, or 3 where it is curved. `n`: normal in its frame."""
+    if kind in (2, 3, 4) or (kind == 5 and abs(n[2]) < 0.9):
+        return _CURVED
+    if abs(n[2]) >= abs(n[0]) and abs(n[2]) >= abs(n[1]):
+        return 2
+    return 0 if abs(n[0]) >= abs(n[1]) else 1
+
+
+@kernel(error_model="numpy")
+def on_face(face: int, n: Any, p: Any) -> Any:
+    """Texture coordinates in metres of a point in the geom's frame; seen from outside, s runs right and t up."""
+    if face == 2:
+        return p[0], p[1]
+    if face == 0:
+        return (p[1] if n[0] > 0 else -p[1]), p[2]
+    if face == 1:
+        return (-p[0] if n[1] > 0 else p[0]), p[2]
+    return math.hypot(p[0], p[1]) * math.atan2(p[1], p[0]), p[2]
+
+
+@kernel(error_model="numpy")
+def along_face(face: int, p: Any, d: Any) -> Any:
+    """How far a small step d in the geom's frame goes along s and t, without sign."""
+    if face == 2:
+        return abs(d[0]), abs(d[1])
+    if face == 0:
+        return abs(d[1]), abs(d[2])
+    if face == 1:
+        return abs(d[0]), abs(d[2])
+    radius = max(math.hypot(p[0], p[1]), 1e-6)
+    return abs(p[0] * d[1] - p[1] * d[0]) / radius, abs(d[2])
+
+
+@kernel(error_model="numpy")
+def pixel_step(n: Any, ray: Any, to_next: Any, depth_m: float) -> Any:
+    """From where a ray meets a plane of normal n to where the next pixel's does: ray and `to_next` in n's frame."""
+    along = n[0] * ray[0] + n[1] * ray[1] + n[2] * ray[2]
+    # At grazing angles the next pixel's ray may miss the plane; the footprint is then as long as it can be.
+    along = min(along, -1e-4)
+    k = (n[0] * to_next[0] + n[1] * to_next[1] + n[2] * to_next[2]) / along
+    return (
+        depth_m * (to_next[0] - k * ray[0]),
+        depth_m * (to_next[1] - k * ray[1]),
+        depth_m * (to_next[2] - k * ray[2]),
+    )
+
+
+@kernel(error_model="numpy")
+def albedo_at(kind: int, at: Footprint, hs: float, ht: float, look: Look) -> Any:
+    """Reflectances of one texture at a point of a face of half size `hs` by `ht`."""
+    if kind == PLASTER:
+        return plaster(at.s, at.t, at.ws, at.wt, look.rgb, look.contrast, look.seed)
+    if kind == CARPET:
+        return carpet(at, look)
+    if kind == TILES:
+        return tiles(at, look)
+    if kind == WOOD:
+        return wood(at, look)
+    if kind == CEILING:
+        return ceiling(at, look)
+    if kind == FABRIC:
+        return fabric(at, look)
+    if kind != PLAIN and min(hs, ht) < _FLAT_THING_M:
+        return scaled(look.accent, 0.8)
+    if kind == DOOR:
+        return door(at, hs, ht, look)
+    if kind == POSTER:
+        return poster(at, hs, ht, look)
+    if kind == NOTICE_BOARD:
+        return notice_board(at, hs, ht, look)
+    if kind == BOOKS:
+        return books(at, hs, ht, look)
+    return look.rgb
+
+
+@kernel(error_model="numpy")
+def paint_rows(first: int, last: int, view: Views, scenery: Scenery, out: Float32Array) -> None:
+    """Radiance `out` (H, W, 3) of the rows from first up to last."""
+    depth_m, geom, normal_world, T_world_camera, rays = view
+    width = depth_m.shape[1]
+    things, light, _ = scenery
+    for v in range(first, last):
+        R_world_camera, origin = nine(T_world_camera[v]), place(T_world_camera, v)
+        light_row(v, view, light, out)
+        for u in range(width):
+            g, z = geom[v, u], float(depth_m[v, u])
+            if g < 0 or z <= 0:
+                out[v, u, 0] = out[v, u, 1] = out[v, u, 2] = 0.0
+                continue
+            ray, n = turned(R_world_camera, three(rays, v, u)), three(normal_world, v, u)
+            p = (origin[0] + z * ray[0], origin[1] + z * ray[1], origin[2] + z * ray[2])
+            beside, below = to_neighbours(v, u, rays, R_world_camera)
+            step_u, step_v = pixel_step(n, ray, beside, z), pixel_step(n, ray, below, z)
+            r, e, b = albedo_on_geom(g, p, n, step_u, step_v, things)
+            glow = glow_of(g, p, n, step_u, step_v, scenery)
+            out[v, u, 0] *= r
+            out[v, u, 1] *= e
+            out[v, u, 2] *= b
+            if glow > 0:
+                for c in range(3):
+                    out[v, u, c] += glow * light.tints[1, c]
+
+
+@kernel(error_model="numpy")
+def paint_outlines(
+    first: int, last: int, pixels: IntArray, samples: Views, view: Views, scenery: Scenery, out: Float32Array
+) -> None:
+    """Put into `out` (H, W, 3) the mean radiance over each of the `pixels` (N, 2), from first up to last.
+
+    `samples` is `Outlines`'s view as arrays; the others are as for `paint_rows`, which has painted `out` by the ray
+    through each pixel's middle. Samples on the face which that ray met have its colour: textures are averaged over the
+    pixel already.
+    """
+    depth_m, geom, normal_world, T_world_camera, rays = samples
+    seen, facing, middles = view.geom, view.normal_world, view.rays
+    share = 1 / (depth_m.shape[1] + 1)
+    for i in range(first, last):
+        v, u = pixels[i]
+        R_world_camera, origin = nine(T_world_camera[i]), place(T_world_camera, i)
+        beside, below = to_neighbours(v, u, middles, R_world_camera)
+        own = three(out, v, u)
+        red, green, blue = own
+        for s in range(depth_m.shape[1]):
+            g, z, n = geom[i, s], float(depth_m[i, s]), three(normal_world, i, s)
+            r, e, b = 0.0, 0.0, 0.0
+            if is_same_face(seen[v, u], three(facing, v, u), g, n):
+                r, e, b = own
+            elif g >= 0 and z > 0:
+                ray = turned(R_world_camera, three(rays, i, s))
+                p = (origin[0] + z * ray[0], origin[1] + z * ray[1], origin[2] + z * ray[2])
+                step_u, step_v = pixel_step(n, ray, beside, z), pixel_step(n, ray, below, z)
+                r, e, b = radiance_of(g, p, n, step_u, step_v, scenery)
+            red, green, blue = red + r, green + e, blue + b
+        out[v, u, 0], out[v, u, 1], out[v, u, 2] = share * red, share * green, share * blue
+
+
+@kernel(error_model="numpy")
+def radiance_of(g: int, p: Any, n: Any, step_u: Any, step_v: Any, scenery: Scenery) -> tuple[Any, Any, Any]:
+    """What a geom sends from p with normal n, over a pixel whose edges there are two steps."""
+    tints, sun, grid, flux, clearance = scenery.light
+    r, e, b = albedo_on_geom(g, p, n, step_u, step_v, scenery.things)
+    glow = glow_of(g, p, n, step_u, step_v, scenery)
+    shade, lamp, window = light_at(p, n, sun, grid, flux, clearance)
+    return (
+        r * tinted(0, shade, lamp, window, tints) + glow * tints[1, 0],
+        e * tinted(1, shade, lamp, window, tints) + glow * tints[1, 1],
+        b * tinted(2, shade, lamp, window, tints) + glow * tints[1, 2],
+    )
+
+
+@kernel(error_model="numpy")
+def place(T_world_camera: Any, row: int) -> Any:
+    """Where the camera is as a row is read."""
+    return T_world_camera[row, 0, 3], T_world_camera[row, 1, 3], T_world_camera[row, 2, 3]
+
+
+@kernel(error_model="numpy")
+def to_neighbours(v: int, u: int, rays: Any, R_world_camera: Any) -> Any:
+    """From a pixel's ray to the next one's in its row and in its column, in the world, at a depth of 1 m."""
+    height, width = rays.shape[:2]
+    beside, below = u + 1 if u + 1 < width else u - 1, v + 1 if v + 1 < height else v - 1
+    right = (rays[v, beside, 0] - rays[v, u, 0], rays[v, beside, 1] - rays[v, u, 1], 0.0)
+    down = (rays[below, u, 0] - rays[v, u, 0], rays[below, u, 1] - rays[v, u, 1], 0.0)
+    return turned(R_world_camera, right), turned(R_world_camera, down)
+
+
+@kernel(error_model="numpy")
+def glow_of(g: int, p: Any, n: Any, step_u: Any, step_v: Any, scenery: Scenery) -> Any:
+    """How bright a geom shines by itself at p with normal n, over a pixel whose edges there are two steps."""
+    things, _, lattice = scenery
+    glow = things.numbers[g, 2]
+    if things.looks[g, 0] == CEILING and n[2] < -0.9:
+        glow += lamp_at(p[0], p[1], abs(step_u[0]) + abs(step_v[0]), abs(step_u[1]) + abs(step_v[1]), lattice)
+    return glow
+
+
+@kernel(error_model="numpy")
+def albedo_on_geom(g: int, p: Any, n: Any, step_u: Any, step_v: Any, things: Things) -> Any:
+    """Reflectances at a point p of a geom, with normal n in the world, over a pixel whose edges there are two steps."""
+    shape, size_m, position_world, R_world_geom, origin, looks, colours, numbers = things
+    kind = int(looks[g, 0])
+    rgb, accent = (colours[g, 0], colours[g, 1], colours[g, 2]), (colours[g, 3], colours[g, 4], colours[g, 5])
+    if kind == PLAIN:
+        return rgb
+    R = transposed(R_world_geom, g)
+    local = turned(R, (p[0] - position_world[g, 0], p[1] - position_world[g, 1], p[2] - position_world[g, 2]))
+    normal = turned(R, n)
+    face = face_of(int(shape[g]), normal)
+    ws_u, wt_u = along_face(face, local, turned(R, step_u))
+    ws_v, wt_v = along_face(face, local, turned(R, step_v))
+    ws = min(max(ws_u + ws_v, _LEAST_FOOTPRINT_M), _MOST_FOOTPRINT_M)
+    wt = min(max(wt_u + wt_v, _LEAST_FOOTPRINT_M), _MOST_FOOTPRINT_M)
+    s, t = on_face(face, normal, (local[0] + origin[g, 0], local[1] + origin[g, 1], local[2] + origin[g, 2]))
+    hs, ht = size_m[g, 1 if face == 0 else 0], size_m[g, 1 if face == 2 else 2]
+    look = Look(rgb, accent, numbers[g, 0], numbers[g, 1], int(looks[g, 1]))
+    colour = albedo_at(kind, Footprint(s, t, ws, wt), hs, ht, look)
+    if kind == PLASTER and abs(n[2]) < 0.3:
+        height_w = max(abs(step_u[2]) + abs(step_v[2]), _LEAST_FOOTPRINT_M)
+        colour = used_wall(colour, s, p[2], 2 * ht if face != _CURVED else 0.0, ws, height_w, int(looks[g, 1]))
+    return colour
+
+
+@kernel(error_model="numpy")
+def transposed(R: Any, g: int) -> Any:
+    """R_geom_world as nine numbers."""
+    return R[g, 0, 0], R[g, 1, 0], R[g, 2, 0], R[g, 0, 1], R[g, 1, 1], R[g, 2, 1], R[g, 0, 2], R[g, 1, 2], R[g, 2, 2]
