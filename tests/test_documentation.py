@@ -5,6 +5,7 @@ A page's names of recordings are given small ones. What is not run stands in NOT
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import re
 import shlex
@@ -281,6 +282,20 @@ def test_commands_that_pages_name_have_the_options_that_they_give() -> None:
     assert [(page, unknown) for page, words in told if (unknown := unknown_in(words))] == []
     assert unknown_in(["run", "drive", "--outt", "x", "--map-from=y"]) == ["--outt"]
     assert unknown_in(["map", "shrink", "x"]) == ["shrink"]
+
+
+def test_the_files_that_the_page_on_architecture_names_are_there() -> None:
+    text = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    roots = (PROJECT, PROJECT / "wheelsight", *(PROJECT / "wheelsight").glob("*/"))
+    named = {name for name in re.findall(r"`([\w/]+(?:\.py|/))`", text) if name != "wheelsight_sim/"}
+    assert len(named) > 20
+    assert [name for name in sorted(named) if not any((root / name).exists() for root in roots)] == []
+
+
+def test_new_module_names_can_be_imported() -> None:
+    rows = re.findall(r"^\| `([\w.]+)` \| `([\w.]+)` \|$", (DOCS / "old-to-new.md").read_text("utf-8"), re.MULTILINE)
+    assert len(rows) > 100
+    assert [new for _, new in rows if importlib.util.find_spec(new) is None] == []
 
 
 def test_pages_beside_the_docs_link_to_files_that_are_there() -> None:
