@@ -66,7 +66,7 @@ from wheelsight import (
     Calibration, Config, Localizer, OpenOptions, PinholeCamera, load_calibration, open_recording, read_tum, run,
 )
 from wheelsight.config import RecordingSettings, ReportSettings
-from wheelsight.odometry.features import FeatureSettings
+from wheelsight.vision.features import FeatureSettings
 
 recording = open_recording("room", OpenOptions(calibration=["a.yaml", Path("b.yaml")]))
 record = run(recording, Config(), "out")

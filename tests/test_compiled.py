@@ -15,7 +15,7 @@ from numba import types
 from wheelsight.core.compiled import kernel, made_of
 
 LOW = """
-from wheelsight.compiled import kernel
+from wheelsight.core.compiled import kernel
 from area._numbers import FACTOR
 
 @kernel
@@ -23,7 +23,7 @@ def scaled(x: float) -> float:
     return FACTOR * x
 """
 HIGH = """
-from wheelsight.compiled import kernel
+from wheelsight.core.compiled import kernel
 {imports}
 
 @kernel(error_model="numpy")
@@ -112,6 +112,7 @@ def test_each_way_to_import_is_followed(area: Area, tmp_path: Path, monkeypatch:
         "area._high_kernels",
         "area._low_kernels",
         "area._numbers",
+        "wheelsight.core.compiled",
     }
 
 

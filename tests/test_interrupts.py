@@ -79,7 +79,7 @@ def test_another_thread_may_step_too() -> None:
 # A program in a process of its own: it says that it is ready, waits in one of three ways, and takes its time to end.
 PROGRAM = """
 import sys, time
-from wheelsight.interrupts import end_by_signals, exit_code, until_stopped, whole_step
+from wheelsight.core.runtime import end_by_signals, exit_code, until_stopped, whole_step
 end_by_signals()
 way, ends_after_s = sys.argv[1], float(sys.argv[2])
 

@@ -16,12 +16,13 @@ import wheelsight
 from wheelsight.app.run.kernels import kernel_files
 from wheelsight.core.compiled import made_of
 
-PACKAGE = Path(wheelsight.__file__).parent
-FILES = sorted(PACKAGE.rglob("*_kernels.py"))
+ROOT = Path(wheelsight.__file__).parent.parent
+SIMULATOR = ROOT / "wheelsight_sim"
+FILES = sorted(path for package in ("wheelsight", "wheelsight_sim") for path in (ROOT / package).rglob("*_kernels.py"))
 
 
 def module_of(path: Path) -> str:
-    return ".".join(["wheelsight", *path.relative_to(PACKAGE).with_suffix("").parts])
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts)
 
 
 def imported(path: Path) -> set[Path]:
@@ -39,22 +40,22 @@ def imported(path: Path) -> set[Path]:
 
 
 def file_of(name: str) -> Path | None:
-    path = PACKAGE.parent.joinpath(*name.split(".")).with_suffix(".py")
-    return path if name.startswith("wheelsight.") and path.exists() else None
+    path = ROOT.joinpath(*name.split(".")).with_suffix(".py")
+    return path if name.startswith(("wheelsight.", "wheelsight_sim.")) and path.exists() else None
 
 
 def test_the_painter_is_made_of_all_files() -> None:
-    names = {path.stem for path in imported(PACKAGE / "simulation" / "_paint_kernels.py")}
-    assert names >= {"_light_kernels", "_picture_kernels", "_texture_kernels", "_wall_kernels", "compiled"}
+    names = {path.stem for path in imported(SIMULATOR / "view_kernels.py")}
+    assert names >= {"light_kernels", "texture_kernels", "arrays", "compiled"}
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_a_file_is_made_of_what_it_imports_and_of_few_files(path: Path) -> None:
     import_module(module_of(path))
     assert made_of(module_of(path)) == {module_of(file) for file in imported(path)}
     assert imported(path) <= set(kernel_files())
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_kernels_are_compiled_by_one_mechanism(path: Path) -> None:
     assert "njit" not in path.read_text(encoding="utf-8")

@@ -36,18 +36,18 @@ def counted(self, event):
     time.sleep(0.1)
     return process(self, event)
 localizer.Localizer.process = counted
-from wheelsight.cli import main
+from wheelsight.app.cli import main
 main()
 """
 # A command that goes on for a minute whatever it is to do.
 LONG_COMMAND = """
 import time
-from wheelsight.cli._help import Command
+from wheelsight.app.cli.console import Command
 def invoke(self, ctx):
     print("ready", flush=True)
     time.sleep(60)
 Command.invoke = invoke
-from wheelsight.cli import main
+from wheelsight.app.cli import main
 main()
 """
 LONG_WORDS = {

@@ -47,10 +47,10 @@ def record(folder: Path) -> None:
 PLAYED = """
 import json, os, sys, threading
 import numpy as np
-from wheelsight.devices import freenect
-from wheelsight.devices.freenect import FreenectDriver
-from wheelsight.devices.streaming import StreamingCamera
-from wheelsight.settings import LiveCameraSettings
+from wheelsight.io.devices import freenect
+from wheelsight.io.devices.freenect import FreenectDriver
+from wheelsight.io.devices.live_camera import StreamingCamera
+from wheelsight.core.settings import LiveCameraSettings
 freenect._NAMES = (sys.argv[1],)
 library = freenect.library()
 find = library.freenect_find_depth_mode

@@ -258,7 +258,7 @@ def test_a_program_that_ends_in_any_way_stops_the_motors(
 ) -> None:
     program = textwrap.dedent(f"""
         import os, sys
-        from wheelsight.devices import WheelLink
+        from wheelsight.io.devices import WheelLink
         link = WheelLink(sys.argv[1])
         link.drive(0.5, 0.5)
         sys.stdout.write("driving\\n"); sys.stdout.flush()

@@ -169,7 +169,7 @@ def test_the_process_ends_with_the_camera(recorded: Path) -> None:
 @pytest.mark.slow
 def test_the_process_ends_with_a_program_that_is_killed(recorded: Path) -> None:
     script = f"""
-from wheelsight.devices.cameras import open_live_camera
+from wheelsight.io.devices.cameras import open_live_camera
 import time
 camera = open_live_camera("openni2:{recorded}")
 print("open", flush=True)

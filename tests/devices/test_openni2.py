@@ -42,8 +42,8 @@ def is_the_dummys(frame: LiveFrame) -> None:
 _LIVE = """
 import json, os, sys
 import numpy as np
-from wheelsight.devices.cameras import open_live_camera
-from wheelsight.settings import LiveCameraSettings
+from wheelsight.io.devices.cameras import open_live_camera
+from wheelsight.core.settings import LiveCameraSettings
 camera = open_live_camera("openni2:Dummy", LiveCameraSettings(kept_frames=100))
 frames = [camera.read(2.0) for _ in range(40)]
 report = camera.report()

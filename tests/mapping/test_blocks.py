@@ -14,7 +14,6 @@ from wheelsight.core.threads import Rows
 from wheelsight.mapping import Surfels, blocks, surfels
 from wheelsight.mapping import block_kernels as _block_kernels
 from wheelsight.mapping import fusion_kernels as _fusion_kernels
-from wheelsight.mapping import fusion_kernels as _match_kernels
 from wheelsight.mapping import view_kernels as _view_kernels
 from wheelsight.mapping.block_kernels import PAGE, STRAY_M, SurfelArrays
 from wheelsight.mapping.blocks import Blocks
@@ -161,7 +160,6 @@ def test_compiled_loops_do_as_plain_python_does(monkeypatch, rng):
 
     compiled, compiled_view = made()
     monkeypatch.setattr(surfels, "fusion", uncompiled(_fusion_kernels))
-    monkeypatch.setattr(surfels, "match", uncompiled(_match_kernels))
     monkeypatch.setattr(surfels, "view", uncompiled(_view_kernels))
     monkeypatch.setattr(blocks, "kernels", uncompiled(_block_kernels))
     with np.errstate(all="ignore"):

@@ -1,39 +1,14 @@
-"""Settings of surfels: kernels read each as it is set, and no number that shapes a map stays in them."""
+"""Settings of surfels: kernels read each as it is set."""
 
 from __future__ import annotations
-
-import ast
-from pathlib import Path
 
 import numpy as np
 import pytest
 from mapping.scenes import GRID, SHAPE, Wall, look_at, made_map, pose
 
-import wheelsight.mapping as package
 from wheelsight.mapping import fusion_kernels as match
 from wheelsight.mapping import view_kernels as view
 
-KERNELS = sorted(Path(package.__file__).parent.glob("*_kernels.py"))
-# What shapes no map: numbers as kernels take them, places in arrays, and what keeps from a division by zero.
-NUMERICS = {
-    "_block_kernels.STRAY_M": "how cells are found again, wherever surfels are",
-    "_fusion_kernels._HALF": "itself",
-    "_fusion_kernels._LEAST_VARIANCE": "no division by zero",
-    "_fusion_kernels._ONE": "itself",
-    "_fusion_kernels._ZERO": "itself",
-    "_match_kernels._HALF": "itself",
-    "_match_kernels._INACTIVE": "an order",
-    "_match_kernels._NEAREST_M": "no division by zero",
-    "_match_kernels._OUTSIDE": "none",
-    "_match_kernels._UNSTABLE": "an order",
-    "_match_kernels._ZERO": "itself",
-    "_view_kernels.BEHIND_M": "an order",
-    "_view_kernels._NEAREST_M": "no division by zero",
-    "_view_kernels._ONE": "itself",
-    "_view_kernels._QUARTER": "itself",
-    "_view_kernels._RIM": "of a disk's weight, which is not to be 0 at its rim",
-    "_view_kernels._ZERO": "itself",
-}
 # Of each number that kernels read, another one that shows.
 CHANGED = {
     "stable_confidence": 3.0,
@@ -98,24 +73,3 @@ def test_all_that_kernels_read_is_tried() -> None:
     shown = {"smallest_px", "largest_px", "blend", "blend_m"}
     assert shown & (set(view.Limits._fields) | set(view.Image._fields)) == shown
     assert shown | {"shown_cosine"} <= CHANGED.keys()
-
-
-def test_no_number_that_shapes_a_map_stays_in_a_kernel() -> None:
-    numbers = set()
-    for path in KERNELS:
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
-            calls = [n for n in ast.walk(node) if isinstance(n, ast.Call)] if isinstance(node, ast.Assign) else []
-            is_float = isinstance(node, ast.Assign) and any(
-                isinstance(n, ast.Constant) and isinstance(n.value, float) for n in ast.walk(node.value)
-            )
-            made = any(isinstance(call.func, ast.Attribute) and call.func.attr != "dtype" for call in calls)
-            if isinstance(node, ast.Assign) and (is_float or made):
-                names = [n.id for target in node.targets for n in ast.walk(target) if isinstance(n, ast.Name)]
-                calls_of = node.value.elts if isinstance(node.value, ast.Tuple) else [node.value] * len(names)
-                numbers |= {
-                    f"{path.stem}.{name}"
-                    for name, value in zip(names, calls_of, strict=True)
-                    if not (isinstance(value, ast.Constant) and isinstance(value.value, int))
-                }
-    numbers.discard("_match_kernels._PLACE")
-    assert numbers == set(NUMERICS)

@@ -72,7 +72,7 @@ def test_compiled_and_plain_kernels_say_the_same() -> None:
     costs[3, 4] = costs[20, 20] = 1
     results = []
     for module in (kernels, plain(kernels)):
-        known = module.cost_to_go(costs, 0.1, goals, np.array([0.0, 0.7]))
+        known = module.cost_to_go_kernel(costs, 0.1, goals, np.array([0.0, 0.7]))
         row, column = np.argwhere(np.isfinite(known))[-1].tolist()
         results.append((known, module.descend(known, costs, 0.1, row, column)))
     (known, way), (plain_known, plain_way) = results

@@ -190,9 +190,9 @@ import sys
 from pathlib import Path
 from numba.core.dispatcher import Dispatcher
 from wheelsight import load_config, open_recording, run_each
-from wheelsight.pipeline._compile import _rehearse
-from wheelsight.pipeline.rehearsal import write_rehearsal
-from wheelsight.simulation import SimulationSettings, simulate, write_simulation
+from wheelsight.app.run.kernel_process import _rehearse
+from wheelsight.app.run.kernels import write_rehearsal
+from wheelsight_sim import SimulationSettings, simulate, write_simulation
 
 def loaded():
     modules = [module for name, module in sys.modules.items() if name.startswith("wheelsight.")]
@@ -230,12 +230,12 @@ import sys
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 from rehearsed_drive import CALIBRATION
-from wheelsight.estimates import Estimate, Status
-from wheelsight.geometry import se3
+from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.geometry import se3
 from wheelsight.navigation import GrowingFloor, KnownFloor, Navigator
-from wheelsight.pipeline.navigation_rehearsal import drawn_room, rehearse_navigation
-from wheelsight.simulation import SimulationSettings
-from wheelsight.simulation.simulator import Simulator
+from wheelsight.app.run.kernel_process import drawn_room, rehearse_navigation
+from wheelsight_sim import SimulationSettings
+from wheelsight_sim.simulator import Simulator
 
 def loaded():
     modules = [module for name, module in sys.modules.items() if name.startswith("wheelsight.navigation.")]

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
-import wheelsight
 from wheelsight.core.messages import Event, RgbdFrame
 from wheelsight.io.recordings import Recording, open_recording
 from wheelsight.io.recordings.clock_checks import MotionClock, MotionOffset
@@ -18,7 +16,7 @@ _LATENCY_S = 0.016
 
 @pytest.fixture(scope="module")
 def sample() -> tuple[Recording, list[Event]]:
-    recording = open_recording(Path(wheelsight.__file__).parent / "recordings" / "sample")
+    recording = open_recording("sample")
     return recording, list(recording.events())
 
 

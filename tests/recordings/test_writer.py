@@ -150,10 +150,10 @@ def test_a_killed_process_leaves_a_valid_shorter_recording(tmp_path):
         import itertools, sys
         from pathlib import Path
         import numpy as np
-        from wheelsight.calibration import Calibration
-        from wheelsight.events import RgbdFrame, WheelTicks
-        from wheelsight.geometry import PinholeCamera
-        from wheelsight.recordings import RecordingWriter
+        from wheelsight.core.calibration import Calibration
+        from wheelsight.core.messages import RgbdFrame, WheelTicks
+        from wheelsight.core.geometry import PinholeCamera
+        from wheelsight.io.recordings import RecordingWriter
         camera = PinholeCamera(64, 48, 50, 50, 32, 24)
         writer = RecordingWriter(Path(sys.argv[1]), Calibration.registered_camera(camera))
         for i in itertools.count():

@@ -24,7 +24,7 @@ from wheelsight.app.run import RunRecord
 from wheelsight.core.geometry import FloatArray
 from wheelsight.mapping.export import MapCloud
 
-SCRIPTS = Path(__file__).resolve().parents[2] / "wheelsight" / "report"
+SCRIPTS = Path(__file__).resolve().parents[2] / "wheelsight" / "app" / "report"
 NO_LINES = np.zeros((0, 2, 3))
 
 

@@ -42,35 +42,6 @@ CALIBRATION = Calibration.registered_camera(
     CAMERA, wheels=Wheels(0.17, 0.17, 0.52, 3200.0), T_base_camera=T_BASE_CAMERA, source="test"
 )
 
-# Numbers that stay in modules of localizer, clocks and wheels, and why they are no settings of a run.
-OFFLINE = "of a calibration by hand, which no run goes by; it is told with its reason where it stands"
-IN_FUSION = "of the way in which wheels and camera are joined: goes into the settings of fusion"
-COMPILED = "compiled into kernels, whose values are a part of their code"
-LAYOUT = "a place in an array"
-MAY_STAY = {
-    "localizer/_carried.py": IN_FUSION,
-    "odometry/wheels/_observability.py": OFFLINE,
-    "odometry/wheels/fit.py": OFFLINE,
-    "odometry/wheels/segments.py": OFFLINE,
-    "odometry/wheels/squares.py": OFFLINE,
-    "odometry/wheels/umbmark.py": OFFLINE,
-    "odometry/wheels/_kernels.py": COMPILED,
-    "odometry/wheels/_gyro_kernels.py": COMPILED,
-    "odometry/wheels/_state_kernels.py": LAYOUT,
-    "odometry/wheels/loop_check.py": OFFLINE,
-    "localizer/apart.py: _ENDING_S": "a process that gives no sign of life for so long hangs",
-    "localizer/apart.py: _WRITING_S": "a process that writes for so long hangs",
-    "localizer/beside.py: _EVENT_ENDING_S": "an event that takes so long hangs",
-    "localizer/_apart_process.py: _BEAT_S": "a sign of life, several within what is waited for",
-    "localizer/_odom_frame.py: _IDENTITY": "no motion",
-    "localizer/_odom_frame.py: _READINGS": "a bound on memory",
-    "localizer/by_wheels.py: _STILL": "no motion",
-    "odometry/wheels/odometry.py: _WIDE": "floats count no further",
-    "odometry/wheels/odometry.py: _PLANE": LAYOUT,
-    "odometry/wheels/encoder.py: _SECONDS_A_MINUTE": "a unit",
-    "odometry/wheels/gyro_check.py: _DEGREES": "a unit",
-}
-
 
 def with_value(dotted: str, value: Any) -> str:
     """YAML of one setting, a line a level."""
@@ -209,60 +180,6 @@ def test_all_of_them_are_in_the_config_of_a_run(tmp_path: Path) -> None:
     text = (tmp_path / "config.yaml").read_text()
     assert load_config(tmp_path / "config.yaml") == config
     assert [name for name, _, _ in LEAVES if f" {name.rsplit('.')[-1]}:" not in f" {text}".replace("\n", " ")] == []
-
-
-def is_numeric(node: ast.expr) -> bool:
-    """Whether a value is made of numbers, by operators, tuples or numpy; what looks up a text is none."""
-    kinds = {type(n.value) for n in ast.walk(node) if isinstance(n, ast.Constant)}
-    return bool(kinds & {int, float}) and str not in kinds
-
-
-def assigned(node: ast.stmt) -> Iterator[tuple[ast.expr, ast.expr]]:
-    """Targets with their values, those of tuples one by one."""
-    if isinstance(node, ast.AnnAssign) and node.value is not None:
-        yield node.target, node.value
-    if not isinstance(node, ast.Assign):
-        return
-    for target in node.targets:
-        value = node.value
-        if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
-            yield from zip(target.elts, value.elts, strict=True)
-        elif isinstance(target, ast.Tuple):
-            yield from ((one, value) for one in target.elts)
-        else:
-            yield target, value
-
-
-def constants(path: Path) -> Iterator[str]:
-    """Names in upper case that a module gives a numeric value."""
-    for node in ast.parse(path.read_text(encoding="utf-8")).body:
-        for target, value in assigned(node):
-            if isinstance(target, ast.Name) and target.id.strip("_").isupper() and is_numeric(value):
-                yield target.id
-
-
-def of_modules() -> list[Path]:
-    folders = (PACKAGE / "localizer", PACKAGE / "odometry" / "wheels")
-    return [PACKAGE / "clocks.py", *(path for folder in folders for path in sorted(folder.glob("*.py")))]
-
-
-@pytest.mark.parametrize("path", of_modules(), ids=lambda path: path.relative_to(PACKAGE).as_posix())
-def test_what_shapes_behaviour_is_no_constant_of_a_module(path: Path) -> None:
-    module = path.relative_to(PACKAGE).as_posix()
-    found = [name for name in constants(path) if module not in MAY_STAY and f"{module}: {name}" not in MAY_STAY]
-    assert not found, f"{module}: {', '.join(found)} should be settings (wheelsight/core/settings, or the part's own)"
-
-
-def test_the_list_of_what_may_stay_has_nothing_that_is_gone() -> None:
-    there = {path.relative_to(PACKAGE).as_posix(): [*constants(path)] for path in of_modules()}
-    known = {one for module, names in there.items() if names for one in (module, *(f"{module}: {n}" for n in names))}
-    assert MAY_STAY.keys() - known == set()
-
-
-def test_the_check_finds_a_constant(tmp_path: Path) -> None:
-    path = tmp_path / "module.py"
-    path.write_text('_FAR_M, _NAME = 0.3, "far"\n_NEAR_M: float = 2\nFRAME = "frame"\n_LAGS = np.arange(3)\nways = 3\n')
-    assert [*constants(path)] == ["_FAR_M", "_NEAR_M", "_LAGS"]
 
 
 def test_no_setting_is_dead() -> None:

@@ -173,7 +173,7 @@ def test_compiled_kernels_are_plain_kernels(rng: np.random.Generator) -> None:
     outs = [np.empty((7, 9, 3), np.uint8) for _ in range(2)]
     ways: tuple[Any, Any] = (_blur_kernels, plainly)
     for kernels, flow, out in zip(ways, flows, outs, strict=True):
-        kernels.flow(view.depth_m, view.rays, twist, flow)
+        kernels.flow_kernel(view.depth_m, view.rays, twist, flow)
         smeared = kernels.smear(image, flow)
         exposed = _blur_kernels.Exposed(900.0, 1000.0, 5.0, 1e-3)
         kernels.develop(smeared, np.ones((7, 9), np.float32), exposed, normals, curve, 3, out)

@@ -140,7 +140,7 @@ def _stamp(module: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Source:
-    """A loaded module's text: its digest, and the modules of its package that it imports. `spec` is of its loading."""
+    """A loaded module's text: its digest, and the modules of its package and of ours that it imports."""
 
     spec: ModuleSpec | None
     digest: str
@@ -163,16 +163,16 @@ def _read(name: str) -> _Source:
         return known
     path = getattr(module, "__file__", None)
     text = Path(path).read_bytes() if path is not None and Path(path).is_file() else b""
-    imports = tuple(_imports(name.partition(".")[0], text.decode()))
+    imports = tuple(_imports({name.partition(".")[0], __name__.partition(".")[0]}, text.decode()))
     _sources[name] = _Source(spec, hashlib.sha256(text).hexdigest(), imports)
     return _sources[name]
 
 
-def _imports(package: str, text: str) -> Iterator[str]:
-    """The loaded modules of a package that a text imports, or from which it imports something."""
+def _imports(packages: set[str], text: str) -> Iterator[str]:
+    """The loaded modules of some packages that a text imports, or from which it imports something."""
     for found in _IMPORT.finditer(text):
         origin = found["module"] or found["origin"]
-        if origin.partition(".")[0] != package:
+        if origin.partition(".")[0] not in packages:
             continue
         names = _NAME.findall(_COMMENT.sub("", found["names"] or ""))
         modules = [name for name in names if isinstance(getattr(sys.modules[origin], name, None), ModuleType)]

@@ -1,4 +1,4 @@
-"""Settings of dense odometry: each is read, reaches the run from a file, and what stays in modules is no behaviour."""
+"""Settings of dense odometry: each is read, and reaches the run from a file."""
 
 from __future__ import annotations
 
@@ -28,25 +28,6 @@ FILES = [
     for path in sorted(Path(package.__file__).parent.glob("*.py"))
     if not path.stem.endswith("_kernels") and not path.stem.startswith("settings")
 ]
-# What shapes no answer: where nothing is, what is done at once or held ready, and when steps end.
-NUMERICS = {
-    "alignment._DIVERGED_M": "an alignment that is so far off has run away",
-    "alignment._GREY_SIGMA": "where learning begins, which ends within a step or two",
-    "alignment._SMALL_STEP": "Gauss-Newton ends",
-    "fault_detection._PERFECT": "of a perfect fit, by definition",
-    "grid._BRIGHTEST": "of a byte",
-    "grid._DARK_STRIDE": "how many pixels are asked",
-    "keypoints._ALL": "all directions",
-    "keypoints._LEAST_SHARE": "the digits of a number",
-    "reference._ANY_BEND": "none",
-    "reference._AS_NOISY": "by definition",
-    "reference._MAPPED": "by definition",
-    "views._AT_HAND": "held ready; others are made again, alike to the bit",
-    "vignetting._FLAT": "no division by zero",
-    "vignetting._HUBER": "the usual limit",
-    "vignetting._ROUNDS": "reweighted least squares ends",
-    "vignetting._STRIDE_PX": "how many pixels are compared",
-}
 
 
 def parts(settings: BaseModel = DenseSettings(), name: str = "dense") -> Iterator[tuple[str, BaseModel]]:  # noqa: B008
@@ -73,24 +54,6 @@ def test_each_setting_is_read_and_told_what_for(read: set[str], name: str) -> No
     assert field in read
     part = dict(parts())[".".join(path)]
     assert type(part).model_fields[field].description or field in {"levels"}
-
-
-def test_no_number_that_shapes_an_answer_stays_in_a_module() -> None:
-    numbers = set()
-    for path in FILES:
-        for node in ast.parse(path.read_text()).body:
-            if isinstance(node, ast.Assign) and any(isinstance(n, ast.Constant) for n in ast.walk(node.value)):
-                names = [n.id for target in node.targets for n in ast.walk(target) if isinstance(n, ast.Name)]
-                is_number = any(
-                    isinstance(n, ast.Constant) and isinstance(n.value, int | float) for n in ast.walk(node.value)
-                )
-                numbers |= {f"{path.stem}.{name}" for name in names if is_number}
-    structural = {
-        "alignment._NOT_ROLLED",
-        "alignment._UPPER",
-        "grid._NO_IMAGE",
-    }  # which rows and columns; an empty image
-    assert numbers - structural == set(NUMERICS)
 
 
 def test_parts_are_read_from_a_file_and_written_beside_the_results(tmp_path: Path) -> None:

@@ -289,7 +289,7 @@ class BatchSettings(Settings):
 # Which recordings are meant, and a digest that changes when one of their files does.
 
 
-_PACKAGE = Path(__file__).resolve().parents[2]
+_ROOT = Path(__file__).resolve().parents[3]
 
 
 class Digest(NamedTuple):
@@ -368,8 +368,10 @@ def _pieces(file: Path, size: int, length: int) -> Iterator[bytes]:
 def code_digest() -> str:
     """Of wheelsight's own modules: what one version found is not taken for what another would find."""
     whole = hashlib.sha256()
-    for path in sorted(_PACKAGE.rglob("*.py")):
-        whole.update(f"{path.relative_to(_PACKAGE).as_posix()}\0".encode())
+    for path in sorted(
+        path for package in ("wheelsight", "wheelsight_sim") for path in (_ROOT / package).rglob("*.py")
+    ):
+        whole.update(f"{path.relative_to(_ROOT).as_posix()}\0".encode())
         whole.update(path.read_bytes())
     return whole.hexdigest()
 

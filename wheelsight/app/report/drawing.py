@@ -19,11 +19,12 @@ from wheelsight.core.geometry import BoolArray, FloatArray, IntArray
 # Okabe and Ito's colours; these four also stand out from white and from near black.
 BLUE, GREEN, VERMILLION, GREY = "#0072B2", "#009E73", "#D55E00", "#808080"
 ORANGE, SKY, PURPLE = "#E69F00", "#56B4E9", "#CC79A7"
+BROWN = "#7A4B1E"
 OLIVE = "#8F8300"  # Okabe and Ito's yellow, dark enough to be a line on white
 YELLOW = "#F0E442"  # the same as it is, for bands
 INK = "#1D2126"  # the page's; where the page is dark, its style sheet turns it light
 # Each odometry keeps its colour wherever several are drawn together.
-ODOMETRY_COLOURS = {"wheels": PURPLE, "features": BLUE, "dense": OLIVE, "own": OLIVE, "rectified": GREEN, "joined": INK}
+ODOMETRY_COLOURS = {"wheels": PURPLE, "features": BLUE, "dense": OLIVE, "own": BROWN, "rectified": GREEN, "joined": INK}
 DASHED = {"color": GREY, "width": 1.5, "dash": "dash"}
 _AIR = 0.08  # of the longer side, around a path: enough for the words at its ends
 _LEAST_EXTENT_M = 0.01

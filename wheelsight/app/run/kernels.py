@@ -44,6 +44,7 @@ from wheelsight.slam.settings import FROM_KEYFRAMES
 
 
 PACKAGE = Path(__file__).parents[2]
+SIMULATOR = PACKAGE.parent / "wheelsight_sim"
 # What each part of wheelsight runs for the sake of its kernels: settings of a run, by their names. What a part calls
 # besides runs is in `_compile`.
 PARTS: dict[str, tuple[dict[str, Any], ...]] = {
@@ -260,7 +261,9 @@ def _mark(part: str) -> Path:
 
 def _folders() -> set[Path]:
     """The caches of all kernels that were loaded by now."""
-    loaded = [(name, module) for name, module in sys.modules.items() if name.startswith("wheelsight.")]
+    loaded = [
+        (name, module) for name, module in sys.modules.items() if name.startswith(("wheelsight.", "wheelsight_sim."))
+    ]
     return set().union(*(_caches(module) for name, module in loaded if name.endswith("kernels")))
 
 
@@ -271,7 +274,9 @@ def _caches(module: ModuleType) -> set[Path]:
 
 def kernel_files() -> list[Path]:
     """All files that compiled kernels are made of, sorted."""
-    return sorted(path for pattern in _KERNEL_FILES for path in PACKAGE.rglob(pattern))
+    return sorted(
+        path for pattern in _KERNEL_FILES for package in (PACKAGE, SIMULATOR) for path in package.rglob(pattern)
+    )
 
 
 def _digest() -> str:
@@ -282,7 +287,7 @@ def _digest() -> str:
     facts = [sys.version, numba.__version__, binding.get_host_cpu_name()]
     for path in kernel_files():
         about = path.stat()
-        facts.append(f"{path.relative_to(PACKAGE)} {about.st_size} {about.st_mtime_ns}")
+        facts.append(f"{path.relative_to(PACKAGE.parent)} {about.st_size} {about.st_mtime_ns}")
     return hashlib.sha256("\n".join(facts).encode()).hexdigest()
 
 
