@@ -13,14 +13,16 @@ from pathlib import Path
 import pytest
 
 import wheelsight
+import wheelsight_sim
 
 IMPORTED_AS = {"scikit-image": "skimage", "scikit-learn": "sklearn"}
-# Parts without a page of their own: the command line is typed, inputs are read by what is public, the modules of
-# geometry are shown one by one, and worlds are had by their names.
-NO_PAGE = tuple(f"wheelsight{part}" for part in ("", ".cli", ".inputs", ".geometry", ".simulation.worlds"))
+# Parts without a page of their own: users type the command line, readers use inputs, the page on geometry shows each
+# module, and worlds are chosen by their names.
+NO_PAGE = ("wheelsight", "wheelsight.app.cli", "wheelsight.core.inputs", "wheelsight.core.geometry", "wheelsight_sim.worlds")
 PACKAGES = sorted(
-    f"wheelsight.{path.parent.relative_to(Path(wheelsight.__file__).parent).as_posix().replace('/', '.')}".rstrip(".")
-    for path in Path(wheelsight.__file__).parent.rglob("__init__.py")
+    path.parent.relative_to(folder.parent).as_posix().replace("/", ".")
+    for folder in (Path(wheelsight.__file__).parent, Path(wheelsight_sim.__file__).parent)
+    for path in folder.rglob("__init__.py")
 )
 
 
@@ -53,7 +55,7 @@ def test_every_public_name_can_be_had(name: str) -> None:
 
 def test_each_public_name_is_the_object_of_its_module() -> None:
     for name, module in wheelsight._MODULE_OF.items():  # noqa: SLF001 - the package's own table
-        assert getattr(wheelsight, name) is getattr(importlib.import_module(f"wheelsight.{module}"), name)
+        assert getattr(wheelsight, name) is getattr(importlib.import_module(module), name)
 
 
 def test_the_lazy_names_are_the_public_names() -> None:
