@@ -18,7 +18,13 @@ import wheelsight_sim
 IMPORTED_AS = {"scikit-image": "skimage", "scikit-learn": "sklearn"}
 # Parts without a page of their own: users type the command line, readers use inputs, the page on geometry shows each
 # module, and worlds are chosen by their names.
-NO_PAGE = ("wheelsight", "wheelsight.app.cli", "wheelsight.core.inputs", "wheelsight.core.geometry", "wheelsight_sim.worlds")
+NO_PAGE = (
+    "wheelsight",
+    "wheelsight.app.cli",
+    "wheelsight.core.inputs",
+    "wheelsight.core.geometry",
+    "wheelsight_sim.worlds",
+)
 PACKAGES = sorted(
     path.parent.relative_to(folder.parent).as_posix().replace("/", ".")
     for folder in (Path(wheelsight.__file__).parent, Path(wheelsight_sim.__file__).parent)
