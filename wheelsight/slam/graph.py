@@ -1,6 +1,4 @@
-"""Contents and interface of a pose graph. The module also makes edges from odometry and computes whitened errors
-with Jacobians.
-"""
+"""Contents and interface of a pose graph, edges from odometry, and whitened errors with Jacobians."""
 
 from __future__ import annotations
 
@@ -19,23 +17,20 @@ from wheelsight.core.geometry.motion_kernels import is_definite
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.slam.settings import StepSettings
 
-# What a pose graph holds, and what every solver of one offers.
-
-
-# A turn known no better than this, as a standard deviation, is not known at all.
+# A heading with this standard deviation or a larger one is unknown.
 _UNKNOWN_TURN_RAD = np.pi
 _TURNS = slice(3, 6)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelativePose:
-    """An edge: where one keyframe is, seen from another.
+    """An edge: the measured pose of one keyframe relative to another.
 
     Attributes:
         first, second: the keyframes.
         T_first_second: (4, 4), as measured.
         covariance: (6, 6) of its left perturbation (v, ω), positive definite.
-        is_loop: whether it may be false, so that a Cauchy kernel holds its pull down.
+        is_loop: whether it may be an outlier, so that a Cauchy kernel limits its weight.
     """
 
     first: KeyframeId
@@ -46,17 +41,17 @@ class RelativePose:
 
     @property
     def freedom(self) -> int:
-        """How many directions it measures: 3 of a place whose heading is not known, else 6."""
+        """Number of measured directions: 3 for a position without heading, else 6."""
         is_known = np.diag(self.covariance)[_TURNS] < _UNKNOWN_TURN_RAD**2
         return 3 + int(np.count_nonzero(is_known))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prior:
-    """Where a keyframe is in the map, as known from elsewhere.
+    """A prior on the pose of a keyframe in the map.
 
     Attributes:
-        keyframe: which.
+        keyframe: index of the keyframe.
         T_map_keyframe: (4, 4).
         covariance: (6, 6) of its left perturbation (v, ω), positive definite.
     """
@@ -67,57 +62,56 @@ class Prior:
 
 
 class PoseGraph(Protocol):
-    """Keyframes, and what is measured of where they are.
+    """Keyframe poses, and measurements of them.
 
-    Keyframes are numbered from 0 in the order in which they are added. Poses are T_map_keyframe; covariances are those
-    of their left perturbations (v, ω), by where the graph is linearised at present, with loops as heavy as the kernel
-    leaves them.
+    Keyframes are numbered from 0 in the order in which they are added. Poses are T_map_keyframe. Covariances are those
+    of their left perturbations (v, ω) at the current linearization point, with loops at their robust weights.
     """
 
     @property
     def poses(self) -> FloatArray:
-        """T_map_keyframe (N, 4, 4), as of the last `update` or `optimise`; of newer keyframes as they were added."""
+        """T_map_keyframe (N, 4, 4) by the last `update` or `optimise`; newer keyframes have their initial pose."""
 
     @property
     def edges(self) -> tuple[RelativePose, ...]:
-        """All, in the order in which they were added."""
+        """All edges, in the order in which they were added."""
 
     def add(self, T_map_keyframe: FloatArray) -> KeyframeId:
-        """A keyframe, and about where it is."""
+        """Add a keyframe with an initial pose (4, 4), and return its number."""
 
     def add_prior(self, prior: Prior) -> None:
-        """One is needed at least: relative poses alone leave free where the map begins. Raises ArgumentError."""
+        """Add a prior; a graph needs at least one, to fix the map frame. Raises ArgumentError."""
 
     def add_edges(self, edges: Sequence[RelativePose]) -> None:
-        """Measurements. Raises ArgumentError: keyframes that it does not hold, no covariance."""
+        """Add measurements. Raises ArgumentError for an unknown keyframe or an invalid covariance."""
 
     def remove_edges(self, edges: Sequence[RelativePose]) -> None:
-        """Take out measurements, each by itself and not by what it says. Raises ArgumentError."""
+        """Remove edges by identity, not by value. Raises ArgumentError."""
 
     def remove_prior(self, prior: Prior) -> None:
-        """Take out one that was added. Raises ArgumentError."""
+        """Remove a prior by identity. Raises ArgumentError."""
 
     def unheld(self, without: Sequence[RelativePose] = ()) -> IntArray:
-        """(N,) 0 of keyframes that edges, but some, join with one that a prior holds; else a number of their piece.
+        """Return (N,) 0 for keyframes connected to a prior by edges, else the number of their component.
 
-        Where they are nothing tells, and no solver can.
+        Edges in `without` are ignored. The poses of unconnected components are unobservable.
         """
 
     def update(self) -> None:
-        """Take in what is new, from where the poses are: cheap, for use while driving."""
+        """Optimise incrementally from the current poses: cheap, for use while driving."""
 
     def optimise(self, T_start: FloatArray | None = None) -> float:
-        """The best poses, from (N, 4, 4) on or from the present ones; answers with half of the squared errors."""
+        """Optimise fully from poses (N, 4, 4) or from the current ones; return half of the squared error."""
 
     def marginal(self, keyframe: KeyframeId) -> FloatArray | None:
-        """Covariance (6, 6) of a pose; None where nothing holds it, or the graph's digits do not tell it."""
+        """Return the covariance (6, 6) of a pose; None if it is unobservable or numerically singular."""
 
     def joint(self, first: KeyframeId, second: KeyframeId) -> FloatArray | None:
-        """Covariance (12, 12) of two poses, the first one's perturbation first; None as in `marginal`."""
+        """Return the covariance (12, 12) of two poses, the first one's perturbation first; None as in `marginal`."""
 
 
 class GraphContents:
-    """Keyframes, edges and priors, checked: what all solvers keep alike."""
+    """Keyframes, edges and priors with validation, shared by all solvers."""
 
     def __init__(self, cauchy_scale: float = 1.0) -> None:
         self.cauchy_scale = cauchy_scale
@@ -135,13 +129,13 @@ class GraphContents:
 
     @property
     def edges(self) -> tuple[RelativePose, ...]:
-        """All, in the order in which they were added."""
+        """All edges, in the order in which they were added."""
         return tuple(self._edges)
 
     def add(self, T_map_keyframe: FloatArray) -> KeyframeId:
-        """A keyframe, and about where it is. Raises ArgumentError."""
+        """Add a keyframe with an initial pose. Raises ArgumentError."""
         if not se3.is_valid(T_map_keyframe):
-            raise ArgumentError("T_map_keyframe is no rigid motion", fix="give a finite (4, 4) of SE(3)")
+            raise ArgumentError("T_map_keyframe is not a rigid motion", fix="give a finite (4, 4) of SE(3)")
         if self._count == len(self._room):
             self._room = np.concatenate([self._room, np.zeros_like(self._room)])
         self._room[self._count] = T_map_keyframe
@@ -200,7 +194,7 @@ class GraphContents:
         self._room[: self._count] = T
 
     def _changed(self) -> None:
-        """Forget what holds for other contents."""
+        """Invalidate results that depend on the contents. Solvers override it."""
 
     def _check(self, keyframes: Sequence[KeyframeId], T: FloatArray, covariance: FloatArray) -> None:
         for keyframe in keyframes:
@@ -208,26 +202,27 @@ class GraphContents:
                 raise ArgumentError(f"there is no keyframe {keyframe}", fix=f"numbers go from 0 to {len(self) - 1}")
         C = np.ascontiguousarray(covariance, float)
         if not se3.is_valid(T):
-            raise ArgumentError("a measurement is no rigid motion", fix="give a finite (4, 4) of SE(3)")
+            raise ArgumentError("a measurement is not a rigid motion", fix="give a finite (4, 4) of SE(3)")
         if C.shape != (6, 6) or not np.isfinite(C).all() or not np.allclose(C, C.T) or not is_definite(C):
-            raise ArgumentError("a covariance is not positive definite", fix="give (6, 6), none of it exact")
+            raise ArgumentError(
+                "a covariance is not positive definite", fix="give a symmetric (6, 6) without zero variances"
+            )
 
     def _need_prior(self) -> None:
         if not self._priors:
-            raise ArgumentError("the graph has no prior, so nothing tells where it lies", fix="add_prior at its begin")
+            raise ArgumentError(
+                "the graph has no prior, so its frame is not fixed", fix="call add_prior for the first keyframe"
+            )
 
 
-# What odometry says between two keyframes, as an edge of the graph; and what holds the first one.
-
-
-# The first keyframe holds the map where it began; so little, in metres and radians, is as good as exact.
+# Standard deviation of the prior that fixes the map frame, metres and radians; in effect exact.
 ANCHOR_SIGMA = 1e-4
-# Variances (m² or rad²) above the one tell nothing any more; those below that share of the largest are its rounding.
+# Larger variances (m² or rad²) are clipped, as are those below this share of the largest, which are rounding errors.
 _UNKNOWN, _ROUNDING = 1e6, 1e-15
 
 
 def anchor(keyframe: KeyframeId, T_map_keyframe: FloatArray) -> Prior:
-    """A keyframe (4, 4) that stays where it is."""
+    """Return a prior that fixes a keyframe at its pose (4, 4)."""
     return Prior(keyframe, T_map_keyframe, ANCHOR_SIGMA**2 * np.eye(6))
 
 
@@ -237,17 +232,23 @@ def step_edge(
     now: tuple[FloatArray, FloatArray],
     settings: StepSettings,
 ) -> RelativePose:
-    """From one keyframe to the next, by poses (4, 4) with covariances (6, 6) that grow along the way."""
+    """Return the edge between successive keyframes, from poses (4, 4) with covariances (6, 6) that grow along the way.
+
+    Args:
+        ends: the two keyframes.
+        before, now: odometry pose and covariance of the first and the second keyframe.
+        settings: least standard deviations of a step.
+    """
     T_step, _ = motions.between(*before, *now)
     _, grown = motions.step_between(*before, *now)
     return RelativePose(*ends, motions.mended(T_step), _with_least(grown, settings))
 
 
 def along_floor(edge: RelativePose, motion: tuple[FloatArray, FloatArray], up: FloatArray) -> RelativePose:
-    """An edge by poses that takes from a motion (4, 4), with its covariance (6, 6), what is in the floor's plane.
+    """Return an edge with its in-plane part replaced by a motion (4, 4) with covariance (6, 6).
 
-    `up` (3,) is the plane's normal as the first keyframe has it. Height and tilt are those of the poses: that a floor
-    is level is known of each pose, and no motion between two tells it.
+    `up` (3,) is the normal of the floor in the first keyframe. Height and tilt remain those of the edge, since a level
+    floor constrains each pose and not the motion between two.
     """
     T, C = motion
     floor, turn = np.eye(3) - np.outer(up, up), np.outer(up, up)
@@ -263,37 +264,36 @@ def along_floor(edge: RelativePose, motion: tuple[FloatArray, FloatArray], up: F
 def aligned_edge(
     ends: tuple[KeyframeId, KeyframeId], T_first_second: FloatArray, covariance: FloatArray, settings: StepSettings
 ) -> RelativePose:
-    """Between a keyframe and an older one that odometry has come back to: a loop, since neither is the other's next."""
+    """Return a loop edge from the alignment of a keyframe with an older, revisited one."""
     return RelativePose(*ends, motions.mended(T_first_second), _with_least(covariance, settings), is_loop=True)
 
 
 def _with_least(C: FloatArray, settings: StepSettings) -> FloatArray:
-    """C (6, 6) with what no step is surer than."""
-    return _definite(C + np.diag(np.square([settings.plane_sigma_m] * 3 + [settings.plane_sigma_rad] * 3)))
+    """Return C (6, 6) plus the least variances of a step, clipped so that it is positive definite beyond rounding.
 
-
-def _definite(C: FloatArray) -> FloatArray:
-    """C (6, 6), positive definite by more than rounding.
-
-    A camera before a bare wall was unsure by 10⁶ m along it, and rounding of that variance made others negative.
+    A camera in front of a bare wall gave a standard deviation of 10⁶ m along it. Rounding of that variance made other
+    ones negative.
     """
+    C = C + np.diag(np.square([settings.plane_sigma_m] * 3 + [settings.plane_sigma_rad] * 3))
     variances, axes = np.linalg.eigh((C + C.T) / 2)
     bounded = (axes * np.clip(variances, _ROUNDING * variances[-1], _UNKNOWN)) @ axes.T
     return np.asarray((bounded + bounded.T) / 2)
 
 
-# Errors of measured poses in a graph, whitened, with Jacobians: what both solvers and the gate mean by an error.
+# Errors of edges and priors, whitened, with Jacobians: shared by both solvers and the gate.
 #
-# The error of an edge is log(T_first⁻¹ · T_second · T_measured⁻¹), the left perturbation by which the poses depart
-# from what was measured; that of a prior log(T · T_measured⁻¹).
+# The error of an edge is log(T_first⁻¹ · T_second · T_measured⁻¹), the left perturbation of the measurement that gives
+# the poses. The error of a prior is log(T · T_measured⁻¹).
 
 
-# Below, Taylor series of the Jacobian's coefficients are exact to 1e-13; above, so are the closed forms.
+# Below this angle, the Taylor series of the coefficients are accurate to 1e-13; above it, the closed forms are.
 _SMALL_RAD = 0.3
 
 
 class EdgeArrays(NamedTuple):
-    """Edges as arrays: keyframes (E,), T_second_first (E, 4, 4) as measured, roots of information (E, 6, 6), loops."""
+    """Edges as arrays: keyframes (E,), inverse measured poses (E, 4, 4), roots of information (E, 6, 6), loop flags
+    (E,).
+    """
 
     first: IntArray
     second: IntArray
@@ -303,7 +303,7 @@ class EdgeArrays(NamedTuple):
 
 
 def arrays_of(edges: Sequence[RelativePose]) -> EdgeArrays:
-    """The same, laid side by side."""
+    """Return edges as arrays."""
     T = np.array([edge.T_first_second for edge in edges], float).reshape(-1, 4, 4)
     return EdgeArrays(
         np.array([edge.first for edge in edges], np.int64),
@@ -315,34 +315,37 @@ def arrays_of(edges: Sequence[RelativePose]) -> EdgeArrays:
 
 
 def arrays_of_priors(priors: Sequence[Prior]) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Keyframes (P,), inverses of the poses (P, 4, 4), roots of information (P, 6, 6)."""
+    """Return keyframes (P,), inverses of the poses (P, 4, 4), and roots of information (P, 6, 6)."""
     T = np.array([prior.T_map_keyframe for prior in priors], float).reshape(-1, 4, 4)
     C = np.array([prior.covariance for prior in priors], float).reshape(-1, 6, 6)
     return np.array([prior.keyframe for prior in priors], np.int64), se3.invert(T), whitening_of(C)
 
 
 def whitening_of(covariances: FloatArray) -> FloatArray:
-    """W (..., 6, 6) with WᵀW = C⁻¹."""
+    """Return W (..., 6, 6) with WᵀW = C⁻¹."""
     return np.linalg.inv(np.linalg.cholesky(covariances)) if len(covariances) else covariances
 
 
 def edge_errors(T: FloatArray, edges: EdgeArrays) -> FloatArray:
-    """Errors (E, 6) at poses (N, 4, 4), not whitened."""
+    """Return errors (E, 6) at poses (N, 4, 4), not whitened."""
     return se3.log(se3.invert(T[edges.first]) @ T[edges.second] @ edges.T_measured_inverse)
 
 
 def edge_jacobians(T: FloatArray, edges: EdgeArrays, errors: FloatArray) -> FloatArray:
-    """(E, 6, 6) of the errors by the second pose's left perturbation; by the first one's it is the negative."""
+    """Return Jacobians (E, 6, 6) by the second pose's left perturbation; those by the first one's are the negative."""
     return inverse_left_jacobian(errors) @ se3.adjoint(se3.invert(T[edges.first]))
 
 
 def cauchy_loss(chi2: FloatArray, scale: float) -> FloatArray:
-    """Half of squared whitened errors (...) under Cauchy's kernel: (c²/2) log(1 + χ²/c²)."""
+    """Return half of squared whitened errors (...) under the Cauchy kernel: (c²/2) log(1 + χ²/c²)."""
     return np.asarray(scale**2 / 2 * np.log1p(chi2 / scale**2))
 
 
 def inverse_left_jacobian(xi: FloatArray) -> FloatArray:
-    """(..., 6, 6) with log(exp(δ) · exp(ξ)) ≈ ξ + J δ (Barfoot, State Estimation for Robotics, 7.86 and 7.95)."""
+    """Return J (..., 6, 6) with log(exp(δ) · exp(ξ)) ≈ ξ + J δ.
+
+    Barfoot, State Estimation for Robotics, equations 7.86 and 7.95.
+    """
     J = so3.left_jacobian(xi[..., 3:])
     J_inverse = np.linalg.inv(J)
     found = np.zeros((*xi.shape[:-1], 6, 6))
@@ -352,7 +355,7 @@ def inverse_left_jacobian(xi: FloatArray) -> FloatArray:
 
 
 def _coupling(xi: FloatArray) -> FloatArray:
-    """Q (..., 3, 3), how turning moves what is moved."""
+    """Return Q (..., 3, 3), the coupling of translation and rotation in the left Jacobian (Barfoot, 7.86)."""
     V, W = so3.hat(xi[..., :3]), so3.hat(xi[..., 3:])
     angle = np.linalg.norm(xi[..., 3:], axis=-1)
     a, b, c = (factor[..., None, None] for factor in _factors(angle))
@@ -363,7 +366,7 @@ def _coupling(xi: FloatArray) -> FloatArray:
 
 
 def _factors(angle: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Coefficients of Q: (φ − sin φ)/φ³, (1 − φ²/2 − cos φ)/φ⁴, and that less 3(φ − sin φ − φ³/6)/φ⁵."""
+    """Return the coefficients of Q: (φ − sin φ)/φ³, (1 − φ²/2 − cos φ)/φ⁴, and that minus 3(φ − sin φ − φ³/6)/φ⁵."""
     s = angle**2
     a = 1 / 6 - s / 120 + s**2 / 5040 - s**3 / 362880 + s**4 / 39916800
     b = -1 / 24 + s / 720 - s**2 / 40320 + s**3 / 3628800 - s**4 / 479001600

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple
 
 import numpy as np
 
@@ -29,32 +28,28 @@ from wheelsight.slam.place_recognition import KnownMap, LoopDetector, PlaceWatch
 from wheelsight.slam.settings import LoopSettings, MatchSettings
 from wheelsight.slam.solvers import new_pose_graph
 
-# LiveLoops: loops that are closed while the robot drives, in a thread of their own.
-#
-# Odometry hands over each new keyframe, with where it is by odometry alone. The thread recognises and verifies, and
-# has the pose graph judge what is found. Odometry is told where keyframes are by now, some frames later.
-
-
 _LOG = logging.getLogger(__name__)
+# From this standard deviation on, radians, a heading is unknown.
+_ANY_HEADING_RAD = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosedLoops:
-    """What became of all loops of a drive.
+    """All loops of a drive, and the poses they lead to.
 
     Attributes:
-        stamps_s: (N,) of the keyframes of this drive, seconds.
-        T_odom_keyframe: (N, 4, 4) as lived.
-        T_map_keyframe: (M, 4, 4) of all, the N last ones of this drive, as known at the end.
-        edges: of the graph.
-        loops: how they were judged.
-        refused: how many candidates were no place seen again, by reason.
-        unseen: keyframes that nobody had time to compare.
-        pieces: of how many pieces nobody knows how they lie to each other; 1 where all are joined.
-        is_in_map: (N,) whether it is known where each keyframe of this drive lies in the map.
-        judged_s: (N,) seconds that the thread took for each.
-        begins: (N,) whether odometry does not tell how each lies to the one before.
-        again: keyframes of this drive that odometry came back to, in order of time.
+        stamps_s: (N,) stamps of this drive's keyframes, seconds.
+        T_odom_keyframe: (N, 4, 4) poses from odometry alone.
+        T_map_keyframe: (M, 4, 4) final poses of all keyframes. The last N belong to this drive.
+        edges: edges of the graph.
+        loops: the decision on each loop.
+        refused: number of candidates that failed verification, by reason.
+        unseen: number of keyframes that were not compared, for lack of time.
+        pieces: number of pieces with unknown relative pose; 1 if all are joined.
+        is_in_map: (N,) whether the pose of each keyframe in the map is known.
+        begins: (N,) whether a keyframe begins a piece, so that odometry does not link it to the previous one.
+        judged_s: (N,) processing time of each keyframe in the thread, seconds.
+        again: revisits of this drive's keyframes by odometry, in order of time.
     """
 
     stamps_s: FloatArray
@@ -72,28 +67,28 @@ class ClosedLoops:
 
     @property
     def is_joined(self) -> bool:
-        """Whether it is known where the last keyframe lies in the map."""
+        """Whether the pose of the last keyframe in the map is known."""
         return bool(self.is_in_map[-1:].all())
 
     @property
     def known(self) -> int:
-        """How many keyframes are of earlier drives."""
+        """Number of keyframes from earlier drives."""
         return len(self.T_map_keyframe) - len(self.T_odom_keyframe)
 
     @property
     def T_map_odom(self) -> FloatArray:
-        """(N, 4, 4) where odom lies in the map, as each keyframe of this drive has it."""
+        """(N, 4, 4) pose of odom in the map at each keyframe."""
         return np.asarray(self.T_map_keyframe[self.known :] @ se3.invert(self.T_odom_keyframe))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """What the thread found of a keyframe.
+    """The thread's result for one keyframe.
 
     Attributes:
-        update: where all keyframes are by now, if its loops have moved any.
-        place: how surely it is placed in the map; None while nobody knows where its piece lies.
-        ties: its loops that are kept.
+        update: poses of all keyframes, if loops moved any.
+        place: pose of the keyframe in the map with its covariance; None while its piece is not joined to the map.
+        ties: loops of the keyframe that the graph keeps.
     """
 
     update: PoseUpdate | None
@@ -102,19 +97,23 @@ class Judged:
 
 
 class LiveLoops:
-    """See the module.
+    """Closes loops in a background thread while the robot drives.
+
+    Odometry passes each new keyframe with its odometry pose. The thread recognizes earlier places, verifies them,
+    and updates the pose graph. Odometry polls `due` for corrected keyframe poses.
 
     Args:
-        store: holds the keyframes. It is read here, and never moved; it is told which ones loops tie.
-        calibration: of the camera.
-        settings, recognition: or the defaults.
-        known: what an earlier drive has left, whose keyframes the store has.
-        waits: an answer is waited for once it is due, so that the same recording gives the same poses. A robot that
-            drives does not wait: it takes what is there.
-        detector: of a user's own; see `PlaceWatcher`.
+        store: the keyframes. Poses are never changed here; `due` stores which keyframes loops link.
+        calibration: calibration of the camera.
+        settings: loop settings, or None for the defaults.
+        recognition: recognition settings, or None for the defaults.
+        known: map of an earlier drive. The store contains its keyframes.
+        waits: whether `due` blocks until a due result is ready, so that a recording gives reproducible poses. A driving
+            robot does not wait and takes the finished results.
+        detector: user-defined detector; see `PlaceWatcher`.
 
     Attributes:
-        place: of the newest keyframe that an answer was taken of, or of one seen again since; see `Judged`.
+        place: `Judged.place` of the newest finished keyframe, or of one revisited since.
     """
 
     def __init__(
@@ -144,7 +143,7 @@ class LiveLoops:
         self._has_raised = False
 
     def add(self, keyframe: LivedKeyframe) -> None:
-        """Have the thread look whether a keyframe shows a place seen before."""
+        """Submit a keyframe to the thread, which looks for earlier views of the same place."""
         if self._thread is None:
             self._thread = ThreadPoolExecutor(1, "wheelsight-loops", yield_to_others)
         has_time = self._waits or len(self._waiting) < self._settings.most_waiting
@@ -152,25 +151,47 @@ class LiveLoops:
         self._lived.append(keyframe)
         self._waiting.append((keyframe.stamp_s, self._thread.submit(self._judge, keyframe, has_time)))
 
+    def _judge(self, keyframe: LivedKeyframe, has_time: bool) -> Judged:
+        """Process one keyframe in the thread."""
+        started = time.perf_counter()
+        self._graph.add(keyframe)
+        if has_time:
+            near = self._graph.near(self._settings.seen.near_m)
+            loops = self._watcher.look(keyframe.number, near, self._graph.adrift)
+        else:
+            loops = self._watcher.pass_by(keyframe.number)
+        alignment = keyframe.seen_from
+        if alignment is not None and not loops:  # a verified place is more certain than odometry's alignment
+            loops = (alignment,)
+        update = self._graph.close(loops)
+        kept = set(map(id, self._graph.edges)) if loops else ()
+        judged = Judged(update, self._graph.place(), tuple(loop for loop in loops if id(loop) in kept))
+        self._judged_s.append(time.perf_counter() - started)
+        return judged
+
     def see_again(self, keyframe: SeenAgain) -> None:
-        """Have the thread tell how surely a keyframe that it was handed before is placed; a busy one need not."""
+        """Request the pose and covariance of a revisited keyframe. A busy thread skips the request."""
         self._recognised += keyframe.number < self._known
         if self._thread is not None and (self._waits or not self._waiting):
             found = self._thread.submit(lambda: Judged(None, self._graph.place(keyframe)))
             self._waiting.append((keyframe.stamp_s, found))
 
     def follow(self, keyframe: SeenAgain) -> None:
-        """The drive's corrected way is to follow a keyframe that was seen again, too, as what was seen has it."""
+        """Add a revisit of a keyframe to the points that the corrected trajectory follows."""
         self._again.append(keyframe)
 
     def due(self, stamp_s: float) -> PoseUpdate | None:
-        """Where the first keyframes are, if loops have moved them since it was asked last; the store hears of ties.
+        """Return the poses of the first keyframes if loops moved them since the last call, else None.
 
-        Raises what went wrong in the thread.
+        Also stores which keyframes the kept loops link. Raises any error of the thread.
         """
         newest: PoseUpdate | None = None
-        while self._waiting and self._is_due(stamp_s, *self._waiting[0]):
-            found = self._result(self._waiting.popleft()[1])
+        while self._waiting:
+            keyframe_s, judged = self._waiting[0]
+            if not (stamp_s >= keyframe_s + self._settings.latency_s if self._waits else judged.done()):
+                break
+            self._waiting.popleft()
+            found = self._result(judged)
             newest = newest if found.update is None else found.update
             self.place = found.place
             for tie in found.ties:
@@ -179,13 +200,14 @@ class LiveLoops:
         return newest
 
     def finish(self) -> ClosedLoops:
-        """Wait for all that was handed over, judge all loops once more, and end the thread; it may go on all the same.
+        """Finish all submitted keyframes, review all loops, stop the thread, and return the result.
 
-        Raises what went wrong in the thread; an error of a part of a user's own is a warning here.
+        Further keyframes may follow; they start the thread again. Raises any error of the thread, but logs a
+        `PartError` of a user-defined part as a warning.
         """
         try:
             self.close()
-        except PartError as error:  # of the last keyframes: the loops before them count
+        except PartError as error:  # earlier loops remain valid
             _LOG.warning("loops of the last keyframes are missing: %s", error)
         self._graph.review()
         stamps_s = np.array([keyframe.stamp_s for keyframe in self._lived])
@@ -199,20 +221,20 @@ class LiveLoops:
 
     @property
     def recognised(self) -> int | None:
-        """How often this drive has seen something of the map of before so far; None without such a map.
+        """Number of times this drive recognized the known map so far; None without a known map.
 
-        By its loops that are kept, and by keyframes of it that odometry came back to. Where a start was said, that
-        alone bears it out.
+        Counts the kept loops to the map's keyframes, and revisits of them by odometry. With a given start pose, this is
+        the only confirmation of that pose.
         """
         return self._recognised if self._known else None
 
     @property
     def recognizer(self) -> Recognizer:
-        """Knows all keyframes that were looked at. The thread writes to it."""
+        """Recognizer with all processed keyframes. The thread writes to it."""
         return self._watcher.recognizer
 
     def close(self) -> None:
-        """Wait for the thread, and end it. Raises what went wrong in it, unless an error was raised before."""
+        """Wait for the thread and stop it. Raises an error of the thread unless one was raised before."""
         thread, self._thread = self._thread, None
         if thread is not None:
             thread.shutdown()
@@ -226,37 +248,9 @@ class LiveLoops:
             self._has_raised = True
             raise
 
-    def _is_due(self, stamp_s: float, keyframe_s: float, judged: Future[Judged]) -> bool:
-        return stamp_s >= keyframe_s + self._settings.latency_s if self._waits else judged.done()
-
-    def _judge(self, keyframe: LivedKeyframe, has_time: bool) -> Judged:
-        """The thread: one keyframe."""
-        started = time.perf_counter()
-        self._graph.add(keyframe)
-        if has_time:
-            near = self._graph.near(self._settings.seen.near_m)
-            loops = self._watcher.look(keyframe.number, near, self._graph.adrift)
-        else:
-            loops = self._watcher.pass_by(keyframe.number)
-        told = keyframe.seen_from
-        if told is not None and not loops:  # what is recognised by both views is surer than odometry's own word
-            loops = (told,)
-        update = self._graph.close(loops)
-        kept = set(map(id, self._graph.edges)) if loops else ()
-        judged = Judged(update, self._graph.place(), tuple(loop for loop in loops if id(loop) in kept))
-        self._judged_s.append(time.perf_counter() - started)
-        return judged
-
-
-# A trajectory as known at its end: by loops that were closed on the way, or by matches from outside.
-
-
-# A heading that is said to be no better known than this is not known: the root of its variance, radians.
-_ANY_HEADING_RAD = 10.0
-
 
 class Unused(StrEnum):
-    """Why a match was not even judged."""
+    """Reason why a match does not reach the gate."""
 
     LOW_SCORE = "its score is low"
     NO_POSE = "there is no pose near one of its stamps"
@@ -265,14 +259,14 @@ class Unused(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
-    """What matches made of a trajectory.
+    """A trajectory corrected by matches.
 
     Attributes:
-        corrected: the trajectory as known at the end, in the map; without covariances.
-        rows: (K,) of which poses of the trajectory keyframes are.
-        T_map_keyframe: (M, 4, 4) where the body was at all keyframes; the K last ones are those of this drive.
-        loops: how matches were judged.
-        unused: how many matches were not judged, by reason.
+        corrected: final trajectory in the map frame, without covariances.
+        rows: (K,) trajectory rows of this drive's keyframes.
+        T_map_keyframe: (M, 4, 4) body poses at all keyframes. The last K belong to this drive.
+        loops: the decision on each match.
+        unused: number of matches that did not reach the gate, by reason.
     """
 
     corrected: Trajectory
@@ -290,90 +284,52 @@ def correct(
     stated: SpeedVariances | None = None,
     graph: PoseGraph | None = None,
 ) -> Correction:
-    """The trajectory by all that is known at its end.
+    """Return the trajectory corrected by all matches.
 
-    Keyframes are where matches are, and one each `keyframe_way_m`; poses between two keyframes follow both.
+    Keyframes are placed at the matches and every `keyframe_way_m`. The corrections of two neighbouring keyframes are
+    interpolated for the poses between them.
 
     Args:
-        lived: as known on the way, with covariances that grow along it.
-        matches: what to judge.
+        lived: odometry trajectory, with covariances that grow along it.
+        matches: matches to check.
         settings: see `LoopSettings`.
-        stated: what the recording states of its odometry's errors, in place of the covariances.
-        graph: an empty one to use; None for GTSAM's, or where that is missing our own.
+        stated: odometry noise stated by the recording, used instead of the trajectory's covariances.
+        graph: empty graph to use; None for GTSAM's, or for the built-in solver without GTSAM.
 
     Raises:
-        ArgumentError: the trajectory has no poses, or neither it nor the recording states errors.
+        ArgumentError: the trajectory has no poses, or neither it nor the recording has covariances.
     """
     settings = settings or LoopSettings()
     C = _covariances(lived, stated)
-    placed, unused = _placed(matches, lived, settings.matches)
-    rows = _keyframe_rows(lived, [row for _, ends in placed for row in ends], settings.matches.keyframe_way_m)
-    loops = _loops(placed, rows, settings.matches)
+    placed, unused = _rows_of_matches(matches, lived, settings.matches)
+    _, first_each = np.unique(np.floor(lived.distances_m / settings.matches.keyframe_way_m), return_index=True)
+    wanted = np.asarray([row for _, ends in placed for row in ends], np.int64)
+    rows = np.unique(np.concatenate([first_each, wanted, [0, len(lived) - 1]])).astype(np.int64)
+    ends_of = [(match, *np.searchsorted(rows, ends).tolist()) for match, ends in placed]
+    loops = [
+        _loop(match, KeyframeId(first), KeyframeId(second), settings.matches)
+        for match, first, second in ends_of
+        if first != second
+    ]
     unused[Unused.ONE_PLACE] += len(placed) - len(loops)
     graph = graph if graph is not None else new_pose_graph(settings.cauchy_scale)
-    _lay(graph, lived.T_frame_body[rows], C[rows], settings.matches)
+    _add_odometry(graph, lived.T_frame_body[rows], C[rows], settings.matches)
     report = LoopCloser(graph, settings).offer_all(loops) if loops else LoopReport(())
     counts = {str(reason): count for reason, count in unused.items() if count}
     T_map_odom = graph.poses @ se3.invert(lived.T_frame_body[rows])
     return Correction(carried(lived, lived.stamps_s[rows], T_map_odom), rows, graph.poses, report, counts)
 
 
-def corrected_by(found: ClosedLoops, lived: Trajectory) -> Correction:
-    """A trajectory as known at the end, by loops that were closed while driving.
-
-    It follows keyframes where they were kept and where odometry came back to them. In the map of an earlier drive it
-    has no poses where it is not known how they lie in that: odom begins anywhere.
-    """
-    rows = np.array([_nearest(lived.stamps_s, stamp_s) for stamp_s in found.stamps_s], np.int64)
-    followed = _followed(found)
-    corrected = carried(lived, followed.stamps_s, followed.T_map_odom, followed.begins)
-    if found.known:
-        corrected = corrected.select(followed.is_in_map[_before(lived.stamps_s, followed.stamps_s)])
-    T_map_new = found.T_map_odom @ lived.T_frame_body[rows]
-    T_camera_body = se3.invert(found.T_odom_keyframe[0]) @ lived.T_frame_body[rows[0]]
-    T_map_known = found.T_map_keyframe[: found.known] @ T_camera_body
-    return Correction(corrected, rows, np.concatenate([T_map_known, T_map_new]), found.loops, {})
-
-
-class _Followed(NamedTuple):
-    """Where odom lies in the map (F, 4, 4) at stamps (F,), and as `ClosedLoops` has them (F,)."""
-
-    stamps_s: FloatArray
-    T_map_odom: FloatArray
-    begins: BoolArray
-    is_in_map: BoolArray
-
-
-def _followed(found: ClosedLoops) -> _Followed:
-    """By keyframes as they were kept, and as they were seen again."""
-    kept = found.stamps_s, found.T_map_odom, found.begins, found.is_in_map
-    numbers = np.array([one.number for one in found.again], np.int64)
-    T_odom = np.array([one.T_odom_keyframe for one in found.again]).reshape(-1, 4, 4)
-    stamps_s, in_map = np.array([one.stamp_s for one in found.again]), found.is_in_map[numbers - found.known]
-    T_map_odom = found.T_map_keyframe[numbers] @ se3.invert(T_odom)
-    both = zip(kept, (stamps_s, T_map_odom, np.zeros(len(numbers), bool), in_map), strict=True)
-    arrays = [np.concatenate(pair) for pair in both]
-    order = np.argsort(arrays[0], kind="stable")
-    return _Followed(*(array[order] for array in arrays))
-
-
-def _before(at_s: FloatArray, stamps_s: FloatArray) -> IntArray:
-    """(N,) the last keyframe, of those at (K,) stamps, before each time; the first where there is none."""
-    return np.asarray((np.searchsorted(stamps_s, at_s, side="right") - 1).clip(0), np.int64)
-
-
 def _covariances(lived: Trajectory, stated: SpeedVariances | None) -> FloatArray:
-    """(N, 6, 6), as the recording states, or the trajectory itself. Raises ArgumentError where neither does."""
+    """Return covariances (N, 6, 6) from the recording or the trajectory. Raises ArgumentError if neither has them."""
     if not len(lived):
-        raise ArgumentError("the trajectory has no poses", fix="give one that has")
-    C = lived.covariances if stated is None else _covariances_by(stated, lived)
-    if C is None:
-        raise ArgumentError("the trajectory states no covariances", fix="odometry that states its errors, as wheels do")
-    return C
-
-
-def _covariances_by(stated: SpeedVariances, lived: Trajectory) -> FloatArray:
-    """Covariances (N, 6, 6) that grow by what speeds err, each step by itself."""
+        raise ArgumentError("the trajectory has no poses", fix="give a trajectory with poses")
+    if stated is None:
+        if lived.covariances is None:
+            fix = "use odometry that reports covariances, as wheels do"
+            raise ArgumentError("the trajectory has no covariances", fix=fix)
+        return lived.covariances
+    # Speed errors are independent between steps.
     at = (np.searchsorted(stated.stamps_s, lived.stamps_s[:-1] + 1e-9, side="right") - 1).clip(min=0)
     Q = np.zeros((len(lived) - 1, 6, 6))
     for axis, variance in zip((0, 1, 5), stated.variances[at].T, strict=True):
@@ -382,10 +338,10 @@ def _covariances_by(stated: SpeedVariances, lived: Trajectory) -> FloatArray:
     return np.concatenate([np.zeros((1, 6, 6)), np.cumsum(Ad @ Q @ np.swapaxes(Ad, 1, 2), axis=0)])
 
 
-def _placed(
+def _rows_of_matches(
     matches: Sequence[Match], lived: Trajectory, settings: MatchSettings
 ) -> tuple[list[tuple[Match, tuple[int, int]]], Counter[Unused]]:
-    """Matches with the poses (rows) that they are of, and how many have none."""
+    """Return the matches with their two trajectory rows, and the number of unused ones by reason."""
     unused: Counter[Unused] = Counter()
     placed = []
     for match in matches:
@@ -400,29 +356,14 @@ def _placed(
     return placed, unused
 
 
-def _nearest(stamps_s: FloatArray, stamp_s: float) -> int:
-    after = int(np.searchsorted(stamps_s, stamp_s).clip(1, max(len(stamps_s) - 1, 1)))
-    before = after - 1
-    is_after = after < len(stamps_s) and stamps_s[after] - stamp_s < stamp_s - stamps_s[before]
-    return after if is_after else before
-
-
-def _keyframe_rows(lived: Trajectory, wanted: Sequence[int], way_m: float) -> IntArray:
-    """Rows (K,) of keyframes: where they are wanted, at both ends, and where so much way has been gone."""
-    _, first_each = np.unique(np.floor(lived.distances_m / way_m), return_index=True)
-    return np.unique(np.concatenate([first_each, np.asarray(wanted, np.int64), [0, len(lived) - 1]])).astype(np.int64)
-
-
-def _loops(
-    placed: Sequence[tuple[Match, tuple[int, int]]], rows: IntArray, settings: MatchSettings
-) -> list[RelativePose]:
-    """Edges of those matches that join two keyframes."""
-    joined = [(match, *np.searchsorted(rows, ends).tolist()) for match, ends in placed]
-    return [
-        _loop(match, KeyframeId(first), KeyframeId(second), settings)
-        for match, first, second in joined
-        if first != second
-    ]
+def _add_odometry(graph: PoseGraph, T: FloatArray, C: FloatArray, settings: MatchSettings) -> None:
+    """Add keyframe poses (K, 4, 4), the first one fixed, and odometry edges with covariances from (K, 6, 6)."""
+    for pose in T:
+        graph.add(pose)
+    graph.add_prior(anchor(KeyframeId(0), T[0]))
+    ways = [(T[k], C[k]) for k in range(len(T))]
+    ends = [(KeyframeId(k - 1), KeyframeId(k)) for k in range(1, len(T))]
+    graph.add_edges([step_edge(pair, ways[pair[0]], ways[pair[1]], settings) for pair in ends])
 
 
 def _loop(match: Match, first: KeyframeId, second: KeyframeId, settings: MatchSettings) -> RelativePose:
@@ -435,23 +376,44 @@ def _loop(match: Match, first: KeyframeId, second: KeyframeId, settings: MatchSe
     return RelativePose(first, second, match.T_a_b, C, is_loop=True)
 
 
-def _lay(graph: PoseGraph, T: FloatArray, C: FloatArray, settings: MatchSettings) -> None:
-    """Keyframes (K, 4, 4), where the first one is held, and the ways between, as covariances (K, 6, 6) grow."""
-    for pose in T:
-        graph.add(pose)
-    graph.add_prior(anchor(KeyframeId(0), T[0]))
-    ways = [(T[k], C[k]) for k in range(len(T))]
-    ends = [(KeyframeId(k - 1), KeyframeId(k)) for k in range(1, len(T))]
-    graph.add_edges([step_edge(pair, ways[pair[0]], ways[pair[1]], settings) for pair in ends])
+def corrected_by(found: ClosedLoops, lived: Trajectory) -> Correction:
+    """Return a trajectory corrected by loops that were closed while driving.
+
+    The correction is known at keyframes and at revisits of them, and interpolated between these. With a known map,
+    poses of pieces that are not joined to it are left out.
+    """
+    rows = np.array([_nearest(lived.stamps_s, stamp_s) for stamp_s in found.stamps_s], np.int64)
+    stamps_s, T_map_odom, begins, is_in_map = _with_revisits(found)
+    corrected = carried(lived, stamps_s, T_map_odom, begins)
+    if found.known:
+        corrected = corrected.select(is_in_map[_before(lived.stamps_s, stamps_s)])
+    T_map_new = found.T_map_odom @ lived.T_frame_body[rows]
+    T_camera_body = se3.invert(found.T_odom_keyframe[0]) @ lived.T_frame_body[rows[0]]
+    T_map_known = found.T_map_keyframe[: found.known] @ T_camera_body
+    return Correction(corrected, rows, np.concatenate([T_map_known, T_map_new]), found.loops, {})
+
+
+def _with_revisits(found: ClosedLoops) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
+    """Return stamps (F,), T_map_odom (F, 4, 4), begins (F,) and is_in_map (F,) of keyframes and revisits, by time."""
+    kept = found.stamps_s, found.T_map_odom, found.begins, found.is_in_map
+    numbers = np.array([one.number for one in found.again], np.int64)
+    T_odom = np.array([one.T_odom_keyframe for one in found.again]).reshape(-1, 4, 4)
+    stamps_s, in_map = np.array([one.stamp_s for one in found.again]), found.is_in_map[numbers - found.known]
+    T_map_odom = found.T_map_keyframe[numbers] @ se3.invert(T_odom)
+    again = stamps_s, T_map_odom, np.zeros(len(numbers), bool), in_map
+    order = np.argsort(np.concatenate([kept[0], again[0]]), kind="stable")
+    stamps_s, T_map_odom = (np.concatenate([kept[i], again[i]])[order] for i in (0, 1))
+    begins, in_map = (np.concatenate([kept[i], again[i]])[order] for i in (2, 3))
+    return stamps_s, T_map_odom, begins, in_map
 
 
 def carried(
     lived: Trajectory, stamps_s: FloatArray, T_map_odom: FloatArray, begins: BoolArray | None = None
 ) -> Trajectory:
-    """All poses of a trajectory in the map, where odom (K, 4, 4) lies in it as keyframes at (K,) stamps have it.
+    """Return all trajectory poses in the map frame, given T_map_odom (K, 4, 4) at keyframe stamps (K,).
 
-    Each pose goes with the keyframes before and after it, in shares of the time between; with the one before alone
-    where the one after `begins` (K,) another piece.
+    Interpolates between the neighbouring keyframes by time. If the next keyframe `begins` (K,) another piece, uses the
+    previous keyframe alone.
     """
     before = _before(lived.stamps_s, stamps_s)
     after = np.minimum(before + 1, len(stamps_s) - 1)
@@ -462,3 +424,16 @@ def carried(
     share = (lived.stamps_s - begin_s) / np.where(end_s > begin_s, end_s - begin_s, 1.0)
     T_map_body = se3.interpolate(T_before, T_after, share.clip(0, 1))
     return Trajectory(lived.stamps_s, T_map_body, None, lived.body, "map")
+
+
+def _before(at_s: FloatArray, stamps_s: FloatArray) -> IntArray:
+    """Return the index (N,) of the last keyframe, of those at (K,) stamps, before each time; 0 if there is none."""
+    return np.asarray((np.searchsorted(stamps_s, at_s, side="right") - 1).clip(0), np.int64)
+
+
+def _nearest(stamps_s: FloatArray, stamp_s: float) -> int:
+    """Return the index of the nearest of (N,) stamps."""
+    after = int(np.searchsorted(stamps_s, stamp_s).clip(1, max(len(stamps_s) - 1, 1)))
+    before = after - 1
+    is_after = after < len(stamps_s) and stamps_s[after] - stamp_s < stamp_s - stamps_s[before]
+    return after if is_after else before

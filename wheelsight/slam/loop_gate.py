@@ -1,6 +1,4 @@
-"""LoopCloser: decides which loops a pose graph keeps, by a chi-square gate, a Cauchy kernel and clusters of loops
-that agree.
-"""
+"""LoopCloser: decides which loops a pose graph keeps, by a chi-square gate, a Cauchy kernel and consistent clusters."""
 
 from __future__ import annotations
 
@@ -18,18 +16,9 @@ from wheelsight.core.geometry.motion_kernels import is_definite
 from wheelsight.slam.graph import PoseGraph, RelativePose, arrays_of, cauchy_loss, edge_errors, inverse_left_jacobian
 from wheelsight.slam.settings import LoopSettings
 
-# LoopCloser: which loops a pose graph keeps.
-#
-# A loop passes a chi-square gate by the joint marginal of its keyframes, and is then held by a Cauchy kernel. What
-# was refused is reviewed from time to time: all loops under the kernel, and each refused cluster that agrees with
-# itself, are hypotheses beside the present one; that wins by which all measurements are explained best, a cluster
-# never by what it says itself. An honest odometry makes the gate right; where it states too little of its errors, the
-# review finds out. Where two pieces hang together by loops alone, no odometry speaks for those that came first: there
-# a refused cluster is heard as they are.
-
 
 class Refusal(StrEnum):
-    """Why the graph does not go by a loop."""
+    """Reason why the graph does not use a loop."""
 
     CONTRADICTS = "it contradicts the rest"
     UNKNOWN = "the graph does not tell how far off it may be"
@@ -37,15 +26,14 @@ class Refusal(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JudgedLoop:
-    """A loop, and what became of it.
+    """A loop and the decision on it.
 
     Attributes:
         loop: as offered.
-        is_kept: whether the graph goes by it.
-        chi2: its squared error over what loop and poses leave open, when it was judged last; infinite where the graph
-            did not tell what they leave open.
-        limit: the largest chi2 that is kept.
-        cluster: the number of the cluster of loops that it agrees with, as of the last review; -1 before one.
+        is_kept: whether the graph uses it.
+        chi2: its latest squared Mahalanobis distance; infinite if the graph cannot compute the covariance.
+        limit: largest chi2 that passes the gate.
+        cluster: number of its cluster of consistent loops as of the last review; -1 before one.
     """
 
     loop: RelativePose
@@ -56,7 +44,7 @@ class JudgedLoop:
 
     @property
     def refusal(self) -> Refusal | None:
-        """Why it is not kept, or None."""
+        """Reason of the refusal, or None if it is kept."""
         if self.is_kept:
             return None
         return Refusal.CONTRADICTS if np.isfinite(self.chi2) else Refusal.UNKNOWN
@@ -64,12 +52,12 @@ class JudgedLoop:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopReport:
-    """All loops, and how they were judged.
+    """All loops and the decisions on them.
 
     Attributes:
         judged: in the order in which they were offered.
-        reviews: how often all were judged anew.
-        overturned: how often another hypothesis won.
+        reviews: number of reviews of all loops.
+        overturned: number of reviews in which another hypothesis replaced the current one.
     """
 
     judged: tuple[JudgedLoop, ...]
@@ -78,28 +66,28 @@ class LoopReport:
 
     @property
     def kept(self) -> tuple[RelativePose, ...]:
-        """Loops that the graph goes by."""
+        """Loops that the graph uses."""
         return tuple(one.loop for one in self.judged if one.is_kept)
 
     @property
     def refused(self) -> tuple[RelativePose, ...]:
-        """Loops that contradict the rest, or that could not be judged."""
+        """Loops that contradict the others, or whose covariance is unknown."""
         return tuple(one.loop for one in self.judged if not one.is_kept)
 
     @property
     def refusals(self) -> dict[str, int]:
-        """How many were refused, by reason."""
+        """Number of refused loops by reason."""
         return dict(Counter(str(one.refusal) for one in self.judged if one.refusal is not None))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Hypothesis:
-    """Loops that poses may go by.
+    """A set of loops to use.
 
     Attributes:
-        own: the cluster that must not speak for it, or -1.
-        kept: (L,) the loops.
-        T_start: (N, 4, 4) whence the poses are sought.
+        own: cluster without a vote on this hypothesis, or -1.
+        kept: (L,) the loops to use.
+        T_start: (N, 4, 4) initial poses of the optimisation.
     """
 
     own: int
@@ -108,10 +96,17 @@ class _Hypothesis:
 
 
 class LoopCloser:
-    """Judges loops, and has the graph go by those that are kept.
+    """Decides which loops a pose graph keeps.
+
+    A loop passes a chi-square gate by the joint marginal of its keyframes, and then has a Cauchy kernel. After some
+    refusals, a review compares alternative hypotheses: all loops under the kernel, and each consistent cluster of
+    refused loops in addition to the current ones. The hypothesis that best explains all measurements wins; a cluster
+    does not vote on itself. The gate assumes honest odometry covariances, and the review detects covariances that are
+    too small. Two pieces that are connected by loops alone have no odometry between them. There, a refused cluster is
+    tried in place of the kept loops.
 
     Args:
-        graph: with a prior; the caller adds keyframes and odometry, and calls `update` if no loop is offered.
+        graph: graph with a prior. The caller adds keyframes and odometry, and calls `update` if there are no loops.
         settings: see `LoopSettings`.
     """
 
@@ -124,37 +119,50 @@ class LoopCloser:
         self._clusters: IntArray = np.empty(0, np.int64)
         self._refused_since = self._reviews = self._overturned = 0
 
+    def report(self) -> LoopReport:
+        """Return the decisions on all loops so far."""
+        return LoopReport(self._judged(0), self._reviews, self._overturned)
+
+    def _judged(self, since: int) -> tuple[JudgedLoop, ...]:
+        """Return the decisions from one loop on; while driving, all would be thousands at each keyframe."""
+        clusters = [*self._clusters.tolist(), *[-1] * (len(self._loops) - len(self._clusters))]
+        columns = (self._loops, self._kept, self._chi2, self._limit, clusters)
+        return tuple(JudgedLoop(*row) for row in zip(*(column[since:] for column in columns), strict=True))
+
     def offer(self, loops: Sequence[RelativePose]) -> tuple[JudgedLoop, ...]:
-        """Judge loops of keyframes that the graph holds; poses are those with the kept ones then."""
+        """Check loops between keyframes of the graph, and return the decisions.
+
+        The loops that pass are added to the graph, and its poses are updated.
+        """
         before, limits = len(self._loops), limits_of(loops, self.settings.gate_probability)
         chi2 = [chi_squared(self.graph, loop) for loop in loops]
         kept = [found <= limit for found, limit in zip(chi2, limits, strict=True)]
         self.graph.add_edges([loop for loop, is_kept in zip(loops, kept, strict=True) if is_kept])
-        self._take(loops, kept, chi2)
+        self._record(loops, kept, chi2)
         self.graph.update()
         self._refused_since += kept.count(False)
         if self._refused_since >= self.settings.review_after:
             self.review()
         return self._judged(before)
 
-    def join(self, loops: Sequence[RelativePose], T_start: FloatArray) -> None:
-        """Go by loops that alone tell how two pieces lie to each other, and solve from poses (N, 4, 4) that fit them.
-
-        They are judged like all others afterwards.
-        """
-        self.graph.add_edges(loops)
-        self._take(loops, [True] * len(loops), [np.inf] * len(loops))
-        self.graph.optimise(T_start)
-        self._settle()
-
     def offer_all(self, loops: Sequence[RelativePose]) -> LoopReport:
-        """Judge loops of a drive that is over, all together: none has to fit what was known before the others."""
-        self._take(loops, [False] * len(loops), [np.inf] * len(loops))
+        """Check all loops of a finished drive together, so that their order does not matter."""
+        self._record(loops, [False] * len(loops), [np.inf] * len(loops))
         self.review()
         return self.report()
 
+    def join(self, loops: Sequence[RelativePose], T_start: FloatArray) -> None:
+        """Use loops that alone connect two pieces, and optimise from poses (N, 4, 4) that fit them.
+
+        Afterwards the gate checks them like all others.
+        """
+        self.graph.add_edges(loops)
+        self._record(loops, [True] * len(loops), [np.inf] * len(loops))
+        self.graph.optimise(T_start)
+        self._settle()
+
     def review(self) -> bool:
-        """Judge all anew, and try other hypotheses; whether one has won."""
+        """Check all loops again and compare the alternative hypotheses; return whether one replaced the current one."""
         self._refused_since, self._reviews = 0, self._reviews + 1
         T_start, settings = self.graph.poses, self.settings
         self._clusters = clusters_of(self._loops, T_start, settings.cluster_keyframes, settings.gate_probability)
@@ -176,24 +184,8 @@ class LoopCloser:
             self._settle()
         return has_won
 
-    def report(self) -> LoopReport:
-        """What became of all loops so far."""
-        return LoopReport(self._judged(0), self._reviews, self._overturned)
-
-    def _judged(self, since: int) -> tuple[JudgedLoop, ...]:
-        """From one on; while driving all would be thousands at each keyframe."""
-        clusters = [*self._clusters.tolist(), *[-1] * (len(self._loops) - len(self._clusters))]
-        columns = (self._loops, self._kept, self._chi2, self._limit, clusters)
-        return tuple(JudgedLoop(*row) for row in zip(*(column[since:] for column in columns), strict=True))
-
-    def _take(self, loops: Sequence[RelativePose], kept: list[bool], chi2: list[float]) -> None:
-        self._loops.extend(loops)
-        self._kept.extend(kept)
-        self._chi2.extend(chi2)
-        self._limit.extend(limits_of(loops, self.settings.gate_probability))
-
     def _hypotheses(self, kept: BoolArray, T: FloatArray) -> Iterator[_Hypothesis]:
-        """All loops, and each of the largest refused clusters (L,)."""
+        """Yield all loops, and each of the largest refused clusters, as alternatives to the kept loops (L,)."""
         yield _Hypothesis(-1, np.ones(len(kept), bool), T)
         if kept.all():
             return
@@ -201,22 +193,49 @@ class LoopCloser:
         largest = np.argsort(-counts, kind="stable")[: self.settings.most_appeals]
         for number in numbers[largest[counts[largest] >= self.settings.least_members]]:
             cluster = self._clusters == number
-            yield self._in_place_of_others(cluster, kept, T) or _Hypothesis(int(number), kept | cluster, T)
+            yield self._replacement(cluster, kept, T) or _Hypothesis(int(number), kept | cluster, T)
 
-    def _in_place_of_others(self, cluster: BoolArray, kept: BoolArray, T: FloatArray) -> _Hypothesis | None:
-        """By a cluster (L,) where nothing but loops tells how its two ends lie; None where odometry tells."""
+    def _replacement(self, cluster: BoolArray, kept: BoolArray, T: FloatArray) -> _Hypothesis | None:
+        """Return a hypothesis that replaces the kept loops between two pieces by a cluster (L,).
+
+        None if odometry connects both ends of the cluster.
+        """
         first, second = (np.array([getattr(loop, end) for loop in self._loops]) for end in ("first", "second"))
         piece = self.graph.unheld(without=self._loops)
         ends = np.sort(np.column_stack([piece[first], piece[second]]), axis=1)
         older, newer = ends[np.flatnonzero(cluster)[0]]
         if older == newer:
             return None
-        rivals = kept & (ends == (older, newer)).all(axis=1)
+        alternatives = kept & (ends == (older, newer)).all(axis=1)
         middle = self._loops[np.flatnonzero(cluster)[np.count_nonzero(cluster) // 2]]
-        return _Hypothesis(-1, (kept & ~rivals) | cluster, laid_by(middle, piece == newer, T))
+        return _Hypothesis(-1, (kept & ~alternatives) | cluster, laid_by(middle, piece == newer, T))
+
+    def _cost(self, T: FloatArray, own: int) -> float:
+        """Return the negative log-likelihood of odometry and all loops at poses (N, 4, 4), except of cluster `own`."""
+        edges, loops = arrays_of([e for e in self.graph.edges if not e.is_loop]), arrays_of(self._loops)
+        chi2, of_loops = (
+            ((of.whitening @ edge_errors(T, of)[..., None])[..., 0] ** 2).sum(axis=-1) for of in (edges, loops)
+        )
+        loss = cauchy_loss(of_loops, self.settings.cauchy_scale)
+        counts = np.bincount(self._clusters)
+        means = np.bincount(self._clusters, loss) / counts
+        # A cluster has a limited number of votes for each stretch of keyframes that it covers.
+        along = loops.first // max(self.settings.cluster_keyframes, 1)
+        stretches = np.bincount(np.unique(np.column_stack([self._clusters, along]), axis=0)[:, 0])
+        votes = np.minimum(counts, self.settings.cluster_votes * stretches)
+        if own >= 0:
+            votes[own] = 0
+        return float(chi2.sum() / 2 + votes @ means)
+
+    def _record(self, loops: Sequence[RelativePose], kept: list[bool], chi2: list[float]) -> None:
+        """Store loops with their decisions."""
+        self._loops.extend(loops)
+        self._kept.extend(kept)
+        self._chi2.extend(chi2)
+        self._limit.extend(limits_of(loops, self.settings.gate_probability))
 
     def _keep(self, kept: BoolArray) -> None:
-        """Have the graph go by these loops (L,)."""
+        """Make the graph use exactly these loops (L,)."""
         gone = [loop for loop, was, now in zip(self._loops, self._kept, kept, strict=True) if was and not now]
         new = [loop for loop, was, now in zip(self._loops, self._kept, kept, strict=True) if now and not was]
         if gone:
@@ -226,21 +245,21 @@ class LoopCloser:
         self._kept = kept.tolist()
 
     def _settle(self) -> None:
-        """Judge each loop by the graph's poses, and solve anew, until none changes sides."""
+        """Gate each loop by the graph's poses and optimise, until no decision changes."""
         limits = np.array(self._limit)
         for _ in range(self.settings.most_rounds):
             self._chi2 = [chi_squared(self.graph, loop) for loop in self._loops]
-            kept = self._held_together(np.array(self._chi2) / limits)
+            kept = self._passing(np.array(self._chi2) / limits)
             if (kept == np.array(self._kept)).all():
                 return
             self._keep(kept)
             self.graph.optimise()
 
-    def _held_together(self, ratio: FloatArray) -> BoolArray:
-        """(L,) loops that pass the gate by chi-square over limit; and of others those that the graph cannot do without.
+    def _passing(self, ratio: FloatArray) -> BoolArray:
+        """Return (L,) loops whose chi-square ratio passes the gate, and those needed to keep the graph connected.
 
-        Many that state too little of their errors fail all at once, and a piece that hangs by them alone would float:
-        those that fit best stay, no more of them than it takes, and the others are judged by these.
+        Loops with covariances that are too small may fail all at once, and disconnect a piece that has no other edges.
+        The best of them stay, as few as connect the piece, and the others are checked against these.
         """
         kept = ratio <= 1
         going = [number for number in np.argsort(ratio, kind="stable") if self._kept[number] and not kept[number]]
@@ -251,33 +270,14 @@ class LoopCloser:
                 kept[number], piece[piece == ends[1]] = True, ends[0]
         return kept
 
-    def _stretches(self, first: IntArray) -> IntArray:
-        """Over how many stretches of the way each cluster (C,) goes."""
-        along = first // max(self.settings.cluster_keyframes, 1)
-        return np.bincount(np.unique(np.column_stack([self._clusters, along]), axis=0)[:, 0])
-
-    def _cost(self, T: FloatArray, own: int) -> float:
-        """What poses leave unexplained of odometry and of all loops, kept or not, those of cluster `own` left out."""
-        edges, loops = arrays_of([e for e in self.graph.edges if not e.is_loop]), arrays_of(self._loops)
-        chi2, of_loops = (
-            ((of.whitening @ edge_errors(T, of)[..., None])[..., 0] ** 2).sum(axis=-1) for of in (edges, loops)
-        )
-        loss = cauchy_loss(of_loops, self.settings.cauchy_scale)
-        counts = np.bincount(self._clusters)
-        means = np.bincount(self._clusters, loss) / counts
-        votes = np.minimum(counts, self.settings.cluster_votes * self._stretches(loops.first))
-        if own >= 0:
-            votes[own] = 0
-        return float(chi2.sum() / 2 + votes @ means)
-
 
 def limits_of(loops: Sequence[RelativePose], gate_probability: float) -> list[float]:
-    """The largest chi-square of each that passes."""
+    """Return the chi-square limit of each loop."""
     return [chi_square.quantile(gate_probability, loop.freedom) for loop in loops]
 
 
 def laid_by(loop: RelativePose, moving: BoolArray, T: FloatArray) -> FloatArray:
-    """Poses (N, 4, 4) with the keyframes (N,) that move, the piece at one end of a loop, where the loop has them."""
+    """Return poses (N, 4, 4) with one piece, the keyframes `moving` (N,), moved so that a loop's error is zero."""
     X = T[loop.first] @ loop.T_first_second @ se3.invert(T[loop.second])
     laid = T.copy()
     laid[moving] = se3.nearest((X if moving[loop.second] else se3.invert(X)) @ T[moving])
@@ -285,34 +285,31 @@ def laid_by(loop: RelativePose, moving: BoolArray, T: FloatArray) -> FloatArray:
 
 
 def chi_squared(graph: PoseGraph, loop: RelativePose) -> float:
-    """A loop's squared error at the graph's poses over what these and its own covariance leave open.
+    """Return the squared Mahalanobis distance of a loop from the graph's poses.
 
-    Infinite where the graph does not tell what they leave open: such a loop passes no gate.
+    Infinite if the graph cannot compute their joint covariance: such a loop fails the gate.
     """
-    open_by_poses = graph.joint(loop.first, loop.second)
-    if open_by_poses is None:
+    joint = graph.joint(loop.first, loop.second)
+    if joint is None:
         return np.inf
     ends = graph.poses[[loop.first, loop.second]]
     T_first_second = se3.invert(ends[0]) @ ends[1]
     r = se3.log(T_first_second @ se3.invert(loop.T_first_second))
     A = inverse_left_jacobian(r) @ se3.adjoint(se3.invert(ends[0]))
     J = np.concatenate([-A, A], axis=1)
-    S = loop.covariance + J @ open_by_poses @ J.T
+    S = loop.covariance + J @ joint @ J.T
     S = (S + S.T) / 2
     return float(r @ np.linalg.solve(S, r)) if is_definite(S) else np.inf
 
 
-# Loops that speak of one stretch and agree with each other: they are right or wrong together.
-
-
 def clusters_of(loops: Sequence[RelativePose], T: FloatArray, nearby: int, probability: float) -> IntArray:
-    """The number of the cluster (L,) of each loop, from 0.
+    """Return the cluster number (L,) of each loop, from 0. A cluster links neighbouring loops that agree.
 
     Args:
-        loops: of keyframes.
-        T: (N, 4, 4) their poses; only those of neighbours are compared, which odometry knows well.
-        nearby: keyframes that lie between neighbours at either end, at most.
-        probability: with which two loops that are true agree.
+        loops: loops between keyframes.
+        T: (N, 4, 4) keyframe poses. Only those of neighbours are compared, which odometry knows well.
+        nearby: largest distance of neighbours at either end, in keyframes.
+        probability: probability that two true loops agree.
     """
     first, second = (np.array([getattr(loop, end) for loop in loops], np.int64) for end in ("first", "second"))
     order = np.argsort(first, kind="stable")
@@ -329,17 +326,17 @@ def clusters_of(loops: Sequence[RelativePose], T: FloatArray, nearby: int, proba
 
 
 def _agree(loops: Sequence[RelativePose], T: FloatArray, i: IntArray, j: IntArray, probability: float) -> BoolArray:
-    """Whether loops i and j (P,) say the same of how two stretches lie."""
+    """Return whether loops i and j (P,) agree on the relative pose of their two stretches of keyframes."""
     if not len(i):
         return np.zeros(0, bool)
     first, second = (np.array([getattr(loop, end) for loop in loops], np.int64) for end in ("first", "second"))
     Z = np.array([loop.T_first_second for loop in loops])
     C = np.array([loop.covariance for loop in loops])
-    # The stretches as j has them, expressed for the keyframes of i.
+    # The relative pose by j, expressed in the keyframes of i.
     before = se3.invert(T[first[i]]) @ T[first[j]]
-    told = before @ Z[j] @ se3.invert(T[second[j]]) @ T[second[i]]
+    predicted = before @ Z[j] @ se3.invert(T[second[j]]) @ T[second[i]]
     Ad = se3.adjoint(before)
-    r = se3.log(told @ se3.invert(Z[i]))
+    r = se3.log(predicted @ se3.invert(Z[i]))
     S = C[i] + Ad @ C[j] @ np.swapaxes(Ad, 1, 2)
     squares = np.einsum("pi,pi->p", r, np.linalg.solve(S, r[..., None])[..., 0])
     freedom = np.minimum(*(np.array([loop.freedom for loop in loops])[of] for of in (i, j)))

@@ -1,4 +1,4 @@
-"""PlaceWatcher: finds keyframes that show the same place as earlier ones. KnownMap: the map of an earlier drive."""
+"""PlaceWatcher: finds earlier keyframes that show the same place. KnownMap: the map of an earlier drive."""
 
 from __future__ import annotations
 
@@ -22,50 +22,48 @@ from wheelsight.slam.graph import Prior, RelativePose
 from wheelsight.slam.settings import SeenSettings
 from wheelsight.vision.dense import DenseSettings
 
-# PlaceWatcher: which keyframes show a place that earlier ones show, one keyframe after the other.
-
-
 _UNREAD = "the keyframe cannot be read"
 
 
 class LoopDetector(Protocol):
-    """Names keyframes that may show the same place, by a method of your own.
+    """User-defined detector of loop candidates.
 
-    `Localizer` and `run` take one as `loop_detector` in place of the built-in recognition. Each candidate is verified
-    by geometry, and the pose graph judges each loop: a wrong candidate costs time and moves nothing.
+    `Localizer` and `run` accept one as `loop_detector` in place of the built-in recognition. Each candidate is verified
+    geometrically and checked by the pose graph: a wrong candidate costs time and does not affect poses.
     """
 
     def candidates(self, number: KeyframeId, keyframe: Keyframe) -> Iterable[int]:
-        """Numbers of earlier keyframes that look like this one, the most alike first; empty where none does.
+        """Return numbers of earlier keyframes that look like this one, best first; empty if there are none.
 
-        It is called once for each keyframe, in the order of their numbers, in the thread that closes loops: remember
-        here what later keyframes are compared with. Keyframes of a known map come first, and their answers are not
-        used. Keyframes that come while the thread is busy with older ones may be left out. The first
-        `loops.seen.candidates` are verified; keyframes of the last `loops.seen.apart_s` seconds are left out.
+        Called once for each keyframe, in the order of their numbers, in the loop-closing thread. Store here what later
+        keyframes are compared with. Keyframes of a known map come first, and their results are ignored. Keyframes may
+        be skipped while the thread is busy. The first `loops.seen.candidates` are verified; keyframes of the last
+        `loops.seen.apart_s` seconds are ignored.
 
-        An exception, and a number that was not shown before, end the run by a `PartError`.
+        An exception ends the run by a `PartError`, and so does the number of a keyframe not passed in before.
 
         Args:
-            number: names the keyframe for good.
+            number: permanent number of the keyframe.
             keyframe: its images `grey` and `depth_m`, keypoints and stamp.
         """
         ...
 
 
 class PlaceWatcher:
-    """Recognises each keyframe among those of `apart_s` and more before it, and verifies what is recognised.
+    """Recognizes each keyframe among those at least `apart_s` older, and verifies the candidates.
 
-    It works in one thread, since odometry needs the others.
+    It uses one thread, since odometry needs the others.
 
     Args:
-        store: of the keyframes, with keypoints.
-        calibration: of the camera that saw them.
-        settings, recognition: or the defaults.
-        recognizer: knows keyframes of an earlier drive; or a new one.
-        detector: names candidates in place of the recognizer, which learns all keyframes for the next drive.
+        store: the keyframes, with keypoints.
+        calibration: calibration of their camera.
+        settings: settings, or None for the defaults.
+        recognition: recognition settings, or None for the defaults.
+        recognizer: recognizer with the keyframes of an earlier drive; None for a new one.
+        detector: source of candidates in place of the recognizer, which still learns all keyframes for the next drive.
 
     Attributes:
-        recognizer: knows all that were seen.
+        recognizer: recognizer with all keyframes seen.
     """
 
     def __init__(
@@ -85,27 +83,32 @@ class PlaceWatcher:
         self._stamps_s: list[float] = []
         self._unread = 0
         self._detector, self._shown = detector, set[int]()
-        self._unshown = self.recognizer.keyframes  # of before, which a detector is shown once
+        self._unshown = self.recognizer.keyframes  # of the known map, which a detector is shown once
 
     @property
     def refusals(self) -> Mapping[str, int]:
-        """How many candidates were refused so far, by reason."""
-        told = {str(reason): count for reason, count in self._verifier.refusals.items()}
-        return told | ({_UNREAD: self._unread} if self._unread else {})
+        """Number of refused candidates so far, by reason."""
+        counts = {str(reason): count for reason, count in self._verifier.refusals.items()}
+        return counts | ({_UNREAD: self._unread} if self._unread else {})
 
     def look(
         self, number: KeyframeId, near: Sequence[KeyframeId] = (), adrift: Sequence[KeyframeId] = ()
     ) -> tuple[RelativePose, ...]:
-        """Where earlier keyframes show the place of one, which is known from now on.
+        """Return loops from a keyframe to earlier ones that show the same place, and add it to the known keyframes.
 
-        Keyframes come in order of time. Those that lie `near`, the nearest first, are verified as if recognised. While
-        nobody knows where in the map one lies, those that are `adrift` with it cannot tell: more others are asked.
+        Keyframes come in order of time. Keyframes `near` it, the nearest first, are verified as well. `adrift` are the
+        keyframes of its piece while that is not joined to the map; then more candidates of the map are verified.
         """
         keyframe = self._store[number]
         recent = self._known[bisect.bisect_right(self._stamps_s, keyframe.stamp_s - self._settings.apart_s) :]
         found = self.recognised(number, recent, near, adrift)
         self._learn(number, keyframe)
         return found
+
+    def pass_by(self, number: KeyframeId) -> tuple[RelativePose, ...]:
+        """Add a keyframe to the known ones without looking for loops."""
+        self._learn(number, self._store[number])
+        return ()
 
     def recognised(
         self,
@@ -114,19 +117,24 @@ class PlaceWatcher:
         near: Sequence[KeyframeId] = (),
         adrift: Sequence[KeyframeId] = (),
     ) -> tuple[RelativePose, ...]:
-        """Where keyframes that the recognizer knows, `but` some, show the place of one, which is not known by that.
+        """Return loops from a keyframe to known ones except `but`, without adding it to the known ones.
 
-        `near` and `adrift` as in `look`.
+        `near` and `adrift` are as in `look`.
         """
         keyframe = self._store[number]
         view = self._views.of_keyframe(keyframe)
         found: list[RelativePose] = []
         named = None if self._detector is None else self._named(self._detector, number, keyframe, {*but})
-        elsewhere = self._elsewhere(view, but, adrift, named)
+        elsewhere: Sequence[KeyframeId] = ()
+        if adrift and named is not None:
+            elsewhere = [one for one in named if one not in adrift][: self._settings.candidates_adrift]
+        elif adrift:
+            alike = self.recognizer.candidates(view, self._settings.candidates_adrift, {*but, *adrift})
+            elsewhere = [one.keyframe for one in alike]
         for candidate in dict.fromkeys((*elsewhere, *self._candidates(view, but, near, named))):
             try:
                 known = self._store.recalled(candidate, number)
-            except MapError:  # the disk is gone, or damaged there: the drive goes on without
+            except MapError:  # unreadable on disk: the drive continues without it
                 self._unread += 1
                 continue
             answer = self._verifier.verify(view, candidate, known)
@@ -140,7 +148,7 @@ class PlaceWatcher:
     def _named(
         self, detector: LoopDetector, number: KeyframeId, keyframe: Keyframe, but: Collection[KeyframeId]
     ) -> list[KeyframeId]:
-        """What a user's detector names, but some; keyframes that the recognizer has from before are shown first."""
+        """Return a user detector's candidates except `but`. Keyframes of the known map are passed to it first."""
         unshown, self._unshown = self._unshown, ()
         for known in unshown:
             try:
@@ -163,21 +171,6 @@ class PlaceWatcher:
         self._shown.add(number)
         return [KeyframeId(int(one)) for one in dict.fromkeys(numbers) if one not in but]
 
-    def _elsewhere(
-        self,
-        view: SeenView,
-        but: Collection[KeyframeId],
-        adrift: Sequence[KeyframeId],
-        named: Sequence[KeyframeId] | None,
-    ) -> tuple[KeyframeId, ...]:
-        """Those that look like a view, of the rest of the map; none where the view is known to lie in it."""
-        if not adrift:
-            return ()
-        if named is not None:
-            return tuple(one for one in named if one not in adrift)[: self._settings.candidates_adrift]
-        found = self.recognizer.candidates(view, self._settings.candidates_adrift, {*but, *adrift})
-        return tuple(one.keyframe for one in found)
-
     def _candidates(
         self,
         view: SeenView,
@@ -185,7 +178,7 @@ class PlaceWatcher:
         near: Sequence[KeyframeId],
         named: Sequence[KeyframeId] | None,
     ) -> tuple[KeyframeId, ...]:
-        """Those that look like a view, and some that lie near, each once."""
+        """Return keyframes that look like a view, and some near it, each once."""
         s = self._settings
         alike = (
             [one.keyframe for one in self.recognizer.candidates(view, s.candidates, but)]
@@ -197,30 +190,22 @@ class PlaceWatcher:
         left = max(s.candidates - min(s.near_candidates, len(others)), 0)
         return (*alike[:left], *others[: s.candidates - min(left, len(alike))][: s.near_candidates])
 
-    def pass_by(self, number: KeyframeId) -> tuple[RelativePose, ...]:
-        """Know a keyframe from now on, without asking what it shows."""
-        self._learn(number, self._store[number])
-        return ()
-
     def _learn(self, number: KeyframeId, keyframe: Keyframe) -> None:
         self.recognizer.add(number, keyframe)
         self._known.append(number)
         self._stamps_s.append(keyframe.stamp_s)
 
 
-# KnownMap: what an earlier drive has left, in which the next one finds itself.
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownMap:
-    """Keyframes of before, and what is known of where they are.
+    """Keyframes of an earlier drive, with their poses.
 
     Attributes:
-        store: has them; those of the drive that begins are added.
-        recognizer: knows all of them that can be recognised.
-        edges: between them; none of a map that is to stay as it is.
-        T_map_camera: (4, 4) where the camera begins, as somebody says; None: it is to be recognised.
-        covariance: (6, 6) of the left perturbation (v, ω) of that.
+        store: the keyframes. Those of the new drive are added to it.
+        recognizer: recognizer with the keyframes.
+        edges: edges between them; empty if the map is fixed.
+        T_map_camera: (4, 4) given start pose of the camera; None: the start is to be recognized.
+        covariance: (6, 6) of the left perturbation (v, ω) of T_map_camera.
     """
 
     store: KeyframeStore
@@ -231,15 +216,19 @@ class KnownMap:
 
     @property
     def start(self) -> tuple[FloatArray, FloatArray] | None:
-        """Where the camera begins, and how sure that is; None where nobody says."""
+        """Start pose of the camera with its covariance; None if it is not given."""
         if self.T_map_camera is None or self.covariance is None:
             return None
         return self.T_map_camera, self.covariance
 
     def priors(self, sigma_fixed: float, sigma_m: float, sigma_rad: float) -> list[Prior]:
-        """What holds its keyframes where they are: all but exactly, or as loosely as they may still move.
+        """Return priors of the keyframes: tight ones in a fixed map, looser ones in a map that is extended.
 
-        One that damage took has no pose: it lies anywhere, and nothing hangs on it.
+        A keyframe lost to damage has no pose. It gets an arbitrary one, and has no edges.
+
+        Args:
+            sigma_fixed: standard deviation in a fixed map, metres and radians.
+            sigma_m, sigma_rad: standard deviations in a map that is extended.
         """
         sigmas = [sigma_m] * 3 + [sigma_rad] * 3 if self.edges else [sigma_fixed] * 6
         C, T = np.diag(np.square(sigmas)), np.array(self.store.T_map_keyframe)

@@ -27,40 +27,38 @@ from wheelsight.slam.graph import (
     inverse_left_jacobian,
 )
 
-# GtsamPoseGraph: a pose graph solved by GTSAM, by iSAM2 while driving and by Levenberg–Marquardt as a whole.
-#
-# The only file that knows GTSAM (4.3 or newer). GTSAM's tangents are (ω, v) and its perturbations multiply from the
-# right; here they are turned into ours and back, exactly.
-
-
+# GTSAM's tangents are (ω, v) and its perturbations multiply from the right. They are converted exactly.
 _SWAPPED = np.array([3, 4, 5, 0, 1, 2])
-# A pose that has moved by less, in metres and radians, keeps its linear form: GTSAM's own default is 0.1.
+# iSAM2 keeps the linearization of poses that moved by less, metres and radians; GTSAM's default is 0.1.
 _RELINEARISE = 0.01
-_MOST_STEPS, _STEPS_OF_UPDATE = 100, 2
+_MOST_STEPS, _STEPS_OF_UPDATE = 100, 2  # of optimise and update
 _LEAST_GAIN = 1e-7
 
 
 def new_pose_graph(cauchy_scale: float = 1.0) -> PoseGraph:
-    """GTSAM's where it is installed, else our own."""
+    """Return a GTSAM pose graph, or the built-in one if GTSAM is not installed."""
     return OwnPoseGraph(cauchy_scale) if why_missing("gtsam") else GtsamPoseGraph(cauchy_scale)
 
 
 class GtsamPoseGraph(GraphContents):
-    """A `PoseGraph` of GTSAM. Raises ConfigError where that is not installed."""
+    """Pose graph solved by GTSAM (4.3 or newer): iSAM2 in `update`, Levenberg-Marquardt in `optimise`.
+
+    Raises ConfigError if GTSAM is not installed.
+    """
 
     def __init__(self, cauchy_scale: float = 1.0) -> None:
         super().__init__(cauchy_scale)
         self._gtsam = needed("gtsam")
         self._isam: Any = None
-        self._held = (0, 0, 0)  # keyframes, edges and priors that iSAM2 has
+        self._held = (0, 0, 0)  # numbers of keyframes, edges and priors in iSAM2
         self._marginals: Any = None
-        self._own: OwnPoseGraph | None = None  # tells covariances where GTSAM cannot
+        self._own: OwnPoseGraph | None = None  # fallback for covariances
 
     def update(self) -> None:
-        """What is new goes into iSAM2; after edges were taken out, or poses found as a whole, it begins anew."""
+        """Add new contents to iSAM2. It is rebuilt after a removal and after `optimise`."""
         self._need_prior()
         if self.unheld().any():
-            self.optimise()  # iSAM2 has no damping, and would hand out covariances of rounding errors
+            self.optimise()  # without damping, iSAM2's covariances would be rounding errors
             return
         if self._isam is None:
             parameters = self._gtsam.ISAM2Params()
@@ -74,7 +72,7 @@ class GtsamPoseGraph(GraphContents):
                 self._isam.update()
             self._T = self._poses_of(self._isam.calculateEstimate())
         except RuntimeError:
-            # What hangs by loops that have let go leaves its Cholesky factor short of digits; damped it is solved.
+            # With loops of little weight, the Cholesky factor loses precision; damping solves it.
             self.optimise()
             return
         self._held = (len(self), len(self._edges), len(self._priors))
@@ -102,26 +100,44 @@ class GtsamPoseGraph(GraphContents):
         """See `PoseGraph`."""
         return self._covariance([first, second])
 
+    def remove_edges(self, edges: Sequence[RelativePose]) -> None:
+        """See `PoseGraph`."""
+        super().remove_edges(edges)
+        self._isam = None
+
+    def remove_prior(self, prior: Prior) -> None:
+        """See `PoseGraph`."""
+        super().remove_prior(prior)
+        self._isam = None
+
+    def _changed(self) -> None:
+        self._marginals = self._own = None
+
     def _covariance(self, keyframes: list[KeyframeId]) -> FloatArray | None:
         self._need_prior()
         if self._own is None:
-            # Long ways whose loops have let go leave GTSAM's Cholesky factors short of digits; ours is LU.
+            # On long paths with loops of little weight, GTSAM's Cholesky factors lose precision; ours are LU.
             with suppress(RuntimeError):
                 source = self._source()
                 if source is not None:
-                    return self._by_gtsam(source, keyframes)
-            self._own = self._own_copy()
+                    return self._covariance_of(source, keyframes)
+            self._own = OwnPoseGraph(self.cauchy_scale)
+            for T in self._T:
+                self._own.add(se3.nearest(T))
+            for prior in self._priors:
+                self._own.add_prior(prior)
+            self._own.add_edges(self._edges)
         return self._own.marginal(*keyframes) if len(keyframes) == 1 else self._own.joint(*keyframes)
 
     def _source(self) -> Any:
-        """What tells covariances: iSAM2 where it holds all, else the graph linearised; None where a piece floats."""
+        """Return iSAM2 if it is up to date, else GTSAM's marginals; None if a component has no prior."""
         if self._isam is not None and self._held == (len(self), len(self._edges), len(self._priors)):
             return self._isam
         if self._marginals is None and not self.unheld().any():
             self._marginals = self._gtsam.Marginals(self._factors(0, 0), self._values(0))
         return self._marginals
 
-    def _by_gtsam(self, source: Any, keyframes: list[KeyframeId]) -> FloatArray:
+    def _covariance_of(self, source: Any, keyframes: list[KeyframeId]) -> FloatArray:
         keys = [int(one) for one in keyframes]
         if len(keys) == 1:
             blocks = [[source.marginalCovariance(keys[0])]]
@@ -131,15 +147,6 @@ class GtsamPoseGraph(GraphContents):
         Ad = se3.adjoint(self._T[keyframes])
         ours = Ad[:, None] @ np.array(blocks)[:, :, _SWAPPED][..., _SWAPPED] @ np.swapaxes(Ad, 1, 2)
         return np.concatenate(np.concatenate(ours, axis=1), axis=1)
-
-    def _own_copy(self) -> OwnPoseGraph:
-        other = OwnPoseGraph(self.cauchy_scale)
-        for T in self._T:
-            other.add(se3.nearest(T))
-        for prior in self._priors:
-            other.add_prior(prior)
-        other.add_edges(self._edges)
-        return other
 
     def _factors(self, from_edge: int, from_prior: int) -> Any:
         gtsam, graph = self._gtsam, self._gtsam.NonlinearFactorGraph()
@@ -156,7 +163,7 @@ class GtsamPoseGraph(GraphContents):
         return graph
 
     def _noise(self, T: FloatArray, covariance: FloatArray) -> Any:
-        """Of the right perturbation (ω, v) that amounts to a left one (v, ω): it is seen from the far end."""
+        """Return the noise of the right perturbation (ω, v) that equals a left one (v, ω)."""
         Ad = se3.adjoint(se3.invert(T))
         C = Ad @ covariance @ Ad.T
         return self._gtsam.noiseModel.Gaussian.Covariance(((C + C.T) / 2)[np.ix_(_SWAPPED, _SWAPPED)])
@@ -170,28 +177,10 @@ class GtsamPoseGraph(GraphContents):
     def _poses_of(self, values: Any) -> FloatArray:
         return np.array([values.atPose3(keyframe).matrix() for keyframe in range(len(self))])
 
-    def remove_edges(self, edges: Sequence[RelativePose]) -> None:
-        """See `PoseGraph`."""
-        super().remove_edges(edges)
-        self._isam = None
-
-    def remove_prior(self, prior: Prior) -> None:
-        """See `PoseGraph`."""
-        super().remove_prior(prior)
-        self._isam = None
-
-    def _changed(self) -> None:
-        self._marginals = self._own = None
-
-
-# OwnPoseGraph: a pose graph solved by Levenberg–Marquardt with scipy's sparse factors alone.
-#
-# It stands in where GTSAM has no wheel, and is what GTSAM's answers are tested against.
-
 
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-5, 1e-12, 1e10
-_MOST_STEPS_OF_OWN, _STEPS_OF_OWN_UPDATE = 100, 3
-# A step that gains less than this share of the cost is the last.
+_MOST_STEPS_OF_OWN, _STEPS_OF_OWN_UPDATE = 100, 3  # of optimise and update
+# Iterations end when the relative decrease of the cost is smaller.
 _LEAST_GAIN_OF_OWN = 1e-7
 _SIDE = np.arange(6)
 
@@ -208,7 +197,10 @@ class _Linear(NamedTuple):
 
 
 class OwnPoseGraph(GraphContents):
-    """A `PoseGraph` of numpy and scipy."""
+    """Pose graph solved by Levenberg-Marquardt with scipy's sparse factors.
+
+    It is used where GTSAM has no wheel, and tests compare GTSAM's results with it.
+    """
 
     def __init__(self, cauchy_scale: float = 1.0) -> None:
         super().__init__(cauchy_scale)
@@ -216,7 +208,7 @@ class OwnPoseGraph(GraphContents):
         self._problem: _Problem | None = None
 
     def update(self) -> None:
-        """Some steps from where the poses are."""
+        """Do some iterations from the current poses."""
         self._descend(_STEPS_OF_OWN_UPDATE)
 
     def optimise(self, T_start: FloatArray | None = None) -> float:
@@ -224,6 +216,28 @@ class OwnPoseGraph(GraphContents):
         if T_start is not None:
             self._T = np.array(T_start, float).reshape(len(self), 4, 4)
         return self._descend(_MOST_STEPS_OF_OWN)
+
+    def _descend(self, most_steps: int) -> float:
+        """Minimise by Levenberg-Marquardt, and return the final cost."""
+        problem, damping = self._as_arrays(), _FIRST_DAMPING
+        cost = _cost(self._T, problem)
+        for _ in range(most_steps):
+            linear, gain = _linearised(self._T, problem), 0.0
+            H = linear.information
+            while damping < _MOST_DAMPING:
+                factor = _factor((H + sparse.diags_array(damping * H.diagonal())).tocsc())
+                if factor is not None:
+                    T_tried = se3.exp(-factor.solve(linear.gradient).reshape(-1, 6)) @ self._T
+                    cost_tried = _cost(T_tried, problem)
+                    if cost_tried <= cost:
+                        gain, damping = cost - cost_tried, max(damping / 10, _LEAST_DAMPING)
+                        self._T, cost = T_tried, cost_tried
+                        break
+                damping *= 10
+            if gain <= _LEAST_GAIN_OF_OWN * cost:
+                break
+        self._held_factor = None
+        return cost
 
     def marginal(self, keyframe: KeyframeId) -> FloatArray | None:
         """See `PoseGraph`."""
@@ -243,37 +257,19 @@ class OwnPoseGraph(GraphContents):
         unit = np.zeros((factor.shape[0], len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
         C = factor.solve(unit)[rows]
-        is_told = np.isfinite(C).all() and (np.diag(C) > 0).all()
-        return np.asarray((C + C.T) / 2) if is_told else None
+        is_valid = np.isfinite(C).all() and (np.diag(C) > 0).all()
+        return np.asarray((C + C.T) / 2) if is_valid else None
 
     def _factor_of_held(self) -> tuple[SuperLU | None, IntArray]:
-        """Of the information of keyframes that a prior holds, and the row (N,) of each in it, or -1.
+        """Factor the information of keyframes connected to a prior; return it with the row (N,) of each keyframe, or
+        -1.
 
-        One that floats would make the whole matrix singular, and take from all others what is known of them.
+        An unconnected keyframe would make the whole matrix singular.
         """
         information, is_held = _linearised(self._T, self._as_arrays()).information, self.unheld() == 0
         rows = np.flatnonzero(np.repeat(is_held, 6))
         row = np.where(is_held, np.cumsum(is_held) - 1, -1)
         return _factor(information[rows][:, rows].tocsc()), row
-
-    def _descend(self, most_steps: int) -> float:
-        """Levenberg–Marquardt; answers with the cost that is left."""
-        problem, damping = self._as_arrays(), _FIRST_DAMPING
-        cost = _cost(self._T, problem)
-        for _ in range(most_steps):
-            linear, gain = _linearised(self._T, problem), 0.0
-            while damping < _MOST_DAMPING:
-                T_tried = _stepped(self._T, linear, damping)
-                cost_tried = np.inf if T_tried is None else _cost(T_tried, problem)
-                if T_tried is not None and cost_tried <= cost:
-                    gain, damping = cost - cost_tried, max(damping / 10, _LEAST_DAMPING)
-                    self._T, cost = T_tried, cost_tried
-                    break
-                damping *= 10
-            if gain <= _LEAST_GAIN_OF_OWN * cost:
-                break
-        self._held_factor = None
-        return cost
 
     def _as_arrays(self) -> _Problem:
         self._need_prior()
@@ -286,19 +282,12 @@ class OwnPoseGraph(GraphContents):
 
 
 def _factor(information: sparse.csc_array) -> SuperLU | None:
-    """None where the matrix is singular, as far as its digits go."""
+    """Return the LU factor, or None if the matrix is numerically singular."""
     try:
-        # What is symmetric and positive definite needs no pivots, and fills up least so.
+        # A symmetric positive definite matrix needs no pivoting, and has the least fill-in without it.
         return splu(information, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     except RuntimeError:
         return None
-
-
-def _stepped(T: FloatArray, linear: _Linear, damping: float) -> FloatArray | None:
-    """Poses a step on, or None where more damping is needed to tell of one."""
-    H = linear.information
-    factor = _factor((H + sparse.diags_array(damping * H.diagonal())).tocsc())
-    return None if factor is None else se3.exp(-factor.solve(linear.gradient).reshape(-1, 6)) @ T
 
 
 def _cost(T: FloatArray, problem: _Problem) -> float:
@@ -313,7 +302,7 @@ def _squares(errors: FloatArray, whitening: FloatArray) -> FloatArray:
 
 
 def _linearised(T: FloatArray, problem: _Problem) -> _Linear:
-    """Normal equations; each loop has the weight that Cauchy's kernel leaves it."""
+    """Return the normal equations, with robust weights of loops."""
     edges, (at, T_inverse, W_prior), n = problem.edges, problem.priors, len(T)
     r = edge_errors(T, edges)
     chi2 = _squares(r, edges.whitening)
@@ -329,20 +318,11 @@ def _linearised(T: FloatArray, problem: _Problem) -> _Linear:
     np.add.at(gradient, edges.first, -g)
     np.add.at(gradient, edges.second, g)
     np.add.at(gradient, at, np.einsum("pij,pi->pj", J_prior, (W_prior @ r_prior[..., None])[..., 0]))
-    every = np.arange(n)
-    return _Linear(
-        _sparse(
-            np.concatenate([every, edges.first, edges.second]),
-            np.concatenate([every, edges.second, edges.first]),
-            np.concatenate([blocks, -B, -B]),
-            n,
-        ),
-        gradient.ravel(),
-    )
-
-
-def _sparse(rows: IntArray, columns: IntArray, blocks: FloatArray, n: int) -> sparse.csc_array:
-    """A matrix (6N, 6N) of blocks (K, 6, 6); those in one place are summed up."""
-    i = np.broadcast_to((6 * rows[:, None] + _SIDE)[:, :, None], blocks.shape)
-    j = np.broadcast_to((6 * columns[:, None] + _SIDE)[:, None, :], blocks.shape)
-    return sparse.coo_array((blocks.ravel(), (i.ravel(), j.ravel())), shape=(6 * n, 6 * n)).tocsc()
+    every, all_blocks = np.arange(n), np.concatenate([blocks, -B, -B])
+    rows = np.concatenate([every, edges.first, edges.second])
+    columns = np.concatenate([every, edges.second, edges.first])
+    i = np.broadcast_to((6 * rows[:, None] + _SIDE)[:, :, None], all_blocks.shape)
+    j = np.broadcast_to((6 * columns[:, None] + _SIDE)[:, None, :], all_blocks.shape)
+    # Blocks in the same place are summed.
+    information = sparse.coo_array((all_blocks.ravel(), (i.ravel(), j.ravel())), shape=(6 * n, 6 * n)).tocsc()
+    return _Linear(information, gradient.ravel())
