@@ -27,11 +27,9 @@ from wheelsight_sim.simulate import simulate
 
 HISTOGRAMS, LAYOUT = HistogramDescriber(), LayoutDescriber()
 _MADE_BY = (
-    "simulation/**/*.py",
-    "places/*histograms.py",
-    "places/*layout.py",
-    "places/*kernels.py",
-    "places/describer.py",
+    "wheelsight_sim/**/*.py",
+    "wheelsight/places/describers.py",
+    "wheelsight/places/describer_kernels.py",
 )
 _THREADS = 2
 # Physics of a second take about as long as half a frame.
@@ -174,7 +172,7 @@ def _row(frame: RgbdFrame, advance: Any) -> tuple[Any, ...]:
 
 def _code() -> str:
     """Of the files whose change would make another drive."""
-    root = Path(wheelsight.__file__).parent
+    root = Path(wheelsight.__file__).parent.parent
     digest = hashlib.sha256()
     for path in sorted({path for pattern in _MADE_BY for path in root.glob(pattern)}):
         digest.update(path.read_bytes())
