@@ -311,7 +311,7 @@ def test_ctrl_c_stops_the_robot_first_and_says_so(
     assert stopped[0] == pytest.approx(1.5, abs=0.06)
     told = json.loads((tmp_path / "drive" / "drive.json").read_text())
     assert told["interrupted"] is True
-    assert told["goals"][0]["reason"] == "it was called off"
+    assert told["goals"][0]["reason"] == "the task was canceled"
 
 
 @pytest.mark.slow

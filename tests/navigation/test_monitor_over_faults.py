@@ -22,7 +22,7 @@ from wheelsight.navigation.controllers import PurePursuitController
 from wheelsight.navigation.costmap import LiveLayer
 from wheelsight.navigation.path_following import Controller, ControlReason, ControlResult, DrivenPath, MotionState
 from wheelsight.navigation.planner import Plan
-from wheelsight.navigation.planning import CautiousPlan, CautiousPlanner, Look, Planning
+from wheelsight.navigation.planning import CautiousPlan, CautiousPlanner, PlanCheck, Planning
 from wheelsight.navigation.senses import Senses
 from wheelsight.navigation.settings import PeopleSettings
 
@@ -146,7 +146,7 @@ class Faults:
     def plans_through(self) -> None:
         """It plans through the wall, and finds each plan free for ever."""
         self.patch.setattr(CautiousPlanner, "plan", lambda planner, *asked: straight_on(*asked))
-        self.patch.setattr(Planning, "look", lambda planning, *asked: Look("", is_free=True))
+        self.patch.setattr(Planning, "look", lambda planning, *asked: PlanCheck("", is_free=True))
         self.patch.setattr(Planning, "is_free", lambda planning, *asked: True)
 
     def controller(self, controller: Controller) -> None:

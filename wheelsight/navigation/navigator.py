@@ -1,5 +1,8 @@
-"""Navigator: drives a robot to its goals, one control period after another. Its ControlChain passes each command
-through a velocity ramp and the collision monitor.
+"""Navigator: drives a robot to its goals, one control period after another.
+
+`Navigator.step` is the whole of a period: a state machine over planner, controller and recovery behaviours. A
+`ControlChain` passes each requested command through a velocity ramp and the collision monitor. The monitor's command
+is the one that the robot gets.
 """
 
 from __future__ import annotations
@@ -43,34 +46,30 @@ from wheelsight.navigation.task import (
 )
 from wheelsight.navigation.workers import Worker
 
-# Navigator: drives a robot to its goals, period by period. The whole of it on one screen: `step`.
-#
-# A small explicit state machine over planner, controller and behaviours. What it asks for passes a `ControlChain`,
-# whose collision monitor alone decides what the robot is told.
-
-
+# The time in which `Navigator.run` waits for a standstill after the task is complete.
 _STOPPING_S = 5.0
-# So many goals are left out one after another before it is the robot that has to get out of something.
+# Consecutive goals to skip before the robot recovers instead: then it is the robot that is blocked.
 _SKIPS = 2
 
 
 class Navigator(OneCaller):
-    """Leads one robot; `step` once a period, or `run`.
+    """Drives one robot: call `step` once per period, or `run`.
 
     Args:
-        robot: that is led; used in a `with` block by whoever made it.
-        localization: says where it is.
-        floor: what is known of the building.
-        settings: or the defaults.
-        planning: what makes its plans: in step, for simulators, or beside; None: in step. Whoever made it closes it.
-        planner, controller: of your own, in place of the built-in ones; limits and collision monitor stay.
-        trusts_floor: whether the floor that the camera cannot see from where the robot is, next to it, is free at the
-            begin, as somebody says who looked. Without it a robot whose camera sees it only farther off stays.
-        on_transition: called with each change of state.
+        robot: the robot to drive; the caller opens and closes it.
+        localization: source of the pose.
+        floor: the known part of the building.
+        settings: all settings of navigation; None for the defaults.
+        planning: worker that computes plans, in step (for simulators) or in a thread; None for in step. The caller
+            closes it.
+        planner, controller: replacements of the built-in ones; limits and collision monitor still apply.
+        trusts_floor: whether the floor near the robot, below the camera's view, is free at the start. Set it only if a
+            person has looked. Otherwise a robot whose camera sees the floor farther away only does not move.
+        on_transition: callback for each change of state.
 
     Attributes:
-        state: what it is about.
-        monitor: the collision monitor, which has the last word.
+        state: current state.
+        monitor: the collision monitor, which decides on the final command.
 
     Raises:
         ArgumentError, MapError, CalibrationError: as `Senses`; ArgumentError also for a part without its method.
@@ -110,41 +109,45 @@ class Navigator(OneCaller):
 
     @property
     def footprint(self) -> Footprint:
-        """Of the robot."""
+        """Outline of the robot."""
         return self._footprint
 
     @property
     def senses(self) -> Senses:
-        """What it goes by."""
+        """Sensor data and the surroundings derived from it."""
         return self._senses
 
     def go_to_pose(self, goal: ArrayLike, name: str = "") -> None:
-        """Begin to drive to x, y, yaw (3,) in the map, or to x and y (2,). Raises ArgumentError for what is no pose."""
+        """Start to drive to x, y, yaw (3,) in the map, or to x and y (2,). Raises ArgumentError if it is not a pose."""
         self.begin(Poses([goal], name))
 
     def go_through_poses(self, goals: Sequence[ArrayLike], name: str = "") -> None:
-        """Begin to drive to several, with a stop at each. Raises ArgumentError."""
+        """Start to drive to several poses, with a stop at each. Raises ArgumentError."""
         self.begin(Poses(goals, name))
 
     def follow_way(self, way: ArrayLike, name: str = "a recorded way") -> None:
-        """Begin to drive along a way (N, 3) that was driven before. Raises ArgumentError."""
+        """Start to drive along a recorded path (N, 3). Raises ArgumentError."""
         self.begin(Way(way, self.settings.navigator.through_m, name))
 
     def explore(self) -> None:
-        """Begin to look at all floor that can be reached, of a map that grows."""
+        """Start to explore all reachable floor of a growing map."""
         self.begin(Exploration(self._footprint, self.settings, self._senses.near_m, self._senses.half_view_rad))
 
     @one_at_a_time
     def why_no_goal(self, goal: ArrayLike) -> str:
-        """Why no plan can end at x, y, yaw (3,) in a map of before, or x, y (2,), such as a wall there; empty else.
+        """Return why no plan can end at a goal, such as a wall there; empty if one can.
 
-        It takes as long as a plan's costmap: ask before a drive, not during one. Raises ArgumentError.
+        Only a map from an earlier session gives a reason. This takes as long as the costmap of a plan: call it before a
+        drive, not during one. Raises ArgumentError.
+
+        Args:
+            goal: (3,) x, y, yaw in the map, or (2,) x and y.
         """
         return self._planning.why_no_goal(checked_goal(goal))
 
     @one_at_a_time
     def begin(self, goals: Goals) -> None:
-        """Begin a task; one that goes on is called off."""
+        """Start a task. Cancels the current one."""
         if not self.is_task_complete():
             self.cancel_task()
         self._result = None
@@ -152,20 +155,20 @@ class Navigator(OneCaller):
         self._task, self._stepped_s = Task(goals, self._robot.now_s), self._robot.now_s
         self._become(NavigationState.PLANNING, f"to {goals.name}")
         if self._senses.where.is_known(self.settings.navigator.unsure_m):
-            # While the next period goes by, and not after it.
+            # The plan is ready a period earlier if it is requested now.
             self._planning.ask(goals, self._robot.now_s)
 
     def cancel_task(self) -> None:
-        """Stand; the robot brakes in the steps to come."""
+        """Cancel the task; the robot brakes during the next steps."""
         if not self.is_task_complete():
-            self._fail(NavigationReason.CANCELED, "by whoever leads it")
+            self._fail(NavigationReason.CANCELED, "by the caller")
 
     @one_at_a_time
     def clear_obstacles(self, xy: ArrayLike, radius_m: float = 1.0) -> None:
-        """Forget what the camera met about x and y (2,) in the map, metres: a person sees that nothing is there.
+        """Remove the obstacles that the camera detected near x and y (2,) in the map, because a person sees none there.
 
-        What stands there is met again with the next image that shows it. What the map itself has stays. Where it is
-        not known where the robot is, nothing happens. Raises ArgumentError for what is no place.
+        Real obstacles return with the next image that shows them. Obstacles of the map stay. Without a known pose,
+        nothing happens. Raises ArgumentError for an invalid place or radius.
         """
         at = checked_goal(np.asarray(xy, float).ravel()[:2])
         if not 0 < radius_m < math.inf:
@@ -175,23 +178,23 @@ class Navigator(OneCaller):
             self._task.checked_s = -math.inf
 
     def is_task_complete(self) -> bool:
-        """Whether there is nothing to do, or nothing more."""
+        """Return whether no task is active."""
         return self.state in (NavigationState.IDLE, NavigationState.ARRIVED, NavigationState.FAILED)
 
     @property
     def result(self) -> NavigationResult | None:
-        """Of the last task, once it is complete."""
+        """Result of the last task; None until it is complete."""
         return self._result
 
     def go_to(self, goal: ArrayLike, on_step: Callable[[Feedback], None] = lambda feedback: None) -> NavigationResult:
-        """Drive there and stand; called with each period's feedback. Raises as `go_to_pose` and the robot do."""
+        """Drive to a goal and stop; `on_step` gets each period's feedback. Raises as `go_to_pose` and the robot do."""
         self.go_to_pose(goal)
         return self.run(on_step)
 
     def run(self, on_step: Callable[[Feedback], None] = lambda feedback: None) -> NavigationResult:
-        """Go on until the task is complete and the robot stands. Raises what the robot raises; ask for a task first.
+        """Run steps until the task is complete and the robot stands. Begin a task first. Raises what the robot raises.
 
-        Where nothing tells that it stands, as with encoders that died, that is waited for no longer than a stop takes.
+        If no reading confirms the standstill, as with failed encoders, it waits for at most `_STOPPING_S`.
         """
         while not self.is_task_complete():
             on_step(self.step())
@@ -203,10 +206,10 @@ class Navigator(OneCaller):
 
     @one_at_a_time
     def step(self) -> Feedback:
-        """One period: obey, sense, decide, and let the monitor check. Raises what the robot raises.
+        """Run one period: send the command, read the sensors, decide, and check the next command.
 
-        A part that does not answer stops the motors at once. The task goes on where it answers within
-        `navigator.held_s`, and fails after that.
+        A part that does not answer stops the motors at once. The task continues if the part answers within
+        `navigator.held_s`, and fails otherwise. Raises what the robot raises.
         """
         events = self._robot.step(self._chain.command)
         now_s, before_s = self._robot.now_s, self._stepped_s
@@ -223,13 +226,17 @@ class Navigator(OneCaller):
         if self._task is not None and self._task.silent_for_s(now_s, silent is not None) > most_s:
             self._fail(NavigationReason.SILENT, f"{silent}, for {most_s:g} s")
         asked = STOP if silent else self._decide(now_s)
-        self._halt(silent)
+        # A part that is silent while the robot moves removes the motors' voltage until the part answers again.
+        self._is_halted = silent is not None and (self._is_halted or self._is_moving())
+        if self._is_halted and not self._robot.stop_reason:
+            with suppress(WheelsightError):  # a controller that does not confirm stops by its own watchdog
+                self._robot.stop()
         stands_by_itself = bool(self._robot.stop_reason)
         self._chain.ask(asked, now_s, self._senses.where, stands_by_itself=stands_by_itself, silent=silent)
         return self.feedback
 
     def _silent_part(self, now_s: float) -> MonitorReason | None:
-        """The part that has not answered for too long; of planning only while the robot drives, or comes to a stand."""
+        """Return the part whose answer is overdue. The planner counts only while the robot drives or brakes."""
         if self._senses.where.is_silent:
             return MonitorReason.LOCALIZATION_SILENT
         if self.monitor.is_camera_silent(now_s):
@@ -240,19 +247,12 @@ class Navigator(OneCaller):
         return MonitorReason.PLANNER_SILENT if is_driving and self._planning.is_silent(now_s) else None
 
     def _is_moving(self) -> bool:
-        """Whether the robot rolls, or is asked to."""
+        """Return whether the robot moves or has a command to move."""
         return not (self._chain.command.is_stop and self._stands())
-
-    def _halt(self, silent: MonitorReason | None) -> None:
-        """Keep the motors of a robot without a voltage from when it moved until the part answers again."""
-        self._is_halted = silent is not None and (self._is_halted or self._is_moving())
-        if self._is_halted and not self._robot.stop_reason:
-            with suppress(WheelsightError):  # a controller that does not confirm stops by its own watchdog
-                self._robot.stop()
 
     @property
     def feedback(self) -> Feedback:
-        """How the task goes on."""
+        """State and progress of the task."""
         where, state, task = self._senses.where, self._senses.where.state, self._task
         plan = task.plan if task is not None and not self.is_task_complete() else None
         return Feedback(
@@ -269,13 +269,13 @@ class Navigator(OneCaller):
             monitor=self._chain.checked,
             doing="" if task is None else task.doing,
             goals_left=0 if task is None else task.goals.left,
-            # A stop by the navigator has the monitor's reason.
+            # For a stop by the navigator itself, the monitor has the reason.
             robot_stop="" if self._is_halted and self._robot.stop_reason == STOPPED else self._robot.stop_reason,
             stays_at=None if self.is_task_complete() else self._senses.what_stays(),
         )
 
     def _decide(self, now_s: float) -> VelocityCommand:
-        """What to ask for, by state."""
+        """Return the requested command, by state."""
         self._predicted = np.empty((0, 3))
         task = self._task
         if task is None or self.is_task_complete():
@@ -296,7 +296,7 @@ class Navigator(OneCaller):
         return ways[self.state](task, now_s)
 
     def _why_over(self, task: Task, now_s: float) -> tuple[NavigationReason, str] | None:
-        """Why the task cannot go on, whatever it does now."""
+        """Return why the task cannot continue in any state; None if it can."""
         if self._chain.checked.reason is MonitorReason.WHEELS_OFF:
             return NavigationReason.DISOBEYS, "look at the wheels, then clear the fault"
         if task.stopped_for_s(now_s, bool(self._robot.stop_reason)) > self.settings.navigator.held_s:
@@ -304,7 +304,7 @@ class Navigator(OneCaller):
         return task.why_over(now_s, self.settings)
 
     def _plan(self, task: Task, now_s: float) -> VelocityCommand:
-        """Plan, and drive; or get out of what makes it impossible."""
+        """Wait for a plan and drive it, or recover if there is none."""
         if not self._senses.where.is_known(self.settings.navigator.unsure_m):
             return self._look_about(task, self._senses.where.why_unknown(self.settings.navigator.unsure_m))
         if not self._planning.is_asked:
@@ -314,11 +314,11 @@ class Navigator(OneCaller):
             self._planning.drop()
             return self._fail(NavigationReason.SILENT, MonitorReason.PLANNER_SILENT)
         command = STOP if planned is None else self._take(task, planned, now_s)
-        # Not a period later: whoever asked for it waits.
+        # In the same period, so that the caller does not wait for another one.
         return self._drive(task, now_s) if self.state is NavigationState.DRIVING else command
 
     def _take(self, task: Task, planned: Planned, now_s: float) -> VelocityCommand:
-        """Go by what came of a plan."""
+        """Act on the answer of the planner."""
         task.goals.taken()
         task.passes_hidden |= planned.passes_hidden
         if planned.found is None and task.beside:
@@ -337,7 +337,7 @@ class Navigator(OneCaller):
         return STOP
 
     def _without_plan(self, task: Task, failure: PlanFailure) -> VelocityCommand:
-        """There may be one when somebody has gone, or more is seen; of a goal that may be left out there is another."""
+        """Skip the goal, recover or give up. A plan may exist once people have left or more floor is visible."""
         why = f"{failure.reason}: {failure.detail}"
         if not failure.reason.is_for_good and (stays := stays_words(self._senses.what_stays())):
             why = f"{why}; {stays}"
@@ -347,12 +347,12 @@ class Navigator(OneCaller):
             return STOP
         if not failure.reason.is_for_good and task.may_try(self.settings.navigator):
             return self._get_out(task, why)
-        # What it did since, such as backing up, may have led to the last reason alone.
+        # If the last reason differs, the recovery itself, such as backing up, may have caused it.
         is_same = task.why_first.startswith(failure.reason)
         return self._give_up(task, NavigationReason.NO_PLAN, why if is_same else f"{task.why_first}; at last {why}")
 
     def _drive(self, task: Task, now_s: float) -> VelocityCommand:
-        """Follow the plan while it holds."""
+        """Follow the plan while it is valid."""
         s, where = self.settings.navigator, self._senses.where
         state, local, plan = where.state, self._senses.local(), task.plan
         if (why := where.why_unknown(s.unsure_m)) or state is None or local is None or plan is None:
@@ -362,11 +362,11 @@ class Navigator(OneCaller):
             if task.goals.is_met(state.pose, self._senses.floor.layer):
                 return self._reached(task)
             if not self._may_go_on(task, plan, now_s):
-                self._become(NavigationState.PLANNING, task.why_anew)
+                self._become(NavigationState.PLANNING, task.replan_reason)
                 return STOP
         planned = self._planning.answer(now_s) if self._planning.is_asked else None
         if planned is not None:
-            self._become(NavigationState.PLANNING, task.why_anew)
+            self._become(NavigationState.PLANNING, task.replan_reason)
             command = self._take(task, planned, now_s)
             if self.state is not NavigationState.DRIVING or task.plan is None:
                 return command
@@ -379,11 +379,11 @@ class Navigator(OneCaller):
         return self._follow(task, result, now_s)
 
     def _may_go_on(self, task: Task, plan: Plan, now_s: float) -> bool:
-        """Whether the plan is free; who drives on asks for another a period after the look: both take too long."""
+        """Return whether the plan is free. A new plan is requested a period after the check, as both take long."""
         if self._planning.is_asked:
             return self._planning.is_free(plan, self.settings.navigator.onward_m)
-        if task.wants_anew:
-            task.wants_anew = False
+        if task.wants_replan:
+            task.wants_replan = False
             self._planning.ask(task.goals, now_s)
         if self._planning.is_asked or now_s - task.planned_s < self.settings.navigator.anew_s:
             return True
@@ -391,12 +391,12 @@ class Navigator(OneCaller):
         if not look.is_free:
             self._planning.ask(task.goals, now_s)
         elif look.why:
-            task.wants_anew, task.checked_s = True, -math.inf
-        task.why_anew = look.why
+            task.wants_replan, task.checked_s = True, -math.inf
+        task.replan_reason = look.why
         return look.is_free
 
     def _follow(self, task: Task, result: ControlResult, now_s: float) -> VelocityCommand:
-        """What comes of a controller's answer."""
+        """Act on the result of the controller."""
         if result.reason is ControlReason.ARRIVED:
             return self._reached(task)
         if result.reason in (ControlReason.MISSED, ControlReason.OFF_PATH, ControlReason.NO_PATH):
@@ -416,7 +416,7 @@ class Navigator(OneCaller):
         return result.command
 
     def _reached(self, task: Task) -> VelocityCommand:
-        """Go on to the next goal; who stands on this one is waited for once."""
+        """Continue with the next goal. If the plan ended beside the goal because of a person, wait there once."""
         self._planning.drop()
         if self._planning.is_busy:
             return STOP
@@ -429,7 +429,7 @@ class Navigator(OneCaller):
         return STOP
 
     def _recover(self, task: Task, now_s: float) -> VelocityCommand:
-        """Do what was begun, then plan anew."""
+        """Continue the recovery behaviour, then plan again."""
         where = self._senses.where
         if task.is_lost and (is_known := where.is_known(self.settings.navigator.unsure_m)):
             self._become(NavigationState.PLANNING, "it knows where it is")
@@ -446,7 +446,7 @@ class Navigator(OneCaller):
         return STOP
 
     def _get_out(self, task: Task, why: str, stopped_by: MonitorReason | None = None) -> VelocityCommand:
-        """Do something to get on, or give up."""
+        """Start a recovery behaviour, or give up."""
         if not task.may_try(self.settings.navigator):
             return self._give_up(task, NavigationReason.BLOCKED, why)
         self._planning.drop()
@@ -455,7 +455,7 @@ class Navigator(OneCaller):
         return STOP
 
     def _give_up(self, task: Task, reason: NavigationReason, why: str) -> VelocityCommand:
-        """Go on without a goal that nothing leads to; of a task that wants it, this is the end."""
+        """Continue without an unreachable goal; fail if the task requires it."""
         self._planning.drop()
         if self._planning.is_busy:
             return STOP
@@ -467,13 +467,14 @@ class Navigator(OneCaller):
         return STOP
 
     def _look_about(self, task: Task, why: str) -> VelocityCommand:
+        """Start a behaviour that finds the robot's pose."""
         self._planning.drop()
         task.search(self.settings, self._senses.where.status, self._chain.checked, self._senses.open_way())
         self._become(NavigationState.RECOVERING, f"{why}; {task.doing}")
         return STOP
 
     def _fail(self, reason: NavigationReason, detail: str) -> VelocityCommand:
-        """Stand, and say why; the task is over."""
+        """End the task with a reason, and stop."""
         task = self._task
         if task is not None and not self.is_task_complete():
             self._become(NavigationState.FAILED, f"{reason}: {detail}")
@@ -481,6 +482,7 @@ class Navigator(OneCaller):
         return STOP
 
     def _become(self, state: NavigationState, why: str) -> None:
+        """Change the state and report the transition."""
         transition = Transition(self._robot.now_s, self.state, state, why)
         self.state = state
         if self._task is not None:
@@ -488,23 +490,21 @@ class Navigator(OneCaller):
         self._on_transition(transition)
 
     def _stands(self) -> bool:
+        """Return whether the wheels stand still, or have given no reading yet."""
         speed = self._senses.where.speed
         return self.settings.follow.stands(speed.forward_m_s, speed.turn_rad_s) or not math.isfinite(speed.stamp_s)
 
 
-# ControlChain: what a navigator asks for passes a ramp and the collision monitor, which decides on the command.
-
-
 class ControlChain:
-    """See the module.
+    """Passes each requested command through a velocity ramp and the collision monitor.
 
     Args:
-        settings: of the robot.
+        settings: limits, footprint and monitor of the robot.
 
     Attributes:
-        monitor: has the last word.
-        checked: what it made of the last command.
-        was_backward: whether the last command that it stopped led backward.
+        monitor: decides on the final command.
+        checked: the monitor's result for the last command.
+        was_backward: whether the last command that the monitor stopped was backward.
     """
 
     def __init__(self, settings: NavigationSettings) -> None:
@@ -518,7 +518,7 @@ class ControlChain:
 
     @property
     def command(self) -> VelocityCommand:
-        """What the robot is to be told."""
+        """Command for the robot."""
         return self.checked.command
 
     def ask(
@@ -530,15 +530,23 @@ class ControlChain:
         stands_by_itself: bool,
         silent: MonitorReason | None = None,
     ) -> None:
-        """Take the command of a period; a robot that stands by itself does not obey it.
+        """Compute the command of a period.
 
-        `silent` is the part that does not answer: the command is a stop.
+        Args:
+            asked: command that the navigator requests.
+            now_s: time of the period.
+            where: pose and its status.
+            stands_by_itself: whether the robot has stopped by itself, and does not obey.
+            silent: the part that does not answer; with one the command is a stop.
         """
         if stands_by_itself:
-            # Told less and less while it stands by itself, it would seem not to obey, and would not be told to stand.
+            # A ramp down during its own stop would look like disobedience, and would delay the stop command.
             self._ramp.follow(STOP)
         ramped = self._ramp.step(asked.forward_m_s, asked.turn_rad_s, self._period_s)
-        self.checked = self.monitor.check(ramped, now_s, _status_to_drive(where), silent)
+        # Without a place in the map, but with a known motion, the robot may turn to search for it.
+        is_searching = where.status is Status.INITIALIZING and where.is_rolling
+        status = Status.COASTING if is_searching else where.status
+        self.checked = self.monitor.check(ramped, now_s, status, silent)
         if self.checked.state is not MonitorState.FREE:
             self._ramp.follow(self.checked.command)
         if self.checked.state is MonitorState.STOPPED:
@@ -546,12 +554,12 @@ class ControlChain:
             self.was_backward = asked.forward_m_s < 0
 
     def stopped_by(self, since_s: float) -> MonitorReason | None:
-        """Why the monitor last stopped the robot since then: a controller knows no more than that it does not move."""
+        """Return why the monitor last stopped the robot since a time. A controller only knows that it does not move."""
         return self._stopped[1] if self._stopped[0] >= since_s else None
 
 
 def controller_of(footprint: Footprint, settings: NavigationSettings, own: Controller | None = None) -> Controller:
-    """A user's own, else the one that settings name."""
+    """Return a user's own controller, else the one that the settings name."""
     if own is not None:
         return OwnController(own, settings.follow.goal_m, settings.follow.goal_rad)
     if settings.controller == "mppi":
@@ -559,20 +567,11 @@ def controller_of(footprint: Footprint, settings: NavigationSettings, own: Contr
     return PurePursuitController(footprint, settings.limits, settings.pure_pursuit, settings.follow)
 
 
-def _status_to_drive(where: WhereNow) -> Status:
-    """For the monitor: whoever does not know where in the map it is, but how it moves, may turn and look about."""
-    is_searching = where.status is Status.INITIALIZING and where.is_rolling
-    return Status.COASTING if is_searching else where.status
-
-
-# VelocityRamp: commands that a base can follow, whatever is asked.
-
-
 class VelocityRamp:
-    """Keeps `RobotLimits`: speed, acceleration and jerk, from one command to the next.
+    """Keeps the limits on speed, acceleration and jerk (`RobotLimits`) from one command to the next.
 
-    Acceleration grows by jerk, and falls by it toward the speed that is asked. Whatever slows down is not delayed by
-    jerk: stops, and less speed asked, which takes acceleration away at once. Turns have a limit of acceleration alone.
+    Acceleration rises with limited jerk, and falls with it near the requested speed. Deceleration is not limited by
+    jerk: a stop or a lower requested speed ends acceleration at once. Turns have a limit on acceleration only.
     """
 
     def __init__(self, limits: RobotLimits | None = None) -> None:
@@ -582,23 +581,23 @@ class VelocityRamp:
 
     @property
     def given(self) -> VelocityCommand:
-        """The last command."""
+        """Last command."""
         return self._given
 
     def follow(self, driven: VelocityCommand) -> None:
-        """Go on from a command that somebody made slower after this."""
+        """Continue from a command that was reduced after the ramp."""
         self._given, self._acceleration_m_s2 = driven, 0.0
 
     def step(self, forward_m_s: float, turn_rad_s: float, period_s: float) -> VelocityCommand:
-        """The command a period after the last one.
+        """Return the command one period after the last one.
 
         Args:
-            forward_m_s: asked; what is not finite asks for a stop of both.
-            turn_rad_s: asked.
-            period_s: since the last one, above 0.
+            forward_m_s: requested speed; a value that is not finite requests a stop of both.
+            turn_rad_s: requested turn rate.
+            period_s: time since the last command, above 0.
 
         Raises:
-            ArgumentError: a period that is none.
+            ArgumentError: the period is not a positive number.
         """
         if not (math.isfinite(period_s) and period_s > 0):
             raise ArgumentError(f"a period of {period_s} s", fix="give seconds since the last command, above 0")
@@ -614,17 +613,18 @@ class VelocityRamp:
         return self._given
 
     def _forward(self, wanted: float, period_s: float) -> float:
+        """Return the next forward speed within acceleration, braking and jerk."""
         speed, limits = self._given.forward_m_s, self._limits
         slows = speed * (wanted - speed) < 0
         if slows:
-            # To zero and no farther: beyond it lies the other direction, which begins with its own acceleration.
+            # Stop at zero: the other direction begins with its own acceleration.
             wanted = wanted if wanted * speed > 0 else 0.0
             change = limits.braking_m_s2 * period_s
             self._acceleration_m_s2 = 0.0
             return speed + min(max(wanted - speed, -change), change)
         sign = math.copysign(1.0, wanted - speed)
-        # While acceleration falls to zero by jerk, so much is gained still: a² / 2j + a period / 2, step by step.
-        # Only the step that reaches the speed may fall by an eighth more.
+        # Speed gained while acceleration falls to zero with limited jerk: a² / 2j + a period / 2, in discrete steps.
+        # Only the step that reaches the speed may exceed the jerk, by an eighth.
         half = limits.jerk_m_s3 * period_s / 2
         most = math.sqrt(half * half + 2 * limits.jerk_m_s3 * abs(wanted - speed)) - half
         most = min(limits.acceleration_m_s2, most)

@@ -1,4 +1,4 @@
-"""Task: the navigator's state during one task. The module also holds its states, transitions, feedback and results."""
+"""Task: the navigator's memory of one task. Also its states, transitions, feedback and results."""
 
 from __future__ import annotations
 
@@ -18,35 +18,33 @@ from wheelsight.navigation.planner import Plan, PlanReason
 from wheelsight.navigation.planning import to_go_m
 from wheelsight.navigation.settings import BehaviourSettings, NavigationSettings, NavigatorSettings
 
-# Task: what a navigator remembers of the task it has: goals, plan, tries, and since when something is so.
-
 
 class Task:
-    """See the module.
+    """Goals, plan, recovery attempts and timers of one task.
 
     Args:
-        goals: of it.
-        now_s: when it begins.
+        goals: goals of the task.
+        now_s: start time.
 
     Attributes:
-        plan: that is driven; None until there is one to the goal that is next.
-        planned_s, checked_s: when it was made, and when it was last held against the surroundings.
-        T_map_odom: (3,) of when it was asked for.
-        why_anew: why another was asked for, while it is driven.
-        wants_anew: whether another is yet to be asked for.
-        goal_change: of the last goal that was reached.
-        beside: of the first goal at which it stopped, but not within the tolerance of an arrival; empty without any.
-        behaviour: that is done while it recovers.
-        is_lost: whether that is to find out where it is.
-        awaits_way: whether that is to see whether a way gets free again.
-        is_refused: whether the map holds it up in what it does: something is too near.
-        tries: to get itself out, since it last made way.
-        passes_hidden: whether no way was found beside floor that no camera has looked at, since it last made way.
-        skips: goals left out, since it last had a plan or got itself out.
-        searches: to find out where it is, since it last knew.
-        known_s: when it last knew where it is.
-        why_first: why there was no plan first, since it last had one or made way; empty where there was one.
-        transitions: all of them.
+        plan: the plan that is driven; None until there is one for the next goal.
+        planned_s, checked_s: when the plan was made, and when it was last checked against the surroundings.
+        T_map_odom: (3,) x, y, yaw of `odom` in `map` at the request of the plan.
+        replan_reason: why another plan was requested while this one is driven.
+        wants_replan: whether another plan is still to be requested.
+        goal_change: why the last goal reached differs from the requested one.
+        beside: the same for the first goal where the robot stopped outside the tolerance; empty without any.
+        behaviour: current recovery behaviour; None without any.
+        is_lost: whether the behaviour searches for the robot's pose.
+        awaits_way: whether the behaviour waits for a blocked path to become free.
+        is_refused: whether the map forbids the behaviour's command, because an obstacle is too near.
+        tries: recovery attempts since the last progress.
+        passes_hidden: whether plans may cross unseen floor, as no other path was found since the last progress.
+        skips: goals skipped since the last plan or recovery.
+        searches: searches for the pose since it was last known.
+        known_s: when the pose was last known.
+        why_first: reason of the first failed plan since the last plan or progress; empty without any.
+        transitions: all changes of state.
     """
 
     def __init__(self, goals: Goals, now_s: float) -> None:
@@ -54,8 +52,8 @@ class Task:
         self.plan: Plan | None = None
         self.planned_s = self.checked_s = -math.inf
         self.T_map_odom: FloatArray = np.zeros(3)
-        self.why_anew = self.goal_change = self.beside = ""
-        self.wants_anew = False
+        self.replan_reason = self.goal_change = self.beside = ""
+        self.wants_replan = False
         self.behaviour: Behaviour | None = None
         self.is_lost = self.awaits_way = self.is_refused = False
         self.tries, self.skips, self.searches = 0, 0, 0
@@ -72,14 +70,14 @@ class Task:
 
     @property
     def doing(self) -> str:
-        """In words."""
+        """Name of the current behaviour or goal."""
         return self.goals.name if self.behaviour is None else self.behaviour.name
 
     def roll(self, now_s: float, where: WhereNow, settings: NavigatorSettings, *, meets_people: bool) -> None:
-        """Count the way made; once it has come so far, tries begin anew: to and fro it may go for ever."""
+        """Update distance and progress. Progress resets the recovery attempts, even if the robot goes to and fro."""
         self._now_s = now_s
         self._has_met_people |= meets_people
-        # By readings: wheels that are not heard any more made no way.
+        # Integrated over readings: failed encoders add no distance.
         speed = where.speed
         if speed.stamp_s > self._rolled_s:
             self._way_m += abs(speed.forward_m_s) * (speed.stamp_s - self._rolled_s)
@@ -89,30 +87,30 @@ class Task:
             if not np.hypot(*(self._here - self._from)) <= settings.progress_m:
                 self.tries, self.passes_hidden, self._has_awaited_way = 0, False, False
                 self._has_met_people, self._tried_s, self.why_first = False, now_s, ""
-                self.come_on()
+                self.restart_progress()
         self._why_lost = where.why_unknown(settings.unsure_m)
         if not self._why_lost:
             self.known_s, self.searches = now_s, 0
 
-    def come_on(self) -> None:
-        """From here and now on it is to make way."""
+    def restart_progress(self) -> None:
+        """Measure progress from here and now."""
         self._from, self._since_s = self._here, self._now_s
 
     @property
     def loiters_s(self) -> float:
-        """For how long it has come no farther, though it may have driven."""
+        """Seconds without progress, even if the robot moved."""
         return self._now_s - self._since_s
 
     def take(self, plan: Plan, now_s: float, T_map_odom: FloatArray) -> None:
-        """Drive a plan from now on."""
+        """Drive a new plan."""
         self._plans += 1
         self._planned_m = self._planned_m or plan.length_m
         self.plan, self.planned_s, self.checked_s, self.T_map_odom = plan, now_s, now_s, T_map_odom
-        self.behaviour, self.skips, self._held, self.wants_anew = None, 0, _Stopwatch(), False
+        self.behaviour, self.skips, self._held, self.wants_replan = None, 0, _Stopwatch(), False
         self.why_first = ""
 
     def recover(self, behaviour: Behaviour, *, is_lost: bool) -> None:
-        """Do something to get on."""
+        """Start a recovery behaviour."""
         self.behaviour, self.is_lost, self._held, self.skips = behaviour, is_lost, _Stopwatch(), 0
         self.awaits_way = self.is_refused = False
         self._recoveries += 1
@@ -120,17 +118,17 @@ class Task:
             self.searches += 1
         else:
             self.tries += 1
-        self.come_on()
+        self.restart_progress()
 
     def may_try(self, settings: NavigatorSettings) -> bool:
-        """Whether it may get itself out once more: people who walk about go in time, not in so many tries."""
+        """Return whether another recovery may start. Near people the limit is a time, else a number of attempts."""
         has_time = self._now_s - self._tried_s < settings.patience_s
         return self.tries < settings.tries or (self._has_met_people and has_time)
 
     def get_out(self, settings: NavigationSettings, stopped_by: MonitorReason | None, *, was_backward: bool) -> None:
-        """Do something to get on.
+        """Start the next recovery behaviour after a stop by the monitor.
 
-        Floor that was never seen stays so, however long it waits: only another way leads past it.
+        Waiting does not help at unseen floor: only another path does.
         """
         b, tries = settings.behaviours, self.tries
         self.passes_hidden = stopped_by is not MonitorReason.NEVER_SEEN
@@ -142,7 +140,7 @@ class Task:
             self.recover(when_unseen(tries, b, was_backward=was_backward), is_lost=False)
 
     def why_over(self, now_s: float, settings: NavigationSettings) -> tuple[NavigationReason, str] | None:
-        """Why the robot cannot do it, wherever it is, or finds out no more where that is; None while it may."""
+        """Return why the task cannot succeed: a limit of zero, or a pose unknown for too long. None if it can."""
         limits, lost_s = settings.limits, now_s - self.known_s
         if limits.forward_m_s == 0 and limits.backward_m_s == 0:
             return NavigationReason.NO_PLAN, f"{PlanReason.STANDS}: forward_m_s and backward_m_s are 0"
@@ -154,9 +152,9 @@ class Task:
     def search(
         self, settings: NavigationSettings, status: Status, checked: MonitorResult, open_way: OpenWay | None
     ) -> None:
-        """Do something to find out where it is; see `when_lost`.
+        """Start a behaviour that searches for the pose; see `when_lost`.
 
-        Who may not turn stands: nobody drives on before a whole turn has shown what is about it.
+        A robot that may not turn waits: it must not drive before a whole turn has shown its surroundings.
         """
         s = settings.behaviours
         if settings.limits.turn_rad_s == 0:
@@ -168,18 +166,18 @@ class Task:
 
     @property
     def may_wait(self) -> bool:
-        """Whether somebody may yet make room where its goal is."""
+        """Return whether to wait for a person at the goal, once per goal."""
         return bool(self._change) and not self._has_waited
 
     def await_goal(self, behaviour: Behaviour) -> None:
-        """Wait for that, once a goal."""
+        """Wait for a person at the goal."""
         self.recover(behaviour, is_lost=False)
         self._has_waited = True
 
     def await_way(self, plan: Plan, where: WhereNow, settings: BehaviourSettings) -> bool:
-        """Wait, once here, rather than go a long way round what may go away; whether it does so.
+        """Wait, once per place, instead of driving a long detour; return whether it does so.
 
-        As Nav2's `PathLongerOnApproach` does: somebody who stands in the way is gone sooner than a way round is driven.
+        A person in the way usually leaves sooner than the detour takes (cf. Nav2's `PathLongerOnApproach`).
         """
         if self.plan is None or where.state is None or self._has_awaited_way:
             return False
@@ -192,14 +190,14 @@ class Task:
 
     @property
     def _change(self) -> str:
-        """Why the plan's goal is not what somebody asked for; empty where it is, or nobody did."""
+        """Why the plan's goal differs from the requested one; empty if it does not, or if no place was requested."""
         return self.plan.goal_change if self.plan is not None and self.goals.is_asked_for else ""
 
     def reached(self, tolerance: tuple[float, float]) -> None:
-        """The goal of the plan; why it is another one than was asked for is kept.
+        """Record that the plan's goal is reached, and why it differs from the requested one.
 
         Args:
-            tolerance: metres and radians beside the goal that are an arrival.
+            tolerance: distance in metres and angle in radians that still count as an arrival.
         """
         self.goal_change, plan = self._change, self.plan
         if self.goal_change and plan is not None and not self.beside:
@@ -207,23 +205,23 @@ class Task:
             self.beside = self.goal_change if is_beside else ""
         self.plan = None
         self.goals.reached()
-        self.come_on()
+        self.restart_progress()
         self._has_waited = False
 
     def held_for_s(self, now_s: float, is_held: bool) -> float:
-        """For how long it has been held; 0 where it is not."""
+        """Return the seconds since the robot is held; 0 if it is not."""
         return self._held.for_s(now_s, is_held)
 
     def stopped_for_s(self, now_s: float, is_stopped: bool) -> float:
-        """For how long the robot has stood by itself; 0 where it does not."""
+        """Return the seconds since the robot stopped by itself; 0 if it did not."""
         return self._stopped.for_s(now_s, is_stopped)
 
     def silent_for_s(self, now_s: float, is_silent: bool) -> float:
-        """For how long a part of the program has not answered; 0 where all do."""
+        """Return the seconds since a part of the program is silent; 0 if none is."""
         return self._silent.for_s(now_s, is_silent)
 
     def result(self, has_arrived: bool, reason: NavigationReason | None, detail: str, now_s: float) -> NavigationResult:
-        """What became of it."""
+        """Return the result of the task."""
         return NavigationResult(
             has_arrived,
             reason,
@@ -239,7 +237,7 @@ class Task:
 
 
 class _Stopwatch:
-    """For how long something has been so without a break."""
+    """Measures for how long a condition has held without a break."""
 
     def __init__(self) -> None:
         self._since_s: float | None = None
@@ -252,11 +250,8 @@ class _Stopwatch:
         return 0.0 if self._since_s is None else now_s - self._since_s
 
 
-# What a navigator tells: its state, why it changed, how far it is, and what became of a task.
-
-
 class NavigationState(StrEnum):
-    """What a navigator is about."""
+    """State of a navigator."""
 
     IDLE = "idle"
     PLANNING = "planning"
@@ -269,17 +264,17 @@ class NavigationState(StrEnum):
 class NavigationReason(StrEnum):
     """Why a task ended without arrival."""
 
-    INVALID = "the goal is no pose"
+    INVALID = "the goal is not a pose"
     NO_PLAN = "no way leads there"
     BLOCKED = "it found no way on"
     BESIDE = "it stopped beside the goal"
     LOST = "it does not know where it is"
-    DISOBEYS = "the wheels do not do what they are told"
+    DISOBEYS = "the wheels do not follow their commands"
     ROBOT_STOPPED = "the robot stopped by itself"
     LOCALIZATION = "the localization failed"
     SILENT = "a part of the program hangs"
     CONTROLLER = "the controller failed"
-    CANCELED = "it was called off"
+    CANCELED = "the task was canceled"
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,9 +282,9 @@ class Transition:
     """A change of state.
 
     Attributes:
-        stamp_s: when.
+        stamp_s: time of the change.
         before, after: the states.
-        why: in words.
+        why: reason in words.
     """
 
     stamp_s: float
@@ -302,7 +297,7 @@ class Transition:
 
 
 def stays_words(at: FloatArray | None) -> str:
-    """Of a thing at (2,) that is not seen through; empty for None."""
+    """Return a message about an obstacle at (2,) without depth behind it, which may be gone; empty for None."""
     if at is None:
         return ""
     return f"what stood at ({at[0]:.2f}, {at[1]:.2f}) m is not seen through: no depth behind it"
@@ -310,24 +305,24 @@ def stays_words(at: FloatArray | None) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Feedback:
-    """How a task goes on, after a step.
+    """State and progress of a task after a step.
 
     Attributes:
-        stamp_s: of now.
-        state: of the navigator.
-        status: of the localization.
-        pose: (3,) x, y, yaw of the base in the map, or None while it is not known.
-        forward_m_s, turn_rad_s: as the wheels measure them.
-        goal: (3,) that is driven to now, or None.
-        to_go_m: along the plan; None without one.
-        plan: that is driven, or None.
-        predicted: (T, 3) poses that the controller expects to go through.
-        monitor: what the collision monitor made of the last command.
-        doing: in words, what it does now.
-        goals_left: how many goals are left, this one included.
-        robot_stop: why the robot stopped by itself, in words; empty where it obeys.
-        stays_at: (2,) in the map of a thing that has maybe gone, but is not seen through: no depth is behind it. None
-            without any. A person who sees that nothing is there can say so by `Navigator.clear_obstacles`.
+        stamp_s: time of the step.
+        state: state of the navigator.
+        status: status of the localization.
+        pose: (3,) x, y, yaw of the base in the map; None if unknown.
+        forward_m_s, turn_rad_s: velocity by the wheels.
+        goal: (3,) current goal; None without a plan.
+        to_go_m: distance left along the plan; None without one.
+        plan: current plan, or None.
+        predicted: (T, 3) poses that the controller predicts.
+        monitor: result of the collision monitor for the last command.
+        doing: current activity in words.
+        goals_left: number of goals left, including this one.
+        robot_stop: why the robot stopped by itself; empty if it did not.
+        stays_at: (2,) in the map of an obstacle that may be gone, but has no depth behind it to clear it; None without
+            any. A person who sees that nothing is there can call `Navigator.clear_obstacles`.
     """
 
     stamp_s: float
@@ -348,25 +343,25 @@ class Feedback:
 
     @property
     def stays(self) -> str:
-        """The same in words; empty without any."""
+        """Message about `stays_at`; empty without any."""
         return stays_words(self.stays_at)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NavigationResult:
-    """What became of a task.
+    """Result of a task.
 
     Attributes:
-        has_arrived: whether all its goals were reached, within `follow.goal_m` and `goal_rad`.
-        reason: why it ended else.
-        detail: the same for people.
-        goal_change: why the place where the last plan ended is not the goal asked for; empty where it is.
+        has_arrived: whether all goals were reached, within `follow.goal_m` and `goal_rad`.
+        reason: why the task ended otherwise; None on arrival.
+        detail: the same in words.
+        goal_change: why the end of the last plan differs from the requested goal; empty if it does not.
         transitions: all changes of state, in order.
-        time_s: from begin to end, by the clock of the stamps.
-        way_m: driven, by the wheels.
+        time_s: duration, by the clock of the stamps.
+        way_m: distance driven, by the wheels.
         planned_m: length of the first plan; 0 without one.
-        plans: how many were made.
-        recoveries: how often the robot had to get itself out.
+        plans: number of plans.
+        recoveries: number of recovery behaviours.
     """
 
     has_arrived: bool
@@ -381,13 +376,11 @@ class NavigationResult:
     recoveries: int
 
     def __bool__(self) -> bool:
-        """Whether it arrived."""
+        """Return whether the robot arrived."""
         return self.has_arrived
 
 
-# What a navigator's feedback is called where people read it.
-
-
+# Words for pages and the command line.
 STATUS_WORDS = {
     Status.INITIALIZING: "looks for its place in the map",
     Status.TRACKING: "knows where it is",
@@ -398,7 +391,7 @@ STATUS_WORDS = {
 
 
 def monitor_words(feedback: Feedback) -> str:
-    """What the collision monitor does and why, and what stays in the way without depth behind it."""
+    """Return what the collision monitor does and why, and which obstacle stays without depth behind it."""
     found, stays = feedback.monitor, f"; {feedback.stays}" if feedback.stays else ""
     if found is None or found.state is MonitorState.FREE:
         return f"lets it drive{stays}"
