@@ -1,6 +1,4 @@
-"""Localization interface of navigation. WhereNow: the pose between two estimates. HeldPlace: a short hold of the
-pose by the wheels.
-"""
+"""Localization as navigation uses it: its interface, the current pose between two estimates, and a short hold of it."""
 
 from __future__ import annotations
 
@@ -22,49 +20,46 @@ from wheelsight.navigation.path_following import MotionState
 from wheelsight.navigation.settings import HoldSettings
 from wheelsight.wheels import WheelOdometry
 
-# Localization as navigation asks for it, and WhereNow: where the robot is between two of its answers.
-
-
 Answered = tuple[Event, Estimate | None]
-# How long the wheels' own way is kept: answers to frames come later than that only where nothing goes on.
+# History of wheel odometry. Estimates of frames arrive within it, unless the localization hangs.
 _TRACK_S = 3.0
-# Without an answer of the localization for `_COASTING_S` wheels lead alone, and the robot goes slower. It stops after
-# `_SILENT_S`, or `_SILENT_M` of way: 0.5 s with the control period in which that shows.
+# Without an estimate for `_COASTING_S`, wheels alone carry the pose, and the robot slows down. It stops after
+# `_SILENT_S`, or after `_SILENT_M` of way: 0.5 s including the control period.
 _COASTING_S, _SILENT_S, _SILENT_M = 0.2, 0.4, 0.25
-# Speeds are taken over so much time; of the first readings over what there is, and of less than the second over none.
+# Window of a speed, and the least of it: until the first readings span that, the speed is 0.
 _SPEED_S, _LEAST_S = 0.04, 0.01
 
 
 class Localization(Protocol):
-    """Says where the robot is. `localizer.LocalizerInStep` and `LocalizerBeside` are such."""
+    """Source of the robot's pose, such as `LocalizerInStep` and `LocalizerBeside`."""
 
     @property
     def keyframes(self) -> KeyframeStore | None:
-        """What the camera remembers, and where; None of wheels alone."""
+        """Keyframes with their poses; None for wheels alone."""
 
     @property
     def recognised(self) -> int | None:
-        """How often something of a map of before was recognised so far; None where nobody looks for that."""
+        """Number of recognitions of an earlier map so far; None if there is no recognition."""
 
     def hear(self, events: Sequence[Event]) -> Sequence[Answered]:
-        """Take what came, in order; what is answered by now, of this and of earlier calls, in order.
+        """Process events in order; return all estimates that are ready, of this and earlier calls, in order.
 
         Raises what `Localizer.process` raises.
         """
 
     def close(self) -> None:
-        """End the threads that work for it."""
+        """Stop the worker threads."""
 
 
 @dataclass(frozen=True, slots=True)
 class WheelSpeed:
-    """How a base moves by its encoders, at a stamp.
+    """Velocity of the base by its encoders.
 
     Attributes:
-        stamp_s: of the reading.
-        forward_m_s, turn_rad_s: over a little time until then.
-        rolled: metres along the arc and radians since the reading before. Means of speeds come late: added up, they
-            lag behind where the base is by half of the time that they are taken over.
+        stamp_s: time of the reading.
+        forward_m_s, turn_rad_s: means over a short time until then.
+        rolled: metres along the arc and radians since the reading before. Integrated means of speeds would lag behind
+            by half of their window.
     """
 
     stamp_s: float
@@ -74,13 +69,13 @@ class WheelSpeed:
 
 
 class WhereNow:
-    """The last answer of the localization, carried on by the wheels' own way since; or one of a moment before.
+    """Current pose of the robot: the last estimate, or a slightly earlier one, carried on by wheel odometry.
 
-    The wheels carry it on for a limited time and way: `is_silent` is true where the localization does not answer.
+    Wheels carry it for a limited time and way; `is_silent` becomes true if the localization does not answer by then.
 
     Args:
-        wheels: of the calibration.
-        hold: for how long a place that was surer is held; or the defaults.
+        wheels: wheels of the calibration.
+        hold: for how long a more certain pose is held; None for the defaults.
     """
 
     def __init__(self, wheels: Wheels, hold: HoldSettings | None = None) -> None:
@@ -95,7 +90,7 @@ class WhereNow:
         self._speed = WheelSpeed(-math.inf, 0.0, 0.0)
 
     def roll(self, reading: WheelTicks | WheelSpeeds) -> WheelSpeed | None:
-        """Go on by a reading; the base's speed, or None where the reading tells none."""
+        """Process a wheel reading. Return the speed of the base, or None if the reading gives none."""
         try:
             answer = self._wheels.process(reading)
         except ArgumentError:
@@ -114,7 +109,7 @@ class WhereNow:
         return self._speed
 
     def _speed_now(self) -> WheelSpeed:
-        """Over a little time: stamps jitter, and two readings may be told a tenth of a millisecond apart."""
+        """Return the mean speed over a short time, as stamps jitter, and two may be 0.1 ms apart."""
         stamp_s, T_now = self._track[-1]
         before = [(then_s, T) for then_s, T in self._track if then_s <= stamp_s - _SPEED_S]
         then_s, T_then = before[-1] if before else self._track[0]
@@ -124,11 +119,11 @@ class WhereNow:
         return WheelSpeed(stamp_s, float(forward), float(turn))
 
     def ask(self, stamp_s: float) -> None:
-        """Note that the localization got an event with this stamp."""
+        """Record that the localization got an event with this stamp."""
         self._heard_s = max(self._heard_s, stamp_s)
 
     def processed(self, stamp_s: float) -> None:
-        """Note that the localization has processed an event with this stamp, with an estimate or without."""
+        """Record that the localization has processed an event with this stamp, with or without an estimate."""
         if stamp_s > self._answered_s:
             self._answered_s = stamp_s
             self._unanswered_m = float(np.hypot(*self._since(stamp_s)[:2, 2]))
@@ -140,11 +135,16 @@ class WhereNow:
 
     @property
     def is_silent(self) -> bool:
-        """Whether the localization has not answered for longer, or for more way, than wheels may lead alone."""
+        """Whether the localization is silent for longer, or for more way, than wheels may carry the pose."""
         return self.silent_s > _SILENT_S or (self.silent_s > _COASTING_S and self._unanswered_m > _SILENT_M)
 
     def answer(self, estimate: Estimate, recognised: int | None = None) -> None:
-        """Take what the localization says, and how often it has recognised something of a map of before."""
+        """Process an estimate.
+
+        Args:
+            estimate: of the localization.
+            recognised: number of recognitions of an earlier map; None if there is no recognition.
+        """
         self._answer = estimate
         if recognised != 0:
             self._unproven_m = None
@@ -155,25 +155,28 @@ class WhereNow:
         if estimate.T_map_body is None or estimate.status in (Status.LOST, Status.FAILING):
             self._held = None
             return
-        T_wheels, sigma_m = self._rolled_at(estimate.stamp_s), _sigma_map_m(estimate)
+        T_wheels, sigma_m = self._rolled_at(estimate.stamp_s), math.inf
+        if estimate.covariance_map is not None:
+            sigma_m = _worse_sigma_m(estimate.T_map_body, estimate.covariance_map)
         slips = isinstance(estimate, FusedEstimate) and estimate.slip
         if self._held is None or slips or not self._held.holds(sigma_m, T_wheels, estimate.stamp_s, self._hold):
             self._held = HeldPlace(_planar(estimate.T_map_body), T_wheels, sigma_m, estimate.stamp_s)
 
     @property
     def estimate(self) -> Estimate | None:
-        """The last answer."""
+        """Last estimate."""
         return self._answer
 
     @property
     def speed(self) -> WheelSpeed:
-        """By the last reading."""
+        """Speed by the last wheel reading."""
         return self._speed
 
     @property
     def status(self) -> Status:
-        """Of the last answer; before any, `INITIALIZING`. Where answers are late it is `COASTING` at best, where none
-        come `FAILING`.
+        """Status of the last estimate, or `INITIALIZING` before it.
+
+        Late estimates limit it to `COASTING`, and silence to `FAILING`.
         """
         if self._answer is None:
             return Status.INITIALIZING
@@ -184,23 +187,23 @@ class WhereNow:
 
     @property
     def is_rolling(self) -> bool:
-        """Whether it is known at least how the robot moves, be it not where in the map it is."""
+        """Whether the motion in `odom` is known, even without a place in the map."""
         return self._answer is not None and self._answer.T_odom_body is not None and self.status is not Status.LOST
 
     @property
     def grown_sigma_m(self) -> float:
-        """By how much the position became less certain since it was last tracked, metres."""
+        """Growth of the position's standard deviation since the last tracked estimate, metres."""
         known, answer = self._known_sigma_m, self._answer
         return 0.0 if answer is None else math.sqrt(max(_sigma_m(answer) ** 2 - known**2, 0.0))
 
     def is_known(self, unsure_m: float) -> bool:
-        """Whether it is known where in the map the robot is, at most `unsure_m` less surely than when tracked."""
+        """Return whether the pose in the map is known, with at most `unsure_m` more deviation than when tracked."""
         return not self.why_unknown(unsure_m)
 
     def why_unknown(self, unsure_m: float) -> str:
-        """Why it is not known where in the map the robot is; empty where it is, as of `is_known`.
+        """Return why the pose in the map is unknown, as of `is_known`; empty if it is known.
 
-        A start that somebody said is believed for a while: of a map of another place nothing is ever recognised.
+        A start pose from the user is valid for a limited way: with a map of another place, nothing is ever recognized.
         """
         if self.is_silent:
             return f"the localization has not answered for {self.silent_s:.1f} s"
@@ -214,7 +217,7 @@ class WhereNow:
 
     @property
     def odom_pose(self) -> FloatArray | None:
-        """(3,) x, y, yaw of the base in `odom` now; None while it is not known."""
+        """(3,) x, y, yaw of the base in `odom` now; None while unknown."""
         answer = self._answer
         if answer is None or answer.T_odom_body is None:
             return None
@@ -230,18 +233,18 @@ class WhereNow:
 
     @property
     def state(self) -> MotionState | None:
-        """In the map, now; None while it is not known where in the map the robot is."""
+        """Pose and speed in the map now; None while the pose in the map is unknown."""
         if self._held is None:
             return None
         pose = _pose(self._held.carried(self._rolled_at(math.inf)))
         return MotionState(pose, self._speed.forward_m_s, self._speed.turn_rad_s)
 
     def _since(self, stamp_s: float) -> FloatArray:
-        """(3, 3) how the wheels moved the base since a stamp; the identity where that is not remembered."""
+        """Return (3, 3), the motion of the base since a stamp by the wheels; the identity if the stamp is too old."""
         return np.asarray(se2.invert(self._rolled_at(stamp_s)) @ self._rolled_at(math.inf))
 
     def _rolled_at(self, stamp_s: float) -> FloatArray:
-        """(3, 3) where the wheels alone have the base at a stamp; now, where that is not remembered."""
+        """Return (3, 3), the wheels' own pose at a stamp; the newest one if the stamp is too old."""
         before = [T for track_s, T in self._track if track_s <= stamp_s]
         if before:
             return before[-1]
@@ -249,7 +252,7 @@ class WhereNow:
 
 
 def planar_pose(T: FloatArray) -> FloatArray:
-    """(3,) x, y, yaw of a rigid motion (4, 4)."""
+    """Return (3,) x, y, yaw of a rigid motion (4, 4)."""
     return _pose(_planar(T))
 
 
@@ -262,42 +265,31 @@ def _pose(T: FloatArray) -> FloatArray:
 
 
 def _sigma_m(estimate: Estimate) -> float:
-    """Of the horizontal position, the larger one."""
+    """Return the horizontal standard deviation in `odom` along its larger axis; 0 if there is none."""
     if estimate.covariance is None or estimate.T_odom_body is None:
         return 0.0
     return _worse_sigma_m(estimate.T_odom_body, estimate.covariance)
 
 
-def _sigma_map_m(estimate: Estimate) -> float:
-    """Of where an answer has the robot in the map, along the worse axis; infinite where it does not say."""
-    if estimate.covariance_map is None or estimate.T_map_body is None:
-        return math.inf
-    return _worse_sigma_m(estimate.T_map_body, estimate.covariance_map)
-
-
 def _worse_sigma_m(T: FloatArray, covariance: FloatArray) -> float:
-    """Along the worse horizontal axis, of a pose (4, 4) with covariance (6, 6); 0 where rounding made it less."""
+    """Return the deviation along the larger horizontal axis, of a pose (4, 4) with covariance (6, 6)."""
     C = se3.position_covariance(T, covariance)
+    # Rounding may make it negative.
     return float(np.sqrt(max(np.linalg.eigvalsh(C[:2, :2])[-1], 0.0)))
-
-
-# HeldPlace: a place in the map that the wheels carry on for a moment, while the localization is less sure than it
-# was.
-#
-# Somebody who walks past close to the camera contradicts the wheels for a second; until it is settled who was right,
-# the localization states tens of centimetres, and its place leaps by as much. Wheels are off by millimetres in that
-# time, unless it is they that slip.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldPlace:
-    """As the localization had it.
+    """A pose in the map that wheels carry on for a moment, while the localization is less certain than it was.
+
+    A person who passes close to the camera contradicts the wheels for a second. During that time the estimate has a
+    deviation of tens of centimetres, and jumps as far. Wheels without slip are off by millimetres in that time.
 
     Attributes:
-        T_map_base: (3, 3) where the base was.
-        T_wheels: (3, 3) where the wheels alone had it then, in a frame of their own.
-        sigma_m: standard deviation along the worse axis, as the localization stated.
-        stamp_s: when.
+        T_map_base: (3, 3) pose of the base.
+        T_wheels: (3, 3) the wheels' own pose at the same time, in a frame of its own.
+        sigma_m: standard deviation along the larger horizontal axis, by the localization.
+        stamp_s: time of the pose.
     """
 
     T_map_base: FloatArray
@@ -306,21 +298,21 @@ class HeldPlace:
     stamp_s: float
 
     def carried(self, T_wheels: FloatArray) -> FloatArray:
-        """(3, 3) where the base is once the wheels have it at (3, 3)."""
+        """Return (3, 3), the pose of the base when the wheels' own pose is (3, 3)."""
         return np.asarray(self.T_map_base @ se2.invert(self.T_wheels) @ T_wheels)
 
     def sigma_at(self, T_wheels: FloatArray, settings: HoldSettings) -> float:
-        """Metres: as sure as wheels leave it, once they have the base at (3, 3)."""
+        """Return the standard deviation in metres when the wheels' own pose is (3, 3)."""
         return float(np.hypot(self.sigma_m, settings.wheels_share * self._way_m(T_wheels)))
 
     def holds(self, sigma_m: float, T_wheels: FloatArray, stamp_s: float, settings: HoldSettings) -> bool:
-        """Whether it is better still than what the localization states to be known to `sigma_m` now."""
+        """Return whether it is still better than a new estimate with the deviation `sigma_m`."""
         s = settings
         is_late = stamp_s - self.stamp_s > s.seconds or self._way_m(T_wheels) > s.way_m
         is_sure = sigma_m <= max(self.sigma_at(T_wheels, s), s.sure_m)
         return not is_late and not is_sure and np.isfinite(sigma_m)
 
     def _way_m(self, T_wheels: FloatArray) -> float:
-        """As the crow flies, since."""
+        """Return the straight distance since then."""
         x, y, _ = se2.to_parts(se2.invert(self.T_wheels) @ T_wheels)
         return float(np.hypot(x, y))

@@ -1,4 +1,4 @@
-"""Senses: hands what a robot's sensors say to all that go by it, and keeps the surroundings that come of it."""
+"""Senses: distributes sensor data to all of navigation, and keeps the surroundings derived from it."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from wheelsight.navigation.static_map import Floor
 from wheelsight.navigation.surroundings import DepthView, DepthViewer
 from wheelsight.navigation.view_kernels import Eye
 
-# Views that wait for the localization to say where they were taken: two seconds of a Kinect's.
+# Views that wait for the pose of their frame: two seconds of a Kinect.
 _VIEWS = 60
-# Places before the robot knows where it is: three minutes of a robot that looks about for it.
+# Poses stored while the place in the map is unknown: three minutes of a search.
 _PLACES = 3600
 
 
 @dataclass(frozen=True, slots=True)
-class _Made:
-    """Of what a costmap was made."""
+class _LocalKey:
+    """What a local costmap depends on; an equal key means an equal costmap."""
 
     frame_s: float | None
     avoids_hidden: bool
@@ -45,22 +45,22 @@ class _Made:
 
 
 class Senses:
-    """See the module. The collision monitor hears and sees before anybody else has a say.
+    """Sensor data and surroundings of one robot. The collision monitor gets wheel readings and frames first.
 
     Args:
-        calibration: of the robot; with wheels and a depth camera that is mounted.
-        localization: says where it is.
-        floor: what is known of the building.
-        monitor: is told all.
+        calibration: of the robot; with wheels and a mounted depth camera.
+        localization: source of the pose.
+        floor: the known part of the building.
+        monitor: gets all sensor data.
         footprint, settings: of the robot.
 
     Attributes:
-        where: where the robot is.
-        avoids_hidden: whether floor beside it that no camera has looked at counts as an obstacle; not where no way on
-            is found without it, as at a bend of a narrow corridor.
+        where: pose of the robot.
+        avoids_hidden: whether unseen floor beside the robot counts as an obstacle. False if no path exists otherwise,
+            as at a bend of a narrow corridor.
 
     Raises:
-        ArgumentError, MapError, CalibrationError: no wheels, no camera, or nobody knows where that sits.
+        ArgumentError, MapError, CalibrationError: there are no wheels, no camera, or no mount of the camera.
     """
 
     def __init__(
@@ -83,46 +83,46 @@ class Senses:
         self.avoids_hidden = True
         self._people = PeopleTracker(settings.people, settings.live.far_m)
         self._views: deque[DepthView] = deque(maxlen=_VIEWS)
-        # In `odom`, from the begin until the place in the map is known; None from then on.
+        # Poses in `odom` from the start until the place in the map is known; None from then on.
         self._unplaced: deque[FloatArray] | None = deque(maxlen=_PLACES)
-        self._local: dict[bool, tuple[_Made, Costmap]] = {}
+        self._local: dict[bool, tuple[_LocalKey, Costmap]] = {}
         self._stays: tuple[float | None, FloatArray] = (None, np.empty((0, 2)))
 
     @property
     def near_m(self) -> float:
-        """From the axle, the nearest floor that the camera sees."""
+        """Distance from the axle to the nearest floor that the camera sees."""
         return self._viewer.near_m
 
     @property
     def half_view_rad(self) -> float:
-        """To either side, how far the camera sees."""
+        """Half of the camera's horizontal field of view."""
         return self._viewer.half_rad
 
     @property
     def eye(self) -> Eye:
-        """Its camera, as it looks over floor on the way."""
+        """The camera, as it observes the floor along a path."""
         x, y = self._viewer.camera
         return Eye(x, y, self.half_view_rad, self._settings.monitor.air_m, self._settings.navigator.check_m)
 
     @property
     def floor(self) -> Floor:
-        """As it was given."""
+        """The known part of the building."""
         return self._floor
 
     @property
     def keyframes(self) -> KeyframeStore | None:
-        """Of the localization."""
+        """Keyframes of the localization."""
         return self._localization.keyframes
 
     @property
     def recognised(self) -> int | None:
-        """Of the localization."""
+        """Number of recognitions of an earlier map by the localization."""
         return self._localization.recognised
 
     def hear(self, events: Sequence[Event], now_s: float) -> None:
-        """All that came in a period, which ends now. Raises what the localization raises.
+        """Process all events of a period that ends now. Raises what the localization raises.
 
-        Of several frames in one period the monitor sees the newest: who is late already must not become later by them.
+        The monitor gets only the newest frame of a period, so that a late program does not become later.
         """
         newest = next((event for event in reversed(events) if isinstance(event, RgbdFrame)), None)
         for event in events:
@@ -148,7 +148,7 @@ class Senses:
         self._update_floor(now_s)
 
     def _update_floor(self, now_s: float) -> None:
-        """Where the robot stands, once that is known; before that, where it stood since it was switched on."""
+        """Update the floor with the robot's pose. Once the place in the map is known, earlier poses follow."""
         state, odom_pose = self.where.state, self.where.odom_pose
         if state is None:
             if self._unplaced is not None and odom_pose is not None:
@@ -158,12 +158,12 @@ class Senses:
         T_map_odom = se2.from_parts(*self.where.T_map_odom)
         for before in self._unplaced or ():
             self._floor.update(np.array(se2.to_parts(T_map_odom @ se2.from_parts(*before))), now_s)
-        # Who gets lost later may have been carried: the wheels do not say how it came where it is found.
+        # A robot that gets lost later may have been carried, so its wheels do not give its path to where it is found.
         self._unplaced = None
         self._floor.update(state.pose, now_s)
 
     def _follow_people(self, stamp_s: float, pose: FloatArray) -> None:
-        """Look who walks, of a frame that was taken at (3,) in `odom`."""
+        """Track people with the frame that was taken at (3,) in `odom`, and remove them from the live layer."""
         while self._views and self._views[0].stamp_s < stamp_s:
             self._views.popleft()
         if not self._settings.people.is_predicted or not self._views or self._views[0].stamp_s != stamp_s:
@@ -179,7 +179,7 @@ class Senses:
             self._live.wipe([person.position, behind], person.radius_m + s.trail_m)
 
     def _is_on_floor(self, view: DepthView, T_odom_base: FloatArray) -> BoolArray:
-        """(N,) whether the map has free floor where a view's points lie, and no obstacle close by."""
+        """Return (N,) whether a view's points lie on free floor of the map, away from its obstacles."""
         T = se2.from_parts(*self.where.T_map_odom) @ T_odom_base
         near = self._floor.layer.window(T[:2, 2], 2 * self._settings.live.size_m)
         reach = math.ceil(self._settings.people.beside_m / near.resolution_m)
@@ -190,14 +190,14 @@ class Senses:
         return np.asarray((near.state == CellState.FREE)[row, column] & ~is_thing[row, column])
 
     def people(self, now_s: float) -> tuple[Person, ...]:
-        """Who walks about the robot, in the map, where he is now."""
+        """Return the people around the robot, with their places in the map now."""
         T_map_odom = self.where.T_map_odom
         return tuple(person.carried(T_map_odom) for person in self._people.people(now_s))
 
     def keeps_clear(self, command: VelocityCommand) -> bool:
-        """Whether a command leads to nothing that the map has, as far as it is known where the robot is.
+        """Return whether a command keeps clear of the map's obstacles, as far as the pose is known.
 
-        Nor backward to floor that a map of before does not know: no camera looks there.
+        In a fixed map a backward command must also avoid unknown floor, as no camera looks there.
         """
         local, state = self.local(), self.where.state
         if local is None or state is None:
@@ -207,9 +207,9 @@ class Senses:
         return keeps_clear(local, *how, minds_unknown=is_blind)
 
     def open_way(self) -> OpenWay | None:
-        """Where to drive while it is not known where the robot is; None where it is to stay.
+        """Return the direction to search for the pose in; None if the robot must stay.
 
-        A part of the floor that somebody forbade may be anywhere then.
+        It stays if the map has a keep-out zone, which may be anywhere around it.
         """
         pose, s = self.where.odom_pose, self._settings
         if pose is None or self._floor.has_keep_out or not s.behaviours.search_m:
@@ -218,7 +218,7 @@ class Senses:
         return open_way(costmap, self._outline, pose, s.drivable.wanted_margin_m)
 
     def clear(self, *, only_ahead: bool = False) -> None:
-        """Forget what came to stand about the robot lately, or in its view alone; what is there is seen again."""
+        """Remove recent obstacles, all of them or those in view only. Real ones return with the next images."""
         pose, stood_s = self.where.odom_pose, self._settings.live.settled_s
         if not only_ahead:
             self._live.clear(stood_s)
@@ -227,7 +227,7 @@ class Senses:
             self._live.clear_ahead(stood_s, se2.to_parts(eye), self.half_view_rad)
 
     def clear_near(self, xy_map: ArrayLike, radius_m: float) -> None:
-        """Forget what was met about a place (2,) in the map, where a person says that nothing is."""
+        """Remove the obstacles near a place (2,) in the map, because a person sees none there."""
         pose = self.where.odom_pose
         if pose is None:
             return
@@ -238,7 +238,7 @@ class Senses:
         self._local.clear()
 
     def what_stays(self) -> FloatArray | None:
-        """(2,) in the map of the nearest thing that the camera looks at, no longer shows and does not see through."""
+        """Return (2,) in the map of the nearest obstacle in view without depth on or behind it; None without any."""
         pose = self.where.odom_pose
         if pose is None:
             return None
@@ -255,7 +255,7 @@ class Senses:
         return np.asarray(se2.apply(se2.from_parts(*self.where.T_map_odom), nearest[None])[0])
 
     def floor_now(self) -> FloorNow:
-        """All the building, as it is known now, without who walks past."""
+        """Return all that is known of the floor now, without people who pass by."""
         obstacles = self._obstacles()
         obstacles = obstacles.standing() if self._floor.is_fixed else obstacles
         T_map_odom = self.where.T_map_odom
@@ -263,14 +263,30 @@ class Senses:
             self._floor.layer, obstacles, T_map_odom, self.hidden(), self._footprint, self._settings.costmap
         )
 
-    def hidden(self) -> FloatArray:
-        """(N, 3) x and y in the map of floor about the robot that no camera has looked at, and how near to it one must
-        look: where the map knows it, as near as the monitor lets the robot go.
+    def hidden(self, reach_m: float = math.inf) -> FloatArray:
+        """Return floor near the robot that no camera has seen.
+
+        Returns:
+            (N, 3) x and y in the map, and how near the camera must look to observe it. For floor that the map knows,
+            that is as near as the monitor lets the robot drive.
         """
-        return self._hidden(math.inf)
+        pose, s = self.where.odom_pose, self._settings
+        if pose is None:
+            return np.empty((0, 3))
+        T_map_base = se2.from_parts(*self.where.T_map_odom) @ se2.from_parts(*pose)
+        kinds = [(CellState.FREE, s.navigator.hidden_known_m)]
+        # If unknown floor is forbidden, all of it is an obstacle already.
+        if s.costmap.unknown != "forbidden":
+            kinds.append((CellState.UNKNOWN, s.navigator.hidden_deep_m))
+        found = []
+        for state, deep_m in kinds:
+            points = se2.apply(T_map_base, self._monitor.hidden(reach_m, deep_m))
+            points = points[self._floor.layer.state_at(points) == state]
+            found.append(np.column_stack([points, np.full(len(points), deep_m)]))
+        return np.concatenate(found)
 
     def _obstacles(self, hidden: FloatArray | None = None) -> LiveObstacles:
-        """What the camera met, and what the monitor refuses besides: things out of sight, and hidden floor (N, 3)."""
+        """Return the live layer with the obstacles that the monitor remembers, and with hidden floor (N, 3)."""
         live, pose = self._live.obstacles(), self.where.odom_pose
         if pose is None:
             return live
@@ -282,43 +298,27 @@ class Senses:
             refused.append(se2.apply(T_odom_map, hidden[:, :2]))
         return live.with_points(np.concatenate(refused))
 
-    def _hidden(self, reach_m: float) -> FloatArray:
-        """As `hidden`, within reach."""
-        pose, s = self.where.odom_pose, self._settings
-        if pose is None:
-            return np.empty((0, 3))
-        T_map_base = se2.from_parts(*self.where.T_map_odom) @ se2.from_parts(*pose)
-        kinds = [(CellState.FREE, s.navigator.hidden_known_m)]
-        # Where unknown floor is forbidden, all of it is an obstacle already.
-        if s.costmap.unknown != "forbidden":
-            kinds.append((CellState.UNKNOWN, s.navigator.hidden_deep_m))
-        found = []
-        for state, deep_m in kinds:
-            points = se2.apply(T_map_base, self._monitor.hidden(reach_m, deep_m))
-            points = points[self._floor.layer.state_at(points) == state]
-            found.append(np.column_stack([points, np.full(len(points), deep_m)]))
-        return np.concatenate(found)
-
     def local(self, *, for_plans: bool = False) -> Costmap | None:
-        """Of the floor about the robot; None while it is not known where that is. Made anew where it has changed.
+        """Return the costmap around the robot, cached until its inputs change; None while the pose is unknown.
 
-        `for_plans`: without who walks past, and floor that was not looked at. Where the map grows all is new, most of
-        it stands: nobody is left out.
+        Args:
+            for_plans: leave out people who pass by and unseen floor. A growing map keeps all recent obstacles, as most
+                of them stand.
         """
         state = self.where.state
         if state is None:
             return None
         layer, side_m = self._floor.layer, self._settings.navigator.local_m
         T_map_odom = self.where.T_map_odom
-        # A quarter of the window is soon enough: the controller looks ahead by half of it.
+        # The window moves in steps of a quarter: the controller looks ahead by half of it.
         x, y = (round(float(at) / (side_m / 4)) for at in state.pose[:2])
         stamp_s = self._live.obstacles().stamp_s
-        made = _Made(stamp_s, self.avoids_hidden, self._floor.revision, (x, y), tuple(T_map_odom.tolist()))
+        made = _LocalKey(stamp_s, self.avoids_hidden, self._floor.revision, (x, y), tuple(T_map_odom.tolist()))
         known = self._local.get(for_plans)
         if known is None or known[0] != made:
             window = layer.window((x * side_m / 4, y * side_m / 4), 1.5 * side_m)
             near_m = self._footprint.circumscribed_m + self._settings.navigator.hidden_m
-            live = self._obstacles(self._hidden(near_m) if self.avoids_hidden and not for_plans else None)
+            live = self._obstacles(self.hidden(near_m) if self.avoids_hidden and not for_plans else None)
             live = live.standing() if for_plans and self._floor.is_fixed else live
             costmap = Costmap.of(window, self._footprint, self._settings.costmap, live, T_map_odom)
             outline = self._footprint.padded(self._settings.follow.margin_m + 2 * layer.resolution_m)

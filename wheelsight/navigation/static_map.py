@@ -1,4 +1,4 @@
-"""Floor: where a navigator has its static layer from: a map of before, or one that grows while it drives."""
+"""Floor: source of a navigator's static layer, either a map from an earlier session or one that grows on the way."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.geometry import BoolArray, FloatArray, IntArray
 from wheelsight.core.geometry.se2 import wrap_angle
-from wheelsight.core.keyframes import KeyframeStore
 from wheelsight.mapping import EditKind, MapEdits, OccupancyGrid, OccupancyMapper, OccupancySettings
 from wheelsight.navigation.costmap import CellState, StaticLayer
 from wheelsight.navigation.costmap_kernels import mark_in_sight
@@ -23,53 +22,52 @@ from wheelsight.navigation.workers import Worker, WorkerInStep
 
 # Half a cell: keyframes that moved by less show the same cells.
 _LEAST_SHIFT_M = 0.025
-# A grid of an hour's keyframes takes a second to make; longer than this its worker hangs.
+# Longest computation of a grid before its worker counts as hanging; an hour's keyframes take a second.
 _SILENT_S = 10.0
-# From one outline to the next where a robot drove.
+# Spacing of the outlines that mark a path as floor.
 _STAMP_M, _STAMP_RAD = 0.05, 0.1
-# So far beside the outline of a robot that drove is floor, too: more than the 4 cm that plans and controllers keep
-# (follow.margin_m), for poses of a plan are not just those that were driven.
+# Margin of floor beside a driven outline. It exceeds the 4 cm of plans and controllers (follow.margin_m), as poses of
+# a plan differ from driven ones.
 _BESIDE_M = 0.05
 
 
 class Floor(Protocol):
-    """What is known of the floor by now."""
+    """Known part of the building's floor."""
 
     @property
     def revision(self) -> int:
-        """Another number each time it has changed."""
+        """Number that changes with the layer."""
 
     @property
     def layer(self) -> StaticLayer:
-        """In the frame `map`."""
+        """Static layer in the frame `map`."""
 
     @property
     def is_fixed(self) -> bool:
-        """Whether it stays as it is, so that what is seen can be laid on it."""
+        """Whether it comes from an earlier session, so that obstacles besides it are temporary."""
 
     @property
     def has_keep_out(self) -> bool:
-        """Whether somebody forbade a part of it, which no camera sees."""
+        """Whether it has a keep-out zone, which no camera sees."""
 
     def update(self, pose: FloatArray | None, now_s: float) -> None:
-        """Look whether more is known, of a robot at (3,) in the map; called once a period, and quick."""
+        """Update it for a robot at (3,) in the map; called once per period, so it must be fast."""
 
     def is_silent(self, now_s: float) -> bool:
-        """Whether what makes it does not answer."""
+        """Return whether its computation hangs."""
 
 
 class KnownFloor:
-    """Of a map that stays as it is, but for floor that the robot itself drives over.
+    """Floor of a fixed map, extended by the floor that the robot itself drives over.
 
     Args:
         grid: of the map.
-        edits: what people said of it.
-        T_map_keyframe: (K, 4, 4) where keyframes are, where any edit is anchored.
-        driven: stretches (K, 3) of x, y, yaw at which a robot stood, about straight from each to the next: what lies
-            under its outline, and 5 cm beside it, is floor where nothing else is known.
-        footprint: that robot's, and of the one that drives now: where it stands, there is floor. None: not even there.
-        trusted_m: radius about where this drive begins, in sight of there, within which unknown floor is free: a person
-            who looked at it says so.
+        edits: edits of the map by people.
+        T_map_keyframe: (K, 4, 4) poses of keyframes that edits are anchored to.
+        driven: sections (K, 3) of x, y, yaw of an earlier drive, about straight between poses. Unknown floor under the
+            outline there, and 5 cm beside it, is free.
+        footprint: of that robot and of this one, whose own place is free too; None to mark neither.
+        trusted_m: radius around the start, in sight of it, where unknown floor is free, because a person looked at it.
     """
 
     is_fixed = True
@@ -91,7 +89,7 @@ class KnownFloor:
             self.layer = _driven_over(static, np.concatenate([_densely(stretch) for stretch in driven]), footprint)
 
     def update(self, pose: FloatArray | None, now_s: float) -> None:
-        """See `Floor`: where the robot stands there is floor, and near to where it began."""
+        """Mark the floor under the robot as free, and the trusted floor around its start."""
         if pose is None or self._footprint is None or (self._stood is not None and not _apart(pose, self._stood)):
             return
         layer = _driven_over(self.layer, pose[None], self._footprint)
@@ -103,35 +101,34 @@ class KnownFloor:
             self.layer, self.revision = layer, self.revision + 1
 
     def is_silent(self, now_s: float) -> bool:
-        """See `Floor`: nothing makes it."""
+        """Return False, as nothing computes it."""
         return False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenFloor:
-    """What a camera has seen of the floor: as a map, and as a costmap takes it."""
+    """Floor that a camera has seen: as a map, and as a static layer."""
 
     grid: OccupancyGrid
     layer: StaticLayer
 
 
 class GrowingFloor:
-    """Of the keyframes that a localization keeps; made anew where they moved.
+    """Floor from the keyframes of a localization, computed again when they move.
 
-    Where the robot stood there is floor; and so far about where it began, for whoever began it looked.
+    It is free where the robot stood, and within a radius of its start, because a person looked at it.
 
     Args:
-        localization: whose keyframes.
+        localization: source of the keyframes.
         calibration: of the robot.
         footprint: of the robot.
-        trusted_m: radius of floor about the begin that is free, which the camera cannot see from there.
-        settings: of occupancy, or the defaults.
-        holds: (N, 2) places that the layer holds, though nobody may have seen them: a goal that lies beyond all that
-            is known would else be outside of the map.
-        worker: that makes the grid; None: at once. Whoever made it closes it.
+        trusted_m: radius around the start of free floor that the camera cannot see from there.
+        settings: of occupancy; None for the defaults.
+        holds: (N, 2) places that the layer must include, even unseen, such as a goal beyond all known floor.
+        worker: computes the grid; None for at once. The caller closes it.
 
     Attributes:
-        grid: as the camera alone has it by now.
+        grid: grid of the camera alone.
 
     Raises:
         MapError: the calibration does not say where the camera sits on the base.
@@ -164,7 +161,7 @@ class GrowingFloor:
         self._seen = self.layer = StaticLayer.of(self.grid)
 
     def update(self, pose: FloatArray | None, now_s: float) -> None:
-        """See `Floor`: keyframes that moved may take a second, and come when they are ready."""
+        """Update the layer. A grid of moved keyframes may take a second, and is used when it is ready."""
         has_moved = pose is not None and (not self._stood or _apart(pose, self._stood[-1]))
         if pose is not None and has_moved:
             self._stood.append(pose)
@@ -175,44 +172,44 @@ class GrowingFloor:
             self.grid, self._seen = seen.grid, seen.layer
         elif not has_moved:
             return
-        self.layer = self._seen if not self._stood else self._with_stood(self._seen.grown(self._bounds()))
+        if self._stood:
+            reach_m = max(self._footprint.circumscribed_m, self._trusted_m) + 0.1
+            self.layer = self._with_stood(self._seen.grown(self._reached + [[-reach_m], [reach_m]]))
+        else:
+            self.layer = self._seen
         self.revision += 1
 
     def is_silent(self, now_s: float) -> bool:
-        """See `Floor`."""
+        """Return whether the worker hangs."""
         return self._worker.is_asked and now_s - self._asked_s > _SILENT_S
 
     def _look(self, now_s: float) -> None:
-        """Have the grid made anew where there are other keyframes, one time after another."""
+        """Request a new grid if keyframes changed and none is requested."""
         store = self._localization.keyframes
         if store is None or self._worker.is_asked:
             return
         if len(store) == self._count and store.revision == self._store_revision:
             return
         self._count, self._store_revision, self._asked_s = len(store), store.revision, now_s
-        self._worker.ask(lambda: self._made_of(store), now_s)
 
-    def _made_of(self, store: KeyframeStore) -> SeenFloor:
-        self._mapper.update(store, _LEAST_SHIFT_M)
-        grid = self._mapper.grid()
-        return SeenFloor(grid, StaticLayer.of(grid))
+        def made() -> SeenFloor:
+            self._mapper.update(store, _LEAST_SHIFT_M)
+            grid = self._mapper.grid()
+            return SeenFloor(grid, StaticLayer.of(grid))
+
+        self._worker.ask(made, now_s)
 
     def _reach(self, places: FloatArray) -> None:
-        """Widen the bounds to hold (N, 2) more."""
+        """Extend the bounds to include places (N, 2)."""
         if len(places):
             low, high = self._reached
             self._reached = np.array([np.minimum(low, places.min(axis=0)), np.maximum(high, places.max(axis=0))])
 
-    def _bounds(self) -> FloatArray:
-        """(2, 2) low and high corner of all floor that is known by standing there, and of what it is to hold."""
-        reach_m = max(self._footprint.circumscribed_m, self._trusted_m) + 0.1
-        return self._reached + [[-reach_m], [reach_m]]
-
     def _with_stood(self, static: StaticLayer) -> StaticLayer:
-        """With the floor where the robot stood, and near to where it began."""
+        """Return the layer with the floor where the robot stood, and with the trusted floor."""
         is_stood = np.zeros(static.state.shape, bool)
         if self._marked is not None:
-            # Both lie on whole cells of one grid.
+            # Both origins lie on the same grid of cells.
             before, origin = self._marked
             _paste(is_stood, before, np.rint((np.array(origin) - static.origin) / static.resolution_m).astype(int))
         for pose in self._stood[self._stamped :]:
@@ -222,7 +219,7 @@ class GrowingFloor:
         return known.with_floor(self._trusted_floor(static), is_told=True) if self._trusted_m else known
 
     def _trusted_floor(self, static: StaticLayer) -> BoolArray:
-        """(H, W) floor near to where the robot began; kept while the same was seen, since it takes 16 ms."""
+        """Return (H, W) trusted floor around the start; cached, as it takes 16 ms."""
         of = self._seen, static.origin, static.state.shape
         if self._trusted is None or self._trusted[0][0] is not self._seen or self._trusted[0][1:] != of[1:]:
             self._trusted = of, _in_sight(static, self._stood[0][:2], self._trusted_m)
@@ -230,7 +227,7 @@ class GrowingFloor:
 
 
 def _driven_over(static: StaticLayer, poses: FloatArray, footprint: Footprint) -> StaticLayer:
-    """The same with floor at poses (N, 3), and large enough for it; the same object where nothing is new."""
+    """Return the layer with floor at poses (N, 3), large enough to include it; the same object if nothing is new."""
     reach_m = footprint.circumscribed_m + 2 * _BESIDE_M
     bounds = np.array([poses[:, :2].min(axis=0) - reach_m, poses[:, :2].max(axis=0) + reach_m])
     high = np.array(static.origin) + np.array(static.state.shape[::-1]) * static.resolution_m
@@ -244,7 +241,7 @@ def _driven_over(static: StaticLayer, poses: FloatArray, footprint: Footprint) -
 
 
 def _densely(stretch: FloatArray) -> FloatArray:
-    """(N, 3) poses of a way with others between them, a cell and some degrees apart."""
+    """Return (N, 3) poses of a path, interpolated to a spacing of a cell and a few degrees."""
     poses = [stretch[:1]]
     for before, after in pairwise(stretch):
         turn = float(wrap_angle(after[2] - before[2]))
@@ -254,7 +251,7 @@ def _densely(stretch: FloatArray) -> FloatArray:
 
 
 def _paste(into: BoolArray, part: BoolArray, at: IntArray) -> None:
-    """Lay one grid into another, at column and row (2,), as far as it lies within."""
+    """Copy one grid into another at column and row (2,), as far as it lies within."""
     (column, row), (height, width) = at, part.shape
     low = np.maximum([row, column], 0)
     high = np.minimum([row + height, column + width], into.shape)
@@ -265,13 +262,13 @@ def _paste(into: BoolArray, part: BoolArray, at: IntArray) -> None:
 
 
 def _apart(pose: FloatArray, other: FloatArray) -> bool:
-    """Whether a robot that moved so stands on other floor."""
+    """Return whether the motion between two poses changes the floor that is covered."""
     return bool(np.hypot(*(pose[:2] - other[:2])) > _STAMP_M or abs(wrap_angle(pose[2] - other[2])) > _STAMP_RAD)
 
 
 def _stamp(found: BoolArray, static: StaticLayer, pose: FloatArray, footprint: Footprint) -> None:
-    """Mark the cells under an outline at a pose, and close beside it."""
-    # All cells that a plan's outline touches: a cell's corners are half a diagonal off its middle.
+    """Mark the cells under an outline at a pose, with the margin beside it."""
+    # All cells that the outline touches: a cell's corners are half a diagonal off its middle.
     outline = footprint.padded(_BESIDE_M + np.sqrt(0.5) * static.resolution_m)
     cut, away = _about(static, pose[:2], outline.circumscribed_m)
     c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -279,7 +276,7 @@ def _stamp(found: BoolArray, static: StaticLayer, pose: FloatArray, footprint: F
 
 
 def _in_sight(static: StaticLayer, xy: FloatArray, reach_m: float) -> BoolArray:
-    """(H, W) unknown cells that near to a place, with nothing known between."""
+    """Return (H, W), the unknown cells within `reach_m` of a place, with only unknown or free cells between."""
     found = np.zeros(static.state.shape, bool)
     cells, reach = (xy - np.array(static.origin)) / static.resolution_m, reach_m / static.resolution_m
     mark_in_sight(static.state, cells, reach, (int(CellState.UNKNOWN), int(CellState.OCCUPIED)), found)
@@ -287,7 +284,7 @@ def _in_sight(static: StaticLayer, xy: FloatArray, reach_m: float) -> BoolArray:
 
 
 def _about(static: StaticLayer, xy: FloatArray, reach_m: float) -> tuple[tuple[slice, slice], FloatArray]:
-    """The cells about a place, and where their middles are from it (h, w, 2)."""
+    """Return the slices of the cells around a place, and their centres relative to it (h, w, 2)."""
     low = np.maximum(np.floor((xy - reach_m - static.origin) / static.resolution_m).astype(int), 0)
     high = np.ceil((xy + reach_m - static.origin) / static.resolution_m).astype(int)
     right, top = np.minimum(high, static.state.shape[::-1]).tolist()

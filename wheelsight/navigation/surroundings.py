@@ -1,5 +1,6 @@
-"""Surroundings: the collision monitor's memory of the floor around the robot. DepthViewer fills it from depth
-images; PlanView tests whether the camera observes a plan's floor.
+"""Surroundings: the collision monitor's memory of the floor around the robot.
+
+`DepthViewer` fills it from depth images. `PlanView` tests whether the camera observes the floor along a plan in time.
 """
 
 from __future__ import annotations
@@ -36,26 +37,24 @@ from wheelsight.navigation.view_kernels import look as depth_viewer_look
 __all__ = ["Eye", "PlanView"]
 
 
-# Surroundings: what a collision monitor remembers of the floor about a robot, carried along by the wheels alone.
-
-
+# Pose in the plane of `Surroundings`: x, y, cosine and sine of the yaw.
 Pose = tuple[float, float, float, float]
 _MOST_POINTS = 20_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthView:
-    """A depth frame, as a collision monitor takes it.
+    """A depth frame in the form that the collision monitor uses.
 
     Attributes:
-        stamp_s: of the frame.
-        points: (N, 2) in `base` of things between floor and the robot's height, and of edges where the floor ends.
+        stamp_s: time of the frame.
+        points: (N, 2) in `base` of obstacles between floor and the robot's height, and of edges where the floor ends.
         camera: x and y of the camera in `base`.
         first_rad: bearing in `base` of the right end of the view.
-        step_rad: from one column to the next, counter-clockwise.
-        seen_m: (B,) how far from the camera each column sees the floor, or through the air; 0 where it has no depth.
-        near_m: nearer to the camera nothing of the floor is seen.
-        shows_m: (N,) how near to the camera each of the points would show; None: as near as it is.
+        step_rad: angle from one column to the next, counter-clockwise.
+        seen_m: (B,) distance from the camera to which each column observes the floor or free air; 0 without depth.
+        near_m: distance from the camera to the nearest visible floor.
+        shows_m: (N,) distance from the camera at which each point would still be visible; None for its own distance.
     """
 
     stamp_s: float
@@ -77,15 +76,15 @@ class DepthView:
         reach_m: tuple[float, float],
         columns: int = 64,
     ) -> DepthView:
-        """Of a camera that looks ahead and has depth all over its view: each column sees to its nearest point.
+        """Return the view of a camera that looks ahead and has depth everywhere. A column ends at its nearest point.
 
         Args:
-            stamp_s: of the frame.
+            stamp_s: time of the frame.
             points: (N, 2) in `base`.
             camera: x and y in `base`.
-            half_angle_rad: to either side of ahead.
-            reach_m: nearest and farthest floor that it sees.
-            columns: of the answer.
+            half_angle_rad: half of the field of view.
+            reach_m: distances of the nearest and farthest visible floor.
+            columns: number of columns.
         """
         points = np.asarray(points, float).reshape(-1, 2)
         step_rad = 2 * half_angle_rad / columns
@@ -98,7 +97,7 @@ class DepthView:
 
     @property
     def is_sound(self) -> bool:
-        """Whether all its numbers can be reckoned with."""
+        """Whether all its numbers are finite, and all shapes are right."""
         numbers = np.array([self.stamp_s, *self.camera, self.first_rad, self.step_rad, self.near_m], float)
         points, seen = np.asarray(self.points), np.asarray(self.seen_m)
         shapes = points.ndim == 2 and points.shape[1:] == (2,) and seen.ndim == 1 and len(seen) > 0
@@ -109,18 +108,18 @@ class DepthView:
 
     @property
     def share(self) -> float:
-        """Of the columns that have depth."""
+        """Share of the columns that have depth."""
         return float((np.asarray(self.seen_m) > 0).mean())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unseen:
-    """Cells about a robot; rows along x, columns along y.
+    """Unseen floor around a robot, in cells; rows along x, columns along y.
 
     Attributes:
-        never_m: (m, m) metres into floor that was never seen, nor led over.
-        is_old: (m, m) 1 where it was not lately.
-        hidden_m: (m, m) metres into floor that no camera has looked at, not even over it.
+        never_m: (m, m) depth in metres into floor that was never seen nor driven over.
+        is_old: (m, m) 1 where it was not seen lately.
+        hidden_m: (m, m) depth in metres into floor that no camera has seen, not even the air over it.
         first: i and j of the first cell.
     """
 
@@ -132,6 +131,8 @@ class Unseen:
 
 @dataclass(frozen=True, slots=True)
 class _Reading:
+    """A wheel reading, with the pose of the base in the plane."""
+
     stamp_s: float
     pose: Pose
     forward_m_s: float
@@ -139,9 +140,9 @@ class _Reading:
 
 
 class Surroundings:
-    """Things and seen floor in a plane in which the wheels say where the robot is.
+    """Obstacles and seen floor in a plane where wheel odometry gives the robot's pose.
 
-    The plane is its own, and drifts: what is in it is never older than it takes the robot to leave it.
+    The plane has a frame of its own, which drifts. Its content is never older than the robot needs to leave it.
     """
 
     def __init__(self, outline: Outline, settings: MonitorSettings) -> None:
@@ -149,13 +150,13 @@ class Surroundings:
         self._readings: deque[_Reading] = deque()
         self._newest = np.empty((0, 2))
         self._newest_s, self._trusted_m, self._way_m = -np.inf, 0.0, 0.0
-        # How deep cells are in floor never looked at, by the last reading; None where that has changed since.
+        # Depth of cells in floor that no camera has seen, for the last reading; None after a change.
         self._hidden: tuple[Float32Array, tuple[int, int]] | None = None
         self._reach_m = float(np.linalg.norm(outline.sides[:, :2], axis=1).max())
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew: nothing is known but that the robot stands where it stands."""
+        """Clear everything but the robot's own place."""
         self._hidden = None
         s = self._settings
         n = int(np.ceil(s.window_m / s.cell_m))
@@ -169,13 +170,13 @@ class Surroundings:
     def hear(
         self, stamp_s: float, forward_m_s: float, turn_rad_s: float, rolled: tuple[float, float] | None = None
     ) -> None:
-        """Go on by what the wheels measured since the last reading; stamps in order. `rolled` as `CollisionMonitor`."""
+        """Process a wheel reading; stamps must be in order. `rolled` as in `CollisionMonitor.hear`."""
         self._hidden = None
         if not self._readings:
             pose = (0.0, 0.0, 1.0, 0.0)
             mark_under(self._memory, self._outline.sides, pose, stamp_s, -np.inf)
             if self._trusted_m > 0:
-                mark_under(self._memory, _around(self._trusted_m), pose, stamp_s, -np.inf)
+                mark_under(self._memory, sides_of(Footprint.circle(self._trusted_m)), pose, stamp_s, -np.inf)
         else:
             last = self._readings[-1]
             step_s = stamp_s - last.stamp_s
@@ -191,22 +192,22 @@ class Surroundings:
             self._readings.popleft()
 
     def trust(self, radius_m: float) -> None:
-        """Count the floor so far about the axle as seen, where the robot is now; before any reading, at the first."""
+        """Mark the floor within a radius of the axle as seen, now or at the first reading."""
         self._hidden = None
         self._trusted_m = 0.0 if self._readings else radius_m
         if self._readings and radius_m > 0:
             last = self._readings[-1]
-            mark_under(self._memory, _around(radius_m), last.pose, last.stamp_s, -np.inf)
+            mark_under(self._memory, sides_of(Footprint.circle(radius_m)), last.pose, last.stamp_s, -np.inf)
 
     def forget_near(self, xy_base: ArrayLike, radius_m: float) -> None:
-        """Forget remembered things about a place (2,) in the base as it is now; what a frame shows is seen again."""
+        """Remove remembered obstacles near a place (2,) in the current base. The next frames show real ones again."""
         if self._readings:
             at = _placed(np.asarray(xy_base, float).reshape(1, 2), self._readings[-1].pose)[0]
             is_near = np.hypot(*np.moveaxis(self._memory.hits[..., :2] - at, -1, 0)) <= radius_m
             self._memory.hit_s[is_near] = -np.inf
 
     def pose_at(self, stamp_s: float) -> Pose | None:
-        """Where the base was, or will be soon; None where that is not known any more, or not yet."""
+        """Return the pose of the base at a time, extrapolated if it is later than the readings; None if too early."""
         before = [reading for reading in self._readings if reading.stamp_s <= stamp_s]
         if not before:
             return None
@@ -215,12 +216,12 @@ class Surroundings:
         return float(x), float(y), float(c), float(s)
 
     def cover(self, pose: Pose, stamp_s: float) -> None:
-        """Count the floor under the robot ahead of its axle as seen: its front went over that before its sides do."""
+        """Mark the floor under the robot ahead of its axle as seen, as its front covers that before its sides do."""
         self._hidden = None
         mark_under(self._memory, self._outline.sides, pose, stamp_s, 0.0)
 
     def see(self, view: DepthView) -> bool:
-        """Add what a frame shows; False where nobody knows where the robot was then."""
+        """Add a frame; return False if the pose at its time is unknown."""
         self._hidden = None
         pose = self.pose_at(view.stamp_s)
         if pose is None:
@@ -232,22 +233,19 @@ class Surroundings:
         near_far = (min(self._settings.air_m, view.near_m), view.near_m, float(seen_m.max()))
         sight = Sight(float(camera[0]), float(camera[1]), first_rad, view.step_rad, *near_far, seen_m, view.stamp_s)
         look(self._memory, sight, pose[0], pose[1])
-        keep(self._memory, points, self._shows_m(view), view.stamp_s, (pose[0], pose[1]), self._way_m)
+        # Points become visible again where they were visible, and nearer if they are high enough.
+        shows_m = np.asarray(np.hypot(*(np.asarray(view.points, float) - view.camera).T) - self._settings.cell_m)
+        if view.shows_m is not None:
+            shows_m = np.asarray(np.minimum(shows_m, np.maximum(view.shows_m, self._settings.air_m)))
+        keep(self._memory, points, shows_m, view.stamp_s, (pose[0], pose[1]), self._way_m)
         self._newest, self._newest_s = points, view.stamp_s
         return True
 
-    def _shows_m(self, view: DepthView) -> FloatArray:
-        """(N,) how near to the camera its things would show again: where they did, and where they are high enough."""
-        away_m = np.hypot(*(np.asarray(view.points, float) - view.camera).T) - self._settings.cell_m
-        if view.shows_m is None:
-            return np.asarray(away_m)
-        return np.asarray(np.minimum(away_m, np.maximum(view.shows_m, self._settings.air_m)))
-
     def points_at(self, pose: Pose, now_s: float, reach_m: float) -> FloatArray:
-        """(N, 2) things within reach in the frame of a pose: all of the newest frame, and what is remembered.
+        """Return obstacles (N, 2) within reach, in the frame of a pose: all of the newest frame, and remembered ones.
 
-        That is by the way driven since, which wheels err by, and hardly by time: beside a robot that stays where it is
-        a thing stays, too. Where the robot has come to stand since there is none.
+        Memory ends after a distance driven, as wheels drift with it, rather than after a time: beside a robot that
+        stands, an obstacle stays. Remembered obstacles under the robot are removed.
         """
         old = self._remembered(pose, now_s, reach_m)
         apart = self._newest - np.array(pose[:2])
@@ -256,7 +254,7 @@ class Surroundings:
         return np.ascontiguousarray(np.concatenate([apart @ R, old[:, :2]]))
 
     def out_of_sight(self, reach_m: float) -> FloatArray:
-        """(N, 2) in the base as it is now: things within reach that are remembered, and that the newest frame lacks."""
+        """Return remembered obstacles (N, 2) within reach in the current base that the newest frame lacks."""
         if not self._readings:
             return np.empty((0, 2))
         last = self._readings[-1]
@@ -264,7 +262,7 @@ class Surroundings:
         return np.asarray(old[old[:, 2] < self._newest_s, :2])
 
     def _remembered(self, pose: Pose, now_s: float, reach_m: float) -> FloatArray:
-        """(N, 3) x and y in the frame of a pose, and when it was seen."""
+        """Return (N, 3), x and y in the frame of a pose, and the time of the observation."""
         s, out = self._settings, np.empty((_MOST_POINTS, 3))
         since = (now_s - s.remember_s, self._way_m - s.remember_m)
         old = out[: remembered(self._memory, pose, since, reach_m, out)]
@@ -272,15 +270,18 @@ class Surroundings:
         return np.asarray(old[~(within & (old[:, 2] < now_s - s.fresh_s))])
 
     def hidden_about(self, reach_m: float, deep_m: float) -> FloatArray:
-        """(N, 2) in the base as it is now: middles of cells within reach that are so deep in floor never looked at.
+        """Return the centres (N, 2), in the current base, of cells within reach that lie deep in unseen floor.
 
-        Where the robot was led over it there is floor, but nothing was looked at from there: what is beside that is as
-        deep as it was.
+        Driving over unseen floor shows that there is floor, but not what is beside it: that keeps its depth.
+
+        Args:
+            reach_m: distance from the axle.
+            deep_m: depth in metres beyond which cells count.
         """
         if not self._readings:
             return np.empty((0, 2))
         last, cell_m = self._readings[-1], self._settings.cell_m
-        if np.isfinite(reach_m):  # all that is as near as that to floor within reach decides how deep it is
+        if np.isfinite(reach_m):  # cells up to `deep_m` beyond the reach affect the depth within it
             deep, first = self._hidden_within(reach_m + deep_m)
         else:
             self._hidden = deep, first = self._hidden or self._hidden_within(self._settings.window_m / 2)
@@ -290,13 +291,13 @@ class Surroundings:
         return np.asarray(away @ np.array([[c, -s], [s, c]]))
 
     def _hidden_within(self, reach_m: float) -> tuple[Float32Array, tuple[int, int]]:
-        """(m, m) metres into floor that no camera has looked at, 0 where it was seen; i and j of the first cell."""
+        """Return (m, m), the depth in metres into unseen floor, 0 where it was seen, and i and j of the first cell."""
         last = self._readings[-1]
         out, first = self._unseen(last.pose, last.stamp_s, reach_m)
         return np.where(out[..., 0] > 0, _deep_m(out[..., 2], self._settings.cell_m), 0), first
 
     def unseen_about(self, pose: Pose, now_s: float, reach_m: float) -> Unseen:
-        """What was not seen of the floor within reach of a pose."""
+        """Return the unseen floor within reach of a pose."""
         out, first = self._unseen(pose, now_s, reach_m)
         cell_m = self._settings.cell_m
         return Unseen(
@@ -304,7 +305,7 @@ class Surroundings:
         )
 
     def _unseen(self, pose: Pose, now_s: float, reach_m: float) -> tuple[ByteArray, tuple[int, int]]:
-        """(m, m, 3) 1 where floor was never seen, not lately, and never looked at; i and j of the first cell."""
+        """Return (m, m, 3), 1 for floor never driven or seen, not seen lately, and never seen; and the first cell."""
         s = self._settings
         half = min(int(np.ceil(reach_m / s.cell_m)) + 1, len(self._memory.seen_s) // 2)
         first = (int(np.floor(pose[0] / s.cell_m)) - half, int(np.floor(pose[1] / s.cell_m)) - half)
@@ -314,47 +315,40 @@ class Surroundings:
 
 
 def _deep_m(is_none: ByteArray, cell_m: float) -> Float32Array:
-    """(m, m) metres into cells that are 1, to the nearest that is 0."""
+    """Return (m, m), the distance in metres from cells that are 1 to the nearest that is 0."""
     deep = cv2.distanceTransform(np.ascontiguousarray(is_none), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     return np.asarray(deep * cell_m, np.float32)
 
 
-def _around(radius_m: float) -> FloatArray:
-    """Sides of a round patch about the axle."""
-    return sides_of(Footprint.circle(radius_m))
-
-
 def _placed(points: FloatArray, pose: Pose) -> FloatArray:
+    """Return points (N, 2) of the frame of a pose, in the plane."""
     x, y, c, s = pose
     return np.asarray(points @ np.array([[c, s], [-s, c]]) + np.array([x, y]))
 
 
-# DepthViewer: makes of a depth image what a collision monitor goes by.
-
-
-# From bearing to bearing of a row its pixels lie closer than this, whatever the camera.
+# Fewest columns of an image: pixels of a row must be closer than the bearings.
 _LEAST_COLUMNS = 8
-# So wide is a bearing at least, since one between two pixels would see nothing.
+# Least width of a bearing in pixels: one between two pixels would see nothing.
 _LEAST_PIXELS = 2
 
 
 class DepthViewer:
-    """Things between the floor and the robot's height, where the floor ends, and how far it is seen.
+    """Extracts from depth images the obstacles, the ends of the floor, and how far the floor is visible.
 
     Args:
-        calibration: of the robot: its depth camera, and where that sits over the floor.
-        footprint: of the robot: what lies within it is the robot itself.
-        settings: or the defaults.
-        heights: by which floor and things are told apart; or the defaults.
+        calibration: of the robot: its depth camera, and the mount of it over the floor.
+        footprint: of the robot; points within it are the robot itself.
+        settings: None for the defaults.
+        heights: limits between floor and obstacles; None for the defaults.
 
     Attributes:
-        near_m: from the axle, the nearest floor that the camera sees at all its bearings.
-        half_rad: to either side, how far all its rows see.
-        camera: x and y of it in `base`.
+        near_m: distance from the axle to the nearest floor that is visible at all bearings.
+        half_rad: half of the field of view that all rows share.
+        camera: x and y of the camera in `base`.
 
     Raises:
         CalibrationError: there is no camera.
-        MapError: nobody knows where the camera sits, or it sees no floor.
+        MapError: the mount of the camera is unknown, or the camera sees no floor.
     """
 
     def __init__(
@@ -367,7 +361,8 @@ class DepthViewer:
         T_base_camera = camera_over_floor(calibration)
         _, self._camera = calibration.cameras
         self._settings, self._footprint = settings or ViewSettings(), footprint
-        self._heights = _heights_of(heights or LiveLayerSettings())
+        limits = heights or LiveLayerSettings()
+        self._heights = Heights(**{name: getattr(limits, name) for name in Heights._fields})
         ways = self._camera.rays() @ T_base_camera[:3, :3].T
         self._count = min(self._settings.columns, ways.shape[1] // _LEAST_PIXELS)
         self._first_rad, self._step_rad, columns = _bearings(ways, self._count)
@@ -379,10 +374,10 @@ class DepthViewer:
         self.near_m = self._near_m + float(np.hypot(*where[:2]))
 
     def view(self, depth_m: ArrayLike, stamp_s: float) -> DepthView:
-        """What a depth image (H, W) in metres shows; 0 or what is not finite was not measured.
+        """Return the view of a depth image (H, W) in metres; pixels that are 0 or not finite have no depth.
 
         Raises:
-            ArgumentError: an image of another size.
+            ArgumentError: the image has another size.
         """
         depth = checked_depth(depth_m, self._camera)
         s, far_m = self._settings, self._heights.far_m
@@ -401,15 +396,18 @@ class DepthViewer:
         thing_m = np.full(self._count, np.inf)
         reach(depth, self._rays, self._heights, shown, is_thing, thing_m)
         seen_m = self._seen_m(shown, thing_m)
-        return DepthView(
-            stamp_s, points, self.camera, self._first_rad, self._step_rad, seen_m, self._near_m, self._shows_m(tops_m)
-        )
+        # Nearer than this, an obstacle is below the lowest ray.
+        shows_m = np.asarray(self._near_m * np.maximum(1 - tops_m / float(self._rays.camera[2]), 0.0))
+        return DepthView(stamp_s, points, self.camera, self._first_rad, self._step_rad, seen_m, self._near_m, shows_m)
 
     def _things(self, shown: Shown) -> tuple[BoolArray, FloatArray, FloatArray]:
-        """(n, n) which cells hold one, and where, (N, 2) in the base, and (N,) how high; not the robot itself.
+        """Return the obstacles besides the robot itself.
 
-        As high as so many pixels say as make a thing, of a cell or of one beside it: where a surface grazes a cell,
-        hardly more show in it.
+        The height of a cell is the one that enough pixels of it, or of a neighbour, exceed: few pixels show a surface
+        that grazes the cell.
+
+        Returns:
+            (n, n) bool of cells with an obstacle, (N, 2) places in the base, and (N,) heights in metres.
         """
         is_thing = shown.cells[..., 0] >= self._settings.pixels
         some = shown.cells[is_thing].astype(float)
@@ -418,27 +416,18 @@ class DepthViewer:
         tops_m = cv2.dilate(np.ascontiguousarray(shown.tops[..., -1]), np.ones((3, 3), np.uint8))
         return is_thing, np.asarray(points[is_other]), np.asarray(tops_m[is_thing], float)
 
-    def _shows_m(self, tops_m: FloatArray) -> FloatArray:
-        """(N,) how near to the camera things so high show: nearer, they are below its lowest ray."""
-        height_m = float(self._rays.camera[2])
-        return np.asarray(self._near_m * np.maximum(1 - tops_m / height_m, 0.0))
-
     def _seen_m(self, shown: Shown, thing_m: FloatArray) -> FloatArray:
-        """(columns,) how far each sees: along floor without a long gap, or up to the nearest thing; 0 of nothing."""
+        """Return (columns,) the visible distance: along floor without long gaps, or to the nearest obstacle; else 0."""
         s, far_m = self._settings, self._heights.far_m
         floor_m = _floor_until_m(shown.floor, s.gap_m, s.bin_m, self._near_m)
-        # Up to a thing that stands on the last floor seen, or nearer than any floor is.
+        # An obstacle counts if it stands on the last visible floor, or nearer than any.
         reached = thing_m <= np.maximum(floor_m, self._near_m) + s.gap_m
         seen_m = np.where(reached, thing_m, np.minimum(floor_m, far_m))
         return np.where(shown.measured >= s.pixels, seen_m, 0.0)
 
 
-def _heights_of(settings: LiveLayerSettings) -> Heights:
-    return Heights(**{name: getattr(settings, name) for name in Heights._fields})
-
-
 def _bearings(ways: FloatArray, count: int) -> tuple[float, float, IntArray]:
-    """First bearing and step of the view that all rows share, and the number (h, w) of each pixel's bearing."""
+    """Return first bearing and step of the view that all rows share, and the index (h, w) of each pixel's bearing."""
     middle = float(np.arctan2(*ways.mean(axis=(0, 1))[1::-1]))
     turned = np.arctan2(ways[..., 1], ways[..., 0]) - middle
     bearing = (turned + np.pi) % (2 * np.pi) - np.pi
@@ -452,7 +441,7 @@ def _bearings(ways: FloatArray, count: int) -> tuple[float, float, IntArray]:
 
 
 def _near_floor_m(ways: FloatArray, columns: IntArray, height_m: float) -> float:
-    """From the camera, the nearest floor that it sees at all bearings."""
+    """Return the distance from the camera to the nearest floor that is visible at all bearings."""
     down = np.where(columns >= 0, -ways[..., 2], 0)
     along = np.hypot(ways[..., 0], ways[..., 1])
     with np.errstate(divide="ignore"):
@@ -464,7 +453,7 @@ def _near_floor_m(ways: FloatArray, columns: IntArray, height_m: float) -> float
 
 
 def _floor_until_m(floor: IntArray, gap_m: float, bin_m: float, near_m: float) -> FloatArray:
-    """(columns,) where floor that begins at the nearest that can be seen ends; 0 where none begins there."""
+    """Return (columns,) where floor that begins at the nearest visible distance ends; 0 if it begins farther away."""
     begin = near_m / bin_m
     last, is_on = np.full(len(floor), begin), np.ones(len(floor), bool)
     for at, is_seen in enumerate(floor.T.astype(bool)):
@@ -473,21 +462,17 @@ def _floor_until_m(floor: IntArray, gap_m: float, bin_m: float, near_m: float) -
     return np.where(last > begin, last * bin_m, 0.0)
 
 
-# PlanView: whether a camera will have looked at the floor that a plan leads over, by the time the robot is there.
-#
-# What lies beside a robot and was never looked at is no wall: it is one to who turns into it, and none to who comes
-# round and drives up to it.
-
-
-# A frame is this many poses of a plan old, about 0.1 m of way, before anybody goes by it.
+# Poses of a plan between a frame and its use, about 0.1 m.
 _LAG = 2
 
 
 class PlanView:
-    """Of one robot.
+    """Tests whether the camera sees the floor along a plan before the robot drives over it.
+
+    Unseen floor beside a robot blocks a turn into it, but not a path that comes round and faces it.
 
     Args:
-        footprint: of it.
+        footprint: of the robot.
         eye: its camera.
     """
 
@@ -495,12 +480,12 @@ class PlanView:
         self._sides, self._eye = sides_of(footprint), eye
 
     def first_blind(self, poses: FloatArray, hidden: FloatArray, costmap: Costmap) -> int | None:
-        """Number of the first pose that goes over hidden floor which no pose before it looks at; None where none does.
+        """Return the index of the first pose over hidden floor that no earlier pose observes; None without any.
 
         Args:
             poses: (N, 3) x, y, yaw of `base`, dense, in the frame of the costmap; the robot is at the first.
-            hidden: (M, 3) x, y of floor that no camera has looked at, and how near to it one must look, metres.
-            costmap: what stands in it hides what is behind.
+            hidden: (M, 3) x and y of unseen floor, and how near the camera must look to observe it, metres.
+            costmap: its obstacles hide what is behind them.
         """
         points, slack_m = np.ascontiguousarray(hidden[:, :2]), np.ascontiguousarray(hidden[:, 2])
         ways, over = np.ascontiguousarray(poses, float), np.empty(len(points), np.int64)
