@@ -24,17 +24,14 @@ from wheelsight.navigation.settings import FollowSettings, MppiSettings, PurePur
 __all__ = ["Begin", "Dynamics", "MppiController", "Rollouts", "Way", "Weights", "dynamics_of", "noise_of", "weights_of"]
 
 
-# MppiController: model predictive path integral control (Williams et al. 2017).
-#
-# Sequences of commands are drawn about the last ones, each is rolled out through the robot's dynamics, and their mean
-# by exp(-cost) is the next. Where that mean would touch something, though single ones pass it on either side, the
-# cheapest alone is driven.
-
-
 class MppiController:
-    """A `Controller` that looks some seconds ahead, around what is in the way, and where people go.
+    """A `Controller` by model predictive path integral control (Williams et al. 2017).
 
-    Equal inputs in equal order give equal commands: its noise is drawn once.
+    It looks some seconds ahead, and drives around obstacles and where people go. It draws command sequences around the
+    last one, rolls each out through the robot's dynamics, and takes their mean by exp(-cost). If that mean collides,
+    as between sequences that pass an obstacle on either side, it takes the cheapest sequence instead.
+
+    Equal inputs in equal order give equal commands, as the noise is drawn once.
     """
 
     def __init__(
@@ -54,7 +51,7 @@ class MppiController:
 
 
 class Rollouts:
-    """A steering by rollouts."""
+    """Steering by rollouts of command sequences."""
 
     def __init__(self, outline: Outline, limits: RobotLimits, settings: MppiSettings, follow: FollowSettings) -> None:
         self._settings, self._follow, self._limits = settings, follow, limits
@@ -66,11 +63,11 @@ class Rollouts:
         self._nominal = np.zeros((settings.steps, 2))
 
     def forget(self) -> None:
-        """Begin from standing."""
+        """Reset the nominal commands to a standstill."""
         self._nominal[:] = 0.0
 
     def steer(self, situation: Situation) -> ControlResult:
-        """The mean of all rollouts, or the best of them, or a stop where that one touches something too."""
+        """Return the mean of all rollouts, or the best one if that collides, or a stop if both collide."""
         given = self.given(situation)
         self._nominal[:-1] = self._nominal[1:]
         costs, drawn = self.costs(given)
@@ -86,28 +83,25 @@ class Rollouts:
         return ControlResult.standing(ControlReason.BLOCKED)
 
     def given(self, situation: Situation) -> tuple[Begin, Way, CostField, FloatArray, Dynamics, Weights]:
-        """What rollouts are judged by."""
-        begin, way = self._begin(situation), self._way(situation)
+        """Return everything that a rollout needs besides its commands."""
+        state, way = situation.state, self._way(situation)
+        x, y, yaw = map(float, state.pose)
+        near = clearances(situation, self._dynamics.outline)
+        begin = Begin(x, y, yaw, float(state.forward_m_s), float(state.turn_rad_s), 0, *near)
         weights = self._weights._replace(margin_m=situation.margin_m)
         return begin, way, situation.field, situation.people, self._dynamics, weights
 
     def costs(
         self, given: tuple[Begin, Way, CostField, FloatArray, Dynamics, Weights]
     ) -> tuple[FloatArray, Float32Array]:
-        """Costs (K,) of commands (K, T, 2) about the nominal ones; both are overwritten by the next call."""
+        """Return costs (K,) of commands (K, T, 2) around the nominal ones. The next call overwrites both arrays."""
         s = self._settings
         draw(self._nominal, self._noise, (s.spread_m_s, s.spread_rad_s), self._dynamics, self._drawn)
         costs_of(*given, self._drawn, self._costs)
         return self._costs, self._drawn
 
-    def _begin(self, situation: Situation) -> Begin:
-        state = situation.state
-        x, y, yaw = map(float, state.pose)
-        near = clearances(situation, self._dynamics.outline)
-        return Begin(x, y, yaw, float(state.forward_m_s), float(state.turn_rad_s), 0, *near)
-
     def _way(self, situation: Situation) -> Way:
-        """The segment from where the robot is, as far as rollouts reach."""
+        """Return the segment from the robot on, as far as rollouts reach."""
         segment = situation.segment
         ahead_m = self._limits.forward_m_s * self._settings.steps * self._follow.period_s + 1.0
         points = segment.points[situation.point :]
@@ -117,10 +111,9 @@ class Rollouts:
         return Way(np.ascontiguousarray(np.column_stack([points, most])), float(segment.direction))
 
     def _result(self, situation: Situation, first: Float32Array, poses: FloatArray) -> ControlResult:
-        """The first command, no faster than a zone allows and the segment's end is near."""
+        """Return the first command, limited by speed zones and by the distance to the segment's end."""
         v, w = float(first[0]), float(first[1])
-        a, lag_s = self._follow.ends_m_s2, self._follow.lag_s
-        at_end = float(np.sqrt((a * lag_s) ** 2 + 2 * a * max(situation.rest_m, 0.0)) - a * lag_s)
+        at_end = _speed_to_stop(situation.rest_m, self._follow)
         zone = cost_and_speed_at(situation.field, situation.pose[0], situation.pose[1])[1]
         most = max(min(at_end, zone), min(self._follow.slowest_m_s, zone))
         if abs(v) > most:
@@ -129,7 +122,7 @@ class Rollouts:
 
 
 def noise_of(settings: MppiSettings) -> Float32Array:
-    """(K, T, 2) standard noise, linear between knots, each row's negative behind it; three kinds, see MppiSettings."""
+    """Return standard noise (K, T, 2), linear between knots, each row followed by its negative; see MppiSettings."""
     rng = np.random.default_rng(settings.seed)
     pairs = (settings.rollouts + 1) // 2
     fine, long = int(settings.fine_share * pairs), int(settings.long_share * pairs)
@@ -143,6 +136,7 @@ def noise_of(settings: MppiSettings) -> Float32Array:
 
 
 def _between_knots(rng: np.random.Generator, rows: int, steps: int, knot_steps: int) -> FloatArray:
+    """Return (rows, steps, 2) standard noise at knots, interpolated between them."""
     drawn = rng.standard_normal((rows, steps // knot_steps + 2, 2))
     at = np.arange(steps) / knot_steps
     before, share = at.astype(int), (at % 1)[:, None]
@@ -150,7 +144,7 @@ def _between_knots(rng: np.random.Generator, rows: int, steps: int, knot_steps: 
 
 
 def dynamics_of(outline: Outline, limits: RobotLimits, follow: FollowSettings) -> Dynamics:
-    """How a base follows commands, for a step of a period."""
+    """Return the dynamics of a base for steps of a control period."""
     step_s = follow.period_s
     return Dynamics(
         outline,
@@ -167,20 +161,18 @@ def dynamics_of(outline: Outline, limits: RobotLimits, follow: FollowSettings) -
 
 
 def weights_of(settings: MppiSettings, follow: FollowSettings) -> Weights:
-    """Of settings, by their names."""
+    """Return the weights that the settings have by the same names."""
     own = {name: getattr(settings, name) for name in Weights._fields if hasattr(settings, name)}
     return Weights(**own, margin_m=follow.margin_m, people_margin_m=follow.people_margin_m)
 
 
-# PurePursuitController: regulated pure pursuit.
-#
-# Macenski, Singh, Martín, Ginés: Regulated pure pursuit for robot path tracking, Autonomous Robots 2023. It is slower
-# in curves, near obstacles and toward the end of a segment; here also no faster than it can stop before what its arc
-# would touch.
-
-
 class PurePursuitController:
-    """A `Controller` that steers along arcs to a point of the path ahead."""
+    """A `Controller` by regulated pure pursuit, which steers along arcs to a point ahead on the path.
+
+    From Macenski, Singh, Martín, Ginés: Regulated pure pursuit for robot path tracking, Autonomous Robots 2023. It
+    slows down in curves, near obstacles and toward the end of a segment. Here it also drives no faster than it can
+    stop before an obstacle on its arc.
+    """
 
     def __init__(
         self,
@@ -199,26 +191,34 @@ class PurePursuitController:
 
 
 class _Arcs:
+    """Steering along arcs."""
+
     def __init__(
         self, outline: Outline, limits: RobotLimits, settings: PurePursuitSettings, follow: FollowSettings
     ) -> None:
         self._outline, self._limits, self._settings, self._follow = outline, limits, settings, follow
 
     def forget(self) -> None:
-        """It remembers nothing."""
+        """Do nothing: it has no state."""
 
     def steer(self, situation: Situation) -> ControlResult:
-        """An arc to the point ahead, as fast as all rules allow."""
+        """Return the command along an arc to the point ahead, at the highest permitted speed."""
         curvature = self._curvature(situation)
         direction = situation.segment.direction
         most = self._limits.forward_m_s if direction > 0 else self._limits.backward_m_s
         clearance = min(clearances(situation, self._outline))
-        speed = min(most, self._regulated(most, curvature, clearance), self._to_end(situation.rest_m))
+        s = self._settings
+        by_curve = most / max(s.curve_m * abs(curvature), 1.0)
+        by_nearness = most * min(max(clearance - self._follow.margin_m, 0.0) / s.near_m, 1.0)
+        regulated = max(min(by_curve, by_nearness), min(s.near_m_s, most))
+        speed = min(most, regulated, _speed_to_stop(situation.rest_m, self._follow))
         if curvature:
             speed = min(speed, self._limits.turn_rad_s / abs(curvature))
         speed = min(speed, cost_and_speed_at(situation.field, situation.pose[0], situation.pose[1])[1])
         free_m = self._free_m(situation, curvature, max(speed, abs(situation.state.forward_m_s)))
-        speed = min(speed, self._stopping(free_m))
+        # The speed from which it stops within the free way, after it has driven on for a time.
+        b, t = s.braking_share * self._limits.braking_m_s2, s.ahead_s
+        speed = min(speed, float(np.sqrt((b * t) ** 2 + 2 * b * max(free_m, 0.0)) - b * t))
         if free_m <= 0 or speed <= 0:
             return ControlResult.standing(ControlReason.BLOCKED)
         speed = min(max(speed, self._follow.slowest_m_s), most)
@@ -226,7 +226,7 @@ class _Arcs:
         return ControlResult(command, None, self._arc(situation, curvature, min(free_m, situation.rest_m)))
 
     def _curvature(self, situation: Situation) -> float:
-        """Of the arc from the base to the point ahead; beyond a segment's end it goes straight on."""
+        """Return the curvature of the arc to the point ahead. Beyond a segment's end the path goes straight on."""
         s, segment = self._settings, situation.segment
         ahead_m = abs(situation.state.forward_m_s) * s.lookahead_s
         ahead_m = min(max(ahead_m, s.least_lookahead_m), s.most_lookahead_m)
@@ -239,24 +239,8 @@ class _Arcs:
         x, y = c * dx + s_ * dy, -s_ * dx + c * dy
         return float(2 * y / max(x * x + y * y, s.least_lookahead_m**2 / 4))
 
-    def _regulated(self, most: float, curvature: float, clearance: float) -> float:
-        s = self._settings
-        by_curve = most / max(s.curve_m * abs(curvature), 1.0)
-        by_nearness = most * min(max(clearance - self._follow.margin_m, 0.0) / s.near_m, 1.0)
-        return max(min(by_curve, by_nearness), min(s.near_m_s, most))
-
-    def _to_end(self, rest_m: float) -> float:
-        """So that it stands at the segment's end, by what is left when the base has followed."""
-        a, lag_s = self._follow.ends_m_s2, self._follow.lag_s
-        return float(np.sqrt((a * lag_s) ** 2 + 2 * a * max(rest_m, 0.0)) - a * lag_s)
-
-    def _stopping(self, free_m: float) -> float:
-        """The speed from which it stops within so many metres, after it went on for a time."""
-        b, t = self._settings.braking_share * self._limits.braking_m_s2, self._settings.ahead_s
-        return float(np.sqrt((b * t) ** 2 + 2 * b * max(free_m, 0.0)) - b * t)
-
     def _free_m(self, situation: Situation, curvature: float, speed: float) -> float:
-        """How far the arc goes before it touches something, as far as matters at a speed."""
+        """Return the free length of the arc, as far as it matters at a speed."""
         s, margin = self._settings, situation.margin_m
         b = s.braking_share * self._limits.braking_m_s2
         steps = 2 + int(np.ceil((speed**2 / (2 * b) + speed * s.ahead_s) / s.step_m))
@@ -266,9 +250,16 @@ class _Arcs:
         return float(free_arc(situation.field, self._outline, people, situation.pose, arc, margin)) * s.step_m
 
     def _arc(self, situation: Situation, curvature: float, length_m: float) -> FloatArray:
+        """Return poses (N, 3) along the arc."""
         pose, poses = situation.pose, []
         way = situation.segment.direction * self._settings.step_m
         for _ in range(max(int(length_m / self._settings.step_m), 1)):
             pose = moved(pose, way, way * curvature)
             poses.append((pose[0], pose[1], np.arctan2(pose[3], pose[2])))
         return np.array(poses)
+
+
+def _speed_to_stop(rest_m: float, follow: FollowSettings) -> float:
+    """Return the speed from which the robot stops at a segment's end, including the lag of the base."""
+    a, lag_s = follow.ends_m_s2, follow.lag_s
+    return float(np.sqrt((a * lag_s) ** 2 + 2 * a * max(rest_m, 0.0)) - a * lag_s)
