@@ -1,5 +1,6 @@
-"""Path smoothing by any-angle lines, rounded corners and shortcuts. Drivable: checks paths against footprint and
-costmap.
+"""Path smoothing by any-angle lines, rounded corners and shortcuts.
+
+`Drivable` checks and costs paths of a footprint on a costmap.
 """
 
 from __future__ import annotations
@@ -29,22 +30,20 @@ from wheelsight.navigation.planner_kernels import (
 )
 from wheelsight.navigation.settings import PlannerSettings
 
-# Ways made shorter: straight lines over cells, rounded corners, and curves that leave out detours.
-
-
-# Metres before and after a corner at which a curve may begin and end; the first that is free is taken.
+# Distances before and after a corner where a curve may begin and end; the first free one is used.
 _ROUNDINGS_M = (1.5, 1.0, 0.6, 0.35)
+# Least relative gain of a replacement.
 _LEAST_GAIN = 1e-3
-# Of pieces whose middles are tried elsewhere: about two metres; and where: metres to the left, radians.
+# Poses of a part whose middle is moved, about two metres, and how: metres to the left, radians.
 _PIECE_POSES = 40
 _SHIFTS = [(a, t) for a in (0.0, 0.02, -0.02, 0.05, -0.05) for t in (0.0, 0.04, -0.04) if a or t]
 
 
 def any_angle(way: IntArray, known: FloatArray, drivable: Drivable, metre_cost: Float32Array) -> FloatArray:
-    """(N, 2) places of a way over cells (K, 2), joined by straight lines that cost no more than the cells left out."""
+    """Return (N, 2) places of a path over cells (K, 2), joined by straight lines that cost no more than the cells."""
     corners, at = [0], 0
     while at < len(way) - 1:
-        # As far as doubling goes, then halving back: a line of sight mostly ends once.
+        # Double the span, then bisect: a line of sight usually ends once.
         span, best = 2, at + 1
         while at + span < len(way) and _is_cheaper(way, at, at + span, known, drivable, metre_cost):
             best, span = at + span, span * 2
@@ -65,6 +64,7 @@ def any_angle(way: IntArray, known: FloatArray, drivable: Drivable, metre_cost: 
 def _is_cheaper(
     way: IntArray, begin: int, end: int, known: FloatArray, drivable: Drivable, metre_cost: Float32Array
 ) -> bool:
+    """Return whether a straight line between two cells costs no more than the path over the cells."""
     a, b = way[begin].astype(float), way[end].astype(float)
     steps = max(int(np.ceil(2 * np.hypot(*(b - a)))), 1)
     shares = (np.arange(steps) + 0.5) / steps
@@ -76,10 +76,10 @@ def _is_cheaper(
 
 
 def driven(corners: FloatArray, start: FloatArray, goal: FloatArray, drivable: Drivable) -> FloatArray | None:
-    """(N, 4) along straight lines between places (K, 2), from a pose (4,) to another (3,); None where none is free.
+    """Return a path (N, 4) along straight lines between places (K, 2), from a pose (4,) to another (3,).
 
-    At a corner it goes on a curve, or turns in place, whichever is free and costs less. A goal without a heading is
-    reached in that of the last line.
+    At a corner it drives a curve or turns in place, whichever is free and cheaper. A goal without a heading gets that
+    of the last line. None if nothing is free.
     """
     lines = np.diff(corners, axis=0)
     lengths = np.hypot(lines[:, 0], lines[:, 1])
@@ -109,7 +109,7 @@ def driven(corners: FloatArray, start: FloatArray, goal: FloatArray, drivable: D
 def _corner(
     pose: FloatArray, corner: FloatArray, headings: FloatArray, rounding_m: float, drivable: Drivable
 ) -> FloatArray:
-    """(N, 4) from a pose to behind a corner, which is left out by so much on both sides; empty where it cannot be."""
+    """Return (N, 4) from a pose to beyond a corner, which it cuts on both sides; empty if that is impossible."""
     a, b = ((np.cos(h), np.sin(h)) for h in headings)
     to = np.array([*(corner - rounding_m * np.array(a)), headings[0]])
     line = drivable.way(pose, to, TURN_AND_DRIVE)
@@ -121,9 +121,9 @@ def _corner(
 
 
 def shortened(poses: FloatArray, drivable: Drivable) -> FloatArray:
-    """Poses (N, 4) with pieces replaced by curves or turns and lines, where those are free and cost less.
+    """Replace parts of a path (N, 4) by curves, or turns and lines, where those are free and cheaper.
 
-    Long pieces are tried first, then ever shorter ones, each begun halfway along the last.
+    It tries long parts first, then shorter ones. Each begins halfway along the last.
     """
     span = len(poses) - 1
     while span >= 4:
@@ -140,7 +140,7 @@ def shortened(poses: FloatArray, drivable: Drivable) -> FloatArray:
 
 
 def _shorter(piece: FloatArray, drivable: Drivable) -> FloatArray | None:
-    """The cheapest way between a piece's ends, where it gains anything."""
+    """Return the cheapest connection of a part's ends; None if it gains nothing."""
     before, best = drivable.cost(piece), None
     limit = before * (1 - _LEAST_GAIN)
     goes_back = bool((piece[1:, 3] < 0).any())
@@ -149,7 +149,7 @@ def _shorter(piece: FloatArray, drivable: Drivable) -> FloatArray | None:
         if len(made) < 2:
             continue
         cost = drivable.cost(made)
-        # The next piece begins in the direction in which this one ended, or pays for the change.
+        # The next part begins in the direction of this one, or pays for the change.
         cost += drivable.rules.switch_m if made[-1, 3] != piece[-1, 3] else 0.0
         if cost < limit:
             best, limit = made, cost
@@ -157,9 +157,9 @@ def _shorter(piece: FloatArray, drivable: Drivable) -> FloatArray | None:
 
 
 def centred(poses: FloatArray, drivable: Drivable, rounds: int) -> FloatArray:
-    """Poses (N, 4) shifted sideways and turned a little, piece by piece, where that costs less: away from obstacles.
+    """Shift and turn a path (N, 4) a little, part by part, where that is cheaper: away from obstacles.
 
-    Every half of a piece on, its middle is tried in other places, joined to both its ends by curves.
+    It tries other places for the middle of each part, joined to its ends by curves. Parts overlap by half.
     """
     for _ in range(rounds):
         at, has_changed = 0, False
@@ -176,7 +176,7 @@ def centred(poses: FloatArray, drivable: Drivable, rounds: int) -> FloatArray:
 
 
 def _recentred(piece: FloatArray, drivable: Drivable) -> FloatArray | None:
-    """A piece with its middle elsewhere, where that gains anything; pieces that change direction stay."""
+    """Return a part with its middle moved; None if that gains nothing, or if the part changes its direction."""
     before = drivable.cost(piece)
     if drivable.tightness(piece[:, :3]).max() == 0 or (piece[:, 3] != piece[-1, 3]).any():
         return None
@@ -196,24 +196,22 @@ def _recentred(piece: FloatArray, drivable: Drivable) -> FloatArray | None:
     return best
 
 
-# Drivable: what is asked of a costmap, a footprint and settings along a way, in kernels' terms.
-
-
+# Largest clearance that is measured.
 MOST_CLEARANCE_M = 0.5
-# Poses that one piece of a way may have: at 5 cm each, 400 m.
+# Most poses in one part of a path: 400 m at 5 cm each.
 _ROOM = 8192
-# Margins that are told apart, from the wanted one to the least.
+# Outlines with margins from the wanted one to the least.
 _OUTLINES = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drivable:
-    """A costmap as kernels take it, with a footprint and what driving costs.
+    """A costmap and a footprint in the form of the kernels, with the cost of driving.
 
     Attributes:
         costmap, footprint: as given.
         margins_m: (K,) of the outlines, from the wanted one to the least.
-        cells, shape, rules: of both, and of settings.
+        cells, shape, rules: values for kernels.
     """
 
     costmap: Costmap
@@ -227,10 +225,14 @@ class Drivable:
     def of(
         cls, costmap: Costmap, footprint: Footprint, settings: PlannerSettings, limits: RobotLimits | None = None
     ) -> Drivable:
-        """Of a costmap, a footprint and settings; what limits of zero forbid costs infinitely much."""
+        """Convert a costmap, a footprint and settings. A limit of zero makes its motion infinitely expensive."""
         sums = np.zeros((costmap.is_lethal.shape[0], costmap.is_lethal.shape[1] + 1), np.int32)
         np.cumsum(costmap.is_lethal, axis=1, out=sums[:, 1:], dtype=np.int32)
-        metre_cost = _metre_cost(costmap, settings)
+        # (H, W) cost of a metre of the centre of rotation, by nearness to obstacles, speed zones and blocked paths.
+        slow = np.float32(settings.usual_m_s) / costmap.speed_m_s
+        dear = np.float32(1) if costmap.dearness is None else costmap.dearness
+        metre = 1 + np.float32(settings.nearness_cost) * costmap.cost
+        metre_cost = np.ascontiguousarray(metre * np.maximum(slow, 1) * dear, np.float32)
         cells = Cells(sums, costmap.distance_m, metre_cost, float(costmap.resolution_m), *map(float, costmap.origin))
         margins_m = np.linspace(settings.wanted_margin_m, settings.margin_m, _OUTLINES)
         outlines = [footprint.padded(float(margin_m)) for margin_m in margins_m]
@@ -242,43 +244,44 @@ class Drivable:
         return cls(costmap, footprint, margins_m, cells, shape, rules)
 
     def may(self, way_m: float, turn: float) -> bool:
-        """Whether limits of zero leave an arc."""
+        """Return whether the limits permit an arc."""
         factor = self.rules.backward if way_m < 0 else self.rules.forward
         return (way_m == 0 or math.isfinite(factor)) and (turn == 0 or math.isfinite(self.rules.turn_m))
 
     def tightness(self, poses: FloatArray) -> FloatArray:
-        """(N,) of poses (N, 3): 0 where the wanted margin is free, 1 where the least one alone is, infinite: none."""
+        """Return (N,) at poses (N, 3): 0 if the wanted margin is free, 1 if only the least one is, else infinite."""
         found = np.empty(len(poses))
         tightnesses(self.cells, self.shape, np.ascontiguousarray(poses), found)
         return found
 
     def is_free(self, poses: FloatArray) -> BoolArray:
-        """(N,) whether the footprint fits with the least margin at poses (N, 3)."""
+        """Return (N,) whether the footprint fits with the least margin at poses (N, 3)."""
         return np.isfinite(self.tightness(poses))
 
     def cost(self, poses: FloatArray) -> float:
-        """Of driving along poses (N, 4) with their directions; infinite where one of them collides but the first."""
+        """Return the cost of a path (N, 4) with its directions; infinite if any pose but the first collides."""
         return float(cost_of(self.cells, self.shape, self.rules, poses, 1, len(poses)))
 
     def clearance_m(self, poses: FloatArray) -> float:
-        """Of the footprint at poses (N, 3), at most `MOST_CLEARANCE_M`."""
+        """Return the least clearance of the footprint at poses (N, 3), at most `MOST_CLEARANCE_M`."""
         corners = np.ascontiguousarray(self.footprint.corners)
         return float(least_clearance(self.cells, corners, np.ascontiguousarray(poses), MOST_CLEARANCE_M))
 
     def arc(self, pose: FloatArray, way_m: float, turn: float) -> FloatArray:
-        """(N, 4) along an arc from a pose (4,), which is the first."""
+        """Return (N, 4) along an arc from a pose (4,), which is the first."""
         out = np.empty((_ROOM, 4))
         out[0] = pose
         return out[: max(write_arc(out, 1, (float(way_m), float(turn)), self.rules), 1)].copy()
 
     def way(self, pose: FloatArray, to: FloatArray, way: int) -> FloatArray:
-        """(N, 4) from a pose (4,), which is the first, to another (3,) by one of the kernels' ways; empty: none."""
+        """Return (N, 4) from a pose (4,), the first, to another (3,) by a connection of the kernels; empty without."""
         out = np.empty((_ROOM, 4))
         out[0] = pose
         return out[: write_way(out, 1, np.ascontiguousarray(to[:3]), way, self.rules)].copy()
 
 
 def _rules(least: Footprint, settings: PlannerSettings, limits: RobotLimits) -> Rules:
+    """Return the rules of the kernels."""
     return Rules(
         step_m=2 * settings.margin_m,
         turn_m=settings.turn_m if limits.turn_rad_s > 0 else math.inf,
@@ -297,11 +300,3 @@ def _rules(least: Footprint, settings: PlannerSettings, limits: RobotLimits) -> 
         connect_m=settings.connect_m,
         most_states=settings.most_states,
     )
-
-
-def _metre_cost(costmap: Costmap, settings: PlannerSettings) -> Float32Array:
-    """(H, W) of a metre of the centre of rotation's way, where nothing says it cannot be there."""
-    metre = 1 + np.float32(settings.nearness_cost) * costmap.cost
-    slow = np.float32(settings.usual_m_s) / costmap.speed_m_s
-    dear = np.float32(1) if costmap.dearness is None else costmap.dearness
-    return np.ascontiguousarray(metre * np.maximum(slow, 1) * dear, np.float32)

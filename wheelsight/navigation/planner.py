@@ -31,31 +31,29 @@ from wheelsight.navigation.planner_kernels import (
 )
 from wheelsight.navigation.settings import PlannerSettings
 
-# Planner: a way that a footprint can drive, from a costmap, a start and a goal.
-#
-# First the cheapest way over the cells is made straight, rounded and held against the footprint. Where the footprint
-# does not pass along it, places and headings are searched, guided by what is left to go over the cells; then that way
-# is made shorter. So narrow doors cost time only where there are any.
-
-
 _DIMENSIONS = (2, 3)
+# Rounds of `centred`, which moves a path away from obstacles.
 _ROUNDS = 4
-# To say why there is no plan takes another one at most, and no long one: about a second on a small computer.
+# States of the plan that explains a failure: about a second on a small computer.
 _MOST_STATES_TO_EXPLAIN = 50_000
-# Widths are halved so often until the narrowest place is known: 20 m to a millimetre.
+# Bisections for the narrowest width: 20 m to a millimetre.
 _HALVINGS = 14
-# Places, by chance, at which no robot of any use fails to fit everywhere; and how many are looked at before the next.
+# Random places tried before the robot is said to fit nowhere, and how many of them at once.
 _PLACES_TRIED, _AT_ONCE = 1000, 200
 _ABOUT_UNKNOWN = "map it, or --set navigation.costmap.unknown=costly lets plans lead there"
 
 
 class Planner:
-    """Plans for one robot.
+    """Finds paths for the footprint of one robot.
+
+    It straightens and rounds the cheapest path over the cells, and checks it against the footprint. If that collides,
+    it searches places and headings, guided by the cost to go over the cells, and shortens the result. So only narrow
+    places take long.
 
     Args:
         footprint: of the robot.
-        settings: or the defaults.
-        limits: of the robot: what one of zero forbids is in no plan.
+        settings: None for the defaults.
+        limits: of the robot; a limit of zero excludes the motion from plans.
     """
 
     def __init__(
@@ -66,30 +64,28 @@ class Planner:
         self._outline = outline_of(footprint)
 
     def has_room(self, costmap: Costmap, poses: ArrayLike) -> BoolArray:
-        """(N,) whether the footprint fits at poses (N, 3) with the wanted margin."""
+        """Return (N,) whether the footprint fits at poses (N, 3) with the wanted margin."""
         drivable = Drivable.of(costmap, self.footprint, self.settings, self.limits)
         return np.asarray(drivable.tightness(np.asarray(poses, float)) == 0)
 
     def why_no_room_near(self, costmap: Costmap, goal: ArrayLike) -> PlanFailure | None:
-        """Why no plan may end at a goal (3,) or beside it, whatever is between; None where one may.
+        """Return why no plan may end at or beside a goal (3,), even if it could be reached; None if one may.
 
         A yaw of NaN is any heading.
         """
         drivable = Drivable.of(costmap, self.footprint, self.settings, self.limits)
-        # As if all cells were joined: which of them can be reached is not asked.
+        # As if all cells were connected, since reachability does not matter here.
         anywhere = np.ones(costmap.state.shape, np.int32)
         found = goal_near(drivable, np.asarray(goal, float), anywhere, 1, self.settings)
         return None if isinstance(found, Goal) else found
 
     def plan(self, costmap: Costmap, start: ArrayLike, goal: ArrayLike) -> Plan | PlanFailure:
-        """A way from where the robot stands to a goal.
-
-        What anybody may ask for is answered by a reason, and raises nothing.
+        """Return a path from a start to a goal, or why there is none; it raises nothing for any start and goal.
 
         Args:
             costmap: in the frame of start and goal.
             start: (3,) x, y, yaw of `base`.
-            goal: likewise; or (2,), where any heading will do.
+            goal: the same, or (2,) for any heading.
         """
         begin, end = np.array(start, float).ravel(), np.array(goal, float).ravel()
         if len(begin) != 3 or len(end) not in _DIMENSIONS or not np.isfinite([*begin, *end]).all():
@@ -97,7 +93,8 @@ class Planner:
         end = np.array([*end, math.nan][:3])
         if self.limits.forward_m_s == 0 and self.limits.backward_m_s == 0:
             return PlanFailure(PlanReason.STANDS, "forward_m_s and backward_m_s are 0")
-        if not _is_inside(costmap, begin):
+        cell = costmap.cells_at(begin[:2])
+        if not ((cell >= 0) & (cell < costmap.state.shape)).all():
             return PlanFailure(PlanReason.START_OUTSIDE, beyond(costmap, begin))
         stood = costmap.standing_at(self.footprint.padded(self.settings.margin_m), begin)
         drivable = Drivable.of(stood, self.footprint, self.settings, self.limits)
@@ -107,13 +104,13 @@ class Planner:
         found = self._from(drivable, out, end)
         if isinstance(found, Plan) or found.reason is not PlanReason.UNREACHABLE:
             return found
-        # With the least margin alone, it may stand where no step of the search lets it turn, though a slight arc does.
+        # With only the least margin, no step of the search may be free, though a slight arc is.
         wide = way_out(drivable, self._outline, begin, self.settings, is_wide=True)
         again = found if wide is None or len(wide) == 1 else self._from(drivable, wide, end)
         return again if isinstance(again, Plan) else found
 
     def _stuck(self, costmap: Costmap, begin: FloatArray) -> PlanFailure:
-        """Why there is no way out from where the robot stands (3,): things, or floor that is unknown."""
+        """Return why the robot cannot leave its place (3,): obstacles, or unknown floor."""
         known = Drivable.of(costmap.with_unknown_free(), self.footprint, self.settings, self.limits)
         nor = f"nor within {self.settings.escape_m:g} m"
         if way_out(known, self._outline, begin, self.settings) is None:
@@ -121,7 +118,7 @@ class Planner:
         return PlanFailure(PlanReason.START_UNKNOWN, f"{nor}; {_ABOUT_UNKNOWN}")
 
     def why_no_way(self, costmap: Costmap, start: ArrayLike, goal: ArrayLike) -> str:
-        """What of a costmap keeps the robot from a goal (3,) to which there is no plan, with places and widths."""
+        """Return what in a costmap keeps the robot from a goal (3,) without a plan, with places and widths."""
         begin, end = np.array(start, float), np.array(goal, float)
         rules = self.settings.model_copy(update={"most_states": _MOST_STATES_TO_EXPLAIN})
         quick = Planner(self.footprint, rules, self.limits)
@@ -145,7 +142,7 @@ class Planner:
         return f"{where} at its narrowest; the robot, {high[0] - low[0]:.2f} m long, has no room to turn{forbidden}"
 
     def why_no_room(self, costmap: Costmap) -> str:
-        """Why the robot fits nowhere in a costmap, with sizes; empty where it fits at any of many places."""
+        """Return why the robot fits nowhere in a costmap, with sizes; empty if it fits at one of many random places."""
         drivable = Drivable.of(costmap, self.footprint, self.settings, self.limits)
         cells = np.argwhere(costmap.distance_m >= self.footprint.inscribed_m)
         cells = np.random.default_rng(0).permutation(cells)[:_PLACES_TRIED]
@@ -158,7 +155,7 @@ class Planner:
         return f"the widest is {widest_m:.2f} m, and the robot is {length_m:.2f} m long and {width_m:.2f} m wide"
 
     def _from(self, drivable: Drivable, out: FloatArray, end: FloatArray) -> Plan | PlanFailure:
-        """To a goal (3,) from where a way out (N, 4) ends."""
+        """Plan from the end of a way out (N, 4) to a goal (3,), or beside it."""
         metre_cost = passable(drivable)
         labels = components(metre_cost)
         row, column = drivable.costmap.cells_at(out[-1, :2]).tolist()
@@ -168,7 +165,7 @@ class Planner:
         return self._way(drivable, metre_cost, out, aim)
 
     def _way(self, drivable: Drivable, metre_cost: Float32Array, out: FloatArray, goal: Goal) -> Plan | PlanFailure:
-        """From where a way out (N, 4) ends."""
+        """Plan from the end of a way out (N, 4) to a reachable goal."""
         costmap = drivable.costmap
         goal_row, goal_column = costmap.cells_at(goal.pose[:2]).tolist()
         known = cost_to_go(metre_cost, costmap.resolution_m, (goal_row, goal_column))
@@ -189,7 +186,7 @@ class Planner:
             else:
                 searched, looked_at, end = found
                 states = looked_at if poses is None or end is goal else 0
-                # Both may pass, where it is tight: then the cheaper one that ends as it was asked.
+                # In tight places both may be free: take the cheaper one that ends at the requested goal.
                 if poses is None or (end is goal and drivable.cost(searched) < drivable.cost(poses)):
                     poses, goal = searched, end
         poses = centred(shortened(poses, drivable), drivable, _ROUNDS)
@@ -199,9 +196,11 @@ class Planner:
     def _searched(
         self, drivable: Drivable, known: FloatArray, start: FloatArray, goal: Goal
     ) -> tuple[FloatArray, int, Goal] | PlanFailure:
-        """Poses (N, 4) by the search over places and headings, how many it looked at, and the goal they lead to.
+        """Search places and headings.
 
-        Where none leads to it by its heading, that is the place with the nearest heading that it comes to.
+        Returns:
+            Poses (N, 4), the number of states, and the goal that they lead to: if the search does not reach the goal's
+            heading, the state there with the nearest heading.
         """
         most = self.settings.most_states
         slots = 1 << math.ceil(math.log2(2 * most))
@@ -234,9 +233,9 @@ class Planner:
 def narrowest_place(
     costmap: Costmap, start: FloatArray, goal: FloatArray, near_m: float
 ) -> tuple[float, tuple[float, float]] | None:
-    """How wide, in metres, the widest way from one place (2,) to another is at its narrowest, and where (x, y) that is.
+    """Return the narrowest width of the widest path between two places (2,), in metres, and its place (x, y).
 
-    Both ends count from the roomiest place near to them. None where walls are between.
+    Both ends count from the widest place within `near_m`. None if walls separate them.
     """
     here, there = _roomiest(costmap, start, near_m), _roomiest(costmap, goal, near_m)
     low_m, high_m = 0.0, float(min(costmap.distance_m[here], costmap.distance_m[there]))
@@ -258,7 +257,7 @@ def narrowest_place(
 
 
 def _roomiest(costmap: Costmap, xy: FloatArray, near_m: float) -> tuple[int, int]:
-    """Row and column near a place (2,) that are farthest from anything."""
+    """Return row and column of the cell near a place (2,) that is farthest from obstacles."""
     reach = int(near_m / costmap.resolution_m)
     row, column = np.clip(costmap.cells_at(xy), 0, np.array(costmap.state.shape) - 1).tolist()
     top, left = max(row - reach, 0), max(column - reach, 0)
@@ -268,16 +267,13 @@ def _roomiest(costmap: Costmap, xy: FloatArray, near_m: float) -> tuple[int, int
 
 
 def _are_joined(is_open: BoolArray, here: tuple[int, int], there: tuple[int, int]) -> bool:
+    """Return whether two cells are connected by open cells."""
     _, labels = cv2.connectedComponents(is_open.astype(np.uint8), connectivity=4, ltype=cv2.CV_32S)
     return bool(labels[here] == labels[there] > 0)
 
 
-def _is_inside(costmap: Costmap, pose: FloatArray) -> bool:
-    cell = costmap.cells_at(pose[:2])
-    return bool(((cell >= 0) & (cell < costmap.state.shape)).all())
-
-
 def _plan(drivable: Drivable, poses: FloatArray, goal: Goal, states: int) -> Plan:
+    """Return the plan of a path (N, 4)."""
     way = poses[:, :3].copy()
     way[:, 2] = wrap_angle(way[:, 2])
     steps = np.diff(way[:, :2], axis=0)
@@ -297,24 +293,21 @@ def _plan(drivable: Drivable, poses: FloatArray, goal: Goal, states: int) -> Pla
     )
 
 
-# PathPlanner, and what it answers: Plan or PlanFailure.
-
-
-# Between two poses of a plan nothing moves farther: a cell of the usual map; and a turn in place by 6°.
+# Longest step between poses of a plan: a cell of a usual map, and a turn by 6°.
 _STEP_M, _STEP_RAD = 0.05, 0.1
-# A path that ends farther beside its goal leads elsewhere: half of what counts as an arrival.
+# Largest offset of a path's end from its goal: half of the tolerance of an arrival.
 _AT_GOAL_M, _AT_GOAL_RAD = 0.05, 0.05
 
 
 class PlanReason(StrEnum):
     """Why there is no plan."""
 
-    INVALID = "start or goal is no pose"
+    INVALID = "start or goal is not a pose"
     START_OUTSIDE = "the robot is outside the map"
     START_OCCUPIED = "the robot stands where something is, and finds no way out"
     START_UNKNOWN = "the floor about the robot is unknown, and it finds no way out"
     GOAL_OUTSIDE = "the goal is outside the map"
-    GOAL_UNKNOWN = "nobody has seen the floor at the goal"
+    GOAL_UNKNOWN = "the floor at the goal is unknown"
     GOAL_OCCUPIED = "the robot does not fit at the goal, nor near to it"
     GOAL_IN_WALL = "the map has no room for the robot at the goal, nor near to it"
     STANDS = "its limits let the robot neither forward nor backward"
@@ -326,7 +319,7 @@ class PlanReason(StrEnum):
 
     @property
     def is_for_good(self) -> bool:
-        """Whether nothing that passes by itself makes a plan possible."""
+        """Whether the failure is final: waiting does not make a plan possible."""
         return self in (
             PlanReason.INVALID,
             PlanReason.GOAL_OUTSIDE,
@@ -352,11 +345,11 @@ class PlanReason(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PlanFailure:
-    """That there is no plan: the robot is to stand.
+    """A failure to plan: the robot must stop.
 
     Attributes:
-        reason: why.
-        detail: the same for people, with figures.
+        reason: why there is no plan.
+        detail: the same in words, with figures.
     """
 
     reason: PlanReason
@@ -369,20 +362,20 @@ class PlanFailure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """A way that the footprint can drive, from where the robot stands.
+    """A path that the footprint can drive.
 
     Attributes:
         poses: (N, 3) x, y, yaw of `base`, dense: between two of them no point of the robot moves farther than twice the
-            least margin. In a turn in place x and y stay as they are.
-        directions: (N,) 1 where a pose is reached forward, -1 backward; in a turn in place as before it.
-        length_m: of the way of the centre of rotation.
-        least_clearance_m: of the footprint, over all poses, at most 0.5 m; 0 where it had to get out.
-        goal: (3,) where it ends.
-        goal_change: why that is not the goal that was asked for; empty where it is.
+            least margin. A turn in place keeps x and y.
+        directions: (N,) 1 if a pose is reached forward, -1 if backward; a turn in place keeps the one before.
+        length_m: length of the path of the centre of rotation.
+        least_clearance_m: of the footprint over all poses, at most 0.5 m; 0 if the start is too near to an obstacle.
+        goal: (3,) end of the path.
+        goal_change: why the end differs from the requested goal; empty if it does not.
         frame: of the poses: `map` or `odom`.
         cost: in metres of free floor.
-        states: how many places and headings were searched; 0 where the way over the cells did.
-        goal_off_m, goal_off_rad: how far that is beside the goal that was asked for.
+        states: number of states searched; 0 if the path over the cells sufficed.
+        goal_off_m, goal_off_rad: distance of the end from the requested goal.
     """
 
     poses: FloatArray
@@ -403,12 +396,12 @@ class Plan:
 
     @classmethod
     def along(cls, places: ArrayLike, yaw: float | None = None, frame: str = "map") -> Plan:
-        """A plan forward along places (N, 2) from the robot on, with a turn in place at each bend.
+        """Return a plan forward along places (N, 2) from the robot on, with a turn in place at each bend.
 
         Args:
             places: x, y, metres; N is 2 or more.
-            yaw: heading at the end, radians; None: as the last piece leads.
-            frame: of the places, as of the costmap.
+            yaw: heading at the end, radians; None for the direction of the last part.
+            frame: of the places and of the costmap.
 
         Raises:
             ArgumentError: other shapes, or numbers that are not finite.
@@ -430,35 +423,35 @@ class Plan:
 
 
 class PathPlanner(Protocol):
-    """Finds a way over a costmap; `Planner` is the built-in one, and `Navigator` takes another as `planner`.
+    """Finds a path over a costmap, as `Planner` does. `Navigator` accepts any other one as `planner`.
 
-    What it answers is driven as any plan is: the navigator looks at the way ahead and asks again where something
-    stands there, and the collision monitor has the last word. A path through a wall ends before the wall.
+    The navigator checks the path ahead while it drives, and plans again if an obstacle is there. The collision monitor
+    applies to all commands, so a path through a wall ends before the wall.
     """
 
     def plan(self, costmap: Costmap, start: FloatArray, goal: FloatArray) -> Plan | PlanFailure:
-        """A plan from where the robot stands to a goal, or why there is none; `Plan.along` makes one of places.
+        """Return a plan from a start to a goal, or why there is none; `Plan.along` makes one from places.
 
-        It is called in another thread than the control of a real robot, and several times for one plan: for each
-        goal on the way, and with obstacles added where no camera will have looked. An exception, another type, or
-        numbers that are not finite end the task with the reason `PlanReason.PART`.
+        The call may come from another thread than the control of the robot. It comes several times per plan: once per
+        intermediate goal, and again with unseen floor as obstacles. An exception, an answer of another type, or numbers
+        that are not finite end the task with `PlanReason.PART`.
 
         Args:
-            costmap: `state` and `is_lethal` (H, W), `distance_m` to what stands; not to be written to.
+            costmap: `state` and `is_lethal` (H, W), and `distance_m` to obstacles; do not write to it.
             start: (3,) x, y, yaw of `base` in the frame of the costmap.
-            goal: (3,) in that frame; or (2,), where any heading will do.
+            goal: (3,) in that frame, or (2,) for any heading.
         """
         ...
 
 
 class OwnPlanner:
-    """A `PathPlanner` whose answers are checked; a failure of the part is a `PlanFailure`."""
+    """Wraps a user's planner and checks its answers. An invalid answer becomes a `PlanFailure`."""
 
     def __init__(self, part: PathPlanner) -> None:
         self._part = part
 
     def plan(self, costmap: Costmap, start: FloatArray, goal: FloatArray) -> Plan | PlanFailure:
-        """See `PathPlanner`; poses are as dense as the navigator needs, and an end beside the goal is called so."""
+        """Return the checked plan, with dense poses, and with its offset from the goal."""
         name = f"{type(self._part).__name__}.plan"
         try:
             found = answer_of(self._part, "plan", costmap, start.copy(), goal.copy())
@@ -499,7 +492,7 @@ class OwnPlanner:
 
 
 def _dense(poses: FloatArray, directions: IntArray) -> tuple[FloatArray, IntArray]:
-    """Poses (N, 3) and directions (N,) with so many between that no step is long."""
+    """Interpolate poses (N, 3) and directions (N,) so that no step is long."""
     made, ways = [poses[:1]], [directions[:1]]
     for before, after, direction in zip(poses[:-1], poses[1:], directions[1:], strict=True):
         way, turn = after[:2] - before[:2], float(wrap_angle(after[2] - before[2]))
@@ -510,23 +503,26 @@ def _dense(poses: FloatArray, directions: IntArray) -> tuple[FloatArray, IntArra
     return np.concatenate(made), np.concatenate(ways)
 
 
-# Where plans begin and end: a start that gets out of what it stands in, and a goal at which the footprint fits.
-
-
-# Curvatures of ways out, 1/m, for both directions.
+# Curvatures of the arcs that leave a tight place, 1/m, in both directions.
 _BENDS = (0.0, 0.1, -0.1, 0.2, -0.2, 0.5, -0.5, 1.5, -1.5)
-# Along them no margin covers what lies between two poses: metres from one to the next.
+# Spacing of poses on these arcs, where no margin covers the space between; and the cost of driving backward.
 _ESCAPE_STEP_M, _BACKWARD = 0.01, 1.5
+# Headings to each side of a goal's that are tried.
 _TURN_STEPS = 3
-# Of a first arc, the places at which a second one begins.
+# Places on a first arc at which a second one begins.
 _SHARES = 3
+# Headings that stand for any heading.
 _ANY_HEADINGS = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Goal:
-    """Where a plan is to end: pose (3,), its heading NaN where any will do; why it is not what was asked for, and by
-    how much, metres and radians.
+    """Goal of a plan.
+
+    Attributes:
+        pose: (3,) x, y, yaw; a yaw of NaN is any heading.
+        change: why it differs from the requested goal; empty if it does not.
+        off_m, off_rad: distance from the requested goal.
     """
 
     pose: FloatArray
@@ -536,16 +532,16 @@ class Goal:
 
 
 def passable(drivable: Drivable) -> Float32Array:
-    """(H, W) the least that a metre costs; infinite where the centre of rotation can be at no point of the cell.
+    """Return (H, W), the least cost of a metre; infinite where the centre of rotation cannot be anywhere in the cell.
 
-    Where the inscribed circle alone is tight, whatever the heading, that is counted, too.
+    It includes the extra cost of tight places where the inscribed circle is tight at any heading.
     """
     costmap, rules = drivable.costmap, drivable.rules
     slack_m = (0.5 - math.sqrt(0.5)) * costmap.resolution_m
     metre_cost, last = drivable.cells.metre_cost.copy(), len(drivable.margins_m) - 1
     for k, margin_m in enumerate(drivable.margins_m):
         is_nearer = costmap.distance_m < drivable.footprint.inscribed_m + margin_m + slack_m
-        # The next outline may be free.
+        # The next outline may fit.
         tight = math.inf if k == last else rules.tight * ((k + 1) / last) ** 2
         metre_cost[is_nearer] = drivable.cells.metre_cost[is_nearer] + np.float32(tight)
     metre_cost[costmap.is_lethal] = np.inf
@@ -553,7 +549,7 @@ def passable(drivable: Drivable) -> Float32Array:
 
 
 def components(metre_cost: Float32Array) -> Int32Array:
-    """(H, W) from 1 on, of cells that are joined by their edges; 0 where blocked."""
+    """Return (H, W) labels from 1 of cells connected by their edges; 0 where blocked."""
     _, labels = cv2.connectedComponents(np.isfinite(metre_cost).astype(np.uint8), connectivity=4, ltype=cv2.CV_32S)
     return labels.astype(np.int32)
 
@@ -561,11 +557,16 @@ def components(metre_cost: Float32Array) -> Int32Array:
 def way_out(
     drivable: Drivable, outline: Outline, start: FloatArray, settings: PlannerSettings, *, is_wide: bool = False
 ) -> FloatArray | None:
-    """(N, 4) a short way on which the robot comes free of what it stands in or too near to; None where none is found.
+    """Return a short path (N, 4) on which the robot gets clear of obstacles near it; None without any.
 
-    One arc or turn, else two of them. Until it has come free nothing is nearer than at first by more than
-    `escape_nearer_m`: as controllers, which drive it, have it. Where it stands free, the way is that pose alone.
-    `is_wide`: free is where the wanted margin is.
+    It is one arc or turn, else two. Until it is clear, nothing comes nearer than at first by more than
+    `escape_nearer_m`, the limit of the controllers. At a clear start it is that pose alone.
+
+    Args:
+        drivable, outline: costmap and footprint.
+        start: (3,) x, y, yaw.
+        settings: of the planner.
+        is_wide: whether clear means the wanted margin instead of the least one.
     """
     pose, most = np.array([[*start, 1.0]]), 0.0 if is_wide else 1.0
     if drivable.tightness(pose[:, :3])[0] <= most:
@@ -577,7 +578,7 @@ def way_out(
     dense = replace(drivable, rules=drivable.rules._replace(step_m=_ESCAPE_STEP_M))
 
     def passed(begin: FloatArray, arc: tuple[float, float]) -> FloatArray:
-        """A way with as much of an arc behind it as may be, until it comes free."""
+        """Extend a path by an arc until it is clear, or as far as it is allowed."""
         poses = np.r_[begin, dense.arc(begin[-1], *arc)[1:]]
         is_free = drivable.tightness(poses[:, :3]) <= most
         clear_m = _clearances(drivable, outline, poses, settings)
@@ -587,7 +588,8 @@ def way_out(
         ends = [*(np.flatnonzero(is_free)[:1] + 1), *np.flatnonzero(is_nearer)[:1], len(poses)]
         return np.asarray(poses[: int(min(ends))])
 
-    arcs = [arc for arc in _arcs(settings) if drivable.may(*arc)]
+    bends = [(sense * settings.escape_m, sense * settings.escape_m * b) for sense in (1, -1) for b in _BENDS]
+    arcs = [arc for arc in [*bends, (0.0, math.pi), (0.0, -math.pi)] if drivable.may(*arc)]
     first = [passed(pose, arc) for arc in arcs]
     begins = [way[: 1 + share * (len(way) - 1) // _SHARES] for way in first for share in range(1, _SHARES + 1)]
     second = (passed(begin, arc) for begin in begins if len(begin) > 1 for arc in arcs)
@@ -596,20 +598,14 @@ def way_out(
     return min(found, key=lambda way: _long_m(way, drivable.rules.reach_m), default=None)
 
 
-def _arcs(settings: PlannerSettings) -> list[tuple[float, float]]:
-    """Ways and turns that a robot may get out by."""
-    arcs = [(sense * settings.escape_m, sense * settings.escape_m * b) for sense in (1, -1) for b in _BENDS]
-    return [*arcs, *((0.0, sense * math.pi) for sense in (1, -1))]
-
-
 def _long_m(way: FloatArray, reach_m: float) -> float:
-    """Of a way (N, 4), turns by what a corner moves; where the robot can go ahead, it does."""
+    """Return the length of a path (N, 4), with turns by the motion of a corner, and with backward parts longer."""
     steps_m = np.hypot(*np.diff(way[:, :2], axis=0).T) + reach_m * np.abs(np.diff(way[:, 2]))
     return float((steps_m * np.where(way[1:, 3] < 0, _BACKWARD, 1.0)).sum())
 
 
 def _clearances(drivable: Drivable, outline: Outline, poses: FloatArray, settings: PlannerSettings) -> FloatArray:
-    """(N,) of the footprint at poses (N, 4), as controllers have it; below 0 within."""
+    """Return (N,) clearances of the footprint at poses (N, 4), as for controllers; negative inside an obstacle."""
     found = np.empty(len(poses))
     least_m = settings.margin_m + settings.escape_nearer_m
     clearances_at(drivable.costmap.field, outline, np.ascontiguousarray(poses[:, :3]), least_m, found)
@@ -619,10 +615,17 @@ def _clearances(drivable: Drivable, outline: Outline, poses: FloatArray, setting
 def goal_near(
     drivable: Drivable, goal: FloatArray, labels: Int32Array, label: int, settings: PlannerSettings
 ) -> Goal | PlanFailure:
-    """The goal (3,), or where the footprint does not fit there, the best pose in a component of cells where it does.
+    """Return a goal (3,), or the best reachable pose near it if the footprint does not fit there.
 
-    That is the nearest one, where clearance costs something, too. Poses are tried on a grid of the costmap's cells, and
-    three headings to each side; a heading's radian counts as a metre.
+    That is the nearest one, with a cost of low clearance; a radian counts as a metre. Poses are tried on the costmap's
+    grid, with three headings to each side.
+
+    Args:
+        drivable: costmap and footprint.
+        goal: (3,) x, y, yaw; a yaw of NaN is any heading.
+        labels: (H, W) of `components`.
+        label: of the component where the robot is.
+        settings: of the planner.
     """
     costmap = drivable.costmap
     row, column = costmap.cells_at(goal[:2]).tolist()
@@ -641,7 +644,7 @@ def goal_near(
     near[inside] = labels[cells[inside, 0], cells[inside, 1]] == label
     poses, off = poses[near], off[near]
     tight = tightness_of(drivable, poses)
-    # One that keeps clear is better than one that is nearer by a little, and hard to get to.
+    # A pose with clearance is better than one slightly nearer that is hard to reach.
     score = off + 2 * settings.wanted_margin_m * tight
     if len(poses) and np.isfinite(score).any():
         return beside(goal, poses[int(np.argmin(score))], "the robot does not fit at the goal")
@@ -650,31 +653,32 @@ def goal_near(
 
 
 def beyond(costmap: Costmap, pose: FloatArray) -> str:
-    """That a pose lies outside of a costmap, and where that ends."""
+    """Return a message that a pose lies outside a costmap, with its bounds."""
     low, high = costmap.middle_of([-0.5, -0.5]), costmap.middle_of(np.array(costmap.state.shape) - 0.5)
     reaches = f"which reaches from ({low[0]:.2f}, {low[1]:.2f}) to ({high[0]:.2f}, {high[1]:.2f}) m"
     return f"({pose[0]:.2f}, {pose[1]:.2f}) m is beyond the map's edge, {reaches}"
 
 
 def beside(goal: FloatArray, pose: FloatArray, why: str) -> Goal:
-    """Another pose (3,) in the place of a goal (3,), and by how much it is another."""
+    """Return a pose (3,) as a replacement of a goal (3,), with its offset."""
     away_m, turned = float(np.hypot(*(pose - goal)[:2])), _turn(goal[2], pose[2])
     return Goal(pose.copy(), f"{why}: {away_m:.2f} m and {math.degrees(turned):.0f}° beside it", away_m, turned)
 
 
 def nearest_heading(poses: FloatArray, goal: FloatArray, reach_m: float) -> int:
-    """Which of poses (N, 4) so near to a goal's place is turned least against it (3,); -1: none is near."""
+    """Return the index of the pose (N, 3) within reach of a goal (3,) with the nearest heading; -1 without any."""
     near = np.flatnonzero(np.hypot(*(poses[:, :2] - goal[:2]).T) <= reach_m)
     turned = [_turn(goal[2], yaw) for yaw in poses[near, 2]]
     return int(near[np.argmin(turned)]) if len(near) else -1
 
 
 def _turn(one: float, other: float) -> float:
+    """Return the angle between two yaws; 0 if the first is NaN."""
     return 0.0 if math.isnan(one) else abs(math.remainder(float(one - other), 2 * math.pi))
 
 
 def tightness_of(drivable: Drivable, poses: FloatArray) -> FloatArray:
-    """(N,) as `Drivable.tightness` at poses (N, 3); of any heading, at the best of some."""
+    """Return (N,) as `Drivable.tightness` at poses (N, 3); for a yaw of NaN, the best of several headings."""
     if not np.isnan(poses[:, 2]).any():
         return drivable.tightness(poses)
     yaws = np.arange(_ANY_HEADINGS) * 2 * np.pi / _ANY_HEADINGS
@@ -683,7 +687,7 @@ def tightness_of(drivable: Drivable, poses: FloatArray) -> FloatArray:
 
 
 def _around(goal: FloatArray, step_m: float, settings: PlannerSettings) -> tuple[FloatArray, FloatArray]:
-    """Poses (N, 3) within tolerance of a goal, and how far off each is (N,)."""
+    """Return poses (N, 3) within the tolerance of a goal, and their offsets (N,)."""
     count = int(settings.goal_tolerance_m / step_m)
     steps = step_m * np.arange(-count, count + 1)
     shares = np.arange(-_TURN_STEPS, _TURN_STEPS + 1) / _TURN_STEPS
@@ -694,25 +698,22 @@ def _around(goal: FloatArray, step_m: float, settings: PlannerSettings) -> tuple
     return goal + offsets[kept], (away_m + np.abs(offsets[:, 2]))[kept]
 
 
-# Cost-to-go: what the cheapest way from each cell to a goal costs.
-
-
 def cost_to_go(metre_cost: Float32Array, resolution_m: float, goal: tuple[int, int]) -> FloatArray:
-    """(H, W) of the cheapest ways along 8 neighbours to a cell; infinite where none leads there.
+    """Return (H, W), the cost of the cheapest 8-connected path from each cell to a goal; infinite if there is none.
 
-    A step costs its length times the mean of what a metre costs in both cells; none cuts the corner of a blocked cell.
+    A step costs its length times the mean of both cells' costs. It may not cut the corner of a blocked cell.
 
     Args:
-        metre_cost: (H, W) at least 1; infinite where blocked.
+        metre_cost: (H, W) cost of a metre, at least 1; infinite where blocked.
         resolution_m: side of a cell.
         goal: row and column.
 
     Raises:
-        ArgumentError: a goal outside, or costs below 1 or NaN.
+        ArgumentError: the goal is outside, or a cost is below 1 or NaN.
     """
     if metre_cost.ndim != 2 or not all(0 <= at < size for at, size in zip(goal, metre_cost.shape, strict=True)):
         raise ArgumentError(f"cell {goal} of {metre_cost.shape}", fix="give row and column of a cell")
-    # Below 1 cells would be settled too early.
+    # With costs below 1, cells would be settled too early.
     if not (metre_cost >= 1).all() or not 0 < resolution_m < np.inf:
         raise ArgumentError("a metre that costs less than 1, or nothing that is a number", fix="infinite where blocked")
     costs = np.ascontiguousarray(metre_cost, np.float32)
