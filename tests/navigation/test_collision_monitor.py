@@ -324,7 +324,7 @@ def off_after_silence(measured_m_s: Callable[[float], float], seconds: float) ->
     """Whether a base counts as off that drove at 0.8 m/s, and moves so for a time in which it is told nothing."""
     check, found = WheelCheck(RobotLimits(), WheelCheckSettings()), False
     for n in range(60):
-        check.tell(VelocityCommand(0.8, 0.0), 0.05 * n)
+        check.record(VelocityCommand(0.8, 0.0), 0.05 * n)
         found |= check.is_off(min(0.5 * 0.05 * n, 0.8), 0.0, 0.05 * n)
     assert not found
     for n in range(1, round(seconds / 0.05) + 1):
@@ -370,7 +370,7 @@ def test_a_base_that_obeys_is_never_accused(seed: int, lag_s: float, every: int)
         assert not check.is_off(base.forward_m_s, base.turn_rad_s, 0.05 * n)
         if n % every == 0:
             command = VelocityCommand(rng.uniform(-0.2, 1.0), rng.uniform(-1.0, 1.0))
-        check.tell(command, 0.05 * n)
+        check.record(command, 0.05 * n)
         base.step(command)
 
 
@@ -379,7 +379,7 @@ def test_a_base_that_gains_speed_quickly_and_brakes_slowly_has_obeyed() -> None:
     check = WheelCheck(RobotLimits(), WheelCheckSettings())
     for n in range(150):
         now_s = 0.02 * n
-        check.tell(VelocityCommand(0.5 * now_s if now_s < 1.9 else 0.2, 0.0), now_s)
+        check.record(VelocityCommand(0.5 * now_s if now_s < 1.9 else 0.2, 0.0), now_s)
         braked_m_s = max(0.95 - 0.75 * max(now_s - 2.02, 0.0), 0.2)
         assert not check.is_off(min(0.5 * now_s, braked_m_s), 0.0, now_s)
 

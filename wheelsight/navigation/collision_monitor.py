@@ -1,6 +1,4 @@
-"""CollisionMonitor: slows or stops a command before a collision. WheelCheck: detects a base that does not follow its
-commands.
-"""
+"""CollisionMonitor: slows or stops a command before a collision. WheelCheck: detects wheels that do not follow it."""
 
 from __future__ import annotations
 
@@ -17,7 +15,6 @@ from wheelsight.core.messages import STOP, VelocityCommand
 from wheelsight.core.robots import RobotLimits
 from wheelsight.navigation.clearance_kernels import (
     Ground,
-    Outline,
     all_outside_m,
     clear_share,
     deepest_m,
@@ -28,23 +25,16 @@ from wheelsight.navigation.footprint import Footprint, outline_of
 from wheelsight.navigation.settings import MonitorSettings, WheelCheckSettings
 from wheelsight.navigation.surroundings import DepthView, Pose, Surroundings
 
-# CollisionMonitor: makes a robot slower, or stops it, whoever asks for what.
-#
-# It knows nothing of plans, maps and controllers. It hears the wheels, sees depth frames, and judges each command: by
-# the arcs that the robot would go until it stands, by what is known of the floor there, and by whether all that it
-# hears is fresh and fits together.
-
-
-# Slower than these a base does not move; a command below them is a stop.
+# Least speeds of a base; a command below both is a stop.
 _LEAST_M_S, _LEAST_RAD_S = 0.02, 0.02
-# Without any frame for so long the camera, its cable or its driver has failed: the motors are stopped at once, where
-# an older frame than `frame_age_s` only brakes.
+# Without any frame for this time the camera, its cable or its driver has failed, and the motors stop at once. A frame
+# older than `frame_age_s` only brakes.
 CAMERA_SILENT_S = 0.4
 _STATUS_TO_STAND = (Status.INITIALIZING, Status.FAILING, Status.LOST)
 
 
 class MonitorState(StrEnum):
-    """What became of a command."""
+    """Effect on a command."""
 
     FREE = "free"
     SLOWED = "slowed"
@@ -52,9 +42,9 @@ class MonitorState(StrEnum):
 
 
 class MonitorReason(StrEnum):
-    """Why a command became slower."""
+    """Why a command was reduced."""
 
-    INVALID = "numbers that are none"
+    INVALID = "numbers that are not finite"
     FROM_AHEAD = "stamps ahead of now"
     NO_FRAME = "no fresh depth frame"
     NO_WHEELS = "no fresh wheel reading"
@@ -63,7 +53,7 @@ class MonitorReason(StrEnum):
     PLANNER_SILENT = "the planner does not answer"
     FLOOR_SILENT = "the map of the floor is not made"
     STATUS = "the robot does not know where it is"
-    WHEELS_OFF = "the wheels do not do what they were told"
+    WHEELS_OFF = "the wheels do not follow their commands"
     INSIDE = "something where the robot is"
     NEAR = "something nearer than the margin"
     IN_ZONE = "something within the slow-down zone"
@@ -75,12 +65,12 @@ class MonitorReason(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class MonitorResult:
-    """What a robot is to do.
+    """Result of a check.
 
     Attributes:
-        command: as asked, or slower along the same arc, or a stop.
+        command: the requested command, a slower one along the same arc, or a stop.
         state: which of these.
-        reason: why it is slower; None where it is free.
+        reason: why it is slower; None if it is free.
     """
 
     command: VelocityCommand
@@ -89,7 +79,11 @@ class MonitorResult:
 
 
 class CollisionMonitor:
-    """Stands between whoever commands a robot and the robot; nothing may come after it that makes it faster."""
+    """Reduces commands so that the robot does not collide. No later part may make a command faster.
+
+    It knows no plans, maps and controllers. It judges each command by the arcs that the robot drives until it stands,
+    by what is known of the floor there, and by whether all its data are fresh and consistent.
+    """
 
     def __init__(
         self,
@@ -102,7 +96,9 @@ class CollisionMonitor:
         self._limits, self._settings = limits or RobotLimits(), settings or MonitorSettings()
         self._wheels = WheelCheck(self._limits, wheel_settings or WheelCheckSettings())
         self._surroundings = Surroundings(self._outline, self._settings)
-        self._edge = _edge_points(self._outline, self._settings.cell_m)
+        sides, cell_m = self._outline.sides, self._settings.cell_m
+        # Points (K, 2) along the outline.
+        self._edge = np.array([side[:2] + d * side[2:4] for side in sides for d in np.arange(0.0, side[4], cell_m)])
         self._reach_m = float(np.linalg.norm(footprint.corners, axis=1).max())
         self._frame_s, self._wheels_s = -np.inf, -np.inf
         self._any_frame_s, self._blind_way_m = -np.inf, 0.0
@@ -111,34 +107,33 @@ class CollisionMonitor:
         self._are_wheels_off = False
 
     def clear_fault(self) -> None:
-        """Somebody has looked at the wheels: drive again."""
+        """Permit driving again after a person has checked the wheels."""
         self._are_wheels_off = False
-        self._wheels.forget()
+        self._wheels.reset()
 
     def trust_floor(self, radius_m: float) -> None:
-        """Somebody has looked: so far about the axle the floor is free, which the camera cannot see from where it is.
+        """Mark the floor within a radius of the axle as seen, because a person has looked at it.
 
-        Things that a frame shows there count all the same. It holds for the floor about where the robot is now, and is
-        forgotten as what is seen is.
+        Obstacles in frames still count there. It applies to the robot's current place, and ends as other memory does.
         """
         self._surroundings.trust(radius_m)
 
     def hear(
         self, stamp_s: float, forward_m_s: float, turn_rad_s: float, rolled: tuple[float, float] | None = None
     ) -> None:
-        """The base's speeds, as its encoders measure them; each reading once, in order.
+        """Process the measured speeds of the base; each reading once, in order.
 
         Args:
-            stamp_s: of the reading.
-            forward_m_s, turn_rad_s: at it.
-            rolled: metres along the arc and radians since the reading before; None: as far as the speeds tell.
+            stamp_s: time of the reading.
+            forward_m_s, turn_rad_s: speeds at that time.
+            rolled: metres along the arc and radians since the last reading; None to integrate the speeds.
         """
         self._are_wheels_sound = bool(np.isfinite([stamp_s, forward_m_s, turn_rad_s, *(rolled or ())]).all())
         if not self._are_wheels_sound or stamp_s <= self._wheels_s:
             return
         if stamp_s - self._wheels_s > self._settings.gap_s:
             self._surroundings.forget()
-            self._wheels.forget()
+            self._wheels.reset()
             self._frame_s = -np.inf
         self._blind_way_m += abs(forward_m_s) * min(stamp_s - self._wheels_s, self._settings.gap_s)
         self._surroundings.hear(stamp_s, forward_m_s, turn_rad_s, rolled)
@@ -146,7 +141,7 @@ class CollisionMonitor:
         self._are_wheels_off |= self._wheels.is_off(forward_m_s, turn_rad_s, stamp_s)
 
     def see(self, view: DepthView) -> None:
-        """A depth frame, in order; one that shows too little is none."""
+        """Process a depth frame, in order. A frame with too little depth does not count."""
         self._is_frame_sound = view.is_sound
         if view.is_sound:
             self._any_frame_s = max(self._any_frame_s, view.stamp_s)
@@ -156,37 +151,37 @@ class CollisionMonitor:
             self._frame_s, self._blind_way_m = view.stamp_s, 0.0
 
     def hidden(self, reach_m: float, deep_m: float) -> FloatArray:
-        """(N, 2) in the base: floor within reach that lies deeper than so in what no camera has looked at.
+        """Return (N, 2) in the base: floor within reach that lies deeper than `deep_m` in unseen floor.
 
-        Corners lead the view in a turn, so that it cannot all be forbidden; whoever leads does well to keep away.
+        The monitor cannot forbid all of it, as in a turn the corners precede the view. Planners should avoid it.
         """
         return self._surroundings.hidden_about(reach_m, deep_m)
 
     def forget_near(self, xy_base: ArrayLike, radius_m: float) -> None:
-        """Forget things remembered about a place (2,) in the base, where a person says that nothing is.
+        """Remove remembered obstacles near a place (2,) in the base, because a person sees none there.
 
-        What frames show there counts all the same.
+        Obstacles in later frames still count.
         """
         self._surroundings.forget_near(xy_base, radius_m)
 
     def remembered(self, reach_m: float) -> FloatArray:
-        """(N, 2) in the base: things within reach that it stops before, though the newest frame does not show them."""
+        """Return (N, 2) in the base: obstacles within reach that it remembers, but that the newest frame lacks."""
         return self._surroundings.out_of_sight(reach_m)
 
     def is_camera_silent(self, now_s: float) -> bool:
-        """Whether no frame at all has come for `CAMERA_SILENT_S` since the last; a covered lens still sends frames."""
+        """Return whether no frame came for `CAMERA_SILENT_S` since the last one; a covered lens still sends frames."""
         return bool(np.isfinite(self._any_frame_s) and now_s - self._any_frame_s > CAMERA_SILENT_S)
 
     def check(
         self, asked: VelocityCommand, now_s: float, status: Status, silent: MonitorReason | None = None
     ) -> MonitorResult:
-        """The command that may be driven; called once a period, also where a stop is asked.
+        """Return the command that may be driven. Call it once per period, even for a stop.
 
         Args:
-            asked: the command of controller or behaviour.
-            now_s: by the clock of the stamps.
+            asked: command of a controller or behaviour.
+            now_s: current time, by the clock of the stamps.
             status: of the localization.
-            silent: a part that does not answer; the robot stands.
+            silent: a part that does not answer; the robot stops.
         """
         reason = silent or self._why_stand(asked, now_s, status)
         if reason is not None:
@@ -195,36 +190,29 @@ class CollisionMonitor:
             result = MonitorResult(asked, MonitorState.FREE)
         else:
             result = _scaled(asked, *self._share(asked, now_s, status))
-        self._wheels.tell(result.command, now_s)
+        self._wheels.record(result.command, now_s)
         return result
 
     def _why_stand(self, asked: VelocityCommand, now_s: float, status: Status) -> MonitorReason | None:
-        """What is wrong whatever is asked."""
-        s = self._settings
-        newest_s = max(self._frame_s, self._wheels_s)
+        """Return why any command is unsafe; None if none is."""
+        s, newest_s = self._settings, max(self._frame_s, self._wheels_s)
+        age_s = now_s - self._frame_s
+        is_old = age_s > s.frame_age_s or abs(self._measured[0]) * age_s > s.frame_way_m
+        # It may back up a little from an obstacle too near for its camera, while that sends frames.
+        is_alive = now_s - self._any_frame_s <= s.frame_age_s
+        backs_up = is_alive and asked.forward_m_s < 0 and asked.turn_rad_s == 0 and self._blind_way_m < s.blind_m
         wrong = {
             MonitorReason.INVALID: not (np.isfinite(now_s) and self._is_frame_sound and self._are_wheels_sound),
             MonitorReason.FROM_AHEAD: newest_s > now_s + s.ahead_s,
             MonitorReason.NO_WHEELS: now_s - self._wheels_s > s.encoder_age_s,
-            MonitorReason.NO_FRAME: self._is_frame_old(now_s) and not self._may_back_up(asked, now_s),
+            MonitorReason.NO_FRAME: is_old and not backs_up,
             MonitorReason.WHEELS_OFF: self._are_wheels_off,
             MonitorReason.STATUS: status in _STATUS_TO_STAND,
         }
         return next((reason for reason, is_so in wrong.items() if is_so), None)
 
-    def _is_frame_old(self, now_s: float) -> bool:
-        """By its age, or by the way that was driven since at the speed of now."""
-        s, age_s = self._settings, now_s - self._frame_s
-        return age_s > s.frame_age_s or abs(self._measured[0]) * age_s > s.frame_way_m
-
-    def _may_back_up(self, asked: VelocityCommand, now_s: float) -> bool:
-        """Whether it goes back from what is too near for its camera: a little, while that gives frames."""
-        s = self._settings
-        is_alive = now_s - self._any_frame_s <= s.frame_age_s
-        return is_alive and asked.forward_m_s < 0 and asked.turn_rad_s == 0 and self._blind_way_m < s.blind_m
-
     def _share(self, asked: VelocityCommand, now_s: float, status: Status) -> tuple[float, MonitorReason | None]:
-        """How much of a command may be driven, and what keeps it from being more."""
+        """Return the share of a command that may be driven, and what limits it."""
         s = self._settings
         pose = self._surroundings.pose_at(now_s)
         if pose is None:
@@ -243,7 +231,7 @@ class CollisionMonitor:
     def _by_things(
         self, twist: tuple[float, float], points: FloatArray, is_near: bool
     ) -> list[tuple[float, MonitorReason | None]]:
-        """Along the arc asked, the one that is driven now, and between them, since the base changes over."""
+        """Judge obstacles along the requested arc, the current one, and the one between, as the base changes over."""
         s, sides = self._settings, self._outline.sides
         arc, steps = self._arc(twist)
         clear = clear_share(sides, points, arc, steps, s.margin_m)
@@ -268,13 +256,14 @@ class CollisionMonitor:
     def _by_floor(
         self, twist: tuple[float, float], pose: Pose, now_s: float
     ) -> list[tuple[float, MonitorReason | None]]:
+        """Judge unseen floor along the requested arc."""
         s = self._settings
         about = self._surroundings.unseen_about(pose, now_s, self._look_m(twist))
         ground = Ground(about.never_m, about.is_old, about.first, s.cell_m, pose)
         if self._is_led_by_its_front(ground, ground._replace(deep_m=about.hidden_m)):
             self._surroundings.cover(pose, now_s)
         arc, steps = self._arc(twist)
-        # Distances between cells' centres are off by a diagonal.
+        # Distances between cell centres are off by up to a diagonal.
         deep_m = max(s.blind_m - 1.5 * s.cell_m, 0.0)
         deep, lately = seen_shares(self._edge, self._outline.sides, ground, arc, steps, deep_m)
         blind = _within(twist, s.blind_m_s, s.blind_rad_s)
@@ -285,10 +274,10 @@ class CollisionMonitor:
         ]
 
     def _is_led_by_its_front(self, ground: Ground, hidden: Ground) -> bool:
-        """Whether it moves, not backward, and its front is nowhere deeper in floor never seen than a corner leads.
+        """Return whether it moves forward or turns, and its front is no deeper in unseen floor than a corner's lead.
 
-        Floor that it was led over counts as seen, and so it might be led on and on: no farther than it may be blind
-        from floor that a camera has looked at.
+        Floor that the robot has crossed counts as seen, which alone would let it drive on and on. So its front must
+        also stay within `blind_m` of floor that a camera has seen.
         """
         forward, turn = self._measured
         if forward < -_LEAST_M_S or (forward < _LEAST_M_S and abs(turn) < _LEAST_RAD_S):
@@ -298,18 +287,18 @@ class CollisionMonitor:
         return bool(deepest_m(front, ground) <= s.lead_m and deepest_m(front, hidden) <= s.blind_m)
 
     def _slowing_s(self, twist: tuple[float, float]) -> float:
-        """From a twist to standing, along its arc."""
+        """Return the time from a twist to a stop, along its arc."""
         most, share = self._limits, self._settings.braking_share
         return max(abs(twist[0]) / most.braking_m_s2, abs(twist[1]) / most.turn_acceleration_rad_s2) / share
 
     def _arc(self, twist: tuple[float, float]) -> tuple[tuple[float, float], int]:
-        """Way and turn until the robot stands, and in how many steps they are judged."""
+        """Return way and turn until the robot stands, and the number of steps for the check."""
         seconds = self._settings.reaction_s + self._slowing_s(twist) / 2
         way = self._rate(twist) * seconds
         return (twist[0] * seconds, twist[1] * seconds), max(int(np.ceil(way / self._settings.step_m)), 1)
 
     def _stops_within(self, twist: tuple[float, float], share: float) -> float:
-        """The share of a twist whose arc ends within a share of the whole twist's arc."""
+        """Return the share of a twist whose arc ends within a share of the whole twist's arc."""
         slowing_s, reaction_s = self._slowing_s(twist), self._settings.reaction_s
         if share >= 1.0 or slowing_s == 0.0:
             return 1.0
@@ -317,11 +306,11 @@ class CollisionMonitor:
         return float((np.sqrt(reaction_s**2 + 2 * slowing_s * seconds) - reaction_s) / slowing_s)
 
     def _rate(self, twist: tuple[float, float]) -> float:
-        """Metres a second of the farthest corner, at most."""
+        """Return an upper bound of the speed of the farthest corner."""
         return abs(twist[0]) + self._reach_m * abs(twist[1])
 
     def _look_m(self, twist: tuple[float, float]) -> float:
-        """How far from the axle things may matter."""
+        """Return the distance from the axle within which obstacles may matter."""
         s = self._settings
         driven = self._measured
         ways = [self._rate(one) * (s.reaction_s + self._slowing_s(one) / 2) for one in (twist, driven)]
@@ -329,13 +318,13 @@ class CollisionMonitor:
 
 
 def _within(twist: tuple[float, float], most_m_s: float, most_rad_s: float) -> float:
-    """The share of a twist that keeps two limits."""
+    """Return the share of a twist that keeps two limits."""
     shares = [most / abs(speed) for speed, most in zip(twist, (most_m_s, most_rad_s), strict=True) if speed]
     return min(1.0, *shares)
 
 
 def _scaled(asked: VelocityCommand, share: float, reason: MonitorReason | None) -> MonitorResult:
-    """A command along the same arc."""
+    """Return the result for a share of a command, along the same arc."""
     if share >= 1.0:
         return MonitorResult(asked, MonitorState.FREE)
     forward, turn = share * asked.forward_m_s, share * asked.turn_rad_s
@@ -344,48 +333,39 @@ def _scaled(asked: VelocityCommand, share: float, reason: MonitorReason | None) 
     return MonitorResult(VelocityCommand(forward, turn), MonitorState.SLOWED, reason)
 
 
-def _edge_points(outline: Outline, spacing_m: float) -> FloatArray:
-    """(K, 2) along an outline."""
-    rows = [side[:2] + along * side[2:4] for side in outline.sides for along in np.arange(0.0, side[4], spacing_m)]
-    return np.array(rows)
-
-
-# WheelCheck: whether a base does what it is told.
-
-
 class WheelCheck:
-    """Keeps the speeds between which a base may be, that follows its commands as quickly or as slowly as it can.
+    """Detects wheels that do not follow their commands.
 
-    The highest is that of a base that gains speed at once and quickly, and gives way late and slowly; the lowest the
-    other way round. What is measured lies between them, or the base does something else.
+    It keeps the range of speeds of a base that follows its commands as fast or as slowly as it can. The upper end gains
+    speed early and quickly, and loses it late and slowly; the lower end does the opposite.
     """
 
     def __init__(self, limits: RobotLimits, settings: WheelCheckSettings) -> None:
         self._limits, self._settings = limits, settings
-        self._told: deque[tuple[float, VelocityCommand]] = deque()
+        self._sent: deque[tuple[float, VelocityCommand]] = deque()
         self._lowest, self._highest = (0.0, 0.0), (0.0, 0.0)
         self._stamp_s: float | None = None
         self._off_s = 0.0
 
-    def tell(self, command: VelocityCommand, now_s: float) -> None:
-        """What the base was sent."""
-        self._told.append((now_s, command))
+    def record(self, command: VelocityCommand, now_s: float) -> None:
+        """Record a command that the base was sent."""
+        self._sent.append((now_s, command))
 
-    def forget(self) -> None:
-        """After a gap: begin from what is measured next."""
+    def reset(self) -> None:
+        """Start again from the next reading, after a gap."""
         self._stamp_s, self._off_s = None, 0.0
 
     def is_off(self, forward_m_s: float, turn_rad_s: float, stamp_s: float) -> bool:
-        """Whether a base that moves so has not done for too long what it was told."""
+        """Return whether the measured speeds have been out of range for too long."""
         s, measured = self._settings, (forward_m_s, turn_rad_s)
         if self._stamp_s is None:
             self._lowest = self._highest = measured
             self._stamp_s = stamp_s
             return False
         step_s, self._stamp_s = stamp_s - self._stamp_s, stamp_s
-        told = self._obeyed_at(stamp_s)
-        self._lowest = self._next(self._lowest, (min(told[0]), min(told[1])), step_s, s.slow_share, s.fast_share)
-        self._highest = self._next(self._highest, (max(told[0]), max(told[1])), step_s, s.fast_share, s.slow_share)
+        ahead, turns = self._obeyed_at(stamp_s)
+        self._lowest = self._next(self._lowest, (min(ahead), min(turns)), step_s, s.slow_share, s.fast_share)
+        self._highest = self._next(self._highest, (max(ahead), max(turns)), step_s, s.fast_share, s.slow_share)
         bounds = zip(self._lowest, measured, self._highest, strict=True)
         off = [max(low - value, value - high, 0.0) for low, value, high in bounds]
         is_off = off[0] > s.off_m_s or off[1] > s.off_rad_s
@@ -393,35 +373,35 @@ class WheelCheck:
         return self._off_s >= s.off_s
 
     def _obeyed_at(self, stamp_s: float) -> tuple[list[float], list[float]]:
-        """Speeds ahead and turns that a base may be about to reach then: all that it was told since its lag."""
+        """Return the forward speeds and turn rates of all commands that a base may follow at a time, with its lag."""
         s = self._settings
         late_s = stamp_s - s.lag_s
-        ends = [self._told_at(stamp_s, s.held_s), self._told_at(late_s, s.watchdog_s)]
-        told = ends + [command for told_s, command in self._told if late_s < told_s <= stamp_s]
-        return [one.forward_m_s for one in told], [one.turn_rad_s for one in told]
+        ends = [self._command_at(stamp_s, s.held_s), self._command_at(late_s, s.watchdog_s)]
+        sent = ends + [command for sent_s, command in self._sent if late_s < sent_s <= stamp_s]
+        return [one.forward_m_s for one in sent], [one.turn_rad_s for one in sent]
 
-    def _told_at(self, stamp_s: float, kept_s: float) -> VelocityCommand:
-        """The command that was the last then; to stand where it was older than a base keeps it.
+    def _command_at(self, stamp_s: float, kept_s: float) -> VelocityCommand:
+        """Return the last command at a time; a stop if it is older than a base keeps it.
 
-        Whoever commands may itself have stood still, and the base has stopped by itself, as it should.
+        The program may have hung, and the base has then stopped by itself, as it should.
         """
         oldest_s = stamp_s - self._settings.lag_s
-        while len(self._told) > 1 and self._told[1][0] <= oldest_s:
-            self._told.popleft()
-        before = [(told_s, command) for told_s, command in self._told if told_s <= stamp_s]
+        while len(self._sent) > 1 and self._sent[1][0] <= oldest_s:
+            self._sent.popleft()
+        before = [(sent_s, command) for sent_s, command in self._sent if sent_s <= stamp_s]
         return before[-1][1] if before and stamp_s - before[-1][0] <= kept_s else STOP
 
     def _next(
         self, speeds: tuple[float, float], wanted: tuple[float, float], step_s: float, up: float, down: float
     ) -> tuple[float, float]:
-        """After a step; `up` and `down` are shares of the limits' accelerations."""
+        """Return the speeds after a step; `up` and `down` are shares of the limits' accelerations."""
         most, weighted_s = self._limits, (up * step_s, down * step_s)
         forward = _toward(speeds[0], wanted[0], (most.acceleration_m_s2, most.braking_m_s2), weighted_s)
         return forward, _toward(speeds[1], wanted[1], (most.turn_acceleration_rad_s2,) * 2, weighted_s)
 
 
 def _toward(speed: float, wanted: float, rates: tuple[float, float], weighted_s: tuple[float, float]) -> float:
-    """A speed after a step; `rates` are of gaining speed and of braking, `weighted_s` for rising and for falling."""
+    """Return a speed after a step; `rates` are of acceleration and braking, `weighted_s` of rising and falling."""
     rate = rates[0] if speed * (wanted - speed) >= 0 else rates[1]
     change = rate * weighted_s[0 if wanted > speed else 1]
     return speed + min(max(wanted - speed, -change), change)

@@ -1,5 +1,7 @@
-"""Costmap: free space, distance to obstacles and cost of each cell. LiveLayer: obstacles in recent depth images,
-with clearing by ray casting.
+"""Costmap: free space, distance to obstacles and cost of each cell.
+
+`StaticLayer` is the map with its edits. `LiveLayer` has the obstacles of recent depth images, cleared by ray casting.
+`FloorNow` joins both at one moment.
 """
 
 from __future__ import annotations
@@ -25,17 +27,14 @@ from wheelsight.navigation.costmap_kernels import Heights, Noise, Rules, View, a
 from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.settings import CostmapSettings, LiveLayerSettings
 
-# Costmap: where a robot may drive, how far obstacles are, and what driving near to them costs; as a value.
-
-
-# Where nothing is occupied, distances are so many metres; infinite ones turn into NaN between cells.
+# Distance where nothing is occupied; infinite ones would become NaN between cells.
 FARTHEST_M = 100.0
-# A caster's print: what stood on so little floor would have been met by rays.
+# Area of a caster's print: rays would have hit anything that stands on less floor.
 _HOLE_M2 = 0.02
 
 
 class CellState(IntEnum):
-    """What a cell is for a planner."""
+    """State of a cell for a planner."""
 
     FREE = 0
     UNKNOWN = 1
@@ -44,14 +43,14 @@ class CellState(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StaticLayer:
-    """What a map says with its edits, made once for a map.
+    """A map with its edits, made once per map.
 
     Attributes:
         state: (H, W) uint8 of `CellState`.
-        speed_m_s: (H, W) float32 fastest speed in zones, infinite elsewhere.
+        speed_m_s: (H, W) float32 speed limits of zones, infinite elsewhere.
         resolution_m: side of a cell.
         origin: x and y in `map` of the corner of cell (0, 0).
-        is_told: (H, W) free floor that nobody has seen: somebody said so. None: none is.
+        is_told: (H, W) free floor that is unseen, but that a person said is free; None for none.
     """
 
     state: ByteArray
@@ -62,24 +61,24 @@ class StaticLayer:
 
     @property
     def is_unseen(self) -> BoolArray:
-        """(H, W) floor of which nothing is known, or by what somebody said alone."""
+        """(H, W) floor that no sensor has seen: unknown, or free only because a person said so."""
         return _unseen(self.state, self.is_told)
 
     @classmethod
     def of(cls, grid: OccupancyGrid, edits: MapEdits | None = None, T_map_keyframe: ArrayLike = ()) -> StaticLayer:
-        """Of a map and what people said of it. `T_map_keyframe` and what it raises: as `MapEdits.applied`."""
+        """Return the layer of a map and its edits. `T_map_keyframe` and errors are those of `MapEdits.applied`."""
         edits = edits or MapEdits()
         edited = edits.applied(grid, T_map_keyframe)
         occupancy = edited.occupancy
         state = np.full(occupancy.shape, CellState.UNKNOWN, np.uint8)
         state[occupancy == FREE] = CellState.FREE
-        # Between free and occupied nobody is sure: that is unknown.
+        # Values between free and occupied are unknown.
         state[occupancy >= OCCUPIED] = CellState.OCCUPIED
         _fill_holes(state, grid.resolution_m)
         return cls(state, edits.limits_m_s(edited, T_map_keyframe), grid.resolution_m, grid.origin)
 
     def window(self, xy: ArrayLike, size_m: float) -> StaticLayer:
-        """A square of it about a place (2,), metres; beyond its edges all is unknown. What was told is seen there."""
+        """Return a square around a place (2,), metres. Cells beyond the edges are unknown. It has no `is_told`."""
         side = math.ceil(size_m / self.resolution_m)
         column, row = np.floor((np.asarray(xy, float) - self.origin) / self.resolution_m).astype(int) - side // 2
         low = np.clip([row, column], 0, self.state.shape)
@@ -93,7 +92,7 @@ class StaticLayer:
         return StaticLayer(state, speed, self.resolution_m, (float(origin[0]), float(origin[1])))
 
     def state_at(self, xy: ArrayLike) -> ByteArray:
-        """(N,) `CellState` at points (N, 2); beyond its edges all is unknown."""
+        """Return (N,) `CellState` at points (N, 2); unknown beyond the edges."""
         at = np.floor((np.asarray(xy, float) - self.origin) / self.resolution_m).astype(np.int64)[:, ::-1]
         inside = ((at >= 0) & (at < self.state.shape)).all(axis=1)
         found = np.full(len(at), CellState.UNKNOWN, np.uint8)
@@ -101,7 +100,7 @@ class StaticLayer:
         return found
 
     def grown(self, bounds: ArrayLike) -> StaticLayer:
-        """By unknown cells until it holds the low and the high corner (2, 2) of a box, metres."""
+        """Return the layer, extended by unknown cells to include the low and high corners (2, 2) of a box, metres."""
         size_m, (height, width) = self.resolution_m, self.state.shape
         corners = (np.asarray(bounds, float) - self.origin) / size_m
         left, bottom = np.maximum(-np.floor(corners[0]), 0).astype(int)
@@ -114,7 +113,7 @@ class StaticLayer:
         return StaticLayer(state, speed, size_m, origin, is_told)
 
     def with_floor(self, is_floor: BoolArray, *, is_told: bool = False) -> StaticLayer:
-        """The same, with cells (H, W) known to be free of which nothing else is known; or somebody only said so."""
+        """Return the layer with unknown cells (H, W) free; with `is_told`, because a person said so."""
         is_new = is_floor & (self.state == CellState.UNKNOWN)
         state = self.state.copy()
         state[is_new] = CellState.FREE
@@ -126,22 +125,22 @@ class StaticLayer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Costmap:
-    """The floor in square cells, along the axes of its frame. What lies outside of it is forbidden.
+    """Square cells of the floor along the axes of a frame. The robot may not leave it.
 
     Attributes:
-        state: (H, W) uint8 of `CellState`; row 0 is the least y.
-        is_lethal: (H, W) no part of the robot may be there: occupied, or unknown where that is forbidden.
+        state: (H, W) uint8 of `CellState`; row 0 has the least y.
+        is_lethal: (H, W) cells where no part of the robot may be: occupied, or unknown if that is forbidden.
         distance_m: (H, W) float32 from each cell's centre to that of the nearest lethal one; 0 in these.
-        cost: (H, W) float32 from 0, free, to 1, where the centre of rotation can never be; between, it falls with
-            distance to obstacles.
-        speed_m_s: (H, W) float32 fastest speed in zones, infinite elsewhere.
+        cost: (H, W) float32 from 0, free, to 1, where the centre of rotation can never be. Between them it falls with
+            the distance to obstacles.
+        speed_m_s: (H, W) float32 speed limits of zones, infinite elsewhere.
         resolution_m: side of a cell.
         origin: x and y in metres of the corner of cell (0, 0).
         frame: `map` or `odom`.
-        inscribed_m: of the footprint that it was made for.
-        settings: by which it was made.
-        is_told: as of `StaticLayer`.
-        dearness: (H, W) float32 how many times as much a metre costs; None: once.
+        inscribed_m: inscribed radius of the footprint.
+        settings: of the costmap.
+        is_told: as in `StaticLayer`.
+        dearness: (H, W) float32 factor of the cost of a metre; None for 1.
     """
 
     state: ByteArray
@@ -159,7 +158,7 @@ class Costmap:
 
     @property
     def is_unseen(self) -> BoolArray:
-        """As of `StaticLayer`."""
+        """As in `StaticLayer`."""
         return _unseen(self.state, self.is_told)
 
     @classmethod
@@ -171,16 +170,17 @@ class Costmap:
         live: LiveObstacles | None = None,
         T_map_live: ArrayLike = (0.0, 0.0, 0.0),
     ) -> Costmap:
-        """In the frame `map`: of a map, and of what the camera sees by now.
+        """Return the costmap in `map` of a static layer and of live obstacles.
 
         Args:
             static: of the map.
-            footprint: whose inscribed circle costs begin at.
-            settings: or the defaults.
-            live: obstacles; they add to the map's, and free none of them.
+            footprint: its inscribed circle is where costs begin.
+            settings: None for the defaults.
+            live: obstacles in addition to those of the map.
             T_map_live: (3,) x, y, yaw of their frame in `map`.
 
-        Raises ArgumentError where that is not finite.
+        Raises:
+            ArgumentError: `T_map_live` is not finite.
         """
         state = static.state
         if live is not None:
@@ -192,19 +192,19 @@ class Costmap:
 
     @property
     def field(self) -> CostField:
-        """As controllers take it."""
+        """The costmap as controllers use it."""
         return CostField(self.distance_m, self.cost, self.resolution_m, self.origin, self.speed_m_s)
 
     @classmethod
     def of_live(cls, live: LiveObstacles, footprint: Footprint, settings: CostmapSettings | None = None) -> Costmap:
-        """In the frame of live obstacles, where no map is: what shows none is free."""
+        """Return the costmap in the frame of live obstacles, without a map: all other cells are free."""
         state = np.where(live.is_occupied, CellState.OCCUPIED, CellState.FREE).astype(np.uint8)
         speed = np.full(state.shape, np.inf, np.float32)
         place = live.resolution_m, live.origin, live.frame
         return _made(state, speed, place, footprint.inscribed_m, settings or CostmapSettings())
 
     def standing_at(self, footprint: Footprint, pose: ArrayLike) -> Costmap:
-        """The same where a robot stands at a pose (3,): floor below it that nobody has seen is there."""
+        """Return the costmap with the unknown floor under a robot at a pose (3,) free."""
         corners = footprint.at(pose)
         low = np.maximum(self.cells_at(corners.min(axis=0)), 0)
         high = np.minimum(self.cells_at(corners.max(axis=0)) + 1, self.state.shape)
@@ -214,7 +214,7 @@ class Costmap:
         cells = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1)
         away = self.middle_of(cells) - np.asarray(pose, float)[:2]
         c, s = np.cos(np.asarray(pose, float)[2]), np.sin(np.asarray(pose, float)[2])
-        # Whatever the outline touches: a cell's corners are half a diagonal off its middle.
+        # All cells that the outline touches: a cell's corners are half a diagonal off its middle.
         grown = footprint.padded(self.resolution_m * np.sqrt(0.5))
         below = grown.contains(away @ np.array([[c, -s], [s, c]]))
         cut = slice(low[0], high[0]), slice(low[1], high[1])
@@ -223,24 +223,26 @@ class Costmap:
             return self
         state = self.state.copy()
         state[cut][unknown] = CellState.FREE
-        place = self.resolution_m, self.origin, self.frame
-        made = _made(state, self.speed_m_s, place, self.inscribed_m, self.settings)
-        return replace(made, dearness=self.dearness)
+        return self._with_state(state)
 
     def with_unknown_free(self) -> Costmap:
-        """The same as if all unknown floor were free."""
+        """Return the costmap with all unknown floor free."""
         state = np.where(self.state == CellState.UNKNOWN, CellState.FREE, self.state).astype(np.uint8)
+        return self._with_state(state)
+
+    def _with_state(self, state: ByteArray) -> Costmap:
+        """Return the costmap with other cell states (H, W)."""
         place = self.resolution_m, self.origin, self.frame
         made = _made(state, self.speed_m_s, place, self.inscribed_m, self.settings)
         return replace(made, dearness=self.dearness)
 
     def cells_at(self, xy: ArrayLike) -> IntArray:
-        """(..., 2) row and column of points (..., 2); they may lie outside."""
+        """Return (..., 2) row and column of points (..., 2); they may lie outside."""
         cells = (np.asarray(xy, float) - self.origin) / self.resolution_m
         return np.floor(cells[..., ::-1]).astype(np.int64)
 
     def middle_of(self, cells: ArrayLike) -> FloatArray:
-        """(..., 2) of the middles of cells (..., 2) of row and column."""
+        """Return (..., 2), the centres of cells (..., 2) of row and column."""
         return np.asarray((np.asarray(cells, float)[..., ::-1] + 0.5) * self.resolution_m + self.origin)
 
 
@@ -251,13 +253,13 @@ def _made(
     inscribed_m: float,
     settings: CostmapSettings,
 ) -> Costmap:
-    """Of the states of cells."""
+    """Return the costmap of cell states."""
     resolution_m, origin, frame = place
     is_lethal = state == CellState.OCCUPIED
     if settings.unknown == "forbidden":
         is_lethal |= state == CellState.UNKNOWN
     distance_m = distances_m(is_lethal, resolution_m)
-    # To the nearest edge of a cell, as seen along a row or column.
+    # Distance to the nearest edge of a cell, along a row or column.
     near_m = 0.5 * resolution_m + inscribed_m
     falls = kernels.Falls(near_m, settings.inflation_m, settings.decay_per_m, settings.unknown_cost)
     cost = kernels.costs(state, is_lethal, distance_m, falls, CellState.UNKNOWN.value)
@@ -270,9 +272,10 @@ def _unseen(state: ByteArray, is_told: BoolArray | None) -> BoolArray:
 
 
 def _fill_holes(state: ByteArray, resolution_m: float) -> None:
-    """Count as free what is unknown, has only free floor about it, and is too small for anything that hides from view.
+    """Set small unknown areas free if all floor around them is free.
 
-    Rays miss single cells, of which each would keep a robot away by its own width.
+    Rays miss single cells, and each of them would keep a robot away by its own width. An area counts as small if no
+    object could stand there unseen.
     """
     is_unknown = (state == CellState.UNKNOWN).astype(np.uint8)
     _, labels, about, _ = cv2.connectedComponentsWithStats(is_unknown, connectivity=8)
@@ -284,7 +287,7 @@ def _fill_holes(state: ByteArray, resolution_m: float) -> None:
 
 
 def distances_m(is_lethal: BoolArray, resolution_m: float) -> Float32Array:
-    """(H, W) exact, from each cell's centre to that of the nearest of some cells; `FARTHEST_M` where there is none."""
+    """Return (H, W), the exact distance from each centre to the nearest lethal one; `FARTHEST_M` without any."""
     if not is_lethal.any():
         return np.full(is_lethal.shape, FARTHEST_M, np.float32)
     cells = cv2.distanceTransform((~is_lethal).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
@@ -292,7 +295,7 @@ def distances_m(is_lethal: BoolArray, resolution_m: float) -> Float32Array:
 
 
 def _put(live: LiveObstacles, T_map_live: FloatArray, static: StaticLayer, state: ByteArray) -> None:
-    """Mark all cells in which any sixteenth of an occupied cell has its middle."""
+    """Mark all cells that contain the centre of any sixteenth of an occupied cell."""
     if T_map_live.shape != (3,) or not np.isfinite(T_map_live).all():
         raise ArgumentError(f"T_map_live is {T_map_live}", fix="x, y and yaw of the obstacles' frame in map, finite")
     x, y, yaw = (float(value) for value in T_map_live)
@@ -301,25 +304,22 @@ def _put(live: LiveObstacles, T_map_live: FloatArray, static: StaticLayer, state
     kernels.mark_occupied(live.is_occupied, of, (x, y, np.cos(yaw), np.sin(yaw)), to, CellState.OCCUPIED.value, state)
 
 
-# LiveLayer: obstacles that the newest depth images show about a robot, until they are seen through.
-
-
-# What no image of so many seconds shows, nor sees through, has nothing behind it: five images see through a thing that
-# has gone. Columns of bearings are a degree or two wide, and the edge of the view is left out.
+# An obstacle in view, but not in the images of `_LOOKED_S`, has no depth behind it: five images would clear it.
+# Bearings have columns of a degree or two, and the edge of the view does not count.
 _LOOKED_S, _COLUMNS, _WITHIN = 1.0, 32, 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveObstacles:
-    """What stands about a robot.
+    """Obstacles around a robot.
 
     Attributes:
-        is_occupied: (N, N) row 0 is the least y.
+        is_occupied: (N, N) row 0 has the least y.
         resolution_m: side of a cell.
         origin: x and y in metres of the corner of cell (0, 0).
-        frame: in which its axes lie: `odom`, or `map`.
+        frame: of its axes: `odom` or `map`.
         stamp_s: of the newest image; None before the first.
-        is_standing: (N, N) those of them that were met some time ago, and not seen through since.
+        is_standing: (N, N) those that were seen first some time ago, and not cleared since.
     """
 
     is_occupied: BoolArray
@@ -330,11 +330,11 @@ class LiveObstacles:
     is_standing: BoolArray
 
     def standing(self) -> LiveObstacles:
-        """Without what may be somebody who walks past."""
+        """Return the standing obstacles only, without people who may pass by."""
         return replace(self, is_occupied=self.is_standing)
 
     def with_points(self, points: FloatArray) -> LiveObstacles:
-        """The same, and the cells of points (N, 2) in its frame, where something stands."""
+        """Return the obstacles with the cells of points (N, 2) in its frame occupied, too."""
         at = np.floor((points - self.origin) / self.resolution_m).astype(np.int64)[:, ::-1]
         at = at[((at >= 0) & (at < self.is_occupied.shape)).all(axis=1)]
         is_occupied, is_standing = self.is_occupied.copy(), self.is_standing.copy()
@@ -343,22 +343,21 @@ class LiveObstacles:
 
 
 class LiveLayer:
-    """Cells about a robot with what its camera met there, layer by layer of height.
+    """Cells around a robot with the obstacles of its camera, in layers of height.
 
-    A cell is occupied from the image on that shows something there. It is free as soon as some images saw through
-    each layer in which there was something; what no image looks at stays as it was, until the robot is half the
-    layer's size away; but the shorter it was met the sooner it is gone: it may be somebody who walks. Where the robot
-    itself stands there is nothing else.
+    A cell is occupied from the first image that shows an obstacle in it. It is free once some images have seen through
+    all its occupied layers. Outside the view it stays until the robot is half the layer's size away. An obstacle that
+    was seen only briefly is removed sooner, as it may be a person. The robot's own place is free.
 
     Args:
-        calibration: of the robot: its depth camera, and where that sits over the floor.
+        calibration: of the robot: its depth camera, and the mount of it over the floor.
         footprint: of the robot.
-        settings: or the defaults.
-        frame: in which poses are given.
+        settings: None for the defaults.
+        frame: frame of the poses.
 
     Raises:
         CalibrationError: there is no camera.
-        MapError: nobody knows where the camera sits.
+        MapError: the mount of the camera is unknown.
     """
 
     def __init__(
@@ -372,7 +371,8 @@ class LiveLayer:
         _, self._camera = calibration.cameras
         self._slopes = np.ascontiguousarray(self._camera.rays()[..., :2], np.float32)
         self.settings, self.frame, self._footprint = settings or LiveLayerSettings(), frame, footprint
-        self._heights = _heights_of(self.settings, self._camera.width)
+        heights = {name: getattr(self.settings, name) for name in Heights._fields if name != "pixels"}
+        self._heights = Heights(**heights, pixels=max(1, round(self._camera.width / self.settings.columns)))
         side = math.ceil(self.settings.size_m / self.settings.resolution_m)
         layers = max(1, math.ceil((self.settings.height_m - self.settings.floor_m) / self.settings.layer_m))
         self._low: IntArray = np.zeros(2, np.int64)  # row and column of cell (0, 0), from the frame's origin
@@ -380,22 +380,22 @@ class LiveLayer:
         self._seen = np.zeros_like(self._left)
         self._met_s = np.full((side, side, 2), (np.inf, -np.inf))  # first and last
         self._newest_s = -math.inf
-        self._known: LiveObstacles | None = None  # as it was asked last
+        self._known: LiveObstacles | None = None  # cached; None after a change
 
     def is_due(self, stamp_s: float) -> bool:
-        """Whether an image of then is to be seen, as `period_s` has it; a clock that was set back makes none wait."""
+        """Return whether `period_s` has passed since the last image, or the clock was set back."""
         return not 0 <= stamp_s - self._newest_s < self.settings.period_s
 
     def update(self, depth_m: ArrayLike, pose: ArrayLike, stamp_s: float) -> None:
-        """See a depth image.
+        """Process a depth image.
 
         Args:
-            depth_m: (H, W) metres; what is not finite and over 0 was not measured.
-            pose: (3,) x, y, yaw of `base` in the layer's frame, when it was taken.
-            stamp_s: when that was.
+            depth_m: (H, W) metres; values that are not finite and over 0 have no depth.
+            pose: (3,) x, y, yaw of `base` in the layer's frame at that time.
+            stamp_s: time of the image.
 
         Raises:
-            ArgumentError: an image of another size, or a pose or stamp that is not finite; nothing changes then.
+            ArgumentError: the image has another size, or pose or stamp is not finite. The layer stays as it is.
         """
         depth, at = checked_depth(depth_m, self._camera), np.asarray(pose, float)
         if at.shape != (3,) or not np.isfinite(at).all() or not math.isfinite(stamp_s):
@@ -406,14 +406,14 @@ class LiveLayer:
         noise = Noise(self._noise.constant_m, self._noise.quadratic_per_m, self.settings.margin_sigmas)
         mark_met(view, self._heights, is_own, self._seen)
         mark_passed(view, self._heights, noise, self._seen)
-        # A camera that shows nothing is no reason to forget.
+        # An image without depth removes nothing.
         forget_s = self.settings.forget_s if self._seen.any() else math.inf
         rules = Rules(self.settings.passes, forget_s, self.settings.stays)
         remember(self._seen, is_own, self._left, self._met_s, stamp_s, rules)
         self._newest_s, self._known = stamp_s, None
 
     def obstacles(self) -> LiveObstacles:
-        """What is there by now."""
+        """Return the current obstacles."""
         if self._known is None:
             size_m = self.settings.resolution_m
             y, x = (size_m * self._low).tolist()
@@ -424,17 +424,17 @@ class LiveLayer:
         return self._known
 
     def clear(self, stood_s: float = math.inf) -> None:
-        """Forget what has stood for less time; all, as a person may ask for."""
+        """Remove the obstacles that were seen for less time than `stood_s`; by default all."""
         self._left[~self._has_stood(stood_s)] = 0
         self._known = None
 
     def clear_ahead(self, stood_s: float, eye: ArrayLike, half_view_rad: float) -> None:
-        """Forget of that only what lies within a camera's view; the next image shows anew what is there.
+        """Remove such obstacles within a camera's view only. Real ones return with the next image.
 
         Args:
             stood_s: as in `clear`.
             eye: (3,) x, y and heading of the camera in the layer's frame.
-            half_view_rad: to either side.
+            half_view_rad: half of its field of view.
         """
         x, y, yaw = map(float, np.asarray(eye, float))
         rows, columns = np.indices(self._left.shape[:2])
@@ -445,19 +445,19 @@ class LiveLayer:
         self._known = None
 
     def _has_stood(self, stood_s: float) -> BoolArray:
-        """(N, N) cells in which something was met for so long."""
+        """Return (N, N) whether the obstacle of each cell was seen for at least `stood_s`."""
         return np.asarray(self._met_s[..., 1] - self._met_s[..., 0] >= stood_s)
 
     def not_seen_through(self, eye: ArrayLike, half_view_rad: float, near_m: float) -> FloatArray:
-        """(N, 2) places in the layer's frame that hold a thing which a camera looks at and no longer shows.
+        """Return (N, 2) places of obstacles in view that no recent image shows, and that cannot be cleared.
 
-        No image of the last second shows the thing, nothing hides it, and no depth behind it says that it is gone: a
-        hall, a window or black behind it gives none. Glass and black things themselves give none either, so it stays.
+        Nothing hides such an obstacle, but there is no depth behind it to see through it, as in front of a hall, a
+        window or black surfaces. It stays, since glass and black objects give no depth themselves.
 
         Args:
             eye: (3,) x, y and heading of the camera in the layer's frame.
-            half_view_rad: to either side.
-            near_m: from the camera, the nearest floor that it sees: what is nearer may be below its view.
+            half_view_rad: half of its field of view.
+            near_m: distance of the nearest visible floor; nearer obstacles may be below the view.
         """
         x, y, yaw = map(float, np.asarray(eye, float))
         cells = np.argwhere(any_left(self._left))
@@ -468,13 +468,13 @@ class LiveLayer:
         column = np.clip((bearing / half_view_rad + 1) / 2 * _COLUMNS, 0, _COLUMNS - 1).astype(np.int64)
         hides_m = np.full(_COLUMNS, np.inf)
         np.minimum.at(hides_m, column[is_met], away_m[is_met])
-        # A cell is wider than a column where it is near.
+        # Near the camera a cell is wider than a column.
         hides_m = np.minimum(hides_m, np.minimum(np.r_[hides_m[1:], np.inf], np.r_[np.inf, hides_m[:-1]]))
         is_looked_at = (np.abs(bearing) < _WITHIN * half_view_rad) & (away_m > near_m) & (away_m < self.settings.far_m)
         return np.asarray(places[~is_met & is_looked_at & (away_m < hides_m[column])])
 
     def wipe(self, ends: ArrayLike, radius_m: float) -> None:
-        """Forget what is so near to a line from one place to another, (2, 2); what is there is seen again."""
+        """Remove obstacles within a radius of a line between places (2, 2). Real ones return with the next image."""
         a, b = np.asarray(ends, float)
         cells = np.argwhere(any_left(self._left))
         places = ((cells + self._low)[:, ::-1] + 0.5) * self.settings.resolution_m
@@ -484,7 +484,7 @@ class LiveLayer:
         self._known = None
 
     def _move_to(self, pose: FloatArray) -> None:
-        """Keep what is near a pose, by whole cells."""
+        """Move the window to a pose, by whole cells."""
         side = len(self._left)
         low = np.floor(pose[1::-1] / self.settings.resolution_m).astype(np.int64) - side // 2
         if (low == self._low).all():
@@ -497,7 +497,7 @@ class LiveLayer:
         self._low, self._left, self._met_s = low, moved, met_s
 
     def _is_own(self, pose: FloatArray) -> BoolArray:
-        """(N, N) cells that lie wholly under the robot."""
+        """Return (N, N) cells that lie completely under the robot."""
         side, size_m = len(self._left), self.settings.resolution_m
         is_own = np.zeros((side, side), bool)
         outline = self._footprint.at(pose) / size_m - self._low[::-1]
@@ -507,12 +507,12 @@ class LiveLayer:
         c, s = np.cos(pose[2]), np.sin(pose[2])
         places = (corners + self._low[::-1]) * size_m - pose[:2]
         inside = self._footprint.contains(places @ np.array([[c, -s], [s, c]]))
-        # The robot stands in the middle of the layer, which is wider than it.
+        # The robot is in the middle of the layer, which is larger.
         is_own[bottom:top, left:right] = inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:]
         return is_own
 
     def _matrix(self, pose: FloatArray) -> FloatArray:
-        """(3, 4) from the camera to column and row in cells, and height."""
+        """Return (3, 4), the transform from the camera to column and row in cells, and height."""
         c, s = np.cos(pose[2]), np.sin(pose[2])
         T_frame_base = np.array([[c, -s, 0, pose[0]], [s, c, 0, pose[1]], [0, 0, 1, 0], [0, 0, 0, 1.0]])
         M = np.asarray((T_frame_base @ self._T_base_camera)[:3])
@@ -521,29 +521,18 @@ class LiveLayer:
         return np.ascontiguousarray(M)
 
 
-def _heights_of(settings: LiveLayerSettings, width: int) -> Heights:
-    """With blocks of pixels for an image so wide."""
-    pixels = max(1, round(width / settings.columns))
-    named = [name for name in Heights._fields if name != "pixels"]
-    return Heights(**{name: getattr(settings, name) for name in named}, pixels=pixels)
-
-
-# FloorNow: all that is known of the floor at one moment, as a value; costmaps of it are made in whichever thread.
-
-
 _NOWHERE: FloatArray = np.empty((0, 2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FloorNow:
-    """See the module.
+    """All that is known of the floor at one moment, as a value that any thread may use.
 
     Attributes:
-        layer: of the map.
-        obstacles: that the camera met.
-        T_map_odom: (3,) of now.
-        hidden: (M, 3) x, y in the map of floor about the robot that no camera has looked at, and how near to it one
-            must look, metres.
+        layer: static layer of the map.
+        obstacles: of the live layer.
+        T_map_odom: (3,) x, y, yaw of `odom` in `map`.
+        hidden: (M, 3) x and y in the map of unseen floor near the robot, and how near the camera must look, metres.
         footprint: of the robot.
         settings: of costmaps.
     """
@@ -556,17 +545,14 @@ class FloorNow:
     settings: CostmapSettings
 
     def costmap(self, avoided: FloatArray = _NOWHERE) -> Costmap:
-        """Of it, in the map, with obstacles at (N, 2) besides."""
+        """Return its costmap in `map`, with further obstacles at (N, 2)."""
         T_odom_map = se2.invert(se2.from_parts(*self.T_map_odom))
         live = self.obstacles.with_points(se2.apply(T_odom_map, avoided)) if len(avoided) else self.obstacles
         return Costmap.of(self.layer, self.footprint, self.settings, live, self.T_map_odom)
 
 
-# Depth images as navigation takes them: of the size that the calibration says.
-
-
 def checked_depth(depth_m: ArrayLike, camera: PinholeCamera) -> Float32Array:
-    """(H, W) metres, contiguous. Raises ArgumentError for an image of another size than the camera's."""
+    """Return (H, W) metres, contiguous. Raises ArgumentError if the image has another size than the camera's."""
     depth = np.ascontiguousarray(depth_m, np.float32)
     if depth.shape != (camera.height, camera.width):
         fix = f"give {camera.height} rows of {camera.width}, as the calibration says"
