@@ -1,5 +1,6 @@
-"""Recovery behaviours: wait, turn and drive straight. The module also finds open directions and checks commands
-against the map.
+"""Recovery behaviours: wait, turn, drive straight, and the choice between them.
+
+`open_way` finds the direction for a search of the pose. `keeps_clear` checks commands against the map.
 """
 
 from __future__ import annotations
@@ -20,32 +21,29 @@ from wheelsight.navigation.costmap import CellState, Costmap
 from wheelsight.navigation.footprint import checked
 from wheelsight.navigation.settings import BehaviourSettings
 
-# Behaviours: what a robot does that cannot go on, one after another; each is asked once a period.
-
-
-# Less than these is no way made, radians and metres.
+# Least progress, radians and metres.
 _LEAST_RAD, _LEAST_M = 0.02, 0.01
 
 
 class Behaviour(Protocol):
-    """Something to do, until it is done."""
+    """A motion until it is complete; its command is requested once per period."""
 
     @property
     def name(self) -> str:
-        """In words, for the log."""
+        """Name for the log."""
 
     def command(self, now_s: float, odom_pose: FloatArray | None) -> VelocityCommand | None:
-        """What to do now; None where it is done, or can make no more way.
+        """Return the command of a period; None once it is complete, or makes no more progress.
 
         Args:
-            now_s: by the clock of the stamps.
-            odom_pose: (3,) x, y, yaw in `odom`, or None while that is not known.
+            now_s: current time, by the clock of the stamps.
+            odom_pose: (3,) x, y, yaw in `odom`, or None if unknown.
         """
 
 
 @dataclass
 class Wait:
-    """Stand for a while."""
+    """Stand for some seconds."""
 
     seconds: float
     name: str = "wait"
@@ -60,18 +58,18 @@ class Wait:
 
 @dataclass
 class Turn:
-    """Turn in place by angles, one after another; counter-clockwise where they are over 0."""
+    """Turn in place by angles, one after another; counter-clockwise if positive."""
 
     angles_rad: tuple[float, ...]
     speed_rad_s: float
     refused_s: float
     name: str = "look about"
-    _watch: _Watch = field(init=False)
+    _progress: _Progress = field(init=False)
     _left: list[float] = field(init=False)
     _yaw: float | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        self._watch, self._left = _Watch(self.refused_s, _LEAST_RAD), list(self.angles_rad)
+        self._progress, self._left = _Progress(self.refused_s, _LEAST_RAD), list(self.angles_rad)
 
     def command(self, now_s: float, odom_pose: FloatArray | None) -> VelocityCommand | None:
         """See `Behaviour`."""
@@ -82,26 +80,26 @@ class Turn:
         self._yaw = yaw
         sign = math.copysign(1.0, self._left[0])
         self._left[0] -= turned
-        if self._left[0] * sign <= 0 or self._watch.is_held(now_s, abs(self._left[0])):
+        if self._left[0] * sign <= 0 or self._progress.is_held(now_s, abs(self._left[0])):
             self._left.pop(0)
-            self._watch = _Watch(self.refused_s, _LEAST_RAD)
+            self._progress = _Progress(self.refused_s, _LEAST_RAD)
             return STOP if self._left else None
         return VelocityCommand(0.0, sign * self.speed_rad_s)
 
 
 @dataclass
 class Straight:
-    """Drive straight on, or backward where the way is below 0."""
+    """Drive straight on, or backward if the way is negative."""
 
     way_m: float
     speed_m_s: float
     refused_s: float
     name: str
-    _watch: _Watch = field(init=False)
+    _progress: _Progress = field(init=False)
     _from: FloatArray | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        self._watch = _Watch(self.refused_s, _LEAST_M)
+        self._progress = _Progress(self.refused_s, _LEAST_M)
 
     def command(self, now_s: float, odom_pose: FloatArray | None) -> VelocityCommand | None:
         """See `Behaviour`."""
@@ -110,14 +108,14 @@ class Straight:
         if self._from is None:
             self._from = odom_pose
         left_m = abs(self.way_m) - float(np.hypot(*(odom_pose[:2] - self._from[:2])))
-        if left_m <= 0 or self._watch.is_held(now_s, left_m):
+        if left_m <= 0 or self._progress.is_held(now_s, left_m):
             return None
         return VelocityCommand(math.copysign(self.speed_m_s, self.way_m), 0.0)
 
 
 @dataclass
 class Series:
-    """Some behaviours one after another."""
+    """Several behaviours one after another."""
 
     parts: tuple[Behaviour, ...]
     name: str
@@ -132,21 +130,22 @@ class Series:
         return None
 
 
-class _Watch:
-    """Whether what is left has become no less for too long."""
+class _Progress:
+    """Detects that the rest of a motion has not decreased for too long."""
 
     def __init__(self, held_s: float, least: float) -> None:
         self._held_s, self._least = held_s, least
         self._best, self._since_s = math.inf, math.nan
 
     def is_held(self, now_s: float, left: float) -> bool:
+        """Update by the rest of the motion; return whether it is stuck."""
         if left < self._best - self._least or math.isnan(self._since_s):
             self._best, self._since_s = left, now_s
         return now_s - self._since_s > self._held_s
 
 
 def when_blocked(attempt: int, settings: BehaviourSettings) -> Behaviour:
-    """What to do at the first, second, ... attempt to get on: the gentlest first."""
+    """Return the behaviour of an attempt to get free, the gentlest first."""
     s = settings
     back = Straight(-s.back_m, s.back_m_s, s.refused_s, "back up")
     ways: tuple[Behaviour, ...] = (Wait(s.wait_s), _look(s), back)
@@ -154,18 +153,18 @@ def when_blocked(attempt: int, settings: BehaviourSettings) -> Behaviour:
 
 
 def beside_goal(settings: BehaviourSettings) -> Behaviour:
-    """What to do next to a goal that something stands on.
+    """Return the behaviour beside a goal that is occupied: wait, then look around.
 
-    Who has left is seen to have left only where the camera looks, and it does not look at what is beside the robot.
+    The camera does not see what is beside the robot, so it must look there to see that a person has left.
     """
     return Series((Wait(settings.wait_s), _look(settings)), "wait until there is room at its goal")
 
 
 def when_unseen(attempt: int, settings: BehaviourSettings, *, was_backward: bool) -> Behaviour:
-    """What to do where a part of the robot would go over floor that was never seen, and stays so however long it waits.
+    """Return the behaviour in front of unseen floor, where waiting does not help.
 
-    First back, so far that the camera looks over the floor where the front was: a front that is deep in such floor
-    leads nowhere on. Who went backward goes on: no camera leads its back.
+    The robot first backs up until its camera sees the floor that was under its front. After a backward motion it drives
+    forward instead, as no camera looks behind it.
     """
     s = settings
     if attempt % 2:
@@ -176,7 +175,7 @@ def when_unseen(attempt: int, settings: BehaviourSettings, *, was_backward: bool
 
 
 def _look(settings: BehaviourSettings) -> Turn:
-    """Turn to either side, and back."""
+    """Return a turn to either side and back."""
     s = settings
     return Turn((s.look_rad, -2 * s.look_rad, s.look_rad), s.turn_rad_s, s.refused_s)
 
@@ -184,20 +183,20 @@ def _look(settings: BehaviourSettings) -> Turn:
 def when_lost(
     attempt: int, settings: BehaviourSettings, status: Status, open_way: OpenWay | None, *, is_held: bool, sees: bool
 ) -> Behaviour:
-    """What to do to find a place that is known: stand, turn once around, and then do so from elsewhere.
+    """Return the behaviour that searches for the pose: wait, turn once around, then turn at another place.
 
-    Who begins in a map does not stand first: by one view no place is taken, however long it is looked at. Who may turn
-    to neither side, or shows its camera nothing, goes back from what is too near. Nobody drives on before a whole turn
-    has shown what is about it: floor ahead of a robot that was just begun is trusted, not seen; a bed's frame was
-    driven into there.
+    At the start in a map the robot does not wait, as one view is not enough to recognize a place. If it may turn to
+    neither side, or its camera shows nothing, it backs up from what is too near. It does not drive on before a whole
+    turn has shown its surroundings: the floor ahead of a robot at the start is trusted, but not seen, and it has driven
+    into the frame of a bed there.
 
     Args:
-        attempt: 0 at first.
+        attempt: number of the attempt, from 0.
         settings: of all behaviours.
         status: of the localization.
-        open_way: where to; None where it is to stay.
-        is_held: whether the collision monitor or the map held it up in what it did last.
-        sees: whether its camera shows something.
+        open_way: where to drive; None to stay.
+        is_held: whether the collision monitor or the map stopped the last attempt.
+        sees: whether the camera has depth.
     """
     s, begins = settings, status is Status.INITIALIZING
     if attempt == 0 and not begins:
@@ -214,50 +213,42 @@ def when_lost(
     return Turn((sign * s.search_rad,), s.turn_rad_s, s.refused_s, "look for a known place")
 
 
-# OpenWay: where a robot that does not know its place may drive, by what it has seen about it.
-
-
 _DIRECTIONS = 24
 _STEP_M = 0.05
-# Beyond that one way is as good as another.
+# A way is not measured farther than this.
 _FAR_M = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class OpenWay:
-    """A turn on the spot, and so far straight on."""
+    """A turn in place, then a way straight on."""
 
     turn_rad: float
     way_m: float
 
 
 def open_way(costmap: Costmap, outline: Outline, pose: FloatArray, margin_m: float) -> OpenWay:
-    """The longest way straight on, after the least turn; whether it may turn there is not asked.
+    """Return the longest straight way, after the least turn; it does not check the turn itself.
 
     Args:
-        costmap: of what stands about the robot.
+        costmap: of the obstacles around the robot.
         outline: of the robot.
         pose: (3,) x, y, yaw in the costmap's frame.
-        margin_m: to obstacles.
+        margin_m: least distance to obstacles.
     """
-    field, nobody = checked(costmap.field), np.empty((0, 5))
+    field, no_people = checked(costmap.field), np.empty((0, 5))
     turns = 2 * np.pi / _DIRECTIONS * np.arange(-(_DIRECTIONS // 2), _DIRECTIONS // 2)
     x, y, yaw = map(float, pose)
     arc = (_STEP_M, 0.0, 0.0, round(_FAR_M / _STEP_M))
     steps = [
-        int(free_arc(field, outline, nobody, (x, y, float(np.cos(a)), float(np.sin(a))), arc, margin_m))
+        int(free_arc(field, outline, no_people, (x, y, float(np.cos(a)), float(np.sin(a))), arc, margin_m))
         for a in yaw + turns
     ]
     best = min(range(_DIRECTIONS), key=lambda n: (-steps[n], abs(turns[n])))
     return OpenWay(float(turns[best]), steps[best] * _STEP_M)
 
 
-# Whether a command leads a robot to what the map has: behaviours go by no plan, and a camera does not see all around.
-#
-# The collision monitor forgets what left the view some time ago, as it must for people. A robot that looked about
-# beside a kitchen's counter, 40 s after it had seen that, turned into it.
-
-
+# Step of the prediction in `keeps_clear`.
 _STEP_S = 0.1
 
 
@@ -270,9 +261,19 @@ def keeps_clear(
     *,
     minds_unknown: bool = False,
 ) -> bool:
-    """Whether a robot at a pose (3,) in the map, that obeys for `clear_s`, comes no nearer than `clear_m` to obstacles.
+    """Return whether a command, driven for `clear_s`, keeps a distance of `clear_m` from obstacles of the map.
 
-    One that is nearer already may go where it is less near. Unknown floor is an obstacle with `minds_unknown` alone.
+    Behaviours follow no plan, the camera does not see all around, and the monitor forgets obstacles out of view. A
+    robot that looked around beside a kitchen counter turned into it, 40 s after it had seen it. A robot that is nearer
+    already may only move away.
+
+    Args:
+        costmap: of the map around the robot.
+        outline: of the robot.
+        pose: (3,) x, y, yaw in the map.
+        command: to check.
+        settings: of behaviours.
+        minds_unknown: whether unknown floor counts as an obstacle.
     """
     is_obstacle = costmap.state == CellState.OCCUPIED
     if minds_unknown:

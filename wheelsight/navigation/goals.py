@@ -1,4 +1,4 @@
-"""Goals: where a task leads to, one after another; known beforehand, or found on the way."""
+"""Goals: destinations of a task, given in advance or found on the way."""
 
 from __future__ import annotations
 
@@ -13,43 +13,43 @@ from wheelsight.core.geometry import FloatArray
 from wheelsight.navigation.costmap import Costmap, StaticLayer
 
 _DIMENSIONS = (2, 3)
-# A pose of a recorded way is passed that is nearer than this.
+# Distance at which a pose of a recorded path counts as passed.
 _PASSED_M = 0.7
 
 
 class Goals(Protocol):
-    """Of one task."""
+    """Destinations of one task."""
 
     @property
     def name(self) -> str:
-        """In words."""
+        """Name in words."""
 
     @property
     def left(self) -> int:
-        """How many are left, as far as is known."""
+        """Number of goals left, as far as is known."""
 
     @property
     def is_asked_for(self) -> bool:
-        """Whether somebody asked for that very place: then it is not the same to come to stand beside it."""
+        """Whether the user requested these places, so that stopping beside them is not an arrival."""
 
     def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
-        """The poses (3,) that the next plan leads through, without a stop but at the last; none: all is done.
+        """Return the poses (3,) of the next plan, with a stop at the last one only; empty if the task is complete.
 
-        Asked each time a plan is made, also for the same goal again, and maybe by another thread; nothing else is
-        asked until it answers. A yaw of NaN is any heading.
+        The call comes for each plan, even to the same goal, and maybe from another thread. No other method is called
+        until it returns. A yaw of NaN is any heading.
         """
 
     def is_met(self, pose: FloatArray, layer: StaticLayer) -> bool:
-        """Whether the next one asks for no more driving, wherever the robot is by now."""
+        """Return whether the next goal is complete, wherever the robot is now."""
 
     def taken(self) -> None:
-        """The robot goes by what was made for them: a plan, or that no way leads there."""
+        """Record that the robot uses the answer for these goals: a plan, or a failure."""
 
     def reached(self) -> None:
-        """The last of those that were taken was reached."""
+        """Record that the last of the used goals is reached."""
 
     def missed(self) -> bool:
-        """No way led there; whether the task goes on without it."""
+        """Record that no path leads there; return whether the task continues without it."""
 
 
 class Poses:
@@ -60,7 +60,7 @@ class Poses:
         name: in words.
 
     Raises:
-        ArgumentError: none, or one that is not finite.
+        ArgumentError: there is no goal, or one is not finite.
     """
 
     def __init__(self, goals: Sequence[ArrayLike], name: str = "") -> None:
@@ -84,31 +84,31 @@ class Poses:
         return tuple(self._left[:1])
 
     def is_met(self, pose: FloatArray, layer: StaticLayer) -> bool:
-        """See `Goals`: a pose is driven to."""
+        """Return False: the robot must drive to each pose."""
         return False
 
     def taken(self) -> None:
-        """See `Goals`: they are the same each time."""
+        """Do nothing: the goals are the same for each plan."""
 
     def reached(self) -> None:
         """See `Goals`."""
         self._left.pop(0)
 
     def missed(self) -> bool:
-        """See `Goals`: whoever asks for several wants them all."""
+        """Return False: all poses are required."""
         return False
 
 
 class Way:
-    """Along a way that was driven before, without a stop but at its end.
+    """A path that was driven before, without a stop but at its end.
 
     Args:
         way: (N, 3) x, y, yaw in the map.
-        apart_m: distance between the poses that are kept of it.
+        apart_m: distance between the poses of it that are kept.
         name: in words.
 
     Raises:
-        ArgumentError: no poses, or one that is not finite.
+        ArgumentError: there are no poses, or one is not finite.
     """
 
     def __init__(self, way: ArrayLike, apart_m: float, name: str = "a recorded way") -> None:
@@ -134,32 +134,32 @@ class Way:
         return True
 
     def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
-        """See `Goals`: all that was not passed yet."""
+        """Return all poses that are not passed yet; see `Goals`."""
         self._pass(pose)
         return tuple(self._left)
 
     def is_met(self, pose: FloatArray, layer: StaticLayer) -> bool:
-        """See `Goals`: its end is driven to. What was passed is in no later plan, however late that is made."""
+        """Drop passed poses, and return False: the robot must drive to the end. Later plans do not return to them."""
         self._pass(pose)
         return False
 
     def _pass(self, pose: FloatArray) -> None:
-        """In order: where the way crosses itself, what comes later is not passed."""
-        # As one step: a plan may be in the making beside it.
+        """Drop passed poses in order, so that a later pose at a crossing stays."""
+        # One assignment at the end, as another thread may plan.
         left = self._left
         while len(left) > 1 and np.hypot(*(left[0][:2] - pose[:2])) < _PASSED_M:
             left = left[1:]
         self._left = left
 
     def taken(self) -> None:
-        """See `Goals`: its end is the same each time."""
+        """Do nothing: the end is the same for each plan."""
 
     def reached(self) -> None:
         """See `Goals`."""
         self._left.clear()
 
     def missed(self) -> bool:
-        """See `Goals`: what is in the way is left out, but for the end."""
+        """Skip a pose that is blocked, but not the end; see `Goals`."""
         if len(self._left) > 1:
             self._left.pop(0)
             return True
@@ -167,13 +167,13 @@ class Way:
 
 
 def words_of(pose: FloatArray) -> str:
-    """A pose for people."""
+    """Return a pose in words."""
     yaw = "" if np.isnan(pose[2]) else f", {np.degrees(pose[2]):.0f}°"
     return f"({pose[0]:.2f}, {pose[1]:.2f}) m{yaw}"
 
 
 def checked_goal(goal: ArrayLike) -> FloatArray:
-    """(3,) of a pose (3,) or place (2,), its yaw NaN. Raises ArgumentError for what is none."""
+    """Return (3,) of a pose (3,) or place (2,), with a yaw of NaN. Raises ArgumentError if it is neither."""
     pose = np.array(goal, float).ravel()
     if len(pose) not in _DIMENSIONS or not np.isfinite(pose).all():
         raise ArgumentError(f"a goal of {pose}", fix="give x, y and yaw in the map, metres and radians, or x and y")

@@ -15,21 +15,16 @@ from wheelsight.core.geometry import BoolArray, FloatArray, IntArray, chi_square
 from wheelsight.navigation.settings import PeopleSettings
 from wheelsight.navigation.surroundings import DepthView
 
-# PeopleTracker: who walks about a robot, where to and how fast, by what its depth camera sees.
-#
-# What moves is followed in `odom`, which never jumps, from the pose of each frame. Something that stands is nobody
-# who walks, and stays with the live layer of the costmap.
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Person:
-    """Somebody who walks.
+    """A walking person.
 
     Attributes:
         position: (2,) metres.
-        velocity: (2,) metres a second.
+        velocity: (2,) metres per second.
         covariance: (4, 4) of both.
-        radius_m: of a circle about all of him.
+        radius_m: radius of a circle that encloses the person.
     """
 
     position: FloatArray
@@ -38,7 +33,7 @@ class Person:
     radius_m: float
 
     def carried(self, T: FloatArray) -> Person:
-        """The same in another frame, by the motion (3,) x, y, yaw that carries points there."""
+        """Return the person in another frame; T (3,) x, y, yaw maps points there."""
         M = se2.from_parts(*T)
         R = M[:2, :2]
         both = np.kron(np.eye(2), R)
@@ -46,62 +41,64 @@ class Person:
 
 
 class PeopleTracker:
-    """See the module: nearest neighbour, and a Kalman filter each.
+    """Tracks people in `odom` by nearest neighbours and a Kalman filter each.
+
+    `odom` never jumps. Objects that stand are no people; they stay in the live layer.
 
     Args:
-        settings: or the defaults.
-        far_m: farther from the camera nothing is seen.
+        settings: None for the defaults.
+        far_m: range of the camera.
     """
 
     def __init__(self, settings: PeopleSettings | None = None, far_m: float = 4.5) -> None:
         self.settings = settings or PeopleSettings()
         self._far_m = far_m
         self._gate, self._sure = (chi_square.quantile(share, 2) for share in (self.settings.gate, self.settings.sure))
-        self._followed: list[_Followed] = []
+        self._tracked: list[_Tracked] = []
 
     def forget(self) -> None:
-        """Nobody is known any more."""
-        self._followed.clear()
+        """Drop all tracks."""
+        self._tracked.clear()
 
     def update(self, view: DepthView, pose: FloatArray, is_on_floor: BoolArray) -> None:
-        """See a frame.
+        """Update the tracks with a frame.
 
         Args:
-            view: of it.
-            pose: (3,) x, y, yaw of the base in `odom` when it was taken.
-            is_on_floor: (N,) of its points, whether the map has free floor there, and nothing close by.
+            view: of the frame.
+            pose: (3,) x, y, yaw of the base in `odom` at its time.
+            is_on_floor: (N,) whether each point lies on free floor of the map, away from obstacles.
         """
         s = self.settings
         seen = [_placed(thing, pose) for thing in things_in(view, is_on_floor, self._far_m, s)]
-        for one in self._followed:
+        for one in self._tracked:
             one.track.predict(view.stamp_s)
         pairs = self._pairs(seen)
         for number, one in pairs.items():
-            one.see(seen[number], view.stamp_s, self._sure)
-        self._followed = [one for one in self._followed if view.stamp_s - one.seen_s <= s.unseen_s]
-        self._followed += [_Followed(thing, view.stamp_s, s) for k, thing in enumerate(seen) if k not in pairs]
+            one.update(seen[number], view.stamp_s, self._sure)
+        self._tracked = [one for one in self._tracked if view.stamp_s - one.seen_s <= s.unseen_s]
+        self._tracked += [_Tracked(thing, view.stamp_s, s) for k, thing in enumerate(seen) if k not in pairs]
 
     def people(self, now_s: float) -> tuple[Person, ...]:
-        """Who walks, in `odom`, where he is now."""
-        return tuple(one.person(now_s) for one in self._followed if one.walks)
+        """Return the walking people, in `odom`, predicted to a time."""
+        return tuple(one.person(now_s) for one in self._tracked if one.walks)
 
-    def _pairs(self, seen: Sequence[Thing]) -> dict[int, _Followed]:
-        """Which thing, by its number, is whom: the nearest first, each once."""
+    def _pairs(self, seen: Sequence[Thing]) -> dict[int, _Tracked]:
+        """Return the track of each object by its number: nearest pairs first, each track once."""
         ways = sorted(
             (one.track.distance(thing.middle, thing.covariance), number, k)
             for number, thing in enumerate(seen)
-            for k, one in enumerate(self._followed)
+            for k, one in enumerate(self._tracked)
         )
-        pairs: dict[int, _Followed] = {}
+        pairs: dict[int, _Tracked] = {}
         for distance, number, k in ways:
-            one = self._followed[k]
+            one = self._tracked[k]
             if distance <= self._gate and number not in pairs and one not in pairs.values():
                 pairs[number] = one
         return pairs
 
 
-class _Followed:
-    """A thing that is followed from frame to frame."""
+class _Tracked:
+    """An object that is tracked from frame to frame."""
 
     def __init__(self, thing: Thing, stamp_s: float, settings: PeopleSettings) -> None:
         s = self._settings = settings
@@ -109,8 +106,8 @@ class _Followed:
         self.seen_s, self.walks, self._radius_m = stamp_s, False, thing.radius_m
         self._middles = deque([thing.middle], s.frames)
 
-    def see(self, thing: Thing, stamp_s: float, sure: float) -> None:
-        """Take what is seen of it now; it walks where it is sure to be quick, and has left where it was."""
+    def update(self, thing: Thing, stamp_s: float, sure: float) -> None:
+        """Update it by an observation. It walks if it is significantly fast, and has left its place."""
         self.track.correct(thing.middle, thing.covariance)
         self.seen_s, self._radius_m = stamp_s, thing.radius_m
         self._middles.append(thing.middle)
@@ -119,37 +116,35 @@ class _Followed:
         self.walks = len(self._middles) == s.frames and is_quick and way_m >= s.way_m
 
     def person(self, now_s: float) -> Person:
+        """Return it as a person, predicted to a time."""
         state, covariance = self.track.at(now_s)
         return Person(state[:2], state[2:], covariance, self._radius_m)
 
 
 def discs_of(people: Sequence[Person]) -> FloatArray:
-    """(P, 5) x, y, vx, vy, radius, as controllers take them."""
+    """Return (P, 5) x, y, vx, vy, radius, as controllers use them."""
     return np.array([[*one.position, *one.velocity, one.radius_m] for one in people]).reshape(-1, 5)
 
 
 def _placed(thing: Thing, pose: FloatArray) -> Thing:
-    """The same where a base at a pose (3,) sees it."""
+    """Return an object in the base, transformed by the pose (3,) of the base."""
     T = se2.from_parts(*pose)
     R = T[:2, :2]
     return Thing(R @ thing.middle + T[:2, 2], R @ thing.covariance @ R.T, thing.radius_m)
 
 
-# Thing: something of a person's width that a depth image shows whole, on floor that is free in the map.
-
-
-# Columns beside a thing in which something nearer would hide a part of it.
+# Columns beside an object in which a nearer one would hide a part of it.
 _BESIDE = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Thing:
-    """Seen in one depth image.
+    """An object of a person's width that a depth image shows completely, on free floor of the map.
 
     Attributes:
-        middle: (2,) of it in `base`, metres: as far behind what is seen of it as a person's is.
-        covariance: (2, 2) of that.
-        radius_m: half of how wide it is, and a person's at the least.
+        middle: (2,) its centre in `base`, metres: as far behind its surface as that of a person.
+        covariance: (2, 2) of the centre.
+        radius_m: half of its width, at least that of a person.
     """
 
     middle: FloatArray
@@ -158,12 +153,12 @@ class Thing:
 
 
 def things_in(view: DepthView, is_on_floor: BoolArray, far_m: float, settings: PeopleSettings) -> list[Thing]:
-    """What may be a person in a view.
+    """Return the objects in a view that may be people.
 
     Args:
         view: of the frame.
-        is_on_floor: (N,) of its points, whether the map has free floor there.
-        far_m: farther from the camera nothing is seen.
+        is_on_floor: (N,) whether each point lies on free floor of the map.
+        far_m: range of the camera.
         settings: of people.
     """
     if not is_on_floor.any():
@@ -183,7 +178,7 @@ def things_in(view: DepthView, is_on_floor: BoolArray, far_m: float, settings: P
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """Points as the camera has them: column and distance (N,), and how many columns there are."""
+    """Points of a view: column and distance from the camera (N,), and the number of columns."""
 
     column: IntArray
     range_m: FloatArray
@@ -191,12 +186,13 @@ class _Seen:
 
     @classmethod
     def of(cls, view: DepthView) -> _Seen:
+        """Return the points of a view."""
         apart = view.points - view.camera
         turned = (np.arctan2(apart[:, 1], apart[:, 0]) - view.first_rad) % (2 * np.pi)
         return cls(np.floor(turned / view.step_rad).astype(int), np.hypot(*apart.T), len(view.seen_m))
 
     def is_whole(self, which: BoolArray, far_m: float, settings: PeopleSettings) -> bool:
-        """Whether neither the view's edge nor a nearer thing cuts it off: what is cut off moves as the camera does."""
+        """Return whether neither the view's edge nor a nearer object cuts it: a cut would move with the camera."""
         low, high = int(self.column[which].min()), int(self.column[which].max())
         if low < _BESIDE or high >= self.columns - _BESIDE or self.range_m[which].max() > far_m - settings.gap_m:
             return False
@@ -205,7 +201,7 @@ class _Seen:
 
 
 def _numbers(points: FloatArray, gap_m: float) -> IntArray:
-    """(N,) number of the thing that each point (N, 2) is of: they hang together by gaps of so much at most."""
+    """Return (N,) object numbers of points (N, 2), connected by gaps of at most `gap_m`."""
     pairs = cKDTree(points).query_pairs(gap_m, output_type="ndarray")
     shape = len(points), len(points)
     near = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape)
@@ -213,36 +209,36 @@ def _numbers(points: FloatArray, gap_m: float) -> IntArray:
 
 
 def _thing(points: FloatArray, camera: FloatArray, settings: PeopleSettings) -> Thing:
-    """Of points (N, 2) from the camera."""
+    """Return the object of points (N, 2) relative to the camera."""
     seen = points.mean(axis=0)
     range_m = float(np.hypot(*seen))
     along = seen / max(range_m, 1e-6)
     across = np.array([-along[1], along[0]])
-    # The middle of half a circle's line lies 2 / π of its radius before that of the circle.
+    # The centroid of a half circle's line is 2 / π of the radius in front of the circle's centre.
     middle = camera + seen + 2 / np.pi * settings.body_m * along
     side = points @ across
     off = settings.sigma_m**2 * np.eye(2) + (settings.sigma_rad * range_m) ** 2 * np.outer(across, across)
     return Thing(middle, off, max(settings.body_m, float(np.ptp(side)) / 2))
 
 
-# Track: a Kalman filter of a thing that goes on as it goes, but for white noise in its acceleration.
-
-
+# Observation matrix: positions.
 _SEEN = np.eye(2, 4)
 
 
 class Track:
-    """Where a thing is in the plane, and how it moves (Bar-Shalom, Li, Kirubarajan: Estimation, 6.2.2).
+    """Kalman filter of an object with constant velocity and white noise in its acceleration.
+
+    From Bar-Shalom, Li, Kirubarajan: Estimation, 6.2.2.
 
     Args:
-        stamp_s: when it was seen first.
-        position: (2,) where, metres.
-        covariance: (2, 2) of that.
-        speed_sigma_m_s: standard deviation of its speed, of which nothing is known, along each axis.
-        change_m2_s3: power spectral density of its acceleration.
+        stamp_s: time of the first observation.
+        position: (2,) its place, metres.
+        covariance: (2, 2) of the place.
+        speed_sigma_m_s: prior standard deviation of the velocity along each axis.
+        change_m2_s3: power spectral density of the acceleration.
 
     Attributes:
-        stamp_s: of what follows.
+        stamp_s: time of the state.
         state: (4,) x, y, vx, vy.
         covariance: (4, 4).
     """
@@ -262,7 +258,7 @@ class Track:
         self._change = change_m2_s3
 
     def at(self, stamp_s: float) -> tuple[FloatArray, FloatArray]:
-        """State (4,) and covariance (4, 4) at a time, by what is known now."""
+        """Return state (4,) and covariance (4, 4) predicted to a time."""
         step_s = stamp_s - self.stamp_s
         F = np.kron(np.array([[1.0, step_s], [0.0, 1.0]]), np.eye(2))
         ahead_s = abs(step_s)
@@ -270,30 +266,30 @@ class Track:
         return F @ self.state, F @ self.covariance @ F.T + self._change * np.kron(noise, np.eye(2))
 
     def predict(self, stamp_s: float) -> None:
-        """Go on to a later time."""
+        """Predict to a later time."""
         self.state, self.covariance = self.at(stamp_s)
         self.stamp_s = stamp_s
 
     def distance(self, position: FloatArray, covariance: FloatArray) -> float:
-        """Squared Mahalanobis distance of something seen now, (2,) with (2, 2): χ² of two degrees of freedom."""
+        """Return the squared Mahalanobis distance of an observation, (2,) with (2, 2): χ² of two degrees of freedom."""
         off = position - self.state[:2]
         return float(off @ np.linalg.solve(self.covariance[:2, :2] + covariance, off))
 
     def correct(self, position: FloatArray, covariance: FloatArray) -> None:
-        """Take what is seen of it now."""
+        """Update by an observation, (2,) with (2, 2)."""
         S = self.covariance[:2, :2] + covariance
         K = np.linalg.solve(S, self.covariance[:2]).T
         self.state = self.state + K @ (position - self.state[:2])
         left = np.eye(4) - K @ _SEEN
-        # Joseph's form stays symmetric and positive.
+        # Joseph's form stays symmetric and positive definite.
         self.covariance = left @ self.covariance @ left.T + K @ covariance @ K.T
 
     @property
     def speed_m_s(self) -> float:
-        """How fast it is."""
+        """Speed."""
         return float(np.hypot(*self.state[2:]))
 
     @property
     def speed_distance(self) -> float:
-        """Squared Mahalanobis distance of its velocity from none: χ² of two degrees of freedom where it stands."""
+        """Squared Mahalanobis distance of the velocity from zero: χ² of two degrees of freedom if it stands."""
         return float(self.state[2:] @ np.linalg.solve(self.covariance[2:, 2:], self.state[2:]))

@@ -1,4 +1,4 @@
-"""Workers: do what takes longer than a control period, beside the control of a robot or in step with it."""
+"""Workers: run functions that take longer than a control period, in a thread or in step with the control."""
 
 from __future__ import annotations
 
@@ -9,39 +9,39 @@ from typing import Generic, Protocol, TypeVar
 from wheelsight.core.threads import yield_to_others
 
 _Answer = TypeVar("_Answer")
-# How long the end of a program waits for work that does not end; the thread is a daemon.
+# Longest wait for unfinished work at the end of a program; the thread is a daemon.
 _ENDING_S = 5.0
 
 
 class Worker(Protocol[_Answer]):
-    """Does one thing at a time; who asks again wants the newer answer alone."""
+    """Runs one function at a time; a new request replaces the one before."""
 
     @property
     def is_asked(self) -> bool:
-        """Whether there is an answer to come."""
+        """Whether an answer is to come."""
 
     @property
     def is_busy(self) -> bool:
-        """Whether something is being done, be it wanted still or not."""
+        """Whether a function runs, even if its answer was dropped."""
 
     def ask(self, work: Callable[[], _Answer], now_s: float) -> None:
-        """Have something done that uses nothing which anybody else changes until then."""
+        """Run a function. Nothing that it uses may change until it ends."""
 
     def answer(self, now_s: float) -> _Answer | None:
-        """What came of it, once; None while that is not known. Raises what it raised, once."""
+        """Return the answer, once; None until it is ready. Raises the function's exception, once."""
 
     def drop(self) -> None:
-        """Want no answer any more."""
+        """Drop the request and its answer."""
 
     def close(self) -> None:
-        """End the thread that works; may be called twice."""
+        """End the thread; further calls do nothing."""
 
 
 class WorkerInStep(Generic[_Answer]):
-    """Does it at once, and tells it when a time has gone by: equal events, equal answers. For simulators.
+    """Runs a function at once, and gives its answer after a simulated time. Equal events give equal answers.
 
     Args:
-        takes_s: that time, by the clock of the stamps, in which simulated time would stand still else.
+        takes_s: that time, by the clock of the stamps, which does not advance meanwhile.
     """
 
     is_busy = False
@@ -61,7 +61,7 @@ class WorkerInStep(Generic[_Answer]):
 
     def answer(self, now_s: float) -> _Answer | None:
         """See `Worker`."""
-        # Stamps are sums of periods.
+        # A tolerance, as stamps are sums of periods.
         if self._waiting is None or now_s < self._waiting[0] - 1e-6:
             return None
         answer, self._waiting = self._waiting[1], None
@@ -72,11 +72,11 @@ class WorkerInStep(Generic[_Answer]):
         self._waiting = None
 
     def close(self) -> None:
-        """See `Worker`: it has none."""
+        """Do nothing: there is no thread."""
 
 
 class WorkerBeside(Generic[_Answer]):
-    """Does it in a thread of its own, which yields to who controls the robot: that one never waits.
+    """Runs functions in a thread of low priority, so that the control of the robot never waits.
 
     Args:
         name: of the thread.
@@ -134,6 +134,7 @@ class WorkerBeside(Generic[_Answer]):
         self._thread.join(_ENDING_S)
 
     def _run(self) -> None:
+        """Run requests until the worker is closed."""
         yield_to_others()
         while True:
             with self._changed:
