@@ -1,4 +1,4 @@
-"""Where keyframes are by all that is known of them: the pose graph, and which loops it takes in."""
+"""Simultaneous localization and mapping: the pose graph, loop closing, and place recognition."""
 
 from wheelsight.slam.graph import PoseGraph, Prior, RelativePose
 from wheelsight.slam.loop_closing import Correction, Unused, correct

@@ -121,7 +121,7 @@ def test_nothing_is_overwritten_and_a_full_disk_is_told(tmp_path: Path, monkeypa
         journal.append(7, 2, CONTENTS[2])
     assert isinstance(told.value.__cause__, OSError)
     assert told.value.__cause__.errno == errno.ENOSPC
-    journal.abandon()
+    journal.close()
     found = read_journal(tmp_path / "b.journal")
     assert ([record.key for record, _ in found.records], found.torn_bytes) == ([0, 1], 5)
 

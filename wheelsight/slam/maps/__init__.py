@@ -1,6 +1,6 @@
-"""Maps that outlast a drive: a folder of keyframes, where they are and how they hang together.
+"""Map folders, which persist between drives: keyframes, their poses, and the edges between them.
 
-Written while driving so that a kill at any moment loses the last seconds at most; opened by the next drive.
+A map is written while driving, so that a kill loses the last seconds at most. The next drive opens it.
 """
 
 from wheelsight.slam.maps.contents import (

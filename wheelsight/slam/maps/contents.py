@@ -29,22 +29,19 @@ from wheelsight.slam.maps.keyframes import KeptKeyframes, Size
 from wheelsight.slam.maps.records import Place
 from wheelsight.slam.settings import SessionSettings
 
-# MapParts: what a new map is made of: keyframes of other maps, which stay on disk, under numbers of their own.
-
-
 Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapParts:
-    """Keyframes from 0 on without holes, where they are, and edges between them.
+    """Keyframes of a new map, numbered from 0 without gaps, with poses and edges. Their records stay in the old maps.
 
     Attributes:
         where: journal and record of each keyframe.
-        places: where each was when it was kept.
-        T_map_keyframe: (N, 4, 4) by now.
-        edges: that hold.
-        camera_px: width and height of their camera.
+        places: pose of each keyframe when it was added.
+        T_map_keyframe: (N, 4, 4) current poses.
+        edges: valid edges.
+        camera_px: width and height of the camera.
     """
 
     where: tuple[tuple[Path, Record], ...]
@@ -55,7 +52,7 @@ class MapParts:
 
     @classmethod
     def of(cls, folder: MapFolder) -> Self:
-        """All keyframes of a map, in their order, but those that damage took, with image or pose."""
+        """Return all keyframes of a map in order, except those whose image or pose is lost to damage."""
         kept = np.flatnonzero(are_there(folder))
         where, places = folder.contents.where, folder.contents.places
         records, at = [where[number] for number in kept.tolist()], [places[number] for number in kept.tolist()]
@@ -67,40 +64,40 @@ class MapParts:
         return len(self.where)
 
     def beside(self, other: MapParts) -> MapParts:
-        """Both, the other one's keyframes after these."""
+        """Return both, the other one's keyframes after these."""
         shift = np.arange(len(other)) + len(self)
         T = np.concatenate([self.T_map_keyframe, other.T_map_keyframe])
         edges = (*self.edges, *renumbered(other.edges, shift))
         return MapParts((*self.where, *other.where), (*self.places, *other.places), T, edges, self.camera_px)
 
     def some(self, kept: Sequence[int] | IntArray) -> MapParts:
-        """These keyframes alone, in ascending order, and edges between them."""
+        """Return these keyframes alone, in ascending order, with the edges between them."""
         rows = np.asarray(kept, np.int64)
         where, places = [self.where[row] for row in rows.tolist()], [self.places[row] for row in rows.tolist()]
         edges = renumbered(self.edges, new_numbers(rows, len(self)))
         return MapParts(tuple(where), tuple(places), self.T_map_keyframe[rows], edges, self.camera_px)
 
     def store(self, memory_keyframes: int) -> KeptKeyframes:
-        """The keyframes, read when one asks for them."""
+        """Return a store that reads the keyframes on demand."""
         return KeptKeyframes(dict(enumerate(self.where)), self.T_map_keyframe, memory_keyframes, self.camera_px)
 
 
 def are_there(folder: MapFolder) -> BoolArray:
-    """(N,) which keyframes of a map have both, image and pose."""
+    """Return (N,) which keyframes of a map have both image and pose."""
     there: BoolArray = np.asarray(np.isfinite(folder.store.T_map_keyframe).all(axis=(1, 2)))
     there[[int(number) for number in folder.store.missing]] = False
     return there
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SaidOfMap:
-    """What people said of a map: edits and names, which hang on its keyframes."""
+class MapAnnotations:
+    """User annotations of a map, attached to its keyframes: edits and named poses."""
 
     edits: MapEdits
     poses: NamedPoses
 
     def save(self, folder: MapFolder) -> None:
-        """Keep them in a map that is open to write. Raises OutputError."""
+        """Write them into a map that is open for writing. Raises OutputError."""
         if len(self.edits):
             folder.save_edits(self.edits)
         if len(self.poses):
@@ -108,27 +105,30 @@ class SaidOfMap:
 
 
 def edits_as_known(folder: MapFolder) -> MapEdits:
-    """The edits of a map; one that hung on a keyframe that damage took is where it was drawn. Raises MapError."""
+    """Return the edits of a map at their current poses. Those of a lost keyframe stay where they were drawn.
+
+    Raises MapError.
+    """
     return folder.map_edits().carried(folder.store.T_map_keyframe, _own_numbers(folder))
 
 
 def names_as_known(folder: MapFolder) -> NamedPoses:
-    """The named poses of a map, likewise. Raises MapError."""
+    """Return the named poses of a map, likewise. Raises MapError."""
     return folder.named_poses().carried(folder.store.T_map_keyframe, _own_numbers(folder))
 
 
 def _own_numbers(folder: MapFolder) -> IntArray:
-    """(K,) of keyframes that stay in a map; -1 of those that damage took."""
+    """Return (K,) the number of each keyframe, -1 for lost ones."""
     there = are_there(folder)
     return np.where(there, np.arange(len(there)), -1)
 
 
-def carried(folder: MapFolder, kept: IntArray, first: int = 0, *, is_same_frame: bool = True) -> SaidOfMap:
-    """What people said of a map for one that is made of its parts, see `MapEdits.carried`. Raises MapError.
+def carried(folder: MapFolder, kept: IntArray, first: int = 0, *, is_same_frame: bool = True) -> MapAnnotations:
+    """Return the annotations of a map for a new map made of its parts; see `MapEdits.carried`. Raises MapError.
 
     Args:
-        folder: of which they said it.
-        kept: rows of the new map's parts that are kept, in ascending order.
+        folder: the annotated map.
+        kept: kept rows of the new map's parts, in ascending order.
         first: row of the folder's first keyframe in these parts.
         is_same_frame: whether the new map has the folder's frame.
     """
@@ -138,18 +138,18 @@ def carried(folder: MapFolder, kept: IntArray, first: int = 0, *, is_same_frame:
     numbers[there] = of_kept[first : first + len(there)]
     T = folder.store.T_map_keyframe
     edits = folder.map_edits().carried(T, numbers, is_same_frame=is_same_frame)
-    return SaidOfMap(edits, folder.named_poses().carried(T, numbers, is_same_frame=is_same_frame))
+    return MapAnnotations(edits, folder.named_poses().carried(T, numbers, is_same_frame=is_same_frame))
 
 
 def new_numbers(kept: IntArray, count: int) -> IntArray:
-    """(count,) the number that each keyframe gets where these alone are kept; -1 for the others."""
+    """Return (count,) the new number of each keyframe if only `kept` ones remain; -1 for the others."""
     numbers = np.full(count, -1)
     numbers[kept] = np.arange(len(kept))
     return numbers
 
 
 def renumbered(edges: Sequence[RelativePose], numbers: IntArray) -> tuple[RelativePose, ...]:
-    """Edges between keyframes that have a new number (N,), others left out."""
+    """Return the edges between keyframes with a new number (N,)."""
     ends = ((edge, int(numbers[edge.first]), int(numbers[edge.second])) for edge in edges)
     return tuple(
         replace(edge, first=KeyframeId(first), second=KeyframeId(second))
@@ -159,19 +159,19 @@ def renumbered(edges: Sequence[RelativePose], numbers: IntArray) -> tuple[Relati
 
 
 def write_parts(
-    parts: MapParts, new: MapFolder, made: tuple[Recognizer, SurfelMap | None, SaidOfMap], on_keyframe: Progress
+    parts: MapParts, new: MapFolder, made: tuple[Recognizer, SurfelMap | None, MapAnnotations], on_keyframe: Progress
 ) -> None:
-    """Write parts into a map that has nothing yet.
+    """Write parts into an empty map.
 
     Args:
         parts: what to write.
         new: see `map_being_made`.
-        made: of the keyframes: what recognises them, surfels that hang on them, and what people said.
-        on_keyframe: called with what is being done, how many keyframes are done, and of how many.
+        made: recognizer, surfels and annotations of the keyframes.
+        on_keyframe: called with the current task, the number of finished keyframes, and their total.
 
-    Raises MapError where a keyframe cannot be read, and OutputError.
+    Raises MapError if a keyframe cannot be read, and OutputError.
     """
-    recognizer, surfel_map, said = made
+    recognizer, surfel_map, annotations = made
     store = parts.store(new.settings.memory_keyframes)
     for number, place in enumerate(parts.places):
         new.append_keyframe(number, store[KeyframeId(number)], parts.T_map_keyframe[number], place.T_odom_keyframe)
@@ -180,11 +180,11 @@ def write_parts(
     new.save_recognition(recognizer)
     if surfel_map is not None:
         new.save_surfels(surfel_map)
-    said.save(new)
+    annotations.save(new)
 
 
 def recognizer_of(parts: MapParts, settings: RecognitionSettings | None, on_keyframe: Progress) -> Recognizer:
-    """What recognises the keyframes of parts, made anew."""
+    """Return a new recognizer of the keyframes of parts."""
     store, made = parts.store(1), Recognizer(settings)
     for number in store:
         made.add(number, store[number])
@@ -192,11 +192,8 @@ def recognizer_of(parts: MapParts, settings: RecognitionSettings | None, on_keyf
     return made
 
 
-# How the keyframes of a map hang together: in one piece, or in some of which nobody knows how they lie.
-
-
 def lie_together(folder: MapFolder) -> BoolArray:
-    """(N,) which keyframes of a map hang together by edges that are sure: the largest such piece."""
+    """Return (N,) which keyframes belong to the largest piece connected by certain edges."""
     there = are_there(folder)
     together = np.zeros(len(there), bool)
     together[there] = pieces_of(MapParts.of(folder), folder.settings) == 0
@@ -204,14 +201,14 @@ def lie_together(folder: MapFolder) -> BoolArray:
 
 
 def pieces_of(parts: MapParts, settings: SessionSettings) -> IntArray:
-    """(N,) the piece that each keyframe is in, by edges that are sure; the largest piece is 0."""
+    """Return the piece (N,) of each keyframe, connected by certain edges; the largest piece is 0."""
     piece = connected([edge for edge in parts.edges if is_sure(edge, settings)], len(parts))
     order = np.argsort(-np.bincount(piece, minlength=1), kind="stable")
     return np.asarray(np.argsort(order)[piece], np.int64)
 
 
 def connected(edges: Sequence[RelativePose], count: int) -> IntArray:
-    """(count,) the piece that each keyframe is in, from 0 on, by edges between them."""
+    """Return the connected component (count,) of each keyframe, from 0."""
     if not count:
         return np.zeros(0, np.int64)
     ends = np.array([(edge.first, edge.second) for edge in edges], np.int64).reshape(-1, 2)
@@ -220,18 +217,15 @@ def connected(edges: Sequence[RelativePose], count: int) -> IntArray:
 
 
 def is_sure(edge: RelativePose, settings: SessionSettings) -> bool:
-    """Whether an edge tells how its ends lie to each other; that of a camera that was carried off does not."""
+    """Return whether an edge constrains its keyframes; that of a camera that was carried away does not."""
     sigmas: FloatArray = np.sqrt(np.diag(edge.covariance))
     return bool((sigmas[:3] < settings.sure_m).all() and (sigmas[3:] < settings.sure_rad).all())
 
 
-# The occupancy map of a map folder: of its keyframes where they are by now, with its edits, as map_server reads it.
-
-
 OccupancyProgress = Callable[[int, int], None]
 
-# On a step of a metre in which the robot turned by 90 degrees it was 0.2 m beside the straight line, on a longer one it
-# may have been behind a wall.
+# In a 1 m step with a turn of 90 degrees, the robot was 0.2 m off the straight line. On a longer step it may have
+# passed behind a wall.
 _STRAIGHT_M = 1.0
 
 
@@ -241,19 +235,19 @@ def occupancy_of(
     on_keyframe: OccupancyProgress = lambda done, total: None,
     mapper: OccupancyMapper | None = None,
 ) -> OccupancyGrid:
-    """The floor of a map, with what its edits say.
+    """Return the occupancy grid of a map, with its edits applied.
 
-    It is of the largest part that hangs together by edges that are sure: where another part lies nobody knows.
+    Only the largest piece connected by certain edges is used, since the relative poses of the others are unknown.
 
     Args:
         folder: an open map.
-        settings: or the map's.
-        on_keyframe: called with how many are read, and of how many, where any is to be.
-        mapper: that keeps some of its keyframes already, and is of these settings.
+        settings: occupancy settings, or None for the map's.
+        on_keyframe: called with the number of keyframes read and their total, if any are read.
+        mapper: mapper of these settings that already has some of the keyframes.
 
     Raises:
-        MapError: the calibration does not say where the camera sits, a keyframe or the edits cannot be read, or the map
-            would have too many cells.
+        MapError: the calibration has no camera mount, a keyframe or the edits cannot be read, or the grid would be too
+            large.
     """
     made = mapper or OccupancyMapper(folder.calibration, settings or folder.settings.occupancy)
     together = lie_together(folder)
@@ -268,9 +262,9 @@ def occupancy_of(
 def save_occupancy(
     folder: MapFolder, on_keyframe: OccupancyProgress = lambda done, total: None, mapper: OccupancyMapper | None = None
 ) -> OccupancyGrid | None:
-    """Write the occupancy map of an open map into its folder; None where nobody knows where the camera sits.
+    """Write the occupancy grid of an open map into its folder, and return it; None without a calibrated camera mount.
 
-    Raises as `occupancy_of` does, and OutputError.
+    Raises MapError as `occupancy_of` does, and OutputError.
     """
     if folder.calibration.T_base_camera is None:
         return None
@@ -280,9 +274,9 @@ def save_occupancy(
 
 
 def add_occupancy(new: MapFolder, on_keyframe: Callable[[str, int, int], None]) -> None:
-    """Write the occupancy map of one that is being made, if it can be made: a map is whole without it.
+    """Write the occupancy grid of a map under construction, if possible: a map is complete without it.
 
-    Why there is none `occupancy_of` says. Raises OutputError.
+    `occupancy_of` gives the reason if it is missing. Raises OutputError.
     """
     with suppress(MapError):
         so_far = MapFolder.open(new.path, settings=new.settings, is_incomplete_read=True)
@@ -290,10 +284,10 @@ def add_occupancy(new: MapFolder, on_keyframe: Callable[[str, int, int], None]) 
 
 
 def driven_way(folder: MapFolder) -> tuple[FloatArray, ...]:
-    """Stretches (K, 3) of x, y, yaw of the base at the keyframes of a map that lie together; of no base, the camera.
+    """Return paths (K, 3) of x, y, yaw of the base at connected keyframes; of the camera without a mount.
 
-    Within a stretch the robot drove from each to the next, about straight. Between stretches nobody knows where it
-    drove, or it was another drive.
+    The robot drove about straight between successive poses of a path. Between paths, its way is unknown or belongs to
+    another drive.
     """
     numbers = np.flatnonzero(lie_together(folder))
     if not len(numbers):
@@ -312,9 +306,6 @@ def driven_way(folder: MapFolder) -> tuple[FloatArray, ...]:
     return tuple(np.split(at, np.flatnonzero(~is_step) + 1))
 
 
-# MapInfo: what a map folder holds, in figures.
-
-
 MAP_FOLDER = "map"
 _OF_RUN = ("", "joined", "dense", "features", "own")
 
@@ -324,19 +315,19 @@ class MapInfo:
     """Figures of a map folder.
 
     Attributes:
-        header: what it says of itself.
-        keyframes: how many are there.
-        edges, loops: between them: by odometry, and by places that were seen again.
-        parts: how many parts hang together by edges.
+        header: header of the map.
+        keyframes: number of readable keyframes.
+        edges, loops: number of odometry edges and of loops between them.
+        parts: number of connected components.
         begin_s, end_s: stamps of the first and the last keyframe; None without any.
-        length_m: of the way from keyframe to keyframe, where they are by now.
-        bytes: of all files.
-        keyframe_bytes: a keyframe, with its place, its edges and its moves.
-        surfel_bytes, recognition_bytes, occupancy_bytes: of these files; None where they are missing.
-        edits: how many zones and wiped obstacles; None where their file cannot be read.
-        areas: names of areas, which are in the same file; likewise.
+        length_m: path length from keyframe to keyframe, by current poses.
+        bytes: size of all files.
+        keyframe_bytes: mean size of a keyframe, with its pose, edges and moves.
+        surfel_bytes, recognition_bytes, occupancy_bytes: sizes of these files; None if missing.
+        edits: number of zones and wiped obstacles; None if their file cannot be read.
+        areas: names of areas, from the same file; likewise.
         places: names of poses; likewise.
-        health: what is wrong.
+        health: damage found.
     """
 
     header: MapHeader
@@ -358,15 +349,22 @@ class MapInfo:
     health: Health
 
     def to_dict(self) -> dict[str, Any]:
-        """As plain nested values."""
-        told = {name: getattr(self, name) for name in self.__slots__ if name not in ("header", "health")}
+        """Return plain nested values."""
+        figures = {name: getattr(self, name) for name in self.__slots__ if name not in ("header", "health")}
         health = {"is_whole": self.health.is_whole, "notes": list(self.health.notes)}
-        return {**asdict(self.header), **told, "health": health}
+        return {**asdict(self.header), **figures, "health": health}
 
 
 def info_of(folder: MapFolder) -> MapInfo:
-    """The figures of an open map."""
-    path, store, edges, edits = folder.path, folder.store, folder.edges, _edits(folder)
+    """Return the figures of an open map."""
+    path, store, edges = folder.path, folder.store, folder.edges
+    edits: MapEdits | None = None
+    places: tuple[str, ...] | None = None
+    with suppress(MapError):
+        edits = folder.map_edits()
+    with suppress(MapError):
+        places = folder.named_poses().names
+    about, image = _size(path / OCCUPANCY_FILE), _size(path / OCCUPANCY_IMAGE)
     numbers = list(store)
     stamps_s = [folder.contents.places[number].stamp_s for number in numbers]
     at = store.T_map_keyframe[numbers][:, :3, 3]
@@ -386,21 +384,25 @@ def info_of(folder: MapFolder) -> MapInfo:
         keyframe_bytes=journal_bytes / max(len(numbers), 1),
         surfel_bytes=_size(path / SURFELS_FILE),
         recognition_bytes=_size(path / RECOGNITION_FILE),
-        occupancy_bytes=_occupancy_bytes(path),
+        occupancy_bytes=None if about is None or image is None else about + image,
         edits=None if edits is None else len(edits) - len(edits.areas),
         areas=None if edits is None else edits.area_names,
-        places=_places(folder),
+        places=places,
         health=folder.contents.health,
     )
 
 
+def _size(path: Path) -> int | None:
+    return path.stat().st_size if path.is_file() else None
+
+
 def is_map(path: StrPath) -> bool:
-    """Whether a folder has what says that it is a map."""
+    """Return whether a folder has a map header."""
     return is_there(Path(path) / HEADER_FILE)
 
 
 def find_map(path: StrPath) -> Path:
-    """The map folder that a path names: itself, or that of a run's folder. Raises MapError."""
+    """Return the map folder at a path: the path itself, or the map of a run's folder. Raises MapError."""
     path = Path(path)
     if not is_there(path):
         raise MapError("there is no such folder", path=path, fix="check the path")
@@ -410,27 +412,3 @@ def find_map(path: StrPath) -> Path:
         fix = "make one: wheelsight run RECORDING --odometry dense --map surfels --out DIR"
         raise MapError("is no map, and no folder of a run with one", path=path, fix=fix)
     return found
-
-
-def _occupancy_bytes(path: Path) -> int | None:
-    """Of both files; the image alone is none."""
-    about, image = _size(path / OCCUPANCY_FILE), _size(path / OCCUPANCY_IMAGE)
-    return None if about is None or image is None else about + image
-
-
-def _edits(folder: MapFolder) -> MapEdits | None:
-    try:
-        return folder.map_edits()
-    except MapError:
-        return None
-
-
-def _places(folder: MapFolder) -> tuple[str, ...] | None:
-    try:
-        return folder.named_poses().names
-    except MapError:
-        return None
-
-
-def _size(path: Path) -> int | None:
-    return path.stat().st_size if path.is_file() else None

@@ -1,4 +1,4 @@
-"""MapFolder: reads and writes a map piece by piece. MapLock: prevents two runs from writing the same map."""
+"""MapFolder: reads and writes a map on disk. MapLock: prevents two runs from writing the same map."""
 
 from __future__ import annotations
 
@@ -45,9 +45,6 @@ from wheelsight.slam.maps.keyframes import DepthSteps, KeptKeyframes, pack_keyfr
 from wheelsight.slam.maps.records import Place, RecordKind
 from wheelsight.slam.settings import SessionSettings
 
-# MapFolder: a map that outlasts its drive, written piece by piece, and read by the next.
-
-
 CALIBRATION_FILE, RECOGNITION_FILE, SURFELS_FILE = "calibration.yaml", "recognition.npz", "map.surfels"
 OCCUPANCY_FILE, OCCUPANCY_IMAGE, EDITS_FILE = "occupancy.yaml", "occupancy.pgm", "edits.json"
 PLACES_FILE = "places.json"
@@ -55,26 +52,26 @@ _MADE = (RECOGNITION_FILE, SURFELS_FILE, OCCUPANCY_FILE, OCCUPANCY_IMAGE, EDITS_
 _FILES = (HEADER_FILE, CALIBRATION_FILE, *_MADE)
 _TEMPORARY = re.compile(rf"\.({'|'.join(map(re.escape, _FILES))})\.[0-9a-f]{{8}}")
 _READ_ONLY = "open it with read_only=False"
-# Of a journal that is not of keyframes; three times as many are read.
+# Largest number of records in a graph journal that is written; readers accept three times as many.
 _GRAPH_RECORDS = 100_000
 NEW_FOLDER = "choose a folder that is empty or not there yet: no map is written over"
 
 
 class MapFolder:
-    """A map on disk: keyframes, where they are, edges between them, and what was made of them.
+    """A map on disk: keyframes, their poses, edges between them, and data made of them.
 
-    `create` begins a new one, `open` reads one; to one that is not read-only keyframes, edges and poses are appended.
-    What it held when it was opened is told by `store`, `edges` and `health`; what is appended later is not in them.
+    `create` begins a new map, and `open` reads one. Keyframes, edges and poses can be appended unless it is read-only.
+    `store`, `edges` and `contents` show the state at opening, without later appends.
 
-    Nothing is rewritten in place: each writer begins journals of its own. Not to be used by two threads at once.
+    Nothing is rewritten in place: each writer begins its own journals. Not thread-safe.
 
     Attributes:
         path: the folder.
-        header: what it says of itself.
-        calibration: of the robot that made it.
-        settings: how it is written and read.
-        contents: its journals, as they were when it was opened.
-        store: its keyframes, as they were when it was opened.
+        header: header of the map.
+        calibration: calibration of the robot that made it.
+        settings: settings for writing and reading.
+        contents: contents of its journals at opening.
+        store: its keyframes at opening.
     """
 
     def __init__(
@@ -92,7 +89,7 @@ class MapFolder:
             contents.where, contents.T_map_keyframe, settings.memory_keyframes, header.camera.size_px
         )
         self._steps = DepthSteps.of_noise(calibration.depth_noise, settings.depth_sigmas)
-        self._pieces = _Pieces(path, settings.piece_keyframes)
+        self._pieces = _Journals(path, settings.piece_keyframes)
         self._edge_count = contents.edge_count
         self._where = dict(contents.where)
 
@@ -107,18 +104,18 @@ class MapFolder:
         depth_factor: float | None = None,
         unfinished: str = "",
     ) -> Self:
-        """Begin a map in a folder that is empty or not there.
+        """Begin a map in an empty or missing folder.
 
         Args:
             path: the folder.
-            calibration: of the robot; with a camera.
-            settings: or the defaults.
+            calibration: calibration of the robot, with a camera.
+            settings: settings, or None for the defaults.
             source: name of the recording or live source.
-            depth_factor: depth units a metre, where they are not those of the recording's format.
-            unfinished: what makes it until `finish`, one of `header.MAKERS`; "": it is finished at any time.
+            depth_factor: depth units per metre, if different from the recording format's.
+            unfinished: what makes the map until `finish`, one of `journal.MAKERS`; "": it is always finished.
 
         Raises:
-            OutputError: the folder holds something, or cannot be made or written.
+            OutputError: the folder is not empty, or cannot be made or written.
             CalibrationError: there is no camera.
         """
         settings, path = settings or SessionSettings(), Path(path)
@@ -128,7 +125,7 @@ class MapFolder:
         lock = MapLock(path)
         try:
             save_calibration(calibration, path / CALIBRATION_FILE)
-            header.save(path)  # the last: a folder with it is a map
+            header.save(path)  # written last: its presence makes the folder a map
             return cls(path, header, calibration, read_contents(path), settings, lock)
         except BaseException:
             lock.release()
@@ -147,15 +144,15 @@ class MapFolder:
 
         Args:
             path: the folder.
-            read_only: whether nothing is to be appended.
-            settings: or the defaults.
-            is_incomplete_read: whether what rebuild, merge or prune left when they were ended is read, too.
+            read_only: whether appending is disabled.
+            settings: settings, or None for the defaults.
+            is_incomplete_read: whether to accept the output of an interrupted rebuild, merge or prune.
 
         Raises:
-            MapError: it is none, of a newer version, incomplete, damaged beyond what can be left out, or written by
-                another run.
+            MapError: it is not a map, of a newer version, incomplete, damaged too much, or being written by another
+                run.
             CalibrationError: its calibration is damaged.
-            OutputError: it is to be written and cannot be.
+            OutputError: it is opened for writing and not writable.
         """
         path, settings = Path(path), settings or SessionSettings()
         header = read_header(path)
@@ -179,11 +176,11 @@ class MapFolder:
 
     @property
     def edges(self) -> tuple[RelativePose, ...]:
-        """Those that hold, of odometry and loops, when it was opened."""
+        """Valid edges at opening, of odometry and loops."""
         return self.contents.edges
 
     def check_camera(self, calibration: Calibration, depth_factor: float | None = None) -> None:
-        """Raises MapError, saying what differs, where a calibration is of another camera than the map's."""
+        """Raise MapError with the difference if a calibration is of another camera than the map's."""
         camera = MapCamera.of(calibration, depth_factor)
         why = self.header.camera.why_other(camera, self.settings.camera_share)
         if why is not None:
@@ -193,17 +190,17 @@ class MapFolder:
     def append_keyframe(
         self, number: int, keyframe: Keyframe, T_map_keyframe: FloatArray, T_odom_keyframe: FloatArray | None = None
     ) -> tuple[Path, Record]:
-        """Keep a keyframe, and tell in which journal and record; of one number the last counts.
+        """Write a keyframe, and return its journal and record. Of records with the same number, the last is valid.
 
         Args:
-            number: of the keyframe in the map.
-            keyframe: what was seen.
-            T_map_keyframe: (4, 4) by what is known now.
-            T_odom_keyframe: (4, 4) in the frame that never jumps, if that is known.
+            number: number of the keyframe in the map.
+            keyframe: its images, keypoints and stamp.
+            T_map_keyframe: (4, 4) current pose.
+            T_odom_keyframe: (4, 4) pose in odom, if known.
 
         Raises:
             OutputError: it cannot be written, or the map is read-only.
-            ArgumentError: a pose that is no rigid motion.
+            ArgumentError: a pose is not a rigid motion.
         """
         for T in (T_map_keyframe, T_odom_keyframe):
             if T is not None and not se3.is_valid(T):
@@ -218,7 +215,7 @@ class MapFolder:
         return journal.path, record
 
     def append_edges(self, edges: Sequence[RelativePose]) -> tuple[int, ...]:
-        """Keep edges; their numbers, by which they can be withdrawn. Raises OutputError."""
+        """Write edges, and return their numbers, which `withdraw_edges` takes. Raises OutputError."""
         self._need_lock()
         first = self._edge_count
         if edges:
@@ -227,65 +224,65 @@ class MapFolder:
         return tuple(range(first, self._edge_count))
 
     def withdraw_edges(self, numbers: Sequence[int]) -> None:
-        """Edges that do not hold, such as loops that were found to be false. Raises OutputError."""
+        """Withdraw edges, such as loops found to be wrong. Raises OutputError."""
         self._need_lock()
         if numbers:
             self._pieces.graph().append(RecordKind.WITHDRAWN, 0, records.pack_numbers(numbers))
 
     def append_poses(self, numbers: Sequence[int] | IntArray, T_map_keyframe: FloatArray) -> None:
-        """Where keyframes (K,) are by now (K, 4, 4); of each the last counts. Raises OutputError."""
+        """Write poses (K, 4, 4) of keyframes (K,); the last pose of each is valid. Raises OutputError."""
         self._need_lock()
         if len(numbers):
             self._pieces.graph().append(RecordKind.POSES, 0, records.pack_poses(numbers, T_map_keyframe))
 
     def flush(self) -> None:
-        """Make what was appended outlive a loss of power. Raises OutputError."""
+        """Make appended data survive a loss of power. Raises OutputError."""
         self._pieces.flush()
 
     def save_recognition(self, recognizer: Recognizer) -> None:
-        """Keep what recognises the keyframes, so that the next drive need not make it anew. Raises OutputError."""
+        """Write the recognizer of the keyframes, so that the next drive does not rebuild it. Raises OutputError."""
         self._need_lock()
         recognizer.save(self.path / RECOGNITION_FILE, self._descriptors)
 
     def save_surfels(self, surfel_map: SurfelMap) -> None:
-        """Keep a surfel map whose surfels hang on the map's keyframes. Raises OutputError."""
+        """Write a surfel map attached to the map's keyframes. Raises OutputError."""
         self._need_lock()
         save_map(surfel_map, self.path / SURFELS_FILE)
 
     def map_edits(self) -> MapEdits:
-        """What somebody said of the map: zones and wiped obstacles; none where no file of them is. Raises MapError."""
+        """Return the edits of the map, zones and wiped obstacles; empty without a file. Raises MapError."""
         path = self.path / EDITS_FILE
         return MapEdits.load(path) if is_there(path) else MapEdits()
 
     def save_edits(self, edits: MapEdits) -> None:
-        """Keep edits of the map, in place of what it has. Raises OutputError."""
+        """Write the edits of the map in place of the present ones. Raises OutputError."""
         self._need_lock()
         edits.save(self.path / EDITS_FILE)
 
     def named_poses(self) -> NamedPoses:
-        """What people call poses of the map; none where no file of them is. Raises MapError."""
+        """Return the named poses of the map; empty without a file. Raises MapError."""
         path = self.path / PLACES_FILE
         return NamedPoses.load(path) if is_there(path) else NamedPoses()
 
     def save_named_poses(self, poses: NamedPoses) -> None:
-        """Keep names of poses, in place of what it has. Raises OutputError."""
+        """Write the named poses in place of the present ones. Raises OutputError."""
         self._need_lock()
         poses.save(self.path / PLACES_FILE)
 
     def begin(self, unfinished: str) -> None:
-        """Mark the map as one that is being made by one of `header.MAKERS`, until `finish`. Raises OutputError."""
+        """Mark the map as being made by one of `journal.MAKERS`, until `finish`. Raises OutputError."""
         self._need_lock()
         if self.header.unfinished != unfinished:
             self.header = replace(self.header, unfinished=unfinished)
             self.header.save(self.path)
 
     def finish(self) -> None:
-        """Mark the map as finished, once all of it is on the disk. Raises OutputError."""
+        """Flush all data, then mark the map as finished. Raises OutputError."""
         self.flush()
         self.begin("")
 
     def close(self) -> None:
-        """Flush, and let others write. Raises OutputError."""
+        """Flush, and release the lock. Raises OutputError."""
         lock, self._lock = self._lock, None
         try:
             self._pieces.close()
@@ -298,15 +295,21 @@ class MapFolder:
         settings: RecognitionSettings | None = None,
         on_keyframe: Callable[[int, int], None] = lambda done, total: None,
     ) -> Recognizer:
-        """What recognises the keyframes: as kept, completed, or made anew where its file is missing or of others.
+        """Return the recognizer of the keyframes: loaded and completed, or rebuilt if its file is missing or does not
+        match.
 
         Args:
-            settings: or the defaults; a file of other settings is not used.
-            on_keyframe: called with how many are done, and of how many, where any is to be made.
+            settings: settings, or None for the defaults; a file of other settings is not used.
+            on_keyframe: called with the number of added keyframes and their total, if any are added.
 
-        Raises MapError where a keyframe cannot be read.
+        Raises MapError if a keyframe cannot be read.
         """
-        found, numbers = self._kept_recognizer(settings or RecognitionSettings()), list(self.store)
+        path, numbers = self.path / RECOGNITION_FILE, list(self.store)
+        needed = settings or RecognitionSettings()
+        found = Recognizer(needed)
+        if is_there(path):
+            with suppress(MapError):  # it can be rebuilt
+                found = Recognizer.load(path, self._descriptors, settings=needed, most_keyframes=len(self.store))
         known = set(found.keyframes)
         if not known <= set(numbers):
             found, known = Recognizer(settings), set()
@@ -317,29 +320,19 @@ class MapFolder:
         return found
 
     def surfels(self) -> SurfelMap | None:
-        """The surfel map, moved to where its keyframes are by now; None where there is none. Raises MapError."""
+        """Return the surfel map at the current keyframe poses; None if there is none. Raises MapError."""
         path = self.path / SURFELS_FILE
         if not is_there(path):
             return None
         surfel_map = load_map(path)
         if len(surfel_map.T_map_keyframe) > len(self.store):
-            fix = "make it anew: wheelsight map rebuild"
+            fix = "rebuild it: wheelsight map rebuild"
             raise MapError("hangs on keyframes that the map does not have", path=path, fix=fix)
         surfel_map.hang_on(self.store)
         return surfel_map
 
-    def _kept_recognizer(self, settings: RecognitionSettings) -> Recognizer:
-        """As its file has it; a new one where that is missing, damaged or of other settings."""
-        path = self.path / RECOGNITION_FILE
-        if is_there(path):
-            try:
-                return Recognizer.load(path, self._descriptors, settings=settings, most_keyframes=len(self.store))
-            except MapError:  # all that it holds can be made again
-                pass
-        return Recognizer(settings)
-
     def _descriptors(self, number: KeyframeId) -> UInt64Array:
-        """Those of a keyframe's record; none where that is lost."""
+        """Return the descriptors of a keyframe's record; empty if it is lost."""
         try:
             return read_descriptors(*self._where[number])
         except (KeyError, MapError):
@@ -350,8 +343,8 @@ class MapFolder:
             raise OutputError("is read-only here", path=self.path, fix=_READ_ONLY)
 
 
-class _Pieces:
-    """The journals of one writer, begun when they are needed; of keyframes one after the other."""
+class _Journals:
+    """The journals of one writer, begun on demand, with a limited number of keyframes per journal."""
 
     def __init__(self, folder: Path, most_keyframes: int) -> None:
         self._folder, self._most = folder, most_keyframes
@@ -360,7 +353,7 @@ class _Pieces:
         self._count = self._graph_count = 0
 
     def of_keyframes(self) -> JournalWriter:
-        """Where the next keyframe goes."""
+        """Return the journal for the next keyframe."""
         if self._keyframes is not None and self._count >= self._most:
             full, self._keyframes = self._keyframes, None
             full.close()
@@ -370,7 +363,7 @@ class _Pieces:
         return self._keyframes
 
     def graph(self) -> JournalWriter:
-        """Where all else goes."""
+        """Return the journal for all other records."""
         if self._graph is not None and self._graph_count >= _GRAPH_RECORDS:
             full, self._graph = self._graph, None
             full.close()
@@ -380,13 +373,13 @@ class _Pieces:
         return self._graph
 
     def flush(self) -> None:
-        """Images first: a place whose keyframe is lost is worth nothing."""
+        """Flush the keyframes first: a pose without its keyframe is useless."""
         for journal in (self._keyframes, self._graph):
             if journal is not None:
                 journal.flush()
 
     def close(self) -> None:
-        """Both of them, even if one of them fails."""
+        """Close both journals, even if one fails."""
         keyframes, self._keyframes = self._keyframes, None
         graph, self._graph = self._graph, None
         try:
@@ -402,18 +395,18 @@ class _Pieces:
 
 @contextmanager
 def map_being_made(out: StrPath, maker: str, like: MapFolder, source: str | None = None) -> Iterator[MapFolder]:
-    """A new map of the calibration and settings of another, to be written within the block.
+    """Yield a new map with the calibration and settings of another, to be written in the block.
 
-    At its end the map is finished. Where the block fails nothing of it stays; where the process is killed the map says
-    that it is incomplete, and the next one in its place begins again.
+    At the end of the block the map is marked as finished. If the block fails, the map is removed. After a kill, the map
+    is marked as incomplete, and the next one in its place replaces it.
 
     Args:
-        out: a folder that is empty or not there, or that such a map was left in.
-        maker: one of `header.MAKERS`.
-        like: of which calibration and settings it is.
-        source: its name; else as `like` has it.
+        out: folder that is empty, missing, or left by an interrupted call.
+        maker: one of `journal.MAKERS`.
+        like: map with the calibration and settings.
+        source: name of the source, or None for that of `like`.
 
-    Raises OutputError, and MapError where another process makes a map there.
+    Raises OutputError, and MapError if another process makes a map there.
     """
     make_room(out)
     name, factor = like.header.source if source is None else source, like.header.camera.depth_factor
@@ -431,9 +424,9 @@ def map_being_made(out: StrPath, maker: str, like: MapFolder, source: str | None
 
 
 def make_room(out: StrPath) -> None:
-    """Remove what a rebuild, merge or prune left that was ended; raises OutputError where there is anything else.
+    """Remove the output of an interrupted rebuild, merge or prune. Raise OutputError if the folder has other contents.
 
-    Raises MapError where another process makes a map there.
+    Raises MapError if another process makes a map there.
     """
     out = Path(out)
     if _is_left_over(out):
@@ -442,7 +435,7 @@ def make_room(out: StrPath) -> None:
 
 
 def _is_left_over(path: Path) -> bool:
-    """Whether a folder holds a map that is of no use, or what such a map begins or ends with."""
+    """Return whether a folder has an unusable map, or only the first or last files of one."""
     if not is_there(path / HEADER_FILE):
         return _is_bare(path)
     try:
@@ -452,7 +445,7 @@ def _is_left_over(path: Path) -> bool:
 
 
 def _is_bare(path: Path) -> bool:
-    """Whether a folder holds no more than what a map begins with, before anything says that it is one."""
+    """Return whether a folder has no more than the first files of a map, written before its header."""
     try:
         files = list(path.iterdir())
     except OSError:
@@ -461,18 +454,18 @@ def _is_bare(path: Path) -> bool:
 
 
 def _temporaries(path: Path) -> list[Path]:
-    """Files that were being written when a process was killed, see `files.atomic_write`."""
+    """Return unfinished files of a killed process; see `files.atomic_write`."""
     return [file for file in path.iterdir() if _TEMPORARY.fullmatch(file.name)]
 
 
 def _remove(files: Iterable[Path]) -> None:
-    """Raises OSError."""
+    """Remove files. Raises OSError."""
     for file in files:
         file.unlink(missing_ok=True)
 
 
 def discard_map(path: StrPath) -> None:
-    """Remove a map that an earlier run left; other files in its folder stay.
+    """Remove a map; other files in its folder remain.
 
     Raises:
         MapError: another run writes it.
@@ -483,10 +476,10 @@ def discard_map(path: StrPath) -> None:
         return
     lock = MapLock(path)
     try:
-        # A kill in between leaves no map that lacks a part, but one of which `make_room` knows that it is to go.
+        # After a kill here, `make_room` recognizes the rest as removable, rather than as a map with missing parts.
         try:
             replace(read_header(path), unfinished=REMOVAL).save(path)
-        except InputError:  # it is damaged, or the disk is full
+        except InputError:  # damaged, or the disk is full
             _remove([path / HEADER_FILE])
         _remove([*journals_of(path, KEYFRAMES), *journals_of(path, GRAPH), *_temporaries(path)])
         _remove(path / name for name in (*_MADE, CALIBRATION_FILE, HEADER_FILE, LOCK_FILE))
@@ -498,21 +491,18 @@ def discard_map(path: StrPath) -> None:
         lock.release()
 
 
-# MapLock: two runs never write one map.
-
-
 LOCK_FILE = "lock"
 _LONGEST = 32
 
 
 class MapLock:
-    """Holds a map folder for one writer, until `release`.
+    """Locks a map folder for one writer, until `release`.
 
-    The system lets go of it when its process ends, however it ends: what a dead process left locks nothing.
+    The system releases the lock when the process ends, even after a kill.
 
     Raises:
         MapError: another run writes the map.
-        OutputError: nobody may write there.
+        OutputError: the folder is not writable.
     """
 
     def __init__(self, folder: StrPath) -> None:
@@ -526,7 +516,8 @@ class MapLock:
             os.ftruncate(self._descriptor, 0)
             os.pwrite(self._descriptor, f"{os.getpid()}\n".encode(), 0)
         except BlockingIOError as error:
-            holder = self._holder()
+            number = os.pread(self._descriptor, _LONGEST, 0).decode("ascii", "replace").strip()
+            holder = number if number.isdecimal() else "unknown number"
             os.close(self._descriptor)
             fix = "wait until it ends, or choose another map"
             raise MapError(f"another run, of process {holder}, writes this map", path=Path(folder), fix=fix) from error
@@ -536,7 +527,7 @@ class MapLock:
 
     @staticmethod
     def is_held(folder: StrPath) -> bool:
-        """Whether somebody writes a map at the moment."""
+        """Return whether a process currently writes a map."""
         try:
             descriptor = os.open(Path(folder) / LOCK_FILE, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
         except OSError:
@@ -550,11 +541,7 @@ class MapLock:
         return False
 
     def release(self) -> None:
-        """Let others write; the file stays."""
+        """Release the lock; the file remains."""
         descriptor, self._descriptor = self._descriptor, -1
         with suppress(OSError):
             os.close(descriptor)
-
-    def _holder(self) -> str:
-        told = os.pread(self._descriptor, _LONGEST, 0).decode("ascii", "replace").strip()
-        return told if told.isdecimal() else "unknown number"

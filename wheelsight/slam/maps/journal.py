@@ -1,4 +1,11 @@
-"""Files of a map folder: append-only journals, their contents as values, and the header `map.json`."""
+"""Files of a map folder: append-only journals, their contents, and the header `map.json`.
+
+A journal begins with its name, its version, and a checksum of both. Each record has a head: a mark, kind, key, length,
+a checksum of the content, and one of the head itself. Numbers are little-endian.
+
+A robot may lose power at any moment. An incomplete record at the end of a file, the torn tail, is dropped and counted.
+An invalid part before a valid record is disk damage: it is skipped, counted, and reported with its offset.
+"""
 
 from __future__ import annotations
 
@@ -26,17 +33,7 @@ from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.maps import records
 from wheelsight.slam.maps.records import Place, RecordKind
 
-# Journals: files that records are put to the end of, and that are never rewritten in place.
-#
-# A file begins with its name, its version and a checksum of both. Each record has a head: a mark, its kind, its key,
-# how long it is, a checksum of what it holds, and one of the head itself. Numbers are in little-endian order.
-#
-# A robot may lose power at any moment. What is not whole at the end of a file is dropped and counted: the torn tail.
-# What is not whole before a record that is whole was damaged on the disk: it is skipped, counted, and told with its
-# place.
-
-
-# 2: keyframes of another kind than 1 has, which older readers would pass over as lost.
+# Version 2 has another kind of keyframe records, which readers of version 1 would treat as lost.
 VERSION = 2
 _NAME = b"WSJOURNL"
 _MARK = b"\xf5WSR"
@@ -48,22 +45,22 @@ FIRST_RECORD = _FILE_HEAD.size + _CRC.size
 _JOURNAL = Kind("a journal of a map", most_mb=2048, fix="give a folder that `wheelsight run` left as its map")
 _NEWER = "read it with the wheelsight that wrote it, or a newer one"
 _DAMAGED = "use another copy of the map"
-# Of a journal that is read: a writer begins another one long before, and to go through so many takes 2 s and 150 MB.
+# Limit when reading: a writer begins a new journal long before. Reading this many takes 2 s and 150 MB.
 _MOST_RECORDS = 300_000
-# Bytes that are checksummed in vain, in a journal twice as long at most and 64 MB besides: where a disk damages a
-# journal that is each of its bytes once. To look at a head takes as long as to checksum 4 kB.
+# Limit of bytes checksummed without success: twice the journal's length plus 64 MB. Disk damage checksums each of its
+# bytes once. Checking a head takes as long as a checksum of 4 kB.
 _VAIN_SHARE, _VAIN_BYTES, _BYTES_A_HEAD = 2, 64 << 20, 4096
 
 
 class Record(NamedTuple):
-    """Where a record is in its journal.
+    """Position of a record in its journal.
 
     Attributes:
-        kind: what it holds.
-        key: such as the number of a keyframe.
-        offset: of its head in the file, bytes.
-        length: of what it holds, bytes.
-        crc: of what it holds.
+        kind: a `RecordKind`.
+        key: key, such as the number of a keyframe.
+        offset: offset of its head in the file, bytes.
+        length: length of its content, bytes.
+        crc: CRC-32 of its content.
     """
 
     kind: int
@@ -75,7 +72,7 @@ class Record(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """Bytes of a journal, with whole records after them, that are no record."""
+    """Invalid bytes of a journal, with valid records after them."""
 
     path: Path
     offset: int
@@ -87,13 +84,13 @@ class Damage:
 
 @dataclass(frozen=True, slots=True)
 class JournalContents:
-    """What a journal holds.
+    """Contents of a journal.
 
     Attributes:
         path: the file.
-        records: those that are whole, in their order, with what they hold.
-        damages: what was skipped between them.
-        torn_bytes: what was dropped at the end.
+        records: valid records in order, with their content.
+        damages: invalid parts between them.
+        torn_bytes: number of bytes dropped at the end.
     """
 
     path: Path
@@ -103,12 +100,12 @@ class JournalContents:
 
 
 class JournalWriter:
-    """Puts records to the end of a new journal.
+    """Appends records to a new journal.
 
-    Nothing is kept back: what was appended outlives the process. `flush` makes it outlive a loss of power, too.
+    Writes are unbuffered: appended data survives a kill of the process. After `flush`, it survives a loss of power.
 
     Raises:
-        OutputError: the file cannot be made or written; also by each of its methods.
+        OutputError: the file cannot be made or written; also raised by each method.
     """
 
     def __init__(self, path: StrPath) -> None:
@@ -120,33 +117,29 @@ class JournalWriter:
         self._write(_with_crc(_FILE_HEAD.pack(_NAME, VERSION)))
 
     def append(self, kind: int, key: int, content: bytes) -> Record:
-        """Write a record."""
+        """Write a record, and return its position."""
         record = Record(kind, key, self.size, len(content), zlib.crc32(content))
         self._write(_with_crc(_HEAD.pack(_MARK, kind, 0, key, record.length, record.crc)) + content)
         return record
 
     def flush(self) -> None:
-        """Wait until all that was appended is on the disk."""
+        """Wait until all appended data is on disk."""
         try:
             os.fsync(self._stream.fileno())
         except OSError as error:
             raise output_error(error, self.path) from error
 
     def close(self) -> None:
-        """The same, and close the file, whatever went wrong."""
+        """Flush, and close the file even if that fails."""
         try:
             self.flush()
         finally:
             self._stream.close()
 
-    def abandon(self) -> None:
-        """Close the file as it is."""
-        self._stream.close()
-
     def _write(self, data: bytes) -> None:
         try:
             written = 0
-            while written < len(data):  # a disk that is nearly full takes a part
+            while written < len(data):  # a nearly full disk accepts only a part
                 written += self._stream.write(data[written:])
         except OSError as error:
             raise output_error(error, self.path) from error
@@ -154,11 +147,11 @@ class JournalWriter:
 
 
 def read_journal(path: StrPath) -> JournalContents:
-    """All records of a journal that are whole.
+    """Return all valid records of a journal.
 
     Raises:
-        MapError: naming the file: it cannot be read, is no journal, is of a newer version, holds too many records, or
-            is damaged in more places than a disk damages.
+        MapError: it cannot be read, is not a journal, is of a newer version, has too many records, or is damaged in
+            more places than disk damage explains.
     """
     path = Path(path)
     data = memoryview(read_bytes(path, _JOURNAL, MapError))
@@ -178,7 +171,7 @@ def read_journal(path: StrPath) -> JournalContents:
 
 
 def read_record(path: StrPath, record: Record) -> bytes:
-    """What a record holds, read anew. Raises MapError, naming file and place, where it is not what it was."""
+    """Read the content of a record. Raises MapError with file and offset if it has changed."""
     path = Path(path)
     try:
         with path.open("rb") as stream:
@@ -192,7 +185,7 @@ def read_record(path: StrPath, record: Record) -> bytes:
 
 
 def _first_record(data: memoryview, path: Path) -> int:
-    """Where records begin: after the head of the file, or at 0 where that is not whole. Raises MapError."""
+    """Return the offset of the first record: after a valid file head, else 0. Raises MapError."""
     if len(data) < FIRST_RECORD or not _is_sound(data[:FIRST_RECORD]):
         return 0
     name, version = _FILE_HEAD.unpack_from(data)
@@ -204,32 +197,27 @@ def _first_record(data: memoryview, path: Path) -> int:
 
 
 def _whole_records(data: memoryview, begin: int, path: Path) -> Iterator[Record]:
-    """One after the other; behind what is damaged, on from the next mark that a whole record begins with.
+    """Yield the valid records. After damage, continue at the next mark of a valid record.
 
-    A mark may stand within what a sound head names its content: to checksum each such content would take time that
-    grows with the square of their number. Raises MapError where more is checksummed in vain than damage explains.
+    A mark may lie within the content claimed by a valid head. Checksumming all such contents could take quadratic time,
+    so the total is limited. Raises MapError if more is checksummed than disk damage explains.
     """
-    raw, at, vain = data.obj, begin, 0
+    raw, at, wasted = data.obj, begin, 0
     assert isinstance(raw, bytes)
     while 0 <= at <= len(data) - HEAD_BYTES:
-        record = _head_at(data, at)
+        record = None
+        if _is_sound(data[at : at + HEAD_BYTES]):
+            mark, kind, _, key, length, crc = _HEAD.unpack_from(data, at)
+            record = Record(kind, key, at, length, crc) if mark == _MARK else None
         end = at + HEAD_BYTES + (0 if record is None else record.length)
         if record is not None and end <= len(data) and zlib.crc32(data[at + HEAD_BYTES : end]) == record.crc:
             yield record
             at = end
             continue
-        vain += _BYTES_A_HEAD + (end - at if end <= len(data) else 0)
-        if vain > _VAIN_SHARE * len(data) + _VAIN_BYTES:
+        wasted += _BYTES_A_HEAD + (end - at if end <= len(data) else 0)
+        if wasted > _VAIN_SHARE * len(data) + _VAIN_BYTES:
             raise MapError("is damaged in more places than a disk damages", path=path, fix=_DAMAGED)
         at = raw.find(_MARK, at + 1)
-
-
-def _head_at(data: memoryview, at: int) -> Record | None:
-    """The record that a sound head names, whether or not its content is whole."""
-    if not _is_sound(data[at : at + HEAD_BYTES]):
-        return None
-    mark, kind, _, key, length, crc = _HEAD.unpack_from(data, at)
-    return Record(kind, key, at, length, crc) if mark == _MARK else None
 
 
 def _with_crc(head: bytes) -> bytes:
@@ -237,38 +225,22 @@ def _with_crc(head: bytes) -> bytes:
 
 
 def _is_sound(head: memoryview) -> bool:
-    """Whether the last four bytes are the checksum of those before."""
+    """Return whether the last four bytes are the checksum of those before."""
     return bool(_CRC.unpack(head[-_CRC.size :])[0] == zlib.crc32(head[: -_CRC.size]))
-
-
-# What a map folder holds, read from its journals: all but the images, which stay on disk.
-
-
-KEYFRAMES, GRAPH = "keyframes", "graph"
-_SUFFIX = ".journal"
-# More edges than a thousand hours of driving leave.
-_MOST_EDGES = 5_000_000
-# Tables are as long as the largest number of a keyframe, which grows by one with each. Half of all keyframes may be
-# lost, and of a short map several journals; a number beyond that would ask for memory that no keyframe explains.
-_LOST_SHARE, _LOST_KEYFRAMES = 2, 10_000
-# Ten digits would be of more journals than a folder has files.
-_JOURNAL_NAME = re.compile(r"[0-9]{1,9}")
-RUN_AGAIN = "run it again"
-_CUT_OFF = "The drive was ended before its map was finished: what it saw last may be missing."
 
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """What is wrong with a map folder, if anything; all else of it is whole.
+    """Damage of a map folder.
 
     Attributes:
-        torn_bytes: dropped at the ends of journals: what a kill or a loss of power cut off.
-        dropped: keyframes at the end of which not all was written any more.
-        damages: bytes between whole records that are no record.
-        missing: keyframes that damage took.
-        beyond: keyframes that are left out, since their numbers are beyond what the others explain.
-        unfinished: what made the map when it was ended, see `MapHeader`; "" where it was finished.
-        is_being_made: whether that still makes it.
+        torn_bytes: number of bytes dropped at the ends of journals, after a kill or a loss of power.
+        dropped: number of keyframes at the end that are incomplete.
+        damages: invalid bytes between valid records.
+        missing: keyframes lost to damage.
+        beyond: keyframes left out for an impossibly large number.
+        unfinished: what was making the map, see `MapHeader`; "" if it is finished.
+        is_being_made: whether a process is still making it.
     """
 
     torn_bytes: int = 0
@@ -281,12 +253,12 @@ class Health:
 
     @property
     def is_whole(self) -> bool:
-        """Whether nothing but the torn end is wrong."""
+        """Whether there is no damage other than a torn tail."""
         return not self.damages and not self.missing and not self.beyond and not self.incomplete
 
     @property
     def incomplete(self) -> str:
-        """Why a map of less than all keyframes is no map of a drive either; "" where nothing is wrong so."""
+        """Reason why the map is unusable after an interrupted rebuild, merge, prune or removal; "" if it is usable."""
         if self.unfinished in ("", DRIVE):
             return ""
         why = f"{self.unfinished} is still making it" if self.is_being_made else f"{self.unfinished} was ended"
@@ -294,32 +266,45 @@ class Health:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """A sentence about each thing that is wrong."""
-        told = [f"The map is {self.incomplete}; {RUN_AGAIN}."] if self.incomplete else []
+        """One sentence on each problem."""
+        notes = [f"The map is {self.incomplete}; {RUN_AGAIN}."] if self.incomplete else []
         if self.unfinished == DRIVE:
-            told.append("A drive still writes it." if self.is_being_made else _CUT_OFF)
+            notes.append("A drive still writes it." if self.is_being_made else _CUT_OFF)
         if self.torn_bytes or self.dropped:
             what = f"{self.torn_bytes:,} bytes and {self.dropped} keyframes at the end"
-            told.append(f"The drive was cut off: {what} were not whole and are left out.")
-        told += [f"{damage}." for damage in self.damages]
+            notes.append(f"The drive was cut off: {what} were not whole and are left out.")
+        notes += [f"{damage}." for damage in self.damages]
         if self.missing:
-            told.append(f"{len(self.missing)} keyframes are lost: {_shown(self.missing)}.")
+            notes.append(f"{len(self.missing)} keyframes are lost: {_shown(self.missing)}.")
         if self.beyond:
-            told.append(f"Keyframes of impossible numbers are left out: {_shown(self.beyond)}.")
-        return tuple(told)
+            notes.append(f"Keyframes of impossible numbers are left out: {_shown(self.beyond)}.")
+        return tuple(notes)
+
+
+KEYFRAMES, GRAPH = "keyframes", "graph"
+_SUFFIX = ".journal"
+# Limit when reading: more than a thousand hours of driving leave.
+_MOST_EDGES = 5_000_000
+# Tables are as long as the largest keyframe number. Half of all keyframes, or several journals of a short map, may be
+# lost. A larger number is damage, and would allocate memory for keyframes that never existed.
+_LOST_SHARE, _LOST_KEYFRAMES = 2, 10_000
+# Ten digits would be more journals than a folder has files.
+_JOURNAL_NAME = re.compile(r"[0-9]{1,9}")
+RUN_AGAIN = "run it again"
+_CUT_OFF = "The drive was ended before its map was finished: what it saw last may be missing."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FolderContents:
-    """What the journals of a map folder hold.
+    """Contents of all journals of a map folder.
 
     Attributes:
-        where: journal and record of each keyframe that is whole, by number.
-        places: where each keyframe was when it was kept, by number.
-        T_map_keyframe: (N, 4, 4) by now; NaN where damage took the pose.
-        edges: those that hold.
-        edge_count: how many there were, with those withdrawn.
-        health: what is wrong.
+        where: journal and record of each valid keyframe, by number.
+        places: pose of each keyframe when it was added, by number.
+        T_map_keyframe: (N, 4, 4) current poses; NaN if lost to damage.
+        edges: valid edges.
+        edge_count: number of edges, with withdrawn ones.
+        health: damage found.
     """
 
     where: dict[int, tuple[Path, Record]]
@@ -330,60 +315,8 @@ class FolderContents:
     health: Health
 
 
-@dataclass
-class _Graph:
-    """What graph journals tell, record by record."""
-
-    places: dict[int, Place] = field(default_factory=dict)
-    T: dict[int, FloatArray] = field(default_factory=dict)
-    edges: dict[int, RelativePose] = field(default_factory=dict)
-    edge_count: int = 0
-
-    def take(self, record: Record, content: bytes) -> None:
-        """Raises MapError for a record that contradicts itself."""
-        if record.kind == RecordKind.PLACE:
-            place = records.unpack_place(content)
-            self.places[record.key], self.T[record.key] = place, place.T_map_keyframe
-        elif record.kind == RecordKind.EDGES:
-            if record.key > _MOST_EDGES:
-                raise MapError(f"holds edge {record.key}", fix=_DAMAGED)
-            # By the number of the first: damage before it must not shift those that are withdrawn.
-            found = records.unpack_edges(content)
-            self.edges |= dict(enumerate(found, start=record.key))
-            self.edge_count = max(self.edge_count, record.key + len(found))
-        elif record.kind == RecordKind.WITHDRAWN:
-            for number in records.unpack_numbers(content):
-                self.edges.pop(number, None)
-        elif record.kind == RecordKind.POSES:
-            numbers, T = records.unpack_poses(content)
-            self.T.update(zip(numbers.tolist(), T, strict=True))
-
-
-def journal_name(kind: str, number: int) -> str:
-    """Such as keyframes-00002.journal."""
-    return f"{kind}-{number:05d}{_SUFFIX}"
-
-
-def journals_of(folder: Path, kind: str) -> list[Path]:
-    """The journals of a kind, in the order in which they were written."""
-    return [path for _, path in sorted(_numbered(folder, kind))]
-
-
-def next_number(folder: Path, kind: str) -> int:
-    """Of the journal that is written next."""
-    return 1 + max((number for number, _ in _numbered(folder, kind)), default=-1)
-
-
-def _numbered(folder: Path, kind: str) -> Iterator[tuple[int, Path]]:
-    """Journals with their numbers; other files may have names that are alike."""
-    for path in folder.glob(f"{kind}-*{_SUFFIX}"):
-        digits = path.stem.removeprefix(f"{kind}-")
-        if _JOURNAL_NAME.fullmatch(digits):
-            yield int(digits), path
-
-
 def read_contents(folder: Path) -> FolderContents:
-    """All journals of a folder. Raises MapError for a file that cannot be read, or whose contents are impossible."""
+    """Return the contents of all journals. Raises MapError for an unreadable file or impossible contents."""
     where: dict[int, tuple[Path, Record]] = {}
     torn_bytes, damages = 0, list[Damage]()
     for journal in _read(folder, KEYFRAMES):
@@ -397,7 +330,12 @@ def read_contents(folder: Path) -> FolderContents:
     for journal in _read(folder, GRAPH):
         torn_bytes += journal.torn_bytes
         damages += journal.damages
-        _take_all(graph, journal)
+        for record, content in journal.records:
+            try:
+                graph.add_record(record, bytes(content))
+            except MapError as error:
+                problem = f"its record at byte {record.offset:,} {error.problem}"
+                raise MapError(problem, path=journal.path, fix=error.fix) from error
     known = where.keys() & graph.places.keys()
     end = _LOST_SHARE * len(known) + _LOST_KEYFRAMES
     beyond = tuple(sorted(number for number in known if number >= end))
@@ -415,8 +353,33 @@ def read_contents(folder: Path) -> FolderContents:
     return FolderContents(held, places, T_map_keyframe, edges, graph.edge_count, health)
 
 
-def _shown(numbers: tuple[int, ...]) -> str:
-    return ", ".join(map(str, numbers[:5])) + (" and more" if len(numbers) > 5 else "")
+@dataclass
+class _Graph:
+    """Contents of the graph journals, updated record by record."""
+
+    places: dict[int, Place] = field(default_factory=dict)
+    T: dict[int, FloatArray] = field(default_factory=dict)
+    edges: dict[int, RelativePose] = field(default_factory=dict)
+    edge_count: int = 0
+
+    def add_record(self, record: Record, content: bytes) -> None:
+        """Add the content of a record. Raises MapError for an inconsistent one."""
+        if record.kind == RecordKind.PLACE:
+            place = records.unpack_place(content)
+            self.places[record.key], self.T[record.key] = place, place.T_map_keyframe
+        elif record.kind == RecordKind.EDGES:
+            if record.key > _MOST_EDGES:
+                raise MapError(f"holds edge {record.key}", fix=_DAMAGED)
+            # Keyed by the first edge's number, so that damage before it does not shift the withdrawn ones.
+            found = records.unpack_edges(content)
+            self.edges |= dict(enumerate(found, start=record.key))
+            self.edge_count = max(self.edge_count, record.key + len(found))
+        elif record.kind == RecordKind.WITHDRAWN:
+            for number in records.unpack_numbers(content):
+                self.edges.pop(number, None)
+        elif record.kind == RecordKind.POSES:
+            numbers, T = records.unpack_poses(content)
+            self.T.update(zip(numbers.tolist(), T, strict=True))
 
 
 def _read(folder: Path, kind: str) -> Iterator[JournalContents]:
@@ -424,22 +387,37 @@ def _read(folder: Path, kind: str) -> Iterator[JournalContents]:
         yield read_journal(path)
 
 
-def _take_all(graph: _Graph, journal: JournalContents) -> None:
-    for record, content in journal.records:
-        try:
-            graph.take(record, bytes(content))
-        except MapError as error:
-            problem = f"its record at byte {record.offset:,} {error.problem}"
-            raise MapError(problem, path=journal.path, fix=error.fix) from error
+def _numbered(folder: Path, kind: str) -> Iterator[tuple[int, Path]]:
+    """Yield journals with their numbers, without other files of similar names."""
+    for path in folder.glob(f"{kind}-*{_SUFFIX}"):
+        digits = path.stem.removeprefix(f"{kind}-")
+        if _JOURNAL_NAME.fullmatch(digits):
+            yield int(digits), path
 
 
-# MapHeader: map.json, which says what a map folder is, who made it, and of which camera it is.
+def _shown(numbers: tuple[int, ...]) -> str:
+    return ", ".join(map(str, numbers[:5])) + (" and more" if len(numbers) > 5 else "")
+
+
+def journal_name(kind: str, number: int) -> str:
+    """Return a name such as keyframes-00002.journal."""
+    return f"{kind}-{number:05d}{_SUFFIX}"
+
+
+def journals_of(folder: Path, kind: str) -> list[Path]:
+    """Return the journals of a kind in the order in which they were written."""
+    return [path for _, path in sorted(_numbered(folder, kind))]
+
+
+def next_number(folder: Path, kind: str) -> int:
+    """Return the number of the next journal."""
+    return 1 + max((number for number, _ in _numbered(folder, kind)), default=-1)
 
 
 FORMAT, HEADER_VERSION = "wheelsight-map-folder", 1
 HEADER_FILE = "map.json"
 DRIVE, REBUILD, MERGE, PRUNE, REMOVAL = MAKERS = ("drive", "rebuild", "merge", "prune", "removal")
-"""What changes maps for long: drives, commands that write another one, and what removes one."""
+"""Long operations that write or remove a map."""
 _NO_MAP = "give a folder that `wheelsight run` left as its map"
 _FILE = Kind("what a map says of itself", most_mb=1, fix=_NO_MAP, missing="is no map: map.json is missing")
 _LENS = ("fx", "fy", "cx", "cy")
@@ -448,13 +426,13 @@ _SIZE = ("width", "height")
 
 @dataclass(frozen=True, slots=True)
 class MapCamera:
-    """The camera of a map: its images' size and its lens, by which another is known to be the same.
+    """Camera of a map: image size and intrinsics, by which another camera is compared.
 
     Attributes:
-        width, height: of depth images, pixels.
-        fx, fy, cx, cy: of the depth camera, pixels.
+        width, height: size of depth images, pixels.
+        fx, fy, cx, cy: intrinsics of the depth camera, pixels.
         is_registered: whether colour and depth share one pixel grid.
-        depth_factor: depth units a metre, where the run was told other than its format's; else None.
+        depth_factor: depth units per metre, if the run overrode its format's; else None.
     """
 
     width: int
@@ -473,13 +451,13 @@ class MapCamera:
 
     @classmethod
     def of(cls, calibration: Calibration, depth_factor: float | None = None) -> MapCamera:
-        """The depth camera of a calibration. Raises CalibrationError where it has none."""
+        """Return the depth camera of a calibration. Raises CalibrationError if there is none."""
         _, depth = calibration.cameras
         fx, fy, cx, cy = (float(getattr(depth, name)) for name in _LENS)
         return cls(int(depth.width), int(depth.height), fx, fy, cx, cy, calibration.is_registered, depth_factor)
 
     def why_other(self, other: MapCamera, share: float) -> str | None:
-        """What makes another camera not this one, within a share of its numbers; None where nothing does."""
+        """Return how another camera differs by more than a share of the values; None if it does not."""
         if (self.width, self.height) != (other.width, other.height):
             return f"its images are {self.width}×{self.height}, these {other.width}×{other.height}"
         limits = {"fx": self.fx, "fy": self.fy, "cx": self.width, "cy": self.height}
@@ -501,15 +479,15 @@ class MapCamera:
 
 @dataclass(frozen=True, slots=True)
 class MapHeader:
-    """What a map folder says of itself.
+    """Header of a map folder.
 
     Attributes:
-        camera: whose map it is.
+        camera: camera of the map.
         made_by: the program and its version.
-        made: when, as ISO 8601 in UTC.
-        source: the recording's name, or the live source's.
-        unfinished: what makes the map, or has made it when it was ended: one of `MAKERS`; "" of a finished one.
-        version: of the format.
+        made: time of creation, ISO 8601 in UTC.
+        source: name of the recording or live source.
+        unfinished: what makes the map, or was interrupted: one of `MAKERS`; "" if it is finished.
+        version: version of the format.
     """
 
     camera: MapCamera
@@ -521,20 +499,20 @@ class MapHeader:
 
     @classmethod
     def new(cls, camera: MapCamera, source: str = "", unfinished: str = "") -> MapHeader:
-        """Of a map that begins now."""
+        """Return the header of a map that begins now."""
         made = datetime.now(UTC).isoformat(timespec="seconds")
         return cls(camera, f"wheelsight {__version__}", made, source, unfinished)
 
     @property
     def is_usable(self) -> bool:
-        """Whether it is finished, or of a drive, each part of which is a map; a part of a merged map is none."""
+        """Whether it is finished, or made by a drive: a part of a drive is a map, and a part of a merge is not."""
         return self.unfinished in ("", DRIVE)
 
     def save(self, folder: StrPath) -> None:
         """Write map.json. Raises OutputError."""
         camera = {name: getattr(self.camera, name) for name in (*_SIZE, *_LENS, "is_registered", "depth_factor")}
-        told = {"made_by": self.made_by, "made": self.made, "source": self.source, "camera": camera}
-        document: dict[str, Any] = {"format": FORMAT, "version": self.version, **told}
+        fields = {"made_by": self.made_by, "made": self.made, "source": self.source, "camera": camera}
+        document: dict[str, Any] = {"format": FORMAT, "version": self.version, **fields}
         if self.unfinished:
             document["unfinished"] = self.unfinished
         document["crc32"] = _crc(document)
@@ -542,7 +520,7 @@ class MapHeader:
 
 
 def read_header(folder: StrPath) -> MapHeader:
-    """Read map.json. Raises MapError: it is missing, damaged, or of a newer version."""
+    """Read map.json. Raises MapError if it is missing, damaged, or of a newer version."""
     path = Path(folder) / HEADER_FILE
     text = read_text(path, _FILE, MapError)
     try:
@@ -584,5 +562,5 @@ def _header(document: dict[str, Any]) -> MapHeader:
 
 
 def _crc(document: dict[str, Any]) -> int:
-    """Of all that is told, in whatever order and layout."""
+    """Return a checksum of all values, independent of order and layout."""
     return zlib.crc32(json.dumps(document, sort_keys=True, separators=(",", ":")).encode())

@@ -1,4 +1,7 @@
-"""Keyframes of a map: loaded on demand, and packed into binary records with compressed images and keypoints."""
+"""Keyframes of a map: loaded on demand, and packed into binary records.
+
+A record has little-endian numbers, lossless images quantised below the sensor's noise, and the keypoints with depth.
+"""
 
 from __future__ import annotations
 
@@ -29,23 +32,20 @@ from wheelsight.slam.settings import SessionSettings
 from wheelsight.vision.dense.pyramid import Level, coarser
 from wheelsight.vision.dense.settings import DenseSettings
 
-# KeptKeyframes: a map's keyframes, which rest on disk until one asks for them.
-
-
 _LOST = "use another copy of the map, or go on without this keyframe"
 
 
 class KeptKeyframes(KeyframeStore):
     """A store whose first keyframes are those of a map folder; more may be added.
 
-    Those asked for last are held in memory, and the others read again: see `KeyframeStore.hold`. Going over the store
-    leaves out keyframes that damage took from the folder: they keep their numbers, and asking for one raises MapError.
+    The most recently used ones are held in memory, and the others are read again: see `KeyframeStore.hold`. Iteration
+    skips keyframes lost to damage. They keep their numbers, and access to one raises MapError.
 
     Args:
         where: journal and record of each keyframe, by number.
-        T_map_keyframe: (N, 4, 4) of all; NaN where damage took the pose too.
-        memory_keyframes: how many are held in memory, at most.
-        camera_px: width and height of the map's camera; larger images are none of its keyframes.
+        T_map_keyframe: (N, 4, 4) poses of all; NaN if the pose is lost too.
+        memory_keyframes: largest number of keyframes in memory.
+        camera_px: width and height of the map's camera; larger images are rejected.
     """
 
     def __init__(
@@ -67,21 +67,21 @@ class KeptKeyframes(KeyframeStore):
 
     @property
     def missing(self) -> tuple[KeyframeId, ...]:
-        """The keyframes that damage took."""
+        """Keyframes lost to damage."""
         return tuple(KeyframeId(number) for number in sorted(self._lost))
 
     def __iter__(self) -> Iterator[KeyframeId]:
         return (KeyframeId(number) for number in range(len(self)) if number not in self._lost)
 
     def __getitem__(self, number: KeyframeId) -> Keyframe:
-        """Raises ArgumentError for a keyframe that it does not hold, and MapError where it cannot be read."""
+        """Return a keyframe. Raises ArgumentError for an unknown number, and MapError if it cannot be read."""
         if number in self._lost:
             raise MapError(f"keyframe {number} is lost", fix=_LOST)
         return super().__getitem__(number)
 
 
 def read_keyframe(path: Path, record: Record, camera_px: Size) -> Keyframe:
-    """The keyframe of a record, of images as large as its camera's at most. Raises MapError, naming file and place."""
+    """Return the keyframe of a record, with images up to its camera's size. Raises MapError with file and offset."""
     unpack = unpack_old_keyframe if record.kind == RecordKind.FIRST_KEYFRAME else unpack_keyframe
     try:
         return unpack(read_record(path, record), camera_px)
@@ -91,155 +91,30 @@ def read_keyframe(path: Path, record: Record, camera_px: Size) -> Keyframe:
 
 
 def read_descriptors(path: Path, record: Record) -> UInt64Array:
-    """The descriptors (N, 4) alone of the keyframe of a record. Raises MapError."""
+    """Return the descriptors (N, 4) of a keyframe's record. Raises MapError."""
     content = read_record(path, record)
     is_first = record.kind == RecordKind.FIRST_KEYFRAME
     return unpack_old_descriptors(content) if is_first else unpack_descriptors(content)
 
 
-# Images as they are kept on disk: in steps that the sensor's own noise hides, which makes them half as large.
-
-
 _DAMAGED = "use another copy of the map"
-# Finer than these a keyframe itself does not hold depth; and without curvature the steps below have no closed form.
+# Keyframes store depth no finer than this, metres. Without the quadratic term, the closed form below does not exist.
 _FINEST_M, _LEAST_QUADRATIC = 0.0004, 1e-9
 _BRIGHTEST = 255
 _HALVED, _ROWS = DenseSettings(levels=1), Rows(1)
 # As `SessionSettings.width_px` allows.
 LARGEST_PX = 4096, 4096
-# Beyond 100 WebP is lossless: smaller by 22 to 27 % than PNG (docs/decisions/0102).
+# Above 100, WebP is lossless: 22 to 27 % smaller than PNG (docs/decisions/0102).
 _LOSSLESS = (cv2.IMWRITE_WEBP_QUALITY, 101)
 Size = tuple[int, int]
 """Width and height of an image, pixels."""
 
 
-@dataclass(frozen=True, slots=True)
-class DepthSteps:
-    """Steps of depth that grow with its noise: from one to the next it is a share of σ(z) = constant + quadratic · z².
-
-    Attributes:
-        step_m: the step at depth 0, metres.
-        growth: by which it grows with the square of depth, 1/m.
-    """
-
-    step_m: float
-    growth: float
-
-    @classmethod
-    def of_noise(cls, noise: DepthNoise, sigmas: float) -> DepthSteps:
-        """Steps of so many standard deviations."""
-        step_m, growth = sigmas * noise.constant_m, sigmas * noise.quadratic_per_m
-        return cls(max(step_m, _FINEST_M), max(growth, _LEAST_QUADRATIC))
-
-    def numbers(self, depth_m: Float32Array) -> NDArray[np.uint16]:
-        """Which step (h, w) each depth is nearest to, from 1 on; 0 where depth is unknown.
-
-        The integral of dz / (a + b z²) is arctan(z √(b / a)) / √(a b).
-        """
-        a, b = self.step_m, self.growth
-        numbers = np.rint(np.arctan(depth_m * np.sqrt(b / a)) / np.sqrt(a * b))
-        return np.asarray(np.where(depth_m > 0, np.maximum(numbers, 1), 0), np.uint16)
-
-    def depth_m(self, numbers: NDArray[np.uint16]) -> Float32Array:
-        """(h, w) metres of such steps."""
-        a, b = self.step_m, self.growth
-        # A damaged number may be beyond what any depth has.
-        angle = np.minimum(numbers * np.sqrt(a * b), np.pi / 2 - 1e-6)
-        return np.asarray(np.tan(angle) * np.sqrt(a / b), np.float32)
-
-
-def grey_numbers(grey: Float32Array, step: int) -> NDArray[np.uint8]:
-    """Which step (h, w) each grey from 0 to 255 is nearest to, from 1 on; 0 where it is 0 or less: unknown."""
-    return np.asarray(np.where(grey > 0, np.maximum(np.rint(grey / step), 1), 0), np.uint8)
-
-
-def grey_of(numbers: NDArray[np.uint8], step: int) -> Float32Array:
-    """(h, w) grey of such steps."""
-    return np.asarray(np.minimum(numbers.astype(np.float32) * step, _BRIGHTEST), np.float32)
-
-
-def halved(keyframe: Keyframe, width_px: int) -> Level:
-    """Its images, halved as often as it takes until they are no wider."""
-    level = Level(keyframe.intrinsics, keyframe.depth_m, known_grey(keyframe))
-    while level.depth_m.shape[1] > width_px:
-        level = coarser(level, _HALVED, _ROWS)[1]
-    return level
-
-
-def packed_depth(numbers: NDArray[np.uint16]) -> bytes:
-    """Numbers (h, w) of depth, 0 where it is unknown, compressed.
-
-    In three planes of bytes are 0 where depth is unknown, and else from 1 on what it differs by from the known one
-    before it, row by row: 0, -1, 1, -2, … are 1, 2, 3, 4, ….
-    """
-    is_known = numbers > 0
-    step: NDArray[np.int32] = np.diff(numbers[is_known].astype(np.int32), prepend=0).astype(np.int32)
-    told = np.zeros(numbers.shape, np.int32)
-    told[is_known] = (step << 1 ^ step >> 31) + 1
-    return _webp(np.dstack([told >> 16, told & 255, told >> 8 & 255]).astype(np.uint8))
-
-
-def unpacked_depth(code: bytes, most_px: Size = LARGEST_PX) -> NDArray[np.uint16]:
-    """What `packed_depth` made bytes of. Raises MapError for what is none, or wider or higher than `most_px`."""
-    planes = _decoded(code, most_px, 3, np.uint8)
-    told = planes[..., 0].astype(np.int32)
-    for plane in (2, 1):  # in place: of a large image each copy is 67 MB
-        told <<= 8
-        told |= planes[..., plane]
-    is_known = told > 0
-    steps = told[is_known] - 1
-    depth = np.cumsum(steps >> 1 ^ -(steps & 1), dtype=np.int64)
-    if len(depth) and not 0 < depth.min() <= depth.max() <= np.iinfo(np.uint16).max:
-        raise MapError("its depth is none", fix=_DAMAGED)
-    numbers = np.zeros(told.shape, np.uint16)
-    numbers[is_known] = depth
-    return numbers
-
-
-def packed_grey(numbers: NDArray[np.uint8]) -> bytes:
-    """Numbers (h, w) of grey, compressed."""
-    return _webp(numbers)
-
-
-def unpacked_grey(code: bytes, most_px: Size = LARGEST_PX) -> NDArray[np.uint8]:
-    """What `packed_grey` made bytes of. Raises as `unpacked_depth`."""
-    return np.ascontiguousarray(_decoded(code, most_px, 3, np.uint8)[..., 0])
-
-
-def unpacked_png(code: bytes, dtype: type, most_px: Size = LARGEST_PX) -> NDArray[Any]:
-    """The image of numbers (h, w) of a PNG. Raises as `unpacked_depth`."""
-    return _decoded(code, most_px, 2, dtype)
-
-
-def _webp(image: NDArray[np.uint8]) -> bytes:
-    written, code = cv2.imencode(".webp", image, _LOSSLESS)
-    assert written
-    return code.tobytes()
-
-
-def _decoded(code: bytes, most_px: Size, dimensions: int, dtype: type) -> NDArray[Any]:
-    """An image whose header states at most such a width and height. Raises MapError."""
-    image = picture_within(code, (min(most_px[0], LARGEST_PX[0]), min(most_px[1], LARGEST_PX[1])))
-    if image is None or image.ndim != dimensions or image.dtype != dtype:
-        raise MapError("an image of it cannot be read, or is larger than its camera's", fix=_DAMAGED)
-    return image
-
-
-# What the record of a keyframe holds, as bytes and back.
-#
-# Plain numbers in little-endian order and compressed images, and nothing that could do something. What is kept of a
-# keyframe is what another drive needs of it: images in steps that noise hides, and the keypoints that have depth.
-
-
-# Stamp, intrinsics, both numbers of the steps of depth; bytes of both images, of the code, keypoints (-1: none are
-# known) and bytes of where they are; the step of grey. Descriptors come last: they are found without the rest.
-_HEAD = struct.Struct("<d4ddd5iB")
-_ORB_BYTES = 32
-_MOST_KEYPOINTS = 100_000
-
-
 def pack_keyframe(keyframe: Keyframe, steps: DepthSteps, settings: SessionSettings) -> bytes:
-    """A keyframe; `unpack_keyframe` gives back all but what steps, width and too many keypoints make less."""
+    """Return the record of a keyframe.
+
+    `unpack_keyframe` restores it up to quantisation, image width, and surplus keypoints.
+    """
     level = halved(keyframe, settings.width_px)
     depth = packed_depth(steps.numbers(level.depth_m))
     grey = packed_grey(grey_numbers(level.grey, settings.grey_step))
@@ -255,8 +130,8 @@ def pack_keyframe(keyframe: Keyframe, steps: DepthSteps, settings: SessionSettin
 
 
 def unpack_keyframe(content: bytes, most_px: Size = LARGEST_PX) -> Keyframe:
-    """What `pack_keyframe` made. Raises MapError for what is none, or has images wider or higher than `most_px`."""
-    numbers, lengths, count = _told(content)
+    """Return the keyframe of a record. Raises MapError for invalid data or images larger than `most_px`."""
+    numbers, lengths, count = _head_of(content)
     stamp_s, *intrinsics, step_m, growth, grey_step = numbers
     parts, at = [], _HEAD.size
     for length in lengths:
@@ -277,18 +152,18 @@ def unpack_keyframe(content: bytes, most_px: Size = LARGEST_PX) -> Keyframe:
 
 
 def unpack_descriptors(content: bytes) -> UInt64Array:
-    """The descriptors (N, 4) alone of what `pack_keyframe` made. Raises MapError for what is none."""
-    *_, length = _told(content)[1]
+    """Return the descriptors (N, 4) of a record. Raises MapError for invalid data."""
+    *_, length = _head_of(content)[1]
     return _descriptors(content[len(content) - length :])
 
 
-def _told(content: bytes) -> tuple[tuple[float, ...], tuple[int, ...], int]:
-    """Numbers of the head, the lengths of the five parts behind it, and how many keypoints. Raises MapError."""
+def _head_of(content: bytes) -> tuple[tuple[float, ...], tuple[int, ...], int]:
+    """Return the head's numbers, the lengths of the five parts, and the number of keypoints. Raises MapError."""
     try:
-        *told, grey_step = _HEAD.unpack_from(content)
+        *fields, grey_step = _HEAD.unpack_from(content)
     except struct.error as error:
         raise MapError("is no keyframe", fix=_DAMAGED) from error
-    numbers, (*images_and_code, count, places) = (*told[:7], grey_step), told[7:]
+    numbers, (*images_and_code, count, places) = (*fields[:7], grey_step), fields[7:]
     lengths = (*images_and_code, places, max(count, 0) * _ORB_BYTES)
     _, fx, fy, _, _, step_m, growth, _ = numbers
     is_sound = np.isfinite(numbers).all() and min(fx, fy, step_m, growth) > 0 and -1 <= count <= _MOST_KEYPOINTS
@@ -298,10 +173,10 @@ def _told(content: bytes) -> tuple[tuple[float, ...], tuple[int, ...], int]:
 
 
 def _packed_features(features: KeyframeFeatures | None, most: int) -> tuple[int, bytes, bytes]:
-    """How many keypoints are kept, -1 for None; where they are; and their descriptors."""
+    """Return the number of keypoints, -1 for None, with their packed positions and descriptors."""
     if features is None:
         return -1, b"", b""
-    kept = np.flatnonzero(features.points[:, 2] > 0)  # without depth they tell no relative pose
+    kept = np.flatnonzero(features.points[:, 2] > 0)  # without depth they do not constrain the pose
     if len(kept) > most:
         kept = kept[np.linspace(0, len(kept) - 1, most).astype(np.int64)]
     order, places = packed_keypoints(features.px[kept], features.points[kept])
@@ -312,10 +187,126 @@ def _descriptors(data: bytes) -> UInt64Array:
     return np.frombuffer(data, "<u8").reshape(-1, 4).astype(np.uint64)
 
 
-# Where keypoints are, as it is kept on disk: in small steps, row by row, so that neighbours differ least.
+@dataclass(frozen=True, slots=True)
+class DepthSteps:
+    """Depth steps that grow with the noise: multiples of σ(z) = constant + quadratic · z².
+
+    Attributes:
+        step_m: step at depth 0, metres.
+        growth: growth of the step with squared depth, 1/m.
+    """
+
+    step_m: float
+    growth: float
+
+    @classmethod
+    def of_noise(cls, noise: DepthNoise, sigmas: float) -> DepthSteps:
+        """Return steps of a number of standard deviations."""
+        step_m, growth = sigmas * noise.constant_m, sigmas * noise.quadratic_per_m
+        return cls(max(step_m, _FINEST_M), max(growth, _LEAST_QUADRATIC))
+
+    def numbers(self, depth_m: Float32Array) -> NDArray[np.uint16]:
+        """Return the nearest step (h, w) of each depth, from 1 on; 0 for unknown depth.
+
+        The integral of dz / (a + b z²) is arctan(z √(b / a)) / √(a b).
+        """
+        a, b = self.step_m, self.growth
+        numbers = np.rint(np.arctan(depth_m * np.sqrt(b / a)) / np.sqrt(a * b))
+        return np.asarray(np.where(depth_m > 0, np.maximum(numbers, 1), 0), np.uint16)
+
+    def depth_m(self, numbers: NDArray[np.uint16]) -> Float32Array:
+        """Return depth (h, w), metres, of steps."""
+        a, b = self.step_m, self.growth
+        # A damaged number may exceed the range of any depth.
+        angle = np.minimum(numbers * np.sqrt(a * b), np.pi / 2 - 1e-6)
+        return np.asarray(np.tan(angle) * np.sqrt(a / b), np.float32)
 
 
-# A keypoint is found to half a pixel, and its depth to millimetres; depth in memory goes in steps of 0.2 mm, too.
+def grey_numbers(grey: Float32Array, step: int) -> NDArray[np.uint8]:
+    """Return the nearest step (h, w) of each grey value from 0 to 255, from 1 on; 0 for unknown ones, at most 0."""
+    return np.asarray(np.where(grey > 0, np.maximum(np.rint(grey / step), 1), 0), np.uint8)
+
+
+def grey_of(numbers: NDArray[np.uint8], step: int) -> Float32Array:
+    """Return grey values (h, w) of steps."""
+    return np.asarray(np.minimum(numbers.astype(np.float32) * step, _BRIGHTEST), np.float32)
+
+
+def halved(keyframe: Keyframe, width_px: int) -> Level:
+    """Return the keyframe's images, halved until they are at most `width_px` wide."""
+    level = Level(keyframe.intrinsics, keyframe.depth_m, known_grey(keyframe))
+    while level.depth_m.shape[1] > width_px:
+        level = coarser(level, _HALVED, _ROWS)[1]
+    return level
+
+
+def packed_depth(numbers: NDArray[np.uint16]) -> bytes:
+    """Return compressed depth steps (h, w), 0 if unknown.
+
+    Each known step is coded by its difference from the previous known one in row order: 0, -1, 1, -2, … become 1, 2, 3,
+    4, …, and unknown depth becomes 0. The codes are split into three byte planes.
+    """
+    is_known = numbers > 0
+    step: NDArray[np.int32] = np.diff(numbers[is_known].astype(np.int32), prepend=0).astype(np.int32)
+    codes = np.zeros(numbers.shape, np.int32)
+    codes[is_known] = (step << 1 ^ step >> 31) + 1
+    return _webp(np.dstack([codes >> 16, codes & 255, codes >> 8 & 255]).astype(np.uint8))
+
+
+def unpacked_depth(code: bytes, most_px: Size = LARGEST_PX) -> NDArray[np.uint16]:
+    """Return the steps packed by `packed_depth`. Raises MapError for invalid data or images larger than `most_px`."""
+    planes = _decoded(code, most_px, 3, np.uint8)
+    codes = planes[..., 0].astype(np.int32)
+    for plane in (2, 1):  # in place: each copy of a large image takes 67 MB
+        codes <<= 8
+        codes |= planes[..., plane]
+    is_known = codes > 0
+    steps = codes[is_known] - 1
+    depth = np.cumsum(steps >> 1 ^ -(steps & 1), dtype=np.int64)
+    if len(depth) and not 0 < depth.min() <= depth.max() <= np.iinfo(np.uint16).max:
+        raise MapError("its depth is none", fix=_DAMAGED)
+    numbers = np.zeros(codes.shape, np.uint16)
+    numbers[is_known] = depth
+    return numbers
+
+
+def packed_grey(numbers: NDArray[np.uint8]) -> bytes:
+    """Return compressed grey steps (h, w)."""
+    return _webp(numbers)
+
+
+def unpacked_grey(code: bytes, most_px: Size = LARGEST_PX) -> NDArray[np.uint8]:
+    """Return the steps packed by `packed_grey`. Raises as `unpacked_depth`."""
+    return np.ascontiguousarray(_decoded(code, most_px, 3, np.uint8)[..., 0])
+
+
+def unpacked_png(code: bytes, dtype: type, most_px: Size = LARGEST_PX) -> NDArray[Any]:
+    """Return the image (h, w) of a PNG. Raises as `unpacked_depth`."""
+    return _decoded(code, most_px, 2, dtype)
+
+
+def _webp(image: NDArray[np.uint8]) -> bytes:
+    written, code = cv2.imencode(".webp", image, _LOSSLESS)
+    assert written
+    return code.tobytes()
+
+
+def _decoded(code: bytes, most_px: Size, dimensions: int, dtype: type) -> NDArray[Any]:
+    """Return an image whose header states at most this width and height. Raises MapError."""
+    image = picture_within(code, (min(most_px[0], LARGEST_PX[0]), min(most_px[1], LARGEST_PX[1])))
+    if image is None or image.ndim != dimensions or image.dtype != dtype:
+        raise MapError("an image of it cannot be read, or is larger than its camera's", fix=_DAMAGED)
+    return image
+
+
+# Stamp, intrinsics, step_m and growth of depth steps; bytes of depth, grey and code; number of keypoints (-1: unknown)
+# and bytes of their positions; grey step. Descriptors come last, so that they can be read alone.
+_HEAD = struct.Struct("<d4ddd5iB")
+_ORB_BYTES = 32
+_MOST_KEYPOINTS = 100_000
+
+
+# Keypoints are accurate to half a pixel, and their depth to millimetres. Depth in memory has steps of 0.2 mm, too.
 _STEPS = np.array([1 / 16, 1 / 16, 0.0002, 0.0002, 0.0002])
 _COLUMN = "<i4"
 _LARGEST = 2**30
@@ -323,7 +314,10 @@ _BYTES = 5 * 4
 
 
 def packed_keypoints(px: FloatArray, points: FloatArray) -> tuple[IntArray, bytes]:
-    """In which order (N,) keypoints are kept, and where they are: pixels (N, 2) and points (N, 3), metres."""
+    """Return the stored order (N,) of keypoints, and their packed positions: pixels (N, 2) and points (N, 3), metres.
+
+    They are quantised and sorted by row, so that neighbours differ least.
+    """
     numbers = np.rint(np.hstack([px, points]) / _STEPS).clip(-_LARGEST, _LARGEST).astype(_COLUMN)
     order = np.lexsort((numbers[:, 0], numbers[:, 1]))
     rows = numbers[order]
@@ -331,7 +325,7 @@ def packed_keypoints(px: FloatArray, points: FloatArray) -> tuple[IntArray, byte
 
 
 def unpacked_keypoints(data: bytes, count: int) -> tuple[FloatArray, FloatArray]:
-    """Pixels (count, 2) and points (count, 3) that `packed_keypoints` made bytes of. Raises MapError for what is none."""
+    """Return pixels (count, 2) and points (count, 3) packed by `packed_keypoints`. Raises MapError for invalid data."""
     expected = count * _BYTES
     flat = inflated(data, expected)
     width = 4 * count
@@ -341,7 +335,7 @@ def unpacked_keypoints(data: bytes, count: int) -> tuple[FloatArray, FloatArray]
 
 
 def inflated(data: bytes, expected: int) -> bytes:
-    """So many bytes of keypoints that zlib has compressed, and no more are made. Raises MapError for any other."""
+    """Decompress exactly the expected number of bytes of keypoints. Raises MapError for any other number."""
     try:
         flat = zlib.decompressobj().decompress(data, expected + 1)
     except zlib.error as error:
@@ -351,17 +345,16 @@ def inflated(data: bytes, expected: int) -> bytes:
     return flat
 
 
-# Keyframes as maps of before 2026-11-27 have them: images as PNG, keypoints where they are as float32.
-
-
-# Stamp, intrinsics, both numbers of the steps of depth; bytes of both images, of the code, keypoints (-1: none are
-# known) and bytes of where they are.
+# Of a first keyframe: as _HEAD without the grey step, which follows in one byte.
 _KEYFRAME = struct.Struct("<d4ddd5i4x")
 _OLD_RECORDS_ORB_BYTES, _KEYPOINT_BYTES = 32, 5 * 4
 
 
 def unpack_old_keyframe(content: bytes, most_px: Size = LARGEST_PX) -> Keyframe:
-    """What such a map holds of a keyframe. Raises MapError for what is none, or of images larger than `most_px`."""
+    """Return a keyframe of a map from before 2026-11-27: PNG images, and keypoint positions as float32.
+
+    Raises MapError for invalid data or images larger than `most_px`.
+    """
     try:
         stamp_s, fx, fy, cx, cy, step_m, growth, *sizes = _KEYFRAME.unpack_from(content)
     except struct.error as error:
@@ -381,7 +374,12 @@ def unpack_old_keyframe(content: bytes, most_px: Size = LARGEST_PX) -> Keyframe:
     grey = unpacked_png(parts[1], np.uint8, most_px)
     if depth.shape != grey.shape:
         raise MapError("its images are of two sizes", fix=_DAMAGED)
-    features = None if count < 0 else _features(count, parts[3], parts[4])
+    features = None
+    if count >= 0:
+        rows = np.frombuffer(inflated(parts[3], count * _KEYPOINT_BYTES), "<f4").reshape(5, count).T.astype(float)
+        if not np.isfinite(rows).all():
+            raise MapError("its keypoints are nowhere", fix=_DAMAGED)
+        features = KeyframeFeatures(rows[:, :2].copy(), rows[:, 2:].copy(), _descriptors(parts[4]))
     straight = DepthSteps(step_m, growth).depth_m(depth), grey_of(grey, content[_KEYFRAME.size])
     made = Keyframe.of_images(stamp_s, np.array([fx, fy, cx, cy]), *straight, features)
     if not code_bytes:
@@ -390,16 +388,8 @@ def unpack_old_keyframe(content: bytes, most_px: Size = LARGEST_PX) -> Keyframe:
     return Keyframe(stamp_s, made.intrinsics, made.depth_png, made.grey_png, features, code)
 
 
-def _features(count: int, places: bytes, descriptors: bytes) -> KeyframeFeatures:
-    rows = np.frombuffer(inflated(places, count * _KEYPOINT_BYTES), "<f4").reshape(5, count).T.astype(float)
-    if not np.isfinite(rows).all():
-        raise MapError("its keypoints are nowhere", fix=_DAMAGED)
-    orb = np.frombuffer(descriptors, "<u8").reshape(count, 4).astype(np.uint64)
-    return KeyframeFeatures(rows[:, :2].copy(), rows[:, 2:].copy(), orb)
-
-
 def unpack_old_descriptors(content: bytes) -> UInt64Array:
-    """Descriptors (N, 4) alone. Raises MapError for what is none."""
+    """Return the descriptors (N, 4) of such a record. Raises MapError for invalid data."""
     try:
         count = max(_KEYFRAME.unpack_from(content)[-2], 0)
     except struct.error as error:

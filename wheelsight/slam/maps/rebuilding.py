@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from wheelsight.core.errors import MapError
 from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import IntArray, se3, so3
-from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore, Surface
+from wheelsight.core.keyframes import KeyframeId, KeyframeStore, Surface
 from wheelsight.core.settings import PlaceVerificationSettings, RecognitionSettings
 from wheelsight.core.threads import Rows
 from wheelsight.mapping import SurfelMap, SurfelSettings
@@ -21,9 +21,9 @@ from wheelsight.places.verification import shown_share
 from wheelsight.slam.drive_graph import PieceGraph
 from wheelsight.slam.graph import RelativePose, anchor
 from wheelsight.slam.maps.contents import (
+    MapAnnotations,
     MapParts,
     Progress,
-    SaidOfMap,
     add_occupancy,
     are_there,
     carried,
@@ -41,21 +41,18 @@ from wheelsight.slam.settings import LoopSettings
 from wheelsight.vision.dense.pyramid import Level, ReferenceMaker
 from wheelsight.vision.dense.settings import DenseSettings
 
-# Two maps made one: keyframes of the second are recognised in the first, and a graph of both says where all are.
-
-
 _FIX = "give maps that show a place in common, from two views at least"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergedMap:
-    """A map that was made of two.
+    """A map made of two.
 
     Attributes:
         folder: the new map, open to read.
-        keyframes: how many are of the first map, and of the second.
-        loops: that join them, and how many others were refused.
-        left_out: keyframes of both of which nobody knows how they lie to the first map's.
+        keyframes: number of keyframes from the first and the second map.
+        loops: number of loops between the maps that are kept, and of all loops that are refused.
+        left_out: number of keyframes of both maps whose pose relative to the first map is unknown.
     """
 
     folder: MapFolder
@@ -74,129 +71,62 @@ def merge(
     surfels: SurfelSettings | None = None,
     on_keyframe: Progress = lambda doing, done, total: None,
 ) -> MergedMap:
-    """Write two maps as one into another folder: in the frame of the first, solved together, surfels fused anew.
+    """Write two maps as one into another folder, in the frame of the first map.
 
-    The first map's keyframes come before the second's; those that lie nowhere are left out. Both maps stay as they are.
+    Keyframes of the second map are recognized in the first. One graph of both maps is optimised, and the surfels are
+    fused from all keyframes. The first map's keyframes come first; those of unknown pose are left out. Both input maps
+    remain unchanged.
 
     Args:
         first, second: open maps of one camera.
-        out: a folder that is empty or not there, or that a merge, rebuild or prune left when it was ended.
-        loops, recognition, surfels: or the defaults.
-        on_keyframe: called with what is being done, how many keyframes are done, and of how many.
+        out: folder that is empty, missing, or left by an interrupted merge, rebuild or prune.
+        loops, recognition, surfels: settings, or None for the defaults.
+        on_keyframe: called with the current task, the number of finished keyframes, and their total.
 
     Raises:
-        MapError: the cameras differ, nothing of the second is recognised in the first, or a keyframe cannot be read;
-            then nothing is written.
-        OutputError: it cannot be written.
+        MapError: the cameras differ, no keyframe of the second map is recognized in the first, or a keyframe cannot be
+            read. Nothing is written.
+        OutputError: the folder cannot be written.
     """
     _refuse_unlike(first, second)
     make_room(out)
     pair, settings = _Pair(MapParts.of(first), MapParts.of(second)), loops or LoopSettings()
-    watcher = _watcher(first, pair, settings, recognition, on_keyframe)
-    graph = _begun(pair, first, settings)
-    _recognise(pair, watcher, graph, on_keyframe)
-    kept = np.flatnonzero(graph.pieces == 0)
-    if kept.max() < len(pair.first):
-        raise _unjoined(first, second, pair)
-    parts = replace(pair.both, T_map_keyframe=graph.poses, edges=(*graph.edges, *_between(pair, first))).some(kept)
-    surfel_map = fused_of(parts, first, surfels, lambda done, total: on_keyframe("fusing", done, total))
-    source = " and ".join(filter(None, (first.header.source, second.header.source)))
-    made = _knows_all(parts, pair, watcher, recognition, on_keyframe), surfel_map, _said(first, second, kept, pair)
-    with map_being_made(out, MERGE, first, source) as new:
-        write_parts(parts, new, made, on_keyframe)
-        add_occupancy(new, on_keyframe)
-    return _told(MapFolder.open(out, settings=first.settings), pair, kept, graph)
-
-
-def _said(first: MapFolder, second: MapFolder, kept: IntArray, pair: _Pair) -> SaidOfMap:
-    """Of both maps; the second's all hang on keyframes, whose frame goes."""
-    of_first, of_second = carried(first, kept), carried(second, kept, len(pair.first), is_same_frame=False)
-    return SaidOfMap(of_first.edits.beside(of_second.edits), of_first.poses.beside(of_second.poses))
-
-
-def _told(folder: MapFolder, pair: _Pair, kept: IntArray, graph: PieceGraph) -> MergedMap:
-    of_first = int(np.count_nonzero(kept < len(pair.first)))
-    across = sum(pair.is_across(edge) for edge in graph.edges)
-    counts = (of_first, len(kept) - of_first), (across, len(graph.report().refused))
-    return MergedMap(folder, *counts, len(pair.both) - len(kept))
-
-
-class _Pair:
-    """Both maps, each by itself and together, under the numbers that they have together."""
-
-    def __init__(self, first: MapParts, second: MapParts) -> None:
-        self.first, self.second, self.both = first, second, first.beside(second)
-        self.found: list[int] = []  # keyframes of the second that were recognised
-
-    def is_across(self, edge: RelativePose) -> bool:
-        """Whether an edge goes from one map to the other."""
-        return (edge.first < len(self.first)) != (edge.second < len(self.first))
-
-    def pieces(self, folder: MapFolder) -> IntArray:
-        """(N,) of both; those of the second map have higher numbers."""
-        of_first, of_second = (pieces_of(parts, folder.settings) for parts in (self.first, self.second))
-        return np.concatenate([of_first, of_second + of_first.max(initial=-1) + 1])
-
-
-def _watcher(
-    first: MapFolder, pair: _Pair, loops: LoopSettings, recognition: RecognitionSettings | None, on_keyframe: Progress
-) -> PlaceWatcher:
-    """It knows the first map's keyframes."""
     if len(pair.first) == len(first.store):
         known = first.recognizer(recognition, lambda done, total: on_keyframe("recognition", done, total))
     else:
         known = recognizer_of(pair.first, recognition, on_keyframe)
     store = pair.both.store(first.settings.memory_keyframes)
-    return PlaceWatcher(store, first.calibration, loops.seen, recognition, known)
-
-
-def _begun(pair: _Pair, first: MapFolder, settings: LoopSettings) -> PieceGraph:
-    """Both maps in one graph, each piece held at its first keyframe; the first map's largest one for good."""
-    graph, pieces = PieceGraph(settings), pair.pieces(first)
-    for T_map_keyframe, piece in zip(pair.both.T_map_keyframe, pieces.tolist(), strict=True):
-        graph.add(T_map_keyframe, piece)
-    for piece, number in zip(*np.unique(pieces, return_index=True), strict=True):
-        held = anchor(KeyframeId(int(number)), pair.both.T_map_keyframe[number])
-        graph.hold(held, until_joined=bool(piece))
-    graph.add_edges([edge for edge in pair.both.edges if pieces[edge.first] == pieces[edge.second]])
-    return graph
-
-
-def _between(pair: _Pair, first: MapFolder) -> Sequence[RelativePose]:
-    """Edges between pieces, which are too vague to solve by."""
+    watcher = PlaceWatcher(store, first.calibration, settings.seen, recognition, known)
     pieces = pair.pieces(first)
-    return [edge for edge in pair.both.edges if pieces[edge.first] != pieces[edge.second]]
-
-
-def _recognise(pair: _Pair, watcher: PlaceWatcher, graph: PieceGraph, on_keyframe: Progress) -> None:
-    """Look for each keyframe of the second map in the first, and judge all that is found."""
-    for done, number in enumerate(range(len(pair.first), len(pair.both)), start=1):
-        found = watcher.recognised(KeyframeId(number))
-        if found:
-            pair.found.append(number)
-            graph.close(found)
-        on_keyframe("recognising", done, len(pair.second))
-    graph.review()
-
-
-def _knows_all(
-    parts: MapParts,
-    pair: _Pair,
-    watcher: PlaceWatcher,
-    recognition: RecognitionSettings | None,
-    on_keyframe: Progress,
-) -> Recognizer:
-    """What recognises the new map's keyframes; that of the first goes on where numbers are as they were."""
-    if len(parts) < len(pair.both):
-        return recognizer_of(parts, recognition, on_keyframe)
-    for done, number in enumerate(range(len(pair.first), len(parts)), start=1):
-        watcher.pass_by(KeyframeId(number))
-        on_keyframe("recognition", done, len(pair.second))
-    return watcher.recognizer
+    graph = _graph_of(pair, pieces, settings)
+    _close_loops(pair, watcher, graph, on_keyframe)
+    kept = np.flatnonzero(graph.pieces == 0)
+    if kept.max() < len(pair.first):
+        problem = f"nothing of {second.path} is recognised in it"
+        if pair.found:
+            of_all = f"{len(pair.found)} of {len(pair.second)} keyframes of {second.path}"
+            problem = f"cannot be joined: {of_all} are recognised in it, and no two agree on where that lies"
+        raise MapError(problem, path=first.path, fix=_FIX)
+    # Edges between pieces are too uncertain to optimise by.
+    between = [edge for edge in pair.both.edges if pieces[edge.first] != pieces[edge.second]]
+    parts = replace(pair.both, T_map_keyframe=graph.poses, edges=(*graph.edges, *between)).some(kept)
+    surfel_map = fused_of(parts, first, surfels, lambda done, total: on_keyframe("fusing", done, total))
+    source = " and ".join(filter(None, (first.header.source, second.header.source)))
+    # The second map's annotations all refer to keyframes, since its frame is dropped.
+    of_first, of_second = carried(first, kept), carried(second, kept, len(pair.first), is_same_frame=False)
+    annotations = MapAnnotations(of_first.edits.beside(of_second.edits), of_first.poses.beside(of_second.poses))
+    made = _recognizer_of_all(parts, pair, watcher, recognition, on_keyframe), surfel_map, annotations
+    with map_being_made(out, MERGE, first, source) as new:
+        write_parts(parts, new, made, on_keyframe)
+        add_occupancy(new, on_keyframe)
+    number_of_first = int(np.count_nonzero(kept < len(pair.first)))
+    across = sum(pair.is_across(edge) for edge in graph.edges)
+    counts = (number_of_first, len(kept) - number_of_first), (across, len(graph.report().refused))
+    return MergedMap(MapFolder.open(out, settings=first.settings), *counts, len(pair.both) - len(kept))
 
 
 def _refuse_unlike(first: MapFolder, second: MapFolder) -> None:
-    """Raises MapError for two cameras, and for a map without keyframes."""
+    """Raise MapError for different cameras and for a map without keyframes."""
     why = first.header.camera.why_other(second.header.camera, first.settings.camera_share)
     if why is not None:
         problem = f"is of another camera than {second.path}: {why}"
@@ -206,24 +136,72 @@ def _refuse_unlike(first: MapFolder, second: MapFolder) -> None:
             raise MapError("has no keyframes", path=folder.path, fix="give a map of a drive that kept some")
 
 
-def _unjoined(first: MapFolder, second: MapFolder, pair: _Pair) -> MapError:
-    of_all = f"{len(pair.found)} of {len(pair.second)} keyframes of {second.path}"
-    problem = f"cannot be joined: {of_all} are recognised in it, and no two agree on where that lies"
-    if not pair.found:
-        problem = f"nothing of {second.path} is recognised in it"
-    return MapError(problem, path=first.path, fix=_FIX)
+class _Pair:
+    """Two maps, each by itself and combined under common keyframe numbers."""
+
+    def __init__(self, first: MapParts, second: MapParts) -> None:
+        self.first, self.second, self.both = first, second, first.beside(second)
+        self.found: list[int] = []  # recognized keyframes of the second map
+
+    def is_across(self, edge: RelativePose) -> bool:
+        """Return whether an edge connects the two maps."""
+        return (edge.first < len(self.first)) != (edge.second < len(self.first))
+
+    def pieces(self, folder: MapFolder) -> IntArray:
+        """Return the piece (N,) of each keyframe of both maps; those of the second map have higher numbers."""
+        of_first, of_second = (pieces_of(parts, folder.settings) for parts in (self.first, self.second))
+        return np.concatenate([of_first, of_second + of_first.max(initial=-1) + 1])
 
 
-# A map without the keyframes that show nothing which others do not show, so that it does not grow day by day.
+def _graph_of(pair: _Pair, pieces: IntArray, settings: LoopSettings) -> PieceGraph:
+    """Return a graph of both maps with a prior on each piece's first keyframe.
+
+    The prior of the first map's largest piece is permanent, the others last until loops join their pieces.
+    """
+    graph = PieceGraph(settings)
+    for T_map_keyframe, piece in zip(pair.both.T_map_keyframe, pieces.tolist(), strict=True):
+        graph.add(T_map_keyframe, piece)
+    for piece, number in zip(*np.unique(pieces, return_index=True), strict=True):
+        prior = anchor(KeyframeId(int(number)), pair.both.T_map_keyframe[number])
+        graph.hold(prior, until_joined=bool(piece))
+    graph.add_edges([edge for edge in pair.both.edges if pieces[edge.first] == pieces[edge.second]])
+    return graph
+
+
+def _close_loops(pair: _Pair, watcher: PlaceWatcher, graph: PieceGraph, on_keyframe: Progress) -> None:
+    """Recognize each keyframe of the second map in the first, and check the loops."""
+    for done, number in enumerate(range(len(pair.first), len(pair.both)), start=1):
+        found = watcher.recognised(KeyframeId(number))
+        if found:
+            pair.found.append(number)
+            graph.close(found)
+        on_keyframe("recognising", done, len(pair.second))
+    graph.review()
+
+
+def _recognizer_of_all(
+    parts: MapParts,
+    pair: _Pair,
+    watcher: PlaceWatcher,
+    recognition: RecognitionSettings | None,
+    on_keyframe: Progress,
+) -> Recognizer:
+    """Return a recognizer of the new map's keyframes; extends the first map's one if the numbers are unchanged."""
+    if len(parts) < len(pair.both):
+        return recognizer_of(parts, recognition, on_keyframe)
+    for done, number in enumerate(range(len(pair.first), len(parts)), start=1):
+        watcher.pass_by(KeyframeId(number))
+        on_keyframe("recognition", done, len(pair.second))
+    return watcher.recognizer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PrunedMap:
-    """A map without some of its keyframes.
+    """A map without redundant keyframes.
 
     Attributes:
         folder: the new map, open to read.
-        left_out: how many keyframes it does not have.
+        left_out: number of removed keyframes.
     """
 
     folder: MapFolder
@@ -238,18 +216,18 @@ def prune(
 ) -> PrunedMap:
     """Write a map into another folder without keyframes whose view another one shows; see `PruneSettings`.
 
-    Those that stay are numbered anew and stay where they are. Edges of one that is left out are carried over to a
-    neighbour, see `slam.contraction`; surfels that hung on it hang on the one that shows what it showed.
+    The remaining keyframes get new numbers and keep their poses. Edges of a removed keyframe move to a neighbour, see
+    `without`. Its surfels move to the keyframe that shows the same view.
 
     Args:
-        folder: an open map; it stays as it is.
-        out: a folder that is empty or not there, or that a merge, rebuild or prune left when it was ended.
-        recognition: or the defaults.
-        on_keyframe: called with what is being done, how many keyframes are done, and of how many.
+        folder: an open map; it remains unchanged.
+        out: folder that is empty, missing, or left by an interrupted merge, rebuild or prune.
+        recognition: settings, or None for the defaults.
+        on_keyframe: called with the current task, the number of finished keyframes, and their total.
 
     Raises:
         MapError: there are no keyframes, or one cannot be read.
-        OutputError: it cannot be written.
+        OutputError: the folder cannot be written.
     """
     make_room(out)
     parts = MapParts.of(folder)
@@ -262,7 +240,7 @@ def prune(
     left = replace(parts, edges=edges).some(kept)
     recognizer = recognizer_of(left, recognition, on_keyframe)
     hangs_on = new_numbers(kept, len(parts))[shown_by]
-    made = recognizer, _rehung(folder, left, hangs_on), carried(folder, kept)
+    made = recognizer, _moved_surfels(folder, left, hangs_on), carried(folder, kept)
     with map_being_made(out, PRUNE, folder) as new:
         write_parts(left, new, made, on_keyframe)
         add_occupancy(new, on_keyframe)
@@ -270,7 +248,7 @@ def prune(
 
 
 def _shown_by(parts: MapParts, folder: MapFolder, on_keyframe: Callable[[int, int], None]) -> IntArray:
-    """(N,) the keyframe that shows what each shows: itself, or an earlier one of the same piece that stays."""
+    """Return (N,) the keyframe that covers each one: itself, or an earlier one of the same piece that is kept."""
     views, store, settings = ViewMaker(folder.calibration), parts.store(1), folder.settings.prune
     pieces, noise, free = pieces_of(parts, folder.settings), folder.calibration.depth_noise, PlaceVerificationSettings()
     T, shown_by = parts.T_map_keyframe, np.arange(len(parts))
@@ -291,13 +269,13 @@ def _shown_by(parts: MapParts, folder: MapFolder, on_keyframe: Callable[[int, in
     return shown_by
 
 
-def _rehung(folder: MapFolder, left: MapParts, hangs_on: IntArray) -> SurfelMap | None:
-    """The map's surfels where they are, on keyframes (N,) of the new one; None where it has none."""
+def _moved_surfels(folder: MapFolder, left: MapParts, hangs_on: IntArray) -> SurfelMap | None:
+    """Return the map's surfels, unmoved, attached to the new map's keyframes `hangs_on` (N,); None without surfels."""
     old = folder.surfels()
     if old is None:
         return None
     surfels = old.surfels()
-    # Of keyframes with numbers as the folder has them; of one that damage took surfels hang on nothing.
+    # By the folder's keyframe numbers; surfels of a keyframe lost to damage are attached to none.
     of_parts = np.full(len(folder.store) + 1, -1)
     of_parts[np.flatnonzero(are_there(folder))] = hangs_on
     new = SurfelMap(old.settings)
@@ -306,10 +284,7 @@ def _rehung(folder: MapFolder, left: MapParts, hangs_on: IntArray) -> SurfelMap 
     return new
 
 
-# A map made anew of its keyframes, where they are by now: its surfels fused, its journals without what is outdated.
-
-
-# Between two keyframes that show a surface many seconds may pass: none of it is forgotten.
+# Many seconds may pass between two keyframes of one surface: no surfel is dropped for its age.
 _KEPT_S = 1e6
 
 
@@ -320,40 +295,38 @@ def rebuild(
     recognition: RecognitionSettings | None = None,
     on_keyframe: Progress = lambda doing, done, total: None,
 ) -> MapFolder:
-    """Write a map anew into another folder: keyframes where they are by now, edges that hold, and what is made of them.
+    """Write a map into another folder from its keyframes at their current poses, with surfels fused from them.
+
+    Withdrawn edges, outdated poses and lost keyframes are left out.
 
     Args:
-        folder: an open map; it stays as it is.
-        out: a folder that is empty or not there, or that a merge, rebuild or prune left when it was ended.
-        surfels, recognition: or the defaults.
-        on_keyframe: called with what is being done, how many keyframes are done, and of how many.
+        folder: an open map; it remains unchanged.
+        out: folder that is empty, missing, or left by an interrupted merge, rebuild or prune.
+        surfels, recognition: settings, or None for the defaults.
+        on_keyframe: called with the current task, the number of finished keyframes, and their total.
 
     Returns the new map, open to read.
 
     Raises:
         MapError: there are no keyframes, or one cannot be read.
-        OutputError: it cannot be written.
+        OutputError: the folder cannot be written.
     """
     make_room(out)
-    said = SaidOfMap(edits_as_known(folder), names_as_known(folder))
+    annotations = MapAnnotations(edits_as_known(folder), names_as_known(folder))
     surfel_map = fused_anew(folder, surfels, lambda done, total: on_keyframe("fusing", done, total))
     with map_being_made(out, REBUILD, folder) as new:
-        _copy_keyframes(folder, new, lambda done, total: on_keyframe("writing", done, total))
+        numbers = list(folder.store)
+        for done, number in enumerate(numbers, start=1):
+            place = folder.contents.places[number]
+            new.append_keyframe(number, folder.store[number], folder.store.pose(number), place.T_odom_keyframe)
+            on_keyframe("writing", done, len(numbers))
         new.append_edges(folder.edges)
         found = folder.recognizer(recognition, lambda done, total: on_keyframe("recognition", done, total))
         new.save_recognition(found)
         new.save_surfels(surfel_map)
-        said.save(new)
+        annotations.save(new)
         add_occupancy(new, on_keyframe)
     return MapFolder.open(out, settings=folder.settings)
-
-
-def _copy_keyframes(folder: MapFolder, new: MapFolder, on_keyframe: Callable[[int, int], None]) -> None:
-    numbers = list(folder.store)
-    for done, number in enumerate(numbers, start=1):
-        place = folder.contents.places[number]
-        new.append_keyframe(number, folder.store[number], folder.store.pose(number), place.T_odom_keyframe)
-        on_keyframe(done, len(numbers))
 
 
 def fused_anew(
@@ -361,12 +334,12 @@ def fused_anew(
     settings: SurfelSettings | None = None,
     on_keyframe: Callable[[int, int], None] = lambda done, total: None,
 ) -> SurfelMap:
-    """Surfels of all keyframes, in the order of their stamps; grey, since keyframes keep no colour.
+    """Return surfels fused from all keyframes in order of their stamps, grey, since keyframes have no colour.
 
     Args:
         folder: an open map.
-        settings: of surfels, or the defaults.
-        on_keyframe: called with how many are done, and of how many.
+        settings: surfel settings, or None for the defaults.
+        on_keyframe: called with the number of finished keyframes and their total.
 
     Raises:
         MapError: there are no keyframes, or one cannot be read.
@@ -379,7 +352,7 @@ def fused_anew(
 def fused_of(
     parts: MapParts, like: MapFolder, settings: SurfelSettings | None, on_keyframe: Callable[[int, int], None]
 ) -> SurfelMap:
-    """Likewise of parts, of the camera and by the settings of a map. Raises MapError."""
+    """Return surfels fused from the keyframes of parts, with the camera and settings of a map. Raises MapError."""
     stamps_s = {KeyframeId(number): place.stamp_s for number, place in enumerate(parts.places)}
     return _fused(parts.store(like.settings.memory_keyframes), stamps_s, like, settings, on_keyframe)
 
@@ -391,7 +364,7 @@ def _fused(
     settings: SurfelSettings | None,
     on_keyframe: Callable[[int, int], None],
 ) -> SurfelMap:
-    """Of the keyframes that have a stamp, in the order of that."""
+    """Return surfels fused from the keyframes that have a stamp, in order of stamps."""
     noise, numbers = like.calibration.depth_noise, sorted(stamps_s, key=lambda number: stamps_s[number])
     if not numbers:
         raise MapError("has no keyframes", path=like.path, fix="give a map of a drive that kept some")
@@ -401,26 +374,20 @@ def _fused(
     for done, number in enumerate(numbers, start=1):
         keyframe = store[number]
         how = (keyframe.stamp_s, noise, like.settings.rebuild_frames, number)
-        surfel_map.fuse(_surface(keyframe, maker), keyframe.intrinsics, store.pose(number), *how)
+        level = Level(keyframe.intrinsics, keyframe.depth_m, known_grey(keyframe))
+        surface = Surface(level.depth_m, maker.normals(level), level.grey)
+        surfel_map.fuse(surface, keyframe.intrinsics, store.pose(number), *how)
         on_keyframe(done, len(numbers))
     return surfel_map
 
 
-def _surface(keyframe: Keyframe, maker: ReferenceMaker) -> Surface:
-    level = Level(keyframe.intrinsics, keyframe.depth_m, known_grey(keyframe))
-    return Surface(level.depth_m, maker.normals(level), level.grey)
-
-
-# Graphs without some of their keyframes: what edges said across one that is left out, they say between others.
-
-
 def without(edges: Sequence[RelativePose], left_out: Iterable[int]) -> tuple[RelativePose, ...]:
-    """Edges of a graph without some keyframes, hanging together as before.
+    """Return the edges of a graph without some keyframes, with the same connectivity.
 
-    All edges of a keyframe that is left out are carried over to one neighbour: that at the end of its surest edge, of
-    odometry before a loop. Motions and covariances are composed, and what is composed of a loop is a loop. Between two
-    keyframes at most one such edge is kept, the surest, and none where a measured one is surer: those that were carried
-    over by one edge share its error, and several would count it as often.
+    The edges of a removed keyframe move to the neighbour at its most certain edge, odometry before loops. Motions and
+    covariances are composed; a composition with a loop is a loop. Two keyframes keep at most one composed edge, the
+    most certain, and none if a measured edge is more certain. Edges composed with the same edge share its error, so
+    several would count it repeatedly.
     """
     graph = _Edges(edges)
     for number in left_out:
@@ -438,11 +405,11 @@ class _Edges:
             self._of[edge.second].add(key)
 
     def all(self) -> tuple[RelativePose, ...]:
-        """In the order in which they came."""
+        """Return the edges in the order in which they were added."""
         return tuple(self._edges[key] for key in sorted(self._edges))
 
     def contract(self, number: int) -> None:
-        """Carry the edges of a keyframe over to a neighbour."""
+        """Move the edges of a keyframe to a neighbour."""
         of_it = [self._taken(key) for key in sorted(self._of[number])]
         if not of_it:
             return
@@ -454,7 +421,7 @@ class _Edges:
                 self._carry(composed(by, onward))
 
     def _carry(self, new: RelativePose) -> None:
-        """Keep a composed edge, unless a surer one says how its ends lie to each other."""
+        """Add a composed edge, unless a more certain one connects the same keyframes."""
         beside = sorted(self._of[new.first] & self._of[new.second])
         if any(_volume(self._edges[key]) <= _volume(new) for key in beside):
             return
@@ -474,7 +441,7 @@ class _Edges:
 
 
 def composed(first: RelativePose, second: RelativePose) -> RelativePose:
-    """From the one's first keyframe to the other's second, by the one between."""
+    """Return the edge from the first edge's first keyframe to the second edge's second one."""
     T, Ad = first.T_first_second, se3.adjoint(first.T_first_second)
     C = first.covariance + Ad @ second.covariance @ Ad.T
     T_both, is_loop = se3.nearest(T @ second.T_first_second), first.is_loop or second.is_loop
@@ -482,7 +449,7 @@ def composed(first: RelativePose, second: RelativePose) -> RelativePose:
 
 
 def inverse(edge: RelativePose) -> RelativePose:
-    """The same, seen from the other end."""
+    """Return the edge in the opposite direction."""
     T_second_first = se3.invert(edge.T_first_second)
     Ad = se3.adjoint(T_second_first)
     C = Ad @ edge.covariance @ Ad.T
@@ -491,5 +458,5 @@ def inverse(edge: RelativePose) -> RelativePose:
 
 
 def _volume(edge: RelativePose) -> float:
-    """How unsure an edge is: the log of its covariance's volume, in which metres and radians need no exchange rate."""
+    """Return the log-determinant of the covariance: an uncertainty that needs no weighting of metres and radians."""
     return float(np.linalg.slogdet(edge.covariance)[1])

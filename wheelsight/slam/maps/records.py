@@ -1,6 +1,6 @@
-"""What the records of a map hold beside keyframes, as bytes and back: where these are, edges, moved poses.
+"""Binary records of a map other than keyframes: initial poses of keyframes, edges, and changed poses.
 
-Plain numbers in little-endian order, and nothing that could do something.
+Numbers are little-endian.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ _PLACE = struct.Struct("<d?7x12d12d")
 _MOTION, _COVARIANCE = 12, 36
 _EDGE = np.dtype([("ends", "<i8", 2), ("is_loop", "<i8"), ("T", "<f8", _MOTION), ("C", "<f8", _COVARIANCE)])
 _POSE = np.dtype([("number", "<i8"), ("T", "<f8", _MOTION)])
-# Beyond these, and where a number is none, sums of squares overflow: no robot drives 1000 km within a map.
+# Above these limits, sums of squares overflow. No robot drives 1000 km within a map.
 _FARTHEST_M, _LARGEST_VARIANCE = 1e6, 1e18
 _UNKNOWN = np.full((4, 4), np.nan)
 
 
 class RecordKind(IntEnum):
-    """Of records; those of `FIRST_KEYFRAME` are in maps of before 2026-11-27."""
+    """Kinds of records. Maps from before 2026-11-27 have `FIRST_KEYFRAME`."""
 
     FIRST_KEYFRAME = 1
     PLACE = 2
@@ -41,12 +41,12 @@ class RecordKind(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
-    """Where a keyframe was when it was kept.
+    """Pose of a keyframe when it was added.
 
     Attributes:
-        stamp_s: of the keyframe, seconds.
-        T_map_keyframe: (4, 4) by what was known then.
-        T_odom_keyframe: (4, 4) in the frame that never jumps, or None.
+        stamp_s: stamp of the keyframe, seconds.
+        T_map_keyframe: (4, 4) at that time.
+        T_odom_keyframe: (4, 4) pose in odom, or None.
     """
 
     stamp_s: float
@@ -55,14 +55,14 @@ class Place:
 
 
 def pack_place(place: Place) -> bytes:
-    """Where a keyframe was."""
+    """Return the record of a place."""
     T_odom = _UNKNOWN if place.T_odom_keyframe is None else place.T_odom_keyframe
     has_odom = place.T_odom_keyframe is not None
     return _PLACE.pack(place.stamp_s, has_odom, *_flat(place.T_map_keyframe), *_flat(T_odom))
 
 
 def unpack_place(content: bytes) -> Place:
-    """What `pack_place` made. Raises MapError."""
+    """Return the place of a record. Raises MapError."""
     if len(content) != _PLACE.size:
         raise MapError("is no place of a keyframe", fix=_DAMAGED)
     stamp_s, has_odom, *numbers = _PLACE.unpack(content)
@@ -73,7 +73,7 @@ def unpack_place(content: bytes) -> Place:
 
 
 def pack_edges(edges: Sequence[RelativePose]) -> bytes:
-    """Edges of the pose graph."""
+    """Return the record of edges."""
     table = np.zeros(len(edges), _EDGE)
     for row, edge in zip(table, edges, strict=True):
         row["ends"], row["is_loop"] = (edge.first, edge.second), edge.is_loop
@@ -82,7 +82,7 @@ def pack_edges(edges: Sequence[RelativePose]) -> bytes:
 
 
 def unpack_edges(content: bytes) -> tuple[RelativePose, ...]:
-    """What `pack_edges` made. Raises MapError."""
+    """Return the edges of a record. Raises MapError."""
     table = _table(content, _EDGE, "edges")
     T = _motions(table["T"])
     edges = []
@@ -97,25 +97,25 @@ def unpack_edges(content: bytes) -> tuple[RelativePose, ...]:
 
 
 def pack_poses(numbers: Sequence[int] | IntArray, T_map_keyframe: FloatArray) -> bytes:
-    """Keyframes (K,) and where they are by now (K, 4, 4)."""
+    """Return the record of keyframe numbers (K,) and poses (K, 4, 4)."""
     table = np.zeros(len(numbers), _POSE)
     table["number"], table["T"] = numbers, T_map_keyframe[:, :3].reshape(-1, _MOTION)
     return table.tobytes()
 
 
 def unpack_poses(content: bytes) -> tuple[IntArray, FloatArray]:
-    """What `pack_poses` made. Raises MapError."""
+    """Return the numbers and poses of a record. Raises MapError."""
     table = _table(content, _POSE, "poses")
     return table["number"].astype(np.int64), _motions(table["T"])
 
 
 def pack_numbers(numbers: Sequence[int]) -> bytes:
-    """Such as those of edges that do not hold any more."""
+    """Return the record of numbers, such as those of withdrawn edges."""
     return np.asarray(numbers, "<i8").tobytes()
 
 
 def unpack_numbers(content: bytes) -> tuple[int, ...]:
-    """What `pack_numbers` made. Raises MapError."""
+    """Return the numbers of a record. Raises MapError."""
     return tuple(_table(content, np.dtype("<i8"), "numbers").tolist())
 
 
@@ -130,7 +130,7 @@ def _flat(T: FloatArray) -> FloatArray:
 
 
 def _motions(rows: FloatArray) -> FloatArray:
-    """(K, 4, 4) of their upper three rows, flat. Raises MapError for what are no rigid motions."""
+    """Return poses (K, 4, 4) from their upper three rows, flat. Raises MapError for invalid ones."""
     T = np.zeros((rows.size // _MOTION, 4, 4))
     T[:, :3], T[:, 3, 3] = rows.reshape(-1, 3, 4), 1.0
     if not (np.abs(rows) < _FARTHEST_M).all() or (len(T) and not se3.is_valid(T, tolerance=1e-4)):
