@@ -363,4 +363,4 @@ def test_an_index_whose_times_are_wrong_leaves_gravity_unknown(opened, monkeypat
         return iter(()) if list(topics) == ["/imu"] and stop_ns is not None else whole(bag, topics, start_ns, stop_ns)
 
     monkeypatch.setattr(OpenBag, "messages", messages)
-    assert any("neither tf nor gravity tells which way is up" in warning for warning in opened(drive).warnings)
+    assert any("neither tf nor gravity shows which way is up" in warning for warning in opened(drive).warnings)

@@ -234,7 +234,7 @@ def test_depth_that_nothing_joins_is_refused(opened) -> None:
 
 def test_without_camera_info_a_camera_must_be_given(opened, tmp_path) -> None:
     drive = camera_drive().without(INFO)
-    with pytest.raises(CalibrationError, match=f"no CameraInfo tells what the camera of {COLOR} is like"):
+    with pytest.raises(CalibrationError, match=f"no CameraInfo describes the camera of {COLOR}"):
         opened(drive)
     camera = PinholeCamera(WIDTH, HEIGHT, 60.0, 60.0, 31.5, 23.5)
     save_calibration(Calibration.registered_camera(camera), tmp_path / "camera.yaml")

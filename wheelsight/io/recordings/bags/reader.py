@@ -34,13 +34,18 @@ from wheelsight.io.recordings.clock_checks import FRAMES, WHEELS, MotionClock, s
 from wheelsight.io.recordings.recording import BagSettings, Layout, OpenOptions, RecordedTopic, load_camera
 from wheelsight.io.recordings.wheel_recording import need_wheels, shipped_robot
 
-# Opens a bag: who is who, how the robot is built, which clocks are believed; by its index and first messages.
-
-
 _FIRST_MESSAGES = 5
-# Of each topic, to compare its headers with others': a second or two, in so much memory and time at most.
+# Messages of each topic that are read to compare header stamps with receipt times: a second or two, within bounds of
+# memory and time.
 _HEAD_MESSAGES, _HEAD_BYTES, _HEAD_MOST = 12, 96 << 20, 5000
 _STAMPED = ("color", "depth", "wheels", "right wheel", "gyro", "truth")
+# Base frames by REP 105, frames on the ground first. The first one that tf connects to the camera is the base.
+_BASES = ("base_footprint", "base_link", "base")
+# Least z component, in the base frame, of an optical axis that points upwards. Robots do not look at the ceiling, but
+# the z axis of a camera's body frame points up.
+_LOOKS_UP = 0.8
+_G_M_S2 = 9.81
+_UP = np.array([0.0, 0.0, 1.0])
 
 
 class BagReader:
@@ -51,16 +56,16 @@ class BagReader:
     needs = "a .bag, .mcap or .db3"
 
     def recognises(self, folder: Path) -> bool:
-        """Whether a file is called as bags are, or a folder holds the parts of one."""
+        """Whether a file has the name of a bag, or a folder holds the parts of one."""
         return bool(parts_of(folder))
 
     def open(self, folder: Path, options: OpenOptions) -> BagRecording:
-        """The bag at a path that was recognised; its index and a few messages are read.
+        """The bag at a path that was recognised. Reads its index and a few messages.
 
         Raises:
-            RecordingError: it is damaged, has no index, or holds nothing to localize by.
-            CalibrationError: nothing says what its camera or its wheels are like.
-            ConfigError: a topic that was chosen is not there, or rosbags is not installed.
+            RecordingError: the bag is damaged, has no index, or holds neither camera nor wheels.
+            CalibrationError: the calibration of its camera or its wheels is unknown.
+            ConfigError: a chosen topic does not exist, or rosbags is not installed.
         """
         choices = Choices.of(options.topics)
         with open_bag(folder) as bag:
@@ -72,102 +77,8 @@ class BagReader:
             return _open(bag, roles, options)
 
 
-def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
-    settings = options.bag
-    used = [name for role, name in roles.used.items() if role in _STAMPED]
-    lasts = {topic: bag.last(topic) for topic in dict.fromkeys(used)}
-    images = [image.name for image in (roles.color, roles.depth) if image is not None]
-    lasts_s = {topic: (bag.header(message).stamp_s, message.receipt_s) for topic, message in lasts.items()}
-    clocks, warnings = clocks_of(_heads(bag, used), lasts_s, images, settings.most_apart_s)
-    robot = read_robot(bag, roles, settings)
-    up, of_gravity = up_of_gyro(bag, roles, robot, settings)
-    calibration = _calibrated(bag, roles, robot, options)
-    wheels, of_wheels, variances = _wheels(bag, roles, calibration)
-    truth, of_truth = _truth(bag, roles, robot, clocks, calibration)
-    topics = _used_topics(bag, roles)
-    units_m = None if roles.depth is None else depth_units_m(bag, roles.depth.name)
-    if units_m is not None and options.depth_factor is None:
-        options = replace(options, depth_factor=1 / units_m)
-
-    def recording(clocks: dict[str, TopicClock], of_motions: Sequence[str] = ()) -> BagRecording:
-        ends = _ends(bag, roles, clocks, lasts)
-        told = (*bag.warnings, *roles.warnings, *warnings, *of_motions, *robot.warnings, *of_gravity, *of_wheels)
-        told = (*told, *of_truth, *stamp_warnings(_outer(ends)))
-        plan = BagPlan(roles, clocks, wheels, up, options)
-        return BagRecording(bag.path, calibration, plan, topics, ends, told, variances, truth)
-
-    found = recording(clocks)
-    if roles.color is None or roles.depth is None:
-        return found
-    begins_ns = max(bag.first(image.name)[0].receipt_ns for image in (roles.color, roles.depth))
-    found.try_frames(bag, begins_ns + round(1e9 * settings.first_frames_s))
-    if roles.wheels is None:
-        return found  # a gyroscope counts beside wheels alone
-    clocks, of_motions = _by_motions(found.turns(bag), roles, clocks)
-    return recording(clocks, of_motions) if of_motions else found
-
-
-def _used_topics(bag: OpenBag, roles: Roles) -> tuple[RecordedTopic, ...]:
-    used_as = {name: " and ".join(r for r, n in roles.used.items() if n == name) for name in roles.used.values()}
-    return tuple(
-        RecordedTopic(topic.name, topic.type, topic.count, used_as.get(topic.name, "")) for topic in bag.topics
-    )
-
-
-def _by_motions(
-    turns: MotionClock, roles: Roles, clocks: dict[str, TopicClock]
-) -> tuple[dict[str, TopicClock], list[str]]:
-    """Clocks of wheels and gyroscope that go with the camera's turns, and what was decided; as before where none."""
-    found = {role: turns.offset(sensor) for role, sensor in (("wheels", "wheels"), ("gyro", "gyroscope"))}
-    if found["gyro"].offset_s is None:
-        found["gyro"] = found["wheels"]  # one computer reads both
-    clocks, told = dict(clocks), []
-    for role, of in (("wheels", "wheels"), ("right wheel", "wheels"), ("gyro", "gyro")):
-        topic, offset = roles.used.get(role), found[of]
-        if topic is None or roles.color is None or offset.offset_s is None:
-            continue
-        # What receipt has taken out it knows but to within its delay: turns know better.
-        by_receipt = clocks[topic].shift_s != clocks[roles.color.name].shift_s
-        if not (offset.is_apart or (by_receipt and abs(offset.offset_s) > 3 * offset.sigma_s)):
-            continue
-        clocks[topic] = TopicClock(clocks[topic].shift_s + offset.offset_s, clocks[topic].by_receipt)
-        told.append(
-            f"{topic}: by the turns that both show, the camera's stamps are {offset}: the clocks are apart. "
-            "The difference is taken out."
-        )
-    return clocks, told
-
-
-def _calibrated(bag: OpenBag, roles: Roles, robot: Robot, options: OpenOptions) -> Calibration:
-    """The robot as the bag tells it, under what the user says of it, and what a calibration.yaml beside it says."""
-    path = bag.path
-    beside = path / "calibration.yaml"
-    over = [*([beside] if is_there(beside) else []), *options.calibrations]
-    known, own = robot.calibration, _own(bag, roles)
-    if own is not None:
-        known = own if known is None else known.updated_by(own)
-    if options.camera is not None:
-        camera = load_camera(options.camera)
-        known = camera if known is None else known.updated_by(camera)
-    if known is None and not over:
-        assert robot.lacks is not None
-        raise robot.lacks
-    calibration = load_calibration(*over, under=known) if over else known
-    assert calibration is not None
-    if robot.needs_cameras and calibration.color is None:
-        raise robot.lacks or CalibrationError("nothing tells what the camera is like", path=path, fix="give --camera")
-    if robot.needs_wheels and calibration.any_wheels is None:
-        raise lacks_sizes(bag, roles)
-    return calibration
-
-
-def _is_own(bag: OpenBag) -> bool:
-    """Whether the bag is one of wheelsight's own, which carries the robot's calibration."""
-    return any(topic.name == CALIBRATION and topic.type == TEXT and topic.count for topic in bag.topics)
-
-
 def _stated_wheels(bag: OpenBag, options: OpenOptions) -> Wheels | HolonomicWheels | None:
-    """The wheels that a calibration states, the last one; what is wrong with one is said when it is used."""
+    """The wheels of the last calibration that has any. Errors in a calibration are raised where it is used."""
     stated = None
     if _is_own(bag):
         with suppress(WheelsightError):
@@ -179,126 +90,54 @@ def _stated_wheels(bag: OpenBag, options: OpenOptions) -> Wheels | HolonomicWhee
     return stated
 
 
-def _own(bag: OpenBag, roles: Roles) -> Calibration | None:
-    """What a bag of our own carries as text; its wheels where their joints are used. Raises CalibrationError."""
-    if not _is_own(bag):
-        return None
-    told = parse_calibration(bag.decode(bag.first(CALIBRATION)[0]).data, bag.path)
-    return told if roles.joints is not None else replace(told, wheels=None)
+def _is_own(bag: OpenBag) -> bool:
+    """Whether wheelsight wrote the bag, which then carries the robot's calibration."""
+    return any(topic.name == CALIBRATION and topic.type == TEXT and topic.count for topic in bag.topics)
 
 
-def _wheels(
-    bag: OpenBag, roles: Roles, calibration: Calibration
-) -> tuple[Callable[[], SpeedReader] | None, list[str], SpeedVariances | None]:
-    """What makes a reader of the wheels' topic, sentences on it, and what it states of its own errors."""
+def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
+    """The recording of a bag whose topics are assigned; frames near its beginning are decoded as a check."""
+    settings = options.bag
+    used = [name for role, name in roles.used.items() if role in _STAMPED]
+    lasts = {topic: bag.last(topic) for topic in dict.fromkeys(used)}
+    images = [image.name for image in (roles.color, roles.depth) if image is not None]
+    lasts_s = {topic: (bag.header(message).stamp_s, message.receipt_s) for topic, message in lasts.items()}
+    clocks, of_clocks = clocks_of(_heads(bag, used), lasts_s, images, settings.most_apart_s)
+    robot = read_robot(bag, roles, settings)
+    up, of_gravity = up_of_gyro(bag, roles, robot, settings)
+    calibration = _calibrated(bag, roles, robot, options)
+    wheels, of_wheels, variances = _wheels(bag, roles, calibration)
+    truth, of_truth = _truth(bag, roles, robot, clocks, calibration)
+    used_as = {name: " and ".join(r for r, n in roles.used.items() if n == name) for name in roles.used.values()}
+    topics = tuple(
+        RecordedTopic(topic.name, topic.type, topic.count, used_as.get(topic.name, "")) for topic in bag.topics
+    )
+    units_m = None if roles.depth is None else depth_units_m(bag, roles.depth.name)
+    if units_m is not None and options.depth_factor is None:
+        options = replace(options, depth_factor=1 / units_m)
+
+    def recording(clocks: dict[str, TopicClock], of_motions: Sequence[str] = ()) -> BagRecording:
+        ends = _ends(bag, roles, clocks, lasts)
+        # The first and the last stamp alone: those between are unknown, so a jump cannot be detected.
+        of_stamps = stamp_warnings({what: stamps_s[[0, -1]] for what, stamps_s in ends.items()})
+        warnings = (*bag.warnings, *roles.warnings, *of_clocks, *of_motions, *robot.warnings, *of_gravity)
+        warnings = (*warnings, *of_wheels, *of_truth, *of_stamps)
+        plan = BagPlan(roles, clocks, wheels, up, options)
+        return BagRecording(bag.path, calibration, plan, topics, ends, warnings, variances, truth)
+
+    opened = recording(clocks)
+    if roles.color is None or roles.depth is None:
+        return opened
+    begins_ns = max(bag.first(image.name)[0].receipt_ns for image in (roles.color, roles.depth))
+    opened.try_frames(bag, begins_ns + round(1e9 * settings.first_frames_s))
     if roles.wheels is None:
-        return None, [], None
-    if roles.joints is not None:
-        names = f"{'+'.join(roles.joints.left)} and {'+'.join(roles.joints.right)}"
-        ticks_per_turn = _ticks_per_turn(bag, roles, calibration)
-        if ticks_per_turn is not None:
-            return partial(JointTicks, roles.joints, ticks_per_turn), [], None
-        return partial(JointSpeeds, roles.joints), [f"{roles.wheels.name}: wheels are the joints {names}."], None
-    topic, source = roles.wheels.name, roles.source
-    assert source is not None
-    if source.is_holonomic:
-        return _of_holonomic(bag, source, calibration)
-    nominal = need_wheels(shipped_robot("velocities"))
-    if source.kind != "odometry":
-        wheels = need_wheels(calibration) if source.needs_sizes else nominal
-        truth = "" if source.needs_sizes else "; it is the robot's own estimate, no truth"
-        return source.reader(wheels, nominal, False), [f"{topic}: wheels are known by {source.tells}{truth}."], None
-    sampled = [bag.decode(message) for message in (*bag.first(topic, _FIRST_MESSAGES), bag.last(topic))]
-    by_twist = told_by_twist(sampled)
-    how = "speeds, since its poses stay at zero" if by_twist else source.tells
-    told = [f"{topic}: wheels are known by {how}; it is the robot's own estimate, no truth."]
-    return source.reader(nominal, nominal, by_twist), told, _variances(bag, topic, sampled[0])
-
-
-def _of_holonomic(
-    bag: OpenBag, source: WheelSource, calibration: Calibration
-) -> tuple[Callable[[], SpeedReader], list[str], None]:
-    """As `_wheels`, of a holonomic base. Raises CalibrationError where the calibration has two wheels."""
-    wheels, topic = calibration.holonomic, source.topic.name
-    if wheels is None:
-        problem = f"the calibration ({calibration.source}) has two wheels, and {topic} is of a holonomic base"
-        raise CalibrationError(problem, path=bag.path, fix="say `kind: holonomic` of its wheels")
-    is_posed = source.kind == "odometry"
-    messages = (*bag.first(topic, _FIRST_MESSAGES), bag.last(topic)) if is_posed else ()
-    by_twist = is_posed and told_by_twist([bag.decode(message) for message in messages])
-    how = "speeds, since its poses stay at zero" if by_twist else source.tells
-    estimate = "" if source.needs_sizes else "; it is the robot's own estimate, no truth"
-    told = f"{topic}: a holonomic base is known by {how}{estimate}."
-    return source.holonomic_reader(wheels, by_twist), [told], None
-
-
-def _truth(
-    bag: OpenBag, roles: Roles, robot: Robot, clocks: Mapping[str, TopicClock], calibration: Calibration
-) -> tuple[Trajectory | None, list[str]]:
-    """The true poses of the topic that a user named, and sentences on them. Raises RecordingError where it has none."""
-    name = roles.truth
-    if name is None:
-        return None, []
-    part = next((one for one in roles.transforms if one.name == name), None)
-    clock, settled, unusable = clocks[name].restarted(), list[tuple[float, Message]](), 0
-    for message in bag.messages([name]):
-        try:
-            settled += clock.add(bag.header(message).stamp_s, message)
-        except RecordingError:  # one damaged message
-            unusable += 1
-    stamps_s, poses, child = list[float](), list[FloatArray](), ""
-    for stamp_s, message in sorted([*settled, *clock.end()], key=lambda item: item[0]):
-        found, child = _pose_of(bag.decode(message), part)
-        if found is None or (stamps_s and stamp_s <= stamps_s[-1]):
-            unusable += 1
-            continue
-        stamps_s.append(stamp_s)
-        poses.append(found)
-    if not poses:
-        raise RecordingError(f"{name} holds no pose", path=bag.path, fix="choose another --topic truth=…")
-    warnings = [f"{name}: {unusable:,} messages hold no pose, or came twice, and were left out."] if unusable else []
-    body, frame = "base", robot.base
-    if roles.color is not None and calibration.T_base_camera is None:
-        body, frame = "camera", camera_frame(roles)
-    T_child_body = robot.transforms.between(child, frame) if child and frame else None
-    if T_child_body is None and child != frame:
-        of = f"of {child!r}, which tf does not join with it" if child else "without a name of what they are of"
-        warnings.append(f"{name}: its poses, {of}, are taken for those of the {body}.")
-    T = np.stack(poses) if T_child_body is None else se3.compose(np.stack(poses), T_child_body)
-    return Trajectory(np.array(stamps_s), T, body=body), warnings
-
-
-def _pose_of(message: Any, part: TransformTopic | None) -> tuple[FloatArray | None, str]:
-    """A pose (4, 4), None where its numbers are none, and the frame that it is of, empty where that is not said."""
-    stamped: Any = message if part is None else part.found_in(message)
-    child = str(getattr(stamped, "child_frame_id", "")).lstrip("/")
-    if hasattr(stamped, "transform"):
-        return motion_of(stamped.transform.translation, stamped.transform.rotation), child
-    pose = getattr(stamped.pose, "pose", stamped.pose)
-    return motion_of(pose.position, pose.orientation), child
-
-
-def _ticks_per_turn(bag: OpenBag, roles: Roles, calibration: Calibration) -> float | None:
-    """Of the encoders whose counts a bag of our own tells as angles, without speeds; else None."""
-    own = _own(bag, roles)
-    if own is None or own.wheels is None or calibration.wheels is None or roles.wheels is None:
-        return None
-    has_speeds = len(bag.decode(bag.first(roles.wheels.name)[0]).velocity) > 0
-    is_same = own.wheels.ticks_per_turn == calibration.wheels.ticks_per_turn
-    return own.wheels.ticks_per_turn if is_same and not has_speeds else None
-
-
-def _variances(bag: OpenBag, topic: str, first: Any) -> SpeedVariances | None:
-    """Those of the first message's twist, where they are stated."""
-    stated = np.asarray(first.twist.covariance, float).reshape(6, 6).diagonal()[[0, 1, 5]]
-    if not (np.isfinite(stated).all() and (stated >= 0).all() and stated[0] > 0 and stated[2] > 0):
-        return None
-    stamp_s = bag.header(bag.first(topic)[0]).stamp_s
-    return SpeedVariances(np.array([stamp_s]), stated[None, :])
+        return opened  # the gyroscope is used together with wheels only
+    clocks, of_motions = _clocks_by_motion(opened.turns(bag), roles, clocks)
+    return recording(clocks, of_motions) if of_motions else opened
 
 
 def _heads(bag: OpenBag, topics: Sequence[str]) -> dict[str, list[tuple[float, float]]]:
-    """Header and receipt of the first messages of each topic, from when all have begun, in order of receipt."""
+    """Header stamps and receipt times of each topic's first messages, from when all have begun, by receipt."""
     begins = {topic: bag.first(topic)[0] for topic in topics}
     stamps_s: dict[str, list[tuple[float, float]]] = {topic: [] for topic in topics}
     size = 0
@@ -336,89 +175,333 @@ def _ends(
     return ends
 
 
-def _outer(ends: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """The first and the last alone: between them nothing is known yet, and no leap can be told."""
-    return {name: stamps_s[[0, -1]] for name, stamps_s in ends.items()}
+def _clocks_by_motion(
+    turns: MotionClock, roles: Roles, clocks: dict[str, TopicClock]
+) -> tuple[dict[str, TopicClock], list[str]]:
+    """Clocks of wheels and gyroscope, corrected by the offsets between their turns and the camera's, with warnings."""
+    found = {role: turns.offset(sensor) for role, sensor in (("wheels", "wheels"), ("gyro", "gyroscope"))}
+    if found["gyro"].offset_s is None:
+        found["gyro"] = found["wheels"]  # one computer reads both
+    clocks, warnings = dict(clocks), []
+    for role, of in (("wheels", "wheels"), ("right wheel", "wheels"), ("gyro", "gyro")):
+        topic, offset = roles.used.get(role), found[of]
+        if topic is None or roles.color is None or offset.offset_s is None:
+            continue
+        # A shift from receipt times includes the transport delay; the offset from turns is more accurate.
+        by_receipt = clocks[topic].shift_s != clocks[roles.color.name].shift_s
+        if not (offset.is_apart or (by_receipt and abs(offset.offset_s) > 3 * offset.sigma_s)):
+            continue
+        clocks[topic] = TopicClock(clocks[topic].shift_s + offset.offset_s, clocks[topic].by_receipt)
+        warnings.append(
+            f"{topic}: by the turns that both show, the camera's stamps are {offset}: the clocks are apart. "
+            "The difference is taken out."
+        )
+    return clocks, warnings
 
 
-# What is particular about bags that the RealSense SDK records, in which it keeps more than ROS's messages hold.
-#
-# A stream's topics begin with its name, such as /device_0/sensor_1/Color_0: image/data, info/camera_info, and tf/0,
-# the transform into its frame from that of a group of streams, here group 0. Of newer versions an image whose frame
-# is called "1" has four more bytes: how many metres a unit of depth is.
+# The robot: cameras, mounts and wheels
 
 
-_IMAGE = re.compile(r"(/device_\d+/sensor_\d+/\w+_\d+)/image/data")
-_TRANSFORM = "geometry_msgs/msg/Transform"
-# Metres a unit: from a tenth of a micrometre to a metre; others are damaged.
-_LEAST_UNIT_M, _LARGEST_UNIT_M = 1e-7, 1.0
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """The robot as its bag describes it.
+
+    Attributes:
+        calibration: the known parts, or None where nothing is known; `lacks` then says why.
+        base: name of the base frame, or None.
+        transforms: the tree of tf.
+        warnings: one sentence each.
+        lacks: why the camera is unknown, where the bag has one.
+        needs_cameras, needs_wheels: the parts that a calibration must have for this bag.
+    """
+
+    calibration: Calibration | None
+    base: str | None
+    transforms: Transforms
+    warnings: tuple[str, ...]
+    lacks: CalibrationError | None = None
+    needs_cameras: bool = False
+    needs_wheels: bool = False
 
 
-def depth_units_m(bag: OpenBag, topic: str) -> float | None:
-    """Metres a unit of depth, as a topic's first image says; None where it is not the SDK's, or says nothing."""
-    if not (bag.is_ros1 and _IMAGE.fullmatch(topic)):
+def read_robot(bag: OpenBag, roles: Roles, settings: BagSettings) -> Robot:
+    """The robot by CameraInfo, /tf_static, the first messages of /tf, and the type of its wheels' topic."""
+    transforms = _read_transforms(bag, roles, settings)
+    warnings = list(transforms.warnings)
+    base = _base(bag, roles, transforms)
+    cameras, lacks = None, None
+    if roles.color is not None and roles.depth is not None:
+        try:
+            cameras = _cameras(bag, roles, roles.color, roles.depth, transforms, settings, warnings)
+        except CalibrationError as error:
+            lacks = CalibrationError(error.problem, path=bag.path, fix=error.fix)
+    T_base_camera = None if roles.depth is None else _mount(base, camera_frame(roles), transforms, warnings)
+    wheels = None
+    if roles.source is not None and not roles.needs_sizes:
+        wheels = shipped_robot("velocities")
+        if roles.source.is_holonomic:
+            slip = need_wheels(wheels).slip_m_per_sqrt_m
+            nominal = "nominal, a holonomic base whose own odometry is read"
+            wheels = Calibration(holonomic=HolonomicWheels("increments", slip_m_per_sqrt_m=slip), source=nominal)
+    mount = None if T_base_camera is None else Calibration(T_base_camera=T_base_camera, source="tf")
+    known = [part for part in (cameras, wheels, mount) if part is not None]
+    calibration = reduce(Calibration.updated_by, known) if known else None
+    if calibration is None and lacks is None:
+        lacks = lacks_sizes(bag, roles)
+    needs = (roles.color is not None, roles.needs_sizes)
+    return Robot(calibration, base, transforms, tuple(warnings), lacks, *needs)
+
+
+def _read_transforms(bag: OpenBag, roles: Roles, settings: BagSettings) -> Transforms:
+    """The tree of tf: static transforms first, then the first messages of the others."""
+    transforms = Transforms(settings.tf_apart_m, settings.tf_apart_rad)
+    parts = {part.name for part in roles.transforms}
+    topics = [topic for topic in bag.topics if topic.type in TF and topic.count and topic.name not in parts]
+    for topic in sorted(topics, key=lambda topic: "static" not in topic.name):
+        is_static = "static" in topic.name
+        for message in bag.first(topic.name, min(topic.count, settings.tf_messages)):
+            if not transforms.add(bag.decode(message).transforms, is_static):
+                return transforms
+    return transforms
+
+
+def _base(bag: OpenBag, roles: Roles, transforms: Transforms) -> str | None:
+    """The base frame: a usual name that tf connects to the camera, or the child frame of the odometry."""
+    moved: list[str] = []
+    if roles.source is not None and roles.source.kind == "odometry":
+        moved = [str(bag.decode(bag.first(roles.source.topic.name)[0]).child_frame_id).lstrip("/")]
+    elif roles.source is not None and roles.source.transform is not None:
+        moved = [roles.source.transform.child]
+    if roles.depth is None:
+        return next(iter([*moved, _BASES[1]]))
+    camera = camera_frame(roles)
+    names = [_BASES[0], *moved, *_BASES[1:]]
+    return next((name for name in names if name and transforms.between(name, camera) is not None), None)
+
+
+def camera_frame(roles: Roles) -> str:
+    """The frame of depth: the colour camera's where depth is registered to colour."""
+    assert roles.color is not None
+    assert roles.depth is not None
+    return roles.color.frame if roles.depth.says_registered else roles.depth.frame
+
+
+def _cameras(
+    bag: OpenBag,
+    roles: Roles,
+    color: ImageTopic,
+    depth: ImageTopic,
+    transforms: Transforms,
+    settings: BagSettings,
+    warnings: list[str],
+) -> Calibration:
+    """Both cameras and T_color_depth. Raises CalibrationError where one of them is unknown."""
+    color_camera = _camera(bag, color, roles.color_info, settings, warnings)
+    source = f"CameraInfo of {bag.path.name}"
+    if depth.says_registered:
+        return Calibration.registered_camera(color_camera, source=source)
+    T_color_depth = joined(bag, color.name, depth.name)
+    if T_color_depth is not None:
+        warnings.append(f"{depth.name} is not registered to {color.name}: they are joined as the RealSense SDK has it.")
+        own = _camera(bag, depth, roles.depth_info, settings, warnings)
+        return Calibration(color_camera, own, T_color_depth, source=source)
+    is_one = depth.frame == color.frame
+    depth_camera = color_camera if is_one and roles.depth_info is None else None
+    if depth_camera is None:
+        depth_camera = _camera(bag, depth, roles.depth_info, settings, warnings)
+    # Lens distortion is not compared: the CameraInfo of a registered image may omit it.
+    sizes = [(camera.width, camera.height) for camera in (color_camera, depth_camera)]
+    if is_one and sizes[0] == sizes[1] and np.allclose(color_camera.K, depth_camera.K, rtol=1e-3, atol=0.1):
+        return Calibration.registered_camera(color_camera, source=source)
+    # Two cameras that share one frame have no transform between them in tf.
+    T_color_depth = None if is_one else transforms.between(color.frame, depth.frame)
+    if T_color_depth is None:
+        why = "and tf does not join them"
+        if is_one:
+            why = "both carry one frame with different CameraInfo, so that tf does not join them"
+        problem = f"depth ({depth.frame!r}) is not registered to colour ({color.frame!r}), {why}"
+        fix = "record /tf_static with a frame for each, or registered depth, or give T_color_depth by --camera"
+        raise CalibrationError(problem, path=bag.path, fix=f"{fix}{_realsense_fix(bag, depth)}")
+    warnings.append(f"{depth.name} is not registered to {color.name}: they are joined by tf.")
+    return Calibration(color_camera, depth_camera, T_color_depth, source=source)
+
+
+def _camera(
+    bag: OpenBag, image: ImageTopic, info: str | None, settings: BagSettings, warnings: list[str]
+) -> PinholeCamera:
+    """The camera of a topic by its CameraInfo. Raises CalibrationError where there is none, or it is invalid."""
+    if info is None:
+        problem = f"no CameraInfo describes the camera of {image.name}"
+        fix = f"choose one by --topic color_info=…, or give --camera{_realsense_fix(bag, image)}"
+        raise CalibrationError(problem, fix=fix)
+    try:
+        camera, warning = camera_of(bag.decode(bag.first(info)[0]), image.is_rectified, settings.lens_px)
+    except CalibrationError as error:
+        raise CalibrationError(f"{image.name} ({info}): {error.problem}", fix=error.fix or "give --camera") from error
+    if warning is not None:
+        warnings.append(f"{info}: {warning}.")
+    return camera
+
+
+def _realsense_fix(bag: OpenBag, image: ImageTopic) -> str:
+    """A further remedy for bags that the RealSense SDK may have recorded: the SDK reads its own calibration."""
+    of_sdk = image.name.startswith("/device_") or any(topic.name.startswith("/device_") for topic in bag.topics)
+    file = f"realsense:{bag.path.name}" if of_sdk else "realsense:FILE"
+    return f"; wheelsight record --camera {file} reads recordings of the RealSense SDK"
+
+
+def _mount(base: str | None, camera: str, transforms: Transforms, warnings: list[str]) -> FloatArray | None:
+    """T_base_camera (4, 4), or None where tf does not connect the two."""
+    T = None if base is None else transforms.between(base, camera)
+    if T is not None and T[2, 2] > _LOOKS_UP:
+        seems = f"{camera!r} seems to be a frame of its body, not an optical one"
+        warnings.append(f"By tf the camera looks upwards: {seems}. Its x axis is taken as the viewing direction.")
+        ahead = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+        return np.asarray(T @ ahead)
+    if T is None:
+        moves = ", ".join(f"{parent} to {child}" for parent, child in sorted(transforms.moving))
+        why = f"{moves} moves" if moves else f"tf does not join {camera!r} with {' or '.join(_BASES)}"
+        warnings.append(f"The camera's mount on the robot is unknown: {why}. wheelsight calibrate base determines it.")
+    return T
+
+
+def lacks_sizes(bag: OpenBag, roles: Roles) -> CalibrationError:
+    """The error for wheels of unknown size."""
+    named = "" if roles.source is None else f"{roles.source.topic.name} ({roles.source.tells}): "
+    problem = f"{named}these give how far wheels turn, but not how large they are"
+    fix = "give a calibration.yaml with wheels (radii, track, ticks_per_turn) by --calibration"
+    return CalibrationError(problem, path=bag.path, fix=fix)
+
+
+def _calibrated(bag: OpenBag, roles: Roles, robot: Robot, options: OpenOptions) -> Calibration:
+    """The robot's calibration. Later sources replace parts of earlier ones.
+
+    The sources are, in this order: the bag's topics, the calibration in a bag of wheelsight, `--camera`, the
+    calibration.yaml beside the bag, and the user's calibrations.
+    """
+    path = bag.path
+    beside = path / "calibration.yaml"
+    over = [*([beside] if is_there(beside) else []), *options.calibrations]
+    known, own = robot.calibration, _own(bag, roles)
+    if own is not None:
+        known = own if known is None else known.updated_by(own)
+    if options.camera is not None:
+        camera = load_camera(options.camera)
+        known = camera if known is None else known.updated_by(camera)
+    if known is None and not over:
+        assert robot.lacks is not None
+        raise robot.lacks
+    calibration = load_calibration(*over, under=known) if over else known
+    assert calibration is not None
+    if robot.needs_cameras and calibration.color is None:
+        raise robot.lacks or CalibrationError("the camera's calibration is unknown", path=path, fix="give --camera")
+    if robot.needs_wheels and calibration.any_wheels is None:
+        raise lacks_sizes(bag, roles)
+    return calibration
+
+
+def _own(bag: OpenBag, roles: Roles) -> Calibration | None:
+    """The calibration in a bag of wheelsight; with wheels where their joints are used. Raises CalibrationError."""
+    if not _is_own(bag):
         return None
-    data = bag.first(topic)[0].data
-    units_m = float(struct.unpack("<f", data[-4:])[0]) if bag.has_units(topic, data) else 0.0
-    return units_m if _LEAST_UNIT_M <= units_m <= _LARGEST_UNIT_M else None
+    calibration = parse_calibration(bag.decode(bag.first(CALIBRATION)[0]).data, bag.path)
+    return calibration if roles.joints is not None else replace(calibration, wheels=None)
 
 
-def joined(bag: OpenBag, color: str, depth: str) -> FloatArray | None:
-    """T_color_depth (4, 4) of two image topics; None where they are none of the SDK's, or it kept no transforms."""
-    into: list[dict[str, FloatArray]] = []
-    for name in (color, depth):
-        stream = _IMAGE.fullmatch(name)
-        if stream is None:
-            return None
-        begin, found = f"{stream[1]}/tf/", {}
-        for topic in bag.topics:
-            if topic.name.startswith(begin) and topic.type == _TRANSFORM and topic.count:
-                message = bag.decode(bag.first(topic.name)[0])
-                T_stream_group = motion_of(message.translation, message.rotation)
-                if T_stream_group is not None:
-                    found[topic.name.removeprefix(begin)] = T_stream_group
-        into.append(found)
-    groups = sorted(into[0].keys() & into[1].keys())
-    return se3.compose(into[0][groups[0]], se3.invert(into[1][groups[0]])) if groups else None
+def _wheels(
+    bag: OpenBag, roles: Roles, calibration: Calibration
+) -> tuple[Callable[[], SpeedReader] | None, list[str], SpeedVariances | None]:
+    """A factory of readers of the wheels' topic, warnings, and the variances that its first message states."""
+    if roles.wheels is None:
+        return None, [], None
+    if roles.joints is not None:
+        names = f"{'+'.join(roles.joints.left)} and {'+'.join(roles.joints.right)}"
+        ticks_per_turn = _ticks_per_turn(bag, roles, calibration)
+        if ticks_per_turn is not None:
+            return partial(JointTicks, roles.joints, ticks_per_turn), [], None
+        return partial(JointSpeeds, roles.joints), [f"{roles.wheels.name}: wheels are the joints {names}."], None
+    topic, source = roles.wheels.name, roles.source
+    assert source is not None
+    if source.is_holonomic:
+        return _holonomic_wheels(bag, source, calibration)
+    nominal = need_wheels(shipped_robot("velocities"))
+    if source.kind != "odometry":
+        wheels = need_wheels(calibration) if source.needs_sizes else nominal
+        truth = "" if source.needs_sizes else "; it is the robot's own estimate, no truth"
+        return source.reader(wheels, nominal, False), [f"{topic}: wheels are known by {source.tells}{truth}."], None
+    sampled = [bag.decode(message) for message in (*bag.first(topic, _FIRST_MESSAGES), bag.last(topic))]
+    by_twist = told_by_twist(sampled)
+    how = "speeds, since its poses stay at zero" if by_twist else source.tells
+    warnings = [f"{topic}: wheels are known by {how}; it is the robot's own estimate, no truth."]
+    stated = np.asarray(sampled[0].twist.covariance, float).reshape(6, 6).diagonal()[[0, 1, 5]]
+    variances = None
+    if np.isfinite(stated).all() and (stated >= 0).all() and stated[0] > 0 and stated[2] > 0:
+        variances = SpeedVariances(np.array([bag.header(bag.first(topic)[0]).stamp_s]), stated[None, :])
+    return source.reader(nominal, nominal, by_twist), warnings, variances
 
 
-# Which way is up for a gyroscope: by gravity, which it is in, and by tf, which somebody wrote.
+def _ticks_per_turn(bag: OpenBag, roles: Roles, calibration: Calibration) -> float | None:
+    """Counts per turn of the encoders in a bag of wheelsight that stores counts as joint angles; None in others."""
+    own = _own(bag, roles)
+    if own is None or own.wheels is None or calibration.wheels is None or roles.wheels is None:
+        return None
+    has_speeds = len(bag.decode(bag.first(roles.wheels.name)[0]).velocity) > 0
+    is_same = own.wheels.ticks_per_turn == calibration.wheels.ticks_per_turn
+    return own.wheels.ticks_per_turn if is_same and not has_speeds else None
 
 
-_G_M_S2 = 9.81
-_UP = np.array([0.0, 0.0, 1.0])
+def _holonomic_wheels(
+    bag: OpenBag, source: WheelSource, calibration: Calibration
+) -> tuple[Callable[[], SpeedReader], list[str], None]:
+    """Like `_wheels`, for a holonomic base. Raises CalibrationError where the calibration has two wheels."""
+    wheels, topic = calibration.holonomic, source.topic.name
+    if wheels is None:
+        problem = f"the calibration ({calibration.source}) has two wheels, and {topic} is of a holonomic base"
+        raise CalibrationError(problem, path=bag.path, fix="say `kind: holonomic` of its wheels")
+    is_posed = source.kind == "odometry"
+    messages = (*bag.first(topic, _FIRST_MESSAGES), bag.last(topic)) if is_posed else ()
+    by_twist = is_posed and told_by_twist([bag.decode(message) for message in messages])
+    how = "speeds, since its poses stay at zero" if by_twist else source.tells
+    estimate = "" if source.needs_sizes else "; it is the robot's own estimate, no truth"
+    warning = f"{topic}: a holonomic base is known by {how}{estimate}."
+    return source.holonomic_reader(wheels, by_twist), [warning], None
+
+
+# The gyroscope's vertical
 
 
 def up_of_gyro(bag: OpenBag, roles: Roles, robot: Robot, settings: BagSettings) -> tuple[FloatArray, list[str]]:
-    """The direction (3,) away from the ground in the gyroscope's frame, and sentences on how it is known.
+    """The upward direction (3,) in the gyroscope's frame, and warnings.
 
-    An accelerometer at rest shows what holds it up. Where tf tells of the mount, that stands, unless gravity disagrees.
+    tf gives it where the mount is known, unless gravity disagrees; else the mean acceleration gives it, since an
+    accelerometer at rest measures the reaction to gravity.
     """
     if roles.gyro is None:
         return _UP, []
     frame = bag.header(bag.first(roles.gyro)[0]).frame
     T = None if robot.base is None else robot.transforms.between(robot.base, frame)
-    told = None if T is None else T[2, :3]
-    felt = _felt(bag, roles.gyro, settings)
-    if told is None and felt is None:
-        return _UP, [f"{roles.gyro}: neither tf nor gravity tells which way is up; its z axis is taken."]
-    if felt is None or (told is not None and _between_rad(told, felt) <= settings.gravity_apart_rad):
-        assert told is not None
-        return told, []
-    if told is None:
-        tilt = np.degrees(_between_rad(_UP, felt))
+    by_tf = None if T is None else T[2, :3]
+    by_gravity = _up_by_gravity(bag, roles.gyro, settings)
+    if by_tf is None and by_gravity is None:
+        return _UP, [f"{roles.gyro}: neither tf nor gravity shows which way is up; its z axis is taken."]
+    if by_gravity is None or (by_tf is not None and _between_rad(by_tf, by_gravity) <= settings.gravity_apart_rad):
+        assert by_tf is not None
+        return by_tf, []
+    if by_tf is None:
+        tilt = np.degrees(_between_rad(_UP, by_gravity))
         how = "which is its z axis" if tilt < np.degrees(settings.gravity_apart_rad) else f"{tilt:.0f}° off its z axis"
-        return felt, [f"{roles.gyro}: tf does not tell how it is mounted; up is where gravity says, {how}."]
-    apart = np.degrees(_between_rad(told, felt))
-    return felt, [f"{roles.gyro}: tf and gravity disagree by {apart:.0f}° on which way is up; gravity is believed."]
+        return by_gravity, [f"{roles.gyro}: its mount is not in tf; up is where gravity says, {how}."]
+    apart = np.degrees(_between_rad(by_tf, by_gravity))
+    warning = f"{roles.gyro}: tf and gravity disagree by {apart:.0f}° on which way is up; gravity is used."
+    return by_gravity, [warning]
 
 
-def _felt(bag: OpenBag, topic: str, settings: BagSettings) -> FloatArray | None:
-    """The mean acceleration's direction over the first seconds, where it is gravity's."""
+def _up_by_gravity(bag: OpenBag, topic: str, settings: BagSettings) -> FloatArray | None:
+    """The direction (3,) of the mean acceleration over the first seconds; None where its size is not gravity's."""
     stop_ns = bag.first(topic)[0].receipt_ns + round(1e9 * settings.gravity_s)
     read = [bag.decode(message).linear_acceleration for message in bag.messages([topic], stop_ns=stop_ns)]
     measured = [(a.x, a.y, a.z) for a in read if are_measured((a.x, a.y, a.z))]
-    if not measured:  # a damaged index may say that the messages come later than they do
+    if not measured:  # a damaged index may give later receipt times than the messages have
         return None
     mean = np.mean(measured, axis=0)
     size = float(np.linalg.norm(mean))
@@ -431,19 +514,71 @@ def _between_rad(a: FloatArray, b: FloatArray) -> float:
     return float(np.arccos(np.clip(a @ b, -1, 1)))
 
 
-# Where one frame is seen from another, by the transforms of /tf_static and /tf.
+# Ground truth
 
 
+def _truth(
+    bag: OpenBag, roles: Roles, robot: Robot, clocks: Mapping[str, TopicClock], calibration: Calibration
+) -> tuple[Trajectory | None, list[str]]:
+    """The true poses of the topic that the user chose, with warnings. Raises RecordingError where it has no pose."""
+    name = roles.truth
+    if name is None:
+        return None, []
+    part = next((one for one in roles.transforms if one.name == name), None)
+    clock, settled, unusable = clocks[name].restarted(), list[tuple[float, Message]](), 0
+    for message in bag.messages([name]):
+        try:
+            settled += clock.add(bag.header(message).stamp_s, message)
+        except RecordingError:  # one damaged message
+            unusable += 1
+    stamps_s, poses, child = list[float](), list[FloatArray](), ""
+    for stamp_s, message in sorted([*settled, *clock.end()], key=lambda item: item[0]):
+        pose, child = _pose_of(bag.decode(message), part)
+        if pose is None or (stamps_s and stamp_s <= stamps_s[-1]):
+            unusable += 1
+            continue
+        stamps_s.append(stamp_s)
+        poses.append(pose)
+    if not poses:
+        raise RecordingError(f"{name} holds no pose", path=bag.path, fix="choose another --topic truth=…")
+    warnings = [f"{name}: {unusable:,} messages hold no pose, or came twice, and were left out."] if unusable else []
+    body, frame = "base", robot.base
+    if roles.color is not None and calibration.T_base_camera is None:
+        body, frame = "camera", camera_frame(roles)
+    T_child_body = robot.transforms.between(child, frame) if child and frame else None
+    if T_child_body is None and child != frame:
+        of = f"of {child!r}, which tf does not join with it" if child else "without a child frame"
+        warnings.append(f"{name}: its poses, {of}, are taken for those of the {body}.")
+    T = np.stack(poses) if T_child_body is None else se3.compose(np.stack(poses), T_child_body)
+    return Trajectory(np.array(stamps_s), T, body=body), warnings
+
+
+def _pose_of(message: Any, part: TransformTopic | None) -> tuple[FloatArray | None, str]:
+    """The pose (4, 4) of a message, None where it is invalid, and its child frame, empty where there is none."""
+    stamped: Any = message if part is None else part.found_in(message)
+    child = str(getattr(stamped, "child_frame_id", "")).lstrip("/")
+    if hasattr(stamped, "transform"):
+        return motion_of(stamped.transform.translation, stamped.transform.rotation), child
+    pose = getattr(stamped.pose, "pose", stamped.pose)
+    return motion_of(pose.position, pose.orientation), child
+
+
+# The tree of tf
+
+# Largest deviation of a quaternion's norm from 1.
 _LONGEST_QUATERNION_OFF = 0.1
-# A humanoid has 200 frames. Of messages, 400 are read with up to 200 transforms each.
+# A humanoid has 200 frames. 400 messages of up to 200 transforms each are read.
 _MOST_FRAMES, _MOST_READ, _MOST_WARNINGS = 1000, 100_000, 20
 
 
 class Transforms:
-    """A tree of frames as a bag tells it; what contradicts itself is told in `warnings`, and the first stands.
+    """The tree of frames of a bag, from /tf_static and /tf. Of contradicting transforms, the first is used.
+
+    Args:
+        apart_m, apart_rad: by how much two transforms of one pair may differ and still count as equal.
 
     Attributes:
-        warnings: one sentence each.
+        warnings: one sentence for each contradiction.
         moving: (parent, child) of transforms that change.
     """
 
@@ -460,29 +595,35 @@ class Transforms:
         return bool(self._T)
 
     def add(self, transforms: Sequence[Any], is_static: bool) -> bool:
-        """Count in what a TFMessage holds; whether there is room for more."""
+        """Add the transforms of a TFMessage. Returns whether there is room for more."""
         self._left -= len(transforms)
         if self._left < 0 or len(self._T) > _MOST_FRAMES:
             self._warn(f"tf has more than {_MOST_FRAMES:,} frames or {_MOST_READ:,} transforms; others are left out.")
             return False
         for stamped in transforms:
-            parent, child = stamped.header.frame_id.lstrip("/"), stamped.child_frame_id.lstrip("/")
-            T = motion_of(stamped.transform.translation, stamped.transform.rotation)
             if len(self._T) > _MOST_FRAMES:
                 return False
+            pair = parent, child = stamped.header.frame_id.lstrip("/"), stamped.child_frame_id.lstrip("/")
+            T = motion_of(stamped.transform.translation, stamped.transform.rotation)
             if T is None:
                 self._warn(f"tf: the transform from {parent} to {child} is no rigid motion; it is left out.")
-            elif (parent, child) not in self._T:
-                self._check_parent(parent, child)
-                self._T[parent, child] = T
-            elif self._differ(self._T[parent, child], T):
-                self._contradict(parent, child, is_static)
+            elif pair not in self._T:
+                first = self._parents.setdefault(child, parent)
+                if first != parent:
+                    self._warn(f"tf contradicts itself: {child} has the parents {first} and {parent}; {first} is used.")
+                self._T[pair] = T
+            elif self._differ(self._T[pair], T):
+                if is_static or pair in self._static:
+                    between = f"two static transforms lead from {parent} to {child}"
+                    self._warn(f"tf contradicts itself: {between}; the first stands.")
+                else:
+                    self.moving.add(pair)
             if is_static:
-                self._static.add((parent, child))
+                self._static.add(pair)
         return True
 
     def between(self, a: str, b: str) -> FloatArray | None:
-        """T_a_b (4, 4); None where no transforms that stand still lead from one to the other."""
+        """T_a_b (4, 4); None where no chain of constant transforms connects the two frames."""
         reached, todo = {a: np.eye(4)}, [a]
         while todo:
             frame = todo.pop()
@@ -497,17 +638,6 @@ class Transforms:
                     todo.append(parent)
         return reached.get(b)
 
-    def _check_parent(self, parent: str, child: str) -> None:
-        first = self._parents.setdefault(child, parent)
-        if first != parent:
-            self._warn(f"tf contradicts itself: {child} hangs on {first} and on {parent}; the first is believed first.")
-
-    def _contradict(self, parent: str, child: str, is_static: bool) -> None:
-        if is_static or (parent, child) in self._static:
-            self._warn(f"tf contradicts itself: two static transforms lead from {parent} to {child}; the first stands.")
-        else:
-            self.moving.add((parent, child))
-
     def _differ(self, T: FloatArray, other: FloatArray) -> bool:
         apart = se3.compose(se3.invert(T), other)
         is_far = np.linalg.norm(apart[:3, 3]) > self._apart_m
@@ -519,7 +649,7 @@ class Transforms:
 
 
 def motion_of(t: Any, q: Any) -> FloatArray | None:
-    """T (4, 4) of a translation and a quaternion as messages have them, or None where their numbers are none."""
+    """T (4, 4) of a message's translation and quaternion, or None where they are not finite or not a rotation."""
     if not are_measured((t.x, t.y, t.z, q.x, q.y, q.z, q.w)):
         return None
     quaternion = np.array([q.x, q.y, q.z, q.w])
@@ -528,188 +658,41 @@ def motion_of(t: Any, q: Any) -> FloatArray | None:
     return se3.from_quaternion([t.x, t.y, t.z], quaternion / np.linalg.norm(quaternion))
 
 
-# How the robot of a bag is built: its cameras by CameraInfo, their places by tf, its wheels by what tells of them.
+# Bags of the RealSense SDK
+#
+# A stream's topics begin with its name, such as /device_0/sensor_1/Color_0: image/data, info/camera_info, and tf/0, the
+# transform into its frame from that of stream group 0. In newer versions an image whose frame is "1" ends with four
+# bytes more: metres per unit of depth.
+
+_IMAGE = re.compile(r"(/device_\d+/sensor_\d+/\w+_\d+)/image/data")
+_TRANSFORM = "geometry_msgs/msg/Transform"
+# Valid metres per unit: from a tenth of a micrometre to a metre.
+_LEAST_UNIT_M, _LARGEST_UNIT_M = 1e-7, 1.0
 
 
-# REP 105's names; the first that tf joins with the camera is the base. What stands on the ground comes first.
-_BASES = ("base_footprint", "base_link", "base")
-_LOOKS_UP = 0.8  # of a camera's optical axis, upwards: no robot looks at the ceiling, but frames of bodies have z up
+def depth_units_m(bag: OpenBag, topic: str) -> float | None:
+    """Metres per unit of depth, from a topic's first image; None where the SDK did not write it, or no valid unit."""
+    if not (bag.is_ros1 and _IMAGE.fullmatch(topic)):
+        return None
+    data = bag.first(topic)[0].data
+    units_m = float(struct.unpack("<f", data[-4:])[0]) if bag.has_units(topic, data) else 0.0
+    return units_m if _LEAST_UNIT_M <= units_m <= _LARGEST_UNIT_M else None
 
 
-@dataclass(frozen=True, slots=True)
-class Robot:
-    """What a bag tells of its robot.
-
-    Attributes:
-        calibration: what is known, or None where that is nothing; then `lacks` says why.
-        base: name of the base's frame, or None.
-        transforms: of tf.
-        warnings: one sentence each.
-        lacks: why the camera is not known, where the bag has one.
-        needs_cameras, needs_wheels: what a calibration must have for this bag to be used.
-    """
-
-    calibration: Calibration | None
-    base: str | None
-    transforms: Transforms
-    warnings: tuple[str, ...]
-    lacks: CalibrationError | None = None
-    needs_cameras: bool = False
-    needs_wheels: bool = False
-
-
-def read_robot(bag: OpenBag, roles: Roles, settings: BagSettings) -> Robot:
-    """The robot by CameraInfo, /tf_static, the first messages of /tf, and the kind of its wheels' topic."""
-    transforms = _transforms(bag, roles, settings)
-    warnings = list(transforms.warnings)
-    base = _base(bag, roles, transforms)
-    cameras, lacks = None, None
-    if roles.color is not None and roles.depth is not None:
-        try:
-            cameras = _cameras(bag, roles, roles.color, roles.depth, transforms, settings, warnings)
-        except CalibrationError as error:
-            lacks = CalibrationError(error.problem, path=bag.path, fix=error.fix)
-    T_base_camera = None if roles.depth is None else _mount(base, camera_frame(roles), transforms, warnings)
-    wheels = None if roles.source is None or roles.needs_sizes else _nominal_wheels(roles.source)
-    mount = None if T_base_camera is None else Calibration(T_base_camera=T_base_camera, source="tf")
-    known = [part for part in (cameras, wheels, mount) if part is not None]
-    calibration = reduce(Calibration.updated_by, known) if known else None
-    if calibration is None and lacks is None:
-        lacks = lacks_sizes(bag, roles)
-    needs = (roles.color is not None, roles.needs_sizes)
-    return Robot(calibration, base, transforms, tuple(warnings), lacks, *needs)
-
-
-def _nominal_wheels(source: WheelSource) -> Calibration:
-    """Wheels that stand for an odometry of which the bag says no more."""
-    two = shipped_robot("velocities")
-    if not source.is_holonomic:
-        return two
-    assert two.wheels is not None
-    wheels = HolonomicWheels("increments", slip_m_per_sqrt_m=two.wheels.slip_m_per_sqrt_m)
-    return Calibration(holonomic=wheels, source="nominal, a holonomic base whose own odometry is read")
-
-
-def lacks_sizes(bag: OpenBag, roles: Roles) -> CalibrationError:
-    """What to say of wheels of which nothing says how large they are."""
-    named = "" if roles.source is None else f"{roles.source.topic.name} ({roles.source.tells}): "
-    kinds = {"joints": "joint states tell", "fields": "these tell"}
-    tell = "counts tell" if roles.source is None else kinds.get(roles.source.kind, "counts tell")
-    problem = f"{named}{tell} how far wheels turn, but not how large they are"
-    fix = "give a calibration.yaml with wheels (radii, track, ticks_per_turn) by --calibration"
-    return CalibrationError(problem, path=bag.path, fix=fix)
-
-
-def _transforms(bag: OpenBag, roles: Roles, settings: BagSettings) -> Transforms:
-    transforms = Transforms(settings.tf_apart_m, settings.tf_apart_rad)
-    parts = {part.name for part in roles.transforms}
-    topics = [topic for topic in bag.topics if topic.type in TF and topic.count and topic.name not in parts]
-    for topic in sorted(topics, key=lambda topic: "static" not in topic.name):
-        is_static = "static" in topic.name
-        for message in bag.first(topic.name, min(topic.count, settings.tf_messages)):
-            if not transforms.add(bag.decode(message).transforms, is_static):
-                return transforms
-    return transforms
-
-
-def _base(bag: OpenBag, roles: Roles, transforms: Transforms) -> str | None:
-    """The base's frame: one of the usual names that tf joins with the camera, or what the odometry moves."""
-    moved: list[str] = []
-    if roles.source is not None and roles.source.kind == "odometry":
-        moved = [str(bag.decode(bag.first(roles.source.topic.name)[0]).child_frame_id).lstrip("/")]
-    elif roles.source is not None and roles.source.transform is not None:
-        moved = [roles.source.transform.child]
-    if roles.depth is None:
-        return next(iter([*moved, _BASES[1]]))
-    camera = camera_frame(roles)
-    names = [_BASES[0], *moved, *_BASES[1:]]
-    return next((name for name in names if name and transforms.between(name, camera) is not None), None)
-
-
-def camera_frame(roles: Roles) -> str:
-    """The frame in which depth is measured: the colour camera's where depth was registered to it."""
-    assert roles.color is not None
-    assert roles.depth is not None
-    return roles.color.frame if roles.depth.says_registered else roles.depth.frame
-
-
-def _mount(base: str | None, camera: str, transforms: Transforms, warnings: list[str]) -> FloatArray | None:
-    """T_base_camera, or None where tf does not tell."""
-    T = None if base is None else transforms.between(base, camera)
-    if T is not None and T[2, 2] > _LOOKS_UP:
-        seems = f"{camera!r} seems to be a frame of its body, not an optical one"
-        warnings.append(f"By tf the camera looks upwards: {seems}. It is taken for one whose x axis looks ahead.")
-        ahead = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-        return np.asarray(T @ ahead)
-    if T is None:
-        moves = ", ".join(f"{parent} to {child}" for parent, child in sorted(transforms.moving))
-        why = f"{moves} moves" if moves else f"tf does not join {camera!r} with {' or '.join(_BASES)}"
-        warnings.append(f"Nothing says where the camera sits on the robot: {why}. wheelsight calibrate base finds it.")
-    return T
-
-
-def _cameras(
-    bag: OpenBag,
-    roles: Roles,
-    color: ImageTopic,
-    depth: ImageTopic,
-    transforms: Transforms,
-    settings: BagSettings,
-    warnings: list[str],
-) -> Calibration:
-    """Both cameras and how they are joined. Raises CalibrationError where nothing tells."""
-    color_camera = _camera(bag, color, roles.color_info, settings, warnings)
-    source = f"CameraInfo of {bag.path.name}"
-    if depth.says_registered:
-        return Calibration.registered_camera(color_camera, source=source)
-    T_color_depth = joined(bag, color.name, depth.name)
-    if T_color_depth is not None:
-        warnings.append(f"{depth.name} is not registered to {color.name}: they are joined as the RealSense SDK has it.")
-        own = _camera(bag, depth, roles.depth_info, settings, warnings)
-        return Calibration(color_camera, own, T_color_depth, source=source)
-    is_one = depth.frame == color.frame
-    depth_camera = color_camera if is_one and roles.depth_info is None else None
-    if depth_camera is None:
-        depth_camera = _camera(bag, depth, roles.depth_info, settings, warnings)
-    if is_one and _is_same(color_camera, depth_camera):
-        return Calibration.registered_camera(color_camera, source=source)
-    # tf joins a frame with itself, which says nothing of two cameras that carry its name.
-    T_color_depth = None if is_one else transforms.between(color.frame, depth.frame)
-    if T_color_depth is None:
-        why = "and tf does not join them"
-        if is_one:
-            why = "both carry one frame with different CameraInfo, so that tf does not join them"
-        problem = f"depth ({depth.frame!r}) is not registered to colour ({color.frame!r}), {why}"
-        fix = "record /tf_static with a frame for each, or registered depth, or give T_color_depth by --camera"
-        raise CalibrationError(problem, path=bag.path, fix=f"{fix}{_of_realsense(bag, depth)}")
-    warnings.append(f"{depth.name} is not registered to {color.name}: they are joined by tf.")
-    return Calibration(color_camera, depth_camera, T_color_depth, source=source)
-
-
-def _of_realsense(bag: OpenBag, image: ImageTopic) -> str:
-    """What else helps where the bag may be what the RealSense SDK recorded, which reads its own calibration."""
-    of_sdk = image.name.startswith("/device_") or any(topic.name.startswith("/device_") for topic in bag.topics)
-    file = f"realsense:{bag.path.name}" if of_sdk else "realsense:FILE"
-    return f"; what the RealSense SDK recorded is read by wheelsight record --camera {file}"
-
-
-def _is_same(color: PinholeCamera, depth: PinholeCamera) -> bool:
-    """Whether both have one pixel grid; a registered image's lens distortion may be told, or not."""
-    sizes = [(camera.width, camera.height) for camera in (color, depth)]
-    return sizes[0] == sizes[1] and bool(np.allclose(color.K, depth.K, rtol=1e-3, atol=0.1))
-
-
-def _camera(
-    bag: OpenBag, image: ImageTopic, info: str | None, settings: BagSettings, warnings: list[str]
-) -> PinholeCamera:
-    if info is None:
-        problem = f"no CameraInfo tells what the camera of {image.name} is like"
-        fix = f"choose one by --topic color_info=…, or give --camera{_of_realsense(bag, image)}"
-        raise CalibrationError(problem, fix=fix)
-    try:
-        camera, told = camera_of(bag.decode(bag.first(info)[0]), image.is_rectified, settings.lens_px)
-    except CalibrationError as error:
-        raise CalibrationError(f"{image.name} ({info}): {error.problem}", fix=error.fix or "give --camera") from error
-    if told is not None:
-        warnings.append(f"{info}: {told}.")
-    return camera
+def joined(bag: OpenBag, color: str, depth: str) -> FloatArray | None:
+    """T_color_depth (4, 4) of two image topics; None where the SDK wrote neither them nor transforms."""
+    into: list[dict[str, FloatArray]] = []
+    for name in (color, depth):
+        stream = _IMAGE.fullmatch(name)
+        if stream is None:
+            return None
+        begin, found = f"{stream[1]}/tf/", {}
+        for topic in bag.topics:
+            if topic.name.startswith(begin) and topic.type == _TRANSFORM and topic.count:
+                message = bag.decode(bag.first(topic.name)[0])
+                T_stream_group = motion_of(message.translation, message.rotation)
+                if T_stream_group is not None:
+                    found[topic.name.removeprefix(begin)] = T_stream_group
+        into.append(found)
+    groups = sorted(into[0].keys() & into[1].keys())
+    return se3.compose(into[0][groups[0]], se3.invert(into[1][groups[0]])) if groups else None
