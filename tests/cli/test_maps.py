@@ -155,7 +155,7 @@ def test_what_cannot_be_exported_is_refused_in_a_line(refusal: Callable[..., str
     assert refusal("map", "export", kept).startswith("nothing is asked for (--out points.ply, --occupancy plan.yaml")
     occupancy = ("map", "export", kept, "--occupancy")
     assert "does not end in .yaml or .yml" in refusal(*occupancy, tmp_path / "plan.pgm")
-    assert "where the floor is nobody knows" in refusal(*occupancy, tmp_path / "plan.yaml")
+    assert "pose above the floor is unknown" in refusal(*occupancy, tmp_path / "plan.yaml")
     (tmp_path / "plan.pgm").touch()
     assert "plan.pgm: is there already" in refusal(*occupancy, tmp_path / "plan.yaml")
     assert "--resolution is of occupancy maps" in refusal(

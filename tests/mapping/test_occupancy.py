@@ -267,7 +267,7 @@ def test_depth_that_is_unknown_says_nothing() -> None:
 
 
 def test_what_is_wrong_is_refused_and_changes_nothing() -> None:
-    with pytest.raises(MapError, match="where the floor is nobody knows"):
+    with pytest.raises(MapError, match="pose above the floor is unknown"):
         OccupancyMapper(Calibration.registered_camera(CAMERA))
     made = mapped(turning(2))
     before = made.grid()

@@ -1,5 +1,7 @@
-"""`OccupancyGrid` holds free, occupied and missing floor. `OccupancyMapper` builds it from the depth of keyframes
-and updates it when keyframes move. `picture_of` draws it.
+"""Occupancy of the floor.
+
+`OccupancyGrid` has free and occupied cells, and drop-offs. `OccupancyMapper` builds it from the depth of keyframes and
+updates it when keyframes move. `picture_of` draws it.
 """
 
 from __future__ import annotations
@@ -28,29 +30,27 @@ from wheelsight.io.ros_map import FREE, OCCUPIED, UNKNOWN, RosMap
 from wheelsight.mapping import occupancy_kernels as kernels
 from wheelsight.mapping.settings import OccupancySettings
 
-# OccupancyGrid: what is free, what is occupied, and where the floor is missing; as a value.
-
 
 class CellKind(IntEnum):
-    """What a cell of the floor is."""
+    """Kinds of floor cells."""
 
     UNKNOWN = 0
     FREE = 1
     OVERHANG = 2
-    """Something hangs above the robot; what is below it, `OccupancyGrid.occupancy` says."""
+    """An object above the robot's height. `OccupancyGrid.occupancy` has the state of the floor below it."""
     OBSTACLE = 3
     DROP_OFF = 4
     KEEP_OUT = 5
-    """Somebody said so; see `MapEdits`."""
+    """A keep-out zone; see `MapEdits`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OccupancyGrid:
-    """The floor in square cells, along the axes of the frame `map`.
+    """Grid of the floor, with square cells along the axes of the frame `map`.
 
     Attributes:
-        kind: (H, W) uint8 of `CellKind`; row 0 is the least y.
-        occupancy: (H, W) int8 as nav_msgs/OccupancyGrid has it: 0 free, 100 occupied, -1 unknown.
+        kind: (H, W) uint8 of `CellKind`; row 0 has the least y.
+        occupancy: (H, W) int8 as in nav_msgs/OccupancyGrid: 0 free, 100 occupied, -1 unknown.
         resolution_m: side of a cell.
         origin: x and y in metres of the corner of cell (0, 0).
     """
@@ -64,69 +64,65 @@ class OccupancyGrid:
     def of_kinds(
         cls, kind: ByteArray, is_free: BoolArray, resolution_m: float, origin: tuple[float, float]
     ) -> OccupancyGrid:
-        """Of kinds (H, W), and where an overhang leaves the floor below it free (H, W)."""
+        """Return a grid of kinds (H, W); `is_free` (H, W) marks free floor below an overhang."""
         return cls(kind, _occupancy(kind, is_free), resolution_m, origin)
 
     def to_ros(self) -> RosMap:
-        """The same for `write_ros_map`, which tells free, occupied and unknown apart and no more."""
+        """Return the map for `write_ros_map`, which has only free, occupied and unknown cells."""
         return RosMap(self.occupancy, self.resolution_m, (*self.origin, 0.0))
 
     def cells_at(self, xy_map: ArrayLike) -> IntArray:
-        """(..., 2) row and column of points (..., 2) in `map`; they may lie outside."""
+        """Return row and column (..., 2) of points (..., 2) in `map`; they may be outside the grid."""
         cells = (np.asarray(xy_map, float) - self.origin) / self.resolution_m
         return np.floor(cells[..., ::-1]).astype(np.int64)
 
     def middle_of(self, cells: ArrayLike) -> FloatArray:
-        """(..., 2) in `map` of the middles of cells (..., 2) of row and column."""
+        """Return the centres (..., 2) in `map` of cells (..., 2), row and column."""
         return np.asarray((np.asarray(cells, float)[..., ::-1] + 0.5) * self.resolution_m + self.origin)
 
     def kind_at(self, xy_map: ArrayLike) -> ByteArray:
-        """(...) of `CellKind` at points (..., 2) in `map`; unknown outside."""
+        """Return the `CellKind` (...) at points (..., 2) in `map`; unknown outside the grid."""
         cells = self.cells_at(xy_map)
         inside = np.asarray(((cells >= 0) & (cells < self.kind.shape)).all(axis=-1))
         row, column = np.moveaxis(np.where(inside[..., None], cells, 0), -1, 0)
         return np.asarray(np.where(inside, self.kind[row, column], CellKind.UNKNOWN), np.uint8)
 
     def changed(self, where: BoolArray, kind: CellKind) -> OccupancyGrid:
-        """The same with other kinds of some cells (H, W)."""
+        """Return a grid with another kind in some cells (H, W)."""
         kinds = np.where(where, np.uint8(kind), self.kind).astype(np.uint8)
-        told = _occupancy(kinds, np.zeros_like(where))
-        return replace(self, kind=kinds, occupancy=np.where(where, told, self.occupancy).astype(np.int8))
+        changed = _occupancy(kinds, np.zeros_like(where))
+        return replace(self, kind=kinds, occupancy=np.where(where, changed, self.occupancy).astype(np.int8))
 
     def free_m2(self) -> float:
-        """How much floor is free."""
+        """Return the area of free floor."""
         return float(np.count_nonzero(self.occupancy == FREE) * self.resolution_m**2)
 
 
 def _occupancy(kind: ByteArray, is_free: BoolArray) -> NDArray[np.int8]:
-    told = np.where(kind >= CellKind.OBSTACLE, OCCUPIED, np.where(kind == CellKind.FREE, FREE, UNKNOWN))
-    return np.where((kind == CellKind.OVERHANG) & is_free, FREE, told).astype(np.int8)
+    values = np.where(kind >= CellKind.OBSTACLE, OCCUPIED, np.where(kind == CellKind.FREE, FREE, UNKNOWN))
+    return np.where((kind == CellKind.OVERHANG) & is_free, FREE, values).astype(np.int8)
 
 
-# OccupancyMapper: an occupancy map made of the depth of keyframes, and made anew where they moved.
-
-
-# Log-odds are kept in even steps: 3.5, the log-odds of 0.97, is 112, and int8 holds 127.
+# Log-odds are stored in even steps: 3.5, the log-odds of 0.97, is 112, and int8 has 127.
 _PAIRS_PER_UNIT = 16.0
 _MOST_PAIRS = 63
 _GROWTH_CELLS = 128
-# Cells of unknown floor all round what is known.
+# Width of the unknown border around the known cells.
 _BORDER_CELLS = 2
 
 
 class OccupancyMapper:
-    """Log-odds that layers of height over the floor are occupied, by all keyframes that were added.
+    """Log-odds of occupancy in height layers above the floor, from all added keyframes.
 
-    The floor is z = 0 of the base at each keyframe, so that a map may drift in height. Of each keyframe
-    some depth is kept, about 10 kB, mostly in a temporary file: where keyframes moved, all is made anew of that, and no
-    image is decoded.
+    The floor is z = 0 of the base at each keyframe, so that a map may drift in height. About 10 kB of depth is kept per
+    keyframe, mostly in a temporary file. When keyframes move, the map is rebuilt from it without decoding images.
 
     Args:
-        calibration: of the robot: where its camera sits over the floor, and how its depth errs.
-        settings: or the defaults.
+        calibration: calibration of the robot, with the camera mount and the depth noise.
+        settings: settings, or None for the defaults.
 
     Raises:
-        MapError: the calibration does not say where the camera sits on the base.
+        MapError: the calibration has no camera mount.
     """
 
     def __init__(self, calibration: Calibration, settings: OccupancySettings | None = None) -> None:
@@ -136,7 +132,8 @@ class OccupancyMapper:
         self._T_camera_base = se3.invert(T_base_camera)
         self._seen = SeenDepths()
         self._T_map_keyframe: dict[KeyframeId, FloatArray] = {}
-        self._steps = _steps_of(self.settings)
+        s = self.settings
+        self._steps = kernels.Steps(*map(_log_odds, (s.hit, s.passed, s.least, s.most)))
         self._bands = kernels.Bands(**{name: float(getattr(self.settings, name)) for name in kernels.Bands._fields})
         n = self._noise
         self._errs = kernels.Noise(n.constant_m, n.quadratic_per_m, self.settings.margin_sigmas)
@@ -148,14 +145,14 @@ class OccupancyMapper:
         return number in self._seen
 
     def __len__(self) -> int:
-        """How many keyframes it keeps."""
+        """Return the number of keyframes."""
         return len(self._seen)
 
     def add(self, number: KeyframeId, keyframe: Keyframe, T_map_keyframe: ArrayLike) -> None:
-        """Add what a keyframe sees, at its pose (4, 4); once each.
+        """Add the depth of a keyframe at its pose (4, 4), once for each keyframe.
 
-        Raises ArgumentError for a pose that is no rigid motion or a keyframe that is there, and MapError where the map
-        would have more cells than `most_cells`.
+        Raises ArgumentError for an invalid pose or a known keyframe, and MapError if the map would have more than
+        `most_cells` cells.
         """
         if number in self._seen:
             raise ArgumentError(f"keyframe {number} is there already", fix="add each once, and move it")
@@ -166,52 +163,54 @@ class OccupancyMapper:
         self._put(self._seen[number], T)
 
     def keep(self, number: KeyframeId, keyframe: Keyframe) -> None:
-        """Keep what a keyframe sees, of which nobody knows yet where it is; `move` adds it."""
+        """Store the depth of a keyframe whose pose is not known yet; `move` adds it."""
         self._seen[number] = SeenDepth.of(keyframe, self.settings.columns, self._noise)
 
     def move(self, T_map_keyframe: ArrayLike, shown: ArrayLike | None = None) -> bool:
-        """Make the map anew where its keyframes are by now; whether anything had changed.
+        """Rebuild the map at new keyframe poses; return whether any pose changed.
 
         Args:
             T_map_keyframe: poses (N, 4, 4) by number.
-            shown: (N,) whether each is to be in the map; None: all are.
+            shown: (N,) which keyframes the map has; None: all.
 
-        Raises as `add` does; then the map is as it was.
+        Raises as `add` does; then the map is unchanged.
         """
         table = np.asarray(T_map_keyframe, float)
         if any(number >= len(table) for number in self._seen):
             raise ArgumentError(f"poses of {len(table)} keyframes", fix="give those of all that were added, by number")
         which = np.ones(len(table), bool) if shown is None else np.asarray(shown, bool)
-        now = _all_checked(table, [number for number in self._seen if which[number]])
+        numbers = [number for number in self._seen if which[number]]
+        T = table[numbers]
+        if T.shape[1:] == (4, 4) and np.all(se3.is_valid(T)):
+            now = dict(zip(numbers, T, strict=True))
+        else:  # to name the first invalid one
+            now = {number: _checked(one, number) for number, one in zip(numbers, T, strict=True)}
         was = self._T_map_keyframe
         if now.keys() == was.keys() and all((now[number] == was[number]).all() for number in now):
             return False
-        self._make_anew(now)
+        self._rebuild(now)
         return True
 
     def update(self, store: KeyframeStore, least_shift_m: float = 0.0) -> bool:
-        """Add a store's keyframes that are new, and make the map anew if others have moved; whether it did that.
+        """Add new keyframes of a store, and rebuild the map if others have moved; return whether it was rebuilt.
 
-        Where none has moved by more than `least_shift_m`, a turn by a radian as 1.5 m, they stay where they were put.
-
-        Raises as `add` does, and what a store raises where a keyframe cannot be read.
+        If none moved by more than `least_shift_m`, they stay where they are. A turn by a radian counts as 1.5 m. Raises
+        as `add` does, and any error of reading a keyframe.
         """
-        # Others may come, and move, in the meantime: they are for the next time.
+        # A copy: keyframes that other threads add or move meanwhile are left for the next call.
         T = np.array(store.T_map_keyframe)
-        has_moved = bool(len(self)) and self._shift_m(T) > least_shift_m and self.move(T)
+        has_moved = False
+        if placed := list(self._T_map_keyframe):
+            before = np.array([self._T_map_keyframe[number] for number in placed])
+            shift_m = float(se3.view_shift_m(se3.invert(before) @ T[placed]).max())
+            has_moved = shift_m > least_shift_m and self.move(T)
         for number in map(KeyframeId, range(len(T))):
             if number not in self:
                 self.add(number, store[number], T[number])
         return has_moved
 
-    def _shift_m(self, T_map_keyframe: FloatArray) -> float:
-        """By how much the farthest keyframe has moved since it was put."""
-        numbers = list(self._T_map_keyframe)
-        before = np.array([self._T_map_keyframe[number] for number in numbers])
-        return float(se3.view_shift_m(se3.invert(before) @ T_map_keyframe[numbers]).max()) if numbers else 0.0
-
     def grid(self) -> OccupancyGrid:
-        """The map as it is by now, cut to what is known; one unknown cell where nothing is."""
+        """Return the grid, cropped to the known cells; a single unknown cell if there are none."""
         size_m = self.settings.resolution_m
         kind, is_free = _kinds(self._log_odds, _log_odds(self.settings.occupied))
         rows, columns = (np.flatnonzero((kind != CellKind.UNKNOWN).any(axis=axis)) for axis in (1, 0))
@@ -227,10 +226,10 @@ class OccupancyMapper:
         return self.settings.layers + 2
 
     def _clear(self) -> None:
-        self._low: IntArray = np.zeros(2, np.int64)  # row and column of cell (0, 0), in cells from the map's origin
+        self._low: IntArray = np.zeros(2, np.int64)  # row and column of cell (0, 0), relative to the map's origin
         self._log_odds = np.zeros((0, 0, self._channels), np.int8)
 
-    def _make_anew(self, T_map_keyframe: dict[KeyframeId, FloatArray]) -> None:
+    def _rebuild(self, T_map_keyframe: dict[KeyframeId, FloatArray]) -> None:
         before = self._low, self._log_odds
         self._clear()
         try:
@@ -243,7 +242,7 @@ class OccupancyMapper:
         self._T_map_keyframe = T_map_keyframe
 
     def _put(self, seen: SeenDepth, T_map_keyframe: FloatArray) -> None:
-        """Add what a keyframe sees; there is room."""
+        """Add the depth of a keyframe, within the allocated cells."""
         size_m = self.settings.resolution_m
         first = self._cell_at(T_map_keyframe) - self._reach
         M = np.empty((3, 4))
@@ -257,11 +256,11 @@ class OccupancyMapper:
         kernels.add(self._window, self._log_odds, row, column, self._steps)
 
     def _cell_at(self, T_map_keyframe: FloatArray) -> IntArray:
-        """(..., 2) row and column, from the map's origin, of the cells in which cameras (..., 4, 4) are."""
+        """Return row and column (..., 2), relative to the map's origin, of cameras at (..., 4, 4)."""
         return np.floor(T_map_keyframe[..., 1::-1, 3] / self.settings.resolution_m).astype(np.int64)
 
     def _make_room(self, T_map_keyframe: FloatArray) -> None:
-        """For what cameras (K, 4, 4) may see."""
+        """Allocate cells for the views of cameras (K, 4, 4)."""
         if not len(T_map_keyframe):
             return
         cells = self._cell_at(T_map_keyframe)
@@ -287,15 +286,15 @@ class OccupancyMapper:
 
 
 def _window(side: int, channels: int) -> kernels.Window:
-    """Of nothing."""
+    """Return an empty window."""
     seen, is_touched = np.zeros((side, side, channels), np.uint8), np.zeros((side, side), np.uint8)
     return kernels.Window(seen, is_touched, np.zeros((side * side, 2), np.int32), np.zeros(1, np.int64))
 
 
 def _kinds(log_odds: NDArray[np.int8], occupied: int) -> tuple[NDArray[np.uint8], BoolArray]:
-    """(H, W) kinds, and where there is floor with nothing in the robot's way, of steps (H, W, channels)."""
+    """Return kinds (H, W), and where the floor has nothing in the robot's way, from log-odds (H, W, channels)."""
     ground, layers, above = log_odds[..., 0], log_odds[..., 1:-1].max(axis=2), log_odds[..., -1]
-    # What was met, and not yet passed often enough to be none, or was hidden alone, leaves the cell unknown.
+    # A cell that was hit and not yet passed often enough, or only hidden, stays unknown.
     is_free = (ground >= occupied) & (layers <= 0)
     kind = np.where(is_free, CellKind.FREE, CellKind.UNKNOWN)
     kind = np.where(above >= occupied, CellKind.OVERHANG, kind)
@@ -305,21 +304,9 @@ def _kinds(log_odds: NDArray[np.int8], occupied: int) -> tuple[NDArray[np.uint8]
 
 
 def _log_odds(probability: float) -> int:
-    """In steps."""
+    """Return the log-odds of a probability, in steps."""
     pairs = round(_PAIRS_PER_UNIT * math.log(probability / (1 - probability)))
     return 2 * min(max(pairs, -_MOST_PAIRS), _MOST_PAIRS)
-
-
-def _steps_of(settings: OccupancySettings) -> kernels.Steps:
-    return kernels.Steps(*map(_log_odds, (settings.hit, settings.passed, settings.least, settings.most)))
-
-
-def _all_checked(table: FloatArray, numbers: list[KeyframeId]) -> dict[KeyframeId, FloatArray]:
-    """Copies of poses (N, 4, 4) of a table, checked together; the first that is no rigid motion is named."""
-    T = table[numbers]
-    if T.shape[1:] != (4, 4) or not np.all(se3.is_valid(T)):
-        return {number: _checked(one, number) for number, one in zip(numbers, T, strict=True)}
-    return dict(zip(numbers, T, strict=True))
 
 
 def _checked(T_map_keyframe: ArrayLike, number: int) -> FloatArray:
@@ -329,18 +316,15 @@ def _checked(T_map_keyframe: ArrayLike, number: int) -> FloatArray:
     return T.copy()
 
 
-# SeenDepths: what an occupancy map keeps of each keyframe, of which most rests in a temporary file.
-
-
 _UNITS_PER_M = 5000.0
-# 10 kB each: an hour of driving has some 4500, and those of a room need no file.
+# 10 kB each: an hour of driving has about 4500, and a room needs no file.
 _IN_MEMORY = 256
-_LOST = "make room on the disk, and make the map anew"
+_LOST = "make room on the disk, and rebuild the map"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenDepth:
-    """Some of a keyframe's depth (h, w), in fifths of a millimetre, and the slopes (w,) and (h,) of its rays."""
+    """Subsampled depth (h, w) of a keyframe, in 0.2 mm, with the slopes (w,) and (h,) of its rays."""
 
     depth: NDArray[np.uint16]
     slope_x: Float32Array
@@ -348,7 +332,7 @@ class SeenDepth:
 
     @classmethod
     def of(cls, keyframe: Keyframe, columns: int, noise: DepthNoise) -> SeenDepth:
-        """What `noise` trusts of a keyframe, in about so many columns."""
+        """Return the trusted depth of a keyframe, in about `columns` columns."""
         depth_m = keyframe.depth_m
         step = max(1, round(depth_m.shape[1] / columns))
         v, u = (np.arange(step // 2, size, step) for size in depth_m.shape)
@@ -359,24 +343,24 @@ class SeenDepth:
         return cls(depth, ((u - cx) / fx).astype(np.float32), ((v - cy) / fy).astype(np.float32))
 
     def rays(self) -> kernels.DepthRays:
-        """As kernels take them."""
+        """Return the form that kernels take."""
         return kernels.DepthRays(self.depth.astype(np.float32) / np.float32(_UNITS_PER_M), self.slope_x, self.slope_y)
 
 
-class _Rests(NamedTuple):
+class _OnDisk(NamedTuple):
     offset: int
     shape: tuple[int, int]
 
 
 class SeenDepths:
-    """By keyframe, in the order in which they were put in. Where the file cannot be written, all stay in memory.
+    """Depth by keyframe, in order of insertion. If the file cannot be written, all of it stays in memory.
 
     Args:
-        in_memory: how many stay there in any case, the first ones.
+        in_memory: number of first keyframes that always stay in memory.
     """
 
     def __init__(self, in_memory: int = _IN_MEMORY) -> None:
-        self._all: dict[KeyframeId, SeenDepth | _Rests] = {}
+        self._all: dict[KeyframeId, SeenDepth | _OnDisk] = {}
         self._most, self._end, self._has_disk = in_memory, 0, True
         self._file: BinaryIO | None = None
 
@@ -398,24 +382,24 @@ class SeenDepths:
                 self._has_disk = False
 
     def __getitem__(self, number: KeyframeId) -> SeenDepth:
-        """Raises MapError where the file has lost it."""
+        """Return the depth of a keyframe. Raises MapError if the file has lost it."""
         found = self._all[number]
-        return self._read(found) if isinstance(found, _Rests) else found
+        return self._read(found) if isinstance(found, _OnDisk) else found
 
-    def _written(self, seen: SeenDepth) -> _Rests:
+    def _written(self, seen: SeenDepth) -> _OnDisk:
         if self._file is None:
-            self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - as long as the map is made
+            self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - open as long as the mapper exists
             weakref.finalize(self, self._file.close)
         data = memoryview(b"".join(array.tobytes() for array in (seen.depth, seen.slope_x, seen.slope_y)))
         begin = self._end
         self._file.seek(begin)
-        while data:  # a disk that is nearly full takes a part
+        while data:  # a nearly full disk accepts only a part
             data = data[self._file.write(data) :]
         self._end = self._file.tell()
         height, width = seen.depth.shape
-        return _Rests(begin, (height, width))
+        return _OnDisk(begin, (height, width))
 
-    def _read(self, rests: _Rests) -> SeenDepth:
+    def _read(self, rests: _OnDisk) -> SeenDepth:
         assert self._file is not None
         (height, width), begin = rests.shape, rests.offset
         sizes = (2 * height * width, 4 * width, 4 * height)
@@ -424,29 +408,23 @@ class SeenDepths:
         except OSError as error:
             raise MapError(f"the depth of a keyframe cannot be read again: {error}", fix=_LOST) from error
         if len(data) != sum(sizes):
-            raise MapError("the depth of a keyframe that rests on disk is cut off", fix=_LOST)
+            raise MapError("the depth of a keyframe on disk is cut off", fix=_LOST)
         slopes = np.frombuffer(data, np.float32, width + height, sizes[0])
         depth = np.frombuffer(data, np.uint16, height * width).reshape(height, width)
         return SeenDepth(depth, slopes[:width], slopes[width:])
 
 
-# Where a robot's camera sits over the floor: who makes maps of the floor cannot do without.
-
-
 def camera_over_floor(calibration: Calibration) -> FloatArray:
-    """T_base_camera (4, 4). Raises MapError where the calibration does not say it."""
+    """Return T_base_camera (4, 4). Raises MapError if the calibration does not have it."""
     if calibration.T_base_camera is None:
-        problem = "where the floor is nobody knows: the calibration does not say where the camera sits"
-        raise MapError(problem, fix="wheelsight calibrate base, or T_base_camera in the calibration")
+        problem = "the camera's pose above the floor is unknown: the calibration has no T_base_camera"
+        raise MapError(problem, fix="run wheelsight calibrate base, or set T_base_camera in the calibration")
     return calibration.T_base_camera
-
-
-# An occupancy map as a picture: what is free, what is in the way, a scale, and the way that was driven.
 
 
 _LONGER_SIDE_PX = 1100
 _LEAST_WIDTH_PX, _MOST_PX_A_CELL = 640, 16
-# Told apart by people who see no red and green (Okabe & Ito 2008); red, green, blue.
+# Colours, red, green and blue, that are distinct with red-green blindness (Okabe & Ito 2008).
 COLOURS = {
     CellKind.UNKNOWN: (222, 222, 222),
     CellKind.FREE: (255, 255, 255),
@@ -463,14 +441,14 @@ _STRIP_PX, _GAP_PX = 34, 10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanLine:
-    """A line over the map.
+    """A line on the map.
 
     Attributes:
-        points: (N, 2) in `map`; closed outlines have their first point at the end again.
+        points: (N, 2) in `map`; closed outlines repeat the first point at the end.
         colour: red, green, blue.
-        name: for the legend; empty for none.
-        width_px: of it.
-        text: in the middle of its points.
+        name: name in the legend, or empty.
+        width_px: line width.
+        text: label at the mean of its points.
     """
 
     points: ArrayLike
@@ -482,14 +460,14 @@ class PlanLine:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanMark:
-    """A place on the map.
+    """A marked place on the map.
 
     Attributes:
         xy: (2,) in `map`.
-        sign: its form.
+        sign: shape of the mark.
         colour: red, green, blue.
-        name: for the legend; empty for none.
-        text: beside it.
+        name: name in the legend, or empty.
+        text: label beside it.
     """
 
     xy: ArrayLike
@@ -507,14 +485,14 @@ def picture_of(
     *,
     has_axes: bool = False,
 ) -> ByteArray:
-    """The map (h, w, 3) uint8 red, green, blue, y up the page, with a legend below.
+    """Return a picture (h, w, 3) uint8 of the map, red, green, blue, y upwards, with a legend below.
 
     Args:
-        grid: as it is.
-        stretches: of the way, (K, 2) places in `map` each: dots, joined by a line within a stretch. A circle is the
-            first of all, a square the last.
-        lines, marks: what else is drawn, in this order.
-        has_axes: whether x and y are written at its edges, by which places can be read off.
+        grid: the map.
+        stretches: paths driven, each with places (K, 2) in `map`. Dots are joined by a line within a path. A circle is
+            the first place of all, a square the last.
+        lines, marks: further drawings, in this order.
+        has_axes: whether to label x and y at the edges.
     """
     rows, columns = grid.kind.shape
     px = min(max(_LONGER_SIDE_PX // max(rows, columns), 1), _MOST_PX_A_CELL)
@@ -525,20 +503,28 @@ def picture_of(
         _draw_axes(image, grid, px)
     _draw_way(image, grid, [np.asarray(stretch, float).reshape(-1, 2) for stretch in stretches], px)
     for line in lines:
-        _draw_line(image, grid, line, px)
+        at = _pixels(grid, line.points, px)
+        if len(at):
+            cv2.polylines(image, [at], False, line.colour, line.width_px, cv2.LINE_AA)
+            if line.text:
+                x, y = np.rint(np.unique(at, axis=0).mean(axis=0)).astype(int).tolist()
+                _write_beside(image, line.text, x - 4 * len(line.text), y)
     for mark in marks:
-        _draw_mark(image, grid, mark, px)
+        x, y = _pixels(grid, mark.xy, px)[0].tolist()
+        _sign(image, mark, x, y)
+        if mark.text:
+            _write_beside(image, mark.text, x + 11, y + 5)
     wide = np.full((image.shape[0], max(image.shape[1], _LEAST_WIDTH_PX), 3), COLOURS[CellKind.UNKNOWN], np.uint8)
     left = (wide.shape[1] - image.shape[1]) // 2
     wide[:, left : left + image.shape[1]] = image
     drawn: list[PlanLine | PlanMark] = [*lines, *marks]
     named = [one for one in drawn if one.name]
-    below = [_named(named, wide.shape[1])] if named else []
+    below = [_name_legend(named, wide.shape[1])] if named else []
     return np.concatenate([wide, *below, _legend(grid, px, wide.shape[1])])
 
 
 def save_picture(image: ByteArray, path: StrPath) -> None:
-    """Write red, green, blue (h, w, 3) as PNG, atomically. Raises OutputError."""
+    """Write an image (h, w, 3), red, green, blue, as PNG, atomically. Raises OutputError."""
     written, code = cv2.imencode(".png", image[..., ::-1])
     assert written
     write_bytes(path, code.tobytes())
@@ -558,7 +544,7 @@ def _draw_way(image: ByteArray, grid: OccupancyGrid, stretches: list[FloatArray]
 
 
 def _draw_axes(image: ByteArray, grid: OccupancyGrid, px: int) -> None:
-    """Crosses at whole steps of x and y, and what these are along the left and lower edge."""
+    """Draw crosses at round values of x and y, with labels along the left and lower edges."""
     a_metre, (height, width) = px / grid.resolution_m, image.shape[:2]
     step_m = next((step for step in _SCALES_M if step * a_metre >= _LEAST_STEP_PX), _SCALES_M[-1])
     x_m, y_m = (
@@ -578,29 +564,13 @@ def _draw_axes(image: ByteArray, grid: OccupancyGrid, px: int) -> None:
 
 
 def _pixels(grid: OccupancyGrid, xy: ArrayLike, px: int) -> Any:
-    """(N, 2) int32 of places (N, 2) in `map`."""
+    """Return pixels (N, 2) int32 of places (N, 2) in `map`."""
     cells = (np.asarray(xy, float).reshape(-1, 2) - grid.origin) / grid.resolution_m
     return np.rint(px * np.stack([cells[:, 0], len(grid.kind) - cells[:, 1]], axis=-1)).astype(np.int32)
 
 
-def _draw_line(image: ByteArray, grid: OccupancyGrid, line: PlanLine, px: int) -> None:
-    at = _pixels(grid, line.points, px)
-    if len(at):
-        cv2.polylines(image, [at], False, line.colour, line.width_px, cv2.LINE_AA)
-        if line.text:
-            x, y = np.rint(np.unique(at, axis=0).mean(axis=0)).astype(int).tolist()
-            _write_beside(image, line.text, x - 4 * len(line.text), y)
-
-
-def _draw_mark(image: ByteArray, grid: OccupancyGrid, mark: PlanMark, px: int) -> None:
-    x, y = _pixels(grid, mark.xy, px)[0].tolist()
-    _sign(image, mark, x, y)
-    if mark.text:
-        _write_beside(image, mark.text, x + 11, y + 5)
-
-
 def _sign(image: ByteArray, mark: PlanMark, x: int, y: int) -> None:
-    """Upon a rim of paper, so that it is seen on lines of its own colour."""
+    """Draw a mark with a white rim, so that it is visible on lines of its own colour."""
     if mark.sign == "circle":
         cv2.circle(image, (x, y), 8, _PAPER, -1, cv2.LINE_AA)
         cv2.circle(image, (x, y), 6, mark.colour, -1, cv2.LINE_AA)
@@ -618,12 +588,12 @@ def _write_beside(image: ByteArray, text: str, left: int, bottom: int) -> None:
 
 
 def _plain(text: str) -> str:
-    """OpenCV's letters are ASCII."""
+    """Return text in ASCII, which is all that OpenCV's font has."""
     return text.replace("°", " deg").encode("ascii", "replace").decode()
 
 
-def _named(drawn: Iterable[PlanLine | PlanMark], width: int) -> ByteArray:
-    """(h, width, 3): names of lines and marks, each once; in more rows where they need them."""
+def _name_legend(drawn: Iterable[PlanLine | PlanMark], width: int) -> ByteArray:
+    """Return (h, width, 3) with the names of lines and marks, each once, in as many rows as needed."""
     strips, left = [np.full((_STRIP_PX, width, 3), 255, np.uint8)], _GAP_PX
     for one in {one.name: one for one in drawn}.values():
         span = 34 + 8 * len(one.name) + _GAP_PX
@@ -640,7 +610,7 @@ def _named(drawn: Iterable[PlanLine | PlanMark], width: int) -> ByteArray:
 
 
 def _legend(grid: OccupancyGrid, px: int, width: int) -> ByteArray:
-    """(h, width, 3): the colours that occur, and a scale."""
+    """Return (h, width, 3) with the colours of the kinds that occur, and a scale."""
     shown = [kind for kind in CellKind if (grid.kind == kind).any()]
     names = [kind.name.lower().replace("_", "-") for kind in shown]
     spans = [28 + 8 * len(name) + _GAP_PX for name in names]

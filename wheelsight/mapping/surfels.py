@@ -1,5 +1,6 @@
-"""`SurfelMap` fuses RGB-D frames into surfels and predicts views from them. Also the values that go in and out, and
-the checks of inputs.
+"""`SurfelMap` fuses RGB-D frames into surfels and predicts views from them.
+
+Surfels are those of Keller et al. 2013; the active time window is that of Whelan et al. 2015 and 2016.
 """
 
 from __future__ import annotations
@@ -32,32 +33,27 @@ from wheelsight.mapping.fusion_kernels import (
 )
 from wheelsight.mapping.settings import SurfelSettings
 
-# SurfelMap: a model of what was seen, of small disks that frames are averaged into and that views are predicted from.
-#
-# Keller et al. 2013 for the surfels; Whelan et al. 2015 and 2016 for the window in time.
-
-
 _COPIED_AT_ONCE = 1 << 16  # 5 MB
 
 
 class SurfelMap:
-    """Surfels in the map frame; frames with poses go in, views come out. A `ReferenceModel` to track against.
+    """Surfels in the map frame: fuses frames with poses, and predicts views. A `ReferenceModel` for tracking.
 
-    Each surfel hangs on the keyframe that was current when it was made. Where the map follows a store, surfels move
-    with their keyframes: before it is fused into, shown or read, it asks how they have moved. Where memory runs short,
-    what hangs on far keyframes rests on the disk until the camera comes near.
+    Each surfel is attached to the keyframe that was current when it was created. With a store, surfels move with their
+    keyframes: the map applies their motion before fusing, predicting and reading. When memory is short, surfels of
+    distant keyframes are on disk until the camera comes near.
 
-    Results do not depend on `settings.threads`, to the last bit. Not to be used by two threads at once.
+    Results do not depend on `settings.threads`, to the last bit. Not thread-safe.
 
     Args:
-        settings: or the defaults.
-        store: of the keyframes; without one, nothing moves.
+        settings: settings, or None for the defaults.
+        store: store of the keyframes; without one, surfels do not move.
 
     Attributes:
-        settings: of the map.
-        stamp_s: of the last frame.
-        frames: how many were fused.
-        blocks: where surfels are kept; they are the map's to change.
+        settings: settings of the map.
+        stamp_s: stamp of the last frame.
+        frames: number of fused frames.
+        blocks: storage of the surfels; only the map changes it.
     """
 
     def __init__(self, settings: SurfelSettings | None = None, store: KeyframeStore | None = None) -> None:
@@ -71,123 +67,6 @@ class SurfelMap:
         self._scratch: dict[str, np.ndarray] = {}
         self._weight_of: tuple[float, ...] = ()
 
-    def __len__(self) -> int:
-        return self.blocks.alive + len(self._nearness.resting)
-
-    @property
-    def dropped(self) -> int:
-        """How many surfels were given up so far for want of room, or could not be read back from the disk."""
-        return self.blocks.dropped + self._nearness.resting.lost
-
-    @property
-    def memory_bytes(self) -> int:
-        """Of all arrays."""
-        return self.blocks.memory_bytes + sum(array.nbytes for array in self._scratch.values())
-
-    @property
-    def T_map_keyframe(self) -> FloatArray:
-        """Poses (K, 4, 4) of the keyframes that surfels hang on, by number: those of the store, or of the file."""
-        return self._T_map_keyframe if self._store is None else self._store.T_map_keyframe
-
-    def status(self) -> MapStatus:
-        """How the map stands; goes over all surfels."""
-        stable = active = 0
-        for part in self._parts():
-            stable += int(np.count_nonzero(self._are_stable(part)))
-            active += int(np.count_nonzero(part.seen_s[:, 1] >= self._active_since_s))
-        rests = len(self._nearness.resting)
-        return MapStatus(len(self), stable, active, self.dropped, self.memory_bytes, rests)
-
-    def surfels(self, which: Literal["all", "stable"] = "all") -> Surfels:
-        """Copies of all surfels, or of the stable ones, block by block."""
-        self._follow()
-        copies = SurfelCopies(len(self))
-        for part in self._parts():
-            copies.add(part if which == "all" else _chosen(part, self._are_stable(part)))
-        return copies.all()
-
-    def parts(
-        self, which: Literal["all", "stable"] = "all", keyframes: tuple[int, int] | None = None
-    ) -> Iterator[Surfels]:
-        """Copies of the same, some megabytes at a time; only those that hang on keyframes of an interval."""
-        self._follow()
-        for part in self._parts(keyframes):
-            yield views_of(part if which == "all" else _chosen(part, self._are_stable(part)))
-
-    def _parts(self, keyframes: tuple[int, int] | None = None) -> Iterator[SurfelArrays]:
-        """Copies of all that is in memory, block by block, and then of what rests on the disk; a part at a time."""
-        slots = self.blocks.slots()
-        for begin in range(0, len(slots), _COPIED_AT_ONCE):
-            some = slots[begin : begin + _COPIED_AT_ONCE]
-            if keyframes is not None:
-                of_some = self.blocks.surfels.keyframe[some]
-                some = some[(of_some >= keyframes[0]) & (of_some < keyframes[1])]
-            yield SurfelArrays(*(array[some] for array in self.blocks.surfels))
-        yield from self._nearness.resting.all(self.T_map_keyframe, keyframes)
-
-    def _are_stable(self, part: SurfelArrays) -> BoolArray:
-        return np.asarray(part.geometry[:, CONFIDENCE] >= self.settings.stable_confidence)
-
-    def add(self, surfels: Surfels, stamp_s: float) -> int:
-        """Put surfels in as they are, at a map's time; how many found room, in memory or on the disk."""
-        self._follow()
-        self.stamp_s = max(self.stamp_s, stamp_s)
-        radius, confidence = surfels.radius_m[:, None], surfels.confidence[:, None]
-        geometry = np.hstack([surfels.position, radius, surfels.normal, confidence]).astype(np.float32)
-        look = np.hstack([surfels.color, surfels.grey[:, None]]).astype(np.float32)
-        seen_s = np.stack([surfels.first_s, surfels.last_s], axis=-1)
-        new = SurfelArrays(geometry, look, seen_s, surfels.variance_m2, surfels.keyframe)
-        most = int((1 - self.settings.least_room) * self.settings.max_surfels) - self.blocks.alive
-        staying = self._nearness.lay_by(new, self.T_map_keyframe, most)
-        rest = len(new.geometry) - len(staying.geometry)
-        return rest + self.blocks.append(staying, self.stamp_s, self._rules)
-
-    def restore(self, dropped: int, T_map_keyframe: FloatArray) -> None:
-        """Count so many surfels as given up before, and know the keyframes (K, 4, 4): for a map read from a file."""
-        self.blocks.dropped, self._T_map_keyframe = dropped, T_map_keyframe
-
-    def hang_on(self, store: KeyframeStore) -> None:
-        """Move surfels to where a store has their keyframes by now, and with them from now on: for a map from a file.
-
-        Raises MapError where the store has fewer keyframes than the map.
-        """
-        self._follow()
-        known = self.T_map_keyframe
-        if len(known) > len(store):
-            raise MapError(f"has {len(known)} keyframes, the store {len(store)}", fix="give the store of this map")
-        moves = store.T_map_keyframe[: len(known)] @ se3.invert(known)
-        moves = np.where(np.isfinite(moves).all(axis=(1, 2), keepdims=True), moves, np.eye(4))
-        if not np.allclose(moves, np.eye(4), atol=1e-12):
-            self.blocks.move(np.concatenate([moves, np.eye(4)[None]]), self.stamp_s, self._rules, self._rows.share)
-        self._store, self._follower = store, store.follow()
-
-    def move(self, T_new_old: FloatArray) -> None:
-        """Move the whole map by a rigid motion (4, 4) from the left, and all keyframes of its store.
-
-        Raises MapError for what is none.
-        """
-        T = checked_motion(T_new_old, "T_new_old")
-        self._follow()
-        if self._store is None or self._follower is None:
-            self._T_map_keyframe = T @ self._T_map_keyframe
-        else:
-            self._store.move(list(self._store), T @ self._store.T_map_keyframe)
-            self._follower.moves()  # moved below, with those that hang on none
-        self.blocks.move(T[None], self.stamp_s, self._rules, self._rows.share)
-
-    def settle(self) -> int:
-        """Let unstable surfels go whose time has come, wherever they are in memory; how many did.
-
-        While frames are fused a part of the map is swept a frame.
-        """
-        return self.blocks.sweep_all(self.stamp_s, self._rules)
-
-    def _follow(self) -> None:
-        """Move surfels as their keyframes have moved since this was called last."""
-        moves = None if self._follower is None else self._follower.moves()
-        if moves is not None:
-            self.blocks.move(np.concatenate([moves, np.eye(4)[None]]), self.stamp_s, self._rules, self._rows.share)
-
     def fuse(
         self,
         surface: Surface,
@@ -198,20 +77,20 @@ class SurfelMap:
         frames: int = 1,
         keyframe: KeyframeId | None = None,
     ) -> FusedFrame:
-        """Average a frame on the grid of an ideal camera into the map.
+        """Fuse a frame of an ideal pinhole camera into the map.
 
         Args:
-            surface: what it shows.
+            surface: depth, normals, grey and colour of the frame.
             intrinsics: (4,) fx, fy, cx, cy.
-            T_map_camera: (4, 4) of this frame: one whose tracking failed has none, and cannot be fused.
-            stamp_s: not before that of the last frame.
-            noise: of depth; by default Kinect v1's.
-            frames: how many it counts as, with those alike that were left out.
-            keyframe: that new surfels hang on.
+            T_map_camera: (4, 4) pose of the frame. A frame whose tracking failed has none, and cannot be fused.
+            stamp_s: stamp, not before that of the last frame.
+            noise: depth noise; by default that of Kinect v1.
+            frames: weight, as a number of frames, with similar ones that were skipped.
+            keyframe: keyframe that new surfels are attached to.
 
         Raises:
-            MapError: shapes that differ, depth that is not in metres, a pose that is no rigid motion, a stamp before
-                the last, or a keyframe that the map does not know.
+            MapError: shapes differ, depth is not in metres, the pose is not a rigid motion, the stamp is before the
+                last one, or the keyframe is unknown.
         """
         noise = noise or DepthNoise()
         frame, pose = checked_frame(surface, noise.far_m), checked_pose(T_map_camera, intrinsics)
@@ -221,18 +100,86 @@ class SurfelMap:
             raise MapError(f"there is no keyframe {keyframe}", fix="give the map the store that has it")
         self.stamp_s, dropped = float(stamp_s), self.blocks.dropped
         self._come_near(pose)
-        camera = self._camera(pose, frame.depth_m.shape, noise)
-        seen = self._seen(frame, camera, pose.grid, frames)
+        sensor = np.array([noise.constant_m, noise.quadratic_per_m, noise.near_m, noise.far_m], np.float32)
+        camera = Camera(pose.T32, pose.grid32, *rays_of(pose.grid, frame.depth_m.shape), pose.pitch, sensor)
+        seen = self._readings(frame, camera, pose.grid, frames)
         matched, removed, merged, is_new = self._average(seen, camera, pose)
-        added = self._add_new(seen, is_new, -1 if keyframe is None else keyframe)
+        n = int(np.count_nonzero(is_new))
+        images = np.empty((n, 8), np.float32), np.empty((n, 4), np.float32), np.empty((n, 2))
+        of_keyframe = np.full(n, -1 if keyframe is None else keyframe, np.int32)
+        new = SurfelArrays(*images, np.empty(n, np.float32), of_keyframe)
+        fusion.make_new(is_new.reshape(-1), seen, new)
+        added = self.blocks.append(new, self.stamp_s, self._rules)
         self.frames += 1
         removed += self.blocks.sweep(self.stamp_s, self._rules)
         return FusedFrame(matched, added, removed, merged, self.blocks.dropped - dropped)
 
-    def predict(self, T_map_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int]) -> PredictedView:
-        """What the active part of the map looks like: stable surfels, and unstable ones where there is no stable one.
+    def _readings(self, frame: Frame, camera: Camera, grid: FloatArray, frames: int) -> Seen:
+        """Return the depth, colour and weight of each pixel, and the radius of a surfel there."""
+        height, width = frame.depth_m.shape
+        reading = self._room("reading", (frame.depth_m.size, READING), np.float32)
+        radius = self._room("radius", (frame.depth_m.size,), np.float32)
+        looks = (frame.color.reshape(-1, 3), frame.grey.reshape(-1))
+        since_s = self.stamp_s - np.array([self.settings.unstable_s, self.settings.unseen_s, self.settings.active_s])
+        seen = Seen(frame.depth_m, reading, radius, *looks, self.stamp_s, np.float32(frames), since_s)
+        given = (seen, frame.normal, self._weight(grid, (height, width)), camera, self._rules_for(camera.noise))
+        self._rows.share(height, lambda a, b: fusion.read(a, b, *given))
+        return seen
 
-        Args: as of `ReferenceModel.predict`. Raises MapError for a pose that is no rigid motion.
+    def _weight(self, grid: FloatArray, shape: tuple[int, int]) -> Float32Array:
+        """Return the weight of readings (h, w) by distance from the image centre; Keller et al. 2013, section 4.2."""
+        key = (*grid, *shape)
+        if self._weight_of != key:
+            self._weight_of = key
+            u, v = np.arange(shape[1]) - grid[2], np.arange(shape[0]) - grid[3]
+            farthest2 = max(np.abs(u[[0, -1]])) ** 2 + max(np.abs(v[[0, -1]])) ** 2
+            share2 = (u[None] ** 2 + v[:, None] ** 2) / max(farthest2, 1.0)
+            self._scratch["weight"] = np.exp(-share2 / (2 * self.settings.radial_sigma**2)).astype(np.float32)
+        return self._scratch["weight"]
+
+    def _average(self, seen: Seen, camera: Camera, pose: Pose) -> tuple[int, int, int, np.ndarray]:
+        """Match, average and merge; return the numbers of matched, removed and merged surfels, and which pixels are new
+        (h, w).
+        """
+        blocks, share, rules = self.blocks, self._rows.share, self._rules_for(camera.noise)
+        height, width = seen.depth_m.shape
+        pages = blocks.pages_in_view(pose.T, pose.grid, (height, width), self._surfels_far_m(camera.noise) + 1, -np.inf)
+        found, surfels = self._candidates(seen, camera, pages, rules), blocks.surfels
+        best = self._room("best", (seen.depth_m.size,), np.float32)
+        ranked = (found.pixel, found.rank, found.counts, best, found.chosen)
+        share(height, lambda a, b: choose(a, b, width, *ranked))
+        is_new = self._room("is_new", (height, width), np.bool_)
+        share(height, lambda a, b: find_new(a, b, found, surfels, seen, camera.pitch, rules, is_new))
+        home = fusion.Home(blocks.page_cell, blocks.cell_xyz, blocks.cell_seen_s, blocks.block_m)
+        share(len(pages), lambda a, b: fusion.update(a, b, found, surfels, home, camera, seen, rules))
+        is_due = self.frames % self.settings.merged_every == 1 % self.settings.merged_every
+        merged = 0
+        if is_due:
+            by_row = np.zeros(height, np.int64)
+            share(height, lambda a, b: fusion.merge(a, b, width, found, surfels, rules, by_row))
+            merged = int(by_row.sum())
+        _, died, matched, died_then = found.counts.sum(axis=0, dtype=np.int64).tolist()
+        blocks.count_deaths(died + died_then + merged)
+        return matched, died + died_then, merged, is_new
+
+    def _candidates(self, seen: Seen, camera: Camera, pages: Int32Array, rules: Rules) -> Candidates:
+        """Return the surfels that fit each pixel, before the best is chosen."""
+        blocks, entries = self.blocks, (len(pages) * PAGE,)
+        found = Candidates(
+            self._room("slots", entries, np.int32),
+            self._room("pixel", entries, np.int32),
+            self._room("rank", entries, np.float32),
+            self._room("found", (len(pages), 4), np.int32),
+            self._room("chosen", (seen.depth_m.size,), np.int32),
+        )
+        given = (InView(pages, blocks.page_fill), blocks.surfels, seen, camera, rules, found)
+        self._rows.share(len(pages), lambda a, b: find_candidates(a, b, *given))
+        return found
+
+    def predict(self, T_map_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int]) -> PredictedView:
+        """Return a view of the active map: stable surfels, and unstable ones where there are no stable ones.
+
+        Args: as of `ReferenceModel.predict`. Raises MapError for an invalid pose.
         """
         pose = checked_pose(T_map_camera, intrinsics)
         self._come_near(pose)
@@ -247,7 +194,7 @@ class SurfelMap:
         which: Literal["all", "active", "stable"] = "all",
         far_m: float | None = None,
     ) -> ColoredView:
-        """A view in colour: of all surfels, of those active, or of all stable ones, as far as `far_m`."""
+        """Return a colour view of all, active or all stable surfels, up to the distance `far_m`."""
         least = self.settings.stable_confidence if which == "stable" else 0.0
         far_m = self.settings.far_m if far_m is None else far_m
         since_s = self._active_since_s if which == "active" else -np.inf
@@ -255,109 +202,13 @@ class SurfelMap:
         self._come_near(pose)
         return ColoredView(*self._show(pose, shape, (far_m, least, np.inf), since_s, True))
 
-    def _come_near(self, pose: Pose) -> None:
-        """Have in memory what a camera may see, where its keyframes are by now."""
-        self._follow()
-        self._nearness.come_near(self.blocks, (self.T_map_keyframe, pose.T), self.stamp_s, self._rules)
-
-    @property
-    def _active_since_s(self) -> float:
-        return self.stamp_s - self.settings.active_s
-
-    @property
-    def _rules(self) -> FloatArray:
-        s = self.settings
-        return np.array([s.stable_confidence, s.unstable_s, s.active_s, s.unseen_s])
-
-    def _rules_for(self, sensor: Float32Array) -> Rules:
-        """The settings as kernels read them, for a sensor of that noise."""
-        s = self.settings
-        turn, slant = np.cos(np.radians([s.max_angle_deg, s.max_slant_deg]))
-        named = (getattr(s, name) for name in Rules._fields if name in type(s).model_fields)
-        return Rules(*map(np.float32, (*named, turn, slant, self._laid_m(sensor), s.least_cosine**2)))
-
-    def _laid_m(self, sensor: Float32Array) -> float:
-        """How far surfels are laid."""
-        far_m = self.settings.far_m
-        return far_m + self.settings.laid_sigmas * float(sensor[0] + sensor[1] * far_m**2)
-
-    def _camera(self, pose: Pose, shape: tuple[int, ...], noise: DepthNoise) -> Camera:
-        sensor = np.array([noise.constant_m, noise.quadratic_per_m, noise.near_m, noise.far_m], np.float32)
-        return Camera(pose.T32, pose.grid32, *rays_of(pose.grid, shape), pose.pitch, sensor)
-
-    def _seen(self, frame: Frame, camera: Camera, grid: FloatArray, frames: int) -> Seen:
-        """What each pixel says of the map, and the radius a surfel there would have."""
-        height, width = frame.depth_m.shape
-        reading = self._room("reading", (frame.depth_m.size, READING), np.float32)
-        radius = self._room("radius", (frame.depth_m.size,), np.float32)
-        looks = (frame.color.reshape(-1, 3), frame.grey.reshape(-1))
-        since_s = self.stamp_s - np.array([self.settings.unstable_s, self.settings.unseen_s, self.settings.active_s])
-        seen = Seen(frame.depth_m, reading, radius, *looks, self.stamp_s, np.float32(frames), since_s)
-        given = (seen, frame.normal, self._weight(grid, (height, width)), camera, self._rules_for(camera.noise))
-        self._rows.share(height, lambda a, b: fusion.read(a, b, *given))
-        return seen
-
-    def _weight(self, grid: FloatArray, shape: tuple[int, int]) -> Float32Array:
-        """How much readings (h, w) count by their distance from the image's centre: Keller et al. 2013, 4.2."""
-        key = (*grid, *shape)
-        if self._weight_of != key:
-            self._weight_of = key
-            u, v = np.arange(shape[1]) - grid[2], np.arange(shape[0]) - grid[3]
-            farthest2 = max(np.abs(u[[0, -1]])) ** 2 + max(np.abs(v[[0, -1]])) ** 2
-            share2 = (u[None] ** 2 + v[:, None] ** 2) / max(farthest2, 1.0)
-            self._scratch["weight"] = np.exp(-share2 / (2 * self.settings.radial_sigma**2)).astype(np.float32)
-        return self._scratch["weight"]
-
-    def _average(self, seen: Seen, camera: Camera, pose: Pose) -> tuple[int, int, int, np.ndarray]:
-        """Match, average and merge; how many were matched, removed and merged, and which pixels (h, w) are new."""
-        blocks, share, rules = self.blocks, self._rows.share, self._rules_for(camera.noise)
-        height, width = seen.depth_m.shape
-        pages = blocks.pages_in_view(pose.T, pose.grid, (height, width), self._laid_m(camera.noise) + 1, -np.inf)
-        found, surfels = self._candidates(seen, camera, pages, rules), blocks.surfels
-        best = self._room("best", (seen.depth_m.size,), np.float32)
-        ranked = (found.pixel, found.rank, found.counts, best, found.chosen)
-        share(height, lambda a, b: choose(a, b, width, *ranked))
-        is_new = self._room("is_new", (height, width), np.bool_)
-        share(height, lambda a, b: find_new(a, b, found, surfels, seen, camera.pitch, rules, is_new))
-        home = fusion.Home(blocks.page_cell, blocks.cell_xyz, blocks.cell_seen_s, blocks.block_m)
-        share(len(pages), lambda a, b: fusion.update(a, b, found, surfels, home, camera, seen, rules))
-        is_due = self.frames % self.settings.merged_every == 1 % self.settings.merged_every
-        merged = self._merge((height, width), rules, found) if is_due else 0
-        _, died, matched, died_then = found.counts.sum(axis=0, dtype=np.int64).tolist()
-        blocks.count_deaths(died + died_then + merged)
-        return matched, died + died_then, merged, is_new
-
-    def _merge(self, shape: tuple[int, int], rules: Rules, found: Candidates) -> int:
-        """Merge into the chosen surfels the candidates that are their like; how many."""
-        merged, surfels = np.zeros(shape[0], np.int64), self.blocks.surfels
-        self._rows.share(shape[0], lambda a, b: fusion.merge(a, b, shape[1], found, surfels, rules, merged))
-        return int(merged.sum())
-
-    def _candidates(self, seen: Seen, camera: Camera, pages: Int32Array, rules: Rules) -> Candidates:
-        """The surfels that fit; who is chosen is not known yet."""
-        blocks, entries = self.blocks, (len(pages) * PAGE,)
-        found = Candidates(
-            self._room("slots", entries, np.int32),
-            self._room("pixel", entries, np.int32),
-            self._room("rank", entries, np.float32),
-            self._room("found", (len(pages), 4), np.int32),
-            self._room("chosen", (seen.depth_m.size,), np.int32),
-        )
-        given = (InView(pages, blocks.page_fill), blocks.surfels, seen, camera, rules, found)
-        self._rows.share(len(pages), lambda a, b: find_candidates(a, b, *given))
-        return found
-
-    def _add_new(self, seen: Seen, is_new: np.ndarray, keyframe: int) -> int:
-        n = int(np.count_nonzero(is_new))
-        images = np.empty((n, 8), np.float32), np.empty((n, 4), np.float32), np.empty((n, 2))
-        new = SurfelArrays(*images, np.empty(n, np.float32), np.full(n, keyframe, np.int32))
-        fusion.make_new(is_new.reshape(-1), seen, new)
-        return self.blocks.append(new, self.stamp_s, self._rules)
-
     def _show(
         self, pose: Pose, shape: tuple[int, int], limits: tuple[float, float, float], since_s: float, with_color: bool
     ) -> tuple[Float32Array, ...]:
-        """Depth, normal, grey, and colour if asked for; limits: how far, least confidence, largest variance."""
+        """Draw depth, normal, grey, and colour if requested.
+
+        `limits` are the largest distance, the least confidence, and the largest variance.
+        """
         far_m, least, vague_m2 = limits
         blocks, (height, width), share = self.blocks, shape, self._rows.share
         pages = blocks.pages_in_view(pose.T, pose.grid, shape, far_m, since_s)
@@ -383,8 +234,151 @@ class SurfelMap:
         share(height, lambda a, b: view.divide(a, b, near, sums, *out, color))
         return *out, color
 
+    def _come_near(self, pose: Pose) -> None:
+        """Apply the motion of keyframes, and load the surfels that a camera may see."""
+        self._follow()
+        self._nearness.come_near(self.blocks, (self.T_map_keyframe, pose.T), self.stamp_s, self._rules)
+
+    def __len__(self) -> int:
+        return self.blocks.alive + len(self._nearness.resting)
+
+    @property
+    def dropped(self) -> int:
+        """Number of surfels lost so far for lack of memory, or unreadable on disk."""
+        return self.blocks.dropped + self._nearness.resting.lost
+
+    @property
+    def memory_bytes(self) -> int:
+        """Size of all arrays."""
+        return self.blocks.memory_bytes + sum(array.nbytes for array in self._scratch.values())
+
+    @property
+    def T_map_keyframe(self) -> FloatArray:
+        """Poses (K, 4, 4) of the keyframes by number, from the store or from the file."""
+        return self._T_map_keyframe if self._store is None else self._store.T_map_keyframe
+
+    def status(self) -> MapStatus:
+        """Return counts of the map; visits all surfels."""
+        stable = active = 0
+        for part in self._parts():
+            stable += int(np.count_nonzero(self._are_stable(part)))
+            active += int(np.count_nonzero(part.seen_s[:, 1] >= self._active_since_s))
+        rests = len(self._nearness.resting)
+        return MapStatus(len(self), stable, active, self.dropped, self.memory_bytes, rests)
+
+    def surfels(self, which: Literal["all", "stable"] = "all") -> Surfels:
+        """Return copies of all surfels, or of the stable ones, block by block."""
+        self._follow()
+        copies = SurfelCopies(len(self))
+        for part in self._parts():
+            copies.add(part if which == "all" else _chosen(part, self._are_stable(part)))
+        return copies.all()
+
+    def parts(
+        self, which: Literal["all", "stable"] = "all", keyframes: tuple[int, int] | None = None
+    ) -> Iterator[Surfels]:
+        """Yield such copies, some megabytes at a time; only those of keyframes in an interval, if given."""
+        self._follow()
+        for part in self._parts(keyframes):
+            yield views_of(part if which == "all" else _chosen(part, self._are_stable(part)))
+
+    def _parts(self, keyframes: tuple[int, int] | None = None) -> Iterator[SurfelArrays]:
+        """Yield copies of all surfels in memory, block by block, then of those on disk."""
+        slots = self.blocks.slots()
+        for begin in range(0, len(slots), _COPIED_AT_ONCE):
+            some = slots[begin : begin + _COPIED_AT_ONCE]
+            if keyframes is not None:
+                of_some = self.blocks.surfels.keyframe[some]
+                some = some[(of_some >= keyframes[0]) & (of_some < keyframes[1])]
+            yield SurfelArrays(*(array[some] for array in self.blocks.surfels))
+        yield from self._nearness.resting.all(self.T_map_keyframe, keyframes)
+
+    def _are_stable(self, part: SurfelArrays) -> BoolArray:
+        return np.asarray(part.geometry[:, CONFIDENCE] >= self.settings.stable_confidence)
+
+    def add(self, surfels: Surfels, stamp_s: float) -> int:
+        """Add surfels unchanged, at a map's time; return how many found room, in memory or on disk."""
+        self._follow()
+        self.stamp_s = max(self.stamp_s, stamp_s)
+        radius, confidence = surfels.radius_m[:, None], surfels.confidence[:, None]
+        geometry = np.hstack([surfels.position, radius, surfels.normal, confidence]).astype(np.float32)
+        look = np.hstack([surfels.color, surfels.grey[:, None]]).astype(np.float32)
+        seen_s = np.stack([surfels.first_s, surfels.last_s], axis=-1)
+        new = SurfelArrays(geometry, look, seen_s, surfels.variance_m2, surfels.keyframe)
+        most = int((1 - self.settings.least_room) * self.settings.max_surfels) - self.blocks.alive
+        staying = self._nearness.lay_by(new, self.T_map_keyframe, most)
+        rest = len(new.geometry) - len(staying.geometry)
+        return rest + self.blocks.append(staying, self.stamp_s, self._rules)
+
+    def restore(self, dropped: int, T_map_keyframe: FloatArray) -> None:
+        """Set the count of dropped surfels and the keyframe poses (K, 4, 4), for a map read from a file."""
+        self.blocks.dropped, self._T_map_keyframe = dropped, T_map_keyframe
+
+    def hang_on(self, store: KeyframeStore) -> None:
+        """Attach a map from a file to a store: move surfels to its keyframe poses, now and from now on.
+
+        Raises MapError if the store has fewer keyframes than the map.
+        """
+        self._follow()
+        known = self.T_map_keyframe
+        if len(known) > len(store):
+            raise MapError(f"has {len(known)} keyframes, the store {len(store)}", fix="give the store of this map")
+        moves = store.T_map_keyframe[: len(known)] @ se3.invert(known)
+        moves = np.where(np.isfinite(moves).all(axis=(1, 2), keepdims=True), moves, np.eye(4))
+        if not np.allclose(moves, np.eye(4), atol=1e-12):
+            self.blocks.move(np.concatenate([moves, np.eye(4)[None]]), self.stamp_s, self._rules, self._rows.share)
+        self._store, self._follower = store, store.follow()
+
+    def move(self, T_new_old: FloatArray) -> None:
+        """Move the whole map, and all keyframes of its store, by a rigid motion (4, 4) from the left.
+
+        Raises MapError for an invalid motion.
+        """
+        T = checked_motion(T_new_old, "T_new_old")
+        self._follow()
+        if self._store is None or self._follower is None:
+            self._T_map_keyframe = T @ self._T_map_keyframe
+        else:
+            self._store.move(list(self._store), T @ self._store.T_map_keyframe)
+            self._follower.moves()  # moved below, with surfels that have no keyframe
+        self.blocks.move(T[None], self.stamp_s, self._rules, self._rows.share)
+
+    def settle(self) -> int:
+        """Remove expired unstable surfels in memory, and return their number.
+
+        Fusion removes them gradually, a part of the map per frame.
+        """
+        return self.blocks.sweep_all(self.stamp_s, self._rules)
+
+    def _follow(self) -> None:
+        """Move surfels by the motion of their keyframes since the last call."""
+        moves = None if self._follower is None else self._follower.moves()
+        if moves is not None:
+            self.blocks.move(np.concatenate([moves, np.eye(4)[None]]), self.stamp_s, self._rules, self._rows.share)
+
+    @property
+    def _active_since_s(self) -> float:
+        return self.stamp_s - self.settings.active_s
+
+    @property
+    def _rules(self) -> FloatArray:
+        s = self.settings
+        return np.array([s.stable_confidence, s.unstable_s, s.active_s, s.unseen_s])
+
+    def _rules_for(self, sensor: Float32Array) -> Rules:
+        """Return the settings as kernels take them, for a sensor's depth noise."""
+        s = self.settings
+        turn, slant = np.cos(np.radians([s.max_angle_deg, s.max_slant_deg]))
+        named = (getattr(s, name) for name in Rules._fields if name in type(s).model_fields)
+        return Rules(*map(np.float32, (*named, turn, slant, self._surfels_far_m(sensor), s.least_cosine**2)))
+
+    def _surfels_far_m(self, sensor: Float32Array) -> float:
+        """Return the largest distance of surfels, with a margin for depth noise."""
+        far_m = self.settings.far_m
+        return far_m + self.settings.laid_sigmas * float(sensor[0] + sensor[1] * far_m**2)
+
     def _room(self, name: str, shape: tuple[int, ...], dtype: type) -> np.ndarray:
-        """An array to write in, kept from frame to frame: fresh memory costs more than the work in it."""
+        """Return a buffer that is reused from frame to frame: new memory costs more than the computation in it."""
         size = int(np.prod(shape))
         kept = self._scratch.get(name)
         if kept is None or len(kept) < size:
@@ -396,23 +390,20 @@ def _chosen(part: SurfelArrays, which: BoolArray) -> SurfelArrays:
     return SurfelArrays(*(array[which] for array in part))
 
 
-# What goes into a surfel map and comes out of it: surfels, views, and what was done.
-
-
-# In which positions and normals are, and that files say.
+# Frame of positions and normals, as written in files.
 FRAME = "map"
 
 
 @dataclass(frozen=True, slots=True)
 class FusedFrame:
-    """What fusing one frame did.
+    """Result of fusing a frame.
 
     Attributes:
-        matched: surfels that pixels were averaged into.
-        added: new surfels.
-        removed: that were in free space, never became stable, or left their block.
-        merged: duplicates that became one with another.
-        dropped: given up for want of room, and new ones that found none.
+        matched: number of surfels that pixels were averaged into.
+        added: number of new surfels.
+        removed: number of surfels in free space, expired before they became stable, or outside their block.
+        merged: number of duplicates merged into another surfel.
+        dropped: number removed or not added for lack of memory.
     """
 
     matched: int
@@ -424,13 +415,15 @@ class FusedFrame:
 
 @dataclass(frozen=True, slots=True)
 class MapStatus:
-    """How a map stands.
+    """Counts of a map.
 
     Attributes:
-        surfels: all; stable: those sure to be there; active: those seen within the window of time.
-        dropped: how many were given up so far for want of room.
-        memory_bytes: of all arrays.
-        resting: how many of all are on the disk, since they are far from the camera.
+        surfels: all surfels.
+        stable: stable ones.
+        active: those seen within the time window.
+        dropped: number dropped so far for lack of memory.
+        memory_bytes: size of all arrays.
+        resting: number of surfels on disk, far from the camera.
     """
 
     surfels: int
@@ -443,18 +436,18 @@ class MapStatus:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surfels:
-    """Surfels as flat arrays, copied out of a map.
+    """Copies of surfels as flat arrays.
 
     Attributes:
         position: (n, 3) float32 in metres, in the map frame.
-        normal: (n, 3) float32, of length 1, towards where they were seen from.
+        normal: (n, 3) float32 of length 1, towards the viewpoint.
         radius_m: (n,) float32.
-        color: (n, 3) float32 red, green, blue from 0 to 255; -1 where unknown.
-        grey: (n,) float32 from 0 to 255; -1 where unknown.
-        confidence: (n,) float32, how many frames saw it, up to 100.
-        variance_m2: (n,) float32 of the position along the normal.
-        first_s, last_s: (n,) when first and last seen.
-        keyframe: (n,) int32 number of that which each hangs on, -1 for none.
+        color: (n, 3) float32 red, green, blue from 0 to 255; -1 if unknown.
+        grey: (n,) float32 from 0 to 255; -1 if unknown.
+        confidence: (n,) float32, number of frames that saw it, up to 100.
+        variance_m2: (n,) float32 variance of the position along the normal.
+        first_s, last_s: (n,) first and last time seen.
+        keyframe: (n,) int32 number of its keyframe, -1 for none.
     """
 
     position: Float32Array
@@ -470,17 +463,14 @@ class Surfels:
 
 
 Parts = Callable[[], Iterable[Surfels]]
-"""Gives the surfels of a map, a part after the other, as often as it is called: all at once they are a second map."""
+"""Returns the surfels of a map in parts, at each call. All at once, they would take as much memory as the map."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColoredView(PredictedView):
-    """A predicted view with `color` (h, w, 3) float32 from 0 to 255; grey where only that is known, else -1."""
+    """A predicted view with `color` (h, w, 3) float32 from 0 to 255; grey if only that is known, else -1."""
 
     color: Float32Array
-
-
-# Frames and poses as they come to a surfel map: refused where they are none, else ready for its kernels.
 
 
 _NONE_LARGER_PX = 4096
@@ -495,7 +485,7 @@ _UNITS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """Depth (h, w), normals (h, w, 3), colour (h, w, 3) and grey (h, w) of a frame, as `SurfelMap.fuse` takes them.
+    """Depth (h, w), normals (h, w, 3), colour (h, w, 3) and grey (h, w) of a valid frame.
 
     Without colour, `color` is (0, 0, 3).
     """
@@ -515,10 +505,12 @@ class Pose:
 
     @property
     def T32(self) -> Float32Array:
+        """T in single precision."""
         return self.T.astype(np.float32)
 
     @property
     def grid32(self) -> Float32Array:
+        """Intrinsics in single precision."""
         return self.grid.astype(np.float32)
 
     @property
@@ -528,19 +520,20 @@ class Pose:
 
 
 def rays_of(grid: FloatArray, shape: tuple[int, ...]) -> tuple[Float32Array, Float32Array]:
-    """Slopes of the columns (w,) and rows (h,) of a camera fx, fy, cx, cy."""
+    """Return the slopes of the columns (w,) and rows (h,) of a camera with fx, fy, cx, cy."""
     fx, fy, cx, cy = grid
     x, y = (np.arange(shape[1]) - cx) / fx, (np.arange(shape[0]) - cy) / fy
     return x.astype(np.float32), y.astype(np.float32)
 
 
 def checked_frame(surface: Surface, far_m: float) -> Frame:
-    """The frame, if its images are of one shape and its depth in metres; else MapError.
+    """Return the frame; raise MapError if its shapes differ or its depth is not in metres.
 
-    Pixels whose depth is no number add nothing.
+    Pixels with NaN depth add nothing.
 
     Args:
-        far_m: as far as the camera is trusted.
+        surface: the frame.
+        far_m: range of the camera.
     """
     given = {name: _array(name, getattr(surface, name)) for name in ("depth_m", "normal", "grey")}
     depth_m = given["depth_m"]
@@ -566,7 +559,7 @@ def _array(name: str, image: Any) -> Float32Array:
 
 
 def checked_pose(T_map_camera: FloatArray, intrinsics: FloatArray) -> Pose:
-    """The pose, if it is one; else MapError."""
+    """Return the pose; raise MapError if it is invalid."""
     T = checked_motion(T_map_camera, "T_map_camera")
     try:
         grid = np.ascontiguousarray(intrinsics, float)
@@ -578,7 +571,7 @@ def checked_pose(T_map_camera: FloatArray, intrinsics: FloatArray) -> Pose:
 
 
 def checked_motion(T: FloatArray, name: str) -> FloatArray:
-    """The rigid motion (4, 4), if it is one; else MapError."""
+    """Return the rigid motion (4, 4); raise MapError if it is invalid."""
     try:
         T = np.ascontiguousarray(T, float)
     except (TypeError, ValueError) as error:
@@ -588,22 +581,19 @@ def checked_motion(T: FloatArray, name: str) -> FloatArray:
     return T
 
 
-# SurfelCopies: surfels gathered from parts of a map, without a second copy of all of them meanwhile.
-
-
 def views_of(part: SurfelArrays) -> Surfels:
-    """The same as flat arrays, which are not copied."""
+    """Return flat arrays that are views of the same memory."""
     position, radius_m, normal, confidence = np.split(part.geometry, (3, RADIUS + 1, CONFIDENCE), axis=1)
     color, grey, first_s, last_s = part.look[:, :3], part.look[:, 3], part.seen_s[:, 0], part.seen_s[:, 1]
-    told = radius_m[:, 0], color, grey, confidence[:, 0], part.variance, first_s, last_s, part.keyframe
-    return Surfels(position, normal, *told)
+    others = radius_m[:, 0], color, grey, confidence[:, 0], part.variance, first_s, last_s, part.keyframe
+    return Surfels(position, normal, *others)
 
 
 class SurfelCopies:
-    """See the module.
+    """Collects copies of surfels from parts of a map, without a temporary second copy.
 
     Args:
-        most: how many there may be; room that is not needed is never touched, so that it takes no memory.
+        most: largest number of surfels; unused room is never touched, so that it takes no memory.
     """
 
     def __init__(self, most: int) -> None:
@@ -617,12 +607,12 @@ class SurfelCopies:
         self._filled = 0
 
     def add(self, part: SurfelArrays) -> None:
-        """Put a copy of these behind the others."""
+        """Append copies."""
         begin, self._filled = self._filled, self._filled + len(part.geometry)
         views = views_of(part)
         for name in Surfels.__slots__:
             getattr(self._all, name)[begin : self._filled] = getattr(views, name)
 
     def all(self) -> Surfels:
-        """Those that were added, in order."""
+        """Return all copies in order."""
         return Surfels(*(getattr(self._all, name)[: self._filled] for name in Surfels.__slots__))
