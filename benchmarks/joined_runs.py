@@ -67,7 +67,7 @@ def run_all(events: Iterable[Event], calibration: Calibration, odometry: str = "
     """
     localizers = {name: localizer_of(name, calibration, odometry) for name in (WHEELS, CAMERA, PAPER, JOINED)}
     again = _Again()
-    vars(localizers[PAPER]._way)["_camera"] = again
+    vars(localizers[PAPER]._estimator)["_camera"] = again
     answers = {name: Answers() for name in localizers}
     for event in events:
         for name, localizer in localizers.items():

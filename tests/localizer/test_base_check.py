@@ -261,7 +261,7 @@ def test_a_leap_while_the_view_hid_directions_is_held_against_nobody(*, hides: b
     check = BaseCheck(CALIBRATION, T_BASE_CAMERA, ErrorStateFilter(T_BASE_CAMERA))
     for event in made.events():
         if isinstance(event, WheelTicks):
-            check.hear(odometry.process(event))
+            check.add_wheels(odometry.process(event))
         elif isinstance(event, RgbdFrame):
             astray_m = float(np.clip(2 * (event.stamp_s - made.begin_s - 2.0), 0, 1))
             T = made.truth.at([event.stamp_s])[0] @ T_BASE_CAMERA
@@ -269,7 +269,7 @@ def test_a_leap_while_the_view_hid_directions_is_held_against_nobody(*, hides: b
             seen = CameraEstimate(event.stamp_s, Status.TRACKING, T, 1e-6 * np.eye(6))
             if event.index == 0:
                 check.begin(event, seen, np.eye(4))
-            check.see(event, seen, shows_all=not (hides and 0 < astray_m < 1))
+            check.add_tracked(event, seen, shows_all=not (hides and 0 < astray_m < 1))
     assert check.agreement.agrees() == hides
 
 

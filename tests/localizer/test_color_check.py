@@ -62,8 +62,8 @@ def checked(late: int, wheels_late_s: float = 0.0, seconds: float = 25.0) -> Col
     for index in range(round(seconds / PERIOD_S)):
         for reading in range(5):
             stamp_s = index * PERIOD_S + reading * READING_S
-            check.hear(stamp_s, heading_at(stamp_s - wheels_late_s))
-        check.see(view.frame(index, late))
+            check.add_heading(stamp_s, heading_at(stamp_s - wheels_late_s))
+        check.add_frame(view.frame(index, late))
     return check
 
 
@@ -86,8 +86,8 @@ def test_wheels_whose_clock_is_late_are_no_late_colour() -> None:
 def test_without_turns_nothing_is_told() -> None:
     check, view = ColorCheck(), Panorama()
     for index in range(100):
-        check.hear(index * PERIOD_S, 0.0)
-        check.see(view.frame(0, 0))
+        check.add_heading(index * PERIOD_S, 0.0)
+        check.add_frame(view.frame(0, 0))
     assert (check.late, check.is_sure, check.is_sound) == (0, False, False)
 
 
@@ -100,8 +100,8 @@ def test_a_camera_whose_colour_is_late_is_left_out() -> None:
         for reading in range(5):
             stamp_s = index * PERIOD_S + reading * READING_S
             T = se3.from_plane(0.0, 0.0, heading_at(stamp_s))
-            check.hear(WheelEstimate(stamp_s, Status.TRACKING, T, 1e-6 * np.eye(6), body="base"))
-        check.look(view.frame(index, 2))
+            check.add_wheels(WheelEstimate(stamp_s, Status.TRACKING, T, 1e-6 * np.eye(6), body="base"))
+        check.add_frame(view.frame(index, 2))
     assert check.left_out is Culprit.CAMERA
     (warning,) = check.warnings
     assert "its colour images are 2 frames later than the depth" in warning

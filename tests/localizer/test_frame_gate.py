@@ -82,7 +82,7 @@ def test_wheels_are_waited_for_a_second_and_no_longer() -> None:
     assert [gate.waits_for_wheels(frame(s)) for s in (5.0, 5.5, 5.99, 6.0, 7.0)] == [True, True, True, False, False]
     gate = FrameGate()
     assert gate.waits_for_wheels(frame(5.0))
-    gate.wheels_are_heard = True
+    gate.has_wheels = True
     assert not gate.waits_for_wheels(frame(5.1))
 
 

@@ -17,7 +17,7 @@ def told(*stamps_s: float) -> Pace:
     """Poses of a steady motion."""
     pace = Pace(0.35)
     for stamp_s in stamps_s:
-        pace.tell(stamp_s, se3.exp([1.0, 2.0, 3.0, 0.5, 0.0, -0.5]) @ se3.exp(TWIST * (stamp_s - 100.0)))
+        pace.add(stamp_s, se3.exp([1.0, 2.0, 3.0, 0.5, 0.0, -0.5]) @ se3.exp(TWIST * (stamp_s - 100.0)))
     return pace
 
 
@@ -36,5 +36,5 @@ def test_nothing_is_expected_of_one_frame_nor_long_after_nor_before_the_last() -
 def test_a_gap_tells_no_velocity() -> None:
     pace = told(100.0, 100.1, 101.0)
     assert pace.expect(101.1) is None
-    pace.tell(101.1, se3.exp([1.0, 2.0, 3.0, 0.5, 0.0, -0.5]) @ se3.exp(TWIST * 1.1))
+    pace.add(101.1, se3.exp([1.0, 2.0, 3.0, 0.5, 0.0, -0.5]) @ se3.exp(TWIST * 1.1))
     assert_allclose(not_none(pace.expect(101.2)), se3.exp(TWIST * 0.1), atol=1e-12)

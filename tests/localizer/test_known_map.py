@@ -123,5 +123,5 @@ def test_who_says_where_it_begins_is_believed_and_corrected(before: tuple[Locali
 def test_a_known_map_needs_loops() -> None:
     config = load_config(overrides={"odometry": "dense"})
     empty = KnownMap(KeyframeStore(), Recognizer(), ())
-    with pytest.raises(ConfigError, match="found by loops"):
+    with pytest.raises(ConfigError, match="needs loop closing"):
         Localizer(CALIBRATION, config, known=empty)

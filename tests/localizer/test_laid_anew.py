@@ -14,7 +14,7 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.estimates import CameraEstimate, MotionEstimate, Status
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
-from wheelsight.estimation.loop_updates import LoopsBeside, laid_anew
+from wheelsight.estimation.loop_updates import LoopsBeside, corrected_keyframes
 from wheelsight.slam.drive_graph import LivedKeyframe
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.loop_closing import LiveLoops
@@ -45,7 +45,7 @@ def test_those_that_were_led_astray_lie_one_after_the_other_as_the_motions_say()
     begin = se3.from_plane(1.0, 2.0, 0.5)
     store = kept_at(begin, begin @ ASTRAY, begin @ ASTRAY @ STEP)
     waiting = [[lived(store, 1, STEP)], [lived(store, 2, STEP)]]
-    laid, T = not_none(laid_anew(store, waiting, PROBABILITY))
+    laid, T = not_none(corrected_keyframes(store, waiting, PROBABILITY))
     np.testing.assert_allclose(T, [begin @ STEP, begin @ STEP @ STEP], atol=1e-9)
     for (one,) in laid:
         np.testing.assert_allclose(not_none(one.T_before_now), STEP, atol=1e-9)
@@ -54,7 +54,7 @@ def test_those_that_were_led_astray_lie_one_after_the_other_as_the_motions_say()
 
 def test_two_of_one_frame_go_together() -> None:
     store = kept_at(np.eye(4), ASTRAY, ASTRAY @ se3.from_plane(0.0, 0.0, 0.3))
-    laid, T = not_none(laid_anew(store, [[lived(store, 1, STEP), lived(store, 2, None)]], PROBABILITY))
+    laid, T = not_none(corrected_keyframes(store, [[lived(store, 1, STEP), lived(store, 2, None)]], PROBABILITY))
     np.testing.assert_allclose(T, [STEP, STEP @ se3.from_plane(0.0, 0.0, 0.3)], atol=1e-9)
     assert [one.number for one in laid[0]] == [1, 2]
 
@@ -62,7 +62,7 @@ def test_two_of_one_frame_go_together() -> None:
 @pytest.mark.parametrize("off_m", [0.0, 0.01, 0.02])
 def test_within_what_the_motions_allow_they_stay(off_m: float) -> None:
     store = kept_at(np.eye(4), STEP @ se3.from_plane(off_m, 0.0, 0.0))
-    assert laid_anew(store, [[lived(store, 1, STEP)]], PROBABILITY) is None
+    assert corrected_keyframes(store, [[lived(store, 1, STEP)]], PROBABILITY) is None
 
 
 def test_height_and_tilt_stay_and_a_motion_may_be_sure_of_them() -> None:
@@ -70,7 +70,7 @@ def test_height_and_tilt_stay_and_a_motion_may_be_sure_of_them() -> None:
     store = kept_at(np.eye(4), ASTRAY @ tilted)
     flat = np.diag([1e-4, 1e-4, 0.0, 0.0, 0.0, 2.5e-5])
     one = replace(lived(store, 1, STEP), motion=(STEP, flat))
-    _, (T,) = not_none(laid_anew(store, [[one]], PROBABILITY))
+    _, (T,) = not_none(corrected_keyframes(store, [[one]], PROBABILITY))
     np.testing.assert_allclose(se3.log(T @ se3.invert(STEP))[[0, 1, 5]], 0.0, atol=2e-3)
     np.testing.assert_allclose(T[2, [3, 0, 1]], (ASTRAY @ tilted)[2, [3, 0, 1]], atol=5e-3)
     assert np.abs(T[2, :2]).max() > 0.01
@@ -78,10 +78,12 @@ def test_height_and_tilt_stay_and_a_motion_may_be_sure_of_them() -> None:
 
 def test_where_nobody_knows_the_way_they_stay() -> None:
     store = kept_at(np.eye(4), ASTRAY, ASTRAY @ ASTRAY)
-    assert laid_anew(store, [], PROBABILITY) is None
-    assert laid_anew(store, [[lived(store, 0, STEP)], [lived(store, 1, STEP)]], PROBABILITY) is None
-    assert laid_anew(store, [[lived(store, 1, STEP)], [lived(store, 2, STEP, begins=True)]], PROBABILITY) is None
-    assert laid_anew(store, [[lived(store, 1, None)], [lived(store, 2, STEP)]], PROBABILITY) is None
+    assert corrected_keyframes(store, [], PROBABILITY) is None
+    assert corrected_keyframes(store, [[lived(store, 0, STEP)], [lived(store, 1, STEP)]], PROBABILITY) is None
+    assert (
+        corrected_keyframes(store, [[lived(store, 1, STEP)], [lived(store, 2, STEP, begins=True)]], PROBABILITY) is None
+    )
+    assert corrected_keyframes(store, [[lived(store, 1, None)], [lived(store, 2, STEP)]], PROBABILITY) is None
 
 
 @pytest.fixture
@@ -116,9 +118,9 @@ def test_the_camera_goes_with_the_keyframe_on_which_it_hangs(handed: list[LivedK
     beside.close()
 
 
-@pytest.mark.parametrize("is_let_go", [False, True])
+@pytest.mark.parametrize("is_forgotten", [False, True])
 def test_what_is_seen_after_a_frame_that_was_not_believed_ties_nothing(
-    is_let_go: bool, handed: list[LivedKeyframe]
+    is_forgotten: bool, handed: list[LivedKeyframe]
 ) -> None:
     store = KeyframeStore()
     beside = beside_of(store)
@@ -130,13 +132,13 @@ def test_what_is_seen_after_a_frame_that_was_not_believed_ties_nothing(
     for stamp_s, number in ((3.0, 0), (4.0, 3)):
         if number == 3:
             add(store, stamp_s, se3.from_plane(0.3, 0.0, 0.0))
-            if is_let_go:
-                beside.let_go()
+            if is_forgotten:
+                beside.forget_tracked()
         by = KeyframeId(number)
         seen = CameraEstimate(stamp_s, Status.TRACKING, T, C, keyframe=by, T_keyframe_body=T, motion=motion)
-        beside.hang_on(seen, np.eye(4), C)
-        assert beside.hung_s == stamp_s
+        beside.add_tracked(seen, np.eye(4), C)
+        assert beside.tracked_s == stamp_s
         beside.keep(stamp_s, np.eye(4), C)
     beside.hand_over()
-    assert (handed[-1].seen_from is None) == is_let_go
+    assert (handed[-1].seen_from is None) == is_forgotten
     beside.close()

@@ -223,7 +223,7 @@ def test_what_the_odometry_needs_the_calibration_must_have() -> None:
 
 def test_a_localizer_goes_by_one_odometry() -> None:
     both = load_config(overrides={"odometry": "wheels,features", "fusion": "none"})
-    with pytest.raises(ConfigError, match=r"not by wheels and features .*alone"):
+    with pytest.raises(ConfigError, match=r"not wheels and features .*alone"):
         Localizer(Calibration.registered_camera(CAMERA, wheels=WHEELS), both)
     assert Localizer(Calibration.registered_camera(CAMERA, wheels=WHEELS), both.alone("wheels")).frame == "odom"
 

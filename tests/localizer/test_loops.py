@@ -184,8 +184,8 @@ def test_a_piece_counts_as_joined_once_it_is_sure_where_it_lies(
     beside.move_keyframes(1.0, None)
     # As where somebody before the camera has led odometry astray since, and it says so.
     doubtful = replace(seen, covariance=C_odom + 0.1 * np.eye(6))
-    assert beside.called(doubtful).status is Status.COASTING
-    called = beside.called(seen)
+    assert beside.with_map_status(doubtful).status is Status.COASTING
+    called = beside.with_map_status(seen)
     assert beside.is_joined == is_sure
     assert called.status is (Status.TRACKING if is_sure else Status.COASTING)
     assert (called.covariance_map is not None) == is_sure
@@ -218,7 +218,7 @@ def test_in_a_map_that_stays_a_pose_is_tracked_while_it_is_sure(monkeypatch: pyt
     sure = Estimate(2.1, Status.TRACKING, np.eye(4), 2 * C)
     # A start that somebody gave is as unsure as he is, and believed.
     answers = [replace(sure, covariance=C * of) for of in (700.0, 2.0, 30.0, 700.0, 2.0)]
-    statuses = [str(beside.called(answer).status) for answer in answers]
+    statuses = [str(beside.with_map_status(answer).status) for answer in answers]
     assert statuses == ["tracking", "tracking", "tracking", "tracking" if grows else "coasting", "tracking"]
     beside.close()
 
@@ -243,7 +243,7 @@ def test_a_keyframe_that_odometry_comes_back_to_is_told_and_so_is_what_it_sees_f
         motion = MotionEstimate(np.eye(4), (1 + keyframe) * C)
         T, by = se3.from_plane(apart_m, 0.0, 0.0), KeyframeId(keyframe)
         seen = CameraEstimate(stamp_s, Status.TRACKING, np.eye(4), C, keyframe=by, T_keyframe_body=T, motion=motion)
-        beside.hang_on(seen, T_odom_map, 9 * C)
+        beside.add_tracked(seen, T_odom_map, 9 * C)
         beside.keep(stamp_s, T_odom_map, 9 * C)
         beside.hand_over()
 

@@ -105,23 +105,23 @@ class Loops:
     asked: list[int] = field(default_factory=list)
     has_new: bool = False
     is_waiting: bool = False
-    hung_s: float = -np.inf
+    tracked_s: float = -np.inf
     recognised: int | None = None
 
-    def let_go(self) -> None:
+    def forget_tracked(self) -> None:
         pass
 
     def move_keyframes(self, stamp_s: float, keyframe: KeyframeId | None) -> None:
         pass
 
-    def hang_on(self, seen: CameraEstimate, T_odom_map: FloatArray, covariance: FloatArray) -> None:
+    def add_tracked(self, seen: CameraEstimate, T_odom_map: FloatArray, covariance: FloatArray) -> None:
         pass
 
     def tie(self, number: int) -> bool:
         self.asked.append(number)
         return len(self.asked) >= self.times
 
-    def called(self, answer: FusedEstimate) -> FusedEstimate:
+    def with_map_status(self, answer: FusedEstimate) -> FusedEstimate:
         return answer
 
 

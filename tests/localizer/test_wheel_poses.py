@@ -15,7 +15,7 @@ def rolled(seconds: float, kept_s: float = 3.0) -> WheelPoses:
     poses = WheelPoses(kept_s, gyro_after_s=0.1)
     for k in range(round(50 * seconds) + 1):
         assert poses.add(k / 50, se3.from_plane(0.5 * k / 50, 0.0, 0.0), 0.5 / 50)
-        poses.turn(k / 50, 0.2)
+        poses.add_yaw_rate(k / 50, 0.2)
     return poses
 
 
@@ -49,6 +49,6 @@ def test_the_gyroscope_tells_turns_of_the_time_that_it_heard() -> None:
     assert poses.turned_between(0.5, 2.05) is not None
     assert poses.turned_between(0.5, 2.15) is None
     assert poses.turned_between(-0.5, 1.0) is None
-    poses.turn(np.nan, 9.0)
-    poses.turn(1.0, 9.0)
+    poses.add_yaw_rate(np.nan, 9.0)
+    poses.add_yaw_rate(1.0, 9.0)
     assert poses.turned_between(0.5, 1.25) == pytest.approx(0.15)

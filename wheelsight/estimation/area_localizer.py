@@ -258,7 +258,7 @@ class PlaceSense:
         self.last_place = None
         self._stopwatch.restart()
 
-    def tell(self, frame: RgbdFrame, answer: FusedEstimate, to: ErrorStateFilter) -> FusedEstimate:
+    def update(self, frame: RgbdFrame, answer: FusedEstimate, to: ErrorStateFilter) -> FusedEstimate:
         """The answer to a frame after its place; what was wrong with the look stays said.
 
         Raises:

@@ -1,8 +1,8 @@
-"""ColorCheck: whether colour images are of an earlier time than the depth images that they come with.
+"""ColorCheck: detects colour images that are older than the depth images of the same frame.
 
-Both move sideways in the image as the robot turns, by what the wheels tell of the time between two frames, at some lag:
-that of the camera's clock, which both share, and for colour that of the frames by which it is late. Where colour lags
-by whole frames more than depth, surfaces and grey values contradict each other where a turn begins or ends.
+When the robot turns, both images shift sideways in proportion to the turn of the wheels. The shift lags by the delay of
+the camera's clock, which both share, and for colour by its delay in frames. If colour lags by whole frames more than
+depth, surfaces and grey values contradict each other at the begin and end of a turn.
 """
 
 from __future__ import annotations
@@ -19,30 +19,31 @@ from wheelsight.core.settings import ColorCheckSettings
 
 
 class ColorCheck:
-    """Compares as frames come, until so many are known.
+    """Compares the shifts of colour and depth with the turns of the wheels, until the result is certain.
 
     Args:
-        settings: of None, the defaults.
+        settings: None for the defaults.
 
     Attributes:
-        late: by how many frames colour is late, as far as it is likely; else 0.
-        is_sure: whether that is sure. is_sound: whether it surely is not late.
+        late: likely delay of colour in frames; else 0.
+        is_sure: whether the delay is certain.
+        is_sound: whether it is certain that colour is not late.
     """
 
     def __init__(self, settings: ColorCheckSettings | None = None) -> None:
         self.settings = of = settings or ColorCheckSettings()
-        # A little farther than the last one, which rounding would leave out.
+        # Beyond the last lag, so that rounding does not exclude it.
         end_s = of.last_lag_s + of.lag_step_s / 20
         self._lags_s: FloatArray = np.arange(of.first_lag_s, end_s, of.lag_step_s)
         self.late, self.is_sure, self.is_sound = 0, False, False
         self._last: tuple[float, Float32Array, Float32Array] | None = None
-        # Of pairs of frames: when both were, and by how many pixels colour and depth moved.
+        # For each pair of frames: both stamps, and the shifts of colour and depth in pixels.
         self._shifts: deque[tuple[float, float, float, float]] = deque(maxlen=of.most_shifts)
         self._hanning: Float32Array | None = None
         self._headings: deque[tuple[float, float]] = deque(maxlen=of.most_readings)
 
-    def hear(self, stamp_s: float, heading_rad: float) -> None:
-        """Take where the wheels say that the robot heads."""
+    def add_heading(self, stamp_s: float, heading_rad: float) -> None:
+        """Add the robot's heading by the wheels."""
         if self._headings:
             before_s, before_rad = self._headings[-1]
             if not stamp_s > before_s:
@@ -55,18 +56,18 @@ class ColorCheck:
 
     @property
     def _turns(self) -> bool:
-        """Whether the robot turned lately, so that an image that is late may show it."""
+        """Whether the robot turned recently, so that a late image shows it."""
         now_s = self._headings[-1][0] if self._headings else 0.0
-        newest_first = takewhile(lambda told: told[0] > now_s - self.settings.turning_s, reversed(self._headings))
+        newest_first = takewhile(lambda heading: heading[0] > now_s - self.settings.turning_s, reversed(self._headings))
         recent = [rad for _, rad in newest_first]
         return bool(recent) and max(recent) - min(recent) > self.settings.turning_rad
 
-    def see(self, frame: RgbdFrame) -> None:
-        """Take a frame, in order of time."""
+    def add_frame(self, frame: RgbdFrame) -> None:
+        """Add a frame, in order of time."""
         if self.is_sound or self.is_sure:
             return
         of = self.settings
-        grey, near = _small(frame.color, of.width_px), _nearness(frame, of)
+        grey, near = _small(frame.color, of.width_px), _inverse_depth(frame, of)
         last, self._last = self._last, (frame.stamp_s, grey, near)
         if not self._turns or last is None or last[1].shape != grey.shape or last[2].shape != near.shape:
             return
@@ -79,17 +80,24 @@ class ColorCheck:
             self._judge()
 
     def _judge(self) -> None:
-        """How much likelier each number of frames is than none, at whatever lag of the clock."""
+        """Compare the likelihoods of all delays in frames, each at the best lag of the clock."""
         of, lags_s = self.settings, self._lags_s
         begin_s, end_s, color, depth = np.array(self._shifts).T
         period_s = float(np.median(end_s - begin_s))
         if not self._headings:
             return
-        told = end_s < self._headings[-1][0] + lags_s[0]
-        turned = self._turned(begin_s[told], end_s[told])
+        is_known = end_s < self._headings[-1][0] + lags_s[0]
+        stamps_s, headings_rad = np.array(self._headings).T
+        begin_s, end_s = begin_s[is_known], end_s[is_known]
+        turned = np.array(  # (L, N) by the wheels, at each lag
+            [
+                np.interp(end_s - lag_s, stamps_s, headings_rad) - np.interp(begin_s - lag_s, stamps_s, headings_rad)
+                for lag_s in lags_s
+            ]
+        )
         if not turned.size or np.abs(turned).sum(axis=1).min() < of.least_turn_rad:
             return
-        (by_color, color_share), (by_depth, depth_share) = (_misfits(x[told], turned, of) for x in (color, depth))
+        (by_color, color_share), (by_depth, depth_share) = (_misfits(x[is_known], turned, of) for x in (color, depth))
         if min(color_share, depth_share) < of.followed_share:
             self.late, self.is_sure = 0, False
             return
@@ -104,16 +112,6 @@ class ColorCheck:
         is_late = likeliest * period_s > of.least_lag_s and more > (0.0 if self.late else of.likely)
         self.late, self.is_sure = (likeliest, more > of.sure) if is_late else (0, False)
 
-    def _turned(self, begin_s: FloatArray, end_s: FloatArray) -> FloatArray:
-        """By how much the wheels turned (L, N) between stamps (N,), at each lag."""
-        stamps_s, headings_rad = np.array(self._headings).T
-        return np.array(
-            [
-                np.interp(end_s - lag_s, stamps_s, headings_rad) - np.interp(begin_s - lag_s, stamps_s, headings_rad)
-                for lag_s in self._lags_s
-            ]
-        )
-
 
 def _small(color: ByteArray, width_px: int) -> Float32Array:
     grey = np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY))
@@ -121,7 +119,7 @@ def _small(color: ByteArray, width_px: int) -> Float32Array:
     return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _nearness(frame: RgbdFrame, of: ColorCheckSettings) -> Float32Array:
+def _inverse_depth(frame: RgbdFrame, of: ColorCheckSettings) -> Float32Array:
     depth_m = frame.depth_m
     size = (of.width_px, max(1, round(of.width_px * depth_m.shape[0] / depth_m.shape[1])))
     thin = np.asarray(cv2.resize(depth_m, size, interpolation=cv2.INTER_NEAREST))
@@ -129,7 +127,7 @@ def _nearness(frame: RgbdFrame, of: ColorCheckSettings) -> Float32Array:
 
 
 def _shift_of(before: Float32Array, now: Float32Array, of: ColorCheckSettings) -> float:
-    """By how many pixels an image of nearness moved to the right; NaN where none fits."""
+    """Return the shift to the right of an image of inverse depth, in pixels; NaN if none fits."""
     costs = np.full(2 * of.most_px + 1, 0.1)
     width = before.shape[1]
     known_before, known_now = before > 0, now > 0
@@ -146,9 +144,9 @@ def _shift_of(before: Float32Array, now: Float32Array, of: ColorCheckSettings) -
 
 
 def _misfits(shifts_px: FloatArray, turned_rad: FloatArray, of: ColorCheckSettings) -> tuple[FloatArray, float]:
-    """χ² (L,) of shifts (N,) as multiples of turns (L, N) at each lag, by their own scatter at the best one.
+    """Return χ² (L,) of shifts (N,) as multiples of turns (L, N) at each lag, and the share that turns explain.
 
-    And the share of the shifts that turns explain there; 1 where too little is known.
+    χ² is relative to the scatter at the best lag. The share is that at the best lag; 1 if there are too few shifts.
     """
     known = np.isfinite(shifts_px)
     if np.count_nonzero(known) < of.fewest_shifts:

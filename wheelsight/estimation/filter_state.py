@@ -1,9 +1,9 @@
-"""What can happen to the default filter, and the state after each: FusionState, and `after`.
+"""State and events of the default filter. `after` returns the state after an event.
 
-A gyroscope may tell a thousand times a second, of steps of the wheels that take a fiftieth. Its readings are summed up
-until the end of such a step, or a frame: there the mean is one measurement, of the twist that the wheels tell of just
-that time. Were each reading one, each would be tested, and some of a thousand are always outside a gate; and each
-would count as if the wheels had erred anew.
+A gyroscope may give a thousand readings per second, while steps of the wheels take a fiftieth of a second. Its readings
+are integrated up to the end of such a step, or up to a frame. The mean rate is one measurement, of the twist over the
+same time as that of the wheels. Single readings would each be tested, and some of a thousand always fail a gate. They
+would also count as if the wheels had independent errors each time.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from operator import attrgetter
 
 import numpy as np
 
@@ -20,28 +21,28 @@ from wheelsight.core.geometry import FloatArray
 from wheelsight.core.settings.fusion import FilterParameters
 from wheelsight.estimation import fault_detection as faults
 from wheelsight.estimation.fault_detection import FaultDetection
-from wheelsight.estimation.pose_belief import PoseBelief, Preintegration, RelativePose, WheelNoise, WheelStep, changed
+from wheelsight.estimation.pose_belief import PoseBelief, Preintegration, RelativePose, WheelStep, changed
 
-_SAME_S = 1e-6  # by which stamps that were reckoned may differ
+_SAME_S = 1e-6  # rounding of computed stamps
 
 
 @dataclass(frozen=True, eq=False)
 class FusionState:
-    """All that the filter knows after an event.
+    """State of the filter after an event.
 
     Attributes:
-        detection: of faults, with the hypotheses.
+        detection: fault detection, with the hypotheses.
         stamp_s: of the event; None before any.
-        told_s: until when any sensor told anything.
-        vision_s: when vision was last believed.
-        is_lost: no sensor told anything for too long, and no measurement has been believed since.
+        measured_s: end of the last wheel step, or stamp of the last camera measurement.
+        vision_s: stamp of the last accepted camera measurement.
+        is_lost: no sensor has measured for too long, and no measurement has been accepted since.
         is_degenerate: the last measurement did not show all directions.
-        reason: why the event was not believed, or None.
+        reason: why the event was rejected, or None.
     """
 
     detection: FaultDetection
     stamp_s: float | None = None
-    told_s: float = -np.inf
+    measured_s: float = -np.inf
     vision_s: float = -np.inf
     is_lost: bool = False
     is_degenerate: bool = False
@@ -50,17 +51,19 @@ class FusionState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilterEvent:
-    """An event; the one field that is not None says which, but that a measured pose may be remembered at once.
+    """An event. The one field that is not None gives its kind; a measurement may have `clone` as well.
 
     Attributes:
-        stamp_s: when.
-        wheels: a step of the wheels that ends then.
+        stamp_s: time of the event.
+        wheels: step of the wheels that ends then.
         yaw_rate_rad_s: of a gyroscope.
-        measurement: of the camera. `failure`: why it had none.
+        measurement: of the camera.
+        failure: why the camera has no measurement.
         position: x, y (2,) in the map, and covariance (2, 2).
-        gyro_bias: what the gyroscope shows at rest beyond what was said before the drive, and its variance.
-        clone: the pose is remembered by that name; `spread` (6, 6) by which the camera may have it wrong. `drop`: it no
-            longer is.
+        gyro_bias: bias of the gyroscope relative to the calibration's, and its variance.
+        clone: name by which to remember the pose.
+        drop: name of a pose to forget.
+        spread: (6, 6) error of the camera's pose at `clone`.
     """
 
     stamp_s: float
@@ -76,88 +79,81 @@ class FilterEvent:
 
     @property
     def rank(self) -> int:
-        """What measures comes before what remembers."""
+        """Order at equal stamps: measurements before changes of remembered poses."""
         of_gyro = (self.gyro_bias, self.yaw_rate_rad_s)
         kinds = (self.wheels, *of_gyro, self.measurement, self.failure, self.position, self.drop, self.clone)
         return next(rank for rank, kind in enumerate(kinds) if kind is not None)
 
     @property
     def since_s(self) -> float:
-        """From when on it matters: of a step of the wheels, its begin."""
+        """Stamp from which on it changes states: the begin of a wheel step."""
         return self.stamp_s if self.wheels is None else self.wheels.begin_s
 
 
 def after(
     state: FusionState, event: FilterEvent, events: Sequence[FilterEvent], settings: FilterParameters
 ) -> FusionState:
-    """The state after an event, of all those known: the whole step of the filter."""
+    """Return the state after an event: predict to its stamp, then update. `events` are all that are known."""
     if event.yaw_rate_rad_s is not None:
-        return _heard(state, event.yaw_rate_rad_s, event.stamp_s, events, settings)
+        return _add_yaw_rate(state, event.yaw_rate_rad_s, event.stamp_s, events, settings)
     now = state if state.stamp_s == event.stamp_s else moved_to(state, event.stamp_s, events, settings)
-    now = changed(now, detection=_turned_until(now.detection, event.stamp_s, settings))
+    now = changed(now, detection=_update_turn_until(now.detection, event.stamp_s, settings))
     detection = changed(faults.end_undecided(now.detection, event.stamp_s, settings), nis=None)
     now = changed(now, detection=detection, reason=None)
     if event.measurement is not None:
-        now = _measured(now, event.measurement, event.stamp_s, settings)
+        now = _update_relative(now, event.measurement, event.stamp_s, settings)
     if event.failure is not None:
         now = changed(now, detection=faults.vision_failed(now.detection, event.stamp_s, settings), reason=event.failure)
     if event.gyro_bias is not None:
-        told = event.gyro_bias
-        return changed(now, detection=_each(now.detection, lambda belief: belief.corrected(belief.gyro_bias(*told))))
+        bias = event.gyro_bias
+        return changed(now, detection=_each(now.detection, lambda belief: belief.corrected(belief.gyro_bias(*bias))))
     if event.position is not None:
-        return _placed(now, *event.position, settings)
+        return _update_position(now, *event.position, settings)
     if event.clone is not None:
-        return changed(now, detection=_remembered(now.detection, event.clone, event.stamp_s, event.spread, settings))
+        return changed(now, detection=_remember(now.detection, event.clone, event.stamp_s, event.spread, settings))
     if event.drop is not None:
-        forgotten = event.drop
-        return changed(now, detection=_each(now.detection, lambda belief: belief.dropped(forgotten)))
+        name = event.drop
+        return changed(now, detection=_each(now.detection, lambda belief: belief.dropped(name)))
     return now
 
 
 def moved_to(
     state: FusionState, stamp_s: float, events: Sequence[FilterEvent], settings: FilterParameters
 ) -> FusionState:
-    """The state at a stamp: by the wheels where they tell, of all events known, else by the speed there was."""
-    detection, told_s, begin_s, is_lost = state.detection, state.told_s, state.stamp_s, state.is_lost
+    """Predict the state at a stamp: by the wheel steps among all known events, else at constant twist."""
+    detection, measured_s, begin_s, is_lost = state.detection, state.measured_s, state.stamp_s, state.is_lost
     if begin_s is None:
-        begin_s = told_s = min([stamp_s, *(event.wheels.begin_s for event in events if event.wheels is not None)])
-    covering = sorted((step for step in _steps_after(begin_s, events) if step.begin_s < stamp_s), key=_begin)
+        begin_s = measured_s = min([stamp_s, *(event.wheels.begin_s for event in events if event.wheels is not None)])
+    covering = sorted(
+        (step for step in _steps_after(begin_s, events) if step.begin_s < stamp_s), key=attrgetter("begin_s")
+    )
     borders = {begin_s, stamp_s}
     ends = (border for step in covering for border in (step.begin_s, step.end_s))
     borders.update(border for border in ends if begin_s + _SAME_S < border < stamp_s - _SAME_S)
     for start_s, end_s in pairwise(sorted(borders)):
-        step = next((step for step in covering if _covers(step, start_s, end_s)), None)
-        # From then on the base is lost, and a speed of long ago would carry it anywhere.
-        until_s = end_s if step is not None else max(start_s, min(end_s, told_s + settings.lost_after_s))
-        detection = _gone_on(detection, step, start_s, until_s, settings)
-        told_s = told_s if step is None else end_s
-        if not is_lost and end_s - told_s > settings.lost_after_s:
+        covers = (one for one in covering if one.begin_s <= start_s + _SAME_S and end_s <= one.end_s + _SAME_S)
+        step = next(covers, None)
+        # Once the base is lost, it keeps its pose: an old twist would carry it anywhere.
+        until_s = end_s if step is not None else max(start_s, min(end_s, measured_s + settings.lost_after_s))
+        detection = _predict(detection, step, start_s, until_s, settings)
+        measured_s = measured_s if step is None else end_s
+        if not is_lost and end_s - measured_s > settings.lost_after_s:
             detection, is_lost = _each(detection, lambda belief: belief.scattered(settings)), True
-    return changed(state, detection=detection, stamp_s=stamp_s, told_s=told_s, is_lost=is_lost)
-
-
-def _covers(step: WheelStep, start_s: float, end_s: float) -> bool:
-    return step.begin_s <= start_s + _SAME_S and end_s <= step.end_s + _SAME_S
+    return changed(state, detection=detection, stamp_s=stamp_s, measured_s=measured_s, is_lost=is_lost)
 
 
 def _steps_after(stamp_s: float, events: Sequence[FilterEvent]) -> list[WheelStep]:
-    """Steps of the wheels that end after a stamp: as events stand in order, the last ones."""
-    first = bisect_right(events, stamp_s, key=_stamp)
+    """Return the wheel steps that end after a stamp. Events are in the order of their stamps."""
+    first = bisect_right(events, stamp_s, key=attrgetter("stamp_s"))
     return [event.wheels for event in events[first:] if event.wheels is not None]
 
 
-def _stamp(event: FilterEvent) -> float:
-    return event.stamp_s
-
-
-def _begin(step: WheelStep) -> float:
-    return step.begin_s
-
-
-def _gone_on(
+def _predict(
     detection: FaultDetection, step: WheelStep | None, start_s: float, end_s: float, settings: FilterParameters
 ) -> FaultDetection:
-    def on(belief: PoseBelief | None, is_slipping: bool) -> PoseBelief | None:
+    """Predict all hypotheses over an interval: by a share of a wheel step, or at constant twist."""
+
+    def predicted(belief: PoseBelief | None, is_slipping: bool) -> PoseBelief | None:
         if belief is None:
             return None
         if step is None:
@@ -168,53 +164,27 @@ def _gone_on(
     if step is not None:
         odometer = odometer.moved_by_wheels(step, (end_s - start_s) / (step.end_s - step.begin_s))
         step = WheelStep(step.begin_s, step.end_s, step.xi, step.covariance * detection.noise.ratio)
-    belief = on(detection.primary, detection.fault is faults.Fault.WHEEL_SLIP)
+    belief = predicted(detection.primary, detection.fault is faults.Fault.WHEEL_SLIP)
     assert belief is not None
-    return changed(detection, primary=belief, alternative=on(detection.alternative, True), odometer=odometer)
+    return changed(detection, primary=belief, alternative=predicted(detection.alternative, True), odometer=odometer)
 
 
-def _remembered(
-    detection: FaultDetection, name: str, stamp_s: float, spread: FloatArray | None, settings: FilterParameters
-) -> FaultDetection:
-    """With the pose now remembered; from it on the wheels are preintegrated, if the camera measures against it."""
-    last = detection.last
-    measurement = None if last is None or last.measurement.name != name else last.measurement
-    is_known = name in detection.primary.names
-    begins = measurement is not None or detection.preintegration is None or detection.preintegration.name == name
-    if begins and name != STEP_BEGIN:
-        is_of_now = last is not None and last.stamp_s == stamp_s and detection.agreed > 0
-        noise = detection.noise
-        if measurement is not None and is_of_now and is_known and detection.fault is faults.Fault.NONE:
-            noise = _noise_after(detection, measurement, stamp_s, settings)
-        begin = Preintegration.of(name, stamp_s, detection.odometer, spread, detection.primary)
-        detection = changed(detection, noise=noise, preintegration=begin)
-    given = (name, stamp_s, settings.max_clones, spread)
-    return _each(detection, lambda belief: belief.cloned(*given))
-
-
-def _noise_after(
-    detection: FaultDetection, measurement: RelativePose, stamp_s: float, settings: FilterParameters
-) -> WheelNoise:
-    """The wheels' noise, after a measurement against the pose from which they were preintegrated."""
-    preintegration, noise = detection.preintegration, detection.noise
-    if preintegration is None or preintegration.name != measurement.name:
-        return noise
-    told = detection.odometer.since(preintegration.begin)
-    if not preintegration.is_told(told, stamp_s, settings.wheel_noise_heard_share):
-        return noise
-    return noise.after(preintegration, told, measurement, detection.primary, settings)
-
-
-def _measured(state: FusionState, measurement: RelativePose, stamp_s: float, settings: FilterParameters) -> FusionState:
+def _update_relative(
+    state: FusionState, measurement: RelativePose, stamp_s: float, settings: FilterParameters
+) -> FusionState:
+    """Update by a camera measurement."""
     if measurement.name not in state.detection.primary.names:
         return changed(state, reason=Reason.UNKNOWN_REFERENCE)
     is_degenerate = len(measurement.covariance) < 6
     detection, reason = faults.updated(state.detection, stamp_s, measurement, settings)
-    heard = changed(state, detection=detection, reason=reason, is_degenerate=is_degenerate, told_s=stamp_s)
-    return heard if reason is not None else changed(heard, vision_s=stamp_s, is_lost=False)
+    now = changed(state, detection=detection, reason=reason, is_degenerate=is_degenerate, measured_s=stamp_s)
+    return now if reason is not None else changed(now, vision_s=stamp_s, is_lost=False)
 
 
-def _placed(state: FusionState, xy: FloatArray, covariance: FloatArray, settings: FilterParameters) -> FusionState:
+def _update_position(
+    state: FusionState, xy: FloatArray, covariance: FloatArray, settings: FilterParameters
+) -> FusionState:
+    """Update by a position (2,) in the map. It also changes the odds of the hypotheses."""
     detection = state.detection
     by = detection.primary.position(xy, covariance)
     of_alternative = None if detection.alternative is None else detection.alternative.position(xy, covariance)
@@ -232,58 +202,79 @@ def _placed(state: FusionState, xy: FloatArray, covariance: FloatArray, settings
     return changed(state, detection=changed(detection, primary=belief))
 
 
-def _heard(
+def _remember(
+    detection: FaultDetection, name: str, stamp_s: float, spread: FloatArray | None, settings: FilterParameters
+) -> FaultDetection:
+    """Remember the current pose. If the camera measures against it, preintegration of the wheels restarts here."""
+    last, preintegration = detection.last, detection.preintegration
+    measurement = None if last is None or last.measurement.name != name else last.measurement
+    is_known = name in detection.primary.names
+    begins = measurement is not None or preintegration is None or preintegration.name == name
+    if begins and name != STEP_BEGIN:
+        is_current = last is not None and last.stamp_s == stamp_s and detection.agreed > 0
+        is_sound = is_known and detection.fault is faults.Fault.NONE
+        noise, is_of_start = detection.noise, preintegration is not None and preintegration.name == name
+        if measurement is not None and preintegration is not None and is_of_start and is_current and is_sound:
+            # A measurement against the start of the preintegration updates the wheels' noise.
+            rolled = detection.odometer.since(preintegration.begin)
+            if preintegration.is_covered(rolled, stamp_s, settings.wheel_noise_heard_share):
+                noise = noise.after(preintegration, rolled, measurement, detection.primary, settings)
+        begin = Preintegration.of(name, stamp_s, detection.odometer, spread, detection.primary)
+        detection = changed(detection, noise=noise, preintegration=begin)
+    given = (name, stamp_s, settings.max_clones, spread)
+    return _each(detection, lambda belief: belief.cloned(*given))
+
+
+def _add_yaw_rate(
     state: FusionState, rate_rad_s: float, stamp_s: float, events: Sequence[FilterEvent], settings: FilterParameters
 ) -> FusionState:
-    """After a reading of the gyroscope, of the time since the one before.
+    """Add a reading of the gyroscope, the mean rate since the one before.
 
-    What of that was before the state is measured there; the rest waits for what the wheels tell of it, and the state
-    stays as of when it was.
+    The part before the state's stamp updates the state. The rest is integrated until the wheels cover that time, and
+    the state keeps its stamp.
     """
     detection, before_s = changed(state.detection, nis=None), state.detection.gyro_s
     state = changed(state, reason=None)
     if before_s is None or not 0 < stamp_s - before_s <= settings.coast_after_s:
-        detection = changed(detection, gyro_s=stamp_s, gyro_rad=0.0, gyro_told_s=0.0)
-        heard = changed(state, detection=detection)
-        return heard if state.stamp_s is not None else moved_to(heard, stamp_s, events, settings)
+        detection = changed(detection, gyro_s=stamp_s, gyro_rad=0.0, gyro_sum_s=0.0)
+        added = changed(state, detection=detection)
+        return added if state.stamp_s is not None else moved_to(added, stamp_s, events, settings)
     if state.stamp_s is not None and before_s < state.stamp_s <= stamp_s:
-        detection = _turned(_summed(detection, rate_rad_s, state.stamp_s), state.stamp_s, settings)
-    detection = detection if detection.gyro_s == stamp_s else _summed(detection, rate_rad_s, stamp_s)
-    heard = changed(state, detection=detection)
-    if detection.gyro_told_s < settings.gyro_mean_s - _SAME_S or _is_told(stamp_s, events):
-        return heard
-    now = moved_to(heard, stamp_s, events, settings)
-    return changed(now, detection=_turned(faults.end_undecided(now.detection, stamp_s, settings), stamp_s, settings))
+        detection = _update_turn(_integrate(detection, rate_rad_s, state.stamp_s), state.stamp_s, settings)
+    detection = detection if detection.gyro_s == stamp_s else _integrate(detection, rate_rad_s, stamp_s)
+    added = changed(state, detection=detection)
+    if detection.gyro_sum_s < settings.gyro_mean_s - _SAME_S:
+        return added
+    if any(step.begin_s < stamp_s for step in _steps_after(stamp_s, events)):  # a wheel step covers the stamp
+        return added
+    now = moved_to(added, stamp_s, events, settings)
+    detection = faults.end_undecided(now.detection, stamp_s, settings)
+    return changed(now, detection=_update_turn(detection, stamp_s, settings))
 
 
-def _summed(detection: FaultDetection, rate_rad_s: float, stamp_s: float) -> FaultDetection:
-    """With the turn until a stamp."""
+def _integrate(detection: FaultDetection, rate_rad_s: float, stamp_s: float) -> FaultDetection:
+    """Integrate a yaw rate up to a stamp."""
     assert detection.gyro_s is not None
     seconds = stamp_s - detection.gyro_s
     turn_rad = rate_rad_s * seconds
     odometer = detection.odometer.turned(turn_rad - detection.primary.gyro_bias_rad_s * seconds, seconds)
-    sums = {"gyro_rad": detection.gyro_rad + turn_rad, "gyro_told_s": detection.gyro_told_s + seconds}
+    sums = {"gyro_rad": detection.gyro_rad + turn_rad, "gyro_sum_s": detection.gyro_sum_s + seconds}
     return changed(detection, odometer=odometer, gyro_s=stamp_s, **sums)
 
 
-def _is_told(stamp_s: float, events: Sequence[FilterEvent]) -> bool:
-    """Whether a step of the wheels goes on at a stamp."""
-    return any(step.begin_s < stamp_s for step in _steps_after(stamp_s, events))
-
-
-def _turned_until(detection: FaultDetection, stamp_s: float, settings: FilterParameters) -> FaultDetection:
-    """Measured by the gyroscope where it told of most of the time until a stamp, as if of all of it."""
+def _update_turn_until(detection: FaultDetection, stamp_s: float, settings: FilterParameters) -> FaultDetection:
+    """Update by the gyroscope if it covers most of the time up to a stamp, as if it covered all of it."""
     if detection.gyro_s is None:
         return detection
-    seconds = stamp_s - detection.gyro_s + detection.gyro_told_s
-    if not detection.gyro_told_s > settings.gyro_told_share * seconds:
+    seconds = stamp_s - detection.gyro_s + detection.gyro_sum_s
+    if not detection.gyro_sum_s > settings.gyro_told_share * seconds:
         return detection
-    return changed(_turned(detection, stamp_s, settings), gyro_s=stamp_s)
+    return changed(_update_turn(detection, stamp_s, settings), gyro_s=stamp_s)
 
 
-def _turned(detection: FaultDetection, stamp_s: float, settings: FilterParameters) -> FaultDetection:
-    """After the mean of what the gyroscope told since the last measurement, if anything."""
-    seconds = detection.gyro_told_s
+def _update_turn(detection: FaultDetection, stamp_s: float, settings: FilterParameters) -> FaultDetection:
+    """Update by the gyroscope's mean rate since the last such update, if there is any."""
+    seconds = detection.gyro_sum_s
     if not seconds > 0:
         return detection
     rate_rad_s, variance = detection.gyro_rad / seconds, settings.gyro.noise_rad_per_sqrt_s**2 / seconds
@@ -298,12 +289,12 @@ def _turned(detection: FaultDetection, stamp_s: float, settings: FilterParameter
 
     belief, nis = turned(detection.primary)
     alternative = None if detection.alternative is None else turned(detection.alternative)[0]
-    told = changed(detection, primary=belief, alternative=alternative, nis=(nis, 1), gyro_rad=0.0, gyro_told_s=0.0)
-    return changed(told, turn_slip_s=stamp_s) if nis > most else told
+    now = changed(detection, primary=belief, alternative=alternative, nis=(nis, 1), gyro_rad=0.0, gyro_sum_s=0.0)
+    return changed(now, turn_slip_s=stamp_s) if nis > most else now
 
 
 def _each(detection: FaultDetection, change: Callable[[PoseBelief], PoseBelief]) -> FaultDetection:
-    """Both beliefs changed alike."""
+    """Apply a change to the beliefs of all hypotheses."""
     return changed(
         detection,
         primary=change(detection.primary),

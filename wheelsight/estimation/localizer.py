@@ -1,5 +1,6 @@
-"""Localizer: returns an estimate of the robot's pose for each event. It also halves images on slow computers and
-keeps keyframes of drives without a map on disk.
+"""Localizer: returns an estimate of the robot's pose for each event.
+
+`SmallerImages` halves images on slow computers. `RestingKeyframes` moves keyframes of drives without a map to disk.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from wheelsight.core.clocks import SessionClock, Untimed
 from wheelsight.core.errors import ConfigError, MapError
 from wheelsight.core.estimates import Estimate, Status, WheelEstimate
 from wheelsight.core.files import StrPath
-from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera
+from wheelsight.core.geometry import FloatArray, PinholeCamera
 from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId, KeyframeStore
 from wheelsight.core.messages import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame, YawRate
 from wheelsight.core.settings import LocalizerSettings
@@ -47,9 +48,6 @@ from wheelsight.vision.features import MatchedPixels
 from wheelsight.vision.visual_odometry import VisualOdometry
 from wheelsight.wheels import AnyWheelOdometry
 
-# Localizer: where the robot is, event by event. The whole step on one screen.
-
-
 _LOG = logging.getLogger(__name__)
 _NUMBER = re.compile(r"\d[\d.,]*")
 _KINDS = {RgbdFrame: FRAMES, SkippedFrame: FRAMES, **dict.fromkeys(WHEEL_READINGS, READINGS), YawRate: RATES}
@@ -57,46 +55,45 @@ _CONFIG_FIX = 'load_config(PATH), or load_config(overrides={"odometry": "dense"}
 
 
 class Localizer(OneCaller):
-    """Answers each frame or wheel reading with the pose of the body at its stamp, or with the reason why there is none.
+    """Returns the pose of the body at each frame or wheel reading, or the reason why there is none.
 
-    Where the configuration names no odometry, all sensors that the calibration has are joined: wheels and camera where
-    it has both and `T_base_camera`, else the camera, else the wheels (`choose_odometry`). Who wants less names it.
+    `config.odometry` selects the sensors. By default the localizer fuses all sensors that the calibration describes
+    (`choose_odometry`): wheels and camera if both and `T_base_camera` are known, else the camera, else the wheels.
 
-    With `odometry: features` or `dense` frames are answered; the body is the robot's base where the calibration knows
-    `T_base_camera`, else the camera; the map begins where the body was at the first tracked frame. With `odometry:
-    wheels` the wheel readings are answered; the body is the base, its frame `odom`, which begins at the first reading.
-    With `map: surfels` dense odometry builds a map on the way and tracks against it.
-    With `odometry: [wheels, dense]` or `[wheels, features]` both are joined, by `fusion`: the default filter answers
-    readings and frames with a `FusedEstimate`, whose status and flags say how far to trust it; Ligocki's answers
-    frames. The body is the base, the map begins where it was at the first event (Ligocki: at the first tracked frame).
-    With `places` beside wheels, both are answered: wheels lead from frame to frame, each frame corrects them by the
-    area it shows; the map is that of the areas. Beside joined wheels and camera the area is one more measurement of
-    the default filter.
+    - `features` or `dense`: answers frames. The body is the base if `T_base_camera` is known, else the camera. The map
+      frame starts at the body's pose at the first tracked frame. With `map: surfels`, dense odometry builds a surfel
+      map and tracks against it.
+    - `wheels`: answers wheel readings. The body is the base. Its frame `odom` starts at the first reading.
+    - `[wheels, dense]` or `[wheels, features]`: `fusion` selects the filter. The default filter answers readings and
+      frames with a `FusedEstimate`, whose status and flags state how reliable it is. Ligocki's filter answers frames.
+      The body is the base. The map starts at the first event (Ligocki: at the first tracked frame).
+    - `places` with wheels: answers both. Wheels predict the pose and each frame corrects it by the area it shows. The
+      map is that of the areas. With wheels and camera, the area is one more measurement of the default filter.
 
-    One thread calls it at a time, in the process that made it; several may take turns.
+    Only one thread calls it at a time, in the process that made it. Several threads may take turns.
 
     Args:
         calibration: of the sensors.
-        config: all settings; of None, the defaults. `config.alone(track)` picks one of several tracks.
-        places: model, areas and start, where they are not all in `config.places`.
-        known: a map of before, in which it finds itself; with `loops: {source: keyframes}`. Until the place is
-            recognised its answers are `INITIALIZING`: they have a pose in odom, and none in the map.
-        waits: whether loops are waited for once they are due, so that a recording gives the same poses each time. A
-            robot that drives does not wait.
-        visual_odometry: of your own, follows the camera in place of the built-in ones; wheels are joined as beside
-            these. Its failures count as theirs: `FAILING`, then `LOST`, and `COASTING` by wheels.
-        loop_detector: of your own, names keyframes that may show the same place; loops are closed while driving.
+        config: all settings; None for the defaults. `config.alone(track)` selects one of several tracks.
+        places: model, areas and start, if `config.places` does not have them all.
+        known: an existing map, in which the robot localizes; needs `loops: {source: keyframes}`. Until the place is
+            recognised, estimates are `INITIALIZING`: they have a pose in odom and none in the map.
+        waits: whether to wait for loops once they are due, so that a recording gives the same poses in each run. Use
+            False on a robot.
+        visual_odometry: replaces the built-in camera odometry; wheels are fused in the same way. Its failures count
+            as those of the built-in ones: `FAILING`, then `LOST`, and `COASTING` with wheels.
+        loop_detector: names keyframes that may show the same place; loops are closed while driving.
 
     Attributes:
         body: "base" or "camera".
-        frame: "map" or "odom", in which poses are.
-        answers: the types of the events that are answered.
-        hears: the types of the events that it uses; any other kind is warned of once, in `warnings` and by `logging`.
-        note: what there is to say about the last event beyond its reason; often empty.
+        frame: "map" or "odom", the frame of the poses.
+        answers: the types of events that get an estimate.
+        hears: the types of events that it uses. Any other type adds one warning to `warnings` and to the log.
+        note: detail about the last event beyond its reason; often empty.
 
     Raises:
-        ConfigError: the configuration names odometries that it does not join, or places without areas or start; or a
-            part of your own has no use.
+        ConfigError: the configuration names odometries that cannot be fused, or places without areas or start; or a
+            custom part is not used.
         CalibrationError: the calibration lacks the cameras or wheels that the odometry needs.
         AreaError, PlaceError: areas or model cannot be read, or do not belong together.
     """
@@ -119,99 +116,136 @@ class Localizer(OneCaller):
         self._choice, self._config, self._unused = choice, settings, dict[str, str]()
         if known is not None and settings.loops.source != FROM_KEYFRAMES:
             raise ConfigError(
-                "a known map is found by loops", fix='load_config(overrides={"loops.source": "keyframes"})'
+                "a known map needs loop closing", fix='load_config(overrides={"loops.source": "keyframes"})'
             )
         if len(settings.odometry) > 1 and settings.fusion.filter == "none":
             several = " and ".join(settings.odometry)
-            raise ConfigError(f"a localizer goes by one odometry, not by {several}", fix="give it config.alone(name)")
-        # A model of places, which was trained on images of one size, says itself what is wrong with others.
+            raise ConfigError(f"a localizer uses one odometry, not {several}", fix="pass config.alone(name)")
+        # A model of places was trained on images of one size, and reports any other size itself.
         self._has_places = places is not None or settings.places.model is not None
-        # A visual odometry of a user's own knows the images as the calibration has them.
-        is_in_full = self._has_places or visual_odometry is not None
-        most_width_px = None if is_in_full else settings.localizer.most_width_px
+        # A custom visual odometry expects images as the calibration describes them.
+        is_full_size = self._has_places or visual_odometry is not None
+        most_width_px = None if is_full_size else settings.localizer.most_width_px
         self._images = SmallerImages(calibration, most_width_px, settings.dense.depth_jump)
-        self._calibration, calibration = calibration, self._images.calibration
-        self._way: ByFrames | ByWheels | ByPlaces | ByFusion | ByLigocki
-        if settings.fusion.filter != "none":
-            self._way = _joined(calibration, settings, places, known, parts, waits=waits)
-        elif settings.places.model is not None:
-            self._way = ByPlaces(calibration, settings, places or load_places(settings.places))
-        elif settings.odometry == ("wheels",):
-            self._way = ByWheels(calibration, settings.wheels)
-        else:
-            self._way = ByFrames(calibration, settings, known, waits=waits, parts=parts)
-        self.body, self.frame = self._way.body, self._way.frame
-        self.answers, self.hears = self._way.answers, self._way.hears
+        self._calibration = calibration
+        self._estimator = _estimator(self._images.calibration, settings, places, known, parts, waits=waits)
+        self.body, self.frame = self._estimator.body, self._estimator.frame
+        self.answers, self.hears = self._estimator.answers, self._estimator.hears
         self.note, self._resting = "", resting_keyframes(self.keyframes, settings.localizer)
         self._clock = SessionClock(settings.clocks)
         self._stamps = StampCheck()
         self._log = _Log("+".join(settings.odometry))
 
+    @one_at_a_time
+    def process(self, event: Event) -> Estimate | None:
+        """Return the estimate at an event, or None if events of its type are not answered.
+
+        An event that is not used adds a warning, once for each type. Frames without a measurement:
+
+        - An unreadable frame, or one that is not newer than the previous one, counts as a failed frame: no pose, reason
+          `FRAME_UNUSABLE`, and `note` gives the detail. With wheels, the pose is still known.
+        - An image that repeats under another stamp, as from a camera that is logged at twice its rate, is ignored: its
+          reason is `REPEATED`. If a camera without wheels repeats one image for over a second, frames count as failed.
+
+        A `SessionClock` checks each stamp. It absorbs jumps of one clock or of all clocks. A stamp far from all others
+        is refused, with a reason and a note.
+
+        Raises:
+            ArgumentError: no event, stamps that are not seconds, images of another shape or type than the
+                calibration's, or depth that is not in metres. A concurrent call, a call in a forked process, or a call
+                after `close`.
+            PlaceError: a frame of another size than the model of places was trained on.
+            PartError: a custom part raised an exception or returned an invalid result.
+        """
+        check_event(event)
+        if isinstance(event, RgbdFrame) and RgbdFrame in self.hears:
+            check_images(event, self._calibration, of_any_size=self._has_places)
+        self.note = ""
+        if not isinstance(event, self.hears):
+            what = next(what for kind, what in _KINDS.items() if isinstance(event, kind))
+            if what not in self._unused:
+                self._unused[what] = why_unused(what, self._config, self._choice)
+                self._log.warn(self.warnings)
+            return None
+        self._stamps.check(event)
+        time_s = self._clock.time_of(event)
+        if isinstance(time_s, Untimed):
+            shifted = replace(event, stamp_s=event.stamp_s - self._clock.shift_s)
+            estimate, self.note = self._estimator.refuse(shifted, time_s)
+        else:
+            timed = event if time_s == event.stamp_s else replace(event, stamp_s=time_s)
+            timed = self._images.frame(timed) if isinstance(timed, RgbdFrame) else timed
+            estimate, self.note = self._estimator.process(timed)
+        if isinstance(self._estimator, ByWheels) and isinstance(estimate, WheelEstimate):
+            estimate = self._estimator.in_odom(estimate)
+        if self._resting is not None:
+            self._resting.look()
+        self._log.add(estimate, self.note, self.recognised, self.warnings)
+        shift_s = self._clock.shift_s
+        return estimate if estimate is None or not shift_s else replace(estimate, stamp_s=estimate.stamp_s + shift_s)
+
     @property
     def odometry(self) -> CameraOdometry | AnyWheelOdometry:
-        """What estimates the motion."""
-        return self._way.odometry
+        """Odometry of the camera, or of the wheels if there is no camera."""
+        return self._estimator.odometry
 
     @property
     def last_matches(self) -> MatchedPixels | None:
-        """What the last frame was aligned by, if it was a frame that could be."""
-        return self._images.in_full(self._way.last_matches)
+        """Pixels by which the last frame was aligned; None if it was not aligned by pixels."""
+        return self._images.in_full(self._estimator.last_matches)
 
     @property
     def last_place(self) -> PlaceMatch | None:
-        """What places said of the last frame, where they were asked."""
-        return self._way.last_place if isinstance(self._way, ByPlaces | ByFusion) else None
+        """Result of the model of places for the last frame; None if it was not asked."""
+        return self._estimator.last_place if isinstance(self._estimator, ByPlaces | ByFusion) else None
 
     @property
     def map(self) -> SurfelMap | None:
-        """What was built on the way, where `T_odom_map` has it; None where the configuration asks for no map."""
-        mapper = None if isinstance(self._way, ByWheels | ByPlaces) else self._way.mapper
+        """Surfel map of this run, which lies at `T_odom_map`; None if the configuration asks for no map."""
+        mapper = None if isinstance(self._estimator, ByWheels | ByPlaces) else self._estimator.mapper
         return None if mapper is None else mapper.map
 
     @property
     def keyframes(self) -> KeyframeStore | None:
-        """What the camera remembers, and where; None of wheels alone.
-
-        Who moves a keyframe there moves all that hangs on it.
-        """
+        """Keyframes of the camera and their poses; None for wheels alone. Moving one moves what refers to it."""
         odometry = self.odometry
         return None if isinstance(odometry, AnyWheelOdometry) else odometry.store
 
     @property
     def loops(self) -> LoopsBeside | None:
-        """Closes loops while driving, with `loops: {source: keyframes}` and a camera; else None."""
-        return self._way.loops if isinstance(self._way, ByFrames | ByFusion) else None
+        """Loop closing while driving, with `loops: {source: keyframes}` and a camera; else None."""
+        return self._estimator.loops if isinstance(self._estimator, ByFrames | ByFusion) else None
 
     @property
     def recognised(self) -> int | None:
-        """How often something of the map of before was recognised so far; None without one. See `LiveLoops`."""
+        """Number of recognitions of the known map so far; None without one. See `LiveLoops`."""
         return None if self.loops is None else self.loops.recognised
 
     @property
     def T_odom_map(self) -> FloatArray:
-        """(4, 4) where the map lies: the identity where one odometry is followed, and no loop is closed.
+        """(4, 4) pose of the map: the identity for a single odometry without loop closing.
 
-        Joined with wheels, a pose T_odom_body gets better by what no camera shows, such as the floor that is level;
-        the map stays as it is. Within the map the body is at `inv(T_odom_map) @ T_odom_body`.
+        The filter corrects T_odom_body by measurements that no camera makes, such as the level floor. The map keeps its
+        shape. In the map the body is at `inv(T_odom_map) @ T_odom_body`.
         """
-        return np.eye(4) if isinstance(self._way, ByWheels | ByPlaces) else self._way.T_odom_map
+        return np.eye(4) if isinstance(self._estimator, ByWheels | ByPlaces) else self._estimator.T_odom_map
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sensors that are not used or were found wrong, and where clocks leapt; one sentence each."""
-        of_sensors = () if isinstance(self._way, ByFrames) else self._way.warnings
+        """One sentence for each sensor that is unused or wrong, and for each jump of a clock."""
+        of_sensors = () if isinstance(self._estimator, ByFrames) else self._estimator.warnings
         return (*self._unused.values(), *of_sensors, *self._clock.warnings)
 
     @property
     def stage_seconds(self) -> dict[str, float]:
-        """How long each stage of the last frame took; none of a wheel reading."""
-        return self._way.stage_seconds
+        """Duration of each stage of the last frame; empty after a wheel reading."""
+        return self._estimator.stage_seconds
 
     @ends
     def close(self) -> None:
-        """End the threads that work for it, at the end of a run; may be called twice. What it knows stays.
+        """End its threads at the end of a run. May be called twice; the results remain readable.
 
-        Raises what went wrong in them, and ArgumentError while an event is processed in another thread.
+        Raises any error of these threads, and ArgumentError while another thread processes an event.
         """
         if self.keyframes is not None:
             self.keyframes.close()
@@ -226,70 +260,42 @@ class Localizer(OneCaller):
     ) -> None:
         self.close()
 
-    @one_at_a_time
-    def process(self, event: Event) -> Estimate | None:
-        """The estimate at an event that is answered, None at any other; events that are not used are warned of once.
 
-        A frame that could not be read, or that is not newer than the one before, counts as one that failed:
-        it gives no pose, its reason is `FRAME_UNUSABLE`, and `note` says what was wrong with it. Beside wheels, which
-        know the pose all the same, an unreadable frame or one without depth is no measurement: `note` says so.
-
-        An image that came before under another stamp, as of a camera that is logged at twice its rate, is no
-        measurement either; its reason is `REPEATED`, and all goes on as if it had not come. A camera alone that gives
-        one image for over a second hangs: then frames count as failed, for the robot may be moving.
-
-        Each stamp passes a `SessionClock`: where clocks leap while others go on, or all of them, the way goes on; what
-        is stamped far from all others is refused, with a reason and a note.
-
-        Raises:
-            ArgumentError: no event, stamps that are no seconds, images of another shape or type than the calibration's,
-                or depth that is not in metres. A call beside another one, in a forked process, or after `close`.
-            PlaceError: a frame of another size than the model of places was trained on.
-            PartError: a part of your own raised an exception, or answered what is no answer.
-        """
-        check_event(event)
-        if isinstance(event, RgbdFrame) and RgbdFrame in self.hears:
-            check_images(event, self._calibration, of_any_size=self._has_places)
-        self.note = ""
-        if not isinstance(event, self.hears):
-            self._warn_unused(event)
-            return None
-        self._stamps.check(event)
-        time_s = self._clock.time_of(event)
-        if isinstance(time_s, Untimed):
-            told = replace(event, stamp_s=event.stamp_s - self._clock.shift_s)
-            estimate, self.note = self._way.refuse(told, time_s)
-        else:
-            timed = event if time_s == event.stamp_s else replace(event, stamp_s=time_s)
-            timed = self._images.frame(timed) if isinstance(timed, RgbdFrame) else timed
-            estimate, self.note = self._way.process(timed)
-        if isinstance(self._way, ByWheels) and isinstance(estimate, WheelEstimate):
-            estimate = self._way.in_odom(estimate)
-        if self._resting is not None:
-            self._resting.look()
-        self._log.look(estimate, self.note, self.recognised, self.warnings)
-        shift_s = self._clock.shift_s
-        return estimate if estimate is None or not shift_s else replace(estimate, stamp_s=estimate.stamp_s + shift_s)
-
-    def _warn_unused(self, event: Event) -> None:
-        what = next(what for kind, what in _KINDS.items() if isinstance(event, kind))
-        if what not in self._unused:
-            self._unused[what] = why_unused(what, self._config, self._choice)
-            self._log.warn(self.warnings)
+def _estimator(
+    calibration: Calibration,
+    settings: Config,
+    places: Places | None,
+    known: KnownMap | None,
+    parts: OwnParts,
+    *,
+    waits: bool,
+) -> ByFrames | ByWheels | ByPlaces | ByFusion | ByLigocki:
+    """Return the estimator that the configuration selects."""
+    if settings.fusion.filter == "ligocki":
+        return ByLigocki(calibration, settings, parts)
+    has_model = settings.places.model is not None
+    if settings.fusion.filter != "none":
+        areas = (places or load_places(settings.places)) if has_model else None
+        return ByFusion(calibration, settings, areas, known, waits=waits, parts=parts)
+    if has_model:
+        return ByPlaces(calibration, settings, places or load_places(settings.places))
+    if settings.odometry == ("wheels",):
+        return ByWheels(calibration, settings.wheels)
+    return ByFrames(calibration, settings, known, waits=waits, parts=parts)
 
 
 class _Log:
-    """Records of the logger: warnings, changes of status, recognised places, and frames that gave no measurement.
+    """Logs warnings, changes of status, recognitions of the known map, and frames without a measurement.
 
     Args:
-        name: of the odometry, for several localizers of one run.
+        name: of the odometry, to distinguish several localizers of one run.
     """
 
     def __init__(self, name: str) -> None:
         self._name, self._status, self._recognised, self._warned = name, Status.INITIALIZING, 0, set[str]()
 
-    def look(self, estimate: Estimate | None, note: str, recognised: int | None, warnings: tuple[str, ...]) -> None:
-        """An event was answered."""
+    def add(self, estimate: Estimate | None, note: str, recognised: int | None, warnings: tuple[str, ...]) -> None:
+        """Log the answer to one event."""
         if warnings:
             self.warn(warnings)
         if estimate is None:
@@ -307,7 +313,7 @@ class _Log:
             self._recognised = recognised
 
     def warn(self, warnings: tuple[str, ...]) -> None:
-        """Log what was not logged before; a number that has changed makes no other warning."""
+        """Log new warnings. A warning that differs only in its numbers is not new."""
         for sentence in warnings:
             kind = _NUMBER.sub("", sentence)
             if kind not in self._warned:
@@ -315,35 +321,16 @@ class _Log:
                 _LOG.warning(sentence)
 
 
-def _joined(
-    calibration: Calibration,
-    settings: Config,
-    places: Places | None,
-    known: KnownMap | None,
-    parts: OwnParts,
-    *,
-    waits: bool,
-) -> ByFusion | ByLigocki:
-    if settings.fusion.filter == "ligocki":
-        return ByLigocki(calibration, settings, parts)
-    if settings.places.model is None:
-        return ByFusion(calibration, settings, known=known, waits=waits, parts=parts)
-    return ByFusion(calibration, settings, places or load_places(settings.places), known, waits=waits, parts=parts)
-
-
-# SmallerImages: frames halved before anything looks at them, for computers that are slow.
-
-
 class SmallerImages:
-    """Halves the images of both cameras until they are wide enough and no wider.
+    """Halves the images of both cameras until they are at most `most_width_px` wide, for slow computers.
 
     Args:
-        calibration: of frames as they come.
-        most_width_px: an image wider than this is halved; None leaves all as they are.
-        depth_jump: share of a depth that tells two surfaces apart, for depth is not averaged over both.
+        calibration: of the original frames.
+        most_width_px: wider images are halved; None keeps all sizes.
+        depth_jump: relative depth difference that separates two surfaces; depth is not averaged across it.
 
     Attributes:
-        calibration: of frames as they leave.
+        calibration: of the smaller frames.
     """
 
     def __init__(self, calibration: Calibration, most_width_px: int | None, depth_jump: float) -> None:
@@ -360,32 +347,27 @@ class SmallerImages:
             )
 
     def frame(self, frame: RgbdFrame) -> RgbdFrame:
-        """The frame with smaller images."""
+        """Return the frame with smaller images."""
         if not (self._color_halvings or self._depth_halvings):
             return frame
-        return replace(frame, color=self._color(frame.color), depth_m=self._depth(frame.depth_m))
+        color, depth_m = frame.color, frame.depth_m
+        if self._color_halvings:
+            height, width = (size >> self._color_halvings for size in color.shape[:2])
+            whole = color[: height << self._color_halvings, : width << self._color_halvings]
+            color = np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+        for halving in range(self._depth_halvings):
+            # At half the resolution the same slope has twice the step from pixel to pixel.
+            depth_m = halved_depth(depth_m, self._jump * (1 << halving), self._rows)
+        return replace(frame, color=color, depth_m=depth_m)
 
     def in_full(self, matches: MatchedPixels | None) -> MatchedPixels | None:
-        """Pixels of smaller colour images as those of the frames that came."""
+        """Return matched pixels of a smaller colour image as pixels of the original one."""
         if matches is None or not self._color_halvings:
             return matches
-        return replace(matches, px=self._in_full(matches.px), reference_px=self._in_full(matches.reference_px))
-
-    def _color(self, color: ByteArray) -> ByteArray:
-        if not self._color_halvings:
-            return color
-        height, width = (size >> self._color_halvings for size in color.shape[:2])
-        whole = color[: height << self._color_halvings, : width << self._color_halvings]
-        return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-
-    def _depth(self, depth_m: Float32Array) -> Float32Array:
-        for halving in range(self._depth_halvings):
-            # The same slope is twice the step from pixel to pixel.
-            depth_m = halved_depth(depth_m, self._jump * (1 << halving), self._rows)
-        return depth_m
-
-    def _in_full(self, px: FloatArray) -> FloatArray:
-        return np.asarray((px + 0.5) * 2**self._color_halvings - 0.5)
+        px, reference_px = (
+            np.asarray((px + 0.5) * 2**self._color_halvings - 0.5) for px in (matches.px, matches.reference_px)
+        )
+        return replace(matches, px=px, reference_px=reference_px)
 
 
 def _halvings(camera: PinholeCamera | None, most_width_px: int | None) -> int:
@@ -395,36 +377,41 @@ def _halvings(camera: PinholeCamera | None, most_width_px: int | None) -> int:
     return times
 
 
-# RestingKeyframes: keyframes of a drive that writes no map rest in a temporary file, as they are.
+def resting_keyframes(store: KeyframeStore | None, settings: LocalizerSettings) -> RestingKeyframes | None:
+    """Return what limits the memory of a store; None without a store, or without a limit in the settings."""
+    if store is None or settings.memory_keyframes is None:
+        return None
+    return RestingKeyframes(store, settings.memory_keyframes, settings.resting_folder)
 
 
-_LOST = "the disk is full or gone: free some, or drive on without this keyframe"
+_FILE_LOST = "the disk is full or gone: free some, or drive on without this keyframe"
 
 
 class RestingKeyframes:
-    """Bounds the memory of a store whose keyframes nobody writes to a map; what comes back is the same to the last bit.
+    """Limits the memory of a store that no map writes: older keyframes move to a temporary file, bit for bit.
 
-    A keyframe goes once so many newer ones follow. Where the file cannot be written, all stay in memory from then on.
+    A keyframe moves once `memory_keyframes` newer ones exist. If the file cannot be written, all later ones stay in
+    memory.
 
     Args:
         store: of the odometry.
         memory_keyframes: see `KeyframeStore.hold`.
-        folder: in which the file is made once it is needed; None for the system's.
+        folder: where the file is made on first use; None for the system's temporary folder.
     """
 
     def __init__(self, store: KeyframeStore, memory_keyframes: int, folder: StrPath | None = None) -> None:
         self._store, self._most, self._folder = store, memory_keyframes, folder
-        self._next = len(store)  # those before are of a map, which has them
+        self._next = len(store)  # the map has those before
         self._file: BinaryIO | None = None
         self._end, self._has_disk = 0, True
 
     def look(self) -> None:
-        """Take what a frame has added to the store."""
+        """Move keyframes to the file after a frame has added to the store."""
         while self._has_disk and not self._store.is_written and self._next < len(self._store) - self._most:
             number, self._next = KeyframeId(self._next), self._next + 1
             try:
                 keyframe = self._store[number]
-            except Exception:  # whatever went wrong in making it: the store tells who asks for it
+            except Exception:  # it could not be made: the store raises that for whoever reads it
                 continue
             try:
                 self._put(number, keyframe)
@@ -436,7 +423,11 @@ class RestingKeyframes:
             self._file = tempfile.TemporaryFile(dir=self._folder)  # noqa: SIM115 - as long as the store may read
             weakref.finalize(self._store, self._file.close)
             self._store.hold(self._most)
-        arrays = _arrays_of(keyframe)
+        images = [np.frombuffer(png, np.uint8) for png in (keyframe.depth_png, keyframe.grey_png)]
+        features, code = keyframe.features, keyframe.code
+        arrays: list[NDArray[np.generic]] = [np.array([keyframe.stamp_s]), keyframe.intrinsics, *images]
+        arrays += [np.zeros(0) if code is None else code]
+        arrays += [] if features is None else [features.px, features.points, features.descriptors]
         self._file.seek(self._end)
         for array in arrays:
             self._file.write(array.tobytes())
@@ -446,31 +437,15 @@ class RestingKeyframes:
         self._end = self._file.tell()
 
 
-def resting_keyframes(store: KeyframeStore | None, settings: LocalizerSettings) -> RestingKeyframes | None:
-    """What bounds a store's memory by the settings; None without a store, or where all are to stay."""
-    if store is None or settings.memory_keyframes is None:
-        return None
-    return RestingKeyframes(store, settings.memory_keyframes, settings.resting_folder)
-
-
-def _arrays_of(keyframe: Keyframe) -> list[NDArray[np.generic]]:
-    """Numbers of all that it has; of features and code nothing where there are none."""
-    images = [np.frombuffer(png, np.uint8) for png in (keyframe.depth_png, keyframe.grey_png)]
-    features, code = keyframe.features, keyframe.code
-    arrays: list[NDArray[np.generic]] = [np.array([keyframe.stamp_s]), keyframe.intrinsics, *images]
-    arrays += [np.zeros(0) if code is None else code]
-    return arrays if features is None else [*arrays, features.px, features.points, features.descriptors]
-
-
 def _read(file: BinaryIO, begin: int, like: list[tuple[np.dtype[np.generic], tuple[int, ...]]]) -> Keyframe:
-    """What `_arrays_of` told. Raises MapError."""
+    """Return a keyframe from its arrays in the file, in the order that `RestingKeyframes` writes. Raises MapError."""
     sizes = [dtype.itemsize * int(np.prod(shape)) for dtype, shape in like]
     try:
-        data = os.pread(file.fileno(), sum(sizes), begin)  # from any thread, while another one writes
+        data = os.pread(file.fileno(), sum(sizes), begin)  # safe in any thread while another one writes
     except OSError as error:
-        raise MapError(f"a keyframe cannot be read again: {error}", fix=_LOST) from error
+        raise MapError(f"a keyframe cannot be read again: {error}", fix=_FILE_LOST) from error
     if len(data) != sum(sizes):
-        raise MapError("a keyframe that rests on disk is cut off", fix=_LOST)
+        raise MapError("a keyframe in the temporary file is cut off", fix=_FILE_LOST)
     ends = np.cumsum(sizes)
     parts = [
         np.frombuffer(data[end - size : end], dtype).reshape(shape)

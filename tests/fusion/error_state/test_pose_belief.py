@@ -21,7 +21,7 @@ from wheelsight.estimation.pose_belief import (
     TWIST,
     PoseBelief,
     RelativePose,
-    Teaches,
+    Updates,
     WheelStep,
 )
 
@@ -129,17 +129,17 @@ def test_a_pose_is_remembered_as_of_when_its_image_was_taken(rng):
 
 
 UNTAUGHT = {
-    Teaches.MOTION: [*range(ERRORS.start, LAG)],
-    Teaches.ERRORS: [CAMERA_ERRORS.start + 4, CAMERA_ERRORS.start + 5],
-    Teaches.MOUNT: [],
+    Updates.MOTION: [*range(ERRORS.start, LAG)],
+    Updates.ERRORS: [CAMERA_ERRORS.start + 4, CAMERA_ERRORS.start + 5],
+    Updates.MOUNT: [],
 }
 
 
-@pytest.mark.parametrize("teaches", Teaches)
+@pytest.mark.parametrize("teaches", Updates)
 def test_a_look_teaches_no_more_than_it_can_tell(rng, teaches):
     """What it does not teach stays as it is, and as uncertain; all else moves."""
     belief = belief_somewhere(rng)
-    after = belief.corrected(belief.innovation(look_at(belief, "clone 0", rng), SETTINGS, teaches=teaches))
+    after = belief.corrected(belief.innovation(look_at(belief, "clone 0", rng), SETTINGS, updates=teaches))
     untaught = UNTAUGHT[teaches]
     taught = sorted({*range(LAG)} - {*untaught})
     rows = belief.rest_at + np.array(untaught, int)

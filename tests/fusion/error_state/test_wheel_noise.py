@@ -53,7 +53,7 @@ def test_an_odometer_tells_of_a_stretch_what_wheels_alone_would(rng: np.random.G
     np.testing.assert_allclose(told.T, stretch.T, atol=1e-12)
     # In two parts a step's noise enters at two places.
     np.testing.assert_allclose(told.covariance, stretch.covariance, rtol=0.1, atol=2e-5)
-    for name in ("way_m", "heard_s", "turn_rad", "turned_s"):
+    for name in ("way_m", "rolled_s", "turn_rad", "turned_s"):
         np.testing.assert_allclose(getattr(told, name), getattr(stretch, name), atol=1e-12)
 
 
@@ -131,10 +131,10 @@ def test_what_was_known_fades_along_the_way() -> None:
 
 def test_a_ride_that_wheels_told_half_of_is_not_judged() -> None:
     preintegration, told, _, _ = ride_and_look(0.0)
-    assert preintegration.is_told(told, 1.0, share=0.95)
-    assert not preintegration.is_told(told, 2.0, share=0.95)
-    assert preintegration.is_told(told, 2.0, share=0.4)
-    assert not preintegration.is_told(Odometer(heard_s=1.0), 1.0, share=0.95)
+    assert preintegration.is_covered(told, 1.0, share=0.95)
+    assert not preintegration.is_covered(told, 2.0, share=0.95)
+    assert preintegration.is_covered(told, 2.0, share=0.4)
+    assert not preintegration.is_covered(Odometer(rolled_s=1.0), 1.0, share=0.95)
 
 
 def test_errors_as_known_when_the_ride_began_are_no_noise() -> None:
