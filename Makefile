@@ -7,7 +7,7 @@
 #   make test [SLOW=1] [WORKERS=n] all tests that take seconds; with SLOW=1 (or CI=true) the slow ones too
 #   make check                     ruff, mypy --strict, import layers, documentation
 #   make lowest                    the tests that touch each library, by the lowest versions that pyproject.toml allows
-#   make bench                     side by side with OpenCV and Open3D on the real recordings; kept in BENCHMARKS.md
+#   make bench                     side by side with OpenCV and Open3D on the real recordings; kept in docs/benchmarks/peers.md
 #   make firmware                  the wheel controllers' programs, for the ATmega8 and the STM32F4, and their sizes
 #   make docs | wheel | clean
 
@@ -84,7 +84,7 @@ types: $(VENV)/.installed-dev
 	$(BIN)/mypy
 
 bench: $(VENV)/.installed-bench
-	$(BIN)/python -m benchmarks $(or $(ARGS),--out BENCHMARKS.md)
+	$(BIN)/python -m benchmarks $(or $(ARGS),--out docs/benchmarks/peers.md)
 
 docs: $(VENV)/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet

@@ -22,7 +22,7 @@ startup    how long importing wheelsight and asking for its help take
 parts      these by their names, with their tables and targets
 targets    what wheelsight must reach, met or missed by how much
 machine    on what all this was measured
-table      the figures as tables: in the terminal and in BENCHMARKS.md
+table      the figures as tables: in the terminal and in docs/benchmarks/peers.md
 """
 
 from __future__ import annotations

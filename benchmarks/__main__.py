@@ -16,7 +16,7 @@ from benchmarks.parts import Judged, Part, Scope
 from benchmarks.published import judge_published
 from benchmarks.run import Result, run
 from benchmarks.sequences import Sequence, default_data_folder, find_sequences
-from benchmarks.table import document, problems_of, results_sheets, targets_sheet
+from benchmarks.table import document, problems_of, results_sheets, shown, targets_sheet
 from benchmarks.targets import Target, judge
 from wheelsight.core.errors import WheelsightError
 from wheelsight.core.files import write_text
@@ -93,7 +93,7 @@ def _parse(words: Many[str] | None) -> argparse.Namespace:
         metavar="NAME",
         help=f"contenders whose name holds NAME, or one of {', '.join(p.name for p in parts.ALL)}; repeatable",
     )
-    parser.add_argument("--out", type=Path, help="keep the tables in this file, e.g. BENCHMARKS.md")
+    parser.add_argument("--out", type=Path, help="keep the tables in this file, e.g. docs/benchmarks/peers.md")
     arguments = parser.parse_args(words)
     wanted = {name.lower() for name in arguments.only or ["", *(part.name for part in parts.ALL)]}
     arguments.parts = [part for part in parts.ALL if part.name in wanted]
@@ -114,7 +114,7 @@ def _command(arguments: argparse.Namespace) -> str:
     words = ["python -m benchmarks"]
     words += [f"--frames {arguments.frames}"] if arguments.frames is not None else []
     words += [f'--only "{name}"' for name in arguments.only or []]
-    return " ".join([*words, f"--out {arguments.out.name}"])
+    return " ".join([*words, f"--out {shown(arguments.out)}"])
 
 
 if __name__ == "__main__":

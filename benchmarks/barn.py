@@ -195,7 +195,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="number of the first world")
     parser.add_argument("--seed", type=int, default=1, help="of the worlds, and of all that is random about the robot")
     parser.add_argument("--rate", type=float, default=10.0, help="images a second")
-    parser.add_argument("--out", type=Path, help="page whose section is written, BENCHMARKS-NAVIGATION.md")
+    parser.add_argument("--out", type=Path, help="page whose section is written, docs/benchmarks/navigation.md")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keeps drives; those kept are not measured again")
     arguments = parser.parse_args()
     what = f"--worlds {arguments.worlds} --first {arguments.first} --seed {arguments.seed} --rate {arguments.rate:g}"

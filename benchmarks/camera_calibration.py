@@ -18,7 +18,7 @@ from rich.console import Console
 from benchmarks import machine
 from benchmarks.board_views import BOARD, RIGS, Rig, board_views
 from benchmarks.sequences import default_data_folder
-from benchmarks.table import Sheet
+from benchmarks.table import Sheet, shown
 from wheelsight.core.files import write_text
 from wheelsight.core.geometry import FloatArray, PinholeCamera, se3, so3
 from wheelsight.vision.camera_calibration.board import board_from
@@ -241,8 +241,8 @@ def _document(sheets: Sequence[Sheet], arguments: argparse.Namespace) -> str:
     about = machine.description()
     facts = [f"- {name}: {about[name]}" for name in ("Date", "System", "Versions")]
     seeds = f" --seeds {arguments.seeds}" if arguments.seeds != SEEDS else ""
-    command = f"python -m benchmarks.camera_calibration{seeds} --out {arguments.out.name}"
-    written = f"Written by `{command}`; how it measures: [docs/benchmarks.md](docs/benchmarks.md)."
+    command = f"python -m benchmarks.camera_calibration{seeds} --out {shown(arguments.out)}"
+    written = f"Written by `{command}`; how it measures: [Benchmarks](../benchmarks.md)."
     tables = [sheet.to_markdown() for sheet in sheets]
     return "\n".join(["# Calibration of cameras", "", written, "", *facts, "", _MADE, "", *tables])
 

@@ -24,7 +24,7 @@ from benchmarks import machine
 from benchmarks.clock_rows import DRIVE, ROWS, Row, drive_of
 from benchmarks.clock_runs import COVERAGE, PLUS_M, TIMES, ClockFigures, Errors, measure_drive
 from benchmarks.joined_runs import CAMERA, JOINED, WHEELS
-from benchmarks.table import Sheet
+from benchmarks.table import Sheet, shown
 from wheelsight.core.files import write_text
 from wheelsight_sim import SimulationSettings
 
@@ -177,13 +177,13 @@ def _command(arguments: argparse.Namespace) -> str:
     words += [f"--seeds {arguments.seeds}"] if arguments.seeds != SEEDS else []
     words += [f"--first {arguments.first}"] if arguments.first != 1 else []
     words += [f'--rows "{arguments.rows}"'] if arguments.rows else []
-    return " ".join([*words, f"--out {arguments.out.name}"])
+    return " ".join([*words, f"--out {shown(arguments.out)}"])
 
 
 def _document(sheet: Sheet, command: str) -> str:
     about = machine.description()
     lines = (f"- {name}: {about[name]}" for name in ("Date", "System", "Versions"))
-    written = f"Written by `{command}`; how it measures: [docs/benchmarks.md](docs/benchmarks.md)."
+    written = f"Written by `{command}`; how it measures: [Benchmarks](../benchmarks.md)."
     return "\n".join(["# Faults of stamps", "", written, "", *lines, "", _MADE, "", sheet.to_markdown()])
 
 

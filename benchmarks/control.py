@@ -153,7 +153,7 @@ def sheets() -> list[Sheet]:
 def main() -> None:
     """Measure, print, and write where asked to."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.control", description=__doc__)
-    parser.add_argument("--out", type=Path, help="page whose section is written, BENCHMARKS-NAVIGATION.md")
+    parser.add_argument("--out", type=Path, help="page whose section is written, docs/benchmarks/navigation.md")
     arguments = parser.parse_args()
     console, about = Console(width=120), machine.description() | {"Command": "`python -m benchmarks.control`"}
     if machine.is_busy():

@@ -125,7 +125,7 @@ def _asked() -> argparse.Namespace:
     parser.add_argument("--rate", type=float, default=10.0, help="images a second")
     parser.add_argument("--longest", type=float, default=1200.0, help="simulated seconds")
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="of maps over the truth")
-    parser.add_argument("--out", type=Path, help="page whose section is written, BENCHMARKS-NAVIGATION.md")
+    parser.add_argument("--out", type=Path, help="page whose section is written, docs/benchmarks/navigation.md")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keeps drives; those kept are not measured again")
     return parser.parse_args()
 

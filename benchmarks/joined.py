@@ -45,7 +45,7 @@ from benchmarks.joined_hour import drive_long
 from benchmarks.joined_images import kept_events
 from benchmarks.joined_kept import KeptFigures
 from benchmarks.joined_runs import CAMERA, JOINED, PAPER, WHEELS, run_all
-from benchmarks.table import Sheet, targets_sheet
+from benchmarks.table import Sheet, shown, targets_sheet
 from benchmarks.targets import Target
 from wheelsight.core.files import write_text
 from wheelsight.core.messages import Event
@@ -260,13 +260,13 @@ def _command(arguments: argparse.Namespace) -> str:
     words += [f"--plan {arguments.plan.name}"] if arguments.plan is not None else []
     words += [f"--resolution {arguments.resolution:g}"] if arguments.resolution is not None else []
     words += [f"--odometry {arguments.odometry}"] if arguments.odometry != "dense" else []
-    return " ".join([*words, f"--out {arguments.out.name}"])
+    return " ".join([*words, f"--out {shown(arguments.out)}"])
 
 
 def _document(sheets: Sequence[Sheet], command: str) -> str:
     about = machine.description()
     lines = (f"- {name}: {about[name]}" for name in ("Date", "System", "Versions"))
-    written = f"Written by `{command}`; how it measures: [docs/benchmarks.md](docs/benchmarks.md)."
+    written = f"Written by `{command}`; how it measures: [Benchmarks](../benchmarks.md)."
     body = [*lines, "", *(sheet.to_markdown() for sheet in sheets)]
     return "\n".join(["# Wheels and camera joined", "", written, "", *body])
 

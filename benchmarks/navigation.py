@@ -151,7 +151,7 @@ def _asked() -> argparse.Namespace:
     parser.add_argument("--way", type=float, default=40.0, help="metres of the tour of the first day through a plan")
     parser.add_argument("--seed", type=int, default=1, help="of starts and goals")
     calibrated_unit.add_option(parser)
-    parser.add_argument("--out", type=Path, help="page whose section is written, BENCHMARKS-NAVIGATION.md")
+    parser.add_argument("--out", type=Path, help="page whose section is written, docs/benchmarks/navigation.md")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keeps maps and drives; those kept are not made again")
     return parser.parse_args()
 

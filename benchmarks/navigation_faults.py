@@ -105,7 +105,7 @@ def main() -> None:
     parser.add_argument(
         "--seed", type=int, default=1, help="of what is drawn, and of all that is random about the robot"
     )
-    parser.add_argument("--out", type=Path, help="page whose section is written, BENCHMARKS-NAVIGATION.md")
+    parser.add_argument("--out", type=Path, help="page whose section is written, docs/benchmarks/navigation.md")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keeps drives; those kept are not measured again")
     arguments = parser.parse_args()
     what = f"--faults {arguments.faults} --first {arguments.first} --seed {arguments.seed}"

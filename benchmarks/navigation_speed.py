@@ -247,7 +247,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="of the drive")
     parser.add_argument("--width", type=int, default=640, help="of the images, 4 to 3; the issue asks for 640")
     parser.add_argument("--profile", choices=("pi",), help="of the localization; the default one is asked for")
-    parser.add_argument("--out", type=Path, help="page whose section is written, BENCHMARKS-NAVIGATION.md")
+    parser.add_argument("--out", type=Path, help="page whose section is written, docs/benchmarks/navigation.md")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keeps rendered images, 2 MB each, for the next time")
     arguments = parser.parse_args()
     keep_to(2)

@@ -299,7 +299,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=_SEED)
     parser.add_argument("--only", default="", help="buildings whose names hold this")
     parser.add_argument("--pictures", type=Path, help="a folder for a picture of each building")
-    parser.add_argument("--out", type=Path, help="page whose section is written, BENCHMARKS-NAVIGATION.md")
+    parser.add_argument("--out", type=Path, help="page whose section is written, docs/benchmarks/navigation.md")
     arguments = parser.parse_args(words)
     what = f"--goals {arguments.goals} --seed {arguments.seed}"
     about = machine.description() | {"Command": f"`python -m benchmarks.planning {what}`"}

@@ -386,7 +386,7 @@ def main() -> None:
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
     parser.add_argument("--faults", nargs="+", choices=FAULTS, default=FAULTS)
     parser.add_argument("--seed", type=int, default=1, help="of the moments")
-    parser.add_argument("--out", type=Path, help="page whose section is written, BENCHMARKS-NAVIGATION.md")
+    parser.add_argument("--out", type=Path, help="page whose section is written, docs/benchmarks/navigation.md")
     parser.add_argument("--program", metavar="PORT", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.program is not None:

@@ -134,20 +134,25 @@ def document(
     contenders: Sequence[Contender],
     problems: Sequence[str] = (),
 ) -> str:
-    """The whole of BENCHMARKS.md."""
+    """The whole of docs/benchmarks/peers.md."""
     about = "\n".join(f"- {name}: {value}" for name, value in machine.items())
     about += f"\n- Threads: {THREADS} for every contender, if nothing else is said" if contenders else ""
     settings = "\n".join(f"- {contender.name}: {contender.settings}." for contender in contenders)
     return "\n".join(
         (
-            "# Benchmarks\n",
-            f"Written by `{command}`; how it measures: [docs/benchmarks.md](docs/benchmarks.md).\n",
+            "# Peers and parts\n",
+            f"Written by `{command}`; how it measures: [Benchmarks](../benchmarks.md).\n",
             f"{about}\n",
             *(sheet.to_markdown() for sheet in sheets),
             *(f"{problem}\n" for problem in problems),
             *([f"## Contenders\n\n{settings}\n"] if contenders else []),
         )
     )
+
+
+def shown(path: Path) -> str:
+    """The path as it stands in a command that a page shows: as typed, or the name alone of an absolute one."""
+    return path.name if path.is_absolute() else path.as_posix()
 
 
 def write_page(path: Path, title: str, told: str, about: Mapping[str, str], sheets: Sequence[Sheet]) -> None:

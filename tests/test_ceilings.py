@@ -34,14 +34,14 @@ class Ceiling(NamedTuple):
 
 
 CEILINGS = {
-    "modules": Ceiling(833, 330),
+    "modules": Ceiling(343, 330),
     "lines without the simulator": Ceiling(102_700, 78_000),
     "lines of the simulator": Ceiling(13_800, 11_000),
     "share of private functions used in one place": Ceiling(0.642, 0.40),
     "class names with two or more meanings": Ceiling(70, 0),
     "settings": Ceiling(937, 200),
     "decision pages": Ceiling(133, 15),
-    "benchmark files in the root": Ceiling(13, 1),
+    "benchmark files in the root": Ceiling(1, 1),
     "words of the changelog": Ceiling(12_000, 500),
     "files of a joined frame": Ceiling(85, 24),
     "calls of a joined frame": Ceiling(1400, 700),

@@ -276,7 +276,12 @@ def test_every_reason_for_not_running_is_of_some_command() -> None:
 
 def test_commands_that_pages_name_have_the_options_that_they_give() -> None:
     """All of them, since those in NOT_RUN and those within text are run by nobody."""
-    pages = (*PAGES, "papers/README.md", *(path.name for path in PROJECT.glob("BENCHMARKS*.md")))
+    pages = (
+        *PAGES,
+        "papers/README.md",
+        "BENCHMARKS.md",
+        *(f"docs/benchmarks/{path.name}" for path in (DOCS / "benchmarks").glob("*.md")),
+    )
     told = [(page, words) for page in pages for words in wheelsight_commands((PROJECT / page).read_text("utf-8"))]
     assert len(told) > 200
     assert [(page, unknown) for page, words in told if (unknown := unknown_in(words))] == []

@@ -100,10 +100,10 @@ def test_every_row_is_as_wide_as_its_header() -> None:
 def test_the_command_measures_prints_and_keeps(
     bench_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = tmp_path / "BENCHMARKS.md"
+    out = tmp_path / "peers.md"
     assert main(["--data", str(bench_data), "--frames", "5", "--only", "opencv", "--out", str(out)]) == 0
     text = out.read_text()
-    assert 'python -m benchmarks --frames 5 --only "opencv" --out BENCHMARKS.md' in text
+    assert 'python -m benchmarks --frames 5 --only "opencv" --out peers.md' in text
     assert "| OpenCV Odometry RGB_DEPTH |" in text
     assert "Side by side: room" in text
     assert str(bench_data) not in text
@@ -116,7 +116,7 @@ def test_the_command_measures_prints_and_keeps(
         ["--only", "nobody"],
         ["--only", "opencv", "--data", "no/such/folder"],
         ["--frames", "0"],
-        ["--out", "no/such/folder/BENCHMARKS.md"],
+        ["--out", "no/such/folder/peers.md"],
         ["--data", "no/such/folder"],
     ],
 )
@@ -130,7 +130,7 @@ def test_bad_arguments_are_refused_in_one_line(words: list[str], capsys: pytest.
 
 
 def test_a_part_alone_needs_no_recordings(tmp_path: Path) -> None:
-    out = tmp_path / "BENCHMARKS.md"
+    out = tmp_path / "peers.md"
     assert main(["--data", str(tmp_path), "--only", "start-up", "--out", str(out)]) == 0
     text = out.read_text()
     assert "| `wheelsight --help` | at most 0.500 s |" in text
