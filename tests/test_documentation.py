@@ -297,6 +297,19 @@ def test_the_files_that_the_page_on_architecture_names_are_there() -> None:
     assert [name for name in sorted(named) if not any((root / name).exists() for root in roots)] == []
 
 
+def test_terms_of_the_glossary_are_in_the_files_that_it_names() -> None:
+    text = (DOCS / "glossary.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| ([^|]+) \| [^|]+ \| `([\w.]+)`, `([\w/]+\.py)` \|$", text, re.MULTILINE)
+    terms = [term.lower() for term, _, _ in rows]
+    assert len(rows) == text.count("\n| ") - 1  # all but the head
+    assert terms == sorted(set(terms))
+    assert len(terms) <= 60
+    for term, name, file in rows:
+        source = (PROJECT / file).read_text(encoding="utf-8")
+        missing = [part for part in name.split(".") if not re.search(rf"\b(class|def) {part}\b", source)]
+        assert missing == [], term
+
+
 def test_new_module_names_can_be_imported() -> None:
     rows = re.findall(r"^\| `([\w.]+)` \| `([\w.]+)` \|$", (DOCS / "old-to-new.md").read_text("utf-8"), re.MULTILINE)
     assert len(rows) > 100
