@@ -1,5 +1,5 @@
-"""What all visual odometries share: `TrackingState`, the velocity between two poses, `Stopwatch` for stages of a
-step, and undistortion maps.
+"""Shared parts of all visual odometries: `TrackingState`, the velocity between two poses, `Stopwatch` for the stages of
+a step, and undistortion maps.
 """
 
 from __future__ import annotations
@@ -15,21 +15,18 @@ import numpy as np
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera, se3, so3
 
-# TrackingState: initializing, tracking, failing or lost, for every odometry by a camera (Zhang, Fig. 3).
-
-
-# Of a fresh start: nothing is uncertain about where the map begins, but no covariance may be singular.
+# Variance of the first pose. It is exact by definition of the map, but no covariance may be singular.
 START_VARIANCE = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
 class TrackingState:
-    """What the frames so far came to.
+    """The state of tracking: initializing, tracking, failing or lost (Zhang, Fig. 3).
 
     Attributes:
-        lost_after: so many frames that fail in a row are lost, until a place is recognised.
+        lost_after: number of consecutive failed frames after which the state is lost, until a place is recognised.
         has_begun: whether any frame was tracked.
-        failures: frames that failed since the last one tracked.
+        failures: number of failed frames since the last tracked one.
     """
 
     lost_after: int
@@ -38,12 +35,12 @@ class TrackingState:
 
     @property
     def is_lost(self) -> bool:
-        """Whether so many frames failed that only recognising a place helps."""
+        """Whether at least `lost_after` frames in a row failed."""
         return self.has_begun and self.failures >= self.lost_after
 
     @property
     def status(self) -> Status:
-        """For the answer at the last frame."""
+        """The status of the estimate at the last frame."""
         if not self.has_begun:
             return Status.INITIALIZING
         if self.is_lost:
@@ -51,28 +48,22 @@ class TrackingState:
         return Status.FAILING if self.failures else Status.TRACKING
 
     def tracked(self) -> TrackingState:
-        """After a frame whose pose was found."""
+        """The state after a tracked frame."""
         return replace(self, has_begun=True, failures=0)
 
     def failed(self) -> TrackingState:
-        """After one that gave no pose."""
+        """The state after a failed frame."""
         return replace(self, failures=self.failures + 1)
 
 
-# How fast a camera moved between two poses.
-
-
-# Over a longer gap the mean velocity says little about the velocity at the frame.
+# Over a longer gap in seconds the mean velocity says little about the velocity at the frame.
 LONGEST_STEP_S = 0.35
 
 
 def twist_between(T_map_before: FloatArray, T_map_now: FloatArray, seconds: float) -> FloatArray:
-    """Mean velocity (6,) of a camera between two poses, (v, ω) a second in its own frame."""
+    """Mean velocity (6,) of a camera between two poses, (v, ω) per second in its own frame."""
     T_before_now = se3.invert(T_map_before) @ T_map_now
     return np.concatenate([T_before_now[:3, 3], so3.log(T_before_now[:3, :3])]) / seconds
-
-
-# Stopwatch: how long the stages of a step take.
 
 
 class Stopwatch:
@@ -82,7 +73,7 @@ class Stopwatch:
         self.seconds: dict[str, float] = {}
 
     def restart(self) -> None:
-        """Forget all times."""
+        """Reset all times."""
         self.seconds = {}
 
     @contextmanager
@@ -95,11 +86,8 @@ class Stopwatch:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started
 
 
-# Images as an ideal camera takes them, without the lens.
-
-
 def maps_without_lens(camera: PinholeCamera) -> tuple[Float32Array, Float32Array]:
-    """Where (h, w) in a camera's images each pixel of the ideal one is found: its column and row, for `cv2.remap`."""
+    """Column and row (h, w) in a camera's images of each pixel of the undistorted image, for `cv2.remap`."""
     size = (camera.width, camera.height)
     maps = cv2.initUndistortRectifyMap(camera.K, np.array(camera.distortion), None, camera.K, size, cv2.CV_32FC1)
     return np.asarray(maps[0], np.float32), np.asarray(maps[1], np.float32)

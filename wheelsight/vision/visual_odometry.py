@@ -1,4 +1,4 @@
-"""A visual odometry of a user's own: the protocol, and what follows a camera by it, keyframe by keyframe."""
+"""`VisualOdometry` is the protocol of a user's visual odometry. `OwnOdometry` tracks a camera with it."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ from wheelsight.core.threads import OneCaller, one_at_a_time
 from wheelsight.vision.features.extraction import FeatureExtractor, FeatureSettings, KeyframeMaker
 from wheelsight.vision.tracking_state import START_VARIANCE, Stopwatch, TrackingState, twist_between
 
-# A turn by a radian counts as 1.5 m: at this distance views of rooms still overlap by more than half.
+# Distance between keyframes; a rotation by a radian counts as 1.5 m. Views of rooms then overlap by more than half.
 _KEYFRAME_WAY_M = 0.4
-# Frames that are kept to be aligned with: the reference, and older ones that a lost camera is shown in turn.
+# Number of reference frames in memory: the last keyframe, and older ones for relocalization.
 _KEPT = 5
-# A covered sensor still has specks: with less depth than this share of the pixels no map begins.
+# Least share of pixels with depth of a first frame. A covered sensor still returns specks.
 _LEAST_DEPTH = 0.01
-# Off by more than this share of its largest entry, a covariance is not symmetric, and rounding is not the cause.
+# Largest asymmetry of a covariance by rounding, as a share of its largest entry.
 _ASYMMETRY = 1e-6
 
 
 class VisualOdometry(Protocol):
-    """The motion of a depth camera between two frames, by a method of your own.
+    """A user's method that estimates the motion of a depth camera between two frames.
 
-    `Localizer` and `run` take one as `visual_odometry` in place of dense or feature odometry. They choose reference
-    frames, count failures, join the motion with wheels, and have loops closed.
+    `Localizer` and `run` accept one as `visual_odometry` in place of dense or feature odometry. They choose reference
+    frames, count failures, fuse the motion with wheels, and close loops.
     """
 
     def align(
@@ -45,23 +45,23 @@ class VisualOdometry(Protocol):
     ) -> MotionEstimate:
         """T_reference_current (4, 4) of the camera with its covariance (6, 6), or `MotionEstimate.failed(reason)`.
 
-        The covariance is of the left perturbation (v, ω), metres and radians; it must be positive definite. Directions
-        that the images do not show are named in `degenerate`. A frame may be compared with several references.
+        The covariance is of the left perturbation (v, ω), metres and radians; it must be positive definite.
+        `degenerate` names directions that the images do not constrain. A frame may be compared with several references.
 
         A result with numbers that are not finite counts as a failed frame. An exception, another type or shape, a
         matrix that is no rigid motion, or a covariance that is not positive definite ends the run by a `PartError`.
 
         Args:
-            reference: an earlier frame, or the keyframe that was tracked last; not to be written to.
+            reference: an earlier frame, for instance the last keyframe; read only.
             current: the newest frame.
-            T_reference_current_prior: (4, 4) the motion that wheels expect; None where nothing is expected.
+            T_reference_current_prior: (4, 4) the motion predicted by wheels; None without prediction.
         """
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Reference:
-    """A frame to align with: its keyframe, where it is relative to that, and its covariance in its own frame."""
+    """A frame to align with: its keyframe, its pose relative to that, and its covariance in its own frame."""
 
     frame: RgbdFrame
     keyframe: KeyframeId
@@ -73,17 +73,17 @@ class _Reference:
 
 
 class OwnOdometry(OneCaller):
-    """Follows a camera by a `VisualOdometry`, as `FeatureOdometry` does by features.
+    """Tracks a camera by a user's `VisualOdometry`, as `FeatureOdometry` does by features.
 
     Args:
-        part: that aligns two frames.
+        part: aligns two frames.
         calibration: of the cameras.
-        settings: `lost_after`, `max_speed_m_s` and `max_turn_rad_s` count, and how keypoints of keyframes are found.
-        T_map_first: (4, 4) where the camera is at the first frame; by default at the map's origin.
-        store: of the keyframes; by default one of its own.
+        settings: `lost_after`, `max_speed_m_s`, `max_turn_rad_s`, and the settings of keypoints of keyframes.
+        T_map_first: (4, 4) pose of the camera at the first frame; default the map's origin.
+        store: receives keyframes; default a new one.
 
     Attributes:
-        store: of the keyframes.
+        store: holds all keyframes and their poses.
     """
 
     def __init__(
@@ -114,16 +114,16 @@ class OwnOdometry(OneCaller):
     def process(
         self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None, *, twist: FloatArray | None = None
     ) -> CameraEstimate:
-        """The camera's pose at a frame, T_map_camera, or why there is none.
+        """The camera's pose at a frame, T_map_camera, or the reason of the failure.
 
         Args:
-            frame: newer than the one before.
+            frame: newer than the previous one.
             T_previous_current_prior: (4, 4) expected motion of the camera since the last tracked frame.
             twist: not used.
 
         Raises:
             ArgumentError: as `FeatureOdometry.process`.
-            PartError: what `VisualOdometry.align` says.
+            PartError: see `VisualOdometry.align`.
         """
         check_frame(frame, self._calibration, prior=T_previous_current_prior)
         self._stamps.check(frame)
@@ -132,7 +132,7 @@ class OwnOdometry(OneCaller):
         if last is None:
             return self._start(frame, self._T_map_first, START_VARIANCE * np.eye(6))
         failure: MotionEstimate | None = None
-        for reference in self._to_try(last):
+        for reference in self._candidates(last):
             prior = None
             if T_previous_current_prior is not None:
                 T_map_expected = last.T_map_frame(self.store) @ T_previous_current_prior
@@ -149,31 +149,31 @@ class OwnOdometry(OneCaller):
 
     @one_at_a_time
     def begin_at(self, T_map_camera: FloatArray) -> None:
-        """Say before the first tracked frame where the camera is then, (4, 4). Raises ArgumentError for no motion."""
+        """Set the pose (4, 4) of the camera at the first tracked frame. Raises ArgumentError for no rigid motion."""
         self._T_map_first = need_motion("T_map_first", T_map_camera)
 
     @one_at_a_time
     def miss(self, stamp_s: float) -> CameraEstimate:
-        """Count a frame that came to nothing before it reached odometry, as a failed one."""
+        """Count a frame that is unusable, and so never reached `process`, as a failed one."""
         self._watch.restart()
         return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
 
     @one_at_a_time
     def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> CameraEstimate:
-        """Go on at a frame that shows nothing known, at a pose (4, 4) by others; older references are dropped."""
+        """Restart at a frame with a pose (4, 4) from other sensors, its covariance (6, 6); references are dropped."""
         check_frame(frame, self._calibration, T_map_camera=T_map_camera, covariance=covariance)
         self._watch.restart()
         return self._start(frame, T_map_camera, covariance)
 
-    def _to_try(self, last: _Reference) -> Sequence[_Reference]:
-        """The newest keyframe, the frame tracked last; for a lost camera, an older keyframe in turn."""
+    def _candidates(self, last: _Reference) -> Sequence[_Reference]:
+        """The last keyframe, the last tracked frame, and, once lost, older keyframes in turn."""
         tried = [self._references[-1], last]
         if self._state.is_lost:
             tried.append(self._references[-1 - self._state.failures % len(self._references)])
         return [one for at, one in enumerate(tried) if all(one.frame is not before.frame for before in tried[:at])]
 
     def _aligned(self, reference: RgbdFrame, frame: RgbdFrame, prior: FloatArray | None) -> MotionEstimate:
-        """What the part answers, checked. Raises PartError."""
+        """The validated result of the part. Raises PartError."""
         name = f"{type(self._part).__name__}.align"
         found = answer_of(self._part, "align", reference, frame, prior)
         if not isinstance(found, MotionEstimate):
@@ -203,7 +203,7 @@ class OwnOdometry(OneCaller):
         return replace(found, T_reference_current=se3.nearest(T), covariance=(C + C.T) / 2, degenerate=degenerate)
 
     def _is_plausible(self, last: _Reference, reference: _Reference, found: MotionEstimate, stamp_s: float) -> bool:
-        """Whether a camera may have moved so since the last tracked frame."""
+        """Whether the motion since the last tracked frame is within the limits on speed."""
         assert found.T_reference_current is not None
         T_map_camera = reference.T_map_frame(self.store) @ found.T_reference_current
         velocity = twist_between(last.T_map_frame(self.store), T_map_camera, stamp_s - last.frame.stamp_s)
@@ -217,7 +217,7 @@ class OwnOdometry(OneCaller):
         spread = Ad @ (reference.covariance + found.covariance) @ Ad.T
         T_keyframe_frame = se3.nearest(reference.T_keyframe_frame @ found.T_reference_current)
         self._last = _Reference(frame, reference.keyframe, T_keyframe_frame, spread)
-        if reference is not self._references[-1]:  # the newest keyframe is out of sight, and this one is not
+        if reference is not self._references[-1]:  # this one is in view, the last keyframe is not
             if reference in self._references:
                 self._references.remove(reference)
             self._references.append(reference)
@@ -227,7 +227,7 @@ class OwnOdometry(OneCaller):
         return self._answer(found)
 
     def _start(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> CameraEstimate:
-        """Begin at a frame; `covariance` (6, 6) is of the left perturbation of its pose."""
+        """Start at a frame; `covariance` (6, 6) is of the left perturbation of its pose."""
         if np.count_nonzero(frame.depth_m > 0) < _LEAST_DEPTH * frame.depth_m.size:
             return self._fail(frame.stamp_s, MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH))
         Ad = se3.adjoint(se3.invert(T_map_camera))
@@ -237,7 +237,7 @@ class OwnOdometry(OneCaller):
         return self._answer(MotionEstimate(np.eye(4), START_VARIANCE * np.eye(6)))
 
     def _keep(self, frame: RgbdFrame, T_map_camera: FloatArray, spread: FloatArray) -> None:
-        """Make a frame a keyframe, and the next reference; its keypoints are for recognition alone."""
+        """Make a frame a keyframe and the next reference; its keypoints serve place recognition only."""
         with self._watch.stage("keyframe"):
             features = self._extractor.extract(frame)
             number = self.store.add(partial(self._maker.keyframe, frame, features), T_map_camera)

@@ -14,7 +14,7 @@ from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.vision.dense.keyframes import GoneViews
+from wheelsight.vision.dense.keyframes import EvictedViews
 from wheelsight.vision.dense.settings import VerificationSettings
 from wheelsight.vision.dense.views import KeypointTracker, KnownView
 
@@ -33,7 +33,7 @@ class Known:
     def __init__(self, count: int = 3, shape: tuple[int, int] | None = None) -> None:
         self.keypoints = keypoints = KeypointTracker(EXACT, VerificationSettings(), has_landmarks=False)
         self.store = KeyframeStore()
-        self.gone = GoneViews(self.store, BENCH.gridder, BENCH.maker, keypoints, room=1)
+        self.gone = EvictedViews(self.store, BENCH.gridder, BENCH.maker, keypoints, room=1)
         self.views: list[KnownView] = []
         for number in range(count):
             frame, T = frame_of(WALL, at(number), float(number)), at(number)
@@ -133,7 +133,7 @@ def test_on_the_way_back_no_keyframe_is_made(settings: dict[str, Any], is_tied: 
 
 def test_one_that_no_loop_ties_to_another_time_stays_away() -> None:
     known = Known(4)
-    known.gone = GoneViews(known.store, BENCH.gridder, BENCH.maker, known.keypoints, room=3)
+    known.gone = EvictedViews(known.store, BENCH.gridder, BENCH.maker, known.keypoints, room=3)
     for view in known.views:
         known.gone.put(view)
     assert [known.gone.is_tied(number) for number in known.store] == [True, False, False, True]

@@ -69,8 +69,8 @@ def test_a_pose_that_the_room_contradicts_may_be_as_far_off_as_that_says(parts: 
     """Whoever follows somebody close by has most pixels on his side, and most of the room against him."""
     first, second = seen(np.eye(4), 0.0, 1.0), seen(MOTION, 0.1, 0.8)
     with_person = se3.exp([0.0, 0.0, 0.2, 0.0, 0.0, 0.0]) @ MOTION
-    assert misfits_of(parts, first, second, MOTION).doubt_m == 0
-    assert 0.05 < misfits_of(parts, first, second, with_person).doubt_m < 0.4
+    assert misfits_of(parts, first, second, MOTION).pose_error_m == 0
+    assert 0.05 < misfits_of(parts, first, second, with_person).pose_error_m < 0.4
 
 
 def test_the_share_of_regions_that_fit_is_all_but_the_persons_at_the_true_pose_and_few_at_his(parts: Bench) -> None:

@@ -67,12 +67,12 @@ def test_each_goes_with_the_keyframe_it_hangs_on(views: Views) -> None:
 def test_once_lost_every_keyframe_has_its_turn(views: Views) -> None:
     asked = {places(list(views.around(at(1.2), after(failures))))[-1] for failures in range(3, 7)}
     assert asked == {0, 1, 2, 3}
-    recognised = {place for failures in range(3, 7) for place in places(views.familiar(at(1.2), after(failures)))}
+    recognised = {place for failures in range(3, 7) for place in places(views.candidates(at(1.2), after(failures)))}
     assert recognised == {0, 1, 2, 3}
 
 
 def test_no_keyframe_is_asked_twice_for_one_frame(views: Views) -> None:
-    assert places(views.familiar(at(3.0), after(4))) == [3]
+    assert places(views.candidates(at(3.0), after(4))) == [3]
 
 
 def test_keyframes_used_long_ago_take_little_room_and_come_back_alike() -> None:

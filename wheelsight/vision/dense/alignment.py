@@ -38,36 +38,34 @@ from wheelsight.vision.dense.pyramid import Gridder, GridFrame, Level, Reference
 from wheelsight.vision.dense.settings import DenseSettings, JointSettings
 from wheelsight.vision.tracking_state import twist_between
 
-# Dense alignment: point-to-plane and grey values together, by Gauss–Newton from coarse to fine.
-
-
-# Of a twist (v, ω) in the base's frame, what wheels do not roll: sideways, up, roll and pitch. A holonomic base is held
-# so too: where hardly anything shows a way to the side, a guess confirms itself and slides along a plain wall.
+# Components of a twist (v, ω) in the base's frame that wheels cannot roll: sideways, up, roll and pitch. They count for
+# a holonomic base too: where a view hardly constrains sideways motion, the estimate else slides along a plain wall.
 _NOT_ROLLED = [1, 2, 3, 4]
 _FREE = (np.inf, np.inf)
 _UPPER = np.triu_indices(6)
 _DIVERGED_M = 1e3
 _SMALL_STEP = 1e-4
-# Grey levels that residuals of grey are taken to spread by at first; it is learned at once.
+# Initial spread of grey residuals, in grey levels; the first iteration replaces it.
 _GREY_SIGMA = 8.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DenseAlignment:
-    """A motion found, or as far as it came.
+    """The result of an alignment; `judge` decides whether it is accepted.
 
     Attributes:
         T_reference_frame: (4, 4).
-        information: (6, 6) of the left perturbation (v, ω), as if residuals were independent.
-        pairs: points that fell into the reference's image.
-        planes: of these, how many found a plane near them.
-        points: of the frame's finest level, with depth.
+        information: (6, 6) of the left perturbation (v, ω) by what both views show, for independent residuals.
+        pairs: number of points that project into the reference's image.
+        planes: number of those pairs that have a plane nearby.
+        points: number of points with depth at the frame's finest level.
         residual: mean absolute plane residual in standard deviations of the sensor, 1 for a perfect fit.
         grey_sigma: spread of the grey residuals, in grey levels.
-        claimed: (6, 6) information of the left perturbation that residuals had at the end, as if they were independent.
-        compared: (6, 6) the same, if the frame showed the slopes of grey that the reference does: alike where both lie
-            on each other.
-        hinted: (6, 6) what keypoints would add to that if each erred by itself: which directions are shown goes by it.
+        claimed: (6, 6) information of the left perturbation by the final residuals, for independent residuals.
+        compared: (6, 6) `information` with the grey gradients of the reference in place of the frame's. Both are
+            similar if the two views coincide.
+        hinted: (6, 6) additional information if keypoints erred independently; it only decides which directions
+            are constrained.
     """
 
     T_reference_frame: FloatArray
@@ -84,18 +82,18 @@ class DenseAlignment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """Where the camera was when the frame before was taken (4, 4), and how long ago."""
+    """The camera's pose at the previous frame (4, 4), and the time since then in seconds."""
 
     T_reference_previous: FloatArray
     seconds: float
 
     def twist_to(self, T_reference_frame: FloatArray) -> FloatArray:
-        """Mean velocity (6,), (v, ω) a second in the camera's own frame, since then."""
+        """Mean velocity (6,) since then, (v, ω) per second in the camera's own frame."""
         return twist_between(self.T_reference_previous, T_reference_frame, self.seconds)
 
 
 class Aligner:
-    """Aligns frames with references."""
+    """Aligns frames with references by Gauss-Newton from coarse to fine, on depth and grey values together."""
 
     def __init__(
         self, calibration: Calibration, settings: DenseSettings, rows: Rows, gridder: Gridder, maker: ReferenceMaker
@@ -110,9 +108,9 @@ class Aligner:
         self._color_sigma_px = calibration.color_sigma_px / (1 << gridder.halvings)
 
     def turn(self, frame: GridFrame, reference: Reference, T_reference_frame: FloatArray) -> FloatArray:
-        """T_reference_frame with its rotation bettered by grey values alone, at the two coarsest levels.
+        """T_reference_frame with its rotation refined by grey values alone, at the two coarsest levels.
 
-        Where planes then lie worse than before, it stays as it was: grey of a plain wall is mostly noise.
+        It stays unchanged if planes fit worse after that, because grey of a plain wall is mostly noise.
         """
         start = np.array(T_reference_frame, float)
         T, exposure = start.copy(), np.array([1.0, 0.0])
@@ -122,11 +120,11 @@ class Aligner:
         return T if after <= self._starts.turn_misfit * max(before, 1.0) else start
 
     def start(self, frame: GridFrame, reference: Reference, guesses: Sequence[FloatArray]) -> FloatArray:
-        """Where to begin, of some guesses (4, 4): the first, turned; another where planes clearly lie better there."""
+        """The initial pose: the first guess (4, 4), its rotation refined, or another one that fits clearly better."""
         return self.nearest(frame, reference, [self.turn(frame, reference, guess) for guess in guesses])
 
     def nearest(self, frame: GridFrame, reference: Reference, guesses: Sequence[FloatArray]) -> FloatArray:
-        """The first of some guesses (4, 4), or another where planes clearly lie better there."""
+        """The first of some guesses (4, 4), or another one if planes fit clearly better there."""
         if len(guesses) == 1:
             return guesses[0]
         misfits = self._misfits(frame, reference, guesses)
@@ -134,9 +132,9 @@ class Aligner:
         return guesses[best] if self._starts.clearly_nearer * misfits[best] < misfits[0] else guesses[0]
 
     def _misfits(self, frame: GridFrame, reference: Reference, guesses: Sequence[FloatArray]) -> FloatArray:
-        """How far (N,) points lie from planes in the mean, in standard deviations, if frames are where guesses say.
+        """The mean distance (N,) of points from planes for each guess, in standard deviations.
 
-        Points count that have a plane near by the guess that gives most of them one; without one they are far away.
+        The number of points is that of the guess with the most pairs; a point without pair counts `unpaired_sigmas`.
         """
         how = np.array([self._settings.gate, 1, _GREY_SIGMA, 1, 0, self._settings.huber, 0, 0, 0, 0], float)
         level, pixels = frame.levels[-1], reference.levels[-1].pixels
@@ -159,20 +157,24 @@ class Aligner:
         told: Told | None = None,
         factor: float = 1.0,
     ) -> DenseAlignment:
-        """The motion of a frame against a reference, from a first guess (4, 4).
+        """The motion of a frame against a reference.
 
-        The guess holds what hardly anything shows: else the noise of a plain wall would pull it along for decimetres.
-        It is off by the first of `held_m`, turns as ways at 2 m; a base on wheels goes sideways, rises and tilts by the
-        second since the frame before, whatever the guess says: one by grey values of a plain wall tilts by degrees.
-        With `step` the speed by which the rolling shutter's rows were straightened is corrected on the way. What
-        keypoints have `told` counts as their residuals would, near their own best motion: `factor` times as much, for
-        so many times less than they claim surfaces tell.
+        Args:
+            frame: the frame.
+            reference: the reference.
+            T_reference_frame: (4, 4) initial guess. It is a prior too, because else noise of a plain wall pulls weakly
+                constrained directions along by decimetres.
+            step: the previous pose; with it the speed of the rolling-shutter correction is updated in each iteration.
+            held_m: standard deviations of the guess, with rotations as distances at 2 m. The second one is for a base
+                on wheels: its motion sideways, upwards and in tilt since the previous frame, whatever the guess.
+            told: the motion by keypoints, which counts like their residuals near the optimum.
+            factor: weight of `told`: the covariance of surfaces is larger than they claim by this factor.
         """
         settings = self._settings
         rules = settings.huber, settings.color_weight, 0, settings.min_gradient, reference.own_noise
         how = np.array([0, 1, _GREY_SIGMA, 1, 0, *rules], float)
         T, total = np.array(T_reference_frame, float), np.zeros(kernels.SUMS)
-        T_held, hold = self._held(T, step, held_m, told, factor)
+        T_prior, information = self._prior_of(T, step, held_m, told, factor)
         for number in reversed(range(settings.levels)):
             how[GATE] = settings.gate * (1 + 0.5 * number)
             how[COLOR_SIGMA] = self._settings.color_error_left * self._color_sigma_px / (1 << number)
@@ -181,20 +183,29 @@ class Aligner:
             sums = np.empty((len(frame.levels[number].depth_m) // stride, kernels.SUMS))
             for _ in range(settings.iterations[min(number, len(settings.iterations) - 1)]):
                 self._sum_up(frame.levels[number], reference.levels[number].pixels, place(T), how, sums, stride)
-                if advance(sums, T, how, total, T_held, hold) < _SMALL_STEP * (1 << number):
+                if advance(sums, T, how, total, T_prior, information) < _SMALL_STEP * (1 << number):
                     break
                 if not np.abs(T).max() < _DIVERGED_M:
                     return self._answer(frame, reference, np.array(T_reference_frame), np.zeros(kernels.SUMS), how)
         return self._answer(frame, reference, T, total, how)
 
-    def _held(
+    def _prior_of(
         self, T: FloatArray, step: Step | None, held_m: tuple[float, float], told: Told | None, factor: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Where a guess (4, 4) is held, and how firmly: by what is expected, and by what keypoints have told."""
-        T_held, hold = self._hold(T, step, held_m)
+        """The prior (4, 4) of an alignment with its information (6, 6) in the left tangent: guess and keypoints.
+
+        It weighs like residuals, with rotations as distances at 2 m.
+        """
+        T_prior, sigmas = self._rolled(T, step), np.full(6, held_m[0])
+        if self._T_base_camera is not None:
+            sigmas[_NOT_ROLLED] = held_m[1]
+        A = (DEGENERATE_SCALE / sigmas)[:, None] * (self._Ad_base_camera @ se3.adjoint(se3.invert(T_prior)))
+        information = np.asarray(self._settings.correlation * A.T @ A)
         if told is None:
-            return T_held, hold
-        return both(T_held, hold, told.T_reference_frame, factor * self._settings.correlation * told.information)
+            return T_prior, information
+        return both(
+            T_prior, information, told.T_reference_frame, factor * self._settings.correlation * told.information
+        )
 
     def align_clearest(
         self,
@@ -206,9 +217,9 @@ class Aligner:
         told: Told | None = None,
         factor: float = 1.0,
     ) -> DenseAlignment:
-        """The alignment from the first guess (4, 4), unless grey values fit clearly better from another one.
+        """The alignment from the first guess (4, 4), or from another one if grey values fit clearly better there.
 
-        Along a wall planes say nothing, and its few marks fit each other's places: what comes out is where one began.
+        Along a wall planes constrain nothing, and its few marks match each other, so the result depends on the guess.
         """
         limits = self._starts
         best, *others = (self.align(frame, reference, start, step, held_m, told, factor) for start in starts)
@@ -220,29 +231,16 @@ class Aligner:
         return best
 
     def _rolled(self, T_reference_frame: FloatArray, step: Step | None) -> FloatArray:
-        """A guess (4, 4) as it is if a base on wheels has but rolled ahead and turned since the frame before."""
+        """The guess (4, 4) restricted to what a base on wheels can do since the previous frame: roll and turn."""
         if step is None or self._T_base_camera is None:
             return T_reference_frame.copy()
         T_base_camera = self._T_base_camera
         twist = se3.log(se3.invert(step.T_reference_previous) @ T_reference_frame).reshape(2, 3)
         way, turn = twist @ T_base_camera[:3, :3].T
-        # By the camera's own way: where the guess turns about the camera, the base's has what tilting moved it.
+        # The camera's own translation: that of the base includes what a tilt about the camera adds to it.
         ahead_m = way[0] + turn[2] * T_base_camera[1, 3]
         moved = se3.exp([ahead_m, 0.0, 0.0, 0.0, 0.0, turn[2]])
         return step.T_reference_previous @ se3.invert(T_base_camera) @ moved @ T_base_camera
-
-    def _hold(
-        self, T_reference_frame: FloatArray, step: Step | None, held_m: tuple[float, float]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Where a guess (4, 4) is held, and how firmly: information (6, 6) in the left tangent.
-
-        It weighs like residuals; turns of the frame are ways at 2 m.
-        """
-        T_held, sigmas = self._rolled(T_reference_frame, step), np.full(6, held_m[0])
-        if self._T_base_camera is not None:
-            sigmas[_NOT_ROLLED] = held_m[1]
-        A = (DEGENERATE_SCALE / sigmas)[:, None] * (self._Ad_base_camera @ se3.adjoint(se3.invert(T_held)))
-        return T_held, np.asarray(self._settings.correlation * A.T @ A)
 
     def _answer(
         self, frame: GridFrame, reference: Reference, T: FloatArray, total: FloatArray, how: FloatArray
@@ -261,11 +259,11 @@ class Aligner:
     def _information(
         self, frame: GridFrame, reference: Reference, T: FloatArray, pairs: int, how: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """What so many pairs tell (6, 6), by normals of the coarsest level and slopes of grey of the second.
+        """Information (6, 6) of `pairs`, by normals of the coarsest level and grey gradients of the second.
 
-        And what they would tell if the frame's slopes were the reference's (6, 6). Only what both views show counts:
-        else a plain wall's noise, or what a reference from a corridor's entrance shows and its middle does not, would
-        tell what is not there. It may have negative eigenvalues where nothing is.
+        The second result is the same with the reference's gradients in place of the frame's (6, 6). Only structure that
+        both views show counts: it excludes noise of a plain wall, and what one end of a corridor shows but its middle
+        does not. Unconstrained directions may have negative eigenvalues.
         """
         own = self._maker.shown_by(frame)
         rules = how[[GATE, PLANE_SCALE, GREY_SIGMA, GAIN, HUBER, GREY_WEIGHT]]
@@ -285,7 +283,7 @@ class Aligner:
         return information, compared
 
     def _placer(self, frame: GridFrame, number: int, step: Step | None) -> Callable[[FloatArray], Float32Array]:
-        """Gives T_reference_frame (h, 3, 4) of each row of a level, for T_reference_frame (4, 4) of the middle one."""
+        """A function from T_reference_frame (4, 4) of a level's middle row to that of each row (h, 3, 4)."""
         height = len(frame.levels[number].depth_m)
         T_rows = np.empty((height, 3, 4), np.float32)
         late_s = self._late_s[: height << number].reshape(height, -1).mean(axis=1)
@@ -318,12 +316,13 @@ class Aligner:
 def both(
     T_first: FloatArray, first: FloatArray, T_second: FloatArray, second: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Where (4, 4) two pieces of information (6, 6) each, about left perturbations, meet, and their sum."""
+    """The mean (4, 4) of two motions by their information (6, 6) on left perturbations, and its information (6, 6)."""
     off, total = se3.log(T_second @ se3.invert(T_first)), first + second
     return se3.exp(np.linalg.solve(total, second @ off)) @ T_first, total
 
 
 def _symmetric(sums: FloatArray) -> FloatArray:
+    """The symmetric matrix (6, 6) of 21 sums, its upper triangle row by row."""
     H = np.zeros((6, 6))
     H[_UPPER] = sums[:21]
     return H + np.triu(H, 1).T
@@ -333,17 +332,14 @@ def _in_rows(show: Callable[..., None], given: tuple[object, ...], sums: FloatAr
     show(*given, begin, end, sums)
 
 
-# Whether an alignment is an answer, how certain it is, and which directions of motion it cannot tell.
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Prior:
-    """What is expected of a motion before the images are compared.
+    """The predicted motion, before images are compared.
 
     Attributes:
         T_reference_frame: (4, 4).
-        sigma_m: standard deviation in every direction, turns as ways at 2 m.
-        others: each (4, 4), what else may be expected if the first turns out to be wrong.
+        sigma_m: standard deviation in every direction, with rotations as distances at 2 m.
+        others: alternatives, each (4, 4), in case the first one is wrong.
     """
 
     T_reference_frame: FloatArray
@@ -353,13 +349,13 @@ class Prior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judgement:
-    """An alignment as an answer, or the reason why it is none.
+    """An accepted alignment, or the reason of its rejection.
 
     Attributes:
-        T_reference_frame: (4, 4); along `degenerate` directions the prior's.
-        covariance: (6, 6) of its left perturbation (v, ω); along `degenerate` directions the prior's.
-        degenerate: (K, 6) unit vectors of (v, ω · 2 m) that the view does not show, 0 ≤ K ≤ 6.
-        reason: None for an answer.
+        T_reference_frame: (4, 4); the prior's along `degenerate` directions.
+        covariance: (6, 6) of its left perturbation (v, ω); the prior's along `degenerate` directions.
+        degenerate: (K, 6) unit vectors of (v, ω · 2 m) that the view does not constrain, 0 ≤ K ≤ 6.
+        reason: None if the alignment is accepted.
     """
 
     T_reference_frame: FloatArray
@@ -369,9 +365,9 @@ class Judgement:
 
 
 def judge(found: DenseAlignment, prior: Prior, settings: DenseSettings) -> Judgement:
-    """Judge an alignment; directions in which it is less certain than `degenerate_sigma_m` keep the prior's motion.
+    """The alignment with the prior's motion along directions less certain than `degenerate_sigma_m`, or a rejection.
 
-    Eigenvectors of the information tell them (Zhang, Kaess & Singh, ICRA 2016: solution remapping).
+    The directions are eigenvectors of the information (Zhang, Kaess & Singh, ICRA 2016: solution remapping).
     """
     scale = np.outer(DEGENERATE_SCALE, DEGENERATE_SCALE) * settings.correlation
     information = found.information / scale
@@ -394,7 +390,7 @@ def judge(found: DenseAlignment, prior: Prior, settings: DenseSettings) -> Judge
 def _nearest_prior(
     T: FloatArray, prior: Prior, seen: FloatArray, settings: DenseSettings
 ) -> tuple[FloatArray, FloatArray]:
-    """The prior (4, 4), and how far T is from it along what is `seen` (6, K): what is wrong there is nowhere right."""
+    """The prior (4, 4) that agrees best with T along the constrained directions `seen` (6, K), and the shift (K,)."""
     priors = (prior.T_reference_frame, *prior.others)
     shifts = [seen.T @ (DEGENERATE_SCALE * se3.log(T @ se3.invert(T_prior))) for T_prior in priors]
     off_m = np.array([np.linalg.norm(shift) for shift in shifts])
@@ -412,17 +408,15 @@ def _reason(found: DenseAlignment, unseen: int, settings: DenseSettings) -> Reas
     return Reason.DEGENERATE if unseen == 6 else None
 
 
-# SurfaceWeight: how much surfaces count beside keypoints, learned by how far both disagree.
-#
-# What an alignment of surfaces claims rests on the sensor's noise, which averages out over a hundred thousand pixels.
-# What does not average out is far larger on real cameras: depth that is of another instant than colour, that is not
-# quite registered, or bent. Keypoints show how large it is. Their motions differ from those of surfaces by both
-# covariances, of which that of surfaces has an unknown factor: variance components tell it (Helmert; Förstner 1979).
+# The weight of surfaces against keypoints. An alignment of surfaces claims a covariance by sensor noise, which averages
+# out over a hundred thousand pixels. Systematic errors of real cameras are far larger: depth is delayed against colour,
+# misregistered, or bent. Motions by keypoints and by surfaces differ by both covariances, where that of surfaces has an
+# unknown factor. Variance components estimate it (Helmert; Förstner 1979).
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Told:
-    """What keypoints tell of a motion: where the frame is (4, 4), and information (6, 6) of its left perturbation."""
+    """The motion of a frame by its keypoints (4, 4), and the information (6, 6) of its left perturbation."""
 
     T_reference_frame: FloatArray
     information: FloatArray
@@ -430,13 +424,13 @@ class Told:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Joint:
-    """A motion by both.
+    """A motion by keypoints and surfaces together.
 
     Attributes:
         T_reference_frame: (4, 4).
-        ahead: (6,) how far keypoints lead beyond surfaces alone, as a left perturbation.
-        factor: by which the covariance of surfaces was taken larger than they claim.
-        seen_factor: what this frame alone says of that.
+        ahead: (6,) the left perturbation from the motion by surfaces alone to that by keypoints.
+        factor: on the covariance that surfaces claim.
+        seen_factor: the factor by this frame alone.
     """
 
     T_reference_frame: FloatArray
@@ -446,10 +440,10 @@ class Joint:
 
 
 class SurfaceWeight:
-    """Learns the factor on the covariance of what surfaces say, of one camera in one place.
+    """Estimates the factor on the covariance that surfaces claim, for one camera.
 
     Attributes:
-        factor: as learned so far, at least 1.
+        factor: the present estimate, at least 1.
     """
 
     def __init__(self, settings: JointSettings) -> None:
@@ -457,25 +451,25 @@ class SurfaceWeight:
         self.factor = settings.first_factor
 
     def learn(self, joint: Joint) -> None:
-        """Take a frame whose pose was accepted as an example."""
+        """Update the factor by a frame whose pose was accepted."""
         self.factor *= (joint.seen_factor / self.factor) ** self._settings.learned
 
     def meet(self, T_reference_frame: FloatArray, surfaces: FloatArray, told: Told) -> Joint:
-        """A motion (4, 4) found by both with the factor known before, or with its own where that is too small.
+        """The motion by keypoints and surfaces, with the estimated factor or the frame's own if that is too small.
 
         Args:
-            T_reference_frame: where keypoints and surfaces meet, the latter by the factor learned.
+            T_reference_frame: (4, 4) the optimum of keypoints and surfaces with the estimated factor.
             surfaces: (6, 6) information of the left perturbation that surfaces claim.
-            told: what keypoints say.
+            told: the motion by keypoints.
         """
         root = np.linalg.cholesky(told.information)
         whitened = np.linalg.solve(root, np.linalg.solve(root, surfaces).T)
         claimed, directions = np.linalg.eigh(0.5 * (whitened + whitened.T))
         claimed = np.maximum(claimed, 1e-9)
-        # From where both meet to where keypoints lead, in their standard deviations.
+        # From the joint optimum to the motion by keypoints, in standard deviations of the latter.
         off = directions.T @ root.T @ se3.log(told.T_reference_frame @ se3.invert(T_reference_frame))
         apart = off * (1 + self.factor / claimed)
-        seen = self._seen(apart, claimed)
+        seen = self._seen_factor(apart, claimed)
         is_odd = (apart**2 / (1 + self.factor / claimed)).sum() > self._settings.odd_chi2
         factor = max(self.factor, seen) if is_odd else self.factor
         share = claimed / factor / (1 + claimed / factor)
@@ -483,8 +477,8 @@ class SurfaceWeight:
         ahead = np.linalg.solve(root.T, directions @ apart)
         return Joint(se3.exp(-back) @ told.T_reference_frame, ahead, factor, seen)
 
-    def _seen(self, apart: FloatArray, claimed: FloatArray) -> float:
-        """The factor by which disagreements (6,) exceed what is `claimed` (6,), along directions that surfaces show."""
+    def _seen_factor(self, apart: FloatArray, claimed: FloatArray) -> float:
+        """The factor by which differences (6,) exceed what surfaces claim (6,), along constrained directions."""
         shown = claimed > self._settings.shown
         if not shown.any():
             return self.factor

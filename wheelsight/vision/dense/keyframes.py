@@ -1,5 +1,5 @@
-"""`KeyframePolicy` decides which frames become keyframes and optimizes their poses. Also the keyframe cache and the
-vignetting model, which keyframes teach.
+"""`KeyframePolicy` decides which frames become keyframes and estimates their poses. `EvictedViews` returns keyframes
+that left the cache, and `Vignetting` estimates the lens's vignetting from keyframes.
 """
 
 from __future__ import annotations
@@ -23,20 +23,18 @@ from wheelsight.vision.dense.views import KeypointTracker, KnownView, Prediction
 from wheelsight.vision.features.extraction import Features
 from wheelsight.vision.tracking_state import START_VARIANCE
 
-# KeyframePolicy: which frames are kept as keyframes, and where they are put.
-
 
 class KeyframePolicy:
-    """Keeps frames that show much that is not known yet.
+    """Makes keyframes of frames that show much that is new.
 
     Args:
-        settings: how much that is.
-        gridder: straightens frames.
+        settings: thresholds.
+        gridder: corrects the rolling shutter of frames.
         locator: aligns a frame with another keyframe.
-        keypoints: verify that a keyframe is where it seems to be.
-        views: keep what frames are aligned with.
-        store: holds all keyframes and where they are.
-        gone: those that views have no room for.
+        keypoints: holds the landmarks of keyframes.
+        views: the cache of keyframes.
+        store: holds all keyframes and their poses.
+        evicted: keyframes that left the cache.
     """
 
     def __init__(
@@ -47,23 +45,23 @@ class KeyframePolicy:
         keypoints: KeypointTracker,
         views: Views,
         store: KeyframeStore,
-        gone: GoneViews,
+        evicted: EvictedViews,
     ) -> None:
         self._settings, self._gridder, self._store = settings, gridder, store
-        self._locator, self._keypoints, self._views, self._gone = locator, keypoints, views, gone
+        self._locator, self._keypoints, self._views, self._evicted = locator, keypoints, views, evicted
         self.vignetting = Vignetting(gridder, settings)
 
     def begin(self, features: Features, grid: GridFrame, T_map_camera: FloatArray, covariance: FloatArray) -> Tracked:
-        """Keep a frame at a pose (4, 4) with its covariance (6, 6), from which all begins anew."""
+        """Start, or restart, with a keyframe at a pose (4, 4) with its covariance (6, 6)."""
         motion = MotionEstimate(np.eye(4), START_VARIANCE * np.eye(6))
         start = Tracked(grid, T_map_camera, covariance, motion, KeyframeId(-1))
         start, view = self._stored(start, features)
-        self._views.expect_nothing()
+        self._views.drop_prediction()
         self._keep(view)
         return start
 
     def begin_again(self, features: Features, first: Tracked) -> KnownView:
-        """Put the first frame, whose speed is known by now, in its own place, straightened."""
+        """Replace the first keyframe by the same frame with its rolling shutter corrected."""
         self._keypoints.forget()
         self._keypoints.remember(first, features)
         features = self._keypoints.straightened(features, first.twist)
@@ -73,31 +71,31 @@ class KeyframePolicy:
         return view
 
     def update(self, frame: RgbdFrame, features: Features, found: Tracked, ahead: Prediction) -> Tracked:
-        """Remember a frame, and keep one that shows much that the last keyframe did not.
+        """Update landmarks by a frame, and make it a keyframe if it shows much that the last one did not.
 
-        Returns it with its rows straightened by the speed that was found.
+        Returns the frame with its rolling shutter corrected by the estimated speed.
         """
         if self._settings.reference == "previous" and not self._views.has_model:
             return self._follow(frame, features, found)
         if not self._views.lack(found, is_helped=ahead.is_helped):
             return self._remembered(self._straightened(frame, found, is_kept=False), features)
-        seen = self._seen_from_before(found, ahead)
+        seen = self._revisited(found, ahead)
         if seen is not None:
-            return self._remembered(replace(seen, told=found.told), features)
-        straight = self._straightened(frame, self._by_two(found, ahead))
+            return self._remembered(replace(seen, keypoint_pose=found.keypoint_pose), features)
+        straight = self._straightened(frame, self._refined(found, ahead))
         self.vignetting.learn(straight.frame, straight.T_map_camera, self._views.keyframes[-1].reference)
         straight, view = self._stored(straight, features)
         self._keep(view)
         return straight
 
     def _remembered(self, tracked: Tracked, features: Features) -> Tracked:
-        tracked = tracked.doubted()
+        tracked = tracked.with_pose_error()
         self._keypoints.remember(tracked, features)
         return tracked
 
     def _follow(self, frame: RgbdFrame, features: Features, found: Tracked) -> Tracked:
-        """The frame as the only view to align with; the store gets one wherever the last one there is far."""
-        straight = self._straightened(frame, found).doubted()
+        """Make the frame the only known view, and a keyframe of the store if the last one there is far."""
+        straight = self._straightened(frame, found).with_pose_error()
         T_keyframe_camera = se3.invert(self._store.pose(found.keyframe)) @ straight.T_map_camera
         if float(se3.view_shift_m(T_keyframe_camera)) > self._settings.keyframe_way_m:
             straight, view = self._stored(straight, features)
@@ -108,12 +106,12 @@ class KeyframePolicy:
         self._views.keyframes[:] = [view]
         return straight
 
-    def _seen_from_before(self, found: Tracked, ahead: Prediction) -> Tracked | None:
-        """The frame by an older keyframe that is nearer and shows the same, which ends the drift, if there is one."""
+    def _revisited(self, found: Tracked, ahead: Prediction) -> Tracked | None:
+        """The frame located by a nearer, older keyframe with enough overlap, which ends the drift; else None."""
         if self._views.has_model:
             return None
         here, nearest = ahead.at(found.T_map_camera), self._views.nearest(found.T_map_camera)
-        for view in (self._gone_nearer(found.T_map_camera, nearest), nearest):
+        for view in (self._evicted_nearer(found.T_map_camera, nearest), nearest):
             if view is None or view is self._views.keyframes[-1]:
                 continue
             seen = self._locator.by_view(found.frame, view, here, here.T_map_camera)
@@ -122,21 +120,21 @@ class KeyframePolicy:
                 return seen
         return None
 
-    def _gone_nearer(self, T_map_camera: FloatArray, nearest: KnownView) -> KnownView | None:
-        """An older keyframe nearer than those held, while loops tie one of those that the camera goes by."""
+    def _evicted_nearer(self, T_map_camera: FloatArray, nearest: KnownView) -> KnownView | None:
+        """An evicted keyframe nearer than the cached ones, if loops tie a recent keyframe to older ones; else None."""
         newest = self._views.keyframes[-self._settings.keyframes.tied_views :]
-        if not any(self._gone.is_tied(view.keyframe) for view in newest):
+        if not any(self._evicted.is_tied(view.keyframe) for view in newest):
             return None
-        return self._gone.nearer(T_map_camera, nearest.distance_m(T_map_camera))
+        return self._evicted.nearer(T_map_camera, nearest.distance_m(T_map_camera))
 
     def _keep(self, view: KnownView) -> None:
-        """A view that counts as the newest; those that there is no room for go."""
-        self._gone.take(view)
-        for one in self._views.keep(view):
-            self._gone.put(one)
+        """Mark a view as the most recently used keyframe."""
+        self._evicted.take(view)
+        for evicted in self._views.keep(view):
+            self._evicted.put(evicted)
 
-    def _by_two(self, found: Tracked, ahead: Prediction) -> Tracked:
-        """The frame by the keyframe before the last one, too, where no map ties keyframes together."""
+    def _refined(self, found: Tracked, ahead: Prediction) -> Tracked:
+        """The frame located by the last two keyframes together; without a map, this reduces drift."""
         before = self._views.keyframes[-2:-1]
         if not before or self._views.has_model or not found.is_by_keyframe:
             return found
@@ -148,7 +146,7 @@ class KeyframePolicy:
         return replace(found, T_map_camera=joined(*poses, self._settings.keyframes, self._locator.of_frame))
 
     def _straightened(self, frame: RgbdFrame, found: Tracked, *, is_kept: bool = True) -> Tracked:
-        """The same frame, its rows straightened by the speed that was found rather than the one expected."""
+        """The frame with its rolling shutter corrected by the estimated speed instead of the predicted one."""
         wrong = np.abs(found.twist - found.frame.twist)[3:].max() * np.abs(self._gridder.late_s).max()
         limits = self._settings.keyframes
         limit_px = limits.kept_straight_px if is_kept else limits.straight_px
@@ -157,8 +155,8 @@ class KeyframePolicy:
         return replace(found, frame=self._gridder.on_grid(frame, found.twist))
 
     def _stored(self, tracked: Tracked, features: Features) -> tuple[Tracked, KnownView]:
-        """A frame as a keyframe of the store, and as a view to align with."""
-        tracked = tracked.doubted()
+        """Add a frame to the store as a keyframe, and return it with its view."""
+        tracked = tracked.with_pose_error()
         straight = self._keypoints.straightened(features, tracked.twist)
         number = self._store.add(partial(self._kept, tracked.frame, straight), tracked.T_map_camera)
         tracked = replace(tracked, keyframe=number)
@@ -171,9 +169,6 @@ class KeyframePolicy:
         return Keyframe.of_images(*images, self._keypoints.kept(features))
 
 
-# One pose by two references: where both meet, for chains of keyframe-to-keyframe motions drift less so.
-
-
 def joined(
     T_map_short: FloatArray,
     short: MotionEstimate,
@@ -182,18 +177,18 @@ def joined(
     settings: KeyframeSettings,
     shared: FloatArray,
 ) -> FloatArray:
-    """T_map_camera (4, 4) by the motions against the last keyframe and the one before, each as sure as it says.
+    """T_map_camera (4, 4) by the motions against the last two keyframes, weighted by their covariances.
 
-    Where they contradict each other, or one does not show all directions, it is the short one's. That one's covariance
-    counts several times, since where its keyframe is against the other's was found by a motion like it. What both have
-    wrong of the frame is `shared` (6, 6), a right perturbation: it speaks for neither.
+    It is the pose by the last keyframe if both contradict each other, or if one is degenerate. The covariance of the
+    short motion counts `short_motions` times, because the pose of its keyframe relative to the other one has the same
+    error. `shared` (6, 6) is the covariance of the error common to both, as a right perturbation; it is subtracted.
     """
     if not (short.shows_all and long.shows_all):
         return T_map_short
-    C_short, C_long = settings.short_motions * (_at_its_end(short) - shared), _at_its_end(long) - shared
+    C_short, C_long = settings.short_motions * (_right_covariance(short) - shared), _right_covariance(long) - shared
     off = se3.log(se3.invert(T_map_short) @ T_map_long)
     C = np.ascontiguousarray(C_short + C_long)
-    if not (np.isfinite(C).all() and motions.is_definite(C)):  # what is left of both is less than rounding
+    if not (np.isfinite(C).all() and motions.is_definite(C)):  # singular up to rounding
         return T_map_short
     innovation = np.linalg.solve(C, off)
     if not off @ innovation < settings.joined_chi2:
@@ -201,23 +196,20 @@ def joined(
     return np.asarray(se3.nearest(T_map_short @ se3.exp(C_short @ innovation)))
 
 
-def _at_its_end(motion: MotionEstimate) -> FloatArray:
-    """Covariance (6, 6) of a motion's right perturbation, in the frame of the camera that moved."""
+def _right_covariance(motion: MotionEstimate) -> FloatArray:
+    """Covariance (6, 6) of a motion's right perturbation, in the frame of the moved camera."""
     assert motion.T_reference_current is not None
     assert motion.covariance is not None
     return np.asarray(motions.carried(motions.inverse(motion.T_reference_current), motion.covariance))
 
 
-# GoneViews: keyframes that there is no room for as views, and that come back from the store where the camera does.
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class _Gone:
-    """What the store does not have of a view, some 0.5 kB.
+class _Evicted:
+    """The attributes of a view that the store does not hold, about 0.5 kB.
 
     Attributes:
-        covariance: (6, 6) of the right perturbation of its pose: no motion of the map changes that.
-        turning_rad_s, vignetting: as the view and its reference have them.
+        covariance: (6, 6) of the right perturbation of its pose, which is invariant to motions of the map.
+        turning_rad_s, vignetting: see `KnownView` and `Reference`.
     """
 
     covariance: FloatArray
@@ -225,16 +217,16 @@ class _Gone:
     vignetting: float
 
 
-class GoneViews:
-    """See the module.
+class EvictedViews:
+    """Keyframes that left the cache, and return from the store when the camera comes back.
 
-    Only those come back that loops tie to keyframes of another time: how far off the others are from where the camera
-    has come to, odometry alone would say, and that loops can mend it new keyframes are needed.
+    Only those return that loop closures tie to keyframes of another visit. The poses of the others drift by odometry
+    alone, and loop closures need new keyframes to correct that.
 
     Args:
-        store: has the keyframes, and where they are.
-        gridder, maker, keypoints: make views of them.
-        room: of another time is a keyframe that so many others follow, for which there is room.
+        store: holds the keyframes and their poses.
+        gridder, maker, keypoints: compute views of them.
+        room: size of the cache; keyframes at least this many apart belong to different visits.
     """
 
     def __init__(
@@ -242,24 +234,24 @@ class GoneViews:
     ) -> None:
         self._store, self._gridder, self._maker, self._keypoints = store, gridder, maker, keypoints
         self._room = room
-        self._gone: dict[KeyframeId, _Gone] = {}
+        self._views: dict[KeyframeId, _Evicted] = {}
 
     def __len__(self) -> int:
-        return len(self._gone)
+        return len(self._views)
 
     def put(self, view: KnownView) -> None:
-        """A view that is a keyframe of the store."""
+        """Add a view that left the cache; it is a keyframe of the store."""
         Ad = se3.adjoint(se3.invert(view.reference.T_map_reference))
         covariance = Ad @ view.covariance @ Ad.T
-        self._gone[view.keyframe] = _Gone(covariance, view.turning_rad_s, view.reference.vignetting)
+        self._views[view.keyframe] = _Evicted(covariance, view.turning_rad_s, view.reference.vignetting)
 
     def nearer(self, T_map_camera: FloatArray, limit_m: float) -> KnownView | None:
-        """The tied one whose view is nearest to one from there (4, 4), a turn by a radian as 1.5 m, if that is nearer.
+        """The nearest tied keyframe within `limit_m` of a pose (4, 4), where a rotation by a radian counts as 1.5 m.
 
-        None, too, where the disk has lost it, or has it in another size than frames are aligned in. It stays here: see
-        `take`.
+        None if there is none, if the store cannot read it, or if its size differs from that of frames. It stays here
+        until `take`.
         """
-        numbers = [number for number in self._gone if self.is_tied(number)]
+        numbers = [number for number in self._views if self.is_tied(number)]
         if not numbers:
             return None
         apart_m = se3.view_shift_m(se3.invert(self._store.T_map_keyframe[numbers]) @ T_map_camera)
@@ -267,59 +259,56 @@ class GoneViews:
         return self._recalled(numbers[nearest]) if apart_m[nearest] < limit_m else None
 
     def is_tied(self, number: KeyframeId) -> bool:
-        """Whether loops tie a keyframe to one of another time."""
+        """Whether a loop closure ties a keyframe to one of another visit."""
         return self._store.tied_over(number) >= self._room
 
     def take(self, view: KnownView) -> None:
-        """One that is held from now on."""
-        self._gone.pop(view.keyframe, None)
+        """Remove a view that is in the cache again."""
+        self._views.pop(view.keyframe, None)
 
     def _recalled(self, number: KeyframeId) -> KnownView | None:
         try:
             keyframe = self._store.recalled(number, KeyframeId(len(self._store) - 1))
-        except MapError:  # the disk is gone, or damaged there: the camera goes on without
+        except MapError:  # the file is missing or damaged; odometry continues without it
             return None
-        gone, T_map_keyframe = self._gone[number], self._store.pose(number)
-        grid = self._on_grid(keyframe, gone.vignetting)
+        evicted, T_map_keyframe = self._views[number], self._store.pose(number)
+        grid = self._on_grid(keyframe, evicted.vignetting)
         if grid is None:
             return None
         reference, Ad = self._maker.of_frame(grid, T_map_keyframe), se3.adjoint(T_map_keyframe)
         features = None if keyframe.features is None else self._keypoints.recalled(keyframe.stamp_s, keyframe.features)
-        return KnownView(number, reference, Ad @ gone.covariance @ Ad.T, features, gone.turning_rad_s)
+        return KnownView(number, reference, Ad @ evicted.covariance @ Ad.T, features, evicted.turning_rad_s)
 
     def _on_grid(self, keyframe: Keyframe, vignetting: float) -> GridFrame | None:
-        """None for one of another size."""
+        """The keyframe as a frame on the ideal grid, or None if its size differs."""
         depth_m, grey = keyframe.depth_m, keyframe.grey
         if depth_m.shape != self._gridder.shape:
             return None
-        grey[grey == 0] = -1  # as which unknown grey is kept
+        grey[grey == 0] = -1  # keyframes store unknown grey as 0
         return GridFrame(keyframe.stamp_s, self._gridder.pyramid(depth_m, grey), np.zeros(6), vignetting)
 
 
-# Vignetting: by how much a lens darkens an image towards its rim, learned from plain surfaces at two places of it.
-#
-# A wall that is seen ahead, and later aside, seems darker than it was; a keyframe then seems tilted against the
-# frame. What lenses do differs, but falls about as the fourth power of the cosine to the axis; bytes follow by an
-# exponent that the camera's gamma makes smaller. That exponent is what is learned, a pair of views at a time.
-
-
-# Of both images every so many pixels are compared.
+# Stride, in pixels, of the points compared for vignetting.
 _STRIDE_PX = 2
-# Reweighted least squares: Huber's limit in standard deviations, and how often it is solved.
+# Iteratively reweighted least squares: Huber's limit in standard deviations, and the number of iterations.
 _HUBER, _ROUNDS = 1.5, 3
-# Where vignetting hardly differs, there is no slope.
+# Least variance of vignetting over the compared points, so that the slope stays finite.
 _FLAT = 1e-9
 
 
 class Vignetting:
-    """Learns one camera's vignetting, and has its frames evened by it.
+    """Estimates the vignetting of one camera from plain surfaces at two image positions, and corrects later frames.
+
+    A wall seen ahead, and later at the image border, looks darker there, and the keyframe then seems tilted. Lenses
+    darken about as cos⁴ of the angle to the axis; gamma reduces its exponent in grey values. The estimate is this
+    exponent, updated by pairs of views.
 
     Args:
         gridder: makes the frames.
-        settings: which places are plain, and what lenses do.
+        settings: thresholds of plain surfaces, and the prior of the exponent.
 
     Attributes:
-        exponent: of the cosine's fourth power, in grey values; 0 for an even image.
+        exponent: of cos⁴, in grey values; 0 for an even image.
     """
 
     def __init__(self, gridder: Gridder, settings: DenseSettings) -> None:
@@ -328,12 +317,12 @@ class Vignetting:
         self.exponent, self._variance = 0.0, self._lens.sigma**2
 
     def learn(self, frame: GridFrame, T_map_camera: FloatArray, reference: Reference) -> None:
-        """Take how plain surfaces look in a frame at a pose (4, 4) and in a reference, a frame before."""
+        """Update the estimate by plain surfaces that a frame at a pose (4, 4) and an earlier reference both show."""
         here, there, known = self._pairs(frame, reference, se3.invert(reference.T_map_reference) @ T_map_camera)
         if np.count_nonzero(known) < self._lens.min_pixels:
             return
         (grey, dark), (grey_then, dark_then) = here[:, known], there[:, known]
-        # As the sensor had it: both views were evened by what was known of the lens when they were made.
+        # Undo the correction of each view, which used the estimate at its time.
         brighter = np.log(grey / grey_then) + frame.vignetting * dark - reference.vignetting * dark_then
         information, pull = self._slope(dark - dark_then, brighter)
         total = 1 / self._variance + information
@@ -342,7 +331,7 @@ class Vignetting:
         self._gridder.even(self.exponent)
 
     def _pairs(self, frame: GridFrame, reference: Reference, T: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Grey and vignetting (2, N) of points in frame and reference, and which (N,) are of one plain surface."""
+        """Grey and vignetting (2, N) of points in frame and in reference, and a mask (N,) of plain surfaces."""
         number = min(1, self._settings.levels - 1)
         level, pixels = frame.levels[number], reference.levels[number].pixels
         (h, w), some = level.depth_m.shape, (slice(None, None, _STRIDE_PX),) * 2
@@ -363,9 +352,9 @@ class Vignetting:
         return np.asarray((grey > self._lens.darkest) & (grey < self._lens.brightest))
 
     def _slope(self, x: FloatArray, y: FloatArray) -> tuple[float, float]:
-        """The information on the slope of y (N,) over x (N,), by Huber's weights, and it times the slope.
+        """The information on the slope of y (N,) over x (N,) by Huber's weights, and that information times the slope.
 
-        Whatever the offset is. Where x is the same everywhere both are 0.
+        The offset is free. Both are 0 if x is constant.
         """
         weight = np.ones(len(x))
         for _ in range(_ROUNDS):

@@ -18,7 +18,7 @@ from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.stamps import StampCheck
 from wheelsight.core.threads import OneCaller, Rows, one_at_a_time
 from wheelsight.vision.dense.alignment import Aligner
-from wheelsight.vision.dense.keyframes import GoneViews, KeyframePolicy
+from wheelsight.vision.dense.keyframes import EvictedViews, KeyframePolicy
 from wheelsight.vision.dense.pyramid import Gridder, GridFrame, ReferenceMaker
 from wheelsight.vision.dense.settings import DelaySettings, DenseSettings
 from wheelsight.vision.dense.tracking import Locator, Verifier
@@ -34,27 +34,26 @@ from wheelsight.vision.dense.views import (
 from wheelsight.vision.features.extraction import Features
 from wheelsight.vision.tracking_state import LONGEST_STEP_S, START_VARIANCE, Stopwatch, TrackingState, twist_between
 
-# DenseOdometry: the camera's pose by every pixel, frame by frame, or an honest word that it is lost.
-
 
 class DenseOdometry(OneCaller):
-    """Aligns each frame with a keyframe, with the previous frame, or with what a map predicts.
+    """Aligns each frame with a keyframe, with the previous frame, or with the view that a map predicts.
 
-    The first frame with depth starts the map. A frame's way: predict where it is, align it with what is known from
-    there, verify the pose by keypoints where surfaces may be wrong, and keep the frame where it shows much that is new.
-    Directions of motion that the view does not show are left to the prior and named. A frame that fails is counted;
-    after `lost_after` in a row the state is LOST, until a keyframe is recognised.
+    The first frame with depth starts the map. Each frame passes four steps: predict its pose, align it with known
+    views, verify the pose by keypoints, and make it a keyframe if it shows much that is new.
+
+    The prior fills directions of motion that the view does not constrain; the estimate names them. After `lost_after`
+    failed frames in a row the state is LOST, until a keyframe is recognised.
 
     Args:
         calibration: of the cameras.
-        settings: or the defaults.
-        model: what predicts the view to align with, if anything does.
-        T_map_first: (4, 4) where the camera is at the first frame with depth; by default at the map's origin.
-        store: to which keyframes are added; when they are moved there, all that odometry knows moves along. Or its own.
+        settings: default `DenseSettings()`.
+        model: predicts the view to align with; default none.
+        T_map_first: (4, 4) pose of the camera at the first frame with depth; default the map's origin.
+        store: receives keyframes; default a new one. When it moves keyframes, the state of odometry moves with them.
 
     Attributes:
-        store: holds all keyframes and where they are.
-        watch: stops the time of the last frame's "prepare", "predict", "align", "recognise" and "keyframe".
+        store: holds all keyframes and their poses.
+        watch: times of the last frame's "prepare", "predict", "align", "recognise" and "keyframe".
     """
 
     def __init__(
@@ -85,8 +84,8 @@ class DenseOdometry(OneCaller):
         self._views = Views(self._settings, self._gridder, self._maker, self.watch, model)
         self._locator = Locator(calibration, self._settings, aligner, self._views, self.watch)
         self._verifier = Verifier(self._settings, keypoints, self._views, self._locator.by_regions, self.watch)
-        gone = GoneViews(self.store, self._gridder, self._maker, keypoints, self._settings.kept_keyframes)
-        parts = (self._gridder, self._locator, keypoints, self._views, self.store, gone)
+        evicted = EvictedViews(self.store, self._gridder, self._maker, keypoints, self._settings.kept_keyframes)
+        parts = (self._gridder, self._locator, keypoints, self._views, self.store, evicted)
         self._policy = KeyframePolicy(self._settings, *parts)
         self.begin_at(np.eye(4) if T_map_first is None else T_map_first)
         self._state, self._stamps = TrackingState(self._settings.lost_after), StampCheck()
@@ -100,11 +99,11 @@ class DenseOdometry(OneCaller):
 
     @property
     def intrinsics(self) -> FloatArray:
-        """fx, fy, cx, cy (4,) of the ideal camera on whose grid frames and predictions are."""
+        """fx, fy, cx, cy (4,) of the ideal camera of frames and predictions."""
         return self._gridder.intrinsics
 
     def surface(self, tracked: GridFrame, frame: RgbdFrame, with_color: bool = True) -> Surface:
-        """What a frame adds to a map, of which `tracked` is `DenseEstimate.frame`."""
+        """The surface that a frame adds to a map; `tracked` is its `DenseEstimate.frame`."""
         finest = tracked.levels[0]
         color = self._gridder.color_on_grid(frame, tracked) if with_color else None
         return Surface(finest.depth_m, self._maker.normals(finest), finest.grey, color)
@@ -118,15 +117,18 @@ class DenseOdometry(OneCaller):
         *,
         twist: FloatArray | None = None,
     ) -> DenseEstimate:
-        """The camera's pose at a frame, T_map_camera, or why there is none. Raises ArgumentError for no frame.
+        """The camera's pose at a frame, T_map_camera, or the reason of the failure.
 
         Args:
-            frame: newer than the one before.
-            T_previous_current_prior: (4, 4) expected motion of the camera since the last tracked frame, from wheels
-                for instance; else constant velocity is expected.
-            T_previous_current_other: (4, 4) what may be so instead, and is taken where it fits clearly better.
-            twist: (6,) the camera's velocity (v, ω) in its own frame now, as others tell. It is asked for where the
-                last frame is so long ago that the mean velocity since says little, and rows are exposed one by one.
+            frame: newer than the previous one.
+            T_previous_current_prior: (4, 4) expected motion of the camera since the last tracked frame, for instance
+                from wheels; default constant velocity.
+            T_previous_current_other: (4, 4) an alternative to the prior, used if it fits clearly better.
+            twist: (6,) the camera's present velocity (v, ω) in its own frame, from other sensors. It corrects the
+                rolling shutter after a gap, where the mean velocity since the last frame says little.
+
+        Raises:
+            ArgumentError: for an invalid frame, motion or velocity.
         """
         check_frame(frame, self._calibration, prior=T_previous_current_prior, other=T_previous_current_other)
         self._stamps.check(frame)
@@ -140,24 +142,24 @@ class DenseOdometry(OneCaller):
         found = self._find(frame, features, last, prior)
         is_blind = not isinstance(found, Tracked) and found.reason is Reason.TOO_LITTLE_DEPTH
         if not (isinstance(found, Tracked) or is_blind or T_previous_current_prior is None):
-            # Wheels that spin expect what is not so, and lead astray.
+            # The prior of spinning wheels is wrong: try again without it.
             found = self._find(frame, features, last, replace(prior, T_last_frame=None))
         return self._accept(found) if isinstance(found, Tracked) else self._fail(frame.stamp_s, found)
 
     @one_at_a_time
     def begin_at(self, T_map_camera: FloatArray) -> None:
-        """Say before the first frame with depth where the camera (4, 4) is then. Raises ArgumentError for no motion."""
+        """Set the pose (4, 4) of the camera at the first frame with depth. Raises ArgumentError for no rigid motion."""
         self._T_map_first = need_motion("T_map_first", T_map_camera)
 
     @one_at_a_time
     def miss(self, stamp_s: float) -> DenseEstimate:
-        """Count a frame that came to nothing before it reached odometry, as a failed one."""
+        """Count a frame that is unusable, and so never reached `process`, as a failed one."""
         self._start_frame()
         return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
 
     @one_at_a_time
     def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> DenseEstimate:
-        """Go on at a frame that shows nothing known, at a pose (4, 4) that others tell; what was known is kept."""
+        """Restart at a frame with a pose (4, 4) from other sensors, its covariance (6, 6); earlier keyframes stay."""
         check_frame(frame, self._calibration, T_map_camera=T_map_camera, covariance=covariance)
         self._start_frame()
         self._verifier.faults.unseen_s = 0.0
@@ -165,11 +167,11 @@ class DenseOdometry(OneCaller):
 
     @one_at_a_time
     def refer_to(self, model: ReferenceModel | None) -> None:
-        """Align frames from now on with what a model predicts that stands in this map, or with keyframes alone."""
+        """Align later frames with the predictions of a model of this map, or, for None, with keyframes alone."""
         self._views.refer_to(model)
 
     def _start_frame(self) -> None:
-        """Stop the time anew, and move what is known to where its keyframes have been moved."""
+        """Restart the stopwatch, and move the state with keyframes that the store has moved."""
         self.watch.restart()
         T_new_old = self._follower.moves()
         if T_new_old is None:
@@ -182,7 +184,7 @@ class DenseOdometry(OneCaller):
     def _find(
         self, frame: RgbdFrame, features: Future[Features], last: Tracked, prior: PriorMotion
     ) -> Tracked | MotionEstimate:
-        """Where a frame is, from what others tell or constant velocity expects, or why that is not known."""
+        """The frame's pose, predicted from the prior or constant velocity, or the reason of the failure."""
         ahead, twist = predict(last, frame.stamp_s, prior)
         ahead = self._verifier.ask(features.result(), twist, ahead, self._state)
         with self.watch.stage("prepare"):
@@ -199,11 +201,11 @@ class DenseOdometry(OneCaller):
         return found
 
     def _seen_twist(self, ahead: Prediction, stamp_s: float, twist: FloatArray) -> FloatArray:
-        """The camera's velocity (6,) by keypoints, where most of them agree; else that expected."""
+        """The camera's velocity (6,) by keypoints if most of them agree, else the predicted one."""
         seconds = ahead.seconds_to(stamp_s)
-        if ahead.told is None or not ahead.told.is_usable or not 0 < seconds <= LONGEST_STEP_S:
+        if ahead.keypoint_pose is None or not ahead.keypoint_pose.is_usable or not 0 < seconds <= LONGEST_STEP_S:
             return twist
-        return twist_between(ahead.last.T_map_camera, ahead.told.T_map_camera, seconds)
+        return twist_between(ahead.last.T_map_camera, ahead.keypoint_pose.T_map_camera, seconds)
 
     def _begin(
         self,
@@ -227,7 +229,7 @@ class DenseOdometry(OneCaller):
     def _begin_again(
         self, found: Tracked, features: Features, ahead: Prediction
     ) -> tuple[Tracked | MotionEstimate, Prediction]:
-        """Straighten the first frame too, now that the second tells the camera's speed, and locate the second anew."""
+        """Correct the rolling shutter of the first frame by the speed at the second, and locate the second again."""
         first, self._first = self._first, None
         if first is None or self._last is None or not self._gridder.late_s.any():
             return found, ahead
@@ -237,7 +239,7 @@ class DenseOdometry(OneCaller):
         return self._locator.by_view(found.frame, view, ahead, [found.T_map_camera]), ahead
 
     def _accept(self, found: Tracked) -> DenseEstimate:
-        # A frame that keypoints alone found is the last one now: the first is not to be put in its place.
+        # `_begin_again` needs the first frame as the last one, and keypoints alone may have found this one.
         self._first = None
         self._last, self._state = found, self._state.tracked()
         self._verifier.faults.learn(found)
@@ -276,22 +278,20 @@ class DenseOdometry(OneCaller):
 
     @property
     def _shows_all(self) -> bool:
-        """Whether the last frames showed every direction of motion; else part of the pose is only what was expected."""
+        """Whether the last frames constrained every direction of motion; else part of the pose is a prediction."""
         return self._verifier.faults.unseen_s == 0
 
 
-# DepthDelay: how much later than colour a camera measures depth, beyond what stamps say.
-
-
 class DepthDelay:
-    """Learns a constant delay from turns: what depth shows of them is then behind what keypoints show in colour.
+    """Estimates the constant delay of depth behind colour, beyond their stamps, by a Kalman filter with one state.
 
-    A Kinect's two images are taken by two sensors that nobody synchronises, and depth is computed before it is stamped.
-    At 150 degrees a second 20 ms are 3 degrees. A filter with one state; each frame that turns measures it.
+    In a turn, surfaces in depth lag behind keypoints in colour, so each turning frame measures the delay. The two
+    sensors of a Kinect are not synchronised, and depth is stamped after it is computed. At 150 degrees per second
+    20 ms are 3 degrees.
 
     Args:
-        seconds: as a calibration knows it.
-        settings: how well that is known, and what a frame tells.
+        seconds: the delay by calibration.
+        settings: its standard deviation, and the noise of a measurement.
     """
 
     def __init__(self, seconds: float, settings: DelaySettings) -> None:
@@ -301,23 +301,23 @@ class DepthDelay:
 
     @property
     def seconds(self) -> float:
-        """As it is known by now; as the calibration says until frames clearly tell otherwise."""
+        """The delay: the estimate if it differs clearly from the calibration, else the calibration's."""
         is_clear = abs(self._estimate_s - self._expected_s) > self._settings.clear_sigmas * self._variance**0.5
         return self._estimate_s if is_clear else self._expected_s
 
     def learn(self, ahead_rad: FloatArray, turning_rad_s: FloatArray) -> None:
-        """Take one frame as an example.
+        """Update the estimate by one frame.
 
         Args:
-            ahead_rad: (3,) by how much keypoints see the frame turned further than surfaces, in the reference's frame.
-            turning_rad_s: (3,) how much faster the camera turned at the frame than at its reference, likewise.
+            ahead_rad: (3,) rotation by keypoints beyond that by surfaces, in the reference's frame.
+            turning_rad_s: (3,) angular velocity at the frame minus that at its reference, in the same frame.
         """
         limits = self._settings
         squared = float(turning_rad_s @ turning_rad_s)
         if squared < limits.least_rad_s**2 or np.linalg.norm(ahead_rad) > limits.most_rad:
             return
         self._variance += limits.walk_s**2
-        # Frames are brought to colour's time by the delay in use, so what they show is what is missing to that.
+        # Frames are corrected by the delay in use, so the measurement is the remainder.
         measured = self.seconds - float(turning_rad_s @ ahead_rad) / squared - self._estimate_s
         variance = limits.turn_sigma_rad**2 / squared
         gain = self._variance / (self._variance + variance)

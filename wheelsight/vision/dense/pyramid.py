@@ -31,12 +31,9 @@ from wheelsight.vision.dense.pyramid_kernels import (
 )
 from wheelsight.vision.dense.settings import DenseSettings
 
-# Frames on the grid of an ideal camera: lens, rolling shutter and the gap between the cameras taken out.
-
-
 _NO_IMAGE = np.empty((0, 0), np.float32)
 _BRIGHTEST = np.float32(255)
-# Every so many pixels are asked whether an image is dark.
+# Stride, in pixels, of the samples that decide whether an image is dark.
 _DARK_STRIDE = 8
 
 
@@ -64,13 +61,13 @@ class Level:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridFrame:
-    """A frame on the ideal grid, as if all rows were read at its stamp: `levels` from the finest to the coarsest.
+    """An image pyramid of a frame on the grid of an ideal camera, without rolling shutter.
 
     Attributes:
-        stamp_s: of the frame.
-        levels: the pyramid; the last is for turns only.
-        twist: (6,) the velocity (v, ω) a second in the camera's own frame by which rows were straightened.
-        vignetting: the exponent by which its grey was evened; see `Gridder.even`.
+        stamp_s: time of the frame, seconds.
+        levels: the pyramid from the finest to the coarsest level; the last serves rotation search only.
+        twist: (6,) the velocity (v, ω) in the camera's frame, per second, of the rolling-shutter correction.
+        vignetting: the exponent of the vignetting correction; see `Gridder.even`.
     """
 
     stamp_s: float
@@ -80,13 +77,16 @@ class GridFrame:
 
     @property
     def depth_share(self) -> float:
-        """Of the finest level's pixels, those with depth."""
+        """The share of the finest level's pixels that have depth."""
         depth_m = self.levels[0].depth_m
         return float(np.count_nonzero(depth_m) / depth_m.size)
 
 
 class Gridder:
-    """Brings frames of one camera onto the ideal grid."""
+    """Resamples frames of one camera onto the grid of an ideal camera.
+
+    It removes lens distortion, rolling shutter, vignetting and the offset between colour and depth camera.
+    """
 
     def __init__(self, calibration: Calibration, settings: DenseSettings, rows: Rows) -> None:
         self._color, self._depth = calibration.cameras
@@ -96,41 +96,52 @@ class Gridder:
             self.halvings += 1
         self.intrinsics = self._halved(self._depth)
         self.shape = (self._depth.height >> self.halvings, self._depth.width >> self.halvings)
-        self._source_px = self._lens()
+        # (h, w, 2): the pixel of the halved depth image at each pixel of the ideal grid.
+        ideal = PinholeCamera(self.shape[1], self.shape[0], *self.intrinsics.tolist())
+        lens = replace(ideal, distortion=self._depth.distortion)
+        self._source_px = lens.denormalise(ideal.rays()[..., :2]).astype(np.float32)
         height = self.shape[0]
         late_share = (np.arange(height) + 0.5) / height - 0.5
         self.late_s: FloatArray = late_share * calibration.rolling_shutter_s
         self.depth_late_s = calibration.depth_late_s
-        self._darker = self._lens_vignetting()
+        color_width, color_height = self._color.width >> self.halvings, self._color.height >> self.halvings
+        fx, fy, cx, cy = self._halved(self._color)
+        small = replace(self._color, width=color_width, height=color_height, fx=fx, fy=fy, cx=cx, cy=cy)
+        self._darker = vignetting_of((small.rays()[..., :2] ** 2).sum(axis=-1)).astype(np.float32)
         self.even(0.0)
 
     def even(self, exponent: float) -> None:
-        """From now on, brighten grey by what the lens takes from it: cos⁴ to the axis, to the power of `exponent`."""
+        """Correct the vignetting of later frames: (cos⁴ of the angle to the axis) to the power of `exponent`."""
         self._vignetting = exponent
         self._brighter: Float32Array = np.exp(-exponent * self._darker)
 
     def on_grid(self, frame: RgbdFrame, twist: FloatArray) -> GridFrame:
-        """The frame's pyramid, straightened for a camera moving at `twist` (6,).
+        """The frame's pyramid, with the rolling shutter corrected for a camera that moves at `twist` (6,).
 
-        Where the lights are off or the lens is covered, grey is noise: of a frame with hardly a pixel brighter than
-        `dark_grey`, no grey is known.
+        Grey of a dark image is noise. If fewer than `dark_share` of the pixels exceed `dark_grey`, all grey is unknown.
         """
         depth_m, grey = self._small_depth(frame), self._small_grey(frame)
         behind_s = frame.depth_late_s + self.depth_late_s
         if not (self._is_straight and behind_s == 0):
-            depth_m, grey = self._straightened(depth_m, grey, twist, behind_s)
+            registered = self._calibration.is_registered
+            out = np.empty((1 + registered, *self.shape), np.float32)
+            images = (depth_m, grey if registered else _NO_IMAGE)
+            exposure = self._exposure(twist, behind_s if twist.any() else 0.0)
+            given = (*images, self._source_px, exposure, np.float32(self._settings.depth_jump))
+            self._rows.share(self.shape[0], lambda begin, end: straighten(*given, (begin, end), out))
+            depth_m, grey = out[0], out[1] if registered else grey
         if not self._calibration.is_registered:
             grey = self._looked_up(grey, depth_m, twist)
         return GridFrame(frame.stamp_s, self.pyramid(depth_m, grey), twist, self._vignetting)
 
     def pyramid(self, depth_m: Float32Array, grey: Float32Array) -> tuple[Level, ...]:
-        """All scales of images (h, w) that are on the grid."""
+        """The pyramid of images (h, w) that are on the ideal grid already."""
         return coarser(Level(self.intrinsics, depth_m, grey), self._settings, self._rows)
 
     def color_on_grid(self, frame: RgbdFrame, grid: GridFrame) -> Float32Array:
-        """Red, green and blue (h, w, 3) from 0 to 255 of the frame that `grid` was made of, known where its grey is.
+        """Red, green and blue (h, w, 3) from 0 to 255 on the grid of `grid`, which was made from `frame`.
 
-        Unknown colours are -1.
+        Colour is known where grey is, and -1 elsewhere.
         """
         if self._is_dark(frame.color):
             return np.full((*self.shape, 3), -1, np.float32)
@@ -144,21 +155,8 @@ class Gridder:
         return not self._depth.has_distortion and not self._calibration.rolling_shutter_s
 
     def _halved(self, camera: PinholeCamera) -> FloatArray:
-        """fx, fy, cx, cy (4,) of its halved images."""
+        """fx, fy, cx, cy (4,) of the camera's halved images."""
         return _scaled(np.array([camera.fx, camera.fy, camera.cx, camera.cy]), self.halvings)
-
-    def _lens(self) -> Float32Array:
-        """(h, w, 2) where each pixel of the ideal grid lies in the halved depth image."""
-        ideal = PinholeCamera(self.shape[1], self.shape[0], *self.intrinsics.tolist())
-        lens = replace(ideal, distortion=self._depth.distortion)
-        return lens.denormalise(ideal.rays()[..., :2]).astype(np.float32)
-
-    def _lens_vignetting(self) -> Float32Array:
-        """(H, W) `vignetting_of` each pixel of the halved colour image."""
-        width, height = self._color.width >> self.halvings, self._color.height >> self.halvings
-        fx, fy, cx, cy = self._halved(self._color)
-        small = replace(self._color, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
-        return vignetting_of((small.rays()[..., :2] ** 2).sum(axis=-1)).astype(np.float32)
 
     def _small_depth(self, frame: RgbdFrame) -> Float32Array:
         """Depth (h, w) as measured, halved."""
@@ -168,7 +166,7 @@ class Gridder:
         return depth_m
 
     def _small_grey(self, frame: RgbdFrame) -> Float32Array:
-        """Grey (H, W), halved and evened; -1 in the dark."""
+        """Grey (H, W), halved and corrected for vignetting; -1 if the image is dark."""
         grey = np.minimum(self._small(_grey(frame.color)) * self._brighter, _BRIGHTEST)
         return np.full_like(grey, -1) if self._is_dark(frame.color) else grey
 
@@ -176,20 +174,8 @@ class Gridder:
         size = (image.shape[1] >> self.halvings, image.shape[0] >> self.halvings)
         return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8) if self.halvings else image
 
-    def _straightened(
-        self, depth_m: Float32Array, grey: Float32Array, twist: FloatArray, behind_s: float
-    ) -> tuple[Float32Array, Float32Array]:
-        """Depth without lens and shutter, of colour's time, and grey too where it shares depth's grid."""
-        registered = self._calibration.is_registered
-        out = np.empty((1 + registered, *self.shape), np.float32)
-        images = (depth_m, grey if registered else _NO_IMAGE)
-        exposure = self._exposure(twist, behind_s if twist.any() else 0.0)
-        given = (*images, self._source_px, exposure, np.float32(self._settings.depth_jump))
-        self._rows.share(self.shape[0], lambda begin, end: straighten(*given, (begin, end), out))
-        return out[0], out[1] if registered else grey
-
     def _straightened_color(self, image: ByteArray, frame: RgbdFrame, twist: FloatArray) -> Float32Array:
-        """Colour (h, w, 3) on depth's grid, without lens and shutter."""
+        """Colour (h, w, 3) on the grid of depth, without lens distortion and rolling shutter."""
         depth_m = self._small_depth(frame) if self._shutter_s(twist) else _NO_IMAGE
         given = (image, depth_m, self._source_px, self._exposure(twist))
         out = np.empty((*self.shape, 3), np.float32)
@@ -197,7 +183,7 @@ class Gridder:
         return out
 
     def _looked_up(self, image: Float32Array | ByteArray, depth_m: Float32Array, twist: FloatArray) -> Float32Array:
-        """What a colour camera of its own saw, in grey (H, W) or colour (H, W, 3), at the 3D point of each pixel."""
+        """The image of a separate colour camera, grey (H, W) or colour (H, W, 3), at the 3D point of each pixel."""
         color = self._color
         lens = (*self._halved(color), *color.distortion)
         T_color_camera = _numbers(np.asarray(self._calibration.T_color_depth)[:3])
@@ -212,7 +198,7 @@ class Gridder:
         return Exposure(_numbers(self.intrinsics), _numbers(twist), shutter_s, np.float32(depth_late_s))
 
     def _is_dark(self, color: ByteArray) -> bool:
-        """Whether a colour image (H, W, 3) shows nothing but noise: judged by some of its pixels."""
+        """Whether a subsample of a colour image (H, W, 3) shows nothing but noise."""
         some = _grey(np.ascontiguousarray(color[::_DARK_STRIDE, ::_DARK_STRIDE]))
         bright = np.count_nonzero(some > self._settings.dark_grey)
         return bool(bright < self._settings.dark_share * some.size)
@@ -222,7 +208,7 @@ class Gridder:
 
 
 def coarser(finest: Level, settings: DenseSettings, rows: Rows) -> tuple[Level, ...]:
-    """A level and those made of it by halving: `settings.levels`, and a coarser one for turns."""
+    """`settings.levels` pyramid levels that begin with `finest`, and one coarser level for rotation search."""
     levels = [finest]
     for number in range(settings.levels):
         last = levels[-1]
@@ -233,12 +219,12 @@ def coarser(finest: Level, settings: DenseSettings, rows: Rows) -> tuple[Level, 
 
 
 def halved_depth(depth_m: Float32Array, jump: float, rows: Rows) -> Float32Array:
-    """Depth (h, w) at half the size: of each 2×2 block the mean of its nearest surface, never over an edge.
+    """Depth (h, w) at half the size: the mean of the nearest surface in each 2×2 block, never across an edge.
 
     Args:
-        depth_m: (H, W), 0 where unknown; a row or column left over is not looked at.
-        jump: share of the nearest depth by which others on its surface lie behind it at most.
-        rows: that share the work.
+        depth_m: (H, W), 0 where unknown; an odd last row or column is ignored.
+        jump: the largest difference within one surface, as a share of the nearest depth.
+        rows: the threads that share the work.
     """
     half = np.empty((depth_m.shape[0] // 2, depth_m.shape[1] // 2), np.float32)
     rows.share(len(half), lambda begin, end: halve_depth(depth_m, jump, begin, end, half))
@@ -246,7 +232,7 @@ def halved_depth(depth_m: Float32Array, jump: float, rows: Rows) -> Float32Array
 
 
 def vignetting_of(squared_tangent: FloatArray) -> FloatArray:
-    """Logarithm of the fourth power of the cosine to the axis, by the squared tangent."""
+    """Log cos⁴ of the angle to the optical axis, from its squared tangent."""
     return np.asarray(-2 * np.log1p(squared_tangent))
 
 
@@ -261,23 +247,20 @@ def _halved_grey(grey: Float32Array, rows: Rows) -> Float32Array:
 
 
 def _scaled(intrinsics: FloatArray, halvings: int) -> FloatArray:
-    """fx, fy, cx, cy of images halved so often, pixel centres at integers."""
+    """fx, fy, cx, cy after `halvings` halvings, with pixel centres at integers."""
     factor = 2.0**halvings
     fx, fy, cx, cy = intrinsics
     return np.array([fx / factor, fy / factor, (cx + 0.5) / factor - 0.5, (cy + 0.5) / factor - 0.5])
 
 
 def _numbers(values: ArrayLike) -> tuple[np.float32, ...]:
-    """As kernels read them fastest."""
+    """A flat tuple of float32, the form that kernels read fastest."""
     return tuple(np.asarray(values, np.float32).ravel())
 
 
-# What a frame is aligned with: an earlier frame, or the view that a map predicts.
-
-
-# No limit to how far a surface may be off its plane.
+# No limit on the deviation of a surface from its plane.
 _ANY_BEND = 1e6
-# How much of a residual is the frame's own noise: against another frame, which has as much, half; against a map all.
+# The frame's share of a residual's variance: half against another frame, which is as noisy, and all against a map.
 _AS_NOISY, _MAPPED = 0.5, 1.0
 
 
@@ -288,7 +271,7 @@ class ReferenceLevel:
     Attributes:
         normal: (h, w, 3) float32 in the camera frame, towards the camera; 0 where unknown.
         pixels: (h, w, 8) float32: the plane n·q = d through each pixel's point q as n and d, depth, grey, and grey's
-            gradient along u and v a pixel; NaN where unknown. Side by side, since a look-up needs them together.
+            gradient along u and v per pixel; NaN where unknown. They are interleaved because a look-up needs all.
     """
 
     normal: Float32Array
@@ -297,11 +280,13 @@ class ReferenceLevel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
-    """By what it is judged which motions a view shows, where noise is averaged out.
+    """The planes and grey gradients that decide which directions of motion a view constrains.
+
+    Both come from coarse levels, where noise is averaged out.
 
     Attributes:
-        planes: of the coarsest level for alignment.
-        slopes: of grey, of the second level.
+        planes: planes of the coarsest level for alignment.
+        slopes: grey gradients of the second level.
     """
 
     planes: ReferenceLevel
@@ -314,8 +299,8 @@ class Scales:
 
     Attributes:
         levels: from the finest to the coarsest, as a `GridFrame` has them.
-        steep: the coarsest level for alignment once more, with normals of steep surfaces but none at creases: what
-            a view shows is told by all of its planes, and by nothing that is none.
+        steep: the coarsest level for alignment again, with normals of steep surfaces but none at creases. It decides
+            which directions a view constrains, so it holds every plane and only planes.
     """
 
     levels: tuple[ReferenceLevel, ...]
@@ -323,14 +308,14 @@ class Scales:
 
 
 class Reference:
-    """What frames are aligned with, and where it was seen from.
+    """A view that frames are aligned with, and its pose: an earlier frame, or the prediction of a map.
 
-    Its scales are made when they are asked for, and may be forgotten: the frame they are made of takes a sixth of them.
+    Its scales are computed on first use and can be dropped: the frame that they derive from has a sixth of their size.
 
     Attributes:
         T_map_reference: (4, 4).
-        own_noise: how much of what a frame is off this is the frame's own noise.
-        vignetting: the exponent by which its grey was evened.
+        own_noise: the share of a residual's variance that is the noise of the frame aligned with it.
+        vignetting: the exponent of the vignetting correction of its grey.
     """
 
     __slots__ = ("T_map_reference", "_made", "_make", "own_noise", "vignetting")
@@ -344,12 +329,12 @@ class Reference:
 
     @property
     def is_at_hand(self) -> bool:
-        """Whether its scales are made and not forgotten."""
+        """Whether its scales are in memory."""
         return self._made is not None
 
     @property
     def scales(self) -> Scales:
-        """At all scales."""
+        """The reference at all scales, computed if it is not in memory."""
         if self._made is None:
             self._made = self._make()
         return self._made
@@ -365,7 +350,7 @@ class Reference:
         return self.scales.steep
 
     def forget(self) -> None:
-        """Give the room of its scales back; asked for again, they are made again, alike to the bit."""
+        """Free the memory of its scales; the next use computes them again, identical to the bit."""
         self._made = None
 
 
@@ -387,7 +372,7 @@ class ReferenceMaker:
         return Reference(T_map_camera, make, _AS_NOISY, frame.vignetting)
 
     def of_view(self, view: PredictedView, T_map_camera: FloatArray, intrinsics: FloatArray) -> Reference:
-        """A predicted view, with the pose (4, 4) it was predicted for, as reference."""
+        """A predicted view as reference, with the pose (4, 4) of its prediction."""
         finest = Level(intrinsics, view.depth_m, view.grey)
         levels = coarser(finest, self._settings, self._rows)
         fitted = (self._level(level, self.normals(level)) for level in levels[1:])
@@ -396,7 +381,7 @@ class ReferenceMaker:
         return Reference(T_map_camera, lambda: scales, _MAPPED)
 
     def shown_by(self, frame: GridFrame) -> Shown:
-        """What a frame itself shows."""
+        """The planes and grey gradients of a frame itself."""
         number = min(1, self._settings.levels - 1)
         no_planes = np.zeros((*frame.levels[number].depth_m.shape, 3), np.float32)
         return Shown(self._steep(frame.levels), self._level(frame.levels[number], no_planes))
@@ -404,8 +389,8 @@ class ReferenceMaker:
     def normals(self, level: Level, steepness: int = 1, bend: float = _ANY_BEND) -> Float32Array:
         """Unit normals (h, w, 3) float32 of a level's surfaces, towards the camera; 0 where unknown.
 
-        Neighbours on one surface differ by `depth_jump` times `steepness`, and by noise; `bend` is by how many standard
-        deviations of depth a surface may be off its plane.
+        Neighbours on one surface differ by at most `depth_jump` times `steepness`, and by noise. `bend` is the largest
+        deviation of a surface from its plane, in standard deviations of depth.
         """
         normal = np.empty((*level.depth_m.shape, 3), np.float32)
         limits = (
@@ -428,6 +413,6 @@ class ReferenceMaker:
         return ReferenceLevel(normal, pixels)
 
     def _step(self, share: float, sigmas: float) -> Float32Array:
-        """A step in depth (3,), as kernels take it: a share of the depth and so many standard deviations of it."""
+        """Coefficients (3,) of a depth step for kernels: a share of depth, and `sigmas` standard deviations of it."""
         constant, quadratic = np.float32(sigmas) * self._noise
         return np.array([constant, share, quadratic], np.float32)

@@ -26,23 +26,20 @@ from wheelsight.vision.features.extraction import FeatureExtractor, Features, Fe
 from wheelsight.vision.features.tracking import Fix, LandmarkMap, MapTracker, View, ViewTracker
 from wheelsight.vision.tracking_state import LONGEST_STEP_S, Stopwatch, TrackingState, maps_without_lens, twist_between
 
-# Views that a frame may be aligned with: keyframes, and what a map looks like from where the camera is expected.
-
-
-# So many keyframes, those used last, are held ready; of others depth and grey alone, of which they are made in 5 ms.
-_AT_HAND = 6
+# Number of keyframes, the most recently used, with pyramids in memory. A pyramid is recomputed in 5 ms.
+_IN_MEMORY = 6
 
 
 @dataclass(eq=False)
 class KnownView:
-    """A view with a pose.
+    """A view with a known pose: a keyframe, an earlier frame, or the prediction of a map.
 
     Attributes:
-        keyframe: of the store, with which the pose moves: itself, or another that it was found by.
-        reference: what frames are aligned with.
+        keyframe: the keyframe of the store that its pose moves with: itself, or the one that located it.
+        reference: the reference that frames are aligned with.
         covariance: (6, 6) of the left perturbation (v, ω) of its pose.
-        features: of the colour camera, rows straightened, where it is to be recognised by them; or None.
-        turning_rad_s: (3,) how fast the camera turned there, in its own frame; nothing for a map's view.
+        features: keypoints of the colour camera, corrected for rolling shutter; None if it cannot be recognised.
+        turning_rad_s: (3,) angular velocity of the camera there, in its own frame; 0 for a map's prediction.
     """
 
     keyframe: KeyframeId
@@ -52,31 +49,31 @@ class KnownView:
     turning_rad_s: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     def with_motion(self, covariance: FloatArray) -> FloatArray:
-        """The covariance (6, 6) of a pose that lies off this one by a motion with its covariance (6, 6)."""
+        """The covariance (6, 6) of a pose that follows from this one by a motion with a covariance (6, 6)."""
         Ad = se3.adjoint(self.reference.T_map_reference)
         return np.asarray(self.covariance + Ad @ covariance @ Ad.T)
 
     def distance_m(self, T_map_camera: FloatArray) -> float:
-        """How far a view from there (4, 4) is from this one; a turn by a radian counts as 1.5 m."""
+        """The distance of a pose (4, 4) from this view in metres; a rotation by a radian counts as 1.5 m."""
         return float(se3.view_shift_m(se3.invert(self.reference.T_map_reference) @ T_map_camera))
 
     def move(self, T_new_old: FloatArray) -> None:
-        """To where its keyframe has moved by (4, 4), from the left, in the map."""
+        """Move it with its keyframe, which moved in the map by (4, 4) from the left."""
         reference = self.reference
         reference.T_map_reference, self.covariance = moved(T_new_old, reference.T_map_reference, self.covariance)
 
 
 class Views:
-    """What is known of the place, as views to align with.
+    """The known views that frames can be aligned with: a cache of keyframes, and the prediction of a map.
 
     Args:
-        settings: how many keyframes are kept, and for how long one prediction serves.
+        settings: the size of the cache, and how long a prediction is used.
         gridder, maker: give the ideal grid, and references on it.
         watch: counts the time of "predict".
-        model: what predicts a view, if anything does.
+        model: predicts views; default none.
 
     Attributes:
-        keyframes: the one used longest ago first.
+        keyframes: the least recently used first.
     """
 
     def __init__(
@@ -94,26 +91,26 @@ class Views:
 
     @property
     def has_model(self) -> bool:
-        """Whether a map predicts what is to be seen."""
+        """Whether a map predicts views."""
         return self._model is not None
 
     def refer_to(self, model: ReferenceModel | None) -> None:
-        """From now on, have a model predict views, or none."""
+        """Replace the model that predicts views; None for none."""
         if model is not self._model:
             self._model, self._prediction = model, (None, 0)
 
     def move(self, T_new_old: FloatArray) -> None:
-        """Keyframes have moved by (N, 4, 4), by number; the map has moved too, and is asked anew what it looks like."""
+        """Move keyframes by (N, 4, 4), indexed by number, and drop the prediction of the map, which moved too."""
         for view in self.keyframes:
             view.move(T_new_old[view.keyframe])
-        self.expect_nothing()
+        self.drop_prediction()
 
-    def expect_nothing(self) -> None:
-        """What was predicted is forgotten: for elsewhere, or for keyframes where they were."""
+    def drop_prediction(self) -> None:
+        """Drop the prediction, so that the next frame gets a new one."""
         self._prediction = None, 0
 
     def keep(self, keyframe: KnownView) -> list[KnownView]:
-        """Keep a keyframe, or let it count as the newest again; answers with the oldest ones, which go."""
+        """Add a keyframe, or mark it as the most recently used; returns the keyframes that the cache evicts."""
         if keyframe in self.keyframes:
             self.keyframes.remove(keyframe)
         self.keyframes.append(keyframe)
@@ -127,41 +124,41 @@ class Views:
         return KnownView(tracked.keyframe, reference, tracked.covariance, turning_rad_s=tracked.twist[3:])
 
     def nearest(self, T_map_camera: FloatArray) -> KnownView:
-        """The keyframe whose view is nearest to one from there (4, 4)."""
+        """The keyframe nearest to a pose (4, 4); see `KnownView.distance_m`."""
         T_map_keyframe = np.array([keyframe.reference.T_map_reference for keyframe in self.keyframes])
         return self.keyframes[int(np.argmin(se3.view_shift_m(se3.invert(T_map_keyframe) @ T_map_camera)))]
 
     def lack(self, found: Tracked, *, is_helped: bool) -> bool:
-        """Whether a frame is to become a keyframe: the last one shows too little of it; beside a map, by the way."""
+        """Whether a frame becomes a keyframe: by its overlap with the last one, or, beside a map, by its distance."""
         if not self.has_model:
-            # Alone, a frame that only the one before could place is none: people's backs would carry the camera along.
+            # Without prior, a frame located by the previous one alone is no keyframe: people may move with the camera.
             is_settled = found.is_by_keyframe or not is_helped
             return found.overlap < self._settings.keyframe_overlap or not is_settled
         nearest = self.nearest(found.T_map_camera)
         return nearest.distance_m(found.T_map_camera) > self._settings.keyframe_way_m
 
     def around(self, T_map_camera: FloatArray, state: TrackingState) -> Iterator[KnownView]:
-        """What the model predicts, then the newest keyframe; after failures the nearest; once lost, others in turn."""
-        for keyframe in self.keyframes[:-_AT_HAND]:
+        """The model's prediction, then the last keyframe; after failures the nearest; once lost, older ones in turn."""
+        for keyframe in self.keyframes[:-_IN_MEMORY]:
             keyframe.reference.forget()
         if self._model is not None:
             yield self._predicted(self._model, T_map_camera, afresh=state.failures > 0)
         yield self.keyframes[-1]
         if state.failures:
             yield self.nearest(T_map_camera)
-        yield from self._in_turn(state)
+        yield from self._older(state)
 
-    def familiar(self, T_map_camera: FloatArray, state: TrackingState) -> list[KnownView]:
-        """Keyframes that a frame may show: the nearest, the newest, and once lost an older one in turn."""
-        keyframes = [self.nearest(T_map_camera), self.keyframes[-1], *self._in_turn(state)]
+    def candidates(self, T_map_camera: FloatArray, state: TrackingState) -> list[KnownView]:
+        """Keyframes that a frame may show: the nearest, the last, and, once lost, older ones in turn."""
+        keyframes = [self.nearest(T_map_camera), self.keyframes[-1], *self._older(state)]
         return list(dict.fromkeys(keyframes))
 
-    def _in_turn(self, state: TrackingState) -> Iterator[KnownView]:
+    def _older(self, state: TrackingState) -> Iterator[KnownView]:
         if state.is_lost:
             yield self.keyframes[-1 - state.failures % len(self.keyframes)]
 
     def _predicted(self, model: ReferenceModel, T_map_camera: FloatArray, *, afresh: bool) -> KnownView:
-        """What the model looks like from there; one view serves for some frames, while the camera is near."""
+        """The model's prediction near a pose (4, 4); it is reused for some frames while the camera is near."""
         known, served = self._prediction
         is_near = known is not None and known.distance_m(T_map_camera) < self._settings.predicted_way_m
         if known is None or afresh or not is_near or served >= self._settings.predicted_frames:
@@ -174,26 +171,23 @@ class Views:
         return known
 
 
-# KeypointTracker: where frames are by their keypoints, frame by frame and wherever a keyframe is seen again.
-
-
-# A variance that is a smaller share of all is what rounding left.
+# A variance below this share of the trace is a rounding error.
 _LEAST_SHARE, _ALL = 1e-12, np.eye(6)
 
 
 class KeypointTracker:
-    """Finds frames by ORB keypoints: against the frame before, then against the landmarks of near keyframes (Zhang, 3).
+    """Locates frames by ORB keypoints: against the previous frame, then against landmarks of near keyframes (Zhang, 3).
 
-    It carries quick turns and shows far things, where surfaces alone are lost. Surfaces that are alike under a motion,
-    such as walls, floors and backs of people, fit just as well where the camera is not; keypoints of the wrong place
-    hardly ever agree on one motion.
+    Keypoints follow quick turns and see distant structure, where surfaces alone fail. Surfaces that are invariant to a
+    motion, such as walls, floors and backs of people, also fit at wrong poses. Keypoints of a wrong place hardly ever
+    agree on one motion.
 
     Args:
         calibration: of the cameras.
-        settings: when keypoints count.
-        has_landmarks: else frames are found by the frame before alone.
-        threads: with more than one, keypoints are looked for beside other work.
-        fastest: metres and radians a second that the camera moves at most.
+        settings: thresholds of acceptance.
+        has_landmarks: whether landmarks are used; else only the previous frame.
+        threads: with more than one, keypoints are extracted in the background.
+        fastest: limits on speed and angular speed, m/s and rad/s.
     """
 
     def __init__(
@@ -216,18 +210,18 @@ class KeypointTracker:
         self._features = features
         self._landmarks = LandmarkMap(features)
         self._last: View | None = None
-        self._asked = 0
+        self._trials = 0
         self._pool = ThreadPoolExecutor(1, "wheelsight-keypoints") if threads > 1 else None
 
     def look(self, frame: RgbdFrame) -> Future[Features]:
-        """The keypoints of a frame, as soon as they are found."""
+        """Start the extraction of a frame's keypoints, and return their future."""
         if self._pool is not None:
-            return self._pool.submit(self._look, frame)
+            return self._pool.submit(self._extract, frame)
         found: Future[Features] = Future()
-        found.set_result(self._look(frame))
+        found.set_result(self._extract(frame))
         return found
 
-    def _look(self, frame: RgbdFrame) -> Features:
+    def _extract(self, frame: RgbdFrame) -> Features:
         if self._straight is not None:
             map_u, map_v = self._straight
             depth_m = cv2.remap(frame.depth_m, map_u, map_v, cv2.INTER_NEAREST)
@@ -235,36 +229,36 @@ class KeypointTracker:
         return self._extractor.extract(frame)
 
     def straightened(self, features: Features, twist: FloatArray) -> Features:
-        """As if all rows were read at once, of a camera whose velocity (6,) in its own frame is known."""
+        """Features corrected for rolling shutter by the velocity (6,) of the camera in its own frame."""
         return self._by_view.straighten(features, self._in_color(twist))
 
     def kept(self, features: Features) -> KeyframeFeatures:
-        """Straightened features as a keyframe has them: their points in the camera's frame."""
+        """Features, corrected for rolling shutter, in the form of a keyframe: with points in the camera's frame."""
         points = se3.apply(se3.invert(self._T_color_camera), features.points)
         points[~features.has_depth] = 0.0
         return KeyframeFeatures(features.px, points, features.descriptors)
 
     def recalled(self, stamp_s: float, kept: KeyframeFeatures) -> Features:
-        """What `kept` made of features that have depth; on which level each was found is not known by then."""
+        """The inverse of `kept` for features with depth; their pyramid level is unknown, so it is the middle one."""
         has_depth = kept.points[:, 2] > 0
         points = se3.apply(self._T_color_camera, kept.points[has_depth])
         z_m = points[:, 2].copy()
         level = np.full(len(z_m), self._features.pyramid_levels // 2)
         sigmas = np.hypot(keypoint_sigma_px(level, self._features), self._color_sigma_px), self._noise.sigma_m(z_m)
-        told = kept.px[has_depth], level, kept.descriptors[has_depth]
-        return Features(stamp_s, *told, points[:, :2] / z_m[:, None], z_m, *sigmas)
+        pixels = kept.px[has_depth], level, kept.descriptors[has_depth]
+        return Features(stamp_s, *pixels, points[:, :2] / z_m[:, None], z_m, *sigmas)
 
     def track(self, features: Features, twist: FloatArray) -> KeypointPose | None:
-        """Where a frame is by the one before and the landmarks around; None where they tell nothing.
+        """The pose of a frame by the previous one and by landmarks nearby; None if too few keypoints agree.
 
         Args:
-            features: of the frame, rows not straightened.
-            twist: (6,) the camera's expected velocity in its own frame.
+            features: of the frame, not corrected for rolling shutter.
+            twist: (6,) the camera's predicted velocity in its own frame.
         """
         if self._last is None:
             return None
-        self._asked += 1
-        found = self._by_view.track(features, self._last, self._in_color(twist), None, self._asked)
+        self._trials += 1
+        found = self._by_view.track(features, self._last, self._in_color(twist), None, self._trials)
         if not isinstance(found, Fix):
             return None
         if self._is_too_fast(found, self._last, features.stamp_s - self._last.features.stamp_s):
@@ -275,26 +269,26 @@ class KeypointTracker:
         return self._pose(found)
 
     def recognise(self, features: Features, keyframes: Iterable[KnownView], twist: FloatArray) -> KeypointPose | None:
-        """Where a frame is by the first keyframe that it shows; None where it shows none."""
-        self._asked += 1
+        """The pose of a frame by the first of some keyframes that it shows; None if it shows none."""
+        self._trials += 1
         for keyframe in keyframes:
             view = self._view(keyframe)
             if view is not None:
-                found = self._by_view.track(features, view, self._in_color(twist), None, self._asked)
-                told = self._pose(found) if isinstance(found, Fix) else None
-                if told is not None:
-                    return told
+                found = self._by_view.track(features, view, self._in_color(twist), None, self._trials)
+                pose = self._pose(found) if isinstance(found, Fix) else None
+                if pose is not None:
+                    return pose
         return None
 
     def remember(self, tracked: Tracked, features: Features) -> None:
-        """Take a frame, whose pose is known by now, as the last one; landmarks that it shows are seen once more.
+        """Make a located frame the previous one, and update the landmarks that it shows.
 
-        Where it shows few of those known last, what it shows beside them becomes landmarks.
+        If it shows few landmarks of the last keyframe, its other keypoints become landmarks.
         """
-        told = tracked.told
+        pose = tracked.keypoint_pose
         T_map_color = tracked.T_map_camera @ se3.invert(self._T_color_camera)
-        if told is not None and told.view is not None:
-            view = replace(told.view, T_map_color=T_map_color, covariance=tracked.covariance, keyframe=tracked.keyframe)
+        if pose is not None and pose.view is not None:
+            view = replace(pose.view, T_map_color=T_map_color, covariance=tracked.covariance, keyframe=tracked.keyframe)
         else:
             straight, unknown = self.straightened(features, tracked.twist), np.full(len(features), -1)
             view = View(straight, T_map_color, tracked.covariance, unknown, tracked.keyframe)
@@ -308,16 +302,16 @@ class KeypointTracker:
         self._last = view
 
     def forget(self) -> None:
-        """No landmark is known any more, nor a last frame."""
+        """Drop all landmarks and the previous frame."""
         self._landmarks, self._last = LandmarkMap(self._features), None
 
     def move(self, T_new_old: FloatArray) -> None:
-        """Landmarks and the last frame go with their keyframes, which have moved in the map by (K, 4, 4)."""
+        """Move landmarks and the previous frame with their keyframes, which moved in the map by (K, 4, 4)."""
         self._landmarks.move(T_new_old)
         self._last = None if self._last is None else self._last.moved(T_new_old)
 
     def _is_too_fast(self, found: Fix, last: View, seconds: float) -> bool:
-        """Whether no camera goes so far in so short a time: paint that repeats agrees a period farther on, too."""
+        """Whether a pose exceeds the limits on speed: a repeated texture also agrees one period farther."""
         T = se3.invert(last.T_map_color) @ found.view.T_map_color
         way_m, turn_rad = float(np.linalg.norm(T[:3, 3])), float(so3.angle(T[:3, :3]))
         return seconds > 0 and (way_m > self._fastest[0] * seconds or turn_rad > self._fastest[1] * seconds)
@@ -326,7 +320,7 @@ class KeypointTracker:
         return np.asarray(se3.adjoint(self._T_color_camera) @ twist)
 
     def _pose(self, found: Fix) -> KeypointPose | None:
-        """None where keypoints lie so that they do not tell all of the motion, and rounding hides how sure it is."""
+        """The pose of a fix in the map; None if its covariance is singular up to rounding."""
         motion, view = found.motion, found.view
         assert motion.T_reference_current is not None
         assert motion.covariance is not None
@@ -351,28 +345,25 @@ class KeypointTracker:
 
 
 def _without_lens(calibration: Calibration) -> tuple[Calibration, Any]:
-    """A calibration whose depth camera has no lens of its own, and the maps that bring depth there, if it had one."""
+    """A calibration without distortion of a separate depth camera, and the maps that undistort its images or None."""
     depth = calibration.cameras[1]
     if calibration.is_registered or not depth.has_distortion:
         return calibration, None
     return replace(calibration, depth=replace(depth, distortion=(0.0,) * 5)), maps_without_lens(depth)
 
 
-# KeypointPose: what keypoints tell of a frame, and how far that counts.
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class KeypointPose:
-    """Where a frame is by its keypoints.
+    """The pose of a frame by its keypoints.
 
     Attributes:
         T_map_camera: (4, 4).
-        covariance: (6, 6) of its left perturbation (v, ω), that of the keyframe included.
-        matches: keypoints that were matched; inliers: those that agree.
-        settings: when it counts.
-            Neighbouring keypoints err alike, as neighbouring pixels do: `correlation` of them count as one.
-        motion_covariance: (6, 6) of the same perturbation, that of the keyframe left out.
-        view: the frame's keypoints, rows straightened, and the landmarks that they show.
+        covariance: (6, 6) of its left perturbation (v, ω), including that of the keyframe.
+        matches: number of matched keypoints.
+        inliers: number of matched keypoints that agree on the pose.
+        settings: thresholds of acceptance. Errors of neighbouring keypoints correlate: `correlation` count as one.
+        motion_covariance: (6, 6) of the same perturbation, without that of the keyframe.
+        view: the frame's keypoints, corrected for rolling shutter, and the landmarks that they show.
     """
 
     T_map_camera: FloatArray
@@ -385,21 +376,21 @@ class KeypointPose:
 
     @property
     def is_likely(self) -> bool:
-        """Whether it is a place that was seen before rather than one that looks alike in parts."""
+        """Whether enough matches agree for a known place, rather than one that looks alike in parts."""
         return self.inliers >= self.settings.likely_share * self.matches
 
     @property
     def is_usable(self) -> bool:
-        """Whether it is estimated together with surfaces: most agree, or so many that they are no chance."""
+        """Whether the pose is estimated jointly with surfaces: most matches agree, or too many for chance."""
         return self.is_likely or self.inliers >= self.settings.clear_inliers
 
     @property
     def is_clear(self) -> bool:
-        """Whether keypoints are to be believed even where surfaces say otherwise."""
+        """Whether keypoints count even if surfaces contradict them."""
         return self.inliers >= max(self.settings.clear_inliers, self.settings.clear_share * self.matches)
 
     def agrees_with(self, T_map_camera: FloatArray) -> bool:
-        """Whether a pose (4, 4) is as near as two ways to find one leave them."""
+        """Whether a pose (4, 4) agrees, within fixed limits or within the covariance."""
         limits = self.settings
         T = se3.invert(self.T_map_camera) @ T_map_camera
         off_m, off_rad = float(np.linalg.norm(T[:3, 3])), float(so3.angle(T[:3, :3]))
@@ -408,41 +399,38 @@ class KeypointPose:
         return bool(max(off_m / limits.agree_m, off_rad / limits.agree_rad) < 1 or is_within)
 
     def motion_from(self, T_map_reference: FloatArray) -> MotionEstimate:
-        """As a motion against a reference at (4, 4)."""
+        """The motion against a reference at (4, 4)."""
         T_reference_map = se3.invert(T_map_reference)
         Ad = se3.adjoint(T_reference_map)
         counts = (None, self.matches, self.inliers)
         return MotionEstimate(T_reference_map @ self.T_map_camera, Ad @ self.covariance @ Ad.T, *counts)
 
     def information_from(self, T_map_reference: FloatArray) -> FloatArray:
-        """Information (6, 6) of the left perturbation of its motion against a reference at (4, 4)."""
+        """Information (6, 6) of the left perturbation of the motion against a reference at (4, 4)."""
         Ad = se3.adjoint(se3.invert(T_map_reference))
         covariance = self.covariance if self.motion_covariance is None else self.motion_covariance
         return np.asarray(np.linalg.inv(Ad @ covariance @ Ad.T), float)
 
 
-# Tracked: a frame whose pose is known, and what is answered of it.
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracked:
-    """A frame with its pose.
+    """A frame with its estimated pose.
 
     Attributes:
         frame: on the ideal grid.
         T_map_camera: (4, 4).
-        covariance: (6, 6) of the left perturbation (v, ω) of that.
-        motion: against the reference that the pose was found by.
-        keyframe: on which the pose hangs: it moves with that one.
+        covariance: (6, 6) of the left perturbation (v, ω) of T_map_camera.
+        motion: against the reference that located the frame.
+        keyframe: the keyframe that the pose moves with.
         twist: (6,) velocity (v, ω) in the camera's own frame.
-        overlap: the share of the frame that its reference shows finely enough.
+        overlap: the share of the frame that its reference shows at sufficient resolution.
         is_by_keyframe: whether that reference is a keyframe.
-        residual: how far off its planes are in the mean, 1 for a perfect fit.
-        told: what keypoints say, where the pose goes by them too.
-        joint: how surfaces and keypoints met, where they did.
-        turning_rad_s: (3,) how much faster the camera turned than at its reference, in that one's frame.
-        doubt: (6, 6) in the frame's own axes, what most of the view has against the pose: see `Locator.by_regions`.
-            Which of two references tells the pose better is weighed without it.
+        residual: mean distance from planes in standard deviations, 1 for a perfect fit.
+        keypoint_pose: the pose by keypoints, if they contribute.
+        joint: the combination of surfaces and keypoints, if both contribute.
+        turning_rad_s: (3,) angular velocity minus that at the reference, in the reference's frame.
+        frame_error: (6, 6) covariance of the pose error by regions, in the frame's own axes: see `Locator.by_regions`.
+            The combination of two references leaves it out.
     """
 
     frame: GridFrame
@@ -454,54 +442,51 @@ class Tracked:
     overlap: float = 1.0
     is_by_keyframe: bool = True
     residual: float = 1.0
-    told: KeypointPose | None = None
+    keypoint_pose: KeypointPose | None = None
     joint: Joint | None = None
     turning_rad_s: FloatArray = field(default_factory=lambda: np.zeros(3))
-    doubt: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+    frame_error: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
 
-    def doubted(self) -> Tracked:
-        """The same, as uncertain as what most of the view has against it says."""
+    def with_pose_error(self) -> Tracked:
+        """The same with `frame_error` added to its covariances."""
         T, motion = self.motion.T_reference_current, self.motion
-        if not self.doubt.any() or T is None or motion.covariance is None:
+        if not self.frame_error.any() or T is None or motion.covariance is None:
             return self
-        covariance = with_frame_error(self.covariance, self.T_map_camera, self.doubt)
-        motion = replace(motion, covariance=with_frame_error(motion.covariance, T, self.doubt))
-        return replace(self, covariance=covariance, motion=motion, doubt=np.zeros((6, 6)))
+        covariance = with_frame_error(self.covariance, self.T_map_camera, self.frame_error)
+        motion = replace(motion, covariance=with_frame_error(motion.covariance, T, self.frame_error))
+        return replace(self, covariance=covariance, motion=motion, frame_error=np.zeros((6, 6)))
 
     def moved(self, T_new_old: FloatArray) -> Tracked:
-        """The same after its keyframe has moved by (4, 4), from the left, in the map."""
+        """The same after its keyframe moved in the map by (4, 4) from the left."""
         T, covariance = moved(T_new_old, self.T_map_camera, self.covariance)
         return replace(self, T_map_camera=T, covariance=covariance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DenseEstimate(CameraEstimate):
-    """What dense odometry answers at a frame.
+    """The estimate of dense odometry at a frame.
 
     Attributes:
-        frame: on the ideal grid, its rows straightened; None where it has no pose. See `DenseOdometry.surface`. It is
-            a megabyte: who keeps estimates lets go of it.
+        frame: on the ideal grid, corrected for rolling shutter; None without pose. See `DenseOdometry.surface`. It
+            takes a megabyte, so drop it from estimates that are kept.
     """
 
     frame: GridFrame | None = field(default=None, kw_only=True)
 
 
 def moved(T_new_old: FloatArray, T_map: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A pose (4, 4) and the covariance (6, 6) of its left perturbation, after a motion (4, 4) of the map there."""
+    """A pose (4, 4) and the covariance (6, 6) of its left perturbation after the map moved by (4, 4) there."""
     Ad = se3.adjoint(T_new_old)
     return np.asarray(se3.nearest(T_new_old @ T_map)), np.asarray(Ad @ covariance @ Ad.T)
 
 
-# Prediction: where a frame is to be expected before it is compared with anything.
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PriorMotion:
-    """What other sensors tell of a frame; each is None where they tell nothing.
+    """The prior of a frame's motion from other sensors; each attribute is None if unknown.
 
     Attributes:
-        T_last_frame: (4, 4) the motion since the frame tracked last.
-        T_last_other: (4, 4) what that may be instead.
+        T_last_frame: (4, 4) the motion since the last tracked frame.
+        T_last_other: (4, 4) an alternative.
         twist: (6,) the camera's velocity (v, ω) in its own frame.
     """
 
@@ -512,33 +497,33 @@ class PriorMotion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Where a frame is expected.
+    """The predicted pose of a frame.
 
     Attributes:
-        last: the frame tracked last.
-        T_map_camera: each (4, 4); the first counts unless another fits clearly better.
-        T_map_other: (4, 4) where it may be instead, and is where grey values say so; or None.
-        is_helped: whether it is another sensor that expects the first, rather than constant velocity.
-        told: what keypoints say, or None.
+        last: the last tracked frame.
+        T_map_camera: predicted poses, each (4, 4); the first counts unless another fits clearly better.
+        T_map_other: (4, 4) an alternative, which counts if grey values fit clearly better; or None.
+        is_helped: whether the first one comes from another sensor rather than from constant velocity.
+        keypoint_pose: the pose by keypoints, or None.
     """
 
     last: Tracked
     T_map_camera: tuple[FloatArray, ...]
     T_map_other: FloatArray | None = None
     is_helped: bool = False
-    told: KeypointPose | None = None
+    keypoint_pose: KeypointPose | None = None
 
     def at(self, T_map_camera: FloatArray) -> Prediction:
-        """The same, of a pose (4, 4) that is known better by now."""
+        """The same with a better pose (4, 4)."""
         return replace(self, T_map_camera=(T_map_camera,))
 
     def seconds_to(self, stamp_s: float) -> float:
-        """Since the frame tracked last."""
+        """Seconds from the last tracked frame to a time."""
         return stamp_s - self.last.frame.stamp_s
 
 
 def predict(last: Tracked, stamp_s: float, prior: PriorMotion) -> tuple[Prediction, FloatArray]:
-    """Where a frame is expected after the last one, and its twist (6,)."""
+    """The predicted pose of a frame after the last one, and its twist (6,)."""
     T_last_frame, T_prior = at_speed(last, stamp_s), prior.T_last_frame
     poses = [last.T_map_camera @ T_last_frame] if T_prior is None or last.twist.any() else []
     if T_prior is not None:
@@ -549,14 +534,14 @@ def predict(last: Tracked, stamp_s: float, prior: PriorMotion) -> tuple[Predicti
 
 
 def at_speed(last: Tracked, stamp_s: float) -> FloatArray:
-    """T_last_frame (4, 4) by constant velocity; after a longer gap, as if the camera had stood still."""
+    """T_last_frame (4, 4) by constant velocity; the identity after a gap."""
     seconds = stamp_s - last.frame.stamp_s
     twist = last.twist if 0 < seconds <= LONGEST_STEP_S else np.zeros(6)
     return se3.from_parts(so3.exp(twist[3:] * seconds), twist[:3] * seconds)
 
 
-def speed_of(T_last_frame: FloatArray, seconds: float, told: FloatArray | None = None) -> FloatArray:
-    """The velocity (6,) in its own frame that an expected motion (4, 4) means; after a gap, what is `told`, or 0."""
+def speed_of(T_last_frame: FloatArray, seconds: float, twist: FloatArray | None = None) -> FloatArray:
+    """The velocity (6,) in the frame's own axes of a predicted motion (4, 4); after a gap `twist`, or 0."""
     if 0 < seconds <= LONGEST_STEP_S:
         return twist_between(np.eye(4), T_last_frame, seconds)
-    return np.zeros(6) if told is None else told
+    return np.zeros(6) if twist is None else twist

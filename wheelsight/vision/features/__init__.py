@@ -1,4 +1,4 @@
-"""Feature odometry: ORB keypoints, Hamming matches, 3D–3D alignment, and a state that knows when it is lost (Zhang)."""
+"""Feature odometry: ORB keypoints, Hamming matches, 3D–3D alignment, and a tracking state (Zhang)."""
 
 from wheelsight.vision.features.extraction import FeatureSettings
 from wheelsight.vision.features.odometry import FeatureOdometry

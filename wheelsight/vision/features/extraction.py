@@ -22,24 +22,21 @@ from wheelsight.core.settings import CHOSEN, ON_SIMULATOR, Settings, setting
 from wheelsight.vision.features.feature_kernels import DepthImage, depth_at_keypoints
 from wheelsight.vision.tracking_state import LONGEST_STEP_S, maps_without_lens
 
-# Features of one frame: ORB keypoints spread over the image, with depth and honest noise (Zhang, section 3.1).
-
-
-# Depth of keypoints that have none, where one is needed to straighten rows: it only scales a small parallax.
+# Assumed depth of keypoints without depth in the rolling-shutter correction; it only scales a small parallax.
 _TYPICAL_DEPTH_M = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Features:
-    """N keypoints of one frame, in the frame of the colour camera.
+    """N ORB keypoints of one frame, in the frame of the colour camera (Zhang, section 3.1).
 
     Attributes:
-        stamp_s: of the frame, seconds.
-        px: (N, 2) where they were detected, distorted pixels.
-        level: (N,) of the image pyramid, each `pyramid_scale` times smaller than the one before.
+        stamp_s: time of the frame, seconds.
+        px: (N, 2) detected pixels, with lens distortion.
+        level: (N,) level of the image pyramid, each `pyramid_scale` times smaller than the previous one.
         descriptors: (N, 4) uint64, the 256 bits of ORB.
         xy: (N, 2) on the plane z = 1, without lens distortion and rolling shutter.
-        depth_m: (N,) along the colour camera's z axis, 0 where there is none to trust.
+        depth_m: (N,) along the colour camera's z axis, 0 where it is unreliable.
         sigma_px, sigma_m: (N,) standard deviations of pixel and depth.
     """
 
@@ -56,7 +53,7 @@ class Features:
         return len(self.px)
 
     def some(self, count: int) -> Features:
-        """The first ones, copied."""
+        """Copies of the first `count` keypoints."""
         return replace(
             self,
             px=self.px[:count].copy(),
@@ -70,7 +67,7 @@ class Features:
 
     @property
     def has_depth(self) -> BoolArray:
-        """(N,) which keypoints have depth."""
+        """(N,) mask of keypoints with depth."""
         return self.depth_m > 0
 
     @property
@@ -80,7 +77,7 @@ class Features:
 
 
 class FeatureExtractor:
-    """Detects, spreads, describes and lifts keypoints to 3D.
+    """Detects and describes keypoints spread over the image, with 3D points where depth is known.
 
     Raises CalibrationError for an unregistered depth camera with lens distortion.
     """
@@ -101,11 +98,22 @@ class FeatureExtractor:
         )
 
     def extract(self, frame: RgbdFrame) -> Features:
-        """The features of a frame, rows not yet straightened (see `straighten`)."""
+        """The features of a frame, before the rolling-shutter correction (see `straighten`)."""
         px, level, descriptors = self._keypoints(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY))
         calibration = self._calibration
         xy = calibration.cameras[0].normalise(px)
-        depth_m = depth_at_keypoints(self._image_of(frame), px, xy)
+        depth, T_color_camera = calibration.cameras[1], calibration.T_color_camera
+        image = DepthImage(
+            frame.depth_m,
+            np.ascontiguousarray(T_color_camera[:3, :3]),
+            T_color_camera[:3, 3].copy(),
+            np.array([depth.fx, depth.fy, depth.cx, depth.cy]),
+            calibration.is_registered,
+            float(calibration.depth_noise.near_m),
+            float(calibration.depth_noise.far_m),
+            self._settings.depth_jump * max(1.0, self._settings.depth_jump_focal_px / depth.fx),
+        )
+        depth_m = depth_at_keypoints(image, px, xy)
         sigma_px = np.hypot(keypoint_sigma_px(level, self._settings), calibration.color_sigma_px)
         sigma_m = calibration.depth_noise.sigma_m(depth_m)
         return Features(frame.stamp_s, px, level, descriptors, xy, depth_m, sigma_px, sigma_m)
@@ -121,48 +129,26 @@ class FeatureExtractor:
         kept, descriptors = self._orb.compute(grey, [candidates[i] for i in chosen])
         level = np.fromiter((k.octave for k in kept), np.int64, len(kept))
         words = np.zeros((0, 4), np.uint64) if len(kept) == 0 else np.ascontiguousarray(descriptors).view(np.uint64)
-        px = _in_full_image(_pixels_of(kept), level, grey.shape, self._settings.pyramid_scale)
+        # OpenCV scales pixel indices of a level by `pyramid_scale`. The exact scale follows from the whole number of
+        # pixels of a level, and the centre of pixel 0 moves too: 1.4 px at the far edge of 640.
+        size = np.array([grey.shape[1], grey.shape[0]])
+        scale = self._settings.pyramid_scale ** level[:, None]
+        px = np.asarray((_pixels_of(kept) / scale + 0.5) * (size / np.rint(size / scale)) - 0.5)
         return px, level, words
-
-    def _image_of(self, frame: RgbdFrame) -> DepthImage:
-        """The depth of a frame, as kernels read it."""
-        calibration, depth = self._calibration, self._calibration.cameras[1]
-        T_color_camera = calibration.T_color_camera
-        return DepthImage(
-            frame.depth_m,
-            np.ascontiguousarray(T_color_camera[:3, :3]),
-            T_color_camera[:3, 3].copy(),
-            np.array([depth.fx, depth.fy, depth.cx, depth.cy]),
-            calibration.is_registered,
-            float(calibration.depth_noise.near_m),
-            float(calibration.depth_noise.far_m),
-            self._settings.depth_jump * max(1.0, self._settings.depth_jump_focal_px / depth.fx),
-        )
 
 
 def _pixels_of(keypoints: Sequence[cv2.KeyPoint]) -> FloatArray:
-    """(N, 2)."""
+    """Pixels (N, 2) of keypoints."""
     return np.array(cv2.KeyPoint.convert(keypoints), float).reshape(-1, 2)
 
 
 def keypoint_sigma_px(level: ArrayLike, settings: FeatureSettings) -> FloatArray:
-    """Standard deviation (...) of a keypoint's pixel, found on a pyramid level (...)."""
+    """Standard deviation (...) of a keypoint's pixel, detected on a pyramid level (...)."""
     return np.asarray(settings.sigma_px * settings.sigma_growth ** np.asarray(level, float))
 
 
-def _in_full_image(px: FloatArray, level: IntArray, shape: tuple[int, ...], factor: float) -> FloatArray:
-    """Where the centres of pyramid pixels lie in the full image (height, width); OpenCV gives `px` (N, 2).
-
-    OpenCV multiplies a level's pixel indices by `factor` a level. But the centre of pixel 0 moves too, and a level has
-    a whole number of pixels, so that it is not scaled by exactly that: 1.4 px at the far edge of 640.
-    """
-    size = np.array([shape[1], shape[0]])
-    scale = factor ** level[:, None]
-    return np.asarray((px / scale + 0.5) * (size / np.rint(size / scale)) - 0.5)
-
-
 def spread(px: FloatArray, strength: FloatArray, cell_px: int, wanted: int) -> IntArray:
-    """Indices (at most `wanted`,) of keypoints (N, 2): the strongest of each cell, then the second strongest, …"""
+    """Indices of at most `wanted` keypoints (N, 2): the strongest of each cell, then the second strongest, …"""
     if len(px) <= wanted:
         return np.arange(len(px))
     column, row = np.asarray(px // cell_px, np.int64).T
@@ -175,11 +161,14 @@ def spread(px: FloatArray, strength: FloatArray, cell_px: int, wanted: int) -> I
 
 
 def straighten(raw: Features, twist: FloatArray, rolling_shutter_s: float, height: int) -> Features:
-    """The features as a camera would see them that exposes all rows at the stamp, that of the middle row.
+    """The features corrected for rolling shutter, to the exposure time of the middle row.
 
-    Rows of a rolling shutter are exposed one after another while the camera moves on. With the camera's velocity
-    `twist` (6,), (v, ω) in its own frame a second, each point is carried to the middle row's time; Ringaby &
-    Forssén, ICCV 2011, do so for Kinect scans.
+    Args:
+        raw: features as detected.
+        twist: (6,) the camera's velocity (v, ω) per second in its own frame, which moves each point to the time of
+            the middle row (Ringaby & Forssén, ICCV 2011, for Kinect scans).
+        rolling_shutter_s: time from the first row to the last.
+        height: number of rows.
     """
     if rolling_shutter_s == 0 or not twist.any():
         return raw
@@ -190,11 +179,8 @@ def straighten(raw: Features, twist: FloatArray, rolling_shutter_s: float, heigh
     return replace(raw, xy=moved[:, :2] / moved[:, 2:], depth_m=np.where(raw.has_depth, moved[:, 2], 0.0))
 
 
-# KeyframeMaker: a frame as a keyframe of the store, seen by an ideal camera in the place of the depth camera.
-
-
 class KeyframeMaker:
-    """Makes keyframes of the frames of one camera; lens distortion and the gap between its two lenses are taken out."""
+    """Makes keyframes of the frames of one camera, as an ideal camera at the pose of the depth camera sees them."""
 
     def __init__(self, calibration: Calibration) -> None:
         self._color, self._depth = calibration.cameras
@@ -203,7 +189,7 @@ class KeyframeMaker:
         self._maps = maps_without_lens(self._depth) if self._depth.has_distortion else None
 
     def keyframe(self, frame: RgbdFrame, features: Features) -> Keyframe:
-        """A frame with what was found in it; both images are compressed, which takes as long as to track a frame."""
+        """The keyframe of a frame and its features; compression takes as long as tracking a frame."""
         depth_m, grey = frame.depth_m, np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY), np.uint8)
         if self._rays is not None:
             grey = self._seen_from_depth(grey, depth_m, self._rays)
@@ -212,23 +198,21 @@ class KeyframeMaker:
             grey = np.asarray(cv2.remap(grey, *self._maps, cv2.INTER_LINEAR), np.uint8)
         depth = self._depth
         intrinsics = np.array([depth.fx, depth.fy, depth.cx, depth.cy])
-        return Keyframe.of_images(
-            frame.stamp_s, intrinsics, depth_m, grey.astype(np.float32), self._features_of(features)
-        )
-
-    def _features_of(self, features: Features) -> KeyframeFeatures:
         p_camera = se3.apply(se3.invert(self._T_color_camera), features.points)
         points = np.where(features.has_depth[:, None], p_camera, 0.0)
-        return KeyframeFeatures(features.px, points, features.descriptors)
+        return Keyframe.of_images(
+            frame.stamp_s,
+            intrinsics,
+            depth_m,
+            grey.astype(np.float32),
+            KeyframeFeatures(features.px, points, features.descriptors),
+        )
 
     def _seen_from_depth(self, grey: ByteArray, depth_m: Float32Array, rays: FloatArray) -> ByteArray:
-        """Grey (h, w) of the colour camera where the depth camera's pixels show the same points; 0 where unknown."""
+        """Grey (h, w) of the colour camera at the points of the depth camera's pixels; 0 where unknown."""
         px, is_inside = self._color.project(se3.apply(self._T_color_camera, (rays * depth_m[..., None])))
         px = np.where((is_inside & (depth_m > 0))[..., None], px, -2.0).astype(np.float32)
         return np.asarray(cv2.remap(grey, px[..., 0], px[..., 1], cv2.INTER_LINEAR), np.uint8)
-
-
-# FeatureSettings: what can be set about feature odometry, with the reasons for the defaults.
 
 
 class FeatureSettings(Settings):

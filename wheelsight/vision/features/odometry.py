@@ -1,4 +1,4 @@
-"""FeatureOdometry: the camera's pose, frame by frame, or an honest word that it is lost (Zhang, Fig. 3)."""
+"""`FeatureOdometry` estimates the camera's pose frame by frame and reports when tracking is lost (Zhang, Fig. 3)."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ from wheelsight.vision.tracking_state import START_VARIANCE, Stopwatch, Tracking
 
 
 class FeatureOdometry(OneCaller):
-    """ORB + 3D–3D alignment with the state machine of Zhang's Fig. 3, and recovery.
+    """ORB keypoints with 3D–3D alignment, the state machine of Zhang's Fig. 3, and relocalization.
 
-    The first frame with enough keypoints starts the map. Each later frame is aligned with the frame tracked last
-    and, unless `reference` is "previous", with the landmarks of near keyframes. A frame that fails is counted;
-    after `lost_after` in a row the state is LOST, and goes on being so until the last keyframes are recognised.
+    The first frame with enough keypoints starts the map. Each later frame is aligned with the last tracked frame and,
+    unless `reference` is "previous", with the landmarks of near keyframes. After `lost_after` failed frames in a row
+    the state is LOST, until one of the keyframes is recognised.
 
-    Keyframes are kept in the store, and when they are moved there, all that is known by them moves along before the
-    next frame: landmarks, views, and so the pose. Against the previous frame alone, all hangs on the first one.
+    The store holds keyframes. When it moves them, landmarks, views and the pose move with them before the next frame.
+    With `reference` "previous" everything moves with the first keyframe.
 
     Args:
         calibration: of the cameras.
-        settings: or the defaults.
-        T_map_first: (4, 4) where the camera is at the first frame tracked; by default at the map's origin.
-        store: of the keyframes; by default one of its own.
+        settings: default `FeatureSettings()`.
+        T_map_first: (4, 4) pose of the camera at the first tracked frame; default the map's origin.
+        store: receives keyframes; default a new one.
 
     Attributes:
-        store: of the keyframes.
-        landmarks: what is known of the place; they are changed as frames come.
-        stage_seconds: time the last frame spent in "extract", "match", "align" and "map".
+        store: holds all keyframes and their poses.
+        landmarks: the local map, updated by each frame.
+        stage_seconds: time of the last frame in "extract", "match", "align" and "map".
     """
 
     def __init__(
@@ -90,18 +90,18 @@ class FeatureOdometry(OneCaller):
         *,
         twist: FloatArray | None = None,
     ) -> FeatureEstimate:
-        """The camera's pose at a frame, T_map_camera, or why there is none.
+        """The camera's pose at a frame, T_map_camera, or the reason of the failure.
 
         Args:
-            frame: newer than the one before.
-            T_previous_current_prior: (4, 4) expected motion of the camera since the last tracked frame, from wheels
-                for instance; bounds the search for matches. Where that finds nothing, a search without it decides.
-            twist: (6,) the camera's velocity (v, ω) in its own frame now, as others tell. It counts where the last
-                frame is so long ago that the mean velocity until then says little, and rows are exposed one by one.
+            frame: newer than the previous one.
+            T_previous_current_prior: (4, 4) expected motion of the camera since the last tracked frame, for instance
+                from wheels. It bounds the search for matches; if that fails, a search without it follows.
+            twist: (6,) the camera's present velocity (v, ω) in its own frame, from other sensors. It corrects the
+                rolling shutter after a gap, where the mean velocity since the last frame says little.
 
         Raises:
-            ArgumentError: images or a motion of another shape or type, depth that is not in metres, a stamp that is not
-                in seconds.
+            ArgumentError: for images or a motion of a wrong shape or type, depth that is not in metres, or a stamp that
+                is not in seconds.
         """
         check_frame(frame, self._calibration, prior=T_previous_current_prior)
         self._stamps.check(frame)
@@ -125,19 +125,19 @@ class FeatureOdometry(OneCaller):
 
     @one_at_a_time
     def begin_at(self, T_map_camera: FloatArray) -> None:
-        """Say before the first tracked frame where the camera is then, (4, 4). Raises ArgumentError for no motion."""
+        """Set the pose (4, 4) of the camera at the first tracked frame. Raises ArgumentError for no rigid motion."""
         T_map_camera = need_motion("T_map_first", T_map_camera)
         self._T_map_first: FloatArray = T_map_camera @ se3.invert(self._T_color_camera)
 
     @one_at_a_time
     def miss(self, stamp_s: float) -> FeatureEstimate:
-        """Count a frame that came to nothing before it reached odometry, as a failed one."""
+        """Count a frame that is unusable, and so never reached `process`, as a failed one."""
         self._watch.restart()
         return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
 
     @one_at_a_time
     def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> FeatureEstimate:
-        """Go on at a frame that shows nothing known, at a pose (4, 4) that others tell; what was known is given up."""
+        """Restart at a frame with a pose (4, 4) from other sensors, its covariance (6, 6); the local map is dropped."""
         check_frame(frame, self._calibration, T_map_camera=T_map_camera, covariance=covariance)
         self._watch.restart()
         self._follow()
@@ -149,7 +149,7 @@ class FeatureOdometry(OneCaller):
         return self._start(frame, raw, T_map_camera @ se3.invert(self._T_color_camera), covariance)
 
     def _follow(self) -> None:
-        """Go with the keyframes that were moved since the last frame."""
+        """Move landmarks and the last view with keyframes that the store has moved."""
         T_new_old = self._moves.moves()
         if T_new_old is not None:
             self.landmarks.move(T_new_old)
@@ -165,16 +165,16 @@ class FeatureOdometry(OneCaller):
         return self._answer(self._last, MotionEstimate(np.eye(4), certain), None)
 
     def _begin(self, features: Features, T_map_color: FloatArray, covariance: FloatArray, number: KeyframeId) -> View:
-        """A new map with its first keyframe."""
+        """Start a new local map with a keyframe, and return the keyframe's view."""
         self.landmarks = LandmarkMap(self._settings)
         return self.landmarks.add_keyframe(View(features, T_map_color, covariance, np.full(len(features), -1)), number)
 
     def _keep(self, frame: RgbdFrame, features: Features, T_map_color: FloatArray) -> KeyframeId:
-        """The frame as a keyframe of the store."""
+        """Add a frame to the store as a keyframe, and return its number."""
         return self.store.add(partial(self._maker.keyframe, frame, features), T_map_color @ self._T_color_camera)
 
     def _begin_again(self, first_raw: Features, raw: Features, fix: Fix) -> Fix:
-        """Straighten the first frame too, now that the second tells the camera's speed, and locate the second anew."""
+        """Correct the rolling shutter of the first frame by the speed at the second, and locate the second again."""
         assert self._last is not None
         velocity = velocity_of(self._last, fix.view, self._settings.longest_step_s)
         straight = self._view_tracker.straighten(first_raw, velocity)
@@ -182,19 +182,19 @@ class FeatureOdometry(OneCaller):
         if straight is first_raw:
             return fix
         assert self._last.keyframe is not None
-        bent = self.landmarks, self._last
+        uncorrected = self.landmarks, self._last
         self._last = self._begin(straight, self._last.T_map_color, self._last.covariance, self._last.keyframe)
         better = self._locate(raw, self._last, None)
         if isinstance(better, Fix):
             return better
-        self.landmarks, self._last = bent  # a fix belongs to the map whose landmarks it names
+        self.landmarks, self._last = uncorrected  # the fix refers to landmarks of this map
         return fix
 
     def _locate(self, raw: Features, last: View, prior: FloatArray | None) -> Fix | MotionEstimate:
-        """Align with the first reference that works, then with the map; refuse what no camera could have done."""
+        """Align with the first reference that fits, then with the map; reject implausible motions."""
         attempts: list[tuple[View, FloatArray | None]] = [(view, None) for view in self._references(last)]
         if prior is not None:
-            attempts.insert(0, (last, self._in_color(prior)))
+            attempts.insert(0, (last, self._T_color_camera @ prior @ se3.invert(self._T_color_camera)))
         failure = MotionEstimate.failed(Reason.TOO_FEW_MATCHES)
         for reference, expected in attempts:
             found = self._view_tracker.track(raw, reference, self._velocity, expected, self._frames)
@@ -206,14 +206,17 @@ class FeatureOdometry(OneCaller):
         if self._settings.reference == "keyframes":
             with self._watch.stage("map"):
                 refined = self._map_tracker.track(raw, found, last, self.landmarks)
-            # A quick turn may leave the map behind at once; the view alone then carries on, and becomes a keyframe.
+            # A quick turn may leave the map within one frame. The view alone then suffices, and becomes a keyframe.
             found = refined if isinstance(refined, Fix) else found
-        if not self._is_plausible(last, found):
+        seconds = found.view.features.stamp_s - last.features.stamp_s
+        twist = twist_between(last.T_map_color, found.view.T_map_color, seconds)
+        fast = np.linalg.norm(twist[:3]) > self._settings.max_speed_m_s
+        if fast or np.linalg.norm(twist[3:]) > self._settings.max_turn_rad_s:
             return MotionEstimate.failed(Reason.IMPLAUSIBLE_MOTION, found.motion.matches, found.motion.inliers)
         return found
 
     def _references(self, last: View) -> list[View]:
-        """The view tracked last; while frames fail, also the newest keyframe; once lost, some older ones in turn."""
+        """The last tracked view; after failures the last keyframe too; once lost, older ones in turn."""
         keyframes = self.landmarks.keyframes
         references = [last]
         if self._state.failures > 0:
@@ -222,12 +225,6 @@ class FeatureOdometry(OneCaller):
             references.append(keyframes[-1 - self._state.failures % len(keyframes)])
         frames = [view.features for view in references]
         return [view for place, view in enumerate(references) if all(view.features is not f for f in frames[:place])]
-
-    def _is_plausible(self, last: View, fix: Fix) -> bool:
-        seconds = fix.view.features.stamp_s - last.features.stamp_s
-        velocity = twist_between(last.T_map_color, fix.view.T_map_color, seconds)
-        fast = np.linalg.norm(velocity[:3]) > self._settings.max_speed_m_s
-        return not (fast or np.linalg.norm(velocity[3:]) > self._settings.max_turn_rad_s)
 
     def _succeed(self, frame: RgbdFrame, fix: Fix) -> FeatureEstimate:
         fix = self._with_frame_error(fix)
@@ -239,7 +236,7 @@ class FeatureOdometry(OneCaller):
         return self._answer(view, self._in_camera(fix.motion), fix.matched)
 
     def _with_frame_error(self, fix: Fix) -> Fix:
-        """A fix with what is off about the whole frame, beside the noise of its keypoints."""
+        """A fix with the error common to all of a frame added to its covariances."""
         motion, view = fix.motion, fix.view
         assert motion.T_reference_current is not None
         assert motion.covariance is not None
@@ -248,7 +245,7 @@ class FeatureOdometry(OneCaller):
         return replace(fix, motion=replace(motion, covariance=spread), view=replace(view, covariance=in_map))
 
     def _update(self, frame: RgbdFrame, fix: Fix) -> View:
-        """Remember what was seen; keep the view as a keyframe when too little of the last one is in sight."""
+        """Update landmarks by a fix; make it a keyframe if it shows too few landmarks of the last one."""
         if self._settings.reference == "previous":
             self.landmarks.keyframes[:] = [fix.view]
             return fix.view
@@ -287,12 +284,8 @@ class FeatureOdometry(OneCaller):
             matched=matched,
         )
 
-    def _in_color(self, T_previous_current: FloatArray) -> FloatArray:
-        """A motion of the camera frame as one of the colour camera."""
-        return self._T_color_camera @ T_previous_current @ se3.invert(self._T_color_camera)
-
     def _in_camera(self, motion: MotionEstimate) -> MotionEstimate:
-        """A motion of the colour camera as one of the camera frame."""
+        """Convert a motion of the colour camera into one of the camera frame."""
         if motion.T_reference_current is None or motion.covariance is None:
             return motion
         T_camera_color = se3.invert(self._T_color_camera)

@@ -27,17 +27,15 @@ from wheelsight.vision.features.feature_kernels import (
 )
 from wheelsight.vision.tracking_state import Stopwatch, twist_between
 
-# FeatureEstimate: what feature odometry answers at a frame, with the pixels that it matched.
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchedPixels:
-    """Which pixels of a frame were matched with which of its reference.
+    """Matched pixels of a frame and its reference.
 
     Attributes:
-        reference_stamp_s: of the reference frame, seconds.
+        reference_stamp_s: time of the reference frame, seconds.
         px, reference_px: (N, 2) in the two colour images.
-        is_inlier: (N,) which pairs agree with the motion found.
+        is_inlier: (N,) mask of pairs that agree with the estimated motion.
     """
 
     reference_stamp_s: float
@@ -48,28 +46,25 @@ class MatchedPixels:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureEstimate(CameraEstimate):
-    """A camera's estimate, with the pixels by which the frame was found.
+    """The estimate of feature odometry at a frame, with its matched pixels.
 
     Attributes:
-        matched: the pixels matched with those of an earlier frame, or None where there are none.
+        matched: pixels matched with an earlier frame; None at a start or a failure.
     """
 
     matched: MatchedPixels | None = field(default=None, kw_only=True)
 
 
-# LandmarkMap: points seen from keyframes, the small local map against which frames are aligned.
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """A frame whose pose is known.
+    """A frame with a known pose.
 
     Attributes:
-        features: of the frame.
-        T_map_color: (4, 4) its colour camera's pose.
+        features: its keypoints.
+        T_map_color: (4, 4) pose of the colour camera.
         covariance: (6, 6) of the left perturbation of that pose.
-        landmark: (N,) number of the landmark each keypoint shows, -1 for none.
-        keyframe: with which the view moves, or None.
+        landmark: (N,) number of the landmark that each keypoint shows, -1 for none.
+        keyframe: the keyframe that the view moves with, or None.
     """
 
     features: Features
@@ -79,7 +74,7 @@ class View:
     keyframe: KeyframeId | None = None
 
     def moved(self, T_new_old: FloatArray) -> View:
-        """The same after keyframes have moved in the map by (K, 4, 4)."""
+        """The same after keyframes moved in the map by (K, 4, 4)."""
         if self.keyframe is None:
             return self
         T, Ad = T_new_old[self.keyframe], se3.adjoint(T_new_old[self.keyframe])
@@ -87,15 +82,17 @@ class View:
 
 
 class LandmarkMap:
-    """Landmarks in flat arrays, held as long as a kept keyframe saw them; numbers are never reused.
+    """The local map of landmarks that frames are aligned with.
+
+    A landmark stays as long as a keyframe of the map shows it; numbers are never reused.
 
     Attributes:
-        keyframes: those kept, oldest first.
-        numbers: (L,) of the landmarks, growing.
+        keyframes: oldest first.
+        numbers: (L,) of the landmarks, increasing.
         points: (L, 3) in the map, metres.
-        descriptors: (L, 4) of the last view.
-        sightings: (L,) how often each was seen.
-        made_by: (L,) the keyframes that made them, with which they move.
+        descriptors: (L, 4) of the last observation.
+        sightings: (L,) number of observations.
+        made_by: (L,) the keyframes that created them; landmarks move with these.
     """
 
     def __init__(self, settings: FeatureSettings) -> None:
@@ -112,10 +109,7 @@ class LandmarkMap:
         self._next_number = 0
 
     def add_keyframe(self, view: View, number: KeyframeId) -> View:
-        """Keep a view as that keyframe; its keypoints with depth that show no landmark yet become new ones.
-
-        Returns it with those.
-        """
+        """Add a view as a keyframe and return it; its keypoints with depth that show no landmark become landmarks."""
         features, landmark = view.features, view.landmark.copy()
         landmark[landmark >= 0] = np.where(self.holds(landmark[landmark >= 0]), landmark[landmark >= 0], -1)
         place = self._forgotten + len(self.keyframes)
@@ -133,22 +127,27 @@ class LandmarkMap:
         keyframe = replace(view, landmark=landmark, keyframe=number)
         self.keyframes.append(keyframe)
         if len(self.keyframes) > self._settings.kept_keyframes:
-            self._forget_oldest()
+            self.keyframes.pop(0)
+            self._forgotten += 1
+            kept = self._last_keyframe >= self._forgotten
+            self.numbers, self.points, self.descriptors = self.numbers[kept], self.points[kept], self.descriptors[kept]
+            self.sightings, self._weight = self.sightings[kept], self._weight[kept]
+            self._last_keyframe, self.made_by = self._last_keyframe[kept], self.made_by[kept]
         return keyframe
 
     def forget_keypoints(self) -> None:
-        """Of keyframes but the newest keep only where they are: for who recognises none by its keypoints."""
+        """Drop the keypoints of all keyframes but the last; only their poses remain."""
         if len(self.keyframes) > 1:
             before = self.keyframes[-2]
             self.keyframes[-2] = replace(before, features=before.features.some(0), landmark=before.landmark[:0].copy())
 
     def move(self, T_new_old: FloatArray) -> None:
-        """Landmarks and views go with their keyframes, which have moved in the map by (K, 4, 4)."""
+        """Move landmarks and views with their keyframes, which moved in the map by (K, 4, 4)."""
         self.keyframes[:] = [keyframe.moved(T_new_old) for keyframe in self.keyframes]
         self.points = se3.apply(T_new_old[self.made_by], self.points[:, None])[:, 0]
 
     def near(self, T_map_color: FloatArray, count: int) -> IntArray:
-        """Numbers (M,) of landmarks last kept by the `count` keyframes that look where this camera (4, 4) looks."""
+        """Numbers (M,) of landmarks last seen by the `count` keyframes whose view is nearest to a pose (4, 4)."""
         if len(self.keyframes) <= count:
             return self.numbers
         views = np.array([keyframe.T_map_color for keyframe in self.keyframes])
@@ -165,11 +164,11 @@ class LandmarkMap:
         return self.points[rows], self.descriptors[rows], self.sightings[rows]
 
     def holds(self, numbers: IntArray) -> BoolArray:
-        """(M,) which of the landmarks (M,) are still held."""
+        """(M,) mask of landmarks that are in the map."""
         return np.isin(numbers, self.numbers, assume_unique=True)
 
     def see_again(self, numbers: IntArray, features: Features, seen: IntArray, T_map_color: FloatArray) -> None:
-        """Average landmarks (M,) with the points that keypoints `seen` (M,) show of them, each weighted by 1/σ_z²."""
+        """Average landmarks (M,) with the points of keypoints `seen` (M,), each weighted by 1/σ_z²."""
         rows = self._rows(numbers)
         self.descriptors[rows] = features.descriptors[seen]
         self.sightings[rows] += 1
@@ -184,17 +183,6 @@ class LandmarkMap:
     def _rows(self, numbers: IntArray) -> IntArray:
         return np.searchsorted(self.numbers, numbers)
 
-    def _forget_oldest(self) -> None:
-        self.keyframes.pop(0)
-        self._forgotten += 1
-        kept = self._last_keyframe >= self._forgotten
-        self.numbers, self.points, self.descriptors = self.numbers[kept], self.points[kept], self.descriptors[kept]
-        self.sightings, self._weight = self.sightings[kept], self._weight[kept]
-        self._last_keyframe, self.made_by = self._last_keyframe[kept], self.made_by[kept]
-
-
-# Where a frame is: aligned with an earlier view, then with the landmarks of near keyframes.
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fix:
@@ -202,8 +190,8 @@ class Fix:
 
     Attributes:
         view: the frame with its pose.
-        motion: of the colour camera against the reference that gave the pose.
-        matched: the pixels matched on the way.
+        motion: of the colour camera against the reference that located it.
+        matched: pixels matched with that reference.
     """
 
     view: View
@@ -220,7 +208,7 @@ def velocity_of(before: View, now: View, longest_s: float) -> FloatArray:
 
 
 class _Tracker:
-    """What both ways of locating a frame share."""
+    """Base of `ViewTracker` and `MapTracker`."""
 
     def __init__(self, calibration: Calibration, settings: FeatureSettings) -> None:
         self._color, _ = calibration.cameras
@@ -228,7 +216,7 @@ class _Tracker:
         self._settings = settings
 
     def straighten(self, raw: Features, velocity: FloatArray) -> Features:
-        """A frame's features as if all rows were exposed at once, of a camera moving at `velocity` (6,)."""
+        """A frame's features, corrected for rolling shutter by the camera's `velocity` (6,)."""
         return straighten(raw, velocity, self._shutter_s, self._color.height)
 
     def _project(self, p_color: FloatArray) -> FloatArray:
@@ -237,11 +225,11 @@ class _Tracker:
         return np.asarray(project(p_color, color.fx, color.fy, color.cx, color.cy, color.width, color.height))
 
     def _pixels(self, features: Features) -> FloatArray:
-        """Undistorted, straightened pixels (N, 2)."""
+        """Pixels (N, 2) without lens distortion and rolling shutter."""
         return features.xy * (self._color.fx, self._color.fy) + (self._color.cx, self._color.cy)
 
     def _judge(self, found: Alignment) -> Reason | None:
-        """Why an alignment is no answer, or None."""
+        """The reason to reject an alignment, or None."""
         if found.inliers < self._settings.min_inliers:
             return Reason.TOO_FEW_INLIERS
         variance_m = np.linalg.eigvalsh(found.covariance[:3, :3])[-1]
@@ -251,7 +239,7 @@ class _Tracker:
 
 
 class ViewTracker(_Tracker):
-    """Aligns a frame with one earlier view: the paper's way."""
+    """Aligns a frame with one earlier view, as Zhang does."""
 
     def __init__(self, calibration: Calibration, settings: FeatureSettings, watch: Stopwatch) -> None:
         super().__init__(calibration, settings)
@@ -260,14 +248,14 @@ class ViewTracker(_Tracker):
     def track(
         self, raw: Features, reference: View, velocity: FloatArray, expected: FloatArray | None, trial: int
     ) -> Fix | MotionEstimate:
-        """Locate a frame by its motion against `reference`, or say why not.
+        """The frame located by its motion against `reference`, or the reason of the failure.
 
         Args:
-            raw: the frame's features, rows not straightened.
+            raw: the frame's features, not corrected for rolling shutter.
             reference: a view with a pose.
-            velocity: (6,) of the colour camera at the frame, as far as known.
-            expected: (4, 4) T_reference_current of the colour camera, if somebody knows.
-            trial: makes RANSAC's seed differ from frame to frame.
+            velocity: (6,) predicted velocity of the colour camera at the frame.
+            expected: (4, 4) predicted T_reference_current of the colour camera, or None.
+            trial: changes RANSAC's seed from frame to frame.
         """
         features = self.straighten(raw, velocity)
         with self._watch.stage("match"):
@@ -291,7 +279,7 @@ class ViewTracker(_Tracker):
         return self._fix(features, reference, matches, found)
 
     def _match(self, features: Features, reference: Features, expected: FloatArray | None) -> Matches:
-        """Pairs (reference, current); the reference's have depth."""
+        """Matches (reference, current) of keypoints; the reference's have depth."""
         lifted = np.flatnonzero(reference.has_depth)
         descriptors, limit = reference.descriptors[lifted], self._settings.max_hamming
         matches = None
@@ -307,7 +295,7 @@ class ViewTracker(_Tracker):
         return Matches(lifted[matches.first], matches.second)
 
     def _pairs(self, features: Features, reference: Features, matches: Matches) -> PointPairs:
-        """Both ends of a pair were measured, so their variances add."""
+        """Point pairs of matches; the variances of both measurements add."""
         i, j = matches
         sigma_px = np.hypot(reference.sigma_px[i], features.sigma_px[j])
         sigma_m = np.hypot(reference.sigma_m[i], features.sigma_m[j])
@@ -332,10 +320,10 @@ class ViewTracker(_Tracker):
 
 
 class MapTracker(_Tracker):
-    """Aligns a frame, roughly located, with the landmarks around it."""
+    """Aligns a frame with an approximate pose with the landmarks around it."""
 
     def track(self, raw: Features, rough: Fix, last: View, landmarks: LandmarkMap) -> Fix | MotionEstimate:
-        """Locate a frame against the map, starting from a rough fix; or say why not."""
+        """The frame located in the map, starting at a rough fix, or the reason of the failure."""
         numbers, pairs, seen = self._find_landmarks(rough.view, landmarks)
         if len(pairs) < self._settings.min_inliers:
             return MotionEstimate.failed(Reason.TOO_FEW_MATCHES, len(pairs))
@@ -354,7 +342,7 @@ class MapTracker(_Tracker):
         return self._fix(features, landmark, found, rough, len(pairs), landmarks.keyframes[-1])
 
     def _find_landmarks(self, rough: View, landmarks: LandmarkMap) -> tuple[np.ndarray, PointPairs, np.ndarray]:
-        """Numbers (M,) of the landmarks found, the pairs, and the keypoints (M,) that show them."""
+        """Numbers (M,) of matched landmarks, their point pairs, and the keypoints (M,) that show them."""
         numbers = landmarks.near(rough.T_map_color, self._settings.local_keyframes)
         points, descriptors, _ = landmarks.get(numbers)
         expected_px = self._project(se3.apply(se3.invert(rough.T_map_color), points))
@@ -372,7 +360,7 @@ class MapTracker(_Tracker):
         return numbers, self._pairs(numbers, features, matches.second, landmarks), matches.second
 
     def _pairs(self, numbers: np.ndarray, features: Features, seen: np.ndarray, landmarks: LandmarkMap) -> PointPairs:
-        """A landmark seen n times is as uncertain as the mean of n readings."""
+        """Point pairs of landmarks and keypoints; a landmark seen n times has the variance of a mean of n."""
         points, _, sightings = landmarks.get(numbers)
         growth = np.sqrt(1 + 1 / sightings)
         sigma_xy, sigma_m = growth * features.sigma_px[seen] / self._color.fx, growth * features.sigma_m[seen]
@@ -381,7 +369,7 @@ class MapTracker(_Tracker):
     def _fix(
         self, features: Features, landmark: np.ndarray, found: Alignment, rough: Fix, matches: int, keyframe: View
     ) -> Fix:
-        """The map drifted as far as its newest keyframe; the frame's own uncertainty comes on top."""
+        """The fix of an alignment; its covariance is that of the last keyframe plus that of the alignment."""
         T_map_color = se3.invert(found.T_current_reference)
         Ad = se3.adjoint(T_map_color)
         in_map = Ad @ found.covariance @ Ad.T
@@ -394,9 +382,7 @@ class MapTracker(_Tracker):
         return Fix(view, motion, rough.matched)
 
 
-# Which keypoints show the same point: Hamming distance, both ways (Zhang, section 3.1).
-
-
+# Cell size of the grid that `match_near` searches.
 _CELL_PX = 16
 
 
@@ -408,7 +394,7 @@ class Matches(NamedTuple):
 
 
 def match_all(first: UInt64Array, second: UInt64Array, max_hamming: int) -> Matches:
-    """Pairs of descriptors (N, 4) and (M, 4) that are each other's nearest of all, at most `max_hamming` bits apart."""
+    """Pairs of descriptors (N, 4) and (M, 4), mutual nearest neighbours within `max_hamming` bits (Zhang, 3.1)."""
     nearest, distance, nearest_back = nearest_both_ways(first, second)
     i = np.flatnonzero((nearest >= 0) & (distance <= max_hamming))
     i = i[nearest_back[nearest[i]] == i]
@@ -423,9 +409,9 @@ def match_near(
     radius_px: float,
     settings: FeatureSettings,
 ) -> Matches:
-    """Pairs of expected keypoints (N, 2), (N, 4) and seen ones (M, 2), (M, 4) within a radius, each used once.
+    """Pairs of predicted keypoints (N, 2), (N, 4) and detected ones (M, 2), (M, 4) within a radius, each used once.
 
-    Pixels that are NaN, and lie nowhere, match nothing.
+    Predicted pixels that are NaN match nothing.
     """
     if len(px) == 0 or len(expected_px) == 0:
         return Matches(np.zeros(0, np.int64), np.zeros(0, np.int64))
@@ -440,19 +426,16 @@ def match_near(
     return Matches(i, found[i])
 
 
-# The motion between two sets of matched points: RANSAC over closed-form alignment, then refinement (Zhang, 3.2).
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PointPairs:
-    """N points known in a reference frame and what the current frame saw of them.
+    """N points in a reference frame with their observations in the current frame.
 
     Attributes:
         p_reference: (N, 3) metres.
-        xy: (N, 2) seen on the plane z = 1.
-        depth_m: (N,) seen, 0 where there is none.
-        sigma_xy: (N,) of `xy`.
-        sigma_m: (N,) of `depth_m`.
+        xy: (N, 2) observed on the plane z = 1.
+        depth_m: (N,) observed, 0 where unknown.
+        sigma_xy: (N,) standard deviation of `xy`.
+        sigma_m: (N,) standard deviation of `depth_m`.
     """
 
     p_reference: FloatArray
@@ -465,19 +448,19 @@ class PointPairs:
         return len(self.p_reference)
 
     def observed(self) -> Pairs:
-        """The same for kernels: with 1/σ, which is 0 for depth that is not there."""
+        """The same for kernels, with 1/σ in place of σ; it is 0 for unknown depth."""
         scale_m = np.where(self.depth_m > 0, 1 / np.maximum(self.sigma_m, 1e-6), 0.0)
         return Pairs(self.p_reference, self.xy, self.depth_m, 1 / self.sigma_xy, scale_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """What refinement found.
+    """The result of `refine_motion`.
 
     Attributes:
         T_current_reference: (4, 4).
         covariance: (6, 6) of the left perturbation (v, ω) of `T_current_reference`.
-        is_inlier: (N,) which pairs agree with it.
+        is_inlier: (N,) mask of pairs that agree with it.
     """
 
     T_current_reference: FloatArray
@@ -486,12 +469,12 @@ class Alignment:
 
     @property
     def inliers(self) -> int:
-        """How many pairs agree."""
+        """Number of pairs that agree."""
         return int(np.count_nonzero(self.is_inlier))
 
 
 def find_motion(pairs: PointPairs, settings: FeatureSettings, seed: int) -> FloatArray | Reason:
-    """T_current_reference (4, 4) by RANSAC over triples of pairs with depth, or why there is none."""
+    """T_current_reference (4, 4) by RANSAC over triples of pairs with depth, or the reason of the failure."""
     usable = pairs.depth_m > 0
     if np.count_nonzero(usable) < settings.min_inliers:
         return Reason.TOO_FEW_MATCHES
@@ -502,17 +485,14 @@ def find_motion(pairs: PointPairs, settings: FeatureSettings, seed: int) -> Floa
 
 
 def refine_motion(pairs: PointPairs, T_current_reference: FloatArray, settings: FeatureSettings) -> Alignment:
-    """The motion that minimises the robust, noise-weighted distance of all pairs, starting from one near it.
+    """The motion that minimises the robust, noise-weighted distance of all pairs, from an initial guess (4, 4).
 
-    Pixel and depth are weighted each by its σ (depth's grows with z²), which weights the 3D–3D distance of Zhang's
-    section 3.2 by the points' true, elongated uncertainty. Pairs without depth count by their pixels alone.
+    Pixel and depth are each weighted by their σ (depth's grows with z²), which weights the 3D–3D distance of Zhang's
+    section 3.2 by the elongated covariance of points. Pairs without depth count by their pixels alone.
     """
     R, t = np.ascontiguousarray(T_current_reference[:3, :3]), T_current_reference[:3, 3].copy()
     R, t, H, squares = refine(R, t, pairs.observed(), settings.inlier_chi2, settings.refinement_steps)
-    return Alignment(se3.from_parts(R, t), _covariance(H), squares < settings.inlier_chi2)
-
-
-def _covariance(H: FloatArray) -> FloatArray:
-    """The inverse of an information matrix; directions it says nothing about get 10⁶ (m², rad²), never infinity."""
+    # Unconstrained directions get a variance of 10⁶ (m², rad²) rather than infinity.
     values, vectors = np.linalg.eigh(H)
-    return np.asarray((vectors / np.maximum(values, 1e-6)) @ vectors.T)
+    covariance = np.asarray((vectors / np.maximum(values, 1e-6)) @ vectors.T)
+    return Alignment(se3.from_parts(R, t), covariance, squares < settings.inlier_chi2)
