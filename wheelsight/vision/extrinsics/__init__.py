@@ -1,4 +1,4 @@
-"""Where the camera sits on its robot, and how late the wheels' clock is, from an ordinary drive with both."""
+"""The mount of a camera on its robot and the clock offset of the wheels, from an ordinary drive with both."""
 
 from wheelsight.vision.extrinsics.agreement import Agreement, Culprit, Explanation, depth_cause
 from wheelsight.vision.extrinsics.calibration import (

@@ -1,13 +1,12 @@
-"""Agreement: whether wheels and camera tell of one drive, and what explains it where they do not.
+"""`Agreement` detects a disagreement between the motions of wheels and camera, and returns its possible explanations.
 
-Both drives are cut into pieces of some centimetres or degrees. Of each, the wheels tell a way ahead and a turn to the
-left; the camera, by its mount, tells a way and a turn of three components each. What may be wrong is linear: a wheel
-that counts backwards, sizes, a depth's factor, a mirrored image, a mount turned otherwise. So only the sums of products
-over all pieces are kept, and each explanation is weighed by how much of both motions it leaves unexplained.
+Both motions are cut into pieces of some centimetres or degrees. The wheels give a distance ahead and a rotation to the
+left for each piece; the camera, by its mount, gives a translation and a rotation of three components each. All faults
+are linear: a wheel that counts backwards, wrong sizes, a depth factor, a mirrored image, a rotated mount. So sums of
+products over all pieces suffice, and the share of both motions that an explanation leaves over decides.
 
-Some explanations cannot be told apart by motions: mirrored images and swapped wheels turn alike the wrong way, and on a
-straight way depth too short and wheels too large are the same. Then witnesses decide: the floor, seen where the mount
-has it or so many times too near, and a gyroscope, which turns with one of both.
+Motions alone leave ambiguities: mirrored images and swapped wheels both reverse rotations, and on a straight line short
+depth and large wheels are equivalent. The height over the floor and a gyroscope resolve them.
 """
 
 from __future__ import annotations
@@ -22,14 +21,14 @@ from wheelsight.core.calibration_parts import HolonomicWheels, Wheels
 from wheelsight.core.geometry import FloatArray, so3
 from wheelsight.vision.extrinsics.settings import DEFAULTS, AgreementSettings
 
-_LEAST_WAY_M = 0.005  # shorter ways of a holonomic base have no direction: those of turns on the spot
-_LITTLE = 1e-3  # of the usual squares: what a fit is held by where a drive does not turn
+_LEAST_WAY_M = 0.005  # a holonomic base's shorter translations have no direction: it turns on the spot
+_LITTLE = 1e-3  # of the usual squares: the prior of a fit for a drive without turns
 _UP = np.array([0.0, 0.0, 1.0])
 _WAYS, _TURNS, _WHEELS = slice(2, 5), slice(5, 8), slice(2)
 
 
 class Culprit(Enum):
-    """Whose motions are wrong."""
+    """The sensor whose motions are wrong."""
 
     WHEELS = "wheels"
     CAMERA = "camera"
@@ -37,15 +36,15 @@ class Culprit(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Explanation:
-    """What may be wrong, if it explains all pieces.
+    """A fault that explains all pieces.
 
     Attributes:
-        culprit: whose motions are then wrong.
-        cause: as a clause, with the fix.
-        expected: (6, 2) way and turn of the camera that follow from way and turn of the wheels.
-        is_scale: whether it is a factor, as clocks that are apart and wheels that slip may show one for a while.
-        depth: the factor of depth that it says, or None.
-        tilts: whether the mount's up is another.
+        culprit: the sensor with the fault.
+        cause: a clause that names the fault and its fix.
+        expected: (6, 2) translation and rotation of the camera as a linear function of those of the wheels.
+        is_scale: whether it is a scale factor. Clocks with an offset and slipping wheels may mimic one for a while.
+        depth: the factor of depth, or None.
+        tilts: whether it changes the vertical axis of the mount.
     """
 
     culprit: Culprit
@@ -58,16 +57,18 @@ class Explanation:
 
 @dataclass(slots=True)
 class Agreement:
-    """The sums over all pieces.
+    """The sums over all pieces, and the explanations that follow from them.
 
     Attributes:
-        wheels: as they are believed to be. T_base_camera: (4, 4) as the camera is believed to sit.
-        settings: when both agree, and what explains that they do not.
-        products: (8, 8) of way and turn of the wheels, way (3) and turn (3) of the camera, in the base's axes.
-        of_gyro: (3, 3) of turns by wheels, camera and gyroscope, where that tells.
-        pieces: how many.
-        drift: sum of the squared turns that both may have apart.
-        ways_m, turns_rad: (2,) how far they went by the wheels, and by the camera.
+        wheels: assumed wheels.
+        T_base_camera: (4, 4) assumed mount.
+        settings: thresholds of agreement and of explanations.
+        products: (8, 8) of distance and rotation by wheels, translation (3) and rotation (3) by the camera, in the
+            base's axes.
+        of_gyro: (3, 3) of rotations by wheels, camera and gyroscope, for pieces with a gyroscope.
+        pieces: number of pieces.
+        drift: sum of squared rotations, the tolerance of rotations by slip and drift.
+        ways_m, turns_rad: (2,) total distance and rotation by wheels and by the camera.
     """
 
     wheels: Wheels | HolonomicWheels
@@ -82,30 +83,30 @@ class Agreement:
 
     @property
     def way_m(self) -> float:
-        """By the one that tells of more."""
+        """Total distance, the larger of both."""
         return float(self.ways_m.max())
 
     @property
     def turn_rad(self) -> float:
-        """Likewise."""
+        """Total rotation, the larger of both."""
         return float(self.turns_rad.max())
 
     def add(self, T_by_wheels: FloatArray, T_by_camera: FloatArray, gyro_rad: float | None) -> bool:
-        """Take the base's motion (4, 4) by each since the piece began; False while that is too little for one."""
+        """Add a piece, the base's motion (4, 4) by each; returns False if it is too short, and then adds nothing."""
         w, c = _way_and_turn(T_by_wheels), _way_and_turn(T_by_camera)
         ways_m, turns_rad = (np.array([_size(w[part]), _size(c[part])]) for part in (np.s_[:3], np.s_[3:]))
         if ways_m.max() < self.settings.piece_m and turns_rad.max() < self.settings.piece_rad:
             return False
-        if isinstance(self.wheels, HolonomicWheels):  # in axes along the way by the wheels, wherever the base looks
+        if isinstance(self.wheels, HolonomicWheels):  # in axes along the direction of travel
             along = so3.exp([0.0, 0.0, -math.atan2(w[1], w[0]) if _size(w[:2]) > _LEAST_WAY_M else 0.0])
             w, c = (np.concatenate([along @ motion[:3], along @ motion[3:]]) for motion in (w, c))
-        told = np.array([w[0], w[5], *c])
+        motion = np.array([w[0], w[5], *c])
         if gyro_rad is not None:
             turns = np.array([w[5], c[5], gyro_rad])
             self.of_gyro += np.outer(turns, turns)
         slip = self._slip_rad2(float(ways_m[0]))
         self.drift += self.settings.slips * slip + (self.settings.drift_rad_per_m * ways_m.max()) ** 2
-        self.products += np.outer(told, told)
+        self.products += np.outer(motion, motion)
         self.pieces += 1
         self.ways_m += ways_m
         self.turns_rad += turns_rad
@@ -118,11 +119,11 @@ class Agreement:
         return 2 * self.wheels.slip_m_per_sqrt_m**2 * way_m / self.wheels.track_width_m**2
 
     def unexplained(self, expected: FloatArray) -> tuple[float, float]:
-        """The shares of the ways and of the turns that are other than `expected` (6, 2) of the wheels."""
+        """The shares of translations and of rotations that `expected` (6, 2) does not explain."""
         G = self.products
         cross = expected @ G[_WHEELS, 2:]
         left = np.diag(G[2:, 2:] - cross - cross.T + expected @ G[_WHEELS, _WHEELS] @ expected.T)
-        # What differs as usual contradicts nobody; of turns on the spot, ways are nothing else.
+        # Differences of usual size do not count; translations of turns on the spot are nothing else.
         usual = np.square([self.settings.usual_m, self.settings.usual_rad]) / self.settings.disagrees
         least_m2, least_rad2 = self.pieces * usual
         way = max(np.trace(G[_WAYS, _WAYS]), G[0, 0], least_m2)
@@ -130,15 +131,16 @@ class Agreement:
         return float(left[:3].sum() / way), max(float(left[3:].sum() - self.drift), 0.0) / turn
 
     def agrees(self, most: float | None = None) -> bool:
-        """Whether both tell of one drive, but for such a share of the squared motion; None for the settings' own."""
+        """Whether both motions agree up to a share `most` of their squares; default `settings.disagrees`."""
         return max(self.unexplained(_seen_of(np.eye(2)))) < (self.settings.disagrees if most is None else most)
 
     def explanations(self, floor_ratio: float | None, *, is_accused: bool = False) -> list[Explanation]:
-        """What explains it, by the witnesses too, if both do not tell of one drive.
+        """The explanations of a disagreement, filtered by floor and gyroscope; none if both motions agree.
 
         Args:
-            floor_ratio: the camera's height over the floor by its view, over that by its mount; None for no floor.
-            is_accused: whether something was found before, which is dropped only where both agree well.
+            floor_ratio: the camera's height over the floor by its view divided by that by its mount; None if no floor
+                is in view.
+            is_accused: whether an explanation was found before; then a better agreement is needed to drop it.
         """
         if not self.pieces or self.agrees(self.settings.explained if is_accused else None):
             return []
@@ -153,7 +155,7 @@ class Agreement:
         return [one for one in candidates if max(self.unexplained(one.expected)) < self.settings.explained]
 
     def _of_wheels(self) -> list[Explanation]:
-        """Signs and places of both wheels, and their sizes, the simplest first."""
+        """Faults of wheels, the simplest first: signs, swapped wheels, sizes."""
         G = self.products
         half_m = self.wheels.track_width_m / 2 if isinstance(self.wheels, Wheels) else 1.0
         left = np.array([[0.0, half_m], [1 / half_m, 0.0]])
@@ -180,45 +182,45 @@ class Agreement:
         )
         for M, ratio, cause in sizes:
             if 1 / self.settings.largest_factor < ratio < self.settings.largest_factor:
-                told = cause.format(f"{1 / ratio:.2g}")
-                found.append(Explanation(Culprit.WHEELS, told, _seen_of(np.diag(M)), is_scale=True))
+                text = cause.format(f"{1 / ratio:.2g}")
+                found.append(Explanation(Culprit.WHEELS, text, _seen_of(np.diag(M)), is_scale=True))
         return found
 
     def _of_camera(self) -> list[Explanation]:
-        """Depth's factor, and images turned over."""
+        """Faults of the camera: depth factor and mirrored images."""
         way, R = _ratio(self.products[0, 2], self.products[0, 0]), self.T_base_camera[:3, :3]
-        swing = np.cross(_UP, self._place)  # of the camera, in a turn
+        swing = np.cross(_UP, self._place)  # of the camera, in a rotation of the base
         found = []
         if 1 / self.settings.largest_factor < way < self.settings.largest_factor:
-            told = _seen_of(np.diag([way, 1.0]))
-            told[:3, 1] = (way - 1) * swing
-            found.append(Explanation(Culprit.CAMERA, depth_cause(way), told, True, way))
+            expected = _seen_of(np.diag([way, 1.0]))
+            expected[:3, 1] = (way - 1) * swing
+            found.append(Explanation(Culprit.CAMERA, depth_cause(way), expected, True, way))
         for axis, how in enumerate(("left to right", "top to bottom")):
             over = R @ np.diag(np.where(np.arange(3) == axis, -1.0, 1.0)) @ R.T
-            told = np.zeros((6, 2))
-            told[:3, 0], told[3:, 1] = over[:, 0], -over[:, 2]
-            told[:3, 1] = over @ swing + np.cross(over[:, 2], self._place)
+            expected = np.zeros((6, 2))
+            expected[:3, 0], expected[3:, 1] = over[:, 0], -over[:, 2]
+            expected[:3, 1] = over @ swing + np.cross(over[:, 2], self._place)
             found.append(
-                Explanation(Culprit.CAMERA, f"its images are mirrored {how}: turn them back", told, tilts=axis == 1)
+                Explanation(Culprit.CAMERA, f"its images are mirrored {how}: turn them back", expected, tilts=axis == 1)
             )
         return found
 
     @property
     def _place(self) -> FloatArray:
-        """Where the camera sits (3,)."""
+        """Position (3,) of the camera in the base frame."""
         return self.T_base_camera[:3, 3]
 
     def _swings(self) -> FloatArray:
-        """(3, 2) what of the camera's ways goes with the wheels' ways and turns, by least squares."""
+        """(3, 2) the camera's translation as a linear function of the wheels' distance and rotation, least squares."""
         G = self.products
         usual = self.pieces * np.diag(np.square([self.settings.usual_m, self.settings.usual_rad])) * _LITTLE
         return np.asarray(G[_WAYS, _WHEELS] @ np.linalg.inv(G[_WHEELS, _WHEELS] + usual))
 
     def _turned(self) -> FloatArray:
-        """The rotation (3, 3) that lays the wheels' motions on the camera's best (Kabsch).
+        """The rotation (3, 3) that aligns the wheels' motions best with the camera's (Kabsch).
 
-        A usual difference holds it where the mount is said to be: turns on the spot tell no direction of travel, and
-        whatever the camera errs by would pass for one.
+        The assumed mount is a prior with the usual differences as its standard deviation, because turns on the spot
+        give no direction of travel.
         """
         G, M = self.products, np.eye(3)
         M[:, 0] += self._swings()[:, 0] * G[0, 0] / self.settings.usual_m**2
@@ -226,22 +228,26 @@ class Agreement:
         return np.asarray(so3.nearest(M))
 
     def _of_mount(self, turned: FloatArray, swing: FloatArray | None = None) -> Explanation:
-        """A camera that looks elsewhere by `turned`, from where it is said to sit, or else swings in turns by (3,)."""
-        G, told = self.products, np.zeros((6, 2))
-        told[:3, 0], told[3:, 1] = turned[:, 0], turned[:, 2]
-        told[:3, 1] = np.cross(self._place - turned @ self._place, turned[:, 2]) if swing is None else swing
+        """A mount rotated by `turned` at its assumed position, or with the translation `swing` (3,) in a rotation."""
+        G, expected = self.products, np.zeros((6, 2))
+        expected[:3, 0], expected[3:, 1] = turned[:, 0], turned[:, 2]
+        expected[:3, 1] = np.cross(self._place - turned @ self._place, turned[:, 2]) if swing is None else swing
         is_turning = G[1, 1] > self.pieces * self.settings.usual_rad**2
-        off_deg = math.degrees(float(so3.angle(turned))) if is_turning else _degrees(turned[0, 0])
+        off_deg = (
+            math.degrees(float(so3.angle(turned)))
+            if is_turning
+            else math.degrees(math.acos(min(max(turned[0, 0], -1.0), 1.0)))
+        )
         cause = f"it looks about {off_deg:.0f}° from where T_base_camera says (wheelsight calibrate base finds it)"
         return Explanation(
             Culprit.CAMERA,
             cause,
-            told,
+            expected,
             tilts=is_turning and turned[2, 2] < math.cos(math.radians(self.settings.largest_tilt_deg)),
         )
 
     def _by_floor(self, found: list[Explanation], ratio: float | None) -> list[Explanation]:
-        """Without those that the floor contradicts: it is where the mount has it, or as wrong as the ways are."""
+        """The explanations that agree with the floor: its height is right, or wrong by the factor of depth."""
         if ratio is None:
             return found
         near = self.settings.same_scale
@@ -250,7 +256,7 @@ class Agreement:
         return [one for one in found if one.depth is not None and abs(math.log(ratio / one.depth)) < near] or found
 
     def _by_gyro(self, found: list[Explanation]) -> list[Explanation]:
-        """Without those that a gyroscope contradicts, where it turns clearly with one of both."""
+        """The explanations that agree with the gyroscope, if that agrees clearly with one sensor."""
         wheels, camera, gyro = np.diag(self.of_gyro)
         if gyro < self.pieces * self.settings.usual_rad**2 or len({one.culprit for one in found}) < 2:
             return found
@@ -266,30 +272,26 @@ class Agreement:
 
 
 def depth_cause(ratio: float) -> str:
-    """What to say of depth that is so many times the true one."""
+    """The cause of a depth that is `ratio` times the true one, with its fix."""
     return f"depth is {ratio:.2g} times the true one: check depth_factor"
 
 
 def _way_and_turn(T: FloatArray) -> FloatArray:
-    """(6,) of a motion (4, 4): its way in the axes halfway through its turn, and its turn."""
+    """(6,) translation, in the axes halfway through the rotation, and rotation of a motion (4, 4)."""
     turn = so3.log(T[:3, :3])
     return np.concatenate([so3.exp(-turn / 2) @ T[:3, 3], turn])
 
 
 def _seen_of(M: FloatArray) -> FloatArray:
-    """(6, 2) of true way and turn that are M (2, 2) times those told by the wheels, as a camera sees them."""
-    told = np.zeros((6, 2))
-    told[0], told[5] = M
-    return told
+    """(6, 2) of true way and turn that are M (2, 2) times those expected by the wheels, as a camera sees them."""
+    expected = np.zeros((6, 2))
+    expected[0], expected[5] = M
+    return expected
 
 
 def _ratio(product: float, square: float) -> float:
-    """A factor by least squares; 1 where nothing tells it."""
+    """A factor by least squares; 1 if it is unobservable."""
     return float(product / square) if abs(product) > 1e-6 else 1.0
-
-
-def _degrees(cosine: float) -> float:
-    return math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
 
 
 def _size(v: FloatArray) -> float:

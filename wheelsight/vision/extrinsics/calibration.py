@@ -43,19 +43,16 @@ from wheelsight.vision.extrinsics.settings import (
 )
 from wheelsight.wheels import Drive, drive_of, drive_path
 
-# When a drive does not show where the camera sits: said, with what to drive instead.
-
-
 WHAT_TO_DRIVE = "drive a minute or two as usual, straight and with turns both ways, some of them on the spot"
 
 _TILT, _PLACE = ("roll", "pitch", "yaw"), ("x", "y", "height")
 
 
 def refuse_if_hardly_moving(drive: Drive, wheels: Wheels, settings: DriveSettings = DEFAULTS.drive) -> None:
-    """Raise CalibrationError for a drive that by its wheels alone can't do: before any image is looked at."""
+    """Raise CalibrationError if the wheels alone show that the drive is unsuitable, before any image is read."""
     samples = np.arange(drive.stamps_s[0], drive.stamps_s[-1], settings.sample_s)
     if len(samples) < 2:
-        raise CalibrationError(f"the wheels tell of {np.ptp(drive.stamps_s):.2f} s only", fix=WHAT_TO_DRIVE)
+        raise CalibrationError(f"the wheel readings span {np.ptp(drive.stamps_s):.2f} s only", fix=WHAT_TO_DRIVE)
     path = drive_path(drive, wheels, samples - wheels.delay_s)
     yaw_rad = np.unwrap(np.arctan2(path.T_frame_body[:, 1, 0], path.T_frame_body[:, 0, 0]))
     turned_rad = float(np.abs(np.diff(yaw_rad)).sum())
@@ -74,14 +71,14 @@ def refuse_if_hardly_moving(drive: Drive, wheels: Wheels, settings: DriveSetting
 
 
 def refuse_if_clocks_apart(drive: Drive, first_s: float, last_s: float, settings: DriveSettings) -> None:
-    """Raise CalibrationError where frames from `first_s` to `last_s` share hardly any time with the readings."""
-    told = apart((float(drive.stamps_s[0]), float(drive.stamps_s[-1])), (first_s, last_s), settings.least_shared_s)
-    if told is not None:
-        raise CalibrationError(told[0], fix=told[1])
+    """Raise CalibrationError if frames from `first_s` to `last_s` hardly overlap in time with the readings."""
+    problem = apart((float(drive.stamps_s[0]), float(drive.stamps_s[-1])), (first_s, last_s), settings.least_shared_s)
+    if problem is not None:
+        raise CalibrationError(problem[0], fix=problem[1])
 
 
 def refuse_if_lost(sightings: Sightings, settings: DriveSettings) -> None:
-    """Raise CalibrationError where the camera could not be followed for most of the drive."""
+    """Raise CalibrationError if the camera was lost for most of the drive."""
     tracked, total = len(sightings.camera), sightings.frame_count
     if tracked < max(settings.fewest_tracked, settings.least_tracked_share * total):
         raise CalibrationError(
@@ -97,9 +94,9 @@ def refuse_if_unlike(
     largest_delay_s: float,
     settings: DriveSettings,
 ) -> None:
-    """Raise CalibrationError where wheels and camera turn differently, or too far apart in time.
+    """Raise CalibrationError if wheels and camera turn differently, or if their delay is too large.
 
-    `up_expected` (3,) is up in the camera frame by the nominal mount, or None; delays are searched up to the largest.
+    `up_expected` (3,) is up in the camera frame by the nominal mount, or None.
     """
     if turning.agreement < settings.least_agreement:
         raise CalibrationError(
@@ -122,7 +119,7 @@ def refuse_if_unlike(
 
 
 def refuse_if_tilted(floor: Floor, turning: Turning, settings: DriveSettings) -> None:
-    """Raise CalibrationError where the plane in sight is not the one on which the robot turns."""
+    """Raise CalibrationError if the plane in view is not the one on which the robot turns."""
     off_rad = float(np.arccos(np.clip(floor.up_camera @ turning.up_camera, -1, 1)))
     if off_rad > np.radians(settings.most_tilt_deg):
         raise CalibrationError(
@@ -132,7 +129,7 @@ def refuse_if_tilted(floor: Floor, turning: Turning, settings: DriveSettings) ->
 
 
 def refuse_if_few(segment_count: int, settings: DriveSettings) -> None:
-    """Raise CalibrationError for too few pieces of the drive to judge them by one another."""
+    """Raise CalibrationError if the drive has too few pieces for their spread to be estimated."""
     if segment_count < settings.fewest_segments:
         raise CalibrationError(
             f"the drive holds {segment_count} pieces of a third of a metre or a quarter of a radian with readings and "
@@ -142,19 +139,19 @@ def refuse_if_few(segment_count: int, settings: DriveSettings) -> None:
 
 
 def refuse_if_unobservable(sigmas: Mapping[str, float], fit: MountFit, settings: DriveSettings) -> None:
-    """Raise CalibrationError where a standard deviation is so large that a protractor and a tape would do as well."""
+    """Raise CalibrationError if a standard deviation exceeds that of a measurement with protractor and tape."""
     vague = [name for name, sigma in sigmas.items() if not sigma <= _allowed(name, settings)]
     if vague:
-        told = ", ".join(f"{name} (σ {_told(name, sigmas[name])})" for name in vague)
-        raise CalibrationError(f"the drive does not determine: {told}", fix=_advice(vague, fit))
+        names = ", ".join(f"{name} (σ {_text(name, sigmas[name])})" for name in vague)
+        raise CalibrationError(f"the drive does not determine: {names}", fix=_advice(vague, fit))
 
 
 def refuse_if_out_of_scale(nominal: Wheels, fitted: Wheels, settings: DriveSettings) -> None:
-    """Raise CalibrationError where camera and wheels tell of ways so different that something else is wrong."""
+    """Raise CalibrationError if the scales of camera and wheels differ too much for nominal wheel sizes."""
     factor = (fitted.left_radius_m + fitted.right_radius_m) / (nominal.left_radius_m + nominal.right_radius_m)
     if not 1 / settings.largest_factor < factor < settings.largest_factor:
         raise CalibrationError(
-            f"the camera sees ways {factor:.2f} times as long as the wheels tell",
+            f"distances by the camera are {factor:.2f} times those by the wheels",
             fix="check the depth factor, the wheels' radii and ticks_per_turn",
         )
 
@@ -175,24 +172,20 @@ def _allowed(name: str, settings: DriveSettings) -> float:
     return settings.most_uncertain_m if name in _PLACE else settings.most_uncertain_s
 
 
-def _told(name: str, sigma: float) -> str:
+def _text(name: str, sigma: float) -> str:
     if name in _TILT:
         return f"{np.degrees(sigma):.2g}°"
     return f"{100 * sigma:.2g} cm" if name in _PLACE else f"{1e3 * sigma:.2g} ms"
 
 
-# Sightings: all that one pass over a drive leaves for finding where its camera sits.
-
-
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """What wheels and camera saw of one drive.
+    """The data of one drive that calibration needs.
 
     Attributes:
         drive: the wheels' readings.
-        camera: T_map_camera of the frames that were tracked in all directions, by dense odometry; its map is the
-            first of them.
-        frame_count: of all frames, lost ones included.
+        camera: T_map_camera by dense odometry of the frames with all directions constrained; the map is the first one.
+        frame_count: number of all frames, lost ones included.
         span_s: stamps of the first and last of them; NaN without any.
         views: thinned depth images.
     """
@@ -215,8 +208,8 @@ def watch(
     Args:
         recording: with wheel readings and a camera.
         wheels: what its counters count.
-        on_frame: told the camera's status after each frame.
-        settings: what is kept of depth images.
+        on_frame: called with the camera's status after each frame.
+        settings: how depth images are thinned.
 
     Raises:
         CalibrationError: fewer than two wheel readings, or no camera.
@@ -242,15 +235,17 @@ def watch(
             poses.append((estimate.stamp_s, estimate.T_odom_body))
         on_frame(estimate.status)
     odometry.store.close()
-    return Sightings(drive, _trajectory(poses), frame_count, span_s, gatherer.views)
-
-
-def _trajectory(poses: list[tuple[float, FloatArray]]) -> Trajectory:
-    return Trajectory(np.array([stamp_s for stamp_s, _ in poses]), np.array([T for _, T in poses]).reshape(-1, 4, 4))
+    return Sightings(
+        drive,
+        Trajectory(np.array([stamp_s for stamp_s, _ in poses]), np.array([T for _, T in poses]).reshape(-1, 4, 4)),
+        frame_count,
+        span_s,
+        gatherer.views,
+    )
 
 
 class _ViewGatherer:
-    """Keeps a coarse grid of depth now and then, less often in long drives, so that memory stays flat."""
+    """Keeps a coarse grid of depth at intervals that double as the drive grows, so that memory stays bounded."""
 
     def __init__(self, camera: PinholeCamera, settings: SightingSettings) -> None:
         step = max(1, camera.height // settings.rows)
@@ -275,30 +270,24 @@ class _ViewGatherer:
         return FloorViews(np.array(self._stamps_s), self._rays, depth_m)
 
 
-# calibrate_base: where the camera sits on its robot, and how late the wheels' clock is, from an ordinary drive.
-#
-# The robot's turns tell which way is up for the camera, and the delay roughly. The floor seen in depth tells roll,
-# pitch and height. With the camera levelled by that, the motions of wheels and camera tell yaw, x, y and the delay.
-
-
-_MOST_POINTS = 4000  # that tell what a camera's errors make of its motions: more tell the same
+_MOST_POINTS = 4000  # that propagate the camera's errors to its motions; more give the same result
 
 QUANTITIES = ("roll", "pitch", "yaw", "x", "y", "height", "delay")
 
 
 @dataclass(frozen=True, eq=False)
 class BaseCalibration:
-    """A camera's mount and the wheels' delay, with what they were found by.
+    """A camera's mount and the wheels' delay, with intermediate results.
 
     Attributes:
-        recording: its name.
-        nominal: what was known before.
+        recording: name of the recording.
+        nominal: the calibration before.
         T_base_camera: (4, 4).
-        wheels: nominal ones with the delay found.
-        values, sigmas: of each of QUANTITIES, radians, metres and seconds, see `mount_values`; and their standard
-            deviations.
-        camera_sigmas: the part of these that the camera's calibration leaves open, however long the drive.
-        sightings, turning, floor, fit: the steps.
+        wheels: the nominal wheels with the estimated delay.
+        values, sigmas: each of QUANTITIES in radians, metres and seconds (see `mount_values`), and its standard
+            deviation.
+        camera_sigmas: the part of `sigmas` by the camera's calibration, which a longer drive does not reduce.
+        sightings, turning, floor, fit: results of the steps.
         warnings: one sentence each.
     """
 
@@ -317,13 +306,13 @@ class BaseCalibration:
 
     @property
     def calibration(self) -> Calibration:
-        """Mount and wheels alone, to stand in place of those of a recording."""
+        """Mount and wheels alone, to replace those of a recording."""
         source = f"mount found on {self.recording}"
         return Calibration(T_base_camera=self.T_base_camera, wheels=self.wheels, gyro=self.nominal.gyro, source=source)
 
     @property
     def nominal_values(self) -> dict[str, float]:
-        """What was known before of QUANTITIES; the delay alone where no mount was known."""
+        """The nominal values of QUANTITIES; the delay alone without a nominal mount."""
         mount, wheels = self.nominal.T_base_camera, self.nominal.wheels
         before = {} if mount is None else mount_values(mount)
         return before if wheels is None else before | {"delay": wheels.delay_s}
@@ -334,17 +323,20 @@ def calibrate_base(
     on_frame: Callable[[str], None] = lambda _: None,
     settings: ExtrinsicsSettings = DEFAULTS,
 ) -> BaseCalibration:
-    """Find T_base_camera and the wheels' delay from a drive with wheels and camera.
+    """Estimate T_base_camera and the wheels' delay from a drive with wheels and camera.
+
+    Rotations of the robot give the vertical axis in the camera frame, and the delay roughly. The floor in depth images
+    gives roll, pitch and height. The motions of wheels and levelled camera give yaw, x, y and the delay.
 
     Args:
-        recording: with nominal wheels in its calibration, sizes right to a few hundredths. A nominal T_base_camera is
-            only compared with.
-        on_frame: told the camera's status after each frame.
-        settings: or the defaults.
+        recording: its calibration has nominal wheels with sizes correct to a few percent. A nominal T_base_camera only
+            serves for comparison.
+        on_frame: called with the camera's status after each frame.
+        settings: default `DEFAULTS`.
 
     Raises:
-        RecordingError: wheels and camera share hardly any time.
-        CalibrationError: no wheels or camera, or a drive that does not show what is sought; says what to drive.
+        RecordingError: wheels and camera hardly overlap in time.
+        CalibrationError: no wheels or no camera, or an unobservable quantity; the fix says what to drive.
     """
     nominal = recording.calibration
     if nominal.wheels is None:
@@ -361,7 +353,7 @@ def calibrate_base(
 
 
 def base_from(sightings: Sightings, nominal: Calibration, settings: ExtrinsicsSettings = DEFAULTS) -> BaseCalibration:
-    """The same from what a pass over a recording left; `nominal` has wheels. Raises CalibrationError."""
+    """`calibrate_base` for the data of a recording; `nominal` has wheels. Raises CalibrationError."""
     wheels, drive, mount = nominal.wheels, sightings.drive, nominal.T_base_camera
     assert wheels is not None
     refuse_if_clocks_apart(drive, *sightings.span_s, settings.drive)
@@ -376,38 +368,34 @@ def base_from(sightings: Sightings, nominal: Calibration, settings: ExtrinsicsSe
     errors = level_errors(sightings.views, floor, nominal, settings.floor)
     fit = fit_mount(drive, wheels, segments, turning.delay_s, settings.mount, settings.fit, errors)
     refuse_if_out_of_scale(wheels, fit.wheels, settings.drive)
-    T_base_camera = _mount(fit, floor)
+    x, y, yaw = fit.mount
+    T_base_level = se3.from_plane(x, y, yaw)
+    T_base_level[2, 3] = floor.height_m
+    T_level_camera = se3.invert(se3.from_parts(level_rotation(floor.up_camera), np.zeros(3)))
+    T_base_camera = T_base_level @ T_level_camera
     values = mount_values(T_base_camera) | {"delay": fit.wheels.delay_s}
     by_drive = _sigmas(fit.covariance, floor.covariance)
     refuse_if_unobservable(by_drive, fit, settings.drive)
     by_camera = _sigmas(fit.by_camera, floor.by_camera(moved_in_camera_m(nominal, floor.points_m)))
     sigmas = {name: float(np.hypot(by_drive[name], by_camera[name])) for name in QUANTITIES}
     late = replace(wheels, delay_s=fit.wheels.delay_s)
-    told = (T_base_camera, late, values, sigmas, by_camera, sightings, turning, floor, fit)
+    found = (T_base_camera, late, values, sigmas, by_camera, sightings, turning, floor, fit)
     doubts = (*_doubts(T_base_camera, mount, settings), *_uncalibrated(nominal, by_camera))
-    return BaseCalibration("", nominal, *told, doubts)
+    return BaseCalibration("", nominal, *found, doubts)
 
 
 def mount_values(T_base_camera: FloatArray) -> dict[str, float]:
-    """roll, pitch, yaw (how far a camera (4, 4) leans right, looks down, looks left) and x, y, height of it."""
+    """roll, pitch, yaw of a camera (4, 4), positive to the right, down and left, and its x, y, height."""
     roll, pitch = tilt_of(T_base_camera[2, :3])
     yaw = np.arctan2(T_base_camera[1, 2], T_base_camera[0, 2])
     names = ("roll", "pitch", "yaw", "x", "y", "height")
     return dict(zip(names, map(float, (roll, pitch, yaw, *T_base_camera[:3, 3])), strict=True))
 
 
-def _mount(fit: MountFit, floor: Floor) -> FloatArray:
-    x, y, yaw = fit.mount
-    T_base_level = se3.from_plane(x, y, yaw)
-    T_base_level[2, 3] = floor.height_m
-    T_level_camera = se3.invert(se3.from_parts(level_rotation(floor.up_camera), np.zeros(3)))
-    return T_base_level @ T_level_camera
-
-
 def level_errors(
     views: FloorViews, floor: Floor, calibration: Calibration, settings: FloorSettings = DEFAULTS.floor
 ) -> FloatArray:
-    """`motion_errors` (K, 3, 3) of the levelled camera, by some of the points that views show."""
+    """`motion_errors` (K, 3, 3) of the levelled camera, by a sample of the points in views."""
     noise = calibration.depth_noise
     view, pixel = np.nonzero((views.depth_m > noise.near_m) & (views.depth_m < min(noise.far_m, settings.farthest_m)))
     some = np.linspace(0, len(view) - 1, min(len(view), _MOST_POINTS)).astype(int)
@@ -424,7 +412,7 @@ def _sigmas(of_mount: FloatArray, of_floor: FloatArray) -> dict[str, float]:
 
 
 def _uncalibrated(nominal: Calibration, by_camera: dict[str, float]) -> tuple[str, ...]:
-    """What it costs that no board says how far off the camera's points are."""
+    """A warning if the camera's calibration has no uncertainty, with its effect on the mount."""
     if nominal.point_errors is not None:
         return ()
     turn_deg = np.degrees(max(by_camera[name] for name in ("roll", "pitch", "yaw")))

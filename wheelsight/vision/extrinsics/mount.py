@@ -168,7 +168,10 @@ class _Problem:
         self.bounds[6] = 2 * settings.largest_delay_s
         self.prior_sigmas = np.full(len(_BOUNDS), UNKNOWN_SIGMA)
         self.prior_sigmas[7] = settings.slide_sigma_s
-        self.sideways = _sideways(base, segments.end_s - segments.start_s)
+        x, y, turn_rad = base.T
+        middle = np.exp(0.5j * turn_rad)
+        along_m = ((x + 1j * y) / middle).real
+        self.sideways = np.asarray(-1j * along_m * turn_rad / (segments.end_s - segments.start_s) * middle)
 
     def sizes_m(self, values: FloatArray) -> FloatArray:
         return np.asarray(self.nominal_m * np.exp(values[:3]))
@@ -186,14 +189,6 @@ class _Problem:
         slid = values[7] * self.sideways * np.exp(-1j * mount[2])
         motions[:, :2] += np.stack([slid.real, slid.imag], axis=-1)
         return self.segments.residuals(motions)
-
-
-def _sideways(base: FloatArray, seconds: FloatArray) -> ComplexArray:
-    """Where a robot (M,) comes to slide outwards, as x + iy in metres for a slide of one second, by motions (M, 3)."""
-    x, y, turn_rad = base.T
-    middle = np.exp(0.5j * turn_rad)
-    along_m = ((x + 1j * y) / middle).real
-    return np.asarray(-1j * along_m * turn_rad / seconds * middle)
 
 
 # common_turning: which way is up for the camera, and how late the wheels' clock is, by turns that both have seen.
@@ -225,7 +220,13 @@ def common_turning(
     Turns that share no time with the readings, at a delay, have no say in it; where fewer than half do, the delay is
     not considered. Without turns the agreement is 0.
     """
-    start, end = _intervals(camera.stamps_s, settings)
+    marks = (
+        np.floor((camera.stamps_s - camera.stamps_s[:1]) / settings.interval_s) if len(camera.stamps_s) else np.zeros(0)
+    )
+    cuts = np.flatnonzero(np.diff(marks, prepend=-1) > 0)
+    start, end = cuts[:-1], cuts[1:]
+    whole = camera.stamps_s[end] - camera.stamps_s[start] <= settings.longest_interval_s
+    start, end = start[whole], end[whole]
     turns = so3.log(se3.invert(camera.T_frame_body[start])[:, :3, :3] @ camera.T_frame_body[end, :3, :3])
     steps = round(settings.largest_offset_s / settings.step_s)
     turned_rad = yaw_at_readings(drive, wheels)
@@ -243,15 +244,6 @@ def common_turning(
         if agreement > best.agreement:
             best = Turning(axis / np.linalg.norm(axis), float(delay_s), agreement)
     return best
-
-
-def _intervals(stamps_s: FloatArray, settings: TurningSettings) -> tuple[IntArray, IntArray]:
-    """Indices of first and last frame of intervals, without those over gaps."""
-    marks = np.floor((stamps_s - stamps_s[:1]) / settings.interval_s) if len(stamps_s) else np.zeros(0)
-    cuts = np.flatnonzero(np.diff(marks, prepend=-1) > 0)
-    start, end = cuts[:-1], cuts[1:]
-    whole = stamps_s[end] - stamps_s[start] <= settings.longest_interval_s
-    return start[whole], end[whole]
 
 
 # fit_floor: the plane that a camera on a driving robot sees at the same place in all its depth images.
@@ -382,15 +374,10 @@ def height_below(
     if not len(many):
         return None
     lowest = (logs >= edges[many[-1]]) & (logs < edges[many[-1] + 2])
-    if not _is_level(rays[is_steep][lowest], depth_m[is_steep][lowest], up_camera, settings):
+    q = np.linalg.lstsq(rays[is_steep][lowest], 1 / depth_m[is_steep][lowest])[0]
+    if not bool(-(q @ up_camera) > math.cos(math.radians(settings.steepest_deg)) * np.linalg.norm(q)):
         return None
     return float(expected_m * np.exp(np.median(logs[lowest])))
-
-
-def _is_level(rays: FloatArray, depth_m: FloatArray, up_camera: FloatArray, settings: FloorSettings) -> bool:
-    """Whether the plane through points lies more as a floor does than as a wall; in any unit of depth."""
-    q = np.linalg.lstsq(rays, 1 / depth_m)[0]
-    return bool(-(q @ up_camera) > math.cos(math.radians(settings.steepest_deg)) * np.linalg.norm(q))
 
 
 @dataclass(frozen=True, eq=False)
@@ -420,7 +407,8 @@ class _Points:
 
     def plane(self, agreement: FloatArray | BoolArray) -> FloatArray:
         """The plane (3,) by least squares, points weighted by their noise and by `agreement` (P,)."""
-        H, g = self._equations(agreement / self.sigma**2)
+        weighted = (agreement / self.sigma**2)[:, None] * self.rays
+        H, g = weighted.T @ self.rays, weighted.T @ self.inverse
         if np.linalg.matrix_rank(H) < 3 or np.linalg.cond(H) > _WORST_CONDITION:
             raise CalibrationError("what lies below the camera is no plane: no floor is in view", fix=_ADVICE)
         return np.asarray(np.linalg.solve(H, g))
@@ -441,10 +429,6 @@ class _Points:
         inverse = rays @ q
         shown = (weights > 0) & (inverse > 0)
         return rays[shown] / inverse[shown, None], weights[shown]
-
-    def _equations(self, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-        weighted = weights[:, None] * self.rays
-        return weighted.T @ self.rays, weighted.T @ self.inverse
 
 
 def _coarse_height_m(points: _Points, up_camera: FloatArray) -> float:
