@@ -1,4 +1,9 @@
-"""Exports of a map: PLY points and meshes, a point cloud for web pages, and a plan view from above."""
+"""Exports of a map: PLY points and meshes, a point cloud for web pages, and a plan view from above.
+
+Open3D, MeshLab and CloudCompare open the PLY files. Meshes are made by scikit-image's marching cubes (extra `mesh`),
+which is small, maintained, and has a permissive licence. The Poisson reconstructions of Open3D and MeshLab close holes
+with surfaces that were never seen.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +20,6 @@ from wheelsight.core.geometry import BoolArray, ByteArray, Float32Array, FloatAr
 from wheelsight.core.runtime import needed
 from wheelsight.mapping.surfels import FRAME, Parts, SurfelMap, Surfels
 
-# Maps for other programs: points and triangle meshes as PLY, which Open3D, MeshLab and CloudCompare open.
-#
-# Triangles are by scikit-image's marching cubes (extra `mesh`): it is small, kept, and of a licence that lets a robot
-# ship it. Open3D's and MeshLab's Poisson reconstructions close holes with surfaces that nobody saw.
-
-
 _MarchingCubes = Callable[..., tuple[FloatArray, np.ndarray, np.ndarray, np.ndarray]]
 
 _REACH_VOXELS = 3
@@ -33,13 +32,13 @@ _COLOR = [("red", "u1"), ("green", "u1"), ("blue", "u1")]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """Triangles.
+    """Triangle mesh.
 
     Attributes:
         vertices: (v, 3) float32 in metres, in the map frame.
         normals: (v, 3) float32 of length 1.
         colors: (v, 3) uint8 red, green, blue.
-        triangles: (t, 3) int32 of vertices, counter-clockwise as seen from where the surface was seen from.
+        triangles: (t, 3) int32 vertex indices, counter-clockwise as seen from the viewpoint.
     """
 
     vertices: Float32Array
@@ -49,10 +48,10 @@ class Mesh:
 
 
 def write_ply(surfel_map: SurfelMap, path: StrPath, stable_only: bool = True) -> int:
-    """Write surfels as points with normals, colours, confidence and radius, atomically; how many.
+    """Write surfels as points with normals, colours, confidence and radius, atomically; return their number.
 
     Raises:
-        MapError: there are none to write.
+        MapError: there are no surfels to write.
         OutputError: the file cannot be written.
     """
     path = Path(path)
@@ -87,21 +86,23 @@ def mesh_of(
     stable_only: bool = True,
     on_chunk: Callable[[int, int], None] | None = None,
 ) -> Mesh:
-    """The surface of a map's stable surfels, or of all, open where nothing was seen.
+    """Return the surface of a map's stable surfels, or of all, open where nothing was seen.
 
-    Chunk by chunk, so that memory depends on a chunk and not on how large the map is. What is finer than two voxels,
-    such as both sides of a thin board, is lost.
+    It is computed in chunks, so that memory does not depend on the size of the map. Structures thinner than two voxels,
+    such as both sides of a thin board, are lost.
 
     Args:
-        surfel_map: what to mesh.
-        voxel_m: how fine, in metres.
-        stable_only: leave out surfels that were not seen often enough to be sure.
-        on_chunk: called after each chunk with how many are done, and of how many, for a progress bar.
+        surfel_map: map to mesh.
+        voxel_m: voxel size, metres.
+        stable_only: leave out surfels that were not seen often enough.
+        on_chunk: called after each chunk with the number of finished chunks and their total.
 
     Raises:
         ConfigError: scikit-image is missing.
         MapError: `voxel_m` is not positive, or there are no such surfels.
     """
+    from scipy.spatial import KDTree
+
     measure: _MarchingCubes = needed("skimage.measure").marching_cubes
     if not voxel_m > 0 or not np.isfinite(voxel_m):
         raise MapError(f"voxel_m is {voxel_m}, not a positive length")
@@ -118,11 +119,13 @@ def mesh_of(
     offsets = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
     vertices = np.concatenate([piece[0] for piece in pieces])
     triangles = np.concatenate([piece[1] + offset for piece, offset in zip(pieces, offsets, strict=False)])
-    return _dressed(*_welded(vertices, triangles, voxel_m), surfels)
+    vertices, triangles = _welded(vertices, triangles, voxel_m)
+    _, nearest = KDTree(surfels.position).query(vertices, workers=-1)
+    return Mesh(vertices.astype(np.float32), surfels.normal[nearest], colors_of(surfels)[nearest], triangles)
 
 
 def _chunks(surfels: Surfels, voxel_m: float) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
-    """Number, how many in all, lowest voxel (3,) of each chunk that holds surfels, and which surfels matter there."""
+    """Yield number, total, lowest voxel (3,), and relevant surfels of each chunk that has any."""
     voxel = np.floor(surfels.position / voxel_m).astype(np.int64)
     low, high = (voxel - _REACH_VOXELS) // CHUNK_VOXELS, (voxel + _REACH_VOXELS + 1) // CHUNK_VOXELS
     chunks = np.unique(np.concatenate([low, high]), axis=0)
@@ -135,9 +138,9 @@ def _chunks(surfels: Surfels, voxel_m: float) -> Iterator[tuple[int, int, np.nda
 def _triangles(
     surfels: Surfels, first: np.ndarray, inside: np.ndarray, voxel_m: float, measure: _MarchingCubes
 ) -> tuple[FloatArray, np.ndarray] | None:
-    """Vertices (v, 3) in the map and triangles (t, 3) of one chunk; None where it has none.
+    """Return vertices (v, 3) in the map and triangles (t, 3) of a chunk; None if it has none.
 
-    Chunks share their outermost voxels, whose values are the same in both, so that surfaces meet.
+    Chunks share their outermost voxels with the same values, so that surfaces meet.
     """
     from wheelsight.mapping import view_kernels as kernels
 
@@ -149,37 +152,24 @@ def _triangles(
     distance[known] /= weight[known]
     if not known.any() or distance[known].min() >= 0 or distance[known].max() <= 0:
         return None
+    # Cubes with eight known voxels, marked at their highest corner, as scikit-image requires.
+    whole, corners = np.zeros_like(known), [(slice(0, -1), slice(1, None))] * 3
+    whole[1:, 1:, 1:] = np.logical_and.reduce([known[corner] for corner in itertools.product(*corners)])
     try:
-        vertices, triangles, _, _ = measure(distance, 0.0, mask=_whole_cubes(known), gradient_direction="descent")
-    except (RuntimeError, ValueError):  # scikit-image's way to say that no voxel's cube has a surface in it
+        vertices, triangles, _, _ = measure(distance, 0.0, mask=whole, gradient_direction="descent")
+    except (RuntimeError, ValueError):  # scikit-image's errors if no cube has a surface
         return None
     return vertices * voxel_m + origin, triangles
 
 
-def _whole_cubes(known: BoolArray) -> BoolArray:
-    """Which cubes of eight voxels are known whole, each marked at its highest corner, as scikit-image asks for it."""
-    whole = np.zeros_like(known)
-    corners = [(slice(0, -1), slice(1, None))] * 3
-    whole[1:, 1:, 1:] = np.logical_and.reduce([known[corner] for corner in itertools.product(*corners)])
-    return whole
-
-
 def _welded(vertices: FloatArray, triangles: np.ndarray, voxel_m: float) -> tuple[FloatArray, Int32Array]:
-    """One vertex where chunks gave two."""
+    """Return vertices and triangles with duplicate vertices of neighbouring chunks merged."""
     _, kept, number = np.unique(
         np.round(vertices / (1e-4 * voxel_m)).astype(np.int64), axis=0, return_index=True, return_inverse=True
     )
     joined = number.reshape(-1)[triangles].astype(np.int32)
     a, b, c = joined.T
     return vertices[kept], joined[(a != b) & (b != c) & (c != a)]
-
-
-def _dressed(vertices: FloatArray, triangles: Int32Array, surfels: Surfels) -> Mesh:
-    """With normals and colours of the nearest surfels."""
-    from scipy.spatial import KDTree
-
-    _, nearest = KDTree(surfels.position).query(vertices, workers=-1)
-    return Mesh(vertices.astype(np.float32), surfels.normal[nearest], colors_of(surfels)[nearest], triangles)
 
 
 def _refuse_empty(surfels: Surfels, stable_only: bool) -> None:
@@ -189,7 +179,7 @@ def _refuse_empty(surfels: Surfels, stable_only: bool) -> None:
 
 
 def colors_of(surfels: Surfels) -> ByteArray:
-    """Red, green, blue (n, 3) of surfels; grey where colour is unknown; mid-grey where both are."""
+    """Return red, green, blue (n, 3) of surfels; grey if the colour is unknown; mid-grey if both are."""
     grey = np.where(surfels.grey < 0, _GREY, surfels.grey)[:, None]
     color = np.where(surfels.color[:, :1] < 0, grey, surfels.color)
     return np.asarray(np.clip(np.rint(color), 0, 255), np.uint8)
@@ -202,7 +192,7 @@ def _fill(table: np.ndarray, position: np.ndarray, normal: np.ndarray, colors: n
 
 
 def _ply_header(table: np.ndarray) -> bytes:
-    """Up to and without the end of the header."""
+    """Return the header without its last line."""
     lines = ["ply", "format binary_little_endian 1.0", f"comment wheelsight: frame {FRAME}, metres"]
     lines.append(f"element vertex {len(table)}")
     for name in table.dtype.names or ():
@@ -211,25 +201,22 @@ def _ply_header(table: np.ndarray) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-# A map as so few points that a page can hold and turn them.
-
-
-# Edges of cubes are tried in steps of so much; a finer one would find hardly any more room for points.
+# Ratio of successive edges tried; a smaller ratio would fit hardly more points.
 _STEP = 1.1
-# Keys are 64 bits: 20 for each coordinate, and 3 for the side that a surfel is seen from.
+# Keys have 64 bits: 20 for each coordinate, and 3 for the side from which a surfel is seen.
 _COORDINATE_BITS = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapCloud:
-    """Points of a map, each the mean of the surfels that lie in one cube and are seen from one side.
+    """Points of a map, each the mean of the surfels in a cube that are seen from the same side.
 
     Attributes:
         position: (n, 3) float32 in metres, in the map frame.
-        normal: (n, 3) float32 of length 1, towards where they were seen from.
+        normal: (n, 3) float32 of length 1, towards the viewpoint.
         color: (n, 3) uint8 red, green, blue.
-        edge_m: of the cubes; 0 where each point is a surfel.
-        of: how many surfels there were.
+        edge_m: edge of the cubes; 0 if each point is a surfel.
+        of: number of surfels.
     """
 
     position: Float32Array
@@ -243,9 +230,9 @@ class MapCloud:
 
 
 def cloud_of(parts: Parts, most: int) -> MapCloud | None:
-    """At most `most` points of a map, evenly over its surfaces; None without surfels.
+    """Return at most `most` points of a map, evenly over its surfaces; None without surfels.
 
-    Surfels of both sides of a thin wall stay apart: they are told apart by the axis that their normal is nearest to.
+    Surfels on both sides of a thin wall are separated by the axis nearest to their normals.
     """
     count, low, high = 0, np.full(3, np.inf), np.full(3, -np.inf)
     for surfels in parts():
@@ -270,21 +257,15 @@ def cloud_of(parts: Parts, most: int) -> MapCloud | None:
     return MapCloud(at.astype(np.float32), facing.astype(np.float32), colors, edge_m, count)
 
 
-def _sides(normal: Float32Array) -> IntArray:
-    """(n,) from 0 to 5."""
-    axis = np.abs(normal).argmax(axis=1)
-    return np.asarray(2 * axis + (normal[np.arange(len(normal)), axis] < 0), np.int64)
-
-
 def _cubes(parts: Parts, within: tuple[FloatArray, float], most: int) -> tuple[float, IntArray]:
-    """The shortest edge (but for a step) with which no more than `most` cubes are filled, and their keys in order.
+    """Return the shortest edge, within a step, with at most `most` filled cubes, and their keys in order.
 
-    All lie within so many metres of a lowest corner (3,).
+    `within` is the lowest corner (3,) and the extent in metres.
     """
     low, extent_m = within
     steps = int(np.log(2 ** (_COORDINATE_BITS + 1)) / np.log(_STEP)) + 1
     edges_m = extent_m / 2**_COORDINATE_BITS * _STEP ** np.arange(steps)
-    first, last = 0, len(edges_m) - 1  # what fills too many cubes, and the shortest edge known not to
+    first, last = 0, len(edges_m) - 1  # an edge with too many cubes, and the shortest known one without
     filled = _filled(parts, low, float(edges_m[last]), most)
     while last - first > 1:
         middle = (first + last) // 2
@@ -298,11 +279,11 @@ def _cubes(parts: Parts, within: tuple[FloatArray, float], most: int) -> tuple[f
 
 
 def _filled(parts: Parts, low: FloatArray, edge_m: float, most: int) -> IntArray | None:
-    """Keys of all cubes of an edge that are filled, in order; None where there are more than `most`."""
+    """Return the keys of all filled cubes in order; None if there are more than `most`."""
     found = np.zeros(0, np.int64)
     for surfels in parts():
         more = np.unique(_keys(surfels, low, edge_m))
-        # Two rows that are in order are merged in one go by this kind of sorting.
+        # A stable sort merges two sorted arrays in one pass.
         both = np.sort(np.concatenate([found, more]), kind="stable")
         found = both[np.diff(both, prepend=-1) > 0]
         if len(found) > most:
@@ -311,24 +292,22 @@ def _filled(parts: Parts, low: FloatArray, edge_m: float, most: int) -> IntArray
 
 
 def _keys(surfels: Surfels, low: FloatArray, edge_m: float) -> IntArray:
-    """(n,) a number of each cube and side; neighbours along z follow each other."""
+    """Return a key (n,) of each surfel's cube and side; keys of neighbours along z are consecutive."""
     cells = np.floor((surfels.position - low) / edge_m).astype(np.int64)
     x, y, z = cells.clip(0, 2**_COORDINATE_BITS - 1).T
-    side = _sides(surfels.normal)
+    axis = np.abs(surfels.normal).argmax(axis=1)
+    side = np.asarray(2 * axis + (surfels.normal[np.arange(len(axis)), axis] < 0), np.int64)
     return np.asarray(((x << _COORDINATE_BITS | y) << _COORDINATE_BITS | z) * 8 + side)
-
-
-# A map as a plan: seen from straight above and to scale, with the ceiling cut away.
 
 
 _LONGER_SIDE_PX = 1100
 _FINEST_M = 0.004
 _AIR_M = 0.25
-# Of the surfels, on each side: strays must not make a plan of a room as large as a town's.
+# Share of outliers on each side, so that they do not enlarge the plan.
 _STRAY_SHARE = 0.0005
 _CEILING = -0.3
 _LARGEST_PX = 4
-# What stands upright is drawn darker by so much, which makes walls lines.
+# Vertical surfaces are drawn darker, so that walls become lines.
 _SHADE = 0.55
 
 
@@ -337,11 +316,11 @@ class Plan:
     """A map seen from above.
 
     Attributes:
-        image: (h, w, 3) uint8 red, green, blue; white where nothing is known.
+        image: (h, w, 3) uint8 red, green, blue; white if unknown.
         is_known: (h, w).
-        m_per_px: how wide a pixel is.
+        m_per_px: size of a pixel.
         R_plan_map: (3, 3): x to the right of the page, y up the page, z towards the reader.
-        corner_m: (2,) x and y in the plan of the middle of the image's first pixel.
+        corner_m: (2,) x and y in the plan of the first pixel's centre.
     """
 
     image: ByteArray
@@ -351,29 +330,34 @@ class Plan:
     corner_m: FloatArray
 
     def project(self, p_map: FloatArray) -> FloatArray:
-        """Pixels (n, 2), u to the right and v down, of points (n, 3) in the map."""
+        """Return pixels (n, 2), u to the right and v down, of points (n, 3) in the map."""
         p_plan = p_map @ self.R_plan_map.T
         return np.stack([p_plan[:, 0] - self.corner_m[0], self.corner_m[1] - p_plan[:, 1]], axis=-1) / self.m_per_px
 
 
 def plan_of(parts: Parts, up: FloatArray, below_m: float, shown: FloatArray, right: FloatArray) -> Plan | None:
-    """The plan of a map; None without surfels.
+    """Return the plan of a map; None without surfels.
 
     Args:
-        parts: of the map.
-        up: (3,) of length 1, in the map.
-        below_m: height along `up` above which nothing is drawn. Ceilings, which face down, never are.
-        shown: (n, 3) points in the map that the plan must hold too: a path.
-        right: (3,) what points to the right on the page, as far as it is level.
+        parts: surfels of the map.
+        up: (3,) unit vector in the map.
+        below_m: height along `up` above which nothing is drawn. Ceilings, which face down, are never drawn.
+        shown: (n, 3) further points in the map within the plan: a path.
+        right: (3,) direction to the right of the page, as far as it is level.
     """
-    R_plan_map = _levelled(up, right)
+    level = right - (right @ up) * up
+    if np.linalg.norm(level) < 1e-3 * np.linalg.norm(right):
+        level = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    level /= np.linalg.norm(level)
+    R_plan_map = np.stack([level, np.cross(up, level), up])
     extents = [_extent(parts, (up, below_m), axis, shown @ axis) for axis in R_plan_map[:2]]
     if None in extents:
         return None
     low, high = np.array(extents).T
     m_per_px = max(float((high - low).max()) / _LONGER_SIDE_PX, _FINEST_M)
     width, height = (int(n) for n in np.ceil((high - low) / m_per_px).astype(int) + 1)
-    plan = Plan(*_blank(height, width), m_per_px, R_plan_map, np.array([low[0], high[1]]))
+    blank = np.full((height, width, 3), 255, np.uint8), np.zeros((height, width), bool)
+    plan = Plan(*blank, m_per_px, R_plan_map, np.array([low[0], high[1]]))
     top_m = np.full(height * width, -np.inf)
     for surfels in parts():
         _draw(surfels, _is_drawn(surfels, up, below_m), plan, top_m)
@@ -385,7 +369,7 @@ def _is_drawn(surfels: Surfels, up: FloatArray, below_m: float) -> BoolArray:
 
 
 def _draw(surfels: Surfels, kept: BoolArray, plan: Plan, top_m: FloatArray) -> None:
-    """Lay those that are kept over what has been drawn, whose heights (h · w,) are `top_m`."""
+    """Draw kept surfels over the plan where they are higher than `top_m` (h · w,), and update it."""
     position, up = surfels.position[kept].astype(float), plan.R_plan_map[2]
     px = np.rint(plan.project(position)).astype(np.int64)
     reach_px = np.clip(np.rint(surfels.radius_m[kept] / plan.m_per_px), 1, _LARGEST_PX).astype(np.int64)
@@ -399,23 +383,10 @@ def _draw(surfels: Surfels, kept: BoolArray, plan: Plan, top_m: FloatArray) -> N
     plan.image.reshape(-1, 3)[at] = np.rint(shade)
 
 
-def _blank(height: int, width: int) -> tuple[ByteArray, BoolArray]:
-    return np.full((height, width, 3), 255, np.uint8), np.zeros((height, width), bool)
-
-
-def _levelled(up: FloatArray, right: FloatArray) -> FloatArray:
-    """R_plan_map (3, 3)."""
-    level = right - (right @ up) * up
-    if np.linalg.norm(level) < 1e-3 * np.linalg.norm(right):
-        level = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
-    level /= np.linalg.norm(level)
-    return np.stack([level, np.cross(up, level), up])
-
-
 def _extent(
     parts: Parts, drawn: tuple[FloatArray, float], axis: FloatArray, shown_m: FloatArray
 ) -> tuple[float, float] | None:
-    """From where to where the plan reaches along an axis (3,); None where nothing is drawn."""
+    """Return the range of the plan along an axis (3,); None if nothing is drawn."""
     along = [(s.position[_is_drawn(s, *drawn)].astype(float) @ axis).astype(np.float32) for s in parts()]
     all_m = np.concatenate([np.zeros(0, np.float32), *along])
     if not len(all_m):
@@ -427,7 +398,7 @@ def _extent(
 def _highest(
     px: IntArray, reach_px: IntArray, height_m: FloatArray, shape: tuple[int, ...]
 ) -> tuple[IntArray, IntArray]:
-    """Pixels (k,) of all h · w that surfels cover, and which one is the highest there; each is a disk of `reach_px`."""
+    """Return covered pixels (k,) of all h · w, and the highest surfel at each; a surfel is a disk of `reach_px`."""
     order = np.argsort(height_m, kind="stable")
     rank = np.empty(len(order), np.int32)
     rank[order] = np.arange(len(order))
@@ -441,21 +412,18 @@ def _highest(
     return at, order[top[at]]
 
 
-# Which way is up in a map that nobody has levelled.
-
-
-# Hand-held cameras look down by less; the narrower cones leave walls and slopes out that the widest let in.
+# Hand-held cameras look down by less than the widest. The narrower cones exclude walls and slopes.
 _CONES_DEG = (40.0, 20.0, 10.0)
 _LEAST_SURFELS = 100
 
 
 def upward(parts: Parts, R_map_camera: FloatArray) -> FloatArray:
-    """The direction (3,) of length 1 that floors and tables face, by the area of all that face about the camera's up.
+    """Return the unit vector (3,) that floors and tables face: the mean normal of surfels near the camera's up, by
+    area.
 
     Args:
-        parts: of the map.
-        R_map_camera: (3, 3) of a camera that was held upright, within 40°; where nothing faces up, its own up is
-            all that is known.
+        parts: surfels of the map.
+        R_map_camera: (3, 3) of a camera held upright within 40°. Its own up is returned if no surfels face up.
     """
     up = -np.asarray(R_map_camera, float)[:, 1]
     for cone_deg in _CONES_DEG:

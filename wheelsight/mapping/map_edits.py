@@ -1,5 +1,7 @@
-"""`MapEdits` holds annotations of a map by people: keep-out zones, slow zones, corrections and areas. They are
-polygons on the floor and move with keyframes.
+"""`MapEdits` holds user annotations of a map: keep-out zones, speed zones, corrections and areas.
+
+They are polygons on the floor, in a layer of their own, so that the map can be rebuilt below them. An edit anchored to
+a keyframe moves with it.
 """
 
 from __future__ import annotations
@@ -26,48 +28,43 @@ from wheelsight.io.ros_map import FREE, OCCUPIED
 from wheelsight.mapping.named_poses import checked_name, free_names, name_given_twice, read_list
 from wheelsight.mapping.occupancy import CellKind, OccupancyGrid
 
-# MapEdits: what a person says of a map: where not to drive, where to drive slowly, what is not there, and areas.
-#
-# They are a layer of their own: the map can be made anew below them. One that is anchored at a keyframe moves with
-# it.
-
-
-# Programs that know no areas read version 1: they refuse what has any, and read all else.
+# Version 1 has no areas, and older programs read it. Files without areas are written as version 1.
 FORMAT, VERSION, VERSION_WITHOUT_AREAS = "wheelsight-map-edits", 2, 1
 _FILE = Kind("edits of a map", most_mb=16, fix="give a file that MapEdits.save wrote")
-# Far more than people draw: to apply so many to a floor of 20 × 20 m takes some seconds.
+# Far more than users draw: applying this many to a floor of 20 × 20 m takes some seconds.
 _MOST_EDITS = 10_000
 _FIELDS = ("kind", "polygon", "limit_m_s", "keyframe", "T_map_keyframe", "name")
 
 
 class EditKind(StrEnum):
-    """What an edit says."""
+    """Kinds of edits."""
 
     KEEP_OUT = "keep_out"
-    """Nobody drives there: occupied."""
+    """Keep-out zone: occupied."""
     SPEED = "speed"
-    """Nobody drives faster there than its limit."""
+    """Speed zone, with a limit."""
     WIPED = "wiped"
-    """Obstacles and drop-offs that the map has there are none: free."""
+    """Wrong obstacles and drop-offs of the map: free."""
     AREA = "area"
-    """It is called so, as a goal may be; all else is as it was."""
+    """A named area, for use as a goal; the grid is unchanged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapEdit:
-    """One edit: a polygon on the floor.
+    """An edit: a polygon on the floor.
 
     Attributes:
-        kind: what it says.
-        polygon: (N, 2) corners in `map`, metres, in either direction, not closed.
-        limit_m_s: of a speed zone, metres a second; else None.
-        keyframe: with which it moves, or None.
-        T_map_keyframe: (4, 4) where that was when the polygon was drawn, or None.
-        name: of an area, as `NamedPose` has it; else None.
+        kind: kind of the edit.
+        polygon: (N, 2) corners in `map`, metres, in either orientation, not closed.
+        limit_m_s: limit of a speed zone, metres per second; else None.
+        keyframe: keyframe that it moves with, or None.
+        T_map_keyframe: (4, 4) pose of the keyframe when the polygon was drawn, or None.
+        name: name of an area, as in `NamedPose`; else None.
 
     Raises:
-        MapError: a polygon that crosses itself, has no surface or lies beyond 1000 km; a limit that is missing, not
-            over 0, or of another kind; a name that is missing, none, or of another kind; a keyframe without its pose.
+        MapError: the polygon crosses itself, has no area or is beyond 1000 km; the limit is missing, not positive, or
+            given for another kind; the name is missing, invalid, or given for another kind; a keyframe without its
+            pose.
     """
 
     kind: EditKind
@@ -95,13 +92,13 @@ class MapEdit:
             raise MapError(f"the pose of keyframe {self.keyframe} is no rigid motion", fix="give SE(3), (4, 4)")
 
     def anchored(self, keyframe: KeyframeId, T_map_keyframe: ArrayLike) -> MapEdit:
-        """The same, which from now on moves with a keyframe that is at (4, 4) now."""
+        """Return the edit attached to a keyframe that is now at (4, 4)."""
         return replace(self, keyframe=keyframe, T_map_keyframe=np.array(T_map_keyframe, float))
 
     def hung_on_nearest(self, T_map_keyframe: ArrayLike, among: IntArray) -> MapEdit:
-        """The same, which from now on moves with the nearest of some keyframes (N,), of poses (K, 4, 4) of all.
+        """Return the edit attached to the nearest of keyframes `among` (N,), given poses (K, 4, 4) of all.
 
-        Its polygon is where it is now; without any keyframe it stays there.
+        The polygon stays where it is now. Without keyframes, the edit is attached to none.
         """
         if not len(among):
             return replace(self, keyframe=None, T_map_keyframe=None)
@@ -111,7 +108,7 @@ class MapEdit:
         return self.anchored(KeyframeId(nearest), table[nearest])
 
     def polygon_now(self, T_map_keyframe: ArrayLike) -> FloatArray:
-        """(N, 2) corners where its keyframe is by now, of poses (K, 4, 4) by number."""
+        """Return the corners (N, 2) at the current keyframe pose, given poses (K, 4, 4) by number."""
         if self.keyframe is None or self.T_map_keyframe is None:
             return self.polygon
         table = np.asarray(T_map_keyframe, float)
@@ -124,10 +121,10 @@ class MapEdit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapEdits:
-    """All edits of a map, 10 000 at most, in the order in which they were made: of those that overlap the last counts.
+    """All edits of a map, at most 10 000, in the order in which they were made. Of overlapping edits, the last applies.
 
     Raises:
-        MapError: two areas of one name, or too many edits.
+        MapError: two areas have the same name, or there are too many edits.
     """
 
     edits: tuple[MapEdit, ...] = ()
@@ -144,34 +141,34 @@ class MapEdits:
 
     @property
     def areas(self) -> tuple[MapEdit, ...]:
-        """Those that are areas."""
+        """Edits that are areas."""
         return tuple(edit for edit in self.edits if edit.kind == EditKind.AREA)
 
     @property
     def area_names(self) -> tuple[str, ...]:
-        """Of the areas, in order."""
+        """Names of the areas, in order."""
         return tuple(sorted(area.name for area in self.areas if area.name is not None))
 
     def with_edit(self, edit: MapEdit) -> MapEdits:
-        """With one more at the end; an area takes the place of the one that has its name."""
+        """Return edits with one more at the end; an area replaces the one with its name."""
         others = (one for one in self.edits if edit.name is None or one.name != edit.name)
         return MapEdits((*others, edit))
 
     def beside(self, other: MapEdits) -> MapEdits:
-        """Both; where both have an area of a name, this one's keeps it, and the other's gets a number behind it."""
+        """Return both. If both have an area with the same name, the other one's gets a number appended."""
         names = free_names((edit.name for edit in other.edits), self.area_names)
         renamed = [replace(edit, name=name) for edit, name in zip(other.edits, names, strict=True)]
         return MapEdits((*self.edits, *renamed))
 
     def applied(self, grid: OccupancyGrid, T_map_keyframe: ArrayLike = ()) -> OccupancyGrid:
-        """A grid with what they say of its cells; speed zones and areas say nothing of these.
+        """Return a grid with the edits applied; speed zones and areas do not change cells.
 
-        A keep-out zone has every cell that it touches, what is wiped those whose middles lie in it. Beyond the grid
-        nothing is said.
+        A keep-out zone changes every cell that it touches, a wiped polygon the cells with their centres in it. Outside
+        the grid, edits have no effect.
 
         Args:
-            grid: of the same map.
-            T_map_keyframe: (K, 4, 4) where keyframes are by now, by number; needed where any edit is anchored.
+            grid: grid of the same map.
+            T_map_keyframe: (K, 4, 4) current keyframe poses by number; needed if any edit is anchored.
 
         Raises:
             ArgumentError: the pose of an anchor is missing.
@@ -188,7 +185,7 @@ class MapEdits:
         return replace(grid, kind=kind, occupancy=occupancy)
 
     def limits_m_s(self, grid: OccupancyGrid, T_map_keyframe: ArrayLike = ()) -> Float32Array:
-        """(H, W) how fast one may drive in each cell of a grid; infinite where no zone says. Raises as `applied`."""
+        """Return the speed limit (H, W) of each cell of a grid; infinite outside speed zones. Raises as `applied`."""
         limits = np.full(grid.kind.shape, np.inf, np.float32)
         for edit in self.edits:
             if edit.limit_m_s is not None:
@@ -197,14 +194,14 @@ class MapEdits:
         return limits
 
     def carried(self, T_map_keyframe: ArrayLike, numbers: IntArray, *, is_same_frame: bool = True) -> MapEdits:
-        """The edits for a map that is made of this one's keyframes.
+        """Return the edits for a map made of this one's keyframes.
 
-        Those whose keyframe goes hang on the nearest one that stays; where nobody knows where it was, as drawn.
+        Edits of a removed keyframe are attached to the nearest remaining one; if its pose is unknown, as drawn.
 
         Args:
-            T_map_keyframe: (K, 4, 4) of this map.
-            numbers: (K,) the number of each in the other map; -1 where it goes.
-            is_same_frame: else what hangs on no keyframe is hung on the nearest one, too.
+            T_map_keyframe: (K, 4, 4) poses of this map.
+            numbers: (K,) number of each keyframe in the other map; -1 if removed.
+            is_same_frame: if False, edits without a keyframe are attached to the nearest one, too.
         """
         table, kept = np.asarray(T_map_keyframe, float), np.flatnonzero(numbers >= 0)
         carried = []
@@ -224,14 +221,21 @@ class MapEdits:
         return MapEdits(tuple(carried))
 
     def save(self, path: StrPath) -> None:
-        """Write them as JSON, atomically. Raises OutputError."""
+        """Write the edits as JSON, atomically. Raises OutputError."""
         version = VERSION if self.areas else VERSION_WITHOUT_AREAS
-        document = {"format": FORMAT, "version": version, "edits": [_told(edit) for edit in self.edits]}
+        listed = []
+        for edit in self.edits:
+            T = None if edit.T_map_keyframe is None else edit.T_map_keyframe.tolist()
+            values = (edit.kind.value, edit.polygon.tolist(), edit.limit_m_s, edit.keyframe, T, edit.name)
+            listed.append({name: value for name, value in zip(_FIELDS, values, strict=True) if value is not None})
+        document = {"format": FORMAT, "version": version, "edits": listed}
         write_text(path, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
 
     @classmethod
     def load(cls, path: StrPath) -> MapEdits:
-        """Read what `save` wrote. Raises MapError: it is missing, no such file, newer, or an edit is wrong."""
+        """Read a file written by `save`. Raises MapError if it is missing, of another format or newer, or has an
+        invalid edit.
+        """
         path = Path(path)
         listed = read_list(path, _FILE, (FORMAT, VERSION), "edits")
         if len(listed) > _MOST_EDITS:
@@ -249,14 +253,8 @@ class MapEdits:
             raise MapError(error.problem, path=path, fix=error.fix) from error
 
 
-def _told(edit: MapEdit) -> dict[str, Any]:
-    T = None if edit.T_map_keyframe is None else edit.T_map_keyframe.tolist()
-    values = (edit.kind.value, edit.polygon.tolist(), edit.limit_m_s, edit.keyframe, T, edit.name)
-    return {name: value for name, value in zip(_FIELDS, values, strict=True) if value is not None}
-
-
 def _edit(fields: Any) -> MapEdit:
-    """Raises MapError."""
+    """Return the edit of JSON fields. Raises MapError."""
     if not isinstance(fields, dict) or not set(fields) <= set(_FIELDS):
         raise MapError("is no edit", fix=f"its fields are {', '.join(_FIELDS)}")
     kinds = [kind.value for kind in EditKind]
@@ -284,17 +282,8 @@ def _numbers(value: Any, name: str, shape: Sequence[int]) -> FloatArray:
     return found
 
 
-# Polygons on the floor of a map: which cells they have, and where in one of them there is most room.
-
-
-_SMALLEST_AREA_M2 = 1e-6
-_FARTHEST_M = 1e6
-# Of a generous zone each cell is a shape of some hundred bytes.
-_CELLS_AT_ONCE = 100_000
-
-
 def checked_corners(polygon: ArrayLike) -> FloatArray:
-    """(N, 2) corners in metres, which cannot be changed. Raises MapError for corners that make no polygon."""
+    """Return read-only corners (N, 2) in metres. Raises MapError if they are not a polygon."""
     corners = np.array(polygon, float)
     if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
         raise MapError("a polygon has fewer than three corners", fix="[[x, y], [x, y], [x, y], …] in metres")
@@ -307,12 +296,18 @@ def checked_corners(polygon: ArrayLike) -> FloatArray:
     return corners
 
 
+_SMALLEST_AREA_M2 = 1e-6
+_FARTHEST_M = 1e6
+# Number of cells processed at once: each cell of a generous zone is a shape of some hundred bytes.
+_CELLS_AT_ONCE = 100_000
+
+
 def cells_in(
     grid: OccupancyGrid, polygon: FloatArray, *, is_generous: bool = False
 ) -> tuple[tuple[slice, slice], BoolArray]:
-    """Cells whose middles lie in a polygon (N, 2); with `is_generous`, those that it touches.
+    """Return the cells with centres in a polygon (N, 2), or with `is_generous` those that it touches.
 
-    Returns the rows and columns of the grid that the polygon reaches, and (h, w) which of these cells it has.
+    The result is the window of rows and columns that the polygon reaches, and (h, w) which of its cells are inside.
     """
     shape = shapely.Polygon(polygon)
     shapely.prepare(shape)
@@ -334,22 +329,22 @@ def cells_in(
 
 
 def roomiest_place(grid: OccupancyGrid, polygon: FloatArray) -> FloatArray | None:
-    """The free place in a polygon that is farthest from the polygon's edge and from all that is not known to be free.
+    """Return the free cell centre of a polygon that is farthest from its edge and from all cells not known to be free.
 
-    To within a cell: of places that have as much room but for less than a cell, as along the middle of a corridor, it
-    is the one that is nearest to the polygon's centroid.
+    Of cells with as much room, within a cell, as along the middle of a corridor, it is the one nearest to the polygon's
+    centroid.
 
     Args:
-        grid: of the map.
+        grid: grid of the map.
         polygon: (N, 2) corners in `map`, metres.
 
-    Returns (2,) x and y in `map`, the middle of a cell; None where the polygon has no free cell.
+    Returns (2,) x and y in `map`; None if the polygon has no free cell.
     """
     (rows, columns), inside = cells_in(grid, polygon)
     is_free = inside & (grid.occupancy[rows, columns] == FREE)
     if not is_free.any():
         return None
-    # Beyond the polygon, and so beyond the grid, no room counts.
+    # Cells outside the polygon, and outside the grid, count as occupied.
     padded = np.pad(is_free, 1).astype(np.uint8)
     room = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     middles = grid.middle_of(np.argwhere(is_free & (room > room.max() - 1)) + [rows.start, columns.start])

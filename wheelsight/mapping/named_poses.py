@@ -1,5 +1,6 @@
-"""`NamedPoses` holds the named goals of a map, which move with keyframes. Also names of places, and the JSON files
-of annotations.
+"""`NamedPoses` holds the named poses of a map, such as "kitchen"; each may move with a keyframe.
+
+The module also checks names of poses and areas, and reads the JSON files of annotations.
 """
 
 from __future__ import annotations
@@ -21,14 +22,11 @@ from wheelsight.core.geometry import FloatArray, IntArray, se3
 from wheelsight.core.inputs import Kind, parse_json, read_text
 from wheelsight.core.keyframes import KeyframeId
 
-# NamedPoses: what people call poses of a map, such as "kitchen"; each moves with the keyframe that it hangs on.
-
-
 FORMAT, VERSION = "wheelsight-named-poses", 1
 _FILE = Kind("named poses of a map", most_mb=4, fix="give a file that NamedPoses.save wrote")
 _FIELDS = ("name", "pose", "keyframe", "T_map_keyframe")
 _FARTHEST_M = 1e6
-# A name for each shelf of a large store; to read so many takes half a second.
+# A name for each shelf of a large store; reading this many takes half a second.
 _MOST_NAMES = 10_000
 
 
@@ -37,13 +35,13 @@ class NamedPose:
     """A pose of the base with a name.
 
     Attributes:
-        name: up to 60 letters, digits, spaces and signs but commas, by which coordinates are told.
+        name: up to 60 letters, digits, spaces and signs, without commas, which coordinates have.
         pose: (3,) x, y in metres and yaw in radians in `map`; a yaw of NaN is any heading.
-        keyframe: with which it moves, or None.
-        T_map_keyframe: (4, 4) where that was when the pose was named, or None.
+        keyframe: keyframe that it moves with, or None.
+        T_map_keyframe: (4, 4) pose of the keyframe when the pose was named, or None.
 
     Raises:
-        MapError: a name that is none, a pose that is no place on earth, a keyframe without its pose.
+        MapError: the name is invalid, the position is beyond 1000 km, or a keyframe has no pose.
     """
 
     name: str
@@ -60,9 +58,9 @@ class NamedPose:
             raise MapError(f"the pose of keyframe {self.keyframe} is no rigid motion", fix="give SE(3), (4, 4)")
 
     def pose_now(self, T_map_keyframe: ArrayLike) -> FloatArray:
-        """(3,) where it is by now, of poses (K, 4, 4) of keyframes by number.
+        """Return the pose (3,) at the current keyframe pose, given poses (K, 4, 4) by number.
 
-        Raises ArgumentError where that of its keyframe is missing.
+        Raises ArgumentError if the pose of its keyframe is missing.
         """
         if self.keyframe is None or self.T_map_keyframe is None:
             return self.pose
@@ -75,7 +73,7 @@ class NamedPose:
         return np.array([at[0, 3], at[1, 3], np.nan if np.isnan(yaw) else np.arctan2(at[1, 0], at[0, 0])])
 
     def hung_on_nearest(self, T_map_keyframe: ArrayLike, among: IntArray) -> NamedPose:
-        """The same, which from now on moves with the nearest of some keyframes (N,), of poses (K, 4, 4) of all."""
+        """Return the pose attached to the nearest of keyframes `among` (N,), given poses (K, 4, 4) of all."""
         table = np.asarray(T_map_keyframe, float)
         if not len(among):
             return replace(self, keyframe=None, T_map_keyframe=None)
@@ -86,10 +84,10 @@ class NamedPose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NamedPoses:
-    """All named poses of a map, by name; each name once, and 10 000 at most.
+    """All named poses of a map, sorted by name, at most 10 000.
 
     Raises:
-        MapError: a name twice, or too many.
+        MapError: a name is given twice, or there are too many.
     """
 
     poses: tuple[NamedPose, ...] = ()
@@ -110,27 +108,27 @@ class NamedPoses:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """In order."""
+        """Names in order."""
         return tuple(one.name for one in self.poses)
 
     def named(self, name: str) -> NamedPose:
-        """The one of a name. Raises MapError, which tells the nearest name and all that are known."""
+        """Return the pose with a name. Raises MapError with the nearest name and all known ones."""
         found = next((one for one in self.poses if one.name == name), None)
         if found is None:
             raise unknown_name(name, self.names)
         return found
 
     def with_pose(self, pose: NamedPose) -> NamedPoses:
-        """With one more, or another one in place of that of the same name."""
+        """Return the poses with one more, which replaces the one with the same name."""
         return NamedPoses((*(one for one in self.poses if one.name != pose.name), pose))
 
     def without(self, name: str) -> NamedPoses:
-        """Without the one of a name. Raises MapError as `named`."""
+        """Return the poses without the one with a name. Raises MapError as `named`."""
         gone = self.named(name)
         return NamedPoses(tuple(one for one in self.poses if one is not gone))
 
     def carried(self, T_map_keyframe: ArrayLike, numbers: IntArray, *, is_same_frame: bool = True) -> NamedPoses:
-        """The poses for a map that is made of this one's keyframes; see `MapEdits.carried`, whose rules they follow."""
+        """Return the poses for a map made of this one's keyframes, by the rules of `MapEdits.carried`."""
         table, kept = np.asarray(T_map_keyframe, float), np.flatnonzero(numbers >= 0)
         carried = []
         for one in self.poses:
@@ -149,19 +147,27 @@ class NamedPoses:
         return NamedPoses(tuple(carried))
 
     def beside(self, other: NamedPoses) -> NamedPoses:
-        """Both; where both have a name, this one's counts, and the other's gets a number behind it."""
+        """Return both. If both have the same name, the other one's gets a number appended."""
         names = free_names(other.names, self.names)
         renamed = [replace(one, name=name) for one, name in zip(other.poses, names, strict=True) if name is not None]
         return NamedPoses((*self.poses, *renamed))
 
     def save(self, path: StrPath) -> None:
-        """Write them as JSON, atomically. Raises OutputError."""
-        document = {"format": FORMAT, "version": VERSION, "places": [_told(one) for one in self.poses]}
+        """Write the poses as JSON, atomically. Raises OutputError."""
+        listed = []
+        for one in self.poses:
+            pose = one.pose.tolist() if np.isfinite(one.pose[2]) else one.pose[:2].tolist()
+            T = None if one.T_map_keyframe is None else one.T_map_keyframe.tolist()
+            values = (one.name, pose, one.keyframe, T)
+            listed.append({field: value for field, value in zip(_FIELDS, values, strict=True) if value is not None})
+        document = {"format": FORMAT, "version": VERSION, "places": listed}
         write_text(path, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
 
     @classmethod
     def load(cls, path: StrPath) -> NamedPoses:
-        """Read what `save` wrote. Raises MapError: it is missing, no such file, newer, or a pose is wrong."""
+        """Read a file written by `save`. Raises MapError if it is missing, of another format or newer, or has an
+        invalid pose.
+        """
         path = Path(path)
         listed = read_list(path, _FILE, (FORMAT, VERSION), "places")
         try:
@@ -173,7 +179,7 @@ class NamedPoses:
 
 
 def _checked_pose(name: str, pose: ArrayLike) -> FloatArray:
-    """(3,), which cannot be changed. Raises MapError."""
+    """Return a read-only pose (3,). Raises MapError."""
     at = np.array(pose, float).ravel()
     at = np.array([*at, np.nan]) if len(at) == 2 else at
     is_right = len(at) == 3 and bool((np.abs(at[:2]) < _FARTHEST_M).all()) and not np.isinf(at[2])
@@ -183,15 +189,8 @@ def _checked_pose(name: str, pose: ArrayLike) -> FloatArray:
     return at
 
 
-def _told(one: NamedPose) -> dict[str, Any]:
-    pose = one.pose.tolist() if np.isfinite(one.pose[2]) else one.pose[:2].tolist()
-    T = None if one.T_map_keyframe is None else one.T_map_keyframe.tolist()
-    values = (one.name, pose, one.keyframe, T)
-    return {field: value for field, value in zip(_FIELDS, values, strict=True) if value is not None}
-
-
 def _pose(fields: Any) -> NamedPose:
-    """Raises MapError."""
+    """Return the pose of JSON fields. Raises MapError."""
     if not isinstance(fields, dict) or not set(fields) <= set(_FIELDS):
         raise MapError("a place is none", fix=f"its fields are {', '.join(_FIELDS)}")
     name, pose, keyframe, T = (fields.get(field) for field in _FIELDS)
@@ -212,23 +211,20 @@ def _numbers(value: Any, name: str, shapes: tuple[tuple[int, ...], ...]) -> Floa
     return found
 
 
-# What places and areas of a map may be called, and what is said of a name that none has.
-
-
 LONGEST_NAME = 60
-# For a space and a number behind a name.
+# Room for a space and a number after a name.
 _ROOM = 6
-# In one line; wheelsight map name MAP --list shows all.
+# Names shown in one line; `wheelsight map name MAP --list` shows all.
 _MOST_SHOWN = 50
 
 
 def checked_name(name: Any) -> str:
-    """A name, with one space between its words.
+    """Return a name with single spaces between its words.
 
-    It has up to 60 letters, digits, spaces and signs, but no commas, by which coordinates are told.
+    It has up to 60 letters, digits, spaces and signs, without commas, which coordinates have.
 
     Raises:
-        MapError: it is none.
+        MapError: the name is invalid.
     """
     text = " ".join(name.split()) if isinstance(name, str) else ""
     if not text or "," in text or len(text) > LONGEST_NAME or not text.isprintable() or text.startswith("-"):
@@ -238,11 +234,11 @@ def checked_name(name: Any) -> str:
 
 
 def free_names(names: Iterable[str | None], taken: Iterable[str]) -> Iterator[str | None]:
-    """Each name, or where it is taken, also by one before it, with a number behind it that is free, from 2 on."""
+    """Yield each name, with a number from 2 on appended if it is taken, or used before in the list."""
     used, next_number = set(taken), dict[str, int]()
     for name in names:
         found, begin = name, "" if name is None else name[: LONGEST_NAME - _ROOM]
-        number = next_number.get(begin, 2)  # a search from 2 on for each would take the square of their number
+        number = next_number.get(begin, 2)  # searching from 2 each time would be quadratic
         while found in used:
             found, number = f"{begin} {number}", number + 1
         next_number[begin] = number
@@ -252,12 +248,12 @@ def free_names(names: Iterable[str | None], taken: Iterable[str]) -> Iterator[st
 
 
 def name_given_twice(names: Iterable[str]) -> str | None:
-    """The first of some names that is there more than once."""
+    """Return the first name that occurs more than once, or None."""
     return next((name for name, count in Counter(names).items() if count > 1), None)
 
 
 def unknown_name(name: str, known: Collection[str]) -> MapError:
-    """What to raise for a name that none of the known ones is; tells the nearest of them, and all."""
+    """Return the error for an unknown name, with the nearest known name and all of them."""
     lower = {one.lower(): one for one in known}
     near = get_close_matches(name.lower(), lower, n=1)
     meant = f" (did you mean {lower[near[0]]}?)" if near else ""
@@ -268,20 +264,17 @@ def unknown_name(name: str, known: Collection[str]) -> MapError:
     return MapError(f"no place of the map is called {name!r}{meant}", fix=fix)
 
 
-# What people said of a map, as JSON beside it: a format, its version, and a list.
-
-
 def read_list(path: Path, kind: Kind, written: tuple[str, int], field: str) -> list[Any]:
-    """The list of a file.
+    """Return the list of an annotation file.
 
     Args:
-        path: of the file.
-        kind: of it, for messages.
-        written: its format, and the newest version that is read.
+        path: the file.
+        kind: kind of the file, for messages.
+        written: its format, and the newest readable version.
         field: name of the list.
 
     Raises:
-        MapError: it is missing, of another format, newer, or has no list.
+        MapError: the file is missing, of another format, newer, or has no list.
     """
     name, newest = written
     try:

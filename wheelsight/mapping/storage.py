@@ -1,4 +1,13 @@
-"""`save_map` and `load_map` write and read map files. Files of versions 1 and 2 can be read."""
+"""`save_map` and `load_map` write and read map files. Files of versions 1 and 2 can be read.
+
+A file has a line with the format's name, a line with a JSON header, and the compressed surfels. These are the columns
+of `mapping.columns`, in the order of the header's `columns`, and the poses T_map_keyframe (keyframes, 4, 4) as float64.
+They are compressed by LZMA in an .xz container, with little-endian numbers. All is in the frame that the header names,
+which is `map`.
+
+Versions 1 and 2 have plain arrays instead, row by row, in the order of the header's `fields`. Version 1 has no
+keyframes and no frame name; its surfels have no keyframe.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +15,7 @@ import json
 import lzma
 import math
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -22,11 +31,8 @@ from wheelsight.mapping.columns import COLUMNS, ColumnFiles, columns_of, surfels
 from wheelsight.mapping.settings import SurfelSettings
 from wheelsight.mapping.surfels import FRAME, SurfelMap, Surfels
 
-# Bodies of map files of versions 1 and 2: plain arrays, row by row, in the order of the header's `fields`.
-
-
 FIRST_FORMAT, SECOND_FORMAT = "wheelsight-map-1", "wheelsight-map-2"
-# Name, type and number of columns; 0 for a flat array.
+# Fields of version 2: name, type and number of columns; 0 for a flat array.
 _FIELDS: tuple[tuple[str, str, int], ...] = (
     ("position", "<f4", 3),
     ("normal", "<f4", 3),
@@ -39,66 +45,27 @@ _FIELDS: tuple[tuple[str, str, int], ...] = (
     ("last_s", "<f8", 0),
     ("keyframe", "<i4", 0),
 )
-_OLD_STORAGE_POSE_BYTES = 16 * 8
+_COUNTS, _POSE_BYTES = ("surfels", "keyframes"), 16 * 8
 assert tuple(name for name, _, _ in _FIELDS) == tuple(field.name for field in fields(Surfels))
-
-
-def known_fields(header: dict[str, Any], version: str) -> bool:
-    """Whether a header has the fields of its version; to one of version 1 what that does not say is added."""
-    known = _FIELDS
-    if version == FIRST_FORMAT:
-        header |= {"frame": FRAME, "keyframes": 0}
-        known = _FIELDS[:-1]
-    return bool(header["fields"] == [list(field) for field in known])
-
-
-def contents_of(header: dict[str, Any], body: memoryview, damaged: str) -> tuple[Surfels, FloatArray]:
-    """Surfels, and T_map_keyframe (keyframes, 4, 4). Raises MapError, with what to do where it is damaged."""
-    n, keyframes, known = header["surfels"], header["keyframes"], header["fields"]
-    expected = n * sum(np.dtype(dtype).itemsize * max(columns, 1) for _, dtype, columns in known)
-    expected += keyframes * _OLD_STORAGE_POSE_BYTES
-    if len(body) != expected:
-        raise MapError(f"holds {len(body)} bytes of surfels and keyframes, not {expected}", fix=damaged)
-    if zlib.crc32(body) != header["crc32"]:
-        raise MapError("its checksum is wrong", fix=damaged)
-    arrays, begin = [], 0
-    for _, dtype, columns in known:
-        flat = np.frombuffer(body, dtype, n * max(columns, 1), begin)
-        begin += flat.nbytes
-        arrays.append(flat.reshape(n, columns).copy() if columns else flat.copy())
-    if len(known) < len(_FIELDS):
-        arrays.append(np.full(n, -1, np.int32))
-    return Surfels(*arrays), np.frombuffer(body, "<f8", 16 * keyframes, begin).reshape(-1, 4, 4).astype(float)
-
-
-# Maps in files: one line that names the format, one line of JSON that says what follows, and then surfels,
-# compressed.
-#
-# What is compressed, by LZMA in an .xz container, are the columns of `mapping.columns` in the order of the header's
-# `columns`, and the poses T_map_keyframe (keyframes, 4, 4) of float64; numbers are in little-endian order. Whoever
-# can read JSON and .xz can read a map. All of it is in the frame that the header names, which is `map`.
-#
-# Files of versions 1 and 2 have plain arrays instead, those of version 1 neither keyframes nor the name of a frame;
-# their surfels hang on no keyframe.
 
 
 FORMAT = "wheelsight-map-3"
 _VERSIONS = (FORMAT, SECOND_FORMAT, FIRST_FORMAT)
 _LONGEST_HEADER = 1 << 16
 _NO_MAP = "give a file that `save_map` wrote"
-# Beyond 16 km, float32 no longer tells millimetres apart; the others are far beyond what a map ever holds.
+# Beyond 16 km, float32 is coarser than a millimetre. The other limits are far above the values of any map.
 _LARGEST = {"position": 16_000.0, "normal": 1.01, "radius_m": 100.0, "color": 1000.0, "grey": 1000.0}
 _LARGEST |= {"confidence": 1e9, "variance_m2": 1e4, "first_s": 1e20, "last_s": 1e20}
 _FILE = Kind("a map", most_mb=2000, fix=_NO_MAP)
 _DAMAGED = "it is damaged or cut short: use another copy"
-# Settings that files of before have, and that mean nothing now.
+# Retired settings in older files.
 _RETIRED = ("beyond_share",)
-_COUNTS, _POSE_BYTES = ("surfels", "keyframes"), 16 * 8
-# More than the largest file of version 2 held, lest a few damaged bytes ask for all memory.
+# More than the largest file of version 2 had, so that a few damaged bytes do not allocate all memory.
 _MOST = {"surfels": 30_000_000, "keyframes": 10_000_000}
-# Of each compressed byte, and of a small map besides. A surfel takes 6 bytes and a pose 100; a byte of zeros is 7000.
+# Limits per compressed byte, plus a constant for small maps. A surfel takes 6 bytes and a pose 100; a byte of
+# compressed zeros expands to 7000.
 _MOST_PER_BYTE, _MOST_BESIDES = {"surfels": 2.0, "keyframes": 0.1}, {"surfels": 100_000, "keyframes": 10_000}
-# Columns are mostly noise, in which a longer search finds hardly more: preset 6 takes eight times as long for 1 %.
+# Columns are mostly noise, which a longer search hardly compresses: preset 6 takes eight times as long for 1 %.
 _COMPRESSION = {
     "id": lzma.FILTER_LZMA2,
     "preset": 0,
@@ -116,14 +83,14 @@ _COLUMNS_AT_ONCE = 1 << 16
 
 
 def save_map(surfel_map: SurfelMap, path: StrPath) -> None:
-    """Write a whole map, atomically, in steps that `mapping.columns` tells. Raises OutputError.
+    """Write a whole map, atomically, quantised as `mapping.columns` describes. Raises OutputError.
 
-    Keyframe by keyframe, since at once its columns would take half as much memory as the map.
+    It is written keyframe by keyframe, since all columns at once would take half as much memory as the map.
     """
     path = Path(path)
     T_map_keyframe = np.ascontiguousarray(surfel_map.T_map_keyframe, "<f8")
     with atomic_write(path, "wb") as stream:
-        # Whole, but compressed: the header before it tells its length.
+        # In memory, compressed, since the header before it has its length.
         count, body = _body(surfel_map, T_map_keyframe, path.parent)
         header = {
             "frame": FRAME,
@@ -141,25 +108,22 @@ def save_map(surfel_map: SurfelMap, path: StrPath) -> None:
 
 
 def _body(surfel_map: SurfelMap, T_map_keyframe: FloatArray, folder: Path) -> tuple[int, bytes]:
-    """How many surfels, and all columns and poses, compressed, by way of files in a folder. Raises OSError."""
+    """Return the number of surfels, and the compressed columns and poses. Uses files in a folder. Raises OSError."""
     count, rules = 0, (surfel_map.stamp_s, surfel_map.settings.stable_confidence)
     compressor = lzma.LZMACompressor(lzma.FORMAT_XZ, lzma.CHECK_NONE, filters=[_COMPRESSION])
     with ColumnFiles(folder) as files:
         for keyframes in _intervals(surfel_map, len(T_map_keyframe)):
-            columns = columns_of(_whole(surfel_map.parts(keyframes=keyframes)), *rules)
+            pieces = list(surfel_map.parts(keyframes=keyframes))
+            arrays = (np.concatenate([getattr(piece, name) for piece in pieces]) for name in Surfels.__slots__)
+            columns = columns_of(Surfels(*arrays), *rules)
             files.add(columns)
             count += len(columns["keyframe"])
         body = files.compressed(compressor)
     return count, b"".join([body, compressor.compress(T_map_keyframe.tobytes()), compressor.flush()])
 
 
-def _whole(parts: Iterable[Surfels]) -> Surfels:
-    pieces = list(parts)
-    return Surfels(*(np.concatenate([getattr(piece, name) for piece in pieces]) for name in Surfels.__slots__))
-
-
 def _intervals(surfel_map: SurfelMap, keyframes: int) -> Iterator[tuple[int, int]]:
-    """Of keyframes, from -1 for none on, each with about so many surfels as are turned into columns at once."""
+    """Yield intervals of keyframes, from -1 for none on, each with about `_COLUMNS_AT_ONCE` surfels."""
     counts = np.zeros(keyframes + 1, np.int64)
     for part in surfel_map.parts():
         counts += np.bincount(part.keyframe + 1, minlength=keyframes + 1)
@@ -176,18 +140,18 @@ def load_map(path: StrPath) -> SurfelMap:
     """Read a whole map.
 
     Raises:
-        MapError: naming the file: it cannot be read, is no map, of a later version, cut short, damaged, or holds
-            numbers that no surfel or keyframe has.
+        MapError: the file cannot be read, is not a map, of a later version, truncated, damaged, or has values that no
+            surfel or keyframe has.
     """
     path = Path(path)
     data = read_bytes(path, _FILE, MapError)
     try:
         version, header, body = _split(data)
-        settings = _settings_of(header)
+        known = {name: value for name, value in dict(header["settings"]).items() if name not in _RETIRED}
+        settings = checked_settings(SurfelSettings, known, MapError, "settings: ", _DAMAGED)
         surfels, T_map_keyframe = _contents(version, header, body, settings)
-        del data, body  # of old versions as large as the map
-        _refuse_impossible(surfels)
-        _refuse_wrong_keyframes(surfels, T_map_keyframe)
+        del data, body  # in old versions, as large as the map
+        _refuse_impossible(surfels, T_map_keyframe)
         return _map_of(header, surfels, T_map_keyframe, settings)
     except MapError as error:
         raise MapError(error.problem, path=path, fix=error.fix) from error
@@ -196,7 +160,7 @@ def load_map(path: StrPath) -> SurfelMap:
 
 
 def _split(data: bytes) -> tuple[str, dict[str, Any], memoryview]:
-    """Version, header, and all that follows."""
+    """Return the version, the header, and the body."""
     name, _, rest = data[:_LONGEST_HEADER].partition(b"\n")
     version = name[:40].decode("ascii", "replace")
     if version not in _VERSIONS or len(name) > len(version):
@@ -215,27 +179,31 @@ def _split(data: bytes) -> tuple[str, dict[str, Any], memoryview]:
     if version == FORMAT:
         is_known = header["columns"] == [list(column) for column in COLUMNS]
     else:
-        is_known = known_fields(header, version)
+        is_known = _has_known_fields(header, version)
     if header["frame"] != FRAME or not is_known or not all(_is_count(header[name], _MOST[name]) for name in _COUNTS):
         raise MapError(f"its frame, fields or counts are not those of {version}", fix=_DAMAGED)
     return version, header, memoryview(data)[len(name) + len(text) + 2 :]
+
+
+def _has_known_fields(header: dict[str, Any], version: str) -> bool:
+    """Return whether a header has the fields of its version. Adds the missing entries of version 1."""
+    known = _FIELDS
+    if version == FIRST_FORMAT:
+        header |= {"frame": FRAME, "keyframes": 0}
+        known = _FIELDS[:-1]
+    return bool(header["fields"] == [list(field) for field in known])
 
 
 def _is_count(value: object, most: float = math.inf) -> bool:
     return type(value) is int and 0 <= value <= most
 
 
-def _settings_of(header: dict[str, Any]) -> SurfelSettings:
-    told = {name: value for name, value in dict(header["settings"]).items() if name not in _RETIRED}
-    return checked_settings(SurfelSettings, told, MapError, "settings: ", _DAMAGED)
-
-
 def _contents(
     version: str, header: dict[str, Any], body: memoryview, settings: SurfelSettings
 ) -> tuple[Surfels, FloatArray]:
-    """Surfels, and T_map_keyframe (keyframes, 4, 4)."""
+    """Return surfels and T_map_keyframe (keyframes, 4, 4)."""
     if version != FORMAT:
-        return contents_of(header, body, _DAMAGED)
+        return _old_contents(header, body)
     if len(body) != header["bytes"]:
         raise MapError(f"holds {len(body)} bytes of surfels and keyframes, not {header['bytes']}", fix=_DAMAGED)
     if zlib.crc32(body) != header["crc32"]:
@@ -252,13 +220,13 @@ def _contents(
 
 
 def _decompressed(body: memoryview, lengths: list[int]) -> Iterator[bytes]:
-    """Pieces of so many bytes. Raises MapError where there are more or fewer."""
+    """Yield pieces of the given lengths. Raises MapError if there is more or less data."""
     decompressor = lzma.LZMADecompressor(lzma.FORMAT_XZ, _MOST_MEMORY)
     given: bytes | memoryview = body
     try:
         for length in lengths:
             piece = b""
-            if length and not decompressor.eof:  # asked for nothing again and again, it takes itself for stuck
+            if length and not decompressor.eof:  # repeated requests of 0 bytes would raise an error
                 piece, given = decompressor.decompress(given, length), b""
             if len(piece) != length:
                 raise MapError("its surfels and keyframes are fewer than it says", fix=_DAMAGED)
@@ -271,7 +239,36 @@ def _decompressed(body: memoryview, lengths: list[int]) -> Iterator[bytes]:
         raise MapError("its surfels and keyframes are more than it says", fix=_DAMAGED)
 
 
-def _refuse_impossible(surfels: Surfels) -> None:
+def _old_contents(header: dict[str, Any], body: memoryview) -> tuple[Surfels, FloatArray]:
+    """Return surfels and T_map_keyframe (keyframes, 4, 4) of versions 1 and 2. Raises MapError."""
+    n, keyframes, known = header["surfels"], header["keyframes"], header["fields"]
+    expected = n * sum(np.dtype(dtype).itemsize * max(columns, 1) for _, dtype, columns in known)
+    expected += keyframes * _POSE_BYTES
+    if len(body) != expected:
+        raise MapError(f"holds {len(body)} bytes of surfels and keyframes, not {expected}", fix=_DAMAGED)
+    if zlib.crc32(body) != header["crc32"]:
+        raise MapError("its checksum is wrong", fix=_DAMAGED)
+    arrays, begin = [], 0
+    for _, dtype, columns in known:
+        flat = np.frombuffer(body, dtype, n * max(columns, 1), begin)
+        begin += flat.nbytes
+        arrays.append(flat.reshape(n, columns).copy() if columns else flat.copy())
+    if len(known) < len(_FIELDS):
+        arrays.append(np.full(n, -1, np.int32))
+    return Surfels(*arrays), np.frombuffer(body, "<f8", 16 * keyframes, begin).reshape(-1, 4, 4).astype(float)
+
+
+def _refuse_impossible(surfels: Surfels, T_map_keyframe: FloatArray) -> None:
+    """Raise MapError for values that no surfel or keyframe has."""
+    _refuse_impossible_values(surfels)
+    if not np.isfinite(T_map_keyframe).all() or not np.all(se3.is_valid(T_map_keyframe, tolerance=1e-4)):
+        raise MapError("its keyframes have poses that are no rigid motions", fix=_DAMAGED)
+    numbers = surfels.keyframe
+    if len(numbers) and not (numbers.min() >= -1 and numbers.max() < len(T_map_keyframe)):
+        raise MapError(f"keyframe holds numbers beyond the {len(T_map_keyframe)} there are", fix=_DAMAGED)
+
+
+def _refuse_impossible_values(surfels: Surfels) -> None:
     for name, largest in _LARGEST.items():
         values = getattr(surfels, name)
         if not np.isfinite(values).all():
@@ -285,14 +282,6 @@ def _refuse_impossible(surfels: Surfels) -> None:
             raise MapError(f"{name} holds numbers that are not positive", fix=_DAMAGED)
     if np.abs(np.linalg.norm(surfels.normal, axis=1) - 1).max() > 1e-3:
         raise MapError("normal holds vectors that are not of length 1", fix=_DAMAGED)
-
-
-def _refuse_wrong_keyframes(surfels: Surfels, T_map_keyframe: FloatArray) -> None:
-    if not np.isfinite(T_map_keyframe).all() or not np.all(se3.is_valid(T_map_keyframe, tolerance=1e-4)):
-        raise MapError("its keyframes have poses that are no rigid motions", fix=_DAMAGED)
-    numbers = surfels.keyframe
-    if len(numbers) and not (numbers.min() >= -1 and numbers.max() < len(T_map_keyframe)):
-        raise MapError(f"keyframe holds numbers beyond the {len(T_map_keyframe)} there are", fix=_DAMAGED)
 
 
 def _map_of(
