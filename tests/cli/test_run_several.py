@@ -59,7 +59,7 @@ def test_why_one_was_not_evaluated_stands_below(wheelsight: Command, tmp_path: P
     names = ("--odometry", "wheels,features", "--fusion", "none")
     result = wheelsight("run", tmp_path / "drive", *names, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
-    assert "wheels not evaluated: ground truth: a trajectory of 'camera' cannot be told for 'base'" in result.stdout
+    assert "wheels not evaluated: ground truth: a trajectory of 'camera' cannot be converted to 'base'" in result.stdout
 
 
 def test_unknown_and_doubled_names_are_one_line(refusal: Callable[..., str], drive: Path, tmp_path: Path) -> None:

@@ -189,7 +189,7 @@ def test_what_cannot_be_rectified_is_refused_in_one_line(tmp_path: Path) -> None
     assert "no ground truth (give --start" in refusal(area_recording(tmp_path, with_truth=False), tmp_path)
     camera_truth = Trajectory(area_drive().truth.stamps_s, area_drive().truth.T_frame_body)
     nowhere = replace(recording, ground_truth=camera_truth, calibration=replace(calibration(), T_base_camera=None))
-    assert "cannot be told for 'base' (give --start" in refusal(nowhere, tmp_path)
+    assert "cannot be converted to 'base' (give --start" in refusal(nowhere, tmp_path)
     earlier = Trajectory(area_drive().truth.stamps_s[:2] - 10, area_drive().truth.T_frame_body[:2], body="base")
     said = refusal(replace(recording, ground_truth=earlier), tmp_path)
     assert "no ground truth at 1000.000 s (give --start" in said

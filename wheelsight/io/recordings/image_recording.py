@@ -1,4 +1,4 @@
-"""A recording kept as image files: what all folder formats come down to once their lists are read."""
+"""`ImageRecording`, a recording of image files. Readers of all folder formats make one from their lists."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _FRAMES_TRIED = 8
 
 @dataclass(frozen=True, slots=True)
 class FramePaths:
-    """The two image files of a frame; its time is that of the colour image, in seconds, depth was so much later."""
+    """The two image files of a frame, the time of the colour image, and by how much depth was later."""
 
     stamp_s: float
     color: Path
@@ -45,12 +45,13 @@ class FramePaths:
 
 @dataclass(frozen=True, eq=False)
 class ImageRecording:
-    """A `Recording` made of image files. Attributes beside the protocol's:
+    """A `Recording` of image files.
 
-    frames: the image files of each frame, in order of time.
-    encoding: how depth images are to be read.
-    wheels: readings of the wheel encoders, in order of time.
-    yaw_rates: readings of a gyroscope, in order of time.
+    Attributes beside the protocol's:
+        frames: the image files of each frame, in order of time.
+        encoding: of the depth images.
+        wheels: readings of the wheel encoders, in order of time.
+        yaw_rates: readings of a gyroscope, in order of time.
     """
 
     name: str
@@ -72,12 +73,12 @@ class ImageRecording:
 
     @property
     def frame_count(self) -> int:
-        """How many frames `events()` will yield, skipped ones included."""
+        """The number of frames that `events()` yields, skipped ones included."""
         return len(self.frames)
 
     @property
     def wheel_count(self) -> int:
-        """How many wheel readings `events()` will yield."""
+        """The number of wheel readings that `events()` yields."""
         return len(self.wheels)
 
     def events(self, *, images: bool = True) -> Iterator[Event]:
@@ -90,13 +91,13 @@ class ImageRecording:
         return read_ahead(events, _FRAMES_READ_AHEAD)
 
     def listed(self) -> Iterator[Event | ListedFrame]:
-        """Frames that are still to be decoded, and readings, in order of time."""
+        """Undecoded frames and readings, in order of time."""
         stamps_s = [*(frame.stamp_s for frame in self.frames), math.inf]
         frames = (
             ListedFrame(stamp_s, next_stamp_s, partial(self._frame_or_reason, index))
             for index, (stamp_s, next_stamp_s) in enumerate(pairwise(stamps_s))
         )
-        return heapq.merge(self.yaw_rates, self.wheels, frames, key=_stamp_s)
+        return heapq.merge(self.yaw_rates, self.wheels, frames, key=lambda item: item.stamp_s)
 
     def read_frame(self, index: int) -> RgbdFrame:
         """The frame at `index`. Raises RecordingError naming the file and what makes it unusable."""
@@ -119,7 +120,7 @@ class ImageRecording:
 
 
 class PairedImages(NamedTuple):
-    """The frames of a folder, and how colour and depth were paired."""
+    """The frames of a folder, and the report of their pairing."""
 
     frames: tuple[FramePaths, ...]
     association: AssociationReport
@@ -134,19 +135,19 @@ def recording_of(
     truth: Trajectory | None,
     warnings: Sequence[str],
 ) -> ImageRecording:
-    """The recording in a folder, tried: some frame can be read, truth is told for its body, warnings are added.
+    """The recording of a folder, with ground truth of its own body. Decodes a frame as a check.
 
     Args:
-        folder: where it lies, whose name is the recording's.
-        reader: its name.
-        calibration, encoding: as `ImageRecording` has them.
-        images: its frames.
-        truth: T_frame_body of camera or base.
-        warnings: of what was read so far.
+        folder: of the recording, which has the folder's name.
+        reader: name of the reader.
+        calibration, encoding: as in `ImageRecording`.
+        images: the frames.
+        truth: T_frame_body of camera or base, or None.
+        warnings: of the files read so far.
 
     Raises:
-        RecordingError: none of some frames spread over the recording can be used; says why the first cannot.
-        CalibrationError: the ground truth describes another body, and nothing says where that is.
+        RecordingError: none of several frames spread over the recording is valid; the error of the first.
+        CalibrationError: the ground truth describes the other body, and the calibration has no T_base_camera.
     """
     made = ImageRecording(
         name=folder.resolve().name,
@@ -160,27 +161,46 @@ def recording_of(
         warnings=tuple(warnings),
     )
     _try_frames(made)
-    return _with_truth(made)
-
-
-def _with_truth(recording: ImageRecording) -> ImageRecording:
-    """With the true poses of its own body, and a warning where they do not reach over all frames."""
-    if recording.ground_truth is None:
-        return recording
+    if truth is None:
+        return made
     try:
-        truth = express_for(recording.body, recording.ground_truth, recording.calibration)
+        truth = express_for(made.body, truth, calibration)
     except CalibrationError as error:
-        raise CalibrationError(f"ground truth: {error.problem}", path=recording.path, fix=error.fix) from error
-    return replace(recording, ground_truth=truth, warnings=(*recording.warnings, *_coverage(recording, truth)))
+        raise CalibrationError(f"ground truth: {error.problem}", path=folder, fix=error.fix) from error
+    return replace(made, ground_truth=truth, warnings=(*warnings, *_coverage(made, truth)))
+
+
+def _try_frames(recording: ImageRecording) -> None:
+    """Decode frames spread over the recording until one is valid; if none is, raise the first one's error."""
+    first: RecordingError | None = None
+    tried = np.linspace(0, len(recording.frames) - 1, _FRAMES_TRIED).astype(int)
+    for index in dict.fromkeys(tried.tolist()):
+        try:
+            recording.read_frame(index)
+            return
+        except RecordingError as error:
+            first = first or error
+    if first is not None:
+        raise first
+
+
+def _coverage(recording: ImageRecording, truth: Trajectory) -> list[str]:
+    """A warning where the ground truth does not cover all frames."""
+    start_s, end_s = truth.stamps_s[0], truth.stamps_s[-1]
+    covered = sum(bool(start_s <= frame.stamp_s <= end_s) for frame in recording.frames)
+    slack = 0 if len(recording.frames) < 3 else 2
+    if covered + slack >= len(recording.frames):
+        return []
+    return [f"The ground truth covers {covered} of {len(recording.frames)} frames; only these can be evaluated."]
 
 
 def pair_images(
     color: Sequence[ListedFile], depth: Sequence[ListedFile], max_gap_s: float, color_list: Path
 ) -> PairedImages:
-    """Frames of the colour and depth images that belong together, and how that went.
+    """Frames of the colour and depth images that are nearest in time, at most `max_gap_s` apart.
 
     Raises:
-        RecordingError: no two images lie within `max_gap_s` seconds; names the list and the nearest gap.
+        RecordingError: there is no pair; names `color_list` and the smallest gap.
     """
     color_s, depth_s = (np.array([file.stamp_s for file in files], float) for files in (color, depth))
     pairs = associate(color_s, depth_s, max_gap_s)
@@ -201,31 +221,3 @@ def pair_images(
     )
     largest_s = float(np.abs(color_s[pairs[:, 0]] - depth_s[pairs[:, 1]]).max())
     return PairedImages(frames, AssociationReport(len(color), len(depth), len(frames), max_gap_s, largest_s))
-
-
-def _stamp_s(event: Event | ListedFrame) -> float:
-    return event.stamp_s
-
-
-def _try_frames(recording: ImageRecording) -> None:
-    """Read frames spread over the recording until one is usable; if none is, the first one's error is the answer."""
-    first: RecordingError | None = None
-    tried = np.linspace(0, len(recording.frames) - 1, _FRAMES_TRIED).astype(int)
-    for index in dict.fromkeys(tried.tolist()):
-        try:
-            recording.read_frame(index)
-            return
-        except RecordingError as error:
-            first = first or error
-    if first is not None:
-        raise first
-
-
-def _coverage(recording: ImageRecording, truth: Trajectory) -> list[str]:
-    """A warning where the ground truth does not reach over all frames."""
-    start_s, end_s = truth.stamps_s[0], truth.stamps_s[-1]
-    covered = sum(bool(start_s <= frame.stamp_s <= end_s) for frame in recording.frames)
-    slack = 0 if len(recording.frames) < 3 else 2
-    if covered + slack >= len(recording.frames):
-        return []
-    return [f"The ground truth covers {covered} of {len(recording.frames)} frames; only these can be evaluated."]

@@ -1,5 +1,5 @@
-"""`Recording`, the interface of every format, with `OpenOptions`, `RecordingSettings` and `BagSettings`. Readers
-choose the calibration and the body of the ground truth here.
+"""`Recording`, the interface of every format, `Reader`, which opens one, and the options and settings of opening.
+Readers choose the calibration and the body of the ground truth here.
 """
 
 from __future__ import annotations
@@ -24,7 +24,182 @@ from wheelsight.core.robots import EventSource
 from wheelsight.core.settings import ASKED, CHOSEN, Settings, setting
 from wheelsight.core.trajectory import Trajectory
 
-# By what a bag's messages are put in order, and when what they say of themselves is not believed.
+
+@runtime_checkable
+class Recording(EventSource, Protocol):
+    """A finished recording: an `EventSource` that ends, with its counts and ground truth."""
+
+    @property
+    def path(self) -> Path:
+        """The folder or file of the recording."""
+
+    @property
+    def format(self) -> str:
+        """The reader's name in the registry."""
+
+    @property
+    def body(self) -> str:
+        """The frame its trajectory describes: "base" where the calibration has T_base_camera, else "camera"."""
+
+    @property
+    def frame_count(self) -> int:
+        """The number of RGB-D frames that `events()` yields, skipped ones included."""
+
+    @property
+    def wheel_count(self) -> int:
+        """The number of wheel readings that `events()` yields."""
+
+    @property
+    def association(self) -> AssociationReport:
+        """How colour and depth were paired."""
+
+    @property
+    def ground_truth(self) -> Trajectory | None:
+        """T_frame_body of `body`, or None."""
+
+    def events(self, *, images: bool = True) -> Iterator[Event]:
+        """The events in order of time, from the start at each call. Images are decoded during iteration.
+
+        Without `images`, frames are left out and no image is decoded.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class AssociationReport:
+    """How colour images were paired with depth images: counts and gaps.
+
+    Attributes:
+        max_gap_s: the largest gap that is allowed.
+        largest_gap_s: the largest gap of a pair.
+    """
+
+    color_images: int
+    depth_images: int
+    pairs: int
+    max_gap_s: float
+    largest_gap_s: float = 0.0
+
+    @property
+    def dropped_color(self) -> int:
+        """Colour images without a depth image near enough."""
+        return self.color_images - self.pairs
+
+    @property
+    def dropped_depth(self) -> int:
+        """Depth images without a colour image near enough."""
+        return self.depth_images - self.pairs
+
+    @property
+    def unpaired(self) -> int:
+        """Frames lost because their images have no partner, by the sensor with fewer images."""
+        return max(min(self.color_images, self.depth_images) - self.pairs, 0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ListedFrame:
+    """A frame that is not decoded yet.
+
+    Attributes:
+        stamp_s: its time.
+        next_stamp_s: the time of the next frame; infinite for the last.
+        read: decodes it.
+    """
+
+    stamp_s: float
+    next_stamp_s: float
+    read: Callable[[], RgbdFrame | SkippedFrame]
+
+
+@runtime_checkable
+class ListsFrames(Protocol):
+    """A recording that lists frames before it decodes them, so that a caller can skip some."""
+
+    def listed(self) -> Iterator[Event | ListedFrame]:
+        """The items of `events()` in the same order, with undecoded frames."""
+
+
+@runtime_checkable
+class GivesMatches(Protocol):
+    """A recording with matches of places from an external source, or with variances of its odometry's speeds."""
+
+    @property
+    def matches(self) -> Sequence[Match]:
+        """Matches in any order; may be empty."""
+
+    @property
+    def speed_variances(self) -> SpeedVariances | None:
+        """The variances that the recording states, or None."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedTopic:
+    """A topic of a bag.
+
+    Attributes:
+        name: such as /camera/color/image_raw.
+        type: such as sensor_msgs/msg/Image.
+        count: the number of messages.
+        used_as: color, depth, color_info, depth_info, wheels or gyro; empty where it is not used.
+    """
+
+    name: str
+    type: str
+    count: int
+    used_as: str = ""
+
+
+class LeftOut(str):
+    """A warning that says how many lines or messages of a recording were left out, and why.
+
+    Attributes:
+        gone, of: the number that were left out, and the number of all.
+        reason: what they are, and why they were left out.
+    """
+
+    gone: int
+    of: int
+    reason: str
+
+    def __new__(cls, text: str, gone: int, of: int, reason: str) -> LeftOut:
+        """The warning with the sentence `text`."""
+        made = super().__new__(cls, text)
+        made.gone, made.of, made.reason = gone, of, reason
+        return made
+
+    def __getnewargs__(self) -> tuple[str, int, int, str]:  # type: ignore[override]
+        """Arguments for `copy` and `pickle`."""
+        return str(self), self.gone, self.of, self.reason
+
+
+def left_out_of(warnings: Iterable[str]) -> dict[str, tuple[int, int]]:
+    """The numbers of lines or messages that were left out, and of all, by reason."""
+    return {warning.reason: (warning.gone, warning.of) for warning in warnings if isinstance(warning, LeftOut)}
+
+
+@runtime_checkable
+class ListsTopics(Protocol):
+    """A recording made of topics, some of them used."""
+
+    @property
+    def topics(self) -> Sequence[RecordedTopic]:
+        """All topics, in order of name."""
+
+
+@runtime_checkable
+class TellsWheelFaults(Protocol):
+    """A recording that can report why poses by its wheels are wrong."""
+
+    @property
+    def wheel_faults(self) -> Sequence[str]:
+        """One sentence for each known fault, also in `warnings`."""
+
+
+@runtime_checkable
+class TellsEnds(Protocol):
+    """A recording that is too long to list before it is read, but has the end stamps of its streams."""
+
+    def end_stamps(self) -> Mapping[str, FloatArray]:
+        """The first few stamps (N,) and the last one of each stream, keyed by `clock_checks.FRAMES` and `WHEELS`."""
 
 
 class BagSettings(Settings):
@@ -109,198 +284,54 @@ class BagSettings(Settings):
     )
 
 
-# Recording: what every source of recorded events offers, whatever its format.
+class Layout(StrEnum):
+    """The kind of files of a format, in words for error messages."""
+
+    LISTS = "lists of images"
+    NUMBERED = "numbered images"
+    WHEELS = "tables of wheels"
+    FILE = "one file"
 
 
-@dataclass(frozen=True, slots=True)
-class AssociationReport:
-    """How colour images found their depth images: counts, and the largest gap kept."""
-
-    color_images: int
-    depth_images: int
-    pairs: int
-    max_gap_s: float
-    largest_gap_s: float = 0.0
-
-    @property
-    def dropped_color(self) -> int:
-        """Colour images without a depth image near enough."""
-        return self.color_images - self.pairs
+class Reader(Protocol):
+    """Reads one format of recording."""
 
     @property
-    def dropped_depth(self) -> int:
-        """Depth images without a colour image near enough."""
-        return self.depth_images - self.pairs
+    def name(self) -> str:
+        """Name of the format."""
 
     @property
-    def unpaired(self) -> int:
-        """Frames that are lost because their images found no partner: of the sensor that gave fewer images."""
-        return max(min(self.color_images, self.depth_images) - self.pairs, 0)
-
-
-@runtime_checkable
-class Recording(EventSource, Protocol):
-    """A finished recording: a source that ends, and knows its counts and the true trajectory if it has one."""
+    def layout(self) -> Layout:
+        """The kind of files of its recordings."""
 
     @property
-    def path(self) -> Path:
-        """The folder it was read from."""
+    def needs(self) -> str:
+        """The files of a folder of this format, in a few words, for error messages."""
 
-    @property
-    def format(self) -> str:
-        """The reader's name in the registry."""
+    def recognises(self, folder: Path) -> bool:
+        """Whether an existing folder has this format, judged by file names only."""
 
-    @property
-    def body(self) -> str:
-        """The frame its trajectory describes: "base" where the calibration says T_base_camera, else "camera"."""
-
-    @property
-    def frame_count(self) -> int:
-        """How many RGB-D frames `events()` will yield, skipped ones included."""
-
-    @property
-    def wheel_count(self) -> int:
-        """How many wheel readings `events()` will yield."""
-
-    @property
-    def association(self) -> AssociationReport:
-        """How colour and depth were paired."""
-
-    @property
-    def ground_truth(self) -> Trajectory | None:
-        """T_frame_body of `body`, or None."""
-
-    def events(self, *, images: bool = True) -> Iterator[Event]:
-        """The events in order of time, from the start at each call; images are decoded as they are asked for.
-
-        Without `images` frames are left out, and none is decoded.
-        """
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ListedFrame:
-    """A frame that is known of, but not decoded yet.
-
-    Attributes:
-        stamp_s: its time.
-        next_stamp_s: that of the frame after it; infinite for the last.
-        read: decodes it.
-    """
-
-    stamp_s: float
-    next_stamp_s: float
-    read: Callable[[], RgbdFrame | SkippedFrame]
-
-
-@runtime_checkable
-class ListsFrames(Protocol):
-    """A recording that knows of its frames before it decodes them, so that some need not be decoded at all."""
-
-    def listed(self) -> Iterator[Event | ListedFrame]:
-        """What `events()` yields, in the same order, with frames that are still to be decoded."""
-
-
-@runtime_checkable
-class GivesMatches(Protocol):
-    """A recording that tells where somebody took two places for one, and what its odometry says of its own errors."""
-
-    @property
-    def matches(self) -> Sequence[Match]:
-        """In any order; maybe none."""
-
-    @property
-    def speed_variances(self) -> SpeedVariances | None:
-        """As stated, or None."""
-
-
-@dataclass(frozen=True, slots=True)
-class RecordedTopic:
-    """A topic of a bag.
-
-    Attributes:
-        name: such as /camera/color/image_raw.
-        type: such as sensor_msgs/msg/Image.
-        count: how many messages there are.
-        used_as: color, depth, color_info, depth_info, wheels or gyro; empty where it is not used.
-    """
-
-    name: str
-    type: str
-    count: int
-    used_as: str = ""
-
-
-class LeftOut(str):
-    """A sentence among the warnings of a recording that says how much of it was left out, and why.
-
-    Attributes:
-        gone, of: so many lines or messages, of how many.
-        reason: what they are, and why they were left out.
-    """
-
-    gone: int
-    of: int
-    reason: str
-
-    def __new__(cls, text: str, gone: int, of: int, reason: str) -> LeftOut:
-        """The sentence `text`."""
-        made = super().__new__(cls, text)
-        made.gone, made.of, made.reason = gone, of, reason
-        return made
-
-    def __getnewargs__(self) -> tuple[str, int, int, str]:  # type: ignore[override]
-        """For copies and other processes."""
-        return str(self), self.gone, self.of, self.reason
-
-
-def left_out_of(warnings: Iterable[str]) -> dict[str, tuple[int, int]]:
-    """How many lines or messages of a recording were left out, and of how many, by reason."""
-    return {told.reason: (told.gone, told.of) for told in warnings if isinstance(told, LeftOut)}
-
-
-@runtime_checkable
-class ListsTopics(Protocol):
-    """A recording made of topics, of which it uses some."""
-
-    @property
-    def topics(self) -> Sequence[RecordedTopic]:
-        """All of them, in order of name."""
-
-
-@runtime_checkable
-class TellsWheelFaults(Protocol):
-    """A recording that may know why poses by its wheels are wrong."""
-
-    @property
-    def wheel_faults(self) -> Sequence[str]:
-        """One sentence each, also in `warnings`; none where nothing is known to be wrong."""
-
-
-@runtime_checkable
-class TellsEnds(Protocol):
-    """A recording too long to be listed before it is read; it knows when its streams begin and end."""
-
-    def end_stamps(self) -> Mapping[str, FloatArray]:
-        """Some first stamps (N,), and the last one, of frames and of wheels, by the names of `recordings.clocks`."""
+    def open(self, folder: Path, options: OpenOptions) -> Recording:
+        """The recording in a recognised folder. Raises InputError where it cannot be read."""
 
 
 @dataclass(frozen=True, slots=True)
 class OpenOptions:
-    """What a user may say about a recording that its files do not.
+    """Options of `open_recording`: information that the files do not contain.
 
     Attributes:
-        camera: name of a shipped calibration (see `camera_names()`), or a calibration.yaml; None to go by the files.
-        max_gap_s: largest distance in time between a colour and a depth image of one frame.
-        depth_factor: depth units a metre, where it differs from the format's own.
-        calibration: a calibration.yaml, or several; what each tells of any part of the robot stands in place of what
-            the recording, and those before it, say.
-        rate_hz: how many a second the stamps of images count: the camera's rate, where they are numbers of frames;
-            1000, where they are milliseconds. None where they are seconds.
-        topics: which topics of a bag are what, each as "color=/camera/color/image_raw"; see docs/bags.md.
-        bag: how messages of bags are put in order, and when their stamps are believed.
+        camera: name of a shipped calibration (see `camera_names()`), or a calibration.yaml; None to use the files.
+        max_gap_s: largest time difference between the colour and the depth image of a frame.
+        depth_factor: depth units per metre, where they differ from the format's own.
+        calibration: a calibration.yaml, or several. Each replaces the parts of the recording's calibration, and of
+            those before it, that it contains.
+        rate_hz: units per second of the images' stamps: the camera's rate, where stamps are frame numbers; 1000, where
+            they are milliseconds. None where they are seconds.
+        topics: roles of a bag's topics, each as "color=/camera/color/image_raw"; see docs/bags.md.
+        bag: how bags are read.
 
     Raises:
-        ConfigError: a gap that is not finite and from 0 up, or a factor or rate that is not positive.
+        ConfigError: the gap is negative or not finite, or a factor or rate is not positive.
     """
 
     camera: StrPath | None = None
@@ -323,48 +354,14 @@ class OpenOptions:
 
     @property
     def calibrations(self) -> tuple[StrPath, ...]:
-        """What is laid over the recording's calibration, one after the other."""
+        """The calibrations that replace parts of the recording's, in this order."""
         if self.calibration is None:
             return ()
         return (self.calibration,) if isinstance(self.calibration, str | PathLike) else tuple(self.calibration)
 
 
-class Layout(StrEnum):
-    """By what a format is told from others, in words for a user whose folder is of none."""
-
-    LISTS = "lists of images"
-    NUMBERED = "numbered images"
-    WHEELS = "tables of wheels"
-    FILE = "one file"
-
-
-class Reader(Protocol):
-    """Reads one format of recording."""
-
-    @property
-    def name(self) -> str:
-        """What the format is called."""
-
-    @property
-    def layout(self) -> Layout:
-        """What its recordings are made of."""
-
-    @property
-    def needs(self) -> str:
-        """What a folder of this format holds, in a few words, for a user whose folder is none."""
-
-    def recognises(self, folder: Path) -> bool:
-        """Whether an existing folder looks like this format, by names of files alone."""
-
-    def open(self, folder: Path, options: OpenOptions) -> Recording:
-        """The recording in a folder that was recognised. Raises InputError where it cannot be read."""
-
-
-# RecordingSettings: what a user says about a recording, as `Config` holds it.
-
-
 def _listed(files: Any) -> Any:
-    """One file, or none, as a list of them."""
+    """The input of a setting that takes one text, several, or none, as a sequence."""
     return (() if files is None else files) if not isinstance(files, str) else (files,)
 
 
@@ -373,7 +370,7 @@ def _unlisted(files: tuple[str, ...]) -> str | list[str] | None:
 
 
 class RecordingSettings(Settings):
-    """What a user says about a recording that its files do not."""
+    """Information about a recording that its files do not contain, as `Config` holds it; see `OpenOptions`."""
 
     camera: str | None = setting(None, "name of a shipped calibration, or a calibration.yaml", ASKED)
     max_gap_s: float = setting(
@@ -397,14 +394,12 @@ class RecordingSettings(Settings):
     bag: BagSettings = setting(BagSettings(), "how bags are read", ASKED)
 
     def open_options(self) -> OpenOptions:
-        """The same, as `open_recording` takes it."""
+        """The options for `open_recording`."""
         of_images = (self.camera, self.max_gap_s, self.depth_factor, self.calibration, self.rate_hz)
         return OpenOptions(*of_images, self.topics, self.bag)
 
 
-# Calibrations that come with the package, by name; none is ever chosen silently.
-
-
+# Calibrations that come with the package. Only the user chooses one.
 _FOLDER = Path(__file__).parent / "cameras"
 
 
@@ -417,7 +412,7 @@ def load_camera(name: StrPath) -> Calibration:
     """A calibration that comes with the package, by its name, or any calibration.yaml, by its path.
 
     Raises:
-        CalibrationError: neither a known name nor a file, or a file that is no calibration.
+        CalibrationError: the name is neither known nor a file, or the file is not a calibration.
     """
     if name in camera_names():
         return load_calibration(_FOLDER / f"{name}.yaml")
@@ -427,14 +422,19 @@ def load_camera(name: StrPath) -> Calibration:
 
 
 def camera_choices() -> str:
-    """What a user may answer when asked for the camera."""
+    """The fix of an error about an unknown camera: how to choose one."""
     return f"say which with --camera: {', '.join(camera_names())}, or a calibration.yaml"
 
 
 def choose_calibration(folder: Path, options: OpenOptions, otherwise: Callable[[], Calibration]) -> Calibration:
-    """The calibration the user names, else the folder's calibration.yaml, else what its format knows.
+    """The calibration that the user chose, else the folder's calibration.yaml, else that of the format.
 
-    Over it goes what `options.calibrations` tell of any part of the robot; where nothing else is known, they serve.
+    `options.calibrations` replace parts of it, or serve alone where there is none.
+
+    Args:
+        folder: of the recording.
+        options: of the user.
+        otherwise: gives the format's calibration, or raises CalibrationError where it has none.
     """
     over, own = options.calibrations, folder / "calibration.yaml"
     if options.camera is not None:
@@ -450,23 +450,20 @@ def choose_calibration(folder: Path, options: OpenOptions, otherwise: Callable[[
     return load_calibration(*over, under=known)
 
 
-# The same trajectory told of the robot's base or of its camera.
-
-
 def express_for(body: str, trajectory: Trajectory, calibration: Calibration) -> Trajectory:
-    """T_frame_body for `body`, "base" or "camera", of a trajectory that describes either.
+    """The trajectory T_frame_body of `body`, "base" or "camera", given that of either.
 
-    Covariances stay as they are: they perturb from the left, in the map, whatever the body.
+    Covariances do not change: they are left perturbations in the map frame, for either body.
 
     Raises:
-        CalibrationError: the two differ and the calibration has no T_base_camera to join them.
+        CalibrationError: the bodies differ and the calibration has no T_base_camera.
     """
     if trajectory.body == body:
         return trajectory
     T_base_camera = calibration.T_base_camera
     if T_base_camera is None or {trajectory.body, body} != {"base", "camera"}:
         raise CalibrationError(
-            f"a trajectory of {trajectory.body!r} cannot be told for {body!r}", fix="give T_base_camera"
+            f"a trajectory of {trajectory.body!r} cannot be converted to {body!r}", fix="give T_base_camera"
         )
     T_old_new = T_base_camera if body == "camera" else se3.invert(T_base_camera)
     T_frame_body = se3.compose(trajectory.T_frame_body, T_old_new)
