@@ -1,6 +1,4 @@
-"""Compiled clearance: distances of an outline to a cost field or people, sweeps along arcs, and the memory of the
-floor.
-"""
+"""Compiled clearance: distances of an outline to obstacles and people, sweeps along arcs, and memory of the floor."""
 
 from __future__ import annotations
 
@@ -11,30 +9,30 @@ import numpy as np
 from wheelsight.core.compiled import kernel
 from wheelsight.core.geometry.arrays import ByteArray, Float32Array, FloatArray, IntArray
 
-# Compiled: how far a footprint is from what a field or people's discs hold; and how a base moves.
+# Distances of a footprint to a cost field and to people, and the motion of a base.
 
 
 ANY_SPEED: Float32Array = np.full((1, 1), np.inf, np.float32)
 ANY_SPEED.setflags(write=False)
-# How far a cover of discs reaches out of an outline, at most.
+# Largest distance by which the cover of discs exceeds a footprint.
 OVERHANG_M = 0.04
-# By so much of a cell a distance between cells' middles is off, with what lies between points along a side.
+# Error of a distance between cell centres, in cells, including points between those that are sampled along a side.
 _OFF = 0.25
-# Beyond so many metres of clearance nobody asks how much it is.
+# A clearance above this is not measured further, metres.
 _ENOUGH_M = 0.5
-# What leaves infinity and NaN as they are.
+# Fast-math flags that keep infinity and NaN.
 _FAST = {"contract", "nsz", "arcp"}
 
 
 class CostField(NamedTuple):
-    """A window of the floor in cells: rows along y, columns along x. What lies outside of it counts as an obstacle.
+    """A window of the floor in cells: rows along y, columns along x. Everything outside is an obstacle.
 
     Attributes:
-        distance_m: (H, W) from each cell's centre to the centre of the nearest cell with an obstacle; 0 in these.
-        cost: (H, W) from 0, free, to 1: what driving there costs beyond being near obstacles, such as unknown floor.
-        resolution: metres a cell.
+        distance_m: (H, W) from each cell's centre to that of the nearest cell with an obstacle; 0 in these.
+        cost: (H, W) from 0, free, to 1: cost of driving besides nearness to obstacles, such as unknown floor.
+        resolution: metres per cell.
         origin: x and y in metres of the corner of cell (0, 0), in the frame of plan and robot.
-        speed_m_s: (H, W) fastest speed in zones, infinite outside of them; (1, 1) where one holds everywhere.
+        speed_m_s: (H, W) speed limits of zones, infinite outside of them; (1, 1) for one limit everywhere.
     """
 
     distance_m: Float32Array
@@ -45,12 +43,12 @@ class CostField(NamedTuple):
 
 
 class Outline(NamedTuple):
-    """A footprint as kernels take it.
+    """A footprint in the form of the kernels.
 
     Attributes:
-        sides: (N, 5) x, y of a corner, unit vector to the next one, and how far that is.
-        cover: (K, 3) discs that together hold all of it, and little else.
-        around: x, y, radius of a disc that holds all.
+        sides: (N, 5) x, y of a corner, unit vector to the next one, and its distance.
+        cover: (K, 3) discs that cover the footprint closely.
+        around: x, y, radius of a disc that encloses it.
     """
 
     sides: FloatArray
@@ -60,7 +58,7 @@ class Outline(NamedTuple):
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def distance_at(field: CostField, x: float, y: float) -> Any:
-    """Metres from a point to the nearest obstacle, between the cells' centres bilinear; 0 outside of the field."""
+    """Return metres from a point to the nearest obstacle, bilinear between cell centres; 0 outside of the field."""
     u = (x - field.origin[0]) / field.resolution - 0.5
     v = (y - field.origin[1]) / field.resolution - 0.5
     return _between_cells(field.distance_m, u, v)
@@ -68,7 +66,7 @@ def distance_at(field: CostField, x: float, y: float) -> Any:
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def _between_cells(distance_m: Float32Array, u: float, v: float) -> Any:
-    """The same, at a column and a row that count from the first cell's centre."""
+    """Return the same at a column and a row, counted from the first cell's centre."""
     rows, columns = distance_m.shape
     if not (u >= 0.0 and v >= 0.0 and u < columns - 1 and v < rows - 1):
         return 0.0
@@ -81,7 +79,7 @@ def _between_cells(distance_m: Float32Array, u: float, v: float) -> Any:
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def cost_and_speed_at(field: CostField, x: float, y: float) -> Any:
-    """Cost and fastest speed of the cell of a point; 1 and 0 outside of the field."""
+    """Return cost and speed limit of the cell of a point; 1 and 0 outside of the field."""
     j = int(np.floor((x - field.origin[0]) / field.resolution))
     i = int(np.floor((y - field.origin[1]) / field.resolution))
     rows, columns = field.distance_m.shape
@@ -94,10 +92,10 @@ def cost_and_speed_at(field: CostField, x: float, y: float) -> Any:
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def clearance_at(field: CostField, outline: Outline, pose: Any, margin_m: float) -> Any:
-    """Metres from a footprint at (x, y, cosine, sine) to the nearest obstacle.
+    """Return metres from a footprint at (x, y, cosine, sine) to the nearest obstacle.
 
-    Where it is more than the margin, it may be more than what is answered, by what the cover reaches out. Else it is
-    from the nearest cell's middle to the nearest side: below 0 within, and beside a corner it may be less than it is.
+    Above the margin it may be too low, by as much as the cover exceeds the footprint. Below, it is the distance from
+    the nearest cell's centre to the nearest side: negative inside, and beside a corner it may be too low.
     """
     x, y, c, s = pose
     ax, ay, around_m = outline.around
@@ -105,7 +103,7 @@ def clearance_at(field: CostField, outline: Outline, pose: Any, margin_m: float)
     if far > _ENOUGH_M:
         return far
     least = np.inf
-    # In cells: a division each time would take as long as all else.
+    # In cells: a division per point would take as long as everything else.
     cells = 1.0 / field.resolution
     u, v = (x - field.origin[0]) * cells - 0.5, (y - field.origin[1]) * cells - 0.5
     cc, sc = c * cells, s * cells
@@ -115,7 +113,7 @@ def clearance_at(field: CostField, outline: Outline, pose: Any, margin_m: float)
         least = min(least, away)
     if least > margin_m:
         return least
-    # What lies within is held by the cover: where that is clear, sides alone are asked, which is quicker.
+    # The cover contains the inside: if it is clear, only the sides need a check, which is faster.
     off_m = _OFF * field.resolution
     if least > off_m:
         along_m = _along_sides(field, outline, pose, margin_m + off_m)
@@ -126,7 +124,7 @@ def clearance_at(field: CostField, outline: Outline, pose: Any, margin_m: float)
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def _along_sides(field: CostField, outline: Outline, pose: Any, enough_m: float) -> Any:
-    """Metres from an outline's sides to the nearest obstacle, by points along them; or some that are not enough."""
+    """Return metres from an outline's sides to the nearest obstacle, sampled; or any value below `enough_m`."""
     x, y, c, s = pose
     least = np.inf
     for k in range(len(outline.sides)):
@@ -145,7 +143,7 @@ def _along_sides(field: CostField, outline: Outline, pose: Any, enough_m: float)
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def clearances_at(field: CostField, outline: Outline, poses: FloatArray, margin_m: float, found: FloatArray) -> None:
-    """`clearance_at` of each of poses (N, 3) of x, y, yaw."""
+    """Compute `clearance_at` for poses (N, 3) of x, y, yaw."""
     for k in range(len(poses)):
         pose = (poses[k, 0], poses[k, 1], np.cos(poses[k, 2]), np.sin(poses[k, 2]))
         found[k] = clearance_at(field, outline, pose, margin_m)
@@ -153,7 +151,7 @@ def clearances_at(field: CostField, outline: Outline, poses: FloatArray, margin_
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def _of_cells(field: CostField, outline: Outline, pose: Any, most_m: float) -> Any:
-    """As `clearance_at`, up to so much: of each cell with an obstacle about a footprint."""
+    """Return the same as `clearance_at`, at most `most_m`, from each cell with an obstacle near a footprint."""
     rows, columns = field.distance_m.shape
     low_x, low_y, high_x, high_y = _box(outline, pose)
     least, size_m, (x0, y0) = most_m, field.resolution, field.origin
@@ -166,14 +164,14 @@ def _of_cells(field: CostField, outline: Outline, pose: Any, most_m: float) -> A
                 away = field.distance_m[i, j]
             if away == 0.0:
                 least = min(least, apart_from(outline, pose, x0 + (j + 0.5) * size_m, y0 + (i + 0.5) * size_m))
-            # No cell that is nearer than the nearest obstacle holds one.
+            # Skip the cells within the distance of the nearest obstacle.
             j += max(int(min(away / size_m, 1e6) - 1e-3), 1)
     return least
 
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def _box(outline: Outline, pose: Any) -> Any:
-    """The least and the most x and y of a footprint at a pose."""
+    """Return the least and largest x and y of a footprint at a pose."""
     x, y, c, s = pose
     low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
     for k in range(len(outline.sides)):
@@ -185,7 +183,7 @@ def _box(outline: Outline, pose: Any) -> Any:
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def apart_from(outline: Outline, pose: Any, x: float, y: float) -> Any:
-    """Metres from a footprint at (x, y, cosine, sine) to a point, negative within; beside a corner it may be less."""
+    """Return metres from a footprint at (x, y, cosine, sine) to a point; negative inside, too low beside corners."""
     dx, dy = x - pose[0], y - pose[1]
     bx, by = pose[2] * dx + pose[3] * dy, -pose[3] * dx + pose[2] * dy
     most = -np.inf
@@ -197,7 +195,7 @@ def apart_from(outline: Outline, pose: Any, x: float, y: float) -> Any:
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def people_apart(people: FloatArray, outline: Outline, pose: Any, after_s: float) -> Any:
-    """Metres from a footprint to the nearest of people (P, 5: x, y, vx, vy, radius) after some time; infinite: none."""
+    """Return metres from a footprint to the nearest person (P, 5: x, y, vx, vy, radius) after a time, or infinity."""
     least = np.inf
     for k in range(len(people)):
         x, y = people[k, 0] + after_s * people[k, 2], people[k, 1] + after_s * people[k, 3]
@@ -207,7 +205,7 @@ def people_apart(people: FloatArray, outline: Outline, pose: Any, after_s: float
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def moved(pose: Any, way_m: float, turn_rad: float) -> Any:
-    """Of (x, y, cosine, sine): the same after a piece of an arc, exactly."""
+    """Return a pose (x, y, cosine, sine) after an arc, exactly."""
     x, y, c, s = pose
     half = turn_rad / 2
     hc, hs = np.cos(half), np.sin(half)
@@ -218,12 +216,12 @@ def moved(pose: Any, way_m: float, turn_rad: float) -> Any:
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def toward(speed: float, wanted: float, faster: float, slower: float) -> Any:
-    """A speed one step on, that may grow away from zero and fall toward it by so much."""
+    """Return a speed after one step, with limited changes away from zero and toward it."""
     if speed * (wanted - speed) >= 0.0:
         return speed + min(max(wanted - speed, -faster), faster)
     change = min(max(wanted - speed, -slower), slower)
     if speed * (speed + change) < 0.0:
-        # It crosses zero: from there on it grows, if it has time left.
+        # It crosses zero, and accelerates for the rest of the step.
         left = 1.0 - abs(speed) / slower
         return min(max(wanted, -faster * left), faster * left)
     return speed + change
@@ -231,9 +229,9 @@ def toward(speed: float, wanted: float, faster: float, slower: float) -> Any:
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def free_arc(field: CostField, outline: Outline, people: FloatArray, pose: Any, arc: Any, margin_m: float) -> Any:
-    """How many steps of an arc (way, turn and seconds a step; steps) a footprint goes before it is too near to a thing.
+    """Return the number of free steps of a footprint along an arc (way, turn and seconds per step; steps).
 
-    Nearness counts only where it grows: a robot that stands too near may leave.
+    A step within the margin is free if the distance does not decrease, so that a robot can move away.
     """
     step_m, step_rad, step_s, steps = arc
     before = min(clearance_at(field, outline, pose, margin_m), people_apart(people, outline, pose, 0.0))
@@ -247,14 +245,14 @@ def free_arc(field: CostField, outline: Outline, people: FloatArray, pose: Any, 
     return steps
 
 
-# Compiled: how far an outline goes along an arc before it meets things, or floor that was not seen.
+# Free part of an arc, by obstacles and by unseen floor.
 
 
 class Ground(NamedTuple):
-    """What is known of the floor about a robot.
+    """Unseen floor around a robot.
 
     Attributes:
-        deep_m: (m, m) metres into floor that was never seen; rows along x, columns along y.
+        deep_m: (m, m) depth in metres into floor that was never seen; rows along x, columns along y.
         is_old: (m, m) 1 where it was not seen lately.
         first: i and j of the first cell in the plane.
         cell_m: side of a cell.
@@ -270,7 +268,7 @@ class Ground(NamedTuple):
 
 @kernel
 def outside_m(sides: FloatArray, x: float, y: float) -> Any:
-    """Metres from an outline (sides as `Outline` has them) to a point in its frame; beside a corner it may be less."""
+    """Return metres from an outline (sides as in `Outline`) to a point in its frame; too low beside corners."""
     most = -np.inf
     for k in range(len(sides)):
         most = max(most, sides[k, 3] * (x - sides[k, 0]) - sides[k, 2] * (y - sides[k, 1]))
@@ -279,7 +277,7 @@ def outside_m(sides: FloatArray, x: float, y: float) -> Any:
 
 @kernel
 def all_outside_m(sides: FloatArray, points: FloatArray) -> Any:
-    """The same of points (N, 2)."""
+    """Return the same for points (N, 2)."""
     away = np.empty(len(points))
     for k in range(len(points)):
         away[k] = outside_m(sides, points[k, 0], points[k, 1])
@@ -288,13 +286,13 @@ def all_outside_m(sides: FloatArray, points: FloatArray) -> Any:
 
 @kernel
 def _steps_free(away_m: float, margin_m: float, stride_m: float) -> Any:
-    """For how many steps a thing stays beyond a margin, for in each it comes nearer by a stride at most."""
+    """Return the number of steps in which a point stays beyond a margin, if each step approaches by a stride."""
     return 1 + int((away_m - margin_m) / stride_m) if away_m > margin_m and stride_m > 0 else 1
 
 
 @kernel
 def _strides_m(points: FloatArray, arc: Any, steps: int) -> Any:
-    """(N,) how far things move against the robot in a step of an arc, at most."""
+    """Return (N,) the largest approach of points in one step of an arc."""
     strides = np.empty(len(points))
     for k in range(len(points)):
         lever = np.hypot(points[k, 0], points[k, 1]) + abs(arc[0])
@@ -304,9 +302,9 @@ def _strides_m(points: FloatArray, arc: Any, steps: int) -> Any:
 
 @kernel
 def clear_share(sides: FloatArray, points: FloatArray, arc: Any, steps: int, margin_m: float) -> Any:
-    """The share of an arc (way, turn) that an outline goes before a thing (N, 2) is nearer than a margin.
+    """Return the share of an arc (way, turn) that an outline drives before a point (N, 2) is within a margin.
 
-    Things that are nearer already count where they come nearer still.
+    A point that is within it already counts if it comes nearer.
     """
     before = all_outside_m(sides, points)
     strides = _strides_m(points, arc, steps)
@@ -328,7 +326,7 @@ def clear_share(sides: FloatArray, points: FloatArray, arc: Any, steps: int, mar
 
 @kernel
 def zone_share(sides: FloatArray, points: FloatArray, arc: Any, steps: int, zone_m: float) -> Any:
-    """The share of an arc (way, turn) that an outline goes before a thing (N, 2) is within a zone."""
+    """Return the share of an arc (way, turn) that an outline drives before a point (N, 2) is within a zone."""
     strides = _strides_m(points, arc, steps)
     due = np.zeros(len(points), np.int64)
     for n in range(steps + 1):
@@ -346,8 +344,9 @@ def zone_share(sides: FloatArray, points: FloatArray, arc: Any, steps: int, zone
 
 @kernel
 def seen_shares(outline: FloatArray, sides: FloatArray, ground: Ground, arc: Any, steps: int, deep_m: float) -> Any:
-    """The shares of an arc that points (K, 2) of an outline go before one is too deep in floor never seen, and before
-    one is over floor that was not seen lately. What the robot covers now is none of it.
+    """Return two shares of an arc for the points (K, 2) of an outline, except for floor under the robot now.
+
+    The first ends where a point is too deep in floor that was never seen, the second at floor not seen lately.
     """
     old = 1.0
     px, py, pc, ps = ground.pose
@@ -362,7 +361,7 @@ def seen_shares(outline: FloatArray, sides: FloatArray, ground: Ground, arc: Any
             i = int(np.floor((px + pc * bx - ps * by) / ground.cell_m)) - ground.first[0]
             j = int(np.floor((py + ps * bx + pc * by) / ground.cell_m)) - ground.first[1]
             outside = i < 0 or j < 0 or i >= rows or j >= columns
-            # A cell that the robot covers in part is not seen, and no news.
+            # A cell that the robot covers in part is unseen, but not new.
             if old == 1.0 and beside_m > 1.5 * ground.cell_m and (outside or ground.is_old[i, j] == 1):
                 old = (n - 1) / steps
             if outside or ground.deep_m[i, j] > deep_m:
@@ -372,7 +371,7 @@ def seen_shares(outline: FloatArray, sides: FloatArray, ground: Ground, arc: Any
 
 @kernel
 def deepest_m(points: FloatArray, ground: Ground) -> Any:
-    """How deep in floor never seen the deepest of points (N, 2) of a robot is; infinite beyond what is known."""
+    """Return the largest depth of points (N, 2) of a robot in unseen floor; infinite beyond the known window."""
     px, py, pc, ps = ground.pose
     rows, columns = ground.deep_m.shape
     most = 0.0
@@ -385,18 +384,18 @@ def deepest_m(points: FloatArray, ground: Ground) -> Any:
     return most
 
 
-# Compiled: what is remembered of the floor about a robot, in cells that are found again by their numbers.
+# Memory of the floor around a robot, in cells that are addressed by their numbers.
 
 
 class Memory(NamedTuple):
-    """A square window that moves with the robot: cell (i, j) of the plane is kept at (i mod n, j mod n).
+    """A square window that moves with the robot: cell (i, j) of the plane is stored at (i mod n, j mod n).
 
     Attributes:
-        numbers: (n, n, 2) i and j of the cell that is kept there.
-        seen_s: (n, n) when its floor was last seen to be free, or the robot was led over it; minus infinity: never.
-        looked_s: (n, n) when a camera last saw its floor, or through the air over it; likewise.
-        hit_s: (n, n) when a thing was last seen in it; minus infinity: none is there.
-        hits: (n, n, 4) where the thing is, how near to a camera it would show, and the way driven until then, metres.
+        numbers: (n, n, 2) i and j of the stored cell.
+        seen_s: (n, n) when its floor was last seen free, or driven over; minus infinity for never.
+        looked_s: (n, n) when a camera last saw its floor, or the air over it; minus infinity for never.
+        hit_s: (n, n) when an obstacle was last seen in it; minus infinity for none.
+        hits: (n, n, 4) place of the obstacle, distance to a camera at which it is visible, and way driven until then.
         cell_m: side of a cell.
     """
 
@@ -409,17 +408,17 @@ class Memory(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """A camera's view of the floor, from x and y in the plane.
+    """A camera's view of the floor in the plane.
 
     Attributes:
-        x, y: where the camera is.
-        first_rad: bearing in the plane of the first column's left end.
-        step_rad: from one column to the next.
-        air_m: nearer nothing is looked through.
-        near_m: nearer nothing of the floor is seen.
-        far_m: farther no column sees.
-        seen_m: (B,) how far each column sees through.
-        stamp_s: when.
+        x, y: place of the camera.
+        first_rad: bearing in the plane of the right end of the first column.
+        step_rad: angle between columns.
+        air_m: least distance of observed air.
+        near_m: least distance of visible floor.
+        far_m: largest distance of any column.
+        seen_m: (B,) distance that each column sees.
+        stamp_s: time of the view.
     """
 
     x: float
@@ -435,7 +434,7 @@ class Sight(NamedTuple):
 
 @kernel
 def slot(memory: Memory, i: int, j: int) -> Any:
-    """Where cell (i, j) is kept; emptied, where another was."""
+    """Return the slot of cell (i, j), cleared if it held another cell."""
     n = len(memory.seen_s)
     a, b = i % n, j % n
     if memory.numbers[a, b, 0] != i or memory.numbers[a, b, 1] != j:
@@ -448,7 +447,7 @@ def slot(memory: Memory, i: int, j: int) -> Any:
 
 @kernel
 def look(memory: Memory, sight: Sight, x: float, y: float) -> None:
-    """Mark what a camera sees through, and forget the things that were there; window about (x, y)."""
+    """Mark what a camera sees, and remove obstacles that it sees through, in the window around (x, y)."""
     n, cell = len(memory.seen_s), memory.cell_m
     first_i, first_j = int(np.floor(x / cell)) - n // 2, int(np.floor(y / cell)) - n // 2
     left, right, below, above = _bounds(sight)
@@ -461,7 +460,7 @@ def look(memory: Memory, sight: Sight, x: float, y: float) -> None:
             if _is_seen(sight, x_m, y_m, cell / 2, sight.near_m):
                 memory.seen_s[a, b] = max(memory.seen_s[a, b], sight.stamp_s)
             if -np.inf < memory.hit_s[a, b] < sight.stamp_s:
-                # A thing lower than the lowest ray is not seen through, however far the camera sees over it.
+                # The camera does not see through an obstacle below its lowest ray, however far it sees over it.
                 near_m = min(sight.near_m, memory.hits[a, b, 2])
                 if _is_seen(sight, memory.hits[a, b, 0], memory.hits[a, b, 1], cell, near_m):
                     memory.hit_s[a, b] = -np.inf
@@ -469,9 +468,9 @@ def look(memory: Memory, sight: Sight, x: float, y: float) -> None:
 
 @kernel
 def _bounds(sight: Sight) -> Any:
-    """The least and the most x and y that a camera sees."""
+    """Return the least and largest x and y that a camera sees."""
     left, right, below, above = sight.x, sight.x, sight.y, sight.y
-    # An arc between two columns' edges reaches out beyond both.
+    # An arc between two columns exceeds the chord.
     far_m = sight.far_m / np.cos(min(sight.step_rad / 2, 1.0))
     for k in range(len(sight.seen_m) + 1):
         bearing = sight.first_rad + k * sight.step_rad
@@ -482,7 +481,7 @@ def _bounds(sight: Sight) -> Any:
 
 @kernel
 def _is_seen(sight: Sight, x: float, y: float, short_m: float, near_m: float) -> Any:
-    """Whether a column sees farther than a point, by more than `short_m`, that is not nearer than `near_m`."""
+    """Return whether a column sees more than `short_m` beyond a point that is at `near_m` or farther."""
     dx, dy = x - sight.x, y - sight.y
     away = np.sqrt(dx * dx + dy * dy)
     if away < near_m or away > sight.far_m:
@@ -494,8 +493,9 @@ def _is_seen(sight: Sight, x: float, y: float, short_m: float, near_m: float) ->
 
 @kernel
 def keep(memory: Memory, points: FloatArray, shows_m: FloatArray, stamp_s: float, middle: Any, way_m: float) -> None:
-    """Remember things at points (N, 2) in the plane, those within the window about a middle, after so much way; so near
-    to a camera (N,) they would show.
+    """Store obstacles at points (N, 2) in the plane, within the window around `middle`.
+
+    With each it stores the distance to a camera at which it is visible (N,), and the way driven.
     """
     reach = (len(memory.seen_s) // 2 - 1) * memory.cell_m
     for k in range(len(points)):
@@ -509,9 +509,9 @@ def keep(memory: Memory, points: FloatArray, shows_m: FloatArray, stamp_s: float
 
 @kernel
 def mark_under(memory: Memory, sides: FloatArray, pose: Any, stamp_s: float, from_m: float) -> None:
-    """Mark the floor under an outline (sides as `Outline` has them), so far ahead of the axle and on, as seen.
+    """Mark the floor under an outline (sides as in `Outline`) as driven over, from a distance ahead of the axle on.
 
-    All of an outline is looked at, too: nobody asks for that who has not looked. What only its front was led over is
+    Marking a whole outline counts as observation, too, because a person has looked there. Marking its front alone does
     not.
     """
     x, y, c, s = pose
@@ -531,7 +531,7 @@ def mark_under(memory: Memory, sides: FloatArray, pose: Any, stamp_s: float, fro
 
 @kernel
 def remembered(memory: Memory, pose: Any, since: Any, reach_m: float, out: FloatArray) -> Any:
-    """Things seen since a time and a way, in the frame of a pose, within its reach, and when, into (M, 3); how many."""
+    """Write obstacles since a time and a way, in the frame of a pose, and their times into (M, 3); return how many."""
     x, y, c, s = pose
     found = 0
     n = len(memory.seen_s)
@@ -549,8 +549,9 @@ def remembered(memory: Memory, pose: Any, since: Any, reach_m: float, out: Float
 
 @kernel
 def unseen(memory: Memory, first: Any, since_s: float, out: ByteArray) -> None:
-    """Of a square of cells from the first (i, j) on, into (m, m, 3): 1 where floor was never seen, not since, and never
-    looked at.
+    """Write flags of unseen floor for a square of cells from the first (i, j) on.
+
+    `out` (m, m, 3) gets 1 where floor was never seen or driven over, not since a time, and never observed.
     """
     for i in range(len(out)):
         for j in range(len(out)):

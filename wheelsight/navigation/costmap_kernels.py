@@ -8,14 +8,14 @@ import numpy as np
 
 from wheelsight.core.compiled import kernel
 
-# Compiled: marks obstacles in a grid from cells of another one, and says what driving over each cell costs.
+# Costs of cells, and obstacles from the cells of another grid.
 
 
 _PARTS = 4
 
 
 class Cells(NamedTuple):
-    """A grid's cells: side in metres, and x and y of the corner of cell (0, 0)."""
+    """Cells of a grid: side in metres, and x and y of the corner of cell (0, 0)."""
 
     resolution_m: float
     x: float
@@ -23,10 +23,10 @@ class Cells(NamedTuple):
 
 
 class Falls(NamedTuple):
-    """How cost falls away from obstacles; see `CostmapSettings`.
+    """Decrease of cost with the distance to obstacles; see `CostmapSettings`.
 
     Attributes:
-        near_m: from the middle of an obstacle's cell to where it begins to fall.
+        near_m: distance from the centre of an obstacle's cell where the decrease begins.
         inflation_m, decay_per_m, unknown_cost: of the settings.
     """
 
@@ -38,13 +38,13 @@ class Falls(NamedTuple):
 
 @kernel
 def mark_occupied(is_occupied: Any, of: Cells, T: Any, to: Cells, occupied: int, state: Any) -> None:
-    """Mark all cells of a grid in which any sixteenth of another grid's occupied cell has its middle.
+    """Mark all cells of a grid that contain the centre of any sixteenth of another grid's occupied cell.
 
     Args:
-        is_occupied: (h, w) of the other grid, whose cells are `of`.
-        T: x, y, cosine and sine of where that lies in this one's frame.
+        is_occupied: (h, w) of the other grid, with cells `of`.
+        T: x, y, cosine and sine of its frame in this one.
         to, state: (H, W) this grid.
-        occupied: value that marks.
+        occupied: value to write.
     """
     x, y, c, s = T
     for i in range(is_occupied.shape[0]):
@@ -62,7 +62,7 @@ def mark_occupied(is_occupied: Any, of: Cells, T: Any, to: Cells, occupied: int,
 
 @kernel
 def costs(state: Any, is_lethal: Any, distance_m: Any, falls: Falls, unknown: int) -> Any:
-    """(H, W) float32 from 0 to 1, 1 on obstacles: exp(-decay · distance) about them, and no less where unknown."""
+    """Return (H, W) float32 from 0 to 1: 1 on obstacles, exp(-decay · distance) around them; or unknown cost."""
     rows, columns = state.shape
     found = np.zeros((rows, columns), np.float32)
     for i in range(rows):
@@ -79,17 +79,17 @@ def costs(state: Any, is_lethal: Any, distance_m: Any, falls: Falls, unknown: in
     return found
 
 
-# Compiled: what a depth image shows about the robot, in cells and layers of height.
+# Obstacles of a depth image around the robot, in cells and layers of height.
 #
-# Channel 0 of a cell is a floor that is missing, the others are layers of height. One matrix (3, 4) takes points of
-# the camera to column and row in cells, and height over the floor in metres.
+# Channel 0 of a cell is a missing floor, the others are layers of height. One matrix (3, 4) maps points of the camera
+# to column and row in cells, and height over the floor in metres.
 
 
 PASSED, MET = 1, 2
 
 
 class View(NamedTuple):
-    """A depth image (h, w), 0 where nothing was measured, and its rays' slopes x / z and y / z (h, w, 2).
+    """A depth image (h, w), 0 without a depth, and slopes x / z and y / z of its rays (h, w, 2).
 
     Attributes:
         depth_m, slopes: of the image.
@@ -102,7 +102,7 @@ class View(NamedTuple):
 
 
 class Heights(NamedTuple):
-    """By what things are told apart; see `LiveLayerSettings`."""
+    """Limits between floor and obstacles; see `LiveLayerSettings`."""
 
     resolution_m: float
     floor_m: float
@@ -116,7 +116,7 @@ class Heights(NamedTuple):
 
 
 class Noise(NamedTuple):
-    """Standard deviation of a depth z: constant_m + quadratic_per_m · z²; and how many of them a ray ends before."""
+    """Standard deviation of a depth z, constant_m + quadratic_per_m · z², and how many of them end a ray early."""
 
     constant_m: float
     quadratic_per_m: float
@@ -124,7 +124,7 @@ class Noise(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """When what was met is gone; see `LiveLayerSettings`."""
+    """Conditions to remove an obstacle; see `LiveLayerSettings`."""
 
     passes: int
     forget_s: float
@@ -133,7 +133,7 @@ class Rules(NamedTuple):
 
 @kernel(error_model="numpy")
 def _end(view: View, v: int, u: int, z: float) -> Any:
-    """Column, row and height of the point at a depth."""
+    """Return column, row and height of a pixel's point at a depth."""
     M, a, b = view.M, view.slopes[v, u, 0], view.slopes[v, u, 1]
     x = M[0, 3] + z * (M[0, 0] * a + M[0, 1] * b + M[0, 2])
     y = M[1, 3] + z * (M[1, 0] * a + M[1, 1] * b + M[1, 2])
@@ -142,7 +142,7 @@ def _end(view: View, v: int, u: int, z: float) -> Any:
 
 @kernel(error_model="numpy")
 def mark_met(view: View, heights: Heights, is_own: Any, seen: Any) -> None:
-    """Mark what each pixel shows in `seen` (rows, columns, channels), but where the robot itself is (rows, columns)."""
+    """Mark what each pixel shows in `seen` (rows, columns, channels), except on the robot itself (rows, columns)."""
     M, (height, width) = view.M, view.depth_m.shape
     for v in range(height):
         for u in range(width):
@@ -197,7 +197,7 @@ def mark_passed(view: View, heights: Heights, noise: Noise, seen: Any) -> None:
 
 @kernel(error_model="numpy")
 def _pass(view: View, ray: Any, margin_m: float, heights: Heights, seen: Any) -> None:
-    """Mark what a ray (row and column of its pixel, depth) passes until a margin before its end."""
+    """Mark what a ray (row and column of its pixel, depth) passes, up to a margin before its end."""
     M, channels = view.M, seen.shape[2]
     x, y, h = _end(view, ray[0], ray[1], ray[2])
     dx, dy, dh = x - M[0, 3], y - M[1, 3], h - M[2, 3]
@@ -220,9 +220,9 @@ def _pass(view: View, ray: Any, margin_m: float, heights: Heights, seen: Any) ->
 
 @kernel
 def remember(seen: Any, is_own: Any, left: Any, met_s: Any, stamp_s: float, rules: Rules) -> None:
-    """Bring `left` (rows, columns, channels), how often each must yet be seen through, up to date; empty `seen`.
+    """Update `left` (rows, columns, channels), the number of views through a layer until it is free; clear `seen`.
 
-    `met_s` (rows, columns, 2) says when something was met in a cell first and last.
+    `met_s` (rows, columns, 2) holds the first and last time of an obstacle in a cell.
     """
     rows, columns, channels = left.shape
     for i in range(rows):
@@ -249,7 +249,7 @@ def remember(seen: Any, is_own: Any, left: Any, met_s: Any, stamp_s: float, rule
 
 @kernel
 def any_left(left: Any) -> Any:
-    """(rows, columns) where any of `left`'s channels is over 0: numpy's own takes ten times as long."""
+    """Return (rows, columns) where any channel of `left` is over 0: ten times as fast as numpy."""
     rows, columns, channels = left.shape
     found = np.zeros((rows, columns), np.bool_)
     for i in range(rows):
@@ -261,18 +261,18 @@ def any_left(left: Any) -> Any:
     return found
 
 
-# Compiled: which unknown cells of a grid lie in sight of a place.
+# Unknown cells in sight of a place.
 
 
 @kernel
 def mark_in_sight(state: Any, place: Any, reach: float, states: Any, found: Any) -> None:
-    """Mark unknown cells whose middle is within reach of a place with nothing occupied on the line between them.
+    """Mark unknown cells with a centre within reach of a place, and nothing occupied on the line between.
 
     Args:
         state: (H, W) of cells.
         place: (2,) column and row, in cells from the grid's corner.
         reach: in cells.
-        states: which value is unknown, and which occupied.
+        states: the values of unknown and occupied cells.
         found: (H, W) bool, marked.
     """
     unknown, occupied = states
@@ -286,7 +286,7 @@ def mark_in_sight(state: Any, place: Any, reach: float, states: Any, found: Any)
 
 @kernel
 def _is_open(state: Any, place: Any, way: Any, reach: float, occupied: int) -> bool:
-    """Whether a way (x, y) in cells from a place meets nothing occupied."""
+    """Return whether a line (x, y) in cells from a place meets nothing occupied."""
     steps = 1 + int(2 * reach)
     for k in range(steps + 1):
         share = k / steps

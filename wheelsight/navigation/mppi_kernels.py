@@ -1,4 +1,4 @@
-"""Compiled: rollouts of commands through a robot's dynamics, what each costs, and their mean by weight.
+"""Compiled rollouts: commands through a robot's dynamics, their costs, and their weighted mean.
 
 Williams, Aldrich, Theodorou: Model predictive path integral control: from theory to parallel computation, 2017.
 """
@@ -20,14 +20,14 @@ from wheelsight.navigation.clearance_kernels import (
     toward,
 )
 
-# Obstacles nearer than the margin are looked for after so many metres of any corner, at the least.
+# Least way of any corner between two measurements of clearance.
 _LOOK_M = 0.1
-# What leaves infinity and NaN as they are.
+# Fast-math flags that keep infinity and NaN.
 _FAST = {"contract", "nsz", "arcp"}
 
 
 class Begin(NamedTuple):
-    """Where rollouts begin: pose, measured speeds, the way's point there, and how far obstacles and people are."""
+    """Start of rollouts: pose, measured speeds, the way's point there, and distances of obstacles and people."""
 
     x: float
     y: float
@@ -40,10 +40,10 @@ class Begin(NamedTuple):
 
 
 class Way(NamedTuple):
-    """A piece of a path that is driven in one direction.
+    """Part of a path that is driven in one direction.
 
     Attributes:
-        points: (M, 6) x, y, cosine and sine of the robot's heading, metres along, and the fastest speed there.
+        points: (M, 6) x, y, cosine and sine of the robot's heading, metres along, and the highest speed there.
         direction: 1 forward, -1 backward.
     """
 
@@ -52,15 +52,15 @@ class Way(NamedTuple):
 
 
 class Dynamics(NamedTuple):
-    """How a base follows commands.
+    """Response of a base to commands.
 
     Attributes:
-        outline: what must touch nothing.
-        forward_m_s, backward_m_s, turn_rad_s: the fastest.
-        speed_up, slow_down, turn_change: by how much speeds change in one step, at most.
-        share: of what is left to a command, a step's part by its lag.
-        step_s: seconds a step.
-        reach_m: from the axle to the farthest corner.
+        outline: of the robot.
+        forward_m_s, backward_m_s, turn_rad_s: highest speeds.
+        speed_up, slow_down, turn_change: largest changes of speeds in one step.
+        share: part of the difference to a command that the lag leaves to one step.
+        step_s: seconds per step.
+        reach_m: distance from the axle to the farthest corner.
     """
 
     outline: Outline
@@ -76,23 +76,22 @@ class Dynamics(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """What counts how much, for a second of a rollout where nothing else is said.
+    """Weights of a rollout's costs, per second unless stated.
 
-    What is near counts by the way that leads past it, not by the time: else a robot creeps, or stands, before a goal
-    beside a wall.
+    Nearness costs by way instead of time. Otherwise a robot would creep or stand in front of a goal beside a wall.
 
     Attributes:
-        aside: half a square metre beside the way; beyond `aside_m` it grows as the distance.
-        heading: heading against the way's, 1 - cosine.
-        progress: a metre less along the way, at the end.
-        beyond: a square metre beyond the way's end.
-        wrong_way: a metre a second against the way's direction.
-        too_fast: a metre a second above a zone's limit.
-        cost: a metre through the field's cost.
-        near: a metre along an obstacle, from 0 at `near_m` to all at `margin_m`, as a square.
-        change_forward, change_turn: the square of a command's change in one step.
+        aside: of half a square metre beside the way; beyond `aside_m` it grows linearly.
+        heading: of 1 - cosine of the angle to the way.
+        progress: of a metre less along the way, at the end.
+        beyond: of a square metre beyond the way's end.
+        wrong_way: of a metre per second against the way's direction.
+        too_fast: of a metre per second above a zone's limit.
+        cost: of a metre at the field's cost of 1.
+        near: of a metre along an obstacle, quadratic from 0 at `near_m` to the whole at `margin_m`.
+        change_forward, change_turn: of the square of a command's change in one step.
         contact: of coming nearer than `margin_m`, once.
-        people: a second near people, as `near`, within `people_m`.
+        people: of a second near people, as `near`, within `people_m`.
     """
 
     aside: float
@@ -116,9 +115,9 @@ class Weights(NamedTuple):
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def draw(nominal: FloatArray, noise: Float32Array, spread: Any, dynamics: Dynamics, drawn: Float32Array) -> None:
-    """Commands (K, T, 2) about the nominal ones (T, 2) by standard noise (K, T, 2), within the limits.
+    """Draw commands (K, T, 2) around nominal ones (T, 2) by standard noise (K, T, 2), within the limits.
 
-    The first is the nominal one, the second a stop.
+    The first row is the nominal one, the second a stop.
     """
     rollouts, steps, _ = noise.shape
     for k in range(rollouts):
@@ -142,7 +141,7 @@ def costs_of(
     drawn: Float32Array,
     costs: FloatArray,
 ) -> None:
-    """What each of several rollouts (K, T, 2) costs, into (K,)."""
+    """Compute the costs of rollouts (K, T, 2) into (K,)."""
     poses = np.empty((0, 3))
     for k in range(len(drawn)):
         costs[k], _ = roll_out(begin, way, field, people, dynamics, weights, drawn[k], poses)
@@ -159,7 +158,7 @@ def roll_out(
     commands: Float32Array,
     poses: FloatArray,
 ) -> Any:
-    """What one rollout (T, 2) costs, and the step in which it touches something, or T; its poses (T, 3), or (0, 3)."""
+    """Return the cost of a rollout (T, 2), and the step of a collision, or T. Write poses (T, 3), or none to (0, 3)."""
     steps = len(commands)
     pose = (begin.x, begin.y, np.cos(begin.yaw), np.sin(begin.yaw))
     v, w, point, way_m = begin.forward_m_s, begin.turn_rad_s, begin.point, 0.0
@@ -172,7 +171,7 @@ def roll_out(
         if len(poses) > 0:
             poses[t, 0], poses[t, 1], poses[t, 2] = pose[0], pose[1], np.arctan2(pose[3], pose[2])
         way_m += (abs(v) + dynamics.reach_m * abs(w)) * dynamics.step_s
-        # No point of the outline went farther than this: what was farther off cannot have been touched.
+        # No point of the outline has moved farther than this, so it cannot have touched anything beyond.
         if way_m >= max(around[0] - weights.margin_m, _LOOK_M) or t == steps - 1:
             clearance = clearance_at(field, dynamics.outline, pose, weights.margin_m)
             touches = _touches(clearance, around[0], weights.margin_m)
@@ -190,7 +189,7 @@ def roll_out(
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def _look(field: CostField, pose: Any, clearance: float, weights: Weights) -> Any:
-    """Clearance, what a metre there costs, and the fastest speed there."""
+    """Return clearance, cost of a metre, and speed limit at a pose."""
     share = max(weights.near_m - clearance, 0.0) / (weights.near_m - weights.margin_m)
     floor, fastest = cost_and_speed_at(field, pose[0], pose[1])
     return clearance, weights.near * share * share + weights.cost * floor, fastest
@@ -198,14 +197,14 @@ def _look(field: CostField, pose: Any, clearance: float, weights: Weights) -> An
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def _close(apart: float, weights: Weights) -> Any:
-    """What being so far from people costs a second."""
+    """Return the cost of a second at a distance from people."""
     share = max(weights.people_m - apart, 0.0) / (weights.people_m - weights.people_margin_m)
     return weights.people * share * share
 
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def _follow(v: float, w: float, wanted_v: float, wanted_w: float, dynamics: Dynamics) -> Any:
-    """Speeds one step on."""
+    """Return the speeds after one step."""
     v = toward(v, v + dynamics.share * (wanted_v - v), dynamics.speed_up, dynamics.slow_down)
     change = dynamics.share * (wanted_w - w)
     return v, w + min(max(change, -dynamics.turn_change), dynamics.turn_change)
@@ -213,7 +212,7 @@ def _follow(v: float, w: float, wanted_v: float, wanted_w: float, dynamics: Dyna
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def _moved(pose: Any, way_m: float, turn_rad: float) -> Any:
-    """As `moved`, for turns of a step, by series: 1e-7 off at a fifth of a radian."""
+    """Return the same as `moved` for the turn of a step, by series: an error of 1e-7 at a fifth of a radian."""
     x, y, c, s = pose
     h = turn_rad / 2
     hh = h * h
@@ -225,14 +224,14 @@ def _moved(pose: Any, way_m: float, turn_rad: float) -> Any:
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def _along(way: Way, point: int, x: float, y: float) -> Any:
-    """How far beyond a point of the way, in its direction, something lies."""
+    """Return how far a place lies beyond a point of the way, in its direction."""
     p = way.points
     return way.direction * ((x - p[point, 0]) * p[point, 2] + (y - p[point, 1]) * p[point, 3])
 
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def _advance(way: Way, point: int, x: float, y: float) -> Any:
-    """The point of the way that a robot is at, from the one that it was at."""
+    """Return the point of the way that a robot has reached, from the one before."""
     last = len(way.points) - 1
     while point < last:
         if _along(way, point, x, y) <= (way.points[point + 1, 4] - way.points[point, 4]) / 2:
@@ -243,7 +242,7 @@ def _advance(way: Way, point: int, x: float, y: float) -> Any:
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def _ends(v: float, way: Way, point: int) -> Any:
-    """A commanded speed, so that the robot stands at the way's end."""
+    """Limit a commanded speed so that the robot stops at the way's end."""
     most = way.points[point, 5]
     return min(max(v, -most), most)
 
@@ -255,7 +254,7 @@ def _of_way(way: Way, point: int, pose: Any, v: float, weights: Weights) -> Any:
     aside = (pose[1] - py) * pc - (pose[0] - px) * ps
     cosine = pose[2] * pc + pose[3] * ps
     against = max(-way.direction * v, 0.0)
-    # Near the way as a square, far from it as the distance: whoever goes around a thing is not drawn into it.
+    # Quadratic near the way and linear far from it, so that a detour does not pull the robot into the obstacle.
     off = weights.aside_m * (np.sqrt(aside * aside + weights.aside_m * weights.aside_m) - weights.aside_m)
     return weights.aside * off + weights.heading * (1.0 - cosine) + weights.wrong_way * against
 
@@ -270,7 +269,7 @@ def _of_changes(commands: Float32Array, t: int, weights: Weights) -> Any:
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def _touches(clearance: float, before: float, margin_m: float) -> Any:
-    """Whether a robot comes too near; not where it was, and leaves."""
+    """Return whether a robot comes too near; not if it was too near already, and moves away."""
     return clearance <= margin_m and not (before <= margin_m and clearance > before + 1e-4)
 
 
@@ -283,7 +282,7 @@ def _of_end(way: Way, begin: int, point: int, pose: Any, weights: Weights) -> An
 
 @kernel(error_model="numpy", fastmath=_FAST)
 def blend(costs: FloatArray, drawn: Float32Array, temperature: float, blended: FloatArray) -> Any:
-    """Mean of commands (K, T, 2) by exp(-cost / temperature), into (T, 2); the row of the cheapest."""
+    """Write the mean of commands (K, T, 2) by exp(-cost / temperature) into (T, 2); return the row of the cheapest."""
     best = int(np.argmin(costs))
     blended[:] = 0.0
     total = 0.0

@@ -8,29 +8,26 @@ import numpy as np
 
 from wheelsight.core.compiled import kernel
 
-# Compiled: what it costs to get from each cell to the goal, and the way down.
-#
-# Cells wait in buckets that are no wider than the cheapest step, so that whatever is in the lowest bucket is final
-# (Denardo & Fox 1979): Dijkstra's answer without a heap.
+# Cost-to-go of cells, and the path down it: Dijkstra with buckets instead of a heap. A bucket is no wider than the
+# cheapest step, so all cells of the lowest one are final (Denardo & Fox 1979).
 
 
 _DIAGONAL = np.sqrt(2.0)
-# Of the cheapest step; rounding must not put a cell into the bucket that it was reached from.
+# Width of a bucket in cheapest steps. Rounding must not put a cell into the bucket that it was reached from.
 _WIDTH = 0.999
 
 
 @kernel(error_model="numpy")
 def cost_to_go_kernel(metre_cost: Any, resolution_m: float, goals: Any, goal_costs: Any) -> Any:
-    """(H, W) float64 of the cheapest ways along 8 neighbours to any of goals (N, 2) of row and column; infinite: none.
+    """Return (H, W) float64, the cost of the cheapest 8-connected paths to any goal; infinite without one.
 
-    A step costs its length times the mean of what a metre costs in both cells. No way cuts the corner of a blocked
-    cell.
+    A step costs its length times the mean of both cells' costs. It may not cut the corner of a blocked cell.
 
     Args:
         metre_cost: (H, W) float32, at least 1; infinite where blocked.
         resolution_m: side of a cell.
-        goals: (N, 2).
-        goal_costs: (N,) what is left to pay there.
+        goals: (N, 2) row and column.
+        goal_costs: (N,) remaining cost at the goals.
     """
     rows, columns = metre_cost.shape
     wide = columns + 2
@@ -60,7 +57,7 @@ def cost_to_go_kernel(metre_cost: Any, resolution_m: float, goals: Any, goal_cos
 
 @kernel(error_model="numpy")
 def _put(cell: int, cost: float, known: Any, heads: Any, links: Any, width: float) -> Any:
-    """Move a cell to the bucket of its new cost, which is lower; 1 where it was in none, else 0."""
+    """Move a cell to the bucket of its new, lower cost; return 1 if it was in no bucket, else 0."""
     is_new = 1
     if known[cell] < np.inf:
         is_new = 0
@@ -87,7 +84,7 @@ def _take(cell: int, bucket: int, heads: Any, links: Any) -> None:
 
 @kernel(error_model="numpy")
 def _spread(costs: Any, known: Any, heads: Any, links: Any, wide: int, resolution_m: float, waiting: int) -> None:
-    """Settle all cells that wait, and those reached from them."""
+    """Settle all waiting cells, and those reached from them."""
     width = _WIDTH * resolution_m
     straight = np.array([1, -1, wide, -wide])
     sides = np.array([[1, wide], [1, -wide], [-1, wide], [-1, -wide]])
@@ -116,7 +113,7 @@ def _spread(costs: Any, known: Any, heads: Any, links: Any, wide: int, resolutio
 
 @kernel(error_model="numpy")
 def descend(known: Any, metre_cost: Any, resolution_m: float, row: int, column: int) -> Any:
-    """(N, 2) rows and columns of the cheapest way from a cell to the goal, each a neighbour of the last."""
+    """Return (N, 2) rows and columns of the cheapest path from a cell to the goal, each a neighbour of the last."""
     rows, columns = known.shape
     way = np.empty((rows * columns, 2), np.int64)
     count = 0
@@ -141,14 +138,13 @@ def descend(known: Any, metre_cost: Any, resolution_m: float, row: int, column: 
         row, column = next_row, next_column
 
 
-# Compiled: the search over places and headings for a way that a footprint can drive (Hybrid A*, Dolgov et al. 2010).
+# Search over places and headings for a path of a footprint (Hybrid A*, Dolgov et al. 2010).
 #
-# A base with two driven wheels goes ahead and back along arcs, and turns in place. States are told apart by place and
-# heading, in steps, and keep the exact ones. What is left is guessed by the cost-to-go of the cells, which no
-# footprint beats.
+# A differential drive moves along arcs, forward and backward, and turns in place. States are discretized by place and
+# heading, but keep their exact poses. The heuristic is the cost-to-go of the cells, a lower bound for any footprint.
 
 
-# Arcs by headings that they turn, for both directions; and turns in place.
+# Arcs by the headings that they turn, in both directions; and turns in place.
 _BENDS = (0, 1, -1, 2, -2)
 MOVES = 12
 _ROOM = 512
@@ -156,13 +152,13 @@ FOUND, NOTHING_LEFT, TOO_MANY = 0, 1, 2
 
 
 class Tree(NamedTuple):
-    """States that were reached.
+    """States of a search.
 
     Attributes:
         pose: (n, 4) x, y, yaw and direction of the last motion.
-        cost: (n,) paid so far.
-        link: (n, 2) int32 the state before, and the move from it; WAYS of the goal are counted from MOVES on.
-        table: (2^k,) int32 of states by cell and heading, -1 where empty.
+        cost: (n,) cost so far.
+        link: (n, 2) int32 parent state, and the move from it; connections to the goal are numbered from MOVES on.
+        table: (2^k,) int32 hash table of states by cell and heading, -1 where empty.
         is_closed: (n,) uint8.
         keys: (n,) int64.
     """
@@ -176,7 +172,7 @@ class Tree(NamedTuple):
 
 
 class Heap(NamedTuple):
-    """What waits: keys (n,) float64, states (n,) int32, and (1,) how many."""
+    """Open states: keys (n,) float64, states (n,) int32, and their number (1,)."""
 
     keys: Any
     states: Any
@@ -216,13 +212,13 @@ def _pop(heap: Heap) -> Any:
 
 @kernel(error_model="numpy")
 def search(cells: Cells, shape: Shape, rules: Rules, known: Any, start: Any, goal: Any, tree: Tree) -> Any:
-    """How it ended, the last state, and how many were reached.
+    """Search a path; return how it ended, the last state, and the number of states.
 
     Args:
-        cells, shape, rules: of the place, the robot and its driving.
+        cells, shape, rules: of the costmap, the robot and its driving.
         known: (H, W) cost-to-go of the cells.
         start: (3,) free.
-        goal: (3,) free; its heading NaN where any will do.
+        goal: (3,) free; a heading of NaN is any heading.
         tree: empty.
     """
     most = len(tree.cost)
@@ -245,7 +241,7 @@ def search(cells: Cells, shape: Shape, rules: Rules, known: Any, start: Any, goa
         if count + MOVES + WAYS >= most or heap.count[0] + MOVES + WAYS >= len(heap.keys):
             return TOO_MANY, -1, count
         left_m = np.hypot(tree.pose[state, 0] - goal[0], tree.pose[state, 1] - goal[1])
-        # The farther it is, the more rarely that succeeds, and the longer it takes to see.
+        # A connection from farther away succeeds less often, and takes longer to check.
         every = 1 + int(left_m / rules.stride_m)
         if left_m < rules.connect_m and (popped % every == 0 or state == 0):
             count = _connect(cells, shape, rules, goal, tree, (state, count), heap, out)
@@ -256,7 +252,7 @@ def search(cells: Cells, shape: Shape, rules: Rules, known: Any, start: Any, goa
 
 @kernel(error_model="numpy")
 def arc_of(rules: Rules, yaw: float, move: int) -> Any:
-    """Way and turn of a move from a heading; all but the first end at one of the `headings`."""
+    """Return way and turn of a move from a heading; all but the first end at one of the `headings`."""
     unit = 2 * np.pi / rules.headings
     nearest = np.rint(yaw / unit) * unit
     bends = len(_BENDS)
@@ -268,7 +264,7 @@ def arc_of(rules: Rules, yaw: float, move: int) -> Any:
 
 @kernel(error_model="numpy")
 def _key(cells: Cells, rules: Rules, x: float, y: float, yaw: float) -> Any:
-    """Of a place and a heading; between narrow walls places are told apart twice as finely."""
+    """Return the key of a place and a heading; in narrow places the grid is twice as fine."""
     row, column = cell_of(cells, x, y)
     is_narrow = row >= 0 and cells.distance_m[row, column] < rules.narrow_m
     size_m = 0.5 * rules.place_m if is_narrow else rules.place_m
@@ -279,7 +275,7 @@ def _key(cells: Cells, rules: Rules, x: float, y: float, yaw: float) -> Any:
 
 @kernel(error_model="numpy")
 def _slot(tree: Tree, key: Any) -> Any:
-    """Where in the table a key is or belongs."""
+    """Return the slot of a key in the hash table."""
     mask = len(tree.table) - 1
     # The product stays below 2^63.
     slot = (((key ^ (key >> 21)) & 0x7FFFFFFF) * 0x9E3779B1 >> 16) & mask
@@ -290,7 +286,7 @@ def _slot(tree: Tree, key: Any) -> Any:
 
 @kernel(error_model="numpy")
 def _expand(cells: Cells, shape: Shape, rules: Rules, known: Any, tree: Tree, at: Any, heap: Heap, out: Any) -> Any:
-    """Reach the state after a move, where that is free and cheaper than before; how many states there are then."""
+    """Add the state after a move if that is free and cheaper than before; return the number of states."""
     state, move, count = at
     for k in range(4):
         out[0, k] = tree.pose[state, k]
@@ -323,7 +319,7 @@ def _expand(cells: Cells, shape: Shape, rules: Rules, known: Any, tree: Tree, at
 
 @kernel(error_model="numpy")
 def _connect(cells: Cells, shape: Shape, rules: Rules, goal: Any, tree: Tree, at: Any, heap: Heap, out: Any) -> Any:
-    """Try to reach the goal from a state in one go; how many states there are then."""
+    """Try to connect a state to the goal directly; return the number of states."""
     state, count = at
     best, chosen = np.inf, -1
     for way in range(WAYS):
@@ -345,7 +341,7 @@ def _connect(cells: Cells, shape: Shape, rules: Rules, goal: Any, tree: Tree, at
 
 @kernel(error_model="numpy")
 def write_to_goal(out: Any, at: int, goal: Any, way: int, rules: Rules) -> Any:
-    """As `write_way`; where any heading will do, it is that in which the goal is reached without a turn there."""
+    """Write a connection to a goal; for any heading, with the one that needs no turn at the goal."""
     to = goal.copy()
     if np.isnan(to[2]):
         dx, dy = to[0] - out[at - 1, 0], to[1] - out[at - 1, 1]
@@ -358,7 +354,7 @@ def write_to_goal(out: Any, at: int, goal: Any, way: int, rules: Rules) -> Any:
 
 @kernel(error_model="numpy")
 def way_to(rules: Rules, tree: Tree, last: int, goal: Any, out: Any) -> Any:
-    """Write all poses from the start to a state into `out` (n, 4); how many, or 0 where there is no room."""
+    """Write all poses from the start to a state into `out` (n, 4); return their number, or 0 without room."""
     length, state = 0, last
     while state >= 0:
         length += 1
@@ -381,9 +377,9 @@ def way_to(rules: Rules, tree: Tree, last: int, goal: Any, out: Any) -> Any:
     return at
 
 
-# Compiled: poses along arcs, turns in place and curves, and what it costs to drive along them.
+# Poses along arcs, turns in place and curves, and the cost to drive along them.
 #
-# Poses (N, 4) are x, y, yaw and direction, 1 forward and -1 backward, in steps in which no point of the robot moves
+# Poses (N, 4) are x, y, yaw and direction, 1 forward and -1 backward. Between two of them no point of the robot moves
 # farther than `Rules.step_m`.
 
 
@@ -394,7 +390,7 @@ _TWO_PI = 2 * np.pi
 
 
 class Rules(NamedTuple):
-    """What driving costs and how it is searched; see `PlannerSettings`."""
+    """Costs of driving and limits of the search; see `PlannerSettings`."""
 
     step_m: float
     turn_m: float
@@ -416,15 +412,15 @@ class Rules(NamedTuple):
 
 @kernel(error_model="numpy")
 def wrapped(angle: float) -> Any:
-    """An angle in [-π, π)."""
+    """Return an angle in [-π, π)."""
     return angle - _TWO_PI * np.floor((angle + np.pi) / _TWO_PI)
 
 
 @kernel(error_model="numpy")
 def write_arc(out: Any, at: int, arc: Any, rules: Rules) -> Any:
-    """Write poses after pose `at - 1` along an arc of (way, turn), backward where the way is negative; how many then.
+    """Write poses after pose `at - 1` along an arc of (way, turn), backward if the way is negative.
 
-    A turn in place keeps the direction. Where there is no room it is 0.
+    A turn in place keeps the direction. Returns the number of poses, 0 without room.
     """
     way_m, turn = arc
     x, y, yaw = out[at - 1, 0], out[at - 1, 1], out[at - 1, 2]
@@ -443,7 +439,7 @@ def write_arc(out: Any, at: int, arc: Any, rules: Rules) -> Any:
 
 @kernel(error_model="numpy")
 def write_way(out: Any, at: int, to: Any, way: int, rules: Rules) -> Any:
-    """Write poses after pose `at - 1` to another (3,) by one of WAYS; how many there are then, 0 where it cannot be."""
+    """Write poses after pose `at - 1` to another (3,) by one of WAYS; return the number of poses, 0 if impossible."""
     if way >= CURVE:
         return _write_curve(out, at, to, 1.0 if way == CURVE else -1.0, rules)
     dx, dy = to[0] - out[at - 1, 0], to[1] - out[at - 1, 1]
@@ -459,7 +455,7 @@ def write_way(out: Any, at: int, to: Any, way: int, rules: Rules) -> Any:
 
 @kernel(error_model="numpy")
 def _write_curve(out: Any, at: int, to: Any, sense: float, rules: Rules) -> Any:
-    """A cubic curve (Hermite's) that begins and ends along both headings, nowhere narrower than `radius_m`."""
+    """Write a cubic Hermite curve between both headings, with a radius of at least `radius_m` everywhere."""
     x, y, yaw = out[at - 1, 0], out[at - 1, 1], out[at - 1, 2]
     length_m = np.hypot(to[0] - x, to[1] - y)
     turn = abs(wrapped(to[2] - yaw))
@@ -467,7 +463,7 @@ def _write_curve(out: Any, at: int, to: Any, sense: float, rules: Rules) -> Any:
         return 0
     ax, ay = sense * length_m * np.cos(yaw), sense * length_m * np.sin(yaw)
     bx, by = sense * length_m * np.cos(to[2]), sense * length_m * np.sin(to[2])
-    # A curve turns more than its ends tell, and goes farther; what it moves by is looked at below.
+    # A curve turns more than its ends differ, and is longer; its exact steps are checked below.
     steps = int(np.ceil((1.2 * length_m + rules.reach_m * (turn + 0.5)) / rules.step_m)) + 2
     if at + steps > len(out):
         return 0
@@ -489,7 +485,7 @@ def _write_curve(out: Any, at: int, to: Any, sense: float, rules: Rules) -> Any:
 
 @kernel(error_model="numpy")
 def cost_of(cells: Cells, shape: Shape, rules: Rules, poses: Any, begin: int, end: int) -> Any:
-    """What it costs to drive from pose `begin - 1` over those up to `end`; infinite where one is not free.
+    """Return the cost to drive from pose `begin - 1` over those up to `end`; infinite if one is not free.
 
     `begin` is at least 1.
     """
@@ -500,12 +496,12 @@ def cost_of(cells: Cells, shape: Shape, rules: Rules, poses: Any, begin: int, en
         if tight == np.inf:
             return np.inf
         row, column = cell_of(cells, x, y)
-        # By the square, so that what is a little too near hardly bends a way.
+        # Squared, so that a slightly low clearance hardly bends a path.
         tight = rules.tight * tight * tight
         way_m = np.hypot(x - poses[k - 1, 0], y - poses[k - 1, 1])
         turn = abs(yaw - poses[k - 1, 2])
         if way_m < _EPSILON:
-            # What is not allowed costs infinitely much, and times nothing would be no number.
+            # A forbidden turn has an infinite cost, and infinity times zero would be NaN.
             total += rules.turn_m * turn * (1.0 + tight) if turn > _EPSILON else 0.0
             continue
         factor = rules.backward if poses[k, 3] < 0 else rules.forward
@@ -517,25 +513,25 @@ def cost_of(cells: Cells, shape: Shape, rules: Rules, poses: Any, begin: int, en
     return total
 
 
-# Compiled: cells under a footprint, and how far it is from cells that are occupied.
+# Cells under a footprint, and its distance to occupied cells.
 #
-# A cell is a square, and it is under a footprint where the two share more than an edge. In each row of cells a convex
-# outline covers one stretch, and sums along rows tell how many of its cells are occupied.
+# A cell is a square, and lies under a footprint if they share more than an edge. In each row a convex outline covers
+# one stretch of cells, whose occupied ones are counted by sums along the row.
 
 
-# In cells: what only touches is not under it.
+# In cells: a square that only touches is not under the footprint.
 _TOUCH = 1e-9
 OUTSIDE = 1 << 30
 _HALF_DIAGONAL = 0.7071068
 
 
 class Cells(NamedTuple):
-    """The cells that a footprint is held against.
+    """Cells of a costmap.
 
     Attributes:
-        sums: (H, W + 1) int32, how many cells left of each corner are occupied, row by row.
+        sums: (H, W + 1) int32, number of occupied cells left of each corner, row by row.
         distance_m: (H, W) float32 from each cell's centre to that of the nearest occupied one.
-        metre_cost: (H, W) float32 what a metre costs: 1 or more.
+        metre_cost: (H, W) float32 cost of a metre, at least 1.
         resolution_m: side of a cell.
         x0, y0: of the corner of cell (0, 0), metres.
     """
@@ -552,9 +548,9 @@ class Shape(NamedTuple):
     """A footprint with its margins.
 
     Attributes:
-        outlines: (K, N, 2) corners, from the outline that is to be free where there is room, to the one that has to be.
+        outlines: (K, N, 2) corners, from the outline with the wanted margin to the one with the least.
         inscribed_m: of the last.
-        middle_x, middle_y, around_m: of the disc in `base` that holds the first.
+        middle_x, middle_y, around_m: of a disc in `base` that encloses the first.
     """
 
     outlines: Any
@@ -566,7 +562,7 @@ class Shape(NamedTuple):
 
 @kernel(error_model="numpy")
 def count_under(cells: Cells, corners: Any, x: float, y: float, yaw: float) -> Any:
-    """How many occupied cells lie under an outline (N, 2) at a pose; OUTSIDE where it reaches beyond the cells."""
+    """Return the number of occupied cells under an outline (N, 2) at a pose; OUTSIDE if it leaves the cells."""
     rows, columns = cells.distance_m.shape
     n, c, s = len(corners), np.cos(yaw), np.sin(yaw)
     u, v = np.empty(n), np.empty(n)
@@ -590,7 +586,7 @@ def count_under(cells: Cells, corners: Any, x: float, y: float, yaw: float) -> A
 
 @kernel(error_model="numpy")
 def _stretch(u: Any, v: Any, low: float, high: float) -> Any:
-    """From where to where a convex outline reaches between two heights."""
+    """Return where a convex outline begins and ends between two heights."""
     left, right, before = np.inf, -np.inf, len(u) - 1
     for k in range(len(u)):
         if low <= v[k] <= high:
@@ -606,7 +602,7 @@ def _stretch(u: Any, v: Any, low: float, high: float) -> Any:
 
 @kernel(error_model="numpy")
 def cell_of(cells: Cells, x: float, y: float) -> Any:
-    """Row and column of a point; -1 and -1 outside."""
+    """Return row and column of a point; -1 and -1 outside."""
     row = int(np.floor((y - cells.y0) / cells.resolution_m))
     column = int(np.floor((x - cells.x0) / cells.resolution_m))
     rows, columns = cells.distance_m.shape
@@ -617,9 +613,9 @@ def cell_of(cells: Cells, x: float, y: float) -> Any:
 
 @kernel(error_model="numpy")
 def tightness(cells: Cells, shape: Shape, x: float, y: float, yaw: float) -> Any:
-    """0 where the widest outline is free, 1 where the narrowest alone is, between by which one is; infinite: none."""
+    """Return 0 if the widest outline is free, 1 if only the narrowest is, a value between for others, else infinity."""
     row, column = cell_of(cells, x, y)
-    # From a point to the nearest occupied square it is this much less, or more, than from centre to centre.
+    # The distance from a point to the nearest occupied square differs by this from that between centres.
     slack_m = _HALF_DIAGONAL * cells.resolution_m
     if row < 0 or cells.distance_m[row, column] < shape.inscribed_m + 0.5 * cells.resolution_m - slack_m:
         return np.inf
@@ -641,21 +637,21 @@ def tightness(cells: Cells, shape: Shape, x: float, y: float, yaw: float) -> Any
 
 @kernel(error_model="numpy")
 def tightnesses(cells: Cells, shape: Shape, poses: Any, found: Any) -> None:
-    """`tightness` of each of poses (N, 3)."""
+    """Compute `tightness` for poses (N, 3)."""
     for k in range(len(poses)):
         found[k] = tightness(cells, shape, poses[k, 0], poses[k, 1], poses[k, 2])
 
 
 @kernel(error_model="numpy")
 def counts_under(cells: Cells, corners: Any, poses: Any, found: Any) -> None:
-    """`count_under` of each of poses (N, 3)."""
+    """Compute `count_under` for poses (N, 3)."""
     for k in range(len(poses)):
         found[k] = count_under(cells, corners, poses[k, 0], poses[k, 1], poses[k, 2])
 
 
 @kernel(error_model="numpy")
 def least_clearance(cells: Cells, corners: Any, poses: Any, most_m: float) -> Any:
-    """Metres from an outline at any of poses (N, 3) to the nearest occupied square, at most `most_m`; 0 within."""
+    """Return metres from an outline at any of poses (N, 3) to the nearest occupied square, at most `most_m`; or 0."""
     least, size_m = most_m, cells.resolution_m
     rows, columns = cells.distance_m.shape
     n = len(corners)
@@ -683,7 +679,7 @@ def least_clearance(cells: Cells, corners: Any, poses: Any, most_m: float) -> An
 
 @kernel(error_model="numpy")
 def _apart(placed: Any, left: int, low: int) -> Any:
-    """Cells from an outline to the unit square with that lower left corner, which are apart."""
+    """Return the distance in cells between an outline and the unit square with that lower left corner."""
     least, before = np.inf, len(placed) - 1
     for k in range(len(placed)):
         x, y = placed[k, 0], placed[k, 1]

@@ -10,19 +10,19 @@ from wheelsight.core.compiled import kernel
 from wheelsight.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from wheelsight.navigation.clearance_kernels import outside_m
 
-# Compiled: what a depth image shows of the floor and of things on it, by bearing and by cell, seen from the base.
+# Floor and obstacles in a depth image, by bearing and by cell of the base.
 
 
 _NEITHER, _FLOOR, _THING = 0, 1, 2
 
 
 class Rays(NamedTuple):
-    """Of each pixel (h, w): where a point at depth 1 lies from the camera along the base's axes, and its bearing.
+    """Ray of each pixel (h, w): the point at depth 1 relative to the camera along the base's axes, and its bearing.
 
     Attributes:
         ways: (h, w, 3) float32.
         columns: (h, w) int16 number of the bearing, -1 outside of the view that all rows share.
-        camera: (3,) where the camera sits in the base.
+        camera: (3,) place of the camera in the base.
     """
 
     ways: Any
@@ -31,7 +31,7 @@ class Rays(NamedTuple):
 
 
 class Heights(NamedTuple):
-    """By what floor and things are told apart, metres; as `LiveLayerSettings` has it."""
+    """Limits between floor and obstacles, metres; as in `LiveLayerSettings`."""
 
     floor_m: float
     drop_m: float
@@ -41,12 +41,12 @@ class Heights(NamedTuple):
 
 
 class Shown(NamedTuple):
-    """What was found.
+    """Content of a depth image.
 
     Attributes:
-        floor: (columns, bins) uint8, whether a bearing shows floor so far from the camera.
-        cells: (n, n, 3) of things: pixels, sums of x and y in the base.
-        tops: (n, n, k) the k highest of a cell's pixels over the floor, the highest first.
+        floor: (columns, bins) uint8, whether a bearing shows floor at a distance from the camera.
+        cells: (n, n, 3) of obstacles: pixels, sums of x and y in the base.
+        tops: (n, n, k) the k largest heights of a cell's pixels over the floor, the largest first.
         measured: (columns,) pixels with a depth.
         bin_m, cell_m: side of a bin and of a cell.
     """
@@ -61,7 +61,7 @@ class Shown(NamedTuple):
 
 @kernel(error_model="numpy")
 def look(depth_m: Any, rays: Rays, heights: Heights, shown: Shown) -> None:
-    """Sort the pixels of a depth image (h, w) in metres; where it is not finite and over 0, nothing was measured."""
+    """Sort the pixels of a depth image (h, w) in metres; pixels that are not finite and over 0 have no depth."""
     rows, columns = depth_m.shape
     bins, lowest = shown.floor.shape[1], shown.tops.shape[2] - 1
     for v in range(rows):
@@ -89,7 +89,7 @@ def look(depth_m: Any, rays: Rays, heights: Heights, shown: Shown) -> None:
 
 @kernel(error_model="numpy")
 def _keep_highest(tops: Any, height_m: float) -> None:
-    """Of a cell's pixels (k,), the highest first."""
+    """Insert a height into a cell's largest ones (k,)."""
     for k in range(len(tops)):
         if height_m > tops[k]:
             height_m, tops[k] = tops[k], height_m
@@ -97,9 +97,9 @@ def _keep_highest(tops: Any, height_m: float) -> None:
 
 @kernel(error_model="numpy")
 def reach(depth_m: Any, rays: Rays, heights: Heights, shown: Shown, is_thing: Any, nearest_m: Any) -> None:
-    """How far from the camera each bearing meets its nearest thing, into (columns,), of cells (n, n) that hold one.
+    """Write the distance of the nearest obstacle of each bearing into (columns,), for cells (n, n) with an obstacle.
 
-    By pixels: a cell close by spans several bearings.
+    It works by pixels, as a cell close by spans several bearings.
     """
     rows, columns = depth_m.shape
     for v in range(rows):
@@ -117,8 +117,9 @@ def reach(depth_m: Any, rays: Rays, heights: Heights, shown: Shown, is_thing: An
 
 @kernel(error_model="numpy")
 def _met(dx: float, dy: float, dz: float, camera_m: float, heights: Heights) -> Any:
-    """What a pixel shows whose point lies so from the camera, seen from so far over the floor, and where: along x,
-    along y, and how far.
+    """Classify the point of a pixel, relative to a camera over the floor.
+
+    Returns what it shows, and where: along x, along y, and its distance.
     """
     h, way_m = camera_m + dz, np.sqrt(dx * dx + dy * dy)
     tilt_m = heights.tilt_rad * way_m
@@ -135,22 +136,22 @@ def _met(dx: float, dy: float, dz: float, camera_m: float, heights: Heights) -> 
 
 @kernel(error_model="numpy")
 def _cell(shown: Shown, x: float, y: float) -> Any:
-    """Row and column of the cell at a point of the base; -1 beyond them."""
+    """Return row and column of the cell at a point of the base; -1 outside."""
     side = shown.cells.shape[0]
     row, column = int(np.floor(y / shown.cell_m)) + side // 2, int(np.floor(x / shown.cell_m)) + side // 2
     return (row, column) if 0 <= row < side and 0 <= column < side else (-1, -1)
 
 
-# Compiled: what a camera looks at along a plan, and what the robot goes over.
+# Floor that a camera observes along a plan, and floor that the robot drives over.
 
 
 class Eye(NamedTuple):
     """A camera that looks ahead.
 
     Attributes:
-        x, y: where it sits in the base.
-        half_rad: to either side, how far it sees.
-        near_m, far_m: from it, the nearest floor that it looks over, and the farthest that counts.
+        x, y: its place in the base.
+        half_rad: half of its field of view.
+        near_m, far_m: distances from it of the nearest floor that it observes, and of the farthest that counts.
     """
 
     x: float
@@ -161,11 +162,11 @@ class Eye(NamedTuple):
 
 
 class Walls(NamedTuple):
-    """What cannot be seen through.
+    """Cells that block the view.
 
     Attributes:
-        is_there: (H, W) row 0 is the least y.
-        resolution: metres a cell.
+        is_there: (H, W) row 0 has the least y.
+        resolution: metres per cell.
         origin: x and y of the corner of cell (0, 0).
     """
 
@@ -176,7 +177,7 @@ class Walls(NamedTuple):
 
 @kernel
 def first_over(poses: FloatArray, points: FloatArray, sides: FloatArray, out: IntArray) -> None:
-    """Number of the first of poses (N, 3) at which an outline holds each point (M, 2), or N, into (M,)."""
+    """Write the index of the first pose (N, 3) whose outline covers each point (M, 2), or N, into (M,)."""
     reach2 = (sides[:, 0] ** 2 + sides[:, 1] ** 2).max()
     out[:] = len(poses)
     for n in range(len(poses)):
@@ -195,9 +196,9 @@ def first_over(poses: FloatArray, points: FloatArray, sides: FloatArray, out: In
 def first_blind(
     poses: FloatArray, points: FloatArray, slack_m: FloatArray, over: IntArray, eye: Eye, walls: Walls, lag: int
 ) -> Any:
-    """Number of the first pose that goes over a point which no pose, so many before it and more, looks at; or N.
+    """Return the index of the first pose over a point that no pose at least `lag` before it observes; N without any.
 
-    A point counts as looked at where something so near to it is. `over` is by `first_over`.
+    A point counts as observed if the camera sees a place within its slack. `over` comes from `first_over`.
     """
     first = len(poses)
     for m in range(len(points)):
