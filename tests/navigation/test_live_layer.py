@@ -271,7 +271,7 @@ def test_what_is_no_view_is_refused_and_changes_nothing(shape: Any, pose: Any, s
 
 
 def test_without_a_camera_or_its_place_there_is_no_layer() -> None:
-    with pytest.raises(MapError, match="where the camera sits"):
+    with pytest.raises(MapError, match="pose above the floor is unknown"):
         LiveLayer(Calibration.registered_camera(CAMERA), CHAIR)
     with pytest.raises(CalibrationError):
         LiveLayer(Calibration(T_base_camera=T_BASE_CAMERA), CHAIR)

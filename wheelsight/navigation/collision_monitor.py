@@ -189,7 +189,14 @@ class CollisionMonitor:
         elif asked.is_stop:
             result = MonitorResult(asked, MonitorState.FREE)
         else:
-            result = _scaled(asked, *self._share(asked, now_s, status))
+            share, reason = self._share(asked, now_s, status)
+            forward, turn = share * asked.forward_m_s, share * asked.turn_rad_s
+            if share >= 1.0:
+                result = MonitorResult(asked, MonitorState.FREE)
+            elif abs(forward) < _LEAST_M_S and abs(turn) < _LEAST_RAD_S:
+                result = MonitorResult(STOP, MonitorState.STOPPED, reason)
+            else:
+                result = MonitorResult(VelocityCommand(forward, turn), MonitorState.SLOWED, reason)
         self._wheels.record(result.command, now_s)
         return result
 
@@ -323,16 +330,6 @@ def _within(twist: tuple[float, float], most_m_s: float, most_rad_s: float) -> f
     return min(1.0, *shares)
 
 
-def _scaled(asked: VelocityCommand, share: float, reason: MonitorReason | None) -> MonitorResult:
-    """Return the result for a share of a command, along the same arc."""
-    if share >= 1.0:
-        return MonitorResult(asked, MonitorState.FREE)
-    forward, turn = share * asked.forward_m_s, share * asked.turn_rad_s
-    if abs(forward) < _LEAST_M_S and abs(turn) < _LEAST_RAD_S:
-        return MonitorResult(STOP, MonitorState.STOPPED, reason)
-    return MonitorResult(VelocityCommand(forward, turn), MonitorState.SLOWED, reason)
-
-
 class WheelCheck:
     """Detects wheels that do not follow their commands.
 
@@ -363,7 +360,11 @@ class WheelCheck:
             self._stamp_s = stamp_s
             return False
         step_s, self._stamp_s = stamp_s - self._stamp_s, stamp_s
-        ahead, turns = self._obeyed_at(stamp_s)
+        # All commands that the base may follow at this time, with its lag.
+        late_s = stamp_s - s.lag_s
+        sent = [self._command_at(stamp_s, s.held_s), self._command_at(late_s, s.watchdog_s)]
+        sent += [command for sent_s, command in self._sent if late_s < sent_s <= stamp_s]
+        ahead, turns = [one.forward_m_s for one in sent], [one.turn_rad_s for one in sent]
         self._lowest = self._next(self._lowest, (min(ahead), min(turns)), step_s, s.slow_share, s.fast_share)
         self._highest = self._next(self._highest, (max(ahead), max(turns)), step_s, s.fast_share, s.slow_share)
         bounds = zip(self._lowest, measured, self._highest, strict=True)
@@ -371,14 +372,6 @@ class WheelCheck:
         is_off = off[0] > s.off_m_s or off[1] > s.off_rad_s
         self._off_s = self._off_s + step_s if is_off else 0.0
         return self._off_s >= s.off_s
-
-    def _obeyed_at(self, stamp_s: float) -> tuple[list[float], list[float]]:
-        """Return the forward speeds and turn rates of all commands that a base may follow at a time, with its lag."""
-        s = self._settings
-        late_s = stamp_s - s.lag_s
-        ends = [self._command_at(stamp_s, s.held_s), self._command_at(late_s, s.watchdog_s)]
-        sent = ends + [command for sent_s, command in self._sent if late_s < sent_s <= stamp_s]
-        return [one.forward_m_s for one in sent], [one.turn_rad_s for one in sent]
 
     def _command_at(self, stamp_s: float, kept_s: float) -> VelocityCommand:
         """Return the last command at a time; a stop if it is older than a base keeps it.

@@ -223,7 +223,12 @@ class _Arcs:
             return ControlResult.standing(ControlReason.BLOCKED)
         speed = min(max(speed, self._follow.slowest_m_s), most)
         command = VelocityCommand(direction * speed, direction * speed * curvature)
-        return ControlResult(command, None, self._arc(situation, curvature, min(free_m, situation.rest_m)))
+        pose, poses = situation.pose, []
+        step_m = direction * s.step_m
+        for _ in range(max(int(min(free_m, situation.rest_m) / s.step_m), 1)):
+            pose = moved(pose, step_m, step_m * curvature)
+            poses.append((pose[0], pose[1], np.arctan2(pose[3], pose[2])))
+        return ControlResult(command, None, np.array(poses))
 
     def _curvature(self, situation: Situation) -> float:
         """Return the curvature of the arc to the point ahead. Beyond a segment's end the path goes straight on."""
@@ -248,15 +253,6 @@ class _Arcs:
         people = situation.people + np.array([0, 0, 0, 0, self._follow.people_margin_m - margin])
         arc = (way, way * curvature, s.step_m / max(speed, self._follow.slowest_m_s), steps)
         return float(free_arc(situation.field, self._outline, people, situation.pose, arc, margin)) * s.step_m
-
-    def _arc(self, situation: Situation, curvature: float, length_m: float) -> FloatArray:
-        """Return poses (N, 3) along the arc."""
-        pose, poses = situation.pose, []
-        way = situation.segment.direction * self._settings.step_m
-        for _ in range(max(int(length_m / self._settings.step_m), 1)):
-            pose = moved(pose, way, way * curvature)
-            poses.append((pose[0], pose[1], np.arctan2(pose[3], pose[2])))
-        return np.array(poses)
 
 
 def _speed_to_stop(rest_m: float, follow: FollowSettings) -> float:

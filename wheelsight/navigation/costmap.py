@@ -184,8 +184,14 @@ class Costmap:
         """
         state = static.state
         if live is not None:
-            state = state.copy()
-            _put(live, np.asarray(T_map_live, float), static, state)
+            at, state = np.asarray(T_map_live, float), state.copy()
+            if at.shape != (3,) or not np.isfinite(at).all():
+                raise ArgumentError(f"T_map_live is {at}", fix="x, y and yaw of the obstacles' frame in map, finite")
+            x, y, yaw = (float(value) for value in at)
+            of = kernels.Cells(live.resolution_m, *live.origin)
+            to = kernels.Cells(static.resolution_m, *static.origin)
+            T = x, y, np.cos(yaw), np.sin(yaw)
+            kernels.mark_occupied(live.is_occupied, of, T, to, CellState.OCCUPIED.value, state)
         place = static.resolution_m, static.origin, "map"
         made = _made(state, static.speed_m_s, place, footprint.inscribed_m, settings or CostmapSettings())
         return replace(made, is_told=static.is_told)
@@ -292,16 +298,6 @@ def distances_m(is_lethal: BoolArray, resolution_m: float) -> Float32Array:
         return np.full(is_lethal.shape, FARTHEST_M, np.float32)
     cells = cv2.distanceTransform((~is_lethal).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     return np.asarray(np.minimum(cells * resolution_m, FARTHEST_M), np.float32)
-
-
-def _put(live: LiveObstacles, T_map_live: FloatArray, static: StaticLayer, state: ByteArray) -> None:
-    """Mark all cells that contain the centre of any sixteenth of an occupied cell."""
-    if T_map_live.shape != (3,) or not np.isfinite(T_map_live).all():
-        raise ArgumentError(f"T_map_live is {T_map_live}", fix="x, y and yaw of the obstacles' frame in map, finite")
-    x, y, yaw = (float(value) for value in T_map_live)
-    of = kernels.Cells(live.resolution_m, *live.origin)
-    to = kernels.Cells(static.resolution_m, *static.origin)
-    kernels.mark_occupied(live.is_occupied, of, (x, y, np.cos(yaw), np.sin(yaw)), to, CellState.OCCUPIED.value, state)
 
 
 # An obstacle in view, but not in the images of `_LOOKED_S`, has no depth behind it: five images would clear it.

@@ -143,7 +143,11 @@ class Exploration:
         poses = np.column_stack([costmap.middle_of(cells[place]), headings[heading]])
         turn_rad = np.abs(wrap_angle(headings[heading] - pose[2]))
         value = gains[shows] * np.exp(-s.way_per_m * (ways_m[place] + s.turn_m * turn_rad))
-        worth[shows] = np.where(self._fits(costmap, poses) & ~self._is_old(poses), value, 0.0)
+        is_visited = np.zeros(len(poses), bool)
+        for looked in self._looked:
+            is_near = np.hypot(*(poses[:, :2] - looked[:2]).T) < s.same_m
+            is_visited |= is_near & (np.cos(poses[:, 2] - looked[2]) > np.cos(s.same_rad))
+        worth[shows] = np.where(self._fits(costmap, poses) & ~is_visited, value, 0.0)
         if not worth.any():
             return None
         best, heading_of = np.unravel_index(int(worth.argmax()), worth.shape)
@@ -178,14 +182,6 @@ class Exploration:
             at = np.clip(costmap.cells_at(middles), 0, np.array(costmap.state.shape) - 1)
             fits &= costmap.distance_m[at[:, 0], at[:, 1]] >= self._least_m
         return fits
-
-    def _is_old(self, poses: FloatArray) -> BoolArray:
-        """Return (N,) whether a similar view was visited."""
-        s, is_old = self._settings.exploration, np.zeros(len(poses), bool)
-        for looked in self._looked:
-            is_near = np.hypot(*(poses[:, :2] - looked[:2]).T) < s.same_m
-            is_old |= is_near & (np.cos(poses[:, 2] - looked[2]) > np.cos(s.same_rad))
-        return is_old
 
     def _seen_from(self, view: FloatArray, of: Costmap | StaticLayer, is_wanted: BoolArray) -> IntArray:
         """Return wanted cells (N, 2) that a view shows."""

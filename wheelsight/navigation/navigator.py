@@ -282,7 +282,11 @@ class Navigator(OneCaller):
             return STOP
         meets_people = bool(self._senses.people(now_s))
         task.roll(now_s, self._senses.where, self.settings.navigator, meets_people=meets_people)
-        why_over = self._why_over(task, now_s)
+        if self._chain.checked.reason is MonitorReason.WHEELS_OFF:
+            return self._fail(NavigationReason.DISOBEYS, "look at the wheels, then clear the fault")
+        if task.stopped_for_s(now_s, bool(self._robot.stop_reason)) > self.settings.navigator.held_s:
+            return self._fail(NavigationReason.ROBOT_STOPPED, self._robot.stop_reason)
+        why_over = task.why_over(now_s, self.settings)
         if why_over is not None:
             return self._fail(*why_over)
         if self._robot.stop_reason:
@@ -294,14 +298,6 @@ class Navigator(OneCaller):
             NavigationState.RECOVERING: self._recover,
         }
         return ways[self.state](task, now_s)
-
-    def _why_over(self, task: Task, now_s: float) -> tuple[NavigationReason, str] | None:
-        """Return why the task cannot continue in any state; None if it can."""
-        if self._chain.checked.reason is MonitorReason.WHEELS_OFF:
-            return NavigationReason.DISOBEYS, "look at the wheels, then clear the fault"
-        if task.stopped_for_s(now_s, bool(self._robot.stop_reason)) > self.settings.navigator.held_s:
-            return NavigationReason.ROBOT_STOPPED, self._robot.stop_reason
-        return task.why_over(now_s, self.settings)
 
     def _plan(self, task: Task, now_s: float) -> VelocityCommand:
         """Wait for a plan and drive it, or recover if there is none."""

@@ -69,24 +69,29 @@ class PeopleTracker:
             is_on_floor: (N,) whether each point lies on free floor of the map, away from obstacles.
         """
         s = self.settings
-        seen = [_placed(thing, pose) for thing in things_in(view, is_on_floor, self._far_m, s)]
+        T = se2.from_parts(*pose)
+        R = T[:2, :2]
+        seen = [
+            Detection(R @ detection.middle + T[:2, 2], R @ detection.covariance @ R.T, detection.radius_m)
+            for detection in detections_in(view, is_on_floor, self._far_m, s)
+        ]
         for one in self._tracked:
             one.track.predict(view.stamp_s)
         pairs = self._pairs(seen)
         for number, one in pairs.items():
             one.update(seen[number], view.stamp_s, self._sure)
         self._tracked = [one for one in self._tracked if view.stamp_s - one.seen_s <= s.unseen_s]
-        self._tracked += [_Tracked(thing, view.stamp_s, s) for k, thing in enumerate(seen) if k not in pairs]
+        self._tracked += [_Tracked(detection, view.stamp_s, s) for k, detection in enumerate(seen) if k not in pairs]
 
     def people(self, now_s: float) -> tuple[Person, ...]:
         """Return the walking people, in `odom`, predicted to a time."""
         return tuple(one.person(now_s) for one in self._tracked if one.walks)
 
-    def _pairs(self, seen: Sequence[Thing]) -> dict[int, _Tracked]:
+    def _pairs(self, seen: Sequence[Detection]) -> dict[int, _Tracked]:
         """Return the track of each object by its number: nearest pairs first, each track once."""
         ways = sorted(
-            (one.track.distance(thing.middle, thing.covariance), number, k)
-            for number, thing in enumerate(seen)
+            (one.track.distance(detection.middle, detection.covariance), number, k)
+            for number, detection in enumerate(seen)
             for k, one in enumerate(self._tracked)
         )
         pairs: dict[int, _Tracked] = {}
@@ -100,17 +105,17 @@ class PeopleTracker:
 class _Tracked:
     """An object that is tracked from frame to frame."""
 
-    def __init__(self, thing: Thing, stamp_s: float, settings: PeopleSettings) -> None:
+    def __init__(self, detection: Detection, stamp_s: float, settings: PeopleSettings) -> None:
         s = self._settings = settings
-        self.track = Track(stamp_s, thing.middle, thing.covariance, s.walk_m_s, s.change_m2_s3)
-        self.seen_s, self.walks, self._radius_m = stamp_s, False, thing.radius_m
-        self._middles = deque([thing.middle], s.frames)
+        self.track = Track(stamp_s, detection.middle, detection.covariance, s.walk_m_s, s.change_m2_s3)
+        self.seen_s, self.walks, self._radius_m = stamp_s, False, detection.radius_m
+        self._middles = deque([detection.middle], s.frames)
 
-    def update(self, thing: Thing, stamp_s: float, sure: float) -> None:
+    def update(self, detection: Detection, stamp_s: float, sure: float) -> None:
         """Update it by an observation. It walks if it is significantly fast, and has left its place."""
-        self.track.correct(thing.middle, thing.covariance)
-        self.seen_s, self._radius_m = stamp_s, thing.radius_m
-        self._middles.append(thing.middle)
+        self.track.correct(detection.middle, detection.covariance)
+        self.seen_s, self._radius_m = stamp_s, detection.radius_m
+        self._middles.append(detection.middle)
         s, way_m = self._settings, float(np.hypot(*(self._middles[-1] - self._middles[0])))
         is_quick = self.track.speed_m_s >= s.least_m_s and self.track.speed_distance > sure
         self.walks = len(self._middles) == s.frames and is_quick and way_m >= s.way_m
@@ -126,19 +131,12 @@ def discs_of(people: Sequence[Person]) -> FloatArray:
     return np.array([[*one.position, *one.velocity, one.radius_m] for one in people]).reshape(-1, 5)
 
 
-def _placed(thing: Thing, pose: FloatArray) -> Thing:
-    """Return an object in the base, transformed by the pose (3,) of the base."""
-    T = se2.from_parts(*pose)
-    R = T[:2, :2]
-    return Thing(R @ thing.middle + T[:2, 2], R @ thing.covariance @ R.T, thing.radius_m)
-
-
 # Columns beside an object in which a nearer one would hide a part of it.
 _BESIDE = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Thing:
+class Detection:
     """An object of a person's width that a depth image shows completely, on free floor of the map.
 
     Attributes:
@@ -152,7 +150,7 @@ class Thing:
     radius_m: float
 
 
-def things_in(view: DepthView, is_on_floor: BoolArray, far_m: float, settings: PeopleSettings) -> list[Thing]:
+def detections_in(view: DepthView, is_on_floor: BoolArray, far_m: float, settings: PeopleSettings) -> list[Detection]:
     """Return the objects in a view that may be people.
 
     Args:
@@ -165,15 +163,19 @@ def things_in(view: DepthView, is_on_floor: BoolArray, far_m: float, settings: P
         return []
     seen = _Seen.of(view)
     number = np.full(len(view.points), -1)
-    number[is_on_floor] = _numbers(view.points[is_on_floor], settings.gap_m)
+    # Points with gaps of at most `gap_m` between them are one object.
+    points = view.points[is_on_floor]
+    pairs = cKDTree(points).query_pairs(settings.gap_m, output_type="ndarray")
+    near = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), (len(points), len(points)))
+    number[is_on_floor] = np.asarray(connected_components(near, directed=False)[1])
     whole = [
         which
         for which in (number == at for at in range(int(number.max()) + 1))
         if which.sum() >= settings.least_points and seen.is_whole(which, far_m, settings)
     ]
     camera = np.array(view.camera)
-    things = [_thing(view.points[which] - camera, camera, settings) for which in whole]
-    return [thing for thing in things if 2 * thing.radius_m <= settings.widest_m]
+    detections = [_detection(view.points[which] - camera, camera, settings) for which in whole]
+    return [detection for detection in detections if 2 * detection.radius_m <= settings.widest_m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,15 +202,7 @@ class _Seen:
         return not (near & (self.column >= low - _BESIDE) & (self.column <= high + _BESIDE)).any()
 
 
-def _numbers(points: FloatArray, gap_m: float) -> IntArray:
-    """Return (N,) object numbers of points (N, 2), connected by gaps of at most `gap_m`."""
-    pairs = cKDTree(points).query_pairs(gap_m, output_type="ndarray")
-    shape = len(points), len(points)
-    near = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape)
-    return np.asarray(connected_components(near, directed=False)[1])
-
-
-def _thing(points: FloatArray, camera: FloatArray, settings: PeopleSettings) -> Thing:
+def _detection(points: FloatArray, camera: FloatArray, settings: PeopleSettings) -> Detection:
     """Return the object of points (N, 2) relative to the camera."""
     seen = points.mean(axis=0)
     range_m = float(np.hypot(*seen))
@@ -218,7 +212,7 @@ def _thing(points: FloatArray, camera: FloatArray, settings: PeopleSettings) -> 
     middle = camera + seen + 2 / np.pi * settings.body_m * along
     side = points @ across
     off = settings.sigma_m**2 * np.eye(2) + (settings.sigma_rad * range_m) ** 2 * np.outer(across, across)
-    return Thing(middle, off, max(settings.body_m, float(np.ptp(side)) / 2))
+    return Detection(middle, off, max(settings.body_m, float(np.ptp(side)) / 2))
 
 
 # Observation matrix: positions.

@@ -100,7 +100,11 @@ class Planner:
         drivable = Drivable.of(stood, self.footprint, self.settings, self.limits)
         out = way_out(drivable, self._outline, begin, self.settings)
         if out is None:
-            return self._stuck(stood, begin)
+            nor = f"nor within {self.settings.escape_m:g} m"
+            known = Drivable.of(stood.with_unknown_free(), self.footprint, self.settings, self.limits)
+            if way_out(known, self._outline, begin, self.settings) is None:
+                return PlanFailure(PlanReason.START_OCCUPIED, nor)
+            return PlanFailure(PlanReason.START_UNKNOWN, f"{nor}; {_ABOUT_UNKNOWN}")
         found = self._from(drivable, out, end)
         if isinstance(found, Plan) or found.reason is not PlanReason.UNREACHABLE:
             return found
@@ -108,14 +112,6 @@ class Planner:
         wide = way_out(drivable, self._outline, begin, self.settings, is_wide=True)
         again = found if wide is None or len(wide) == 1 else self._from(drivable, wide, end)
         return again if isinstance(again, Plan) else found
-
-    def _stuck(self, costmap: Costmap, begin: FloatArray) -> PlanFailure:
-        """Return why the robot cannot leave its place (3,): obstacles, or unknown floor."""
-        known = Drivable.of(costmap.with_unknown_free(), self.footprint, self.settings, self.limits)
-        nor = f"nor within {self.settings.escape_m:g} m"
-        if way_out(known, self._outline, begin, self.settings) is None:
-            return PlanFailure(PlanReason.START_OCCUPIED, nor)
-        return PlanFailure(PlanReason.START_UNKNOWN, f"{nor}; {_ABOUT_UNKNOWN}")
 
     def why_no_way(self, costmap: Costmap, start: ArrayLike, goal: ArrayLike) -> str:
         """Return what in a costmap keeps the robot from a goal (3,) without a plan, with places and widths."""
@@ -595,13 +591,13 @@ def way_out(
     second = (passed(begin, arc) for begin in begins if len(begin) > 1 for arc in arcs)
     free = ([way for way in ways if drivable.tightness(way[-1:, :3])[0] <= most] for ways in (first, second))
     found = next((ways for ways in free if ways), [])
-    return min(found, key=lambda way: _long_m(way, drivable.rules.reach_m), default=None)
 
+    def length_m(way: FloatArray) -> float:
+        """Return the length of a path, with turns by the motion of a corner, and with backward parts longer."""
+        steps_m = np.hypot(*np.diff(way[:, :2], axis=0).T) + drivable.rules.reach_m * np.abs(np.diff(way[:, 2]))
+        return float((steps_m * np.where(way[1:, 3] < 0, _BACKWARD, 1.0)).sum())
 
-def _long_m(way: FloatArray, reach_m: float) -> float:
-    """Return the length of a path (N, 4), with turns by the motion of a corner, and with backward parts longer."""
-    steps_m = np.hypot(*np.diff(way[:, :2], axis=0).T) + reach_m * np.abs(np.diff(way[:, 2]))
-    return float((steps_m * np.where(way[1:, 3] < 0, _BACKWARD, 1.0)).sum())
+    return min(found, key=length_m, default=None)
 
 
 def _clearances(drivable: Drivable, outline: Outline, poses: FloatArray, settings: PlannerSettings) -> FloatArray:

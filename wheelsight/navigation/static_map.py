@@ -216,14 +216,13 @@ class GrowingFloor:
             _stamp(is_stood, static, pose, self._footprint)
         self._stamped, self._marked = len(self._stood), (is_stood, static.origin)
         known = static.with_floor(is_stood)
-        return known.with_floor(self._trusted_floor(static), is_told=True) if self._trusted_m else known
-
-    def _trusted_floor(self, static: StaticLayer) -> BoolArray:
-        """Return (H, W) trusted floor around the start; cached, as it takes 16 ms."""
+        if not self._trusted_m:
+            return known
+        # Cached, as it takes 16 ms.
         of = self._seen, static.origin, static.state.shape
         if self._trusted is None or self._trusted[0][0] is not self._seen or self._trusted[0][1:] != of[1:]:
             self._trusted = of, _in_sight(static, self._stood[0][:2], self._trusted_m)
-        return self._trusted[1]
+        return known.with_floor(self._trusted[1], is_told=True)
 
 
 def _driven_over(static: StaticLayer, poses: FloatArray, footprint: Footprint) -> StaticLayer:

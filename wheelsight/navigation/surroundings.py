@@ -395,7 +395,10 @@ class DepthViewer:
         is_thing, points, tops_m = self._things(shown)
         thing_m = np.full(self._count, np.inf)
         reach(depth, self._rays, self._heights, shown, is_thing, thing_m)
-        seen_m = self._seen_m(shown, thing_m)
+        floor_m = _floor_until_m(shown.floor, s.gap_m, s.bin_m, self._near_m)
+        # Each bearing sees along floor without long gaps, or to an obstacle on the last visible floor, or nearer.
+        reached = thing_m <= np.maximum(floor_m, self._near_m) + s.gap_m
+        seen_m = np.where(shown.measured >= s.pixels, np.where(reached, thing_m, np.minimum(floor_m, far_m)), 0.0)
         # Nearer than this, an obstacle is below the lowest ray.
         shows_m = np.asarray(self._near_m * np.maximum(1 - tops_m / float(self._rays.camera[2]), 0.0))
         return DepthView(stamp_s, points, self.camera, self._first_rad, self._step_rad, seen_m, self._near_m, shows_m)
@@ -415,15 +418,6 @@ class DepthViewer:
         is_thing[is_thing] = is_other = ~self._footprint.contains(points)
         tops_m = cv2.dilate(np.ascontiguousarray(shown.tops[..., -1]), np.ones((3, 3), np.uint8))
         return is_thing, np.asarray(points[is_other]), np.asarray(tops_m[is_thing], float)
-
-    def _seen_m(self, shown: Shown, thing_m: FloatArray) -> FloatArray:
-        """Return (columns,) the visible distance: along floor without long gaps, or to the nearest obstacle; else 0."""
-        s, far_m = self._settings, self._heights.far_m
-        floor_m = _floor_until_m(shown.floor, s.gap_m, s.bin_m, self._near_m)
-        # An obstacle counts if it stands on the last visible floor, or nearer than any.
-        reached = thing_m <= np.maximum(floor_m, self._near_m) + s.gap_m
-        seen_m = np.where(reached, thing_m, np.minimum(floor_m, far_m))
-        return np.where(shown.measured >= s.pixels, seen_m, 0.0)
 
 
 def _bearings(ways: FloatArray, count: int) -> tuple[float, float, IntArray]:
