@@ -1,6 +1,4 @@
-"""`PlaceFinder` returns the pose of a view in a map of keyframes, confirmed by a second keyframe where one shows the
-place.
-"""
+"""`PlaceFinder` returns the pose of a view in a map of keyframes, confirmed by a second keyframe if possible."""
 
 from __future__ import annotations
 
@@ -16,21 +14,18 @@ from wheelsight.core.settings import PlaceVerificationSettings, RecognitionSetti
 from wheelsight.places.recognition import Recognizer, SeenView
 from wheelsight.places.verification import PlaceVerifier, RefusedPlace, VerifiedPlace
 
-# PlaceFinder: where a view was seen from in a map of keyframes, confirmed by a second keyframe where one shows it.
-
-
 _CERTAIN = np.zeros((6, 6))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Search:
-    """What became of a view.
+    """Result of a search for a view.
 
     Attributes:
-        found: where it was seen from; None where no keyframe shows the place, or two tell different ones.
-        is_confirmed: a second keyframe, seen from elsewhere, says the same.
-        verified: all answers, with keyframes of their own.
-        refused: candidates that are none.
+        found: pose of the view; None if no keyframe shows the place, or two contradict each other.
+        is_confirmed: whether a second keyframe from another viewpoint agrees.
+        verified: all verified places, with their keyframes.
+        refused: refused candidates.
     """
 
     found: VerifiedPlace | None
@@ -40,12 +35,12 @@ class Search:
 
 
 class PlaceFinder:
-    """Asks for candidates and verifies them one by one, until two that were seen from apart say the same.
+    """Verifies candidates one by one, until two from separate viewpoints agree.
 
     Args:
-        recognizer: knows the keyframes.
-        verifier: compares the view with one.
-        settings: or the defaults.
+        recognizer: recognizer with the keyframes.
+        verifier: compares the view with a keyframe.
+        settings: settings, or None for the defaults.
     """
 
     def __init__(
@@ -61,13 +56,13 @@ class PlaceFinder:
         T_map_keyframe: FloatArray,
         forbidden: Collection[KeyframeId] = (),
     ) -> Search:
-        """Where a view was seen from.
+        """Return the pose of a view.
 
         Args:
             view: the view.
-            keyframes: those that the recognizer knows, by number.
-            T_map_keyframe: (N, 4, 4) where they are, by number.
-            forbidden: keyframes that are no answer.
+            keyframes: the recognizer's keyframes, by number.
+            T_map_keyframe: (N, 4, 4) their poses, by number.
+            forbidden: keyframes to leave out.
         """
         verified: list[VerifiedPlace] = []
         refused: list[RefusedPlace] = []
@@ -77,16 +72,18 @@ class PlaceFinder:
                 refused.append(answer)
                 continue
             for earlier in verified:
-                both = self._both(earlier, answer, T_map_keyframe)
+                both = self._combined(earlier, answer, T_map_keyframe)
                 if both is not None:
                     return Search(both, True, (*verified, answer), tuple(refused))
             verified.append(answer)
-        return Search(self._alone(verified, T_map_keyframe), False, tuple(verified), tuple(refused))
+        return Search(self._best(verified, T_map_keyframe), False, tuple(verified), tuple(refused))
 
-    def _both(self, first: VerifiedPlace, second: VerifiedPlace, T_map_keyframe: FloatArray) -> VerifiedPlace | None:
-        """Two answers together, where they agree, and each by itself knows all directions.
+    def _combined(
+        self, first: VerifiedPlace, second: VerifiedPlace, T_map_keyframe: FloatArray
+    ) -> VerifiedPlace | None:
+        """Return two places combined, if they agree and each observes all directions.
 
-        Two that know but some each would agree on whatever the other one does not know.
+        Two places with unobserved directions would agree on whatever the other one does not observe.
         """
         if not (first.shows_all and second.shows_all):
             return None
@@ -95,10 +92,10 @@ class PlaceFinder:
             return None
         return joined(first, second, T_first_second, _CERTAIN, self._settings.verification)
 
-    def _alone(self, verified: list[VerifiedPlace], T_map_keyframe: FloatArray) -> VerifiedPlace | None:
-        """The answer that most keypoints speak for, unless another one says that it is elsewhere.
+    def _best(self, verified: list[VerifiedPlace], T_map_keyframe: FloatArray) -> VerifiedPlace | None:
+        """Return the place with the most keypoints, unless another one contradicts it.
 
-        Those that know all directions come first.
+        Places that observe all directions are preferred.
         """
         answers = [answer for answer in verified if answer.shows_all] or verified
         if not answers:
@@ -111,18 +108,15 @@ class PlaceFinder:
         return best
 
 
-# Two answers about one stretch: whether they say the same, and what they say together.
-
-
 def distance_chi2(
     first: VerifiedPlace, second: VerifiedPlace, T_first_second: FloatArray, covariance: FloatArray
 ) -> float:
-    """How far apart two answers about one view are, as χ² of 6 numbers.
+    """Return the squared Mahalanobis distance of two places of one view, χ² with 6 degrees of freedom.
 
     Args:
-        first: by one keyframe.
-        second: by another.
-        T_first_second: (4, 4) of the second keyframe in the first one's frame, as the map has them.
+        first: place by one keyframe.
+        second: place by another.
+        T_first_second: (4, 4) pose of the second keyframe relative to the first, by the map.
         covariance: (6, 6) of its left perturbation.
     """
     off, spread = _apart(first, second, T_first_second, covariance)
@@ -136,9 +130,9 @@ def joined(
     covariance: FloatArray,
     settings: PlaceVerificationSettings,
 ) -> VerifiedPlace | None:
-    """Both as one about the first keyframe, or None where they contradict each other; see `distance_chi2`.
+    """Return both places combined, relative to the first keyframe; None if they contradict; see `distance_chi2`.
 
-    What the view itself is off by is in both, and stays. A direction is unknown where neither knows it.
+    The view's own error is common to both, and remains. A direction is unobserved if neither observes it.
     """
     off, (own, others) = _apart(first, second, T_first_second, covariance)
     total = own + others
@@ -147,11 +141,14 @@ def joined(
     T = se3.exp(own @ np.linalg.solve(total, off)) @ first.T_keyframe_camera
     spread = own - own @ np.linalg.solve(total, own)
     together = 0.5 * (spread + spread.T) + first.shared
+    # Directions with about the variance of unobserved ones.
+    variances, directions = np.linalg.eigh(together * np.outer(DEGENERATE_SCALE, DEGENERATE_SCALE))
+    is_unseen = variances > (0.5 * settings.unseen_sigma_m) ** 2
     return replace(
         first,
         T_keyframe_camera=T,
         covariance=together,
-        degenerate=_unknown(together, settings.unseen_sigma_m),
+        degenerate=np.asarray(directions[:, is_unseen].T),
         matches=first.matches + second.matches,
         inliers=first.inliers + second.inliers,
         intruding=max(first.intruding, second.intruding),
@@ -161,15 +158,9 @@ def joined(
 def _apart(
     first: VerifiedPlace, second: VerifiedPlace, T_first_second: FloatArray, covariance: FloatArray
 ) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
-    """How far (6,) the second pose is off the first, and what both err by themselves, (6, 6) each."""
+    """Return the offset (6,) of the second pose from the first, and the separate covariances, (6, 6) each."""
     T_second = T_first_second @ second.T_keyframe_camera
     Ad = se3.adjoint(T_first_second)
     others = covariance + Ad @ (second.covariance - second.shared) @ Ad.T
     off = se3.log(T_second @ se3.invert(first.T_keyframe_camera))
     return off, (first.covariance - first.shared, others)
-
-
-def _unknown(covariance: FloatArray, unseen_sigma_m: float) -> FloatArray:
-    """Unit vectors (K, 6) of (v, ω · 2 m) along which a covariance is about as large as that of what is not seen."""
-    variances, directions = np.linalg.eigh(covariance * np.outer(DEGENERATE_SCALE, DEGENERATE_SCALE))
-    return np.asarray(directions[:, variances > (0.5 * unseen_sigma_m) ** 2].T)

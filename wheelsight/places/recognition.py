@@ -1,6 +1,4 @@
-"""`Recognizer` returns the keyframes that may show the same place as a view, by ferns and visual words. `SeenView`
-holds such a view.
-"""
+"""`Recognizer` finds keyframes that may show the same place as a view, by ferns and visual words."""
 
 from __future__ import annotations
 
@@ -31,17 +29,14 @@ from wheelsight.vision.dense.pyramid import Gridder, GridFrame, Level, coarser
 from wheelsight.vision.dense.settings import DenseSettings
 from wheelsight.vision.dense.views import KeypointTracker
 
-# Recognizer: which keyframes may show the place that a view shows, by ferns and by words together.
-
-
 FORMAT = "wheelsight-recognition-2"
-# It has all descriptors itself, and the room between them.
+# The first format contains all descriptors, and unused blocks.
 _FIRST_FORMAT = "wheelsight-recognition-1"
 _FILE = Kind("codes of keyframes", most_mb=4096, fix="give a file that `Recognizer.save` wrote")
-_REBUILD = "build the map anew"
-# Settings take 1.5 kB; sizes and checksums less than the other.
+_REBUILD = "rebuild the map"
+# Settings take 1.5 kB; sizes and checksums are smaller.
 _LONGEST_TEXT, _SMALL_BYTES = 1 << 16, 64
-# Of a file by itself, whose map says nothing: 80 000 keyframes.
+# Limit of a file without a known number of keyframes: 80 000 keyframes.
 _MOST_BYTES = 1 << 30
 
 
@@ -50,20 +45,20 @@ def _nothing(keyframe: KeyframeId) -> UInt64Array:
 
 
 class Candidate(NamedTuple):
-    """A keyframe that may show the place, and its score: 1 for what ferns and words both put first."""
+    """A keyframe that may show the place, with a score: 1 if it is first by both ferns and words."""
 
     keyframe: KeyframeId
     score: float
 
 
 class Recognizer:
-    """Knows keyframes by what they look like, and finds those that a view is like.
+    """Finds keyframes that look like a view.
 
-    Ferns tell the rough layout of light and depth, words tell single things wherever they stand in the image; each
-    finds what the other misses. It answers what may be the same, never what is: see `PlaceVerifier`.
+    Ferns describe the rough layout of light and depth, words describe single features anywhere in the image; they
+    complement each other. Candidates are unverified: see `PlaceVerifier`.
 
     Args:
-        settings: or the defaults. The same keyframes in the same order give the same answers.
+        settings: settings, or None for the defaults. The same keyframes in the same order give the same results.
     """
 
     def __init__(self, settings: RecognitionSettings | None = None) -> None:
@@ -79,16 +74,16 @@ class Recognizer:
 
     @property
     def settings(self) -> RecognitionSettings:
-        """By which its codes were made."""
+        """Settings of the stored codes."""
         return self._settings
 
     @property
     def keyframes(self) -> tuple[KeyframeId, ...]:
-        """Those that it knows, in the order in which they were added."""
+        """Known keyframes, in the order in which they were added."""
         return tuple(self._keyframes)
 
     def add(self, number: KeyframeId, view: Keyframe | SeenView) -> None:
-        """Know a keyframe from now on. Raises ArgumentError for one that it knows."""
+        """Add a keyframe. Raises ArgumentError for a known one."""
         if number in self._rows:
             raise ArgumentError(f"keyframe {number} is known already", fix="add each keyframe once")
         row = len(self._keyframes)
@@ -103,9 +98,9 @@ class Recognizer:
     def candidates(
         self, view: Keyframe | SeenView, k: int | None = None, forbidden: Collection[KeyframeId] = ()
     ) -> list[Candidate]:
-        """At most `k` keyframes, or as many as settings say, that a view is most like, the likeliest first.
+        """Return at most `k` keyframes most similar to a view, best first; None for the number in the settings.
 
-        `forbidden` are left out: such as those just passed, which are no loop.
+        `forbidden` keyframes are left out, such as recent ones, which are not loops.
         """
         rows, wanted = len(self._keyframes), self._settings.candidates if k is None else k
         if not rows:
@@ -116,20 +111,38 @@ class Recognizer:
         votes = self._words.vote(descriptors, rows)
         out = [self._rows[number] for number in forbidden if number in self._rows]
         likeness[out], votes[out] = -1, -1
-        return [Candidate(self._keyframes[row], score) for row, score in self._fused(likeness, votes)[:wanted]]
+        # Fused by the sum of 1 / rank in both orders (Cormack et al. 2009).
+        scores: dict[int, float] = {}
+        rank = self._settings.fused_rank
+        for values in (likeness, votes):
+            order = np.empty(self._settings.ranked, np.int64)
+            found = best(values, order)
+            for place, row in enumerate(order[:found].tolist()):
+                scores[row] = scores.get(row, 0.0) + 0.5 * (rank + 1) / (rank + 1 + place)
+        fused = sorted(scores.items(), key=lambda item: (-item[1], item[0]))
+        return [Candidate(self._keyframes[row], score) for row, score in fused[:wanted]]
+
+    def _described(self, view: Keyframe | SeenView) -> tuple[UInt64Array, UInt64Array]:
+        """Return the code of ferns, and descriptors (N, 4)."""
+        if isinstance(view, Keyframe):
+            images, features = (view.depth_m, view.grey), view.features or NO_FEATURES
+        else:
+            images, features = (view.grid.levels[0].depth_m, view.grid.levels[0].grey), view.features
+        return self._ferns.code(*images), features.descriptors
 
     def save(self, path: StrPath, on_disk: Descriptors = _nothing) -> None:
-        """Write all that it knows, atomically: plain arrays, no pickles. Raises OutputError.
+        """Write all contents, atomically, as plain arrays without pickles. Raises OutputError.
 
-        Descriptors that `on_disk` has of a keyframe are left to it, and `load` then needs it, too.
+        Descriptors that `on_disk` returns for a keyframe are not written, and `load` then needs the same function.
         """
-        told = {name: np.frombuffer(text.encode(), np.uint8) for name, text in self._texts().items()}
+        texts = {"format": FORMAT, "settings": json.dumps(self._settings.model_dump(mode="json"))}
+        encoded = {name: np.frombuffer(text.encode(), np.uint8) for name, text in texts.items()}
         ferns = {"pixel": self._ferns.pixel, "grey": self._ferns.grey, "depth_m": self._ferns.depth_m}
         kept = {"keyframes": np.array(self._keyframes, np.int64), "codes": self._codes[: len(self)]}
         buffer = io.BytesIO()
-        told_words = packed(self._words.arrays(), self._keyframes, on_disk)
-        words = {f"words_{name}": array for name, array in told_words.items()}
-        arrays: dict[str, Any] = {**told, **ferns, **kept, **words}
+        packed_words = packed(self._words.arrays(), self._keyframes, on_disk)
+        words = {f"words_{name}": array for name, array in packed_words.items()}
+        arrays: dict[str, Any] = {**encoded, **ferns, **kept, **words}
         np.savez_compressed(buffer, **arrays)
         write_bytes(path, buffer.getvalue())
 
@@ -142,22 +155,22 @@ class Recognizer:
         settings: RecognitionSettings | None = None,
         most_keyframes: int | None = None,
     ) -> Self:
-        """Read what `save` wrote.
+        """Read a file written by `save`.
 
         Args:
-            path: of the file.
-            on_disk: what `save` was given.
-            settings: that it must be of; None: of any.
-            most_keyframes: that it may know, as many as its map has; None: as 1 GB holds.
+            path: the file.
+            on_disk: the function given to `save`.
+            settings: required settings; None: any.
+            most_keyframes: largest number of keyframes, as many as its map has; None: as many as fit in 1 GB.
 
         Raises:
-            MapError: naming the file: it or what is `on_disk` is another, it is of other settings, or it states arrays
-                that are larger than its keyframes need. Of such a file nothing is unpacked.
+            MapError: the file or the descriptors `on_disk` do not match, it has other settings, or its arrays are
+                larger than its keyframes need. Such a file is not unpacked.
         """
         path = Path(path)
         data = read_bytes(path, _FILE, MapError)
         try:
-            return cls._of(_Stated(ArrayFile(data), settings, most_keyframes), on_disk)
+            return cls._from_arrays(_FileHeader(ArrayFile(data), settings, most_keyframes), on_disk)
         except MapError as error:
             raise MapError(error.problem, path=path, fix=error.fix) from error
         except (KeyError, ValueError, TypeError) as error:
@@ -165,7 +178,8 @@ class Recognizer:
             raise MapError(f"is damaged: {why}", path=path, fix=_REBUILD) from error
 
     @classmethod
-    def _of(cls, stated: _Stated, on_disk: Descriptors) -> Self:
+    def _from_arrays(cls, stated: _FileHeader, on_disk: Descriptors) -> Self:
+        """Return a recognizer of a file's arrays. Raises MapError if they are inconsistent."""
         made, arrays = cls(stated.settings), stated.arrays()
         keyframes, codes, settings = arrays["keyframes"], arrays["codes"], made._settings.ferns
         shapes = {"pixel": (settings.ferns,), "grey": (settings.ferns, 2), "depth_m": (settings.ferns, 2)}
@@ -173,7 +187,7 @@ class Recognizer:
         if not is_whole or any(arrays[name].shape != shape for name, shape in shapes.items()):
             raise MapError("its codes are of another shape than its settings say", fix=_REBUILD)
         if not ((arrays["pixel"] >= 0) & (arrays["pixel"] < settings.width_px * settings.height_px)).all():
-            raise MapError("its ferns look beside the image", fix=_REBUILD)
+            raise MapError("its ferns compare pixels outside the image", fix=_REBUILD)
         size = (settings.width_px, settings.height_px)
         made._ferns = Ferns(size, settings.blur_px, *(arrays[name] for name in shapes))
         words = {name.removeprefix("words_"): array for name, array in arrays.items() if name.startswith("words_")}
@@ -187,31 +201,9 @@ class Recognizer:
         made._codes = np.concatenate([codes, np.zeros((16, codes.shape[1]), np.uint64)])
         return made
 
-    def _texts(self) -> dict[str, str]:
-        return {"format": FORMAT, "settings": json.dumps(self._settings.model_dump(mode="json"))}
 
-    def _described(self, view: Keyframe | SeenView) -> tuple[UInt64Array, UInt64Array]:
-        """The code of ferns, and descriptors (N, 4)."""
-        if isinstance(view, Keyframe):
-            images, features = (view.depth_m, view.grey), view.features or NO_FEATURES
-        else:
-            images, features = (view.grid.levels[0].depth_m, view.grid.levels[0].grey), view.features
-        return self._ferns.code(*images), features.descriptors
-
-    def _fused(self, likeness: Float32Array, votes: Float32Array) -> list[tuple[int, float]]:
-        """Rows and scores, the best first: by the sum of 1 / rank in both orders (Cormack et al. 2009)."""
-        scores: dict[int, float] = {}
-        rank = self._settings.fused_rank
-        for told in (likeness, votes):
-            order = np.empty(self._settings.ranked, np.int64)
-            found = best(told, order)
-            for place, row in enumerate(order[:found].tolist()):
-                scores[row] = scores.get(row, 0.0) + 0.5 * (rank + 1) / (rank + 1 + place)
-        return sorted(scores.items(), key=lambda item: (-item[1], item[0]))
-
-
-class _Stated:
-    """What the headers of a file say, before more than its settings are unpacked.
+class _FileHeader:
+    """Headers of a file, of which only the settings are unpacked.
 
     Raises:
         MapError: it is of another format, of other settings, or larger than its keyframes need.
@@ -223,8 +215,7 @@ class _Stated:
         self.format = file.read("format", _LONGEST_TEXT).tobytes().decode(errors="replace")
         if self.format not in (FORMAT, _FIRST_FORMAT):
             raise MapError(f"is of format {self.format!r}, not {FORMAT!r}", fix=_REBUILD)
-        told = parse_json(file.read("settings", _LONGEST_TEXT).tobytes())
-        self.settings = RecognitionSettings.model_validate(told)
+        self.settings = RecognitionSettings.model_validate(parse_json(file.read("settings", _LONGEST_TEXT).tobytes()))
         if expected is not None and self.settings != expected:
             raise MapError("is of other settings", fix=_REBUILD)
         (self._keyframes,) = file.headers["keyframes"].shape
@@ -235,12 +226,12 @@ class _Stated:
             raise MapError(f"states more than {_MOST_BYTES >> 20:,} MB of codes", fix=_REBUILD)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """All, each no larger than so many keyframes need."""
+        """Return all arrays, each no larger than the keyframes need."""
         words, ferns = self.settings.words, self.settings.ferns.ferns
         postings = self._keyframes * words.descriptors
-        # A node is made with a descriptor of its own, and each inner one has two children at least.
+        # Each node is created with its own descriptor, and each inner one has at least two children.
         nodes = min(words.most_nodes, 2 * postings + 1)
-        # Of the first format blocks are stated, those in use and those to be used again.
+        # The first format has blocks, used and free.
         blocks = 2 * (postings // BLOCK + nodes + words.branching)
         most = {"codes": self._keyframes * ferns // 2, "words_centre": 32 * nodes, "words_own": 32 * postings}
         most |= dict.fromkeys(("pixel", "grey", "depth_m"), 16 * ferns)
@@ -255,21 +246,18 @@ class _Stated:
         return {name: self._file.read(name, known.get(name, rest)) for name in self._file.headers}
 
 
-# SeenView: a frame or a keyframe as places are recognised by it: depth and grey at all scales, and keypoints.
-
-
-# Halving brings no two widths nearer than this factor.
+# Halving cannot bring two widths closer than this ratio.
 _ALIKE = np.sqrt(2)
 NO_FEATURES = KeyframeFeatures(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 4), np.uint64))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenView:
-    """What was seen from one place.
+    """A frame or a keyframe, prepared for place recognition.
 
     Attributes:
         grid: depth and grey of the ideal camera, at all scales.
-        features: keypoints with their points in the camera's frame; none where there are none.
+        features: keypoints with points in the camera frame; may be empty.
     """
 
     grid: GridFrame
@@ -277,11 +265,11 @@ class SeenView:
 
 
 class ViewMaker:
-    """Makes views of frames, and of keyframes that odometry of the same camera has kept.
+    """Makes views of frames, and of keyframes of the same camera.
 
     Args:
-        calibration: of the cameras. Raises CalibrationError as `FeatureExtractor` does.
-        settings: of dense odometry, whose grid it is.
+        calibration: calibration of the cameras. Raises CalibrationError as `FeatureExtractor` does.
+        settings: settings of dense odometry, whose grid is used.
     """
 
     def __init__(self, calibration: Calibration, settings: DenseSettings | None = None) -> None:
@@ -291,18 +279,14 @@ class ViewMaker:
         self._keypoints = KeypointTracker(calibration, self.settings.verification, has_landmarks=False)
 
     def of_frame(self, frame: RgbdFrame, twist: FloatArray | None = None) -> SeenView:
-        """A frame of a camera that moves at `twist` (6,) in its own frame, or stands."""
+        """Return the view of a frame, by a camera that moves at `twist` (6,) in its own frame, or is at rest."""
         twist = np.zeros(6) if twist is None else twist
         raw = self._keypoints.look(frame).result()
         features = self._keypoints.kept(self._keypoints.straightened(raw, twist))
         return SeenView(self.gridder.on_grid(frame, twist), features)
 
-    def of_tracked(self, grid: GridFrame, features: KeyframeFeatures | None) -> SeenView:
-        """A frame that odometry has brought onto the grid already."""
-        return SeenView(grid, features or NO_FEATURES)
-
     def of_keyframe(self, keyframe: Keyframe) -> SeenView:
-        """A keyframe; feature odometry keeps them as large as the camera has them, so that they are halved here."""
+        """Return the view of a keyframe, halved to the grid's width: feature odometry stores full images."""
         finest = Level(keyframe.intrinsics, keyframe.depth_m, known_grey(keyframe))
         levels = coarser(finest, self.settings, self.rows)
         while levels[0].depth_m.shape[1] > self.settings.finest_width_px:
@@ -310,9 +294,9 @@ class ViewMaker:
         return SeenView(GridFrame(keyframe.stamp_s, levels, np.zeros(6)), keyframe.features or NO_FEATURES)
 
     def of_one_size(self, first: SeenView, second: SeenView) -> tuple[SeenView, SeenView]:
-        """Both on grids that are about as wide, for surfaces are aligned level by level; the wider one is halved.
+        """Return both views with similar widths, as alignment level by level needs; the wider one is halved.
 
-        Keyframes of a known map may come of a run with other settings, such as those of a profile.
+        Keyframes of a known map may be from a run with other settings, such as those of a profile.
         """
         while _width(first) > _ALIKE * _width(second):
             first = self._halved(first)
@@ -330,33 +314,30 @@ def _width(view: SeenView) -> int:
 
 
 def known_grey(keyframe: Keyframe) -> np.ndarray:
-    """Grey (h, w) float32 of a keyframe, -1 where it is unknown: it is kept as 0 there."""
+    """Return grey (h, w) float32 of a keyframe, -1 if unknown, which is stored as 0."""
     grey = keyframe.grey
     grey[grey == 0] = -1
     return grey
 
 
-# Ferns: a code of a view by random comparisons on a tiny image of grey and depth (Glocker et al. 2015).
-
-
 _SHIFTS = np.arange(0, 64, 4, dtype=np.uint64)
-# Of an image far larger than the tiny one, pixels so many times as fine are enough for its means.
+# Large images are first subsampled to this multiple of the small image.
 _FINER = 2
 _BITS = np.array([1, 2, 4, 8], np.uint64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ferns:
-    """F ferns: each asks, at one pixel of the tiny image, twice how bright and twice how far it is.
+    """F ferns (Glocker et al. 2015): each makes two comparisons of grey and two of depth at a pixel of a small image.
 
-    The paper takes red, green, blue and depth at fixed thresholds. Grey is all that a keyframe keeps, and it is
-    compared with the mean and the spread of its own image, for light and exposure change from day to day.
+    The paper uses red, green, blue and depth with fixed thresholds. Keyframes store grey only. It is compared relative
+    to the mean and deviation of its image, since light and exposure change from day to day.
 
     Attributes:
-        size_px: width and height of the tiny image.
-        blur_px: standard deviation of the blur over it.
-        pixel: (F,) index into the tiny image.
-        grey: (F, 2) thresholds, in standard deviations of the image's grey off its mean.
+        size_px: width and height of the small image.
+        blur_px: standard deviation of its blur.
+        pixel: (F,) index into the small image.
+        grey: (F, 2) thresholds, in standard deviations of the image's grey from its mean.
         depth_m: (F, 2) thresholds, metres.
     """
 
@@ -368,7 +349,7 @@ class Ferns:
 
     @classmethod
     def drawn(cls, settings: FernSettings, seed: int) -> Ferns:
-        """At random, by a seed."""
+        """Return random ferns by a seed."""
         rng = np.random.default_rng(seed)
         size, count = (settings.width_px, settings.height_px), settings.ferns
         pixel = rng.integers(0, size[0] * size[1], count)
@@ -377,7 +358,9 @@ class Ferns:
         return cls(size, settings.blur_px, pixel, grey, depth_m)
 
     def code(self, depth_m: Float32Array, grey: Float32Array) -> UInt64Array:
-        """(F / 16,) of depth (h, w) in metres and grey (h, w), 0 and below where unknown; unknown answers no."""
+        """Return the code (F / 16,) of depth (h, w) in metres and grey (h, w), at most 0 if unknown. Unknown gives zero
+        bits.
+        """
         near, bright = self._tiny(depth_m).ravel(), self._tiny(grey).ravel()
         known = bright > 0
         if known.any():
@@ -392,7 +375,7 @@ class Ferns:
         return np.asarray(np.bitwise_or.reduce(shifted, axis=1), np.uint64)
 
     def _tiny(self, image: Float32Array) -> Float32Array:
-        """Means (h, w) of what is known of an image; 0 where nothing is."""
+        """Return means (h, w) of the known pixels of an image; 0 if there are none."""
         stride = max(1, image.shape[1] // (_FINER * self.size_px[0]))
         some = image[::stride, ::stride]
         is_known = some > 0

@@ -1,5 +1,9 @@
-"""`PlaceVerifier` verifies a place candidate by geometry and returns the relative pose. `intrusion` measures
-contradictions of free space between two views.
+"""`PlaceVerifier` verifies a place candidate geometrically and returns the relative pose.
+
+`intrusion` measures contradictions of free space: surfaces of one view in space that the other one saw through. Objects
+that were moved cause them, and so do walls of another place. A free-standing object has an outline with more depth
+behind it, while a wall across a corridor meets the side walls. It is also in one view only: misaligned surfaces intrude
+in both.
 """
 
 from __future__ import annotations
@@ -26,15 +30,12 @@ from wheelsight.vision.dense.pyramid import Level, ReferenceMaker
 from wheelsight.vision.features.extraction import FeatureSettings
 from wheelsight.vision.features.tracking import Alignment, PointPairs, find_motion, match_all, refine_motion
 
-# PlaceVerifier: whether a view shows the place of a keyframe, by its geometry, and where it was seen from.
-
-
-# Of the points that both views show, each so many-th tells what errors of the camera do, and so few tell nothing.
+# One in this many common points is used for camera errors, and at least this many are needed.
 _EVERY, _LEAST = 4, 10
 
 
 class Refusal(StrEnum):
-    """Why a candidate was refused."""
+    """Reason why a candidate is refused."""
 
     TOO_FEW_MATCHES = "too few keypoints are alike"
     TOO_FEW_INLIERS = "too few keypoints agree on a motion"
@@ -59,14 +60,14 @@ class VerifiedPlace:
     """A view that shows the place of a keyframe.
 
     Attributes:
-        keyframe: whose place it is.
-        T_keyframe_camera: (4, 4) where the view was seen from.
+        keyframe: the keyframe.
+        T_keyframe_camera: (4, 4) pose of the view.
         covariance: (6, 6) of the left perturbation (v, ω) of `T_keyframe_camera`.
-        shared: (6, 6) what of that is the view's own error, which other keyframes would find too.
-        degenerate: (K, 6) unit vectors of (v, ω · 2 m) along which the place is not known, as along a corridor; there
-            the covariance is as large as `unseen_sigma_m`.
-        matches, inliers: keypoints that are alike, and those of them that agree.
-        intruding: share of what both could see that stands where the other saw through.
+        shared: (6, 6) part of it that is the view's own error, common to all keyframes.
+        degenerate: (K, 6) unit vectors of (v, ω · 2 m) along which the pose is unobserved, as along a corridor. The
+            covariance there is as large as `unseen_sigma_m`.
+        matches, inliers: number of matched keypoints, and of those that agree.
+        intruding: share of the points visible in both views that intrude into the other's free space.
     """
 
     keyframe: KeyframeId
@@ -80,18 +81,18 @@ class VerifiedPlace:
 
     @property
     def shows_all(self) -> bool:
-        """Whether no direction is left unknown."""
+        """Whether all directions are observed."""
         return not len(self.degenerate)
 
 
 @dataclass(frozen=True, slots=True)
 class RefusedPlace:
-    """A candidate that is none, and why.
+    """A refused candidate.
 
     Attributes:
         keyframe: the candidate.
-        reason: against it.
-        matches, inliers: as `VerifiedPlace` has them, as far as it came.
+        reason: reason of the refusal.
+        matches, inliers: as in `VerifiedPlace`, as far as computed.
     """
 
     keyframe: KeyframeId
@@ -101,15 +102,15 @@ class RefusedPlace:
 
 
 class PlaceVerifier:
-    """Compares a view with candidates, one by one: keypoints, then surfaces, then free space.
+    """Compares a view with candidates one by one: keypoints, then surfaces, then free space.
 
     Args:
-        calibration: of the camera that saw both.
-        settings: or the defaults.
+        calibration: calibration of the camera of both.
+        settings: settings, or None for the defaults.
         views: makes views of that camera.
 
     Attributes:
-        refusals: how often each reason has spoken against a candidate.
+        refusals: number of refusals by reason.
     """
 
     def __init__(
@@ -137,21 +138,27 @@ class PlaceVerifier:
     def verify(
         self, view: SeenView, candidate: KeyframeId, keyframe: Keyframe | SeenView
     ) -> VerifiedPlace | RefusedPlace:
-        """Where a view was seen from, relative to a candidate, or why it shows another place."""
+        """Return the pose of a view relative to a candidate, or the reason why it shows another place."""
         matched = self._matched(view.features, keyframe.features)
-        found = self._by_keypoints(matched)
-        if isinstance(found, Refusal):
-            return self._refused(candidate, found, len(matched))
+        T_camera_keyframe = find_motion(matched, self._features, self._seed)
+        if isinstance(T_camera_keyframe, Reason):
+            return self._refused(candidate, _REFUSALS[T_camera_keyframe], len(matched))
+        found = refine_motion(matched, T_camera_keyframe, self._features)
+        if not found.inliers >= self._settings.min_inliers:
+            return self._refused(candidate, Refusal.TOO_FEW_INLIERS, len(matched))
         other = self._views.of_keyframe(keyframe) if isinstance(keyframe, Keyframe) else keyframe
         view, other = self._views.of_one_size(view, other)
         counts = (len(matched), found.inliers)
-        judged = self._by_surfaces(view, other, found, len(matched))
+        judged = self._align(view, other, found, len(matched))
         if judged.reason is not None:
             return self._refused(candidate, _REFUSALS[judged.reason], *counts)
         if len(judged.degenerate) > self._settings.most_unseen:
             return self._refused(candidate, Refusal.DEGENERATE, *counts)
         T_keyframe_camera = se3.nearest(judged.T_reference_frame)
-        if self._is_led_away(se3.invert(found.T_current_reference), T_keyframe_camera):
+        T_by_keypoints = se3.invert(found.T_current_reference)
+        T_off = se3.invert(T_by_keypoints) @ T_keyframe_camera
+        off_m, off_rad = float(np.linalg.norm(T_off[:3, 3])), float(so3.angle(T_off[:3, :3]))
+        if off_m > self._settings.agree_m or off_rad > self._settings.agree_rad:
             return self._refused(candidate, Refusal.CONTRADICTED, *counts)
         level = self._dense.levels - 1
         seen = (other.grid.levels[level], view.grid.levels[level])
@@ -159,30 +166,15 @@ class PlaceVerifier:
         if space.share > self._settings.max_intruding or space.free_share > self._settings.max_free:
             return self._refused(candidate, Refusal.INTRUDES, *counts)
         shared = with_frame_error(np.zeros((6, 6)), T_keyframe_camera, self._of_frame)
-        covariance = self._of_both(*seen, T_keyframe_camera) + judged.covariance + shared
+        covariance = self._systematic_covariance(*seen, T_keyframe_camera) + judged.covariance + shared
         covariance = (covariance + covariance.T) / 2
         if not (np.isfinite(covariance).all() and is_definite(covariance)):
-            # A direction that surfaces hardly show has a variance so large that rounding it hides all others.
+            # A poorly observed direction has such a large variance that rounding hides all others.
             return self._refused(candidate, Refusal.DEGENERATE, *counts)
         return VerifiedPlace(candidate, T_keyframe_camera, covariance, shared, judged.degenerate, *counts, space.share)
 
-    def _of_both(self, other: Level, view: Level, T_keyframe_camera: FloatArray) -> FloatArray:
-        """Covariance (6, 6) of what a pose is off by beyond noise and the view's own error; NaN where it is not known.
-
-        What is wrong with the camera's points grows with the way between both views, since it is another there.
-        """
-        points = shown_points(view, other, T_keyframe_camera, self._noise, self._settings)[::_EVERY]
-        if len(points) < _LEAST:
-            return np.full((6, 6), np.nan)
-        off = place_errors(self._calibration, T_keyframe_camera, points)
-        return np.asarray(self._of_frame + self._of_registration + off.T @ off)
-
-    def _refused(self, candidate: KeyframeId, reason: Refusal, matches: int, inliers: int = 0) -> RefusedPlace:
-        self.refusals[reason] += 1
-        return RefusedPlace(candidate, reason, matches, inliers)
-
     def _matched(self, seen: KeyframeFeatures, known: KeyframeFeatures | None) -> PointPairs:
-        """Points of the keyframe, with what the view saw of them."""
+        """Return the keyframe's points with their observations in the view."""
         none = np.zeros((0, 3))
         points, known_points = seen.points, none if known is None else known.points
         here, there = np.flatnonzero(points[:, 2] > 0), np.flatnonzero(known_points[:, 2] > 0)
@@ -194,58 +186,53 @@ class PlaceVerifier:
         sigma_m = np.hypot(self._noise.sigma_m(p_keyframe[:, 2]), self._noise.sigma_m(z_m))
         return PointPairs(p_keyframe, p_camera[:, :2] / z_m[:, None], z_m, np.full(len(z_m), self._sigma_xy), sigma_m)
 
-    def _by_keypoints(self, matched: PointPairs) -> Alignment | Refusal:
-        """The motion that most keypoints agree on."""
-        T_camera_keyframe = find_motion(matched, self._features, self._seed)
-        if isinstance(T_camera_keyframe, Reason):
-            return _REFUSALS[T_camera_keyframe]
-        found = refine_motion(matched, T_camera_keyframe, self._features)
-        return found if found.inliers >= self._settings.min_inliers else Refusal.TOO_FEW_INLIERS
+    def _align(self, view: SeenView, other: SeenView, found: Alignment, matches: int) -> Judgement:
+        """Align the view by surfaces and keypoints together.
 
-    def _by_surfaces(self, view: SeenView, other: SeenView, found: Alignment, matches: int) -> Judgement:
-        """Where surfaces and keypoints together put the view.
-
-        Few keypoints fit the wrong place too: a corridor's next door, a row's next desk. Then a direction that surfaces
-        do not show is not known.
+        With few keypoints, the wrong place may fit too: the next door of a corridor, the next desk of a row. Then a
+        direction that surfaces do not constrain stays unknown.
         """
         T_keyframe_camera = se3.invert(found.T_current_reference)
         Ad = se3.adjoint(T_keyframe_camera)
         information = np.linalg.inv(self._settings.correlation * Ad @ found.covariance @ Ad.T)
-        told = Told(T_keyframe_camera, np.asarray(information, float))
+        by_keypoints = Told(T_keyframe_camera, np.asarray(information, float))
         reference = self._maker.of_frame(other.grid, np.eye(4))
-        aligned = self._aligner.align(view.grid, reference, T_keyframe_camera, told=told)
+        aligned = self._aligner.align(view.grid, reference, T_keyframe_camera, told=by_keypoints)
         is_clear = found.inliers >= min(self._settings.clear_inliers, self._settings.clear_share * matches)
-        met = self._met(aligned, told, is_clear=is_clear)
+        met = self._weighted(aligned, by_keypoints, is_clear=is_clear)
         return judge(met, Prior(T_keyframe_camera, self._settings.unseen_sigma_m), self._dense)
 
-    def _met(self, aligned: DenseAlignment, told: Told, *, is_clear: bool) -> DenseAlignment:
-        """Both, weighed by how far they are apart; see `SurfaceWeight`."""
+    def _weighted(self, aligned: DenseAlignment, by_keypoints: Told, *, is_clear: bool) -> DenseAlignment:
+        """Combine surfaces and keypoints, weighted by their distance; see `SurfaceWeight`."""
         correlation = self._dense.correlation
         weight = SurfaceWeight(self._dense.joint)
-        joint = weight.meet(aligned.T_reference_frame, aligned.claimed / correlation, told)
+        joint = weight.meet(aligned.T_reference_frame, aligned.claimed / correlation, by_keypoints)
         surfaces = aligned.information / joint.factor
-        # What surfaces show, they show however far they are off.
+        # Surfaces constrain these directions however far they are off.
         hinted, information = aligned.information - surfaces, surfaces
         if is_clear:
-            hinted = hinted + (self._settings.correlation - 1) * correlation * told.information
-            information = information + correlation * told.information
+            hinted = hinted + (self._settings.correlation - 1) * correlation * by_keypoints.information
+            information = information + correlation * by_keypoints.information
         return replace(aligned, T_reference_frame=joint.T_reference_frame, information=information, hinted=hinted)
 
-    def _is_led_away(self, T_by_keypoints: FloatArray, T_keyframe_camera: FloatArray) -> bool:
-        T = se3.invert(T_by_keypoints) @ T_keyframe_camera
-        off_m, off_rad = float(np.linalg.norm(T[:3, 3])), float(so3.angle(T[:3, :3]))
-        return off_m > self._settings.agree_m or off_rad > self._settings.agree_rad
+    def _systematic_covariance(self, other: Level, view: Level, T_keyframe_camera: FloatArray) -> FloatArray:
+        """Return the covariance (6, 6) of errors other than noise and the view's own; NaN with too few common points.
 
+        Systematic errors of the camera's points grow with the distance between both views.
+        """
+        points = shown_points(view, other, T_keyframe_camera, self._noise, self._settings)[::_EVERY]
+        if len(points) < _LEAST:
+            return np.full((6, 6), np.nan)
+        off = place_errors(self._calibration, T_keyframe_camera, points)
+        return np.asarray(self._of_frame + self._of_registration + off.T @ off)
 
-# Free space: whether surfaces of one view stand where the other one saw through.
-#
-# Things that came or went between two views do so, and walls of another place. What stands free hides what is behind
-# it, so it has an outline; a wall that closes a corridor meets its side walls. And it is in one view only: surfaces
-# that are laid wrongly stand in each other's way in both.
+    def _refused(self, candidate: KeyframeId, reason: Refusal, matches: int, inliers: int = 0) -> RefusedPlace:
+        self.refusals[reason] += 1
+        return RefusedPlace(candidate, reason, matches, inliers)
 
 
 _NOTHING = np.float32(1e6)
-# Pixels, and those right, left, below and above of them.
+# Slices of pixels, and of their right, left, lower and upper neighbours.
 _FIRST, _LAST, _ALL = slice(None, -1), slice(1, None), slice(None)
 _NEIGHBOURS = (
     ((_ALL, _FIRST), (_ALL, _LAST)),
@@ -256,9 +243,9 @@ _NEIGHBOURS = (
 
 
 class Intrusion(NamedTuple):
-    """Of `compared` points that could be seen from there, how many stand where it was seen through: `intruding`.
+    """Counts of points: of `compared` ones that the other view could see, `intruding` ones are in its free space.
 
-    `free` of these are of things that stand free, in one of both views.
+    `free` of the intruding ones belong to free-standing objects, in one of both views.
     """
 
     intruding: int
@@ -267,19 +254,21 @@ class Intrusion(NamedTuple):
 
     @property
     def share(self) -> float:
-        """Of what is no free thing; 0 where nothing could be compared."""
+        """Share of intruding points, without free-standing objects; 0 if nothing could be compared."""
         return (self.intruding - self.free) / max(self.compared - self.free, 1)
 
     @property
     def free_share(self) -> float:
-        """How much of what was compared is of things that stand free."""
+        """Share of compared points on free-standing objects."""
         return self.free / max(self.compared, 1)
 
 
 def intrusion(
     first: Level, second: Level, T_first_second: FloatArray, noise: DepthNoise, settings: PlaceVerificationSettings
 ) -> Intrusion:
-    """Of both views' points against what the other one saw, if the second lies at (4, 4) off the first."""
+    """Return the intrusion of both views' points into the other's free space; the second view is at (4, 4) in the
+    first.
+    """
     there = _one_way(second, first, T_first_second, noise, settings)
     back = _one_way(first, second, se3.invert(T_first_second), noise, settings)
     intruding, compared = there.intruding + back.intruding, there.compared + back.compared
@@ -291,7 +280,10 @@ def intrusion(
 def shown_share(
     seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise, settings: PlaceVerificationSettings
 ) -> float:
-    """Share of what one view sees whose surfaces another one, from which it lies at (4, 4), shows too; 0 of nothing."""
+    """Return the share of one view's points whose surface another view shows too; 0 without points.
+
+    `T_by_seen` (4, 4) maps the first view's points into the other one.
+    """
     points, surface_m, within_m, _, count = _met(seen, by, T_by_seen, noise, settings)
     return int(np.count_nonzero(np.abs(points[:, 2] - surface_m) <= within_m)) / max(count, 1)
 
@@ -299,7 +291,10 @@ def shown_share(
 def shown_points(
     seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise, settings: PlaceVerificationSettings
 ) -> FloatArray:
-    """Points (N, 3) in the frame of one view whose surfaces another one, which lies at (4, 4) off it, shows too."""
+    """Return points (N, 3) of one view, in the frame of another, whose surface the other shows too.
+
+    `T_by_seen` (4, 4) maps the first view's points into the other one.
+    """
     points, surface_m, within_m, _, _ = _met(seen, by, T_by_seen, noise, settings)
     return np.asarray(points[np.abs(points[:, 2] - surface_m) <= within_m])
 
@@ -307,7 +302,7 @@ def shown_points(
 def _one_way(
     seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise, settings: PlaceVerificationSettings
 ) -> Intrusion:
-    """Points that lie behind what was seen are hidden, and tell nothing."""
+    """Return the intrusion of one view's points. Points behind what the other one saw are hidden, and not compared."""
     points, surface_m, within_m, pixels, _ = _met(seen, by, T_by_seen, noise, settings)
     z_m = points[:, 2]
     is_compared, intrudes = z_m < surface_m + within_m, z_m < surface_m - within_m
@@ -325,9 +320,9 @@ def _free_pixels(
     noise: DepthNoise,
     settings: PlaceVerificationSettings,
 ) -> int:
-    """How many intruding pixels are of patches most of whose border is an outline, behind which there is more.
+    """Return the number of intruding pixels in patches whose border is mostly an outline with more depth behind it.
 
-    A neighbour that was not compared and is no farther may be of the same thing, so it tells nothing.
+    A neighbour that was not compared and is not farther may be part of the same object, and is ignored.
     """
     count, label = cv2.connectedComponents(intruding.astype(np.uint8), connectivity=4)
     outline, attached = np.zeros(count, np.int64), np.zeros(count, np.int64)
@@ -343,8 +338,10 @@ def _free_pixels(
 def _met(
     seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise, settings: PlaceVerificationSettings
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, int]:
-    """Points (P, 3) in the other view's frame that fall where it saw a surface; its depths (P,), within how many metres
-    both are one, and the points' pixels, counted row by row; and how many points there are in all.
+    """Project points into the other view, and keep those at pixels with known depth.
+
+    Returns points (P, 3) in the other view's frame; its depths (P,); tolerances (P,) in metres within which both are
+    one surface; pixel indices (P,) in the first view; and the number of all points.
     """
     points, rows, columns = seen.points()
     points, pixels = points @ T_by_seen[:3, :3].T + T_by_seen[:3, 3], rows * seen.depth_m.shape[1] + columns
@@ -355,14 +352,12 @@ def _met(
     height, width = by.depth_m.shape
     inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
     u, v, points, pixels = u[inside], v[inside], points[inside], pixels[inside]
-    nearest_m, is_known = _nearest(by.depth_m, settings.free_px)[v, u], by.depth_m[v, u] > 0
+    # The nearest depth within `free_px` pixels: at an outline, a point may belong to either side.
+    far = np.where(by.depth_m > 0, by.depth_m, _NOTHING)
+    window = np.ones((2 * settings.free_px + 1,) * 2, np.uint8)
+    nearest_m = np.asarray(cv2.erode(far, window), np.float32)[v, u]
+    is_known = by.depth_m[v, u] > 0
     surface_m, points, pixels = nearest_m[is_known].astype(float), points[is_known], pixels[is_known]
     sigma_m = np.hypot(noise.sigma_m(surface_m), noise.sigma_m(points[:, 2]))
     within_m = settings.free_m + settings.free_share * surface_m + settings.free_sigmas * sigma_m
     return points, surface_m, within_m, pixels, count
-
-
-def _nearest(depth_m: Float32Array, radius_px: int) -> Float32Array:
-    """The nearest depth (h, w) within so many pixels: at an outline a point may belong to either side."""
-    far = np.where(depth_m > 0, depth_m, _NOTHING)
-    return np.asarray(cv2.erode(far, np.ones((2 * radius_px + 1,) * 2, np.uint8)), np.float32)
