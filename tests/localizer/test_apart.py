@@ -123,7 +123,7 @@ def test_a_process_that_is_killed_is_told_to_who_leads_the_robot(closed: Path) -
             beside.hear([ticks(DIES)])
             time.sleep(0.01)
 
-    with pytest.raises(DeviceError, match="the process that localizes has ended by signal 9"):
+    with pytest.raises(DeviceError, match="the localization process has ended by signal 9"):
         hear()
     beside.close()
     assert not multiprocessing.active_children()

@@ -68,7 +68,7 @@ class Place(ToldPlace):
 
     def hear(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
         if self.fails:
-            raise DeviceError("the process that localizes has ended by signal 9")
+            raise DeviceError("the localization process has ended by signal 9")
         if self.is_silent:
             return []
         self.waiting.append(super().hear(events))

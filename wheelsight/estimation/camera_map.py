@@ -1,7 +1,7 @@
-"""CameraMap: the frame in which camera odometry has its poses, and where it lies in odom.
+"""CameraMap: the map frame of camera odometry, and its pose in odom.
 
-What the filter knows better moves the pose but no surfel, which would tear the map: so the map as a whole is moved to
-where the camera's last believed pose in it is the one that is known of its frame.
+Corrections of the filter move the pose but no single surfel, which would tear the map apart. Instead the whole map
+moves, so that the camera's last accepted pose in it is the filter's pose of that frame.
 """
 
 from __future__ import annotations
@@ -19,9 +19,11 @@ from wheelsight.core.keyframes import KeyframeId
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Anchor:
-    """The frame against which the camera's motions are told to the filter: its pose T_map_camera (4, 4) by odometry.
+    """Reference frame of the camera's motions in the filter.
 
-    `covariance` (6, 6) is what its alignment left uncertain, in its own frame: all motions told against it share that.
+    Attributes:
+        T_map_camera: (4, 4) its pose by odometry.
+        covariance: (6, 6) of its alignment, in its own frame. All motions against it share this error.
     """
 
     T_map_camera: FloatArray
@@ -29,15 +31,15 @@ class Anchor:
 
     @classmethod
     def at(cls, T_map_camera: FloatArray, motion: MotionEstimate) -> Anchor:
-        """A frame at a pose, which `motion` against its own reference has told."""
+        """Return the anchor of a frame at a pose that was aligned by `motion`."""
         assert motion.T_reference_current is not None
         assert motion.covariance is not None
         return cls(T_map_camera, motions.carried(motions.inverse(motion.T_reference_current), motion.covariance))
 
     def motion_to(self, T_map_camera: FloatArray, motion: MotionEstimate) -> MotionEstimate:
-        """The motion from here to a pose that odometry found by `motion` against a reference of its own.
+        """Return the motion from here to a pose that was aligned by `motion` against another reference.
 
-        Its covariance is what the last alignment left uncertain; directions that this did not show are named.
+        Its covariance and its degenerate directions are those of that alignment.
         """
         assert motion.T_reference_current is not None
         assert motion.covariance is not None
@@ -50,26 +52,26 @@ class Anchor:
         return MotionEstimate(T_anchor_camera, covariance, None, motion.matches, motion.inliers, hidden, motion.fitting)
 
 
-# The camera has left its map where the filter has it so far from there, metres; a turn by a radian counts as 1.5 m.
-# Wheels that the filter has believed meanwhile err by less in the second or two that a contradiction lasts.
+# Distance between the filter's pose and the camera's in its map, metres, from which on the camera has left its map. A
+# turn by a radian counts as 1.5 m. The wheels err by less in the second or two of a contradiction.
 _LEFT_MAP_M = 0.15
-# A camera that has seen nothing for longer, seconds, may be right where wheels have drifted meanwhile.
+# After a longer gap without frames, seconds, the camera may be right, and the wheels may have drifted.
 _LONGEST_GAP_S = 0.5
 
 
 class CameraMap:
-    """See the module.
+    """Pose of the camera's map in odom; see the module.
 
     Attributes:
-        T_odom_map: (4, 4) where the map, of the camera and its surfels, lies by now.
-        anchor: the frame against which the camera's motions are told to the filter; None before the camera begins.
-        seen_s: stamp of the last frame that was believed.
-        keyframe: by which the camera remembers it.
+        T_odom_map: (4, 4) current pose of the map of camera and surfels.
+        anchor: reference frame of the camera's motions in the filter; None before the camera starts.
+        seen_s: stamp of the last accepted frame.
+        keyframe: by which that frame was tracked.
 
     Args:
         T_base_camera: (4, 4).
-        T_map_camera: (4, 4) where the camera is at first, while the base is at the origin of odom; None: the map
-            begins there.
+        T_map_camera: (4, 4) initial pose of the camera, with the base at the origin of odom; None if the map starts
+            there.
     """
 
     def __init__(self, T_base_camera: FloatArray, T_map_camera: FloatArray | None = None) -> None:
@@ -80,26 +82,26 @@ class CameraMap:
         self._T_map_odom: FloatArray = np.eye(4)
         if T_map_camera is not None:
             self._lay(T_base_camera, T_map_camera)
-        self._T_map_camera: FloatArray | None = None  # at the last frame, where that was believed
+        self._T_map_camera: FloatArray | None = None  # of the last frame, if it was accepted
         self.keyframe: KeyframeId | None = None
         self._T_keyframe_map: FloatArray | None = None
         self._tracked_s, self._is_contradicted = -np.inf, False
 
     def forget_frame(self) -> None:
-        """The last frame is over."""
+        """Forget the pose of the last frame."""
         self._T_map_camera = None
 
     def track(self, stamp_s: float, *, is_believed: bool) -> None:
-        """Take that a frame was tracked, and whether the filter believes it."""
+        """Note that a frame was tracked, and whether the filter accepted it."""
         if not is_believed and stamp_s - self._tracked_s <= _LONGEST_GAP_S:
             self._is_contradicted = True
         self._tracked_s = stamp_s
 
     def is_left(self, T_map_camera: FloatArray, T_odom_base: FloatArray | None) -> bool:
-        """Whether the camera at a pose (4, 4) has left the map, by what the filter has decided about the base.
+        """Whether a camera at a pose (4, 4) has left the map, by the filter's pose of the base.
 
-        The filter has refused frames that followed each other, and believes the next ones: the camera leapt, as it does
-        by a period of paint that repeats. The map would leap along if it were laid to where the camera now is in it.
+        If the filter rejected consecutive frames and accepts the next ones, the camera has jumped, for instance by the
+        period of a repeating pattern. Aligning the map with the camera's pose would make the map jump as well.
         """
         if not self._is_contradicted or T_odom_base is None:
             return False
@@ -108,13 +110,13 @@ class CameraMap:
         return bool(motions.view_shift_m(motions.times(motions.inverse(by_map), T_odom_camera)) > _LEFT_MAP_M)
 
     def believe(self, stamp_s: float, T_map_camera: FloatArray, T_odom_base: FloatArray | None) -> None:
-        """A frame is where the camera has it in the map, and the base was at a pose when its image was taken."""
+        """Accept the camera's pose of a frame in the map; `T_odom_base` is the base's pose when its image was taken."""
         self._T_map_camera, self.seen_s = T_map_camera, stamp_s
         self._tracked_s, self._is_contradicted = stamp_s, False
         self.lay(T_odom_base)
 
     def lay(self, T_odom_base: FloatArray | None) -> None:
-        """Put the map to where the last frame, if it was believed, is where the base was by what is known now."""
+        """Align the map so that the last frame, if it was accepted, is at the filter's current estimate of its pose."""
         if self._T_map_camera is not None and T_odom_base is not None:
             self._lay(motions.times(T_odom_base, self._T_base_camera), self._T_map_camera)
 
@@ -123,7 +125,7 @@ class CameraMap:
         self._T_map_odom = motions.inverse(self.T_odom_map)
 
     def moved(self, T_new_old: FloatArray) -> None:
-        """Loops have moved the map by (4, 4), from the left, where the camera is; in odom nothing moves."""
+        """Apply a correction (4, 4) of the map by loops, from the left, at the camera. In odom nothing moves."""
         T_old_new = motions.inverse(T_new_old)
         self.T_odom_map = motions.mended(motions.times(self.T_odom_map, T_old_new))
         self._T_map_odom = motions.inverse(self.T_odom_map)
@@ -135,18 +137,18 @@ class CameraMap:
             self._T_keyframe_map = motions.times(self._T_keyframe_map, T_old_new)
 
     def refer(self, seen: Estimate) -> None:
-        """Take by which keyframe the camera remembers its pose T_map_camera."""
+        """Set the keyframe by which the camera was tracked."""
         if seen.keyframe is not None and seen.T_keyframe_body is not None and seen.T_odom_body is not None:
             self.keyframe = seen.keyframe
             self._T_keyframe_map = motions.times(seen.T_keyframe_body, motions.inverse(seen.T_odom_body))
 
     def camera_at(self, T_odom_base: FloatArray) -> FloatArray:
-        """T_map_camera (4, 4) of a base in odom."""
+        """Return T_map_camera (4, 4) for a pose of the base in odom."""
         T_map_base = motions.times(motions.inverse(self.T_odom_map), T_odom_base)
         return np.asarray(motions.mended(motions.times(T_map_base, self._T_base_camera)))
 
     def framed(self, answer: FusedEstimate) -> FusedEstimate:
-        """The answer, in the map and relative to a keyframe, too."""
+        """Return the estimate with its poses in the map and relative to a keyframe."""
         T_keyframe_base = None
         if self._T_keyframe_map is not None and answer.T_odom_body is not None:
             T_keyframe_base = motions.times(self._T_keyframe_map, motions.times(self._T_map_odom, answer.T_odom_body))
@@ -155,15 +157,15 @@ class CameraMap:
 
 
 def is_far(motion: MotionEstimate, way_m: float) -> bool:
-    """Whether a motion against an anchor goes so far that the next one is due; a turn by a radian counts as 1.5 m."""
+    """Whether a motion exceeds the distance to a new anchor; a turn by a radian counts as 1.5 m."""
     T = motion.T_reference_current
     return T is not None and bool(motions.view_shift_m(T) > way_m)
 
 
 def blurred(motion: MotionEstimate, twist: FloatArray | None, noise_s: float) -> MotionEstimate:
-    """A motion of the camera, at a velocity (6,) of its own, beside wheels whose times are uncertain by so much.
+    """Return a motion of the camera with a covariance for the time error of wheel readings, at a velocity (6,).
 
-    What it goes in that time is added to its covariance: else stamps that are off look like slip.
+    Otherwise wrong stamps would look like slip.
     """
     if twist is None or motion.T_reference_current is None or motion.covariance is None or not noise_s:
         return motion
@@ -172,10 +174,10 @@ def blurred(motion: MotionEstimate, twist: FloatArray | None, noise_s: float) ->
 
 
 def strayed(motion: MotionEstimate, of_frame: FloatArray, walk_per_m: float) -> MotionEstimate:
-    """A motion of the camera, of whose view the errors `of_frame` (6, 6) change along the way.
+    """Return a motion of the camera with a covariance for systematic errors `of_frame` (6, 6) that vary with the view.
 
-    What bent depth and a shutter do to one view they do to the next one, so between neighbours it does not show;
-    against a frame that is farther back it does.
+    Distorted depth and a rolling shutter affect neighbouring views alike, so that their relative motion is exact. The
+    errors show against a frame that is farther away.
     """
     T = motion.T_reference_current
     if T is None or motion.covariance is None:

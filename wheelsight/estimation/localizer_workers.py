@@ -24,36 +24,34 @@ from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.core.messages import Event, RgbdFrame
 from wheelsight.core.threads import OneCaller, ends, one_at_a_time, yield_to_others
 
-# LocalizerInStep: a localizer as navigation asks for it, in the caller's own thread.
-
 
 class Answering(Protocol):
-    """What answers events one by one: a `Localizer`, or what writes a map beside it."""
+    """Anything that answers events one by one: a `Localizer`, or one that also writes a map."""
 
     @property
     def keyframes(self) -> KeyframeStore | None:
-        """What the camera remembers; None of wheels alone."""
+        """Keyframes of the camera; None for wheels alone."""
 
     @property
     def recognised(self) -> int | None:
-        """How often something of a map of before was recognised so far; None where nobody looks for that."""
+        """Number of recognitions of an existing map so far; None without one."""
 
     def process(self, event: Event) -> Estimate | None:
-        """The estimate at an event that is answered, None at any other; raises as `Localizer.process`."""
+        """Return the estimate at an event, or None; raises as `Localizer.process`."""
 
     def close(self) -> None:
-        """End the threads that work for it."""
+        """End its threads."""
 
 
 Make = Callable[..., AbstractContextManager[Answering]]
-"""Makes what answers, in a `with` block that closes it."""
+"""Returns a context manager of an `Answering`, which it closes at the end."""
 
 
 class LocalizerInStep(OneCaller):
-    """Answers all events that it is given before it returns: equal events, equal answers. For simulators.
+    """Answers all events in the caller's thread, so that equal events give equal estimates. For simulators.
 
     Args:
-        localizer: that answers; closed with this.
+        localizer: closed with this.
     """
 
     def __init__(self, localizer: Answering) -> None:
@@ -61,17 +59,17 @@ class LocalizerInStep(OneCaller):
 
     @property
     def keyframes(self) -> KeyframeStore | None:
-        """Of the localizer."""
+        """As `Localizer.keyframes`."""
         return self.localizer.keyframes
 
     @property
     def recognised(self) -> int | None:
-        """Of the localizer."""
+        """As `Localizer.recognised`."""
         return self.localizer.recognised
 
     @one_at_a_time
     def hear(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
-        """Each event with its answer. Raises what `Localizer.process` raises."""
+        """Return each event with its estimate. Raises what `Localizer.process` raises."""
         return [(event, self.localizer.process(event)) for event in events]
 
     @ends
@@ -80,23 +78,20 @@ class LocalizerInStep(OneCaller):
         self.localizer.close()
 
 
-# LocalizerBeside: a localizer as navigation asks for it, in a thread of its own.
-
-
-# How long the end waits for an event that is being answered, before the localizer is closed beside it.
+# How long `LocalizerBeside.close` waits for the current event, seconds.
 _EVENT_ENDING_S = 5.0
 
 
 class LocalizerBeside(OneCaller):
-    """Answers in a thread of its own, which yields to the thread that controls a robot and never waits for a frame.
+    """Answers events in a thread of its own, with a lower priority than the caller's, which controls a robot.
 
-    Frames that come faster than they are answered are left out but for the newest; wheel readings never are.
+    Of frames that arrive faster than they are processed, only the newest is kept. All wheel readings are processed.
 
     Args:
-        localizer: that answers; used by nobody else from now on, and closed with this.
+        localizer: not to be used elsewhere; closed with this.
 
     Attributes:
-        dropped: frames that were left out.
+        dropped: number of frames that were skipped.
     """
 
     def __init__(self, localizer: Answering) -> None:
@@ -111,20 +106,25 @@ class LocalizerBeside(OneCaller):
 
     @property
     def keyframes(self) -> KeyframeStore | None:
-        """Of the localizer."""
+        """As `Localizer.keyframes`."""
         return self.localizer.keyframes
 
     @property
     def recognised(self) -> int | None:
-        """Of the localizer."""
+        """As `Localizer.recognised`."""
         return self.localizer.recognised
 
     @one_at_a_time
     def hear(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
-        """What was answered since the last call. Raises what went wrong in the thread."""
+        """Add events; return the estimates since the last call. Raises an error of the thread."""
         with self._changed:
             for event in events:
-                self._put(event)
+                if isinstance(event, RgbdFrame):
+                    older = [waiting for waiting in self._waiting if isinstance(waiting, RgbdFrame)]
+                    for frame in older:
+                        self._waiting.remove(frame)
+                    self.dropped += len(older)
+                self._waiting.append(event)
             self._changed.notify()
             if self._error is not None:
                 raise self._error
@@ -141,14 +141,6 @@ class LocalizerBeside(OneCaller):
         self._thread.join(_EVENT_ENDING_S)
         self.localizer.close()
 
-    def _put(self, event: Event) -> None:
-        if isinstance(event, RgbdFrame):
-            older = [waiting for waiting in self._waiting if isinstance(waiting, RgbdFrame)]
-            for frame in older:
-                self._waiting.remove(frame)
-            self.dropped += len(older)
-        self._waiting.append(event)
-
     def _run(self) -> None:
         yield_to_others()
         try:
@@ -161,29 +153,27 @@ class LocalizerBeside(OneCaller):
                 estimate = self.localizer.process(event)
                 with self._changed:
                     self._answered.append((event, estimate))
-        except BaseException as error:  # told to whoever asks next
+        except BaseException as error:  # raised by the next call
             self._error = error
 
 
-# LocalizerApart: a localizer in a process of its own, which takes neither time nor Python's lock from control.
-
-
-# How long the end waits for a process that gives no sign of life, and for one that does while it writes its map.
+# How long `LocalizerApart.close` waits for a process without a sign of life, and for one that writes its map, seconds.
 _ENDING_S, _WRITING_S = 5.0, 300.0
 
 
 class LocalizerApart:
-    """Has another process answer; each call waits for it, so that `LocalizerBeside` is what a robot is led by.
+    """Answers events in another process, which takes no time from control. Each call waits for its estimate.
 
-    The process ends where this one does, however that ends; what was made is closed first. A process that hangs
-    blocks `process`, as the navigator notices by the age of its answers; `close` kills it.
+    A robot uses it within a `LocalizerBeside`. The process ends with this one, in whatever way that ends, and closes
+    its localizer first. A process that hangs blocks `process`; the navigator notices it by the age of estimates, and
+    `close` kills it.
 
     Args:
-        make: a function of a module, which the process imports: what answers, in a `with` block.
-        arguments: of it.
-        tells_keyframes: whether `keyframes` are kept here, too, of depth alone, as a floor that grows needs them.
+        make: a function of a module, which the process imports; see `Make`.
+        arguments: of `make`.
+        tells_keyframes: whether to keep `keyframes` here as well, with depth alone, for a map that grows.
 
-    Raises what went wrong in making it, and DeviceError where the process has died.
+    Raises an error of `make`, and DeviceError if the process has died.
     """
 
     def __init__(self, make: Make, *arguments: Any, tells_keyframes: bool = False) -> None:
@@ -196,19 +186,19 @@ class LocalizerApart:
         self._is_over, self._calling = False, threading.Lock()
         self._process.start()
         theirs.close()
-        self._take(self._heard())  # that it is ready: else the first event would have this for its answer
+        self._take(self._receive())  # the process is ready
 
     def process(self, event: Event) -> Estimate | None:
-        """As `Answering.process`. Raises what that raises, and DeviceError where the process has died."""
+        """As `Answering.process`. Raises what that raises, and DeviceError if the process has died."""
         with self._calling:
-            self._say(event)
-            return self._take(self._heard())
+            self._send(event)
+            return self._take(self._receive())
 
     def close(self) -> None:
-        """Close what was made, and wait for that; may be called twice.
+        """Close the localizer and wait for it. May be called twice.
 
-        A call of `process` that hangs ends by this: the process is killed, and that call raises DeviceError.
-        Raises what went wrong in closing, and DeviceError where that hung.
+        If a call of `process` hangs, this kills the process, and that call raises DeviceError. Raises an error of
+        closing, and DeviceError if closing hangs.
         """
         if self._is_over:
             return
@@ -217,30 +207,26 @@ class LocalizerApart:
             self._process.join()
             return
         try:
-            self._say(None)
-            self._await_end()
+            self._send(None)
+            until_s = time.monotonic() + _WRITING_S
+            while time.monotonic() < until_s and self._connection.poll(_ENDING_S):
+                if isinstance(self._receive(), Answer):
+                    self._end()
+                    return
+            self._process.kill()
             self._end()
+            raise DeviceError("the localization process hung and was killed", fix="check which results are missing")
         finally:
             self._calling.release()
 
-    def _await_end(self) -> None:
-        """Wait for the last answer while the process shows that it lives."""
-        until_s = time.monotonic() + _WRITING_S
-        while time.monotonic() < until_s and self._connection.poll(_ENDING_S):
-            if isinstance(self._heard(), Answer):
-                return
-        self._process.kill()
-        self._end()
-        raise DeviceError("the process that localizes hung and was killed", fix="see what it had not yet written")
-
-    def _say(self, event: Event | None) -> None:
+    def _send(self, event: Event | None) -> None:
         try:
             self._connection.send(event)
         except OSError:
             raise self._died() from None
 
-    def _heard(self) -> Answer | Beat:
-        """The next answer; raises the error that came instead."""
+    def _receive(self) -> Answer | Beat:
+        """Return the next message of the process; raises an error that it sends."""
         try:
             answer = self._connection.recv()
         except (EOFError, OSError):
@@ -254,15 +240,19 @@ class LocalizerApart:
     def _take(self, answer: Answer | Beat) -> Estimate | None:
         assert isinstance(answer, Answer)
         self.recognised = answer.recognised
-        if self.keyframes is not None and answer.news is not None:
-            _take_news(self.keyframes, answer.news)
+        store, news = self.keyframes, answer.news
+        if store is not None and news is not None:
+            for keyframe, T_map_keyframe in news.added:
+                store.add(keyframe, T_map_keyframe)
+            if news.T_map_keyframe is not None:
+                store.move([KeyframeId(number) for number in range(len(news.T_map_keyframe))], news.T_map_keyframe)
         return answer.estimate
 
     def _died(self) -> DeviceError:
         self._end()
         code = self._process.exitcode
         how = f"by signal {-code}" if code is not None and code < 0 else f"with exit code {code}"
-        return DeviceError(f"the process that localizes has ended {how}", fix="see whether memory ran out; begin anew")
+        return DeviceError(f"the localization process has ended {how}", fix="check whether memory ran out; start again")
 
     def _end(self) -> None:
         self._is_over = True
@@ -273,24 +263,13 @@ class LocalizerApart:
         self._connection.close()
 
 
-def _take_news(store: KeyframeStore, news: KeyframeNews) -> None:
-    """Keep what is new, and move what has moved."""
-    for keyframe, T_map_keyframe in news.added:
-        store.add(keyframe, T_map_keyframe)
-    if news.T_map_keyframe is not None:
-        store.move([KeyframeId(number) for number in range(len(news.T_map_keyframe))], news.T_map_keyframe)
-
-
-# What the process of a `LocalizerApart` does: answer one event after another until nobody asks any more.
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyframeNews:
-    """What has become of a store.
+    """Changes of a store.
 
     Attributes:
-        added: keyframes of depth alone that come next, and their poses (4, 4).
-        T_map_keyframe: (N, 4, 4) of all, with these; None where none has moved.
+        added: new keyframes, with depth alone, and their poses (4, 4).
+        T_map_keyframe: (N, 4, 4) of all keyframes, with these; None if none has moved.
     """
 
     added: tuple[tuple[Keyframe, FloatArray], ...]
@@ -299,12 +278,12 @@ class KeyframeNews:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:
-    """To an event; to the making and the closing, with no estimate.
+    """Message of the process after an event; also after making and closing, without an estimate.
 
     Attributes:
         estimate: at the event.
-        recognised: of the localizer, by now.
-        news: of its keyframes, where it is told of them.
+        recognised: as `Localizer.recognised`.
+        news: changes of its keyframes, if these were requested.
     """
 
     estimate: Estimate | None = None
@@ -314,14 +293,14 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Beat:
-    """A sign of life while what was made is closed, once in `_BEAT_S`."""
+    """Sign of life, once in `_BEAT_S`, while the process closes its localizer."""
 
 
 _BEAT_S = 1.0
 
 
 class _Beats:
-    """Sends a `Beat` regularly from `begin` to the end of its `with` block, which shows that closing goes on."""
+    """Sends a `Beat` regularly from `begin` to the end of its `with` block."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection, self._is_over = connection, threading.Event()
@@ -345,16 +324,16 @@ class _Beats:
 
 
 def serve(connection: Connection, make: Make, arguments: tuple[Any, ...], tells_keyframes: bool) -> None:
-    """Make, answer, close; each is answered by an `Answer`, or by the error that ends it.
+    """Make a localizer, answer events, close it. Sends an `Answer` after each, or the error that ends the process.
 
-    Ctrl-C and the end of a terminal reach all its processes: the robot's program stops the robot first, and closes
-    this one. SIGTERM closes what was made.
+    It ignores Ctrl-C and the end of the terminal, which reach all processes: the robot's program stops the robot first,
+    and then closes this process. SIGTERM closes the localizer.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(getattr(signal, "SIGHUP", signal.SIGINT), signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
-    yield_to_others()  # before there are other threads, which do as this one
-    with suppress(OSError):  # nobody may be there to be told
+    yield_to_others()  # before other threads start, which inherit the priority
+    with suppress(OSError):  # the other process may have died
         try:
             with _Beats(connection) as beats, make(*arguments) as localizer:
                 _answer(connection, localizer, tells_keyframes)
@@ -363,7 +342,7 @@ def serve(connection: Connection, make: Make, arguments: tuple[Any, ...], tells_
             raise
         except BaseException as error:
             error.add_note("".join(traceback.format_exception(error)))
-            _tell(connection, error)
+            _send_error(connection, error)
         else:
             connection.send(Answer())
 
@@ -379,7 +358,7 @@ def _answer(connection: Connection, localizer: Answering, tells_keyframes: bool)
 
 
 def _next(connection: Connection) -> Event | None:
-    """None at the end, and where whoever asks has died."""
+    """Return the next event; None at the end, and if the other process has died."""
     try:
         event: Event | None = connection.recv()
     except (EOFError, ConnectionError):
@@ -387,32 +366,31 @@ def _next(connection: Connection) -> Event | None:
     return event
 
 
-def _tell(connection: Connection, error: BaseException) -> None:
+def _send_error(connection: Connection, error: BaseException) -> None:
     try:
         connection.send(error)
     except OSError:
         raise
-    except Exception:  # not everything that may be raised can be sent
+    except Exception:  # not every exception can be pickled
         connection.send(WheelsightError(f"{type(error).__name__}: {error}"))
 
 
 class _StoreWatch:
-    """What is new of a store since it was asked last; of a keyframe one call late, when it has been made."""
+    """Changes of a store between two calls. A keyframe counts one call late, when it is complete."""
 
     def __init__(self, store: KeyframeStore) -> None:
-        self._store, self._told, self._seen, self._revision = store, 0, 0, store.revision
+        self._store, self._sent, self._seen, self._revision = store, 0, 0, store.revision
 
     def news(self) -> KeyframeNews | None:
-        """None where there is none."""
+        """Return the changes, or None."""
         store, T = self._store, self._store.T_map_keyframe
-        first, self._told, self._seen = self._told, self._seen, len(store)
-        numbers = range(first, self._told)
+        first, self._sent, self._seen = self._sent, self._seen, len(store)
+        numbers = range(first, self._sent)
         has_moved, self._revision = store.revision != self._revision, store.revision
         if not numbers and not has_moved:
             return None
-        added = tuple((_depth_of(store[KeyframeId(number)]), np.array(T[number])) for number in numbers)
-        return KeyframeNews(added, np.array(T[: self._told]) if has_moved else None)
-
-
-def _depth_of(keyframe: Keyframe) -> Keyframe:
-    return replace(keyframe, grey_png=b"", features=None, code=None)
+        added = tuple(
+            (replace(store[KeyframeId(number)], grey_png=b"", features=None, code=None), np.array(T[number]))
+            for number in numbers
+        )
+        return KeyframeNews(added, np.array(T[: self._sent]) if has_moved else None)
