@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-PACKAGE = Path(__file__).resolve().parent.parent / "wheelsight"
-FILES = sorted(PACKAGE.rglob("*_kernels.py"))
+ROOT = Path(__file__).resolve().parent.parent
+FILES = sorted(path for package in ("wheelsight", "wheelsight_sim") for path in (ROOT / package).rglob("*_kernels.py"))
 MOST = 8
 
 
@@ -19,7 +19,7 @@ def with_many_arguments(source: str) -> list[str]:
     return [f"{name} has {count} arguments" for name, count in counts.items() if count > MOST]
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(PACKAGE).as_posix())
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_kernels_have_at_most_eight_arguments(path: Path) -> None:
     many = with_many_arguments(path.read_text(encoding="utf-8"))
     assert not many, f"{path.name}: {'; '.join(many)}: put what belongs together into a NamedTuple"
