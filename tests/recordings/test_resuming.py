@@ -76,17 +76,17 @@ def test_nothing_or_an_empty_folder_is_begun(tmp_path: Path) -> None:
 def test_what_is_no_recording_or_of_other_sensors_is_refused_as_it_is(tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "letter.txt").write_text("dear")
-    with pytest.raises(OutputError, match=r"holds no recording that could go on \(record into another --out\)"):
+    with pytest.raises(OutputError, match=r"holds no recording to resume \(record into another --out\)"):
         write(tmp_path / "other", range(2))
     assert [path.name for path in (tmp_path / "other").iterdir()] == ["letter.txt"]
     with RecordingWriter(tmp_path / "wheels", Calibration(wheels=Wheels(0.1, 0.1, 0.5, 100.0))):
         pass
-    with pytest.raises(OutputError, match=r"holds a recording of wheels alone, which a camera of 64×48 cannot go on"):
+    with pytest.raises(OutputError, match=r"holds a recording of wheels alone, which a camera of 64×48 cannot resume"):
         write(tmp_path / "wheels", range(2))
     larger = Calibration.registered_camera(PinholeCamera(80, 60, 60.0, 60.0, 39.5, 29.5))
     with RecordingWriter(tmp_path / "larger", larger):
         pass
-    with pytest.raises(OutputError, match=r"a camera of 80×60, which a camera of 64×48 cannot go on"):
+    with pytest.raises(OutputError, match=r"a camera of 80×60, which a camera of 64×48 cannot resume"):
         write(tmp_path / "larger", range(2))
 
 

@@ -116,7 +116,7 @@ def test_measurement_lines(tmp_path: Path) -> None:
     assert truth is not None
     np.testing.assert_allclose(truth.positions_m, [[1.0, 2, 0], [1.1, 2, 0]])
     np.testing.assert_allclose(np.arctan2(truth.T_frame_body[:, 1, 0], truth.T_frame_body[:, 0, 0]), [0.5, 0.6])
-    assert recording.warnings == ("Speeds across, up to 0.01 m/s, are left out: wheels cannot tell of them.",)
+    assert recording.warnings == ("Speeds across, up to 0.01 m/s, are left out: two wheels cannot measure them.",)
 
 
 def test_points_without_angles_are_no_poses(tmp_path: Path) -> None:

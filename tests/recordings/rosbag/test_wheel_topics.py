@@ -209,7 +209,7 @@ def on_a_lever(lever_m: float) -> Drive:
 def test_sideways_motion_of_two_wheels_is_said_with_its_share_and_the_camera_leads(
     opened, own_wheels: str, share: float
 ) -> None:
-    told = f"m that were looked at ({100 * share:.0f} %) are sideways, which two wheels cannot show"
+    told = f"m that were checked ({100 * share:.0f} %) are sideways, which two wheels cannot show"
     alone = opened(aside(share), calibration=own_wheels)
     assert len(alone.wheel_faults) == 1
     assert told in alone.wheel_faults[0]
@@ -364,7 +364,7 @@ def test_wheels_of_a_holonomic_base_can_be_named(opened, holonomic) -> None:
 
 
 def test_two_wheels_are_no_holonomic_base(opened, holonomic) -> None:
-    with pytest.raises(ConfigError, match="/mobile_base/sensors tells of two wheels"):
+    with pytest.raises(ConfigError, match="/mobile_base/sensors is of two wheels"):
         opened(kobuki(), calibration=holonomic(MECANUM), topics=("wheels=/mobile_base/sensors",))
 
 

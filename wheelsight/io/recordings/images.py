@@ -1,5 +1,5 @@
 """Image files to arrays and back: colour as RGB bytes, depth in metres, corrected by the calibration. `read_ahead`
-decodes images in a thread.
+runs an iterator in a thread.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ from wheelsight.core.geometry import MOST_PIXELS, ByteArray, Float32Array, Pinho
 from wheelsight.core.inputs import Kind, picture_size, read_bytes, scan_count
 from wheelsight.core.messages import NOTHING_MEASURED
 
-# Image files into arrays: colour as RGB bytes, depth as metres; whatever cannot be trusted is refused.
-
-
 _PLAUSIBLE_MEDIAN_M = (0.05, 50.0)
 _MEDIAN_STRIDE = 8
 _COLOR_FLAGS = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
 _TRAILERS = {b"\x89PNG": b"IEND", b"\xff\xd8": b"\xff\xd9"}
 _TRAILER_REACH = 64
-_MOST_PIXELS_DECODED = 1 << 28  # 12 million in 22 scans; a progressive JPEG usually has 10
+_MOST_PIXELS_DECODED = 1 << 28  # 12 million in 22 scans; a progressive JPEG has about 10
 _KINDS = {
     kind: Kind(f"a {kind} image", most_mb=128, missing=f"listed {kind} image is absent") for kind in ("colour", "depth")
 }
 
-_DISTANCES = Kind("a text of distances", most_mb=32, missing="listed depth image is absent")  # of 640×480 has 3 MB
+_DISTANCES = Kind("a text of distances", most_mb=32, missing="listed depth image is absent")  # 640×480 take 3 MB
 _LONGEST_NUMBER = 40  # characters
-_FARTHEST_M = 1e6  # no camera measures so far, and what is much larger has no place in 32 bits
+_FARTHEST_M = 1e6  # beyond the range of any camera, within that of float32
 
 
 @dataclass(frozen=True, slots=True)
 class DepthEncoding:
-    """How 16-bit depth images are to be read: units a metre, and which raw value besides 0 means nothing measured.
+    """The encoding of depth images.
 
-    Where they hold raw disparities of Kinect v1, `disparity` tells what those are. Where they are text, for each pixel
-    a distance from the camera's centre, `rays` is that camera.
+    Attributes:
+        factor: units per metre of 16-bit images.
+        invalid: a raw value besides 0 that means no measurement.
+        disparity: the disparity model, for raw disparities of Kinect v1.
+        rays: the camera, for text files with each pixel's distance from the camera's centre.
     """
 
     factor: float
@@ -57,16 +57,16 @@ class DepthEncoding:
 
 
 def read_color(path: Path) -> ByteArray:
-    """The colour image (H, W, 3) uint8, red green blue. Raises RecordingError naming the file."""
+    """The colour image (H, W, 3) uint8, RGB. Raises RecordingError naming the file."""
     return np.asarray(_decode(path, _COLOR_FLAGS, "colour"), np.uint8)
 
 
 def read_depth(path: Path, encoding: DepthEncoding) -> Float32Array:
-    """The depth image (H, W) float32 in metres, 0 where nothing was measured.
+    """The depth image (H, W) float32 in metres, 0 where there is no measurement.
 
     Raises:
-        RecordingError: naming the file, if it is no 16-bit image with one channel, holds no depth at all,
-            or its median depth is under 5 cm or over 50 m.
+        RecordingError: it is not a 16-bit image with one channel, has no depth at all, or a median depth under 5 cm or
+            over 50 m; names the file.
     """
     if encoding.rays is not None:
         return _of_distances(path, encoding, encoding.rays)
@@ -74,13 +74,19 @@ def read_depth(path: Path, encoding: DepthEncoding) -> Float32Array:
 
 
 def depth_of_units(raw: NDArray[np.integer], encoding: DepthEncoding, path: Path) -> Float32Array:
-    """Depth (H, W) float32 in metres of what a depth image holds; `raw` may be changed. Raises as `read_depth`."""
+    """Depth (H, W) float32 in metres of a raw depth image, which may be modified. Raises as `read_depth`."""
     if raw.ndim != 2 or raw.dtype != np.uint16:
         channels = 1 if raw.ndim == 2 else raw.shape[2]
         problem = f"depth image has {channels} channel(s) of {8 * raw.dtype.itemsize} bits, not one of 16"
         raise RecordingError(problem, path=path, fix="depth must be a 16-bit greyscale PNG")
     if encoding.disparity is not None:
-        return _of_disparity(raw, encoding.disparity, path)
+        if int(raw.max()) > NO_DISPARITY:
+            problem = f"holds {int(raw.max())}, which is no raw disparity of Kinect v1"
+            raise RecordingError(problem, path=path, fix="remove disparity_step_per_m from the calibration")
+        disparity_depth_m = encoding.disparity.of_disparity(raw)
+        if not disparity_depth_m.any():
+            raise RecordingError(NOTHING_MEASURED, path=path)
+        return disparity_depth_m
     if encoding.invalid is not None:
         raw[raw == encoding.invalid] = 0
     _check_scale(_median(raw, path) / encoding.factor, path, encoding)
@@ -103,9 +109,9 @@ def image_size(image: NDArray[np.generic]) -> str:
 
 
 def color_size(paths: Iterable[Path]) -> tuple[int, int]:
-    """Width and height of the first of these colour images that tells them.
+    """Width and height of the first readable colour image.
 
-    Raises RecordingError naming the first image where none does.
+    Raises RecordingError naming the first image where none is readable.
     """
     first: RecordingError | None = None
     for path in paths:
@@ -120,17 +126,17 @@ def color_size(paths: Iterable[Path]) -> tuple[int, int]:
 
 
 def decoded_color(data: bytes, path: Path) -> ByteArray:
-    """The colour image (H, W, 3), red green blue, of a PNG or JPEG in the file at `path`. Raises RecordingError."""
+    """The colour image (H, W, 3), RGB, of PNG or JPEG data from the file at `path`. Raises RecordingError."""
     return np.asarray(_decoded(data, path, _COLOR_FLAGS, "colour"), np.uint8)
 
 
 def decoded_units(data: bytes, path: Path) -> NDArray[np.integer]:
-    """What a PNG in the file at `path` holds, as it stands. Raises RecordingError."""
+    """The pixels of PNG data from the file at `path`, unconverted. Raises RecordingError."""
     return _decoded(data, path, cv2.IMREAD_UNCHANGED, "depth")
 
 
 def check_scale(depth_m: Float32Array, path: Path) -> None:
-    """Raise RecordingError for a depth image in metres that measured nothing, or that cannot be in metres."""
+    """Raise RecordingError for a depth image without measurements, or with a median that is implausible in metres."""
     _check_scale(_median(depth_m, path), path, DepthEncoding(1.0))
 
 
@@ -139,23 +145,12 @@ def _decode(path: Path, flags: int, kind: str) -> NDArray[np.integer]:
 
 
 def _decoded(data: bytes, path: Path, flags: int, kind: str) -> NDArray[np.integer]:
+    """The pixels of an image. Checks its size before decoding. Raises RecordingError."""
     for start, trailer in _TRAILERS.items():
         if data.startswith(start) and trailer not in data[-_TRAILER_REACH:]:
             raise RecordingError(f"{kind} image is cut off before its end", path=path)
     if not data:
         raise RecordingError(f"{kind} image is empty", path=path)
-    _check_size(data, path, kind)
-    try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error:
-        image = None
-    if image is None:
-        raise RecordingError(f"{kind} image is damaged, or no image", path=path)
-    return np.asarray(image)
-
-
-def _check_size(data: bytes, path: Path, kind: str) -> None:
-    """Raises RecordingError for what its first bytes say takes too much memory or time to decode."""
     size = picture_size(data)
     if size is None:
         raise RecordingError(f"{kind} image is damaged, or no image", path=path, fix="convert it to PNG")
@@ -166,10 +161,17 @@ def _check_size(data: bytes, path: Path, kind: str) -> None:
     if width * height * scan_count(data) > _MOST_PIXELS_DECODED:
         problem = f"{kind} image has {scan_count(data)} scans, which take long to decode"
         raise RecordingError(problem, path=path, fix="convert it to PNG")
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:
+        image = None
+    if image is None:
+        raise RecordingError(f"{kind} image is damaged, or no image", path=path)
+    return np.asarray(image)
 
 
 def _of_distances(path: Path, encoding: DepthEncoding, camera: PinholeCamera) -> Float32Array:
-    """Depth (H, W) of distances along rays, row by row; what is no distance of this world was not measured."""
+    """Depth (H, W) of a text of distances along rays, row by row; 0 where a distance is out of range."""
     words = read_bytes(path, _DISTANCES, RecordingError).split()
     if len(words) != camera.width * camera.height:
         problem = f"holds {len(words)} distances where {camera.width}×{camera.height} pixels need one each"
@@ -188,18 +190,8 @@ def _of_distances(path: Path, encoding: DepthEncoding, camera: PinholeCamera) ->
     return depth_m
 
 
-def _of_disparity(raw: NDArray[np.integer], disparity: DepthError, path: Path) -> Float32Array:
-    if int(raw.max()) > NO_DISPARITY:
-        problem = f"holds {int(raw.max())}, which is no raw disparity of Kinect v1"
-        raise RecordingError(problem, path=path, fix="of depths leave disparity_step_per_m out of the calibration")
-    depth_m = disparity.of_disparity(raw)
-    if not depth_m.any():
-        raise RecordingError(NOTHING_MEASURED, path=path)
-    return depth_m
-
-
 def _median(raw: NDArray[np.integer] | Float32Array, path: Path) -> float:
-    """Median of the measured depth units, from a sample where it holds enough."""
+    """The median of measured depth units, of a sample of pixels unless none of these is measured."""
     sample = raw[::_MEDIAN_STRIDE, ::_MEDIAN_STRIDE]
     measured = sample[sample > 0]
     if not len(measured):
@@ -210,6 +202,7 @@ def _median(raw: NDArray[np.integer] | Float32Array, path: Path) -> float:
 
 
 def _check_scale(median_m: float, path: Path, encoding: DepthEncoding) -> None:
+    """Raise RecordingError for an implausible median depth."""
     near, far = _PLAUSIBLE_MEDIAN_M
     if not near <= median_m <= far:
         raise RecordingError(
@@ -219,37 +212,29 @@ def _check_scale(median_m: float, path: Path, encoding: DepthEncoding) -> None:
         )
 
 
-# Images into files, as fast as a camera gives them: PNG, which keeps all, or JPEG for colour.
-
+# Writing
 
 ColorFormat = Literal["png", "jpeg"]
 SUFFIXES: dict[str, str] = {"png": ".png", "jpeg": ".jpg"}
 JPEG_QUALITY = 95
 
 
-def _png_flags() -> tuple[int, ...]:
-    """Of the fastest PNG that still compresses.
-
-    The filter is said, for without that a compression level of 1 tries all five a row: 12 ms instead of 18 ms for
-    colour of 640×480. After a filter bytes are noise with runs of zeros, in which nothing longer repeats: looking for
-    runs alone takes 9 to 10 ms and leaves files smaller, too (docs/decisions/0109).
-    """
-    flags: tuple[int, ...] = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
-    name, sub = getattr(cv2, "IMWRITE_PNG_FILTER", None), getattr(cv2, "IMWRITE_PNG_FILTER_SUB", None)
-    return flags if name is None or sub is None else (*flags, name, sub)  # older OpenCV has neither
-
-
-FAST_PNG = _png_flags()
+# The fastest PNG that still compresses, for colour of 640×480. Without a filter, compression level 1 tries all five for
+# each row: 18 ms instead of 12 ms. Filtered bytes are noise with runs of zeros, so that a search for runs alone takes
+# 9 to 10 ms and makes smaller files too (docs/decisions/0109). Older OpenCV has no setting of the filter.
+FAST_PNG: tuple[int, ...] = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
+if hasattr(cv2, "IMWRITE_PNG_FILTER") and hasattr(cv2, "IMWRITE_PNG_FILTER_SUB"):
+    FAST_PNG = (*FAST_PNG, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB)
 
 
 def write_color(path: Path, color: ByteArray, encoding: ColorFormat) -> int:
-    """Write colour (H, W, 3), red green blue; how many bytes that were. Raises OutputError."""
+    """Write colour (H, W, 3), RGB. Returns the file size in bytes. Raises OutputError."""
     flags = FAST_PNG if encoding == "png" else (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
     return _write(path, SUFFIXES[encoding], cv2.cvtColor(color, cv2.COLOR_RGB2BGR), flags)
 
 
 def write_units(path: Path, units: NDArray[np.uint16]) -> int:
-    """Write an image (H, W) of 16 bits as PNG; how many bytes that were. Raises OutputError."""
+    """Write an image (H, W) of 16 bits as PNG. Returns the file size in bytes. Raises OutputError."""
     return _write(path, ".png", units, FAST_PNG)
 
 
@@ -261,8 +246,7 @@ def _write(path: Path, kind: str, image: NDArray[np.integer | np.floating], flag
     return int(data.size)
 
 
-# Decoded images as their calibration has them: of its cameras' sizes, depth freed of its errors.
-
+# Correction
 
 _FIX = "choose another with --camera"
 
@@ -270,48 +254,47 @@ _FIX = "choose another with --camera"
 def corrected_depth(
     color: ByteArray, depth_m: Float32Array, calibration: Calibration, paths: tuple[Path, Path], fix: str = _FIX
 ) -> Float32Array:
-    """Depth (H, W) in metres of a frame, freed of the errors that the calibration states.
+    """Depth (H, W) in metres of a frame, corrected by the calibration's depth error.
 
     Args:
-        color: colour image (H, W, 3), which is only checked.
-        depth_m: depth as decoded.
-        calibration: says sizes and errors.
-        paths: where colour and depth come from, for the message.
-        fix: what to do where a size is wrong.
+        color: colour image (H, W, 3); only its size is checked.
+        depth_m: decoded depth (H, W).
+        calibration: of both cameras.
+        paths: of colour and depth, for error messages.
+        fix: the fix in the error of a wrong size.
 
     Raises:
-        RecordingError: an image is not of its camera's size; names the file.
+        RecordingError: an image has another size than its camera; names the file.
     """
     color_camera, depth_camera = calibration.cameras
-    _calibrated_check_size("colour", image_size(color), color_camera, paths[0], fix)
-    _calibrated_check_size("depth", image_size(depth_m), depth_camera, paths[1], fix)
+    _need_size("colour", image_size(color), color_camera, paths[0], fix)
+    _need_size("depth", image_size(depth_m), depth_camera, paths[1], fix)
     return calibration.depth_error.corrected(depth_m, depth_camera)
 
 
-def _calibrated_check_size(name: str, size: str, camera: PinholeCamera, path: Path, fix: str) -> None:
+def _need_size(name: str, size: str, camera: PinholeCamera, path: Path, fix: str) -> None:
     expected = f"{camera.width}×{camera.height}"
     if size != expected:
         raise RecordingError(f"{name} image is {size}, the calibration's {expected}", path=path, fix=fix)
 
 
-# Reading ahead in a thread, so that decoding images never keeps tracking waiting.
-
+# Reading ahead
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
 class _End:
-    """The last thing in the queue, with what stopped the source, if it did not end by itself."""
+    """The last item of the queue, with the error that stopped the source, if any."""
 
     error: BaseException | None = None
 
 
 def read_ahead(items: Iterator[T], depth: int) -> Generator[T]:
-    """The items of an iterator in their order, up to `depth` of them (1 or more) made ahead in a thread.
+    """The items of an iterator in order; a thread produces up to `depth` of them (1 or more) ahead.
 
-    What the iterator raises is raised here, at its place. Closing this generator, or leaving a loop over it,
-    stops the thread after the item it is at; `items` is closed then too.
+    An exception of the iterator is raised here in its place. Closing this generator, or leaving a loop over it, stops
+    the thread after its current item and closes `items`.
     """
     ready: Queue[T | _End] = Queue(maxsize=depth)
     stop = Event()
@@ -331,7 +314,7 @@ def read_ahead(items: Iterator[T], depth: int) -> Generator[T]:
 
 
 def _produce(items: Iterator[T], ready: Queue[T | _End], stop: Event) -> None:
-    """Fill the queue until the items end or `stop` is set; after that at most one more item is put."""
+    """Fill the queue until the items end or `stop` is set; at most one item follows `stop`."""
     end = _End()
     try:
         for item in items:

@@ -1,5 +1,6 @@
-"""wheelsight's own layout, read and written: TUM's lists, with wheels.csv, gyro.csv, camera_clock.csv, loops.csv and
-calibration.yaml. An interrupted recording is valid, and can be resumed.
+"""`NativeReader` and `RecordingWriter` of wheelsight's own layout: the lists of the TUM benchmark, which any TUM tool
+reads, with wheels.csv, gyro.csv, imu.csv, camera_clock.csv, loops.csv and calibration.yaml. A recording of wheels alone
+has no lists of images. An interrupted recording is valid, and can be resumed.
 """
 
 from __future__ import annotations
@@ -13,14 +14,13 @@ from types import TracebackType
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wheelsight.core.calibration import Calibration, load_calibration, save_calibration
 from wheelsight.core.checks import check_event, check_images, need_calibration
 from wheelsight.core.depth_errors import DepthError
 from wheelsight.core.errors import ArgumentError, CalibrationError, OutputError, RecordingError
 from wheelsight.core.files import StrPath, make_output_folder
-from wheelsight.core.geometry import Float32Array, FloatArray, se3, so3
+from wheelsight.core.geometry import se3, so3
 from wheelsight.core.geometry.arrays import UInt16Array
 from wheelsight.core.inputs import is_there
 from wheelsight.core.messages import (
@@ -64,11 +64,6 @@ from wheelsight.io.recordings.tables import (
 from wheelsight.io.recordings.tum_datasets import DEPTH_FACTOR, beside, read_frames, read_truth
 from wheelsight.io.recordings.wheel_recording import WheelRecording
 
-# wheelsight's own layout: the TUM benchmark's, which any TUM tool reads, plus wheels, a gyroscope, calibration.yaml.
-#
-# A recording of wheels alone has no lists of images.
-
-
 WHEELS_HEADER = "stamp_s,left,right"
 _ODOMETRY = ("x_m", "y_m", "yaw_rad")
 GYRO_HEADER = "stamp_s,yaw_rate_rad_s"
@@ -77,7 +72,7 @@ IMU_HEADER = "stamp_s,x_rad_s,y_rad_s,z_rad_s"
 
 
 def wheels_header(calibration: Calibration | None) -> str:
-    """The first line of wheels.csv: counts of each wheel, or the pose by a holonomic base's own odometry."""
+    """The first line of wheels.csv: a column for each wheel's count, or the pose by a holonomic base's own odometry."""
     if calibration is None or calibration.holonomic is None:
         return WHEELS_HEADER
     return ",".join(("stamp_s", *(calibration.holonomic.wheel_names or _ODOMETRY)))
@@ -91,7 +86,7 @@ class NativeReader:
     needs = "wheels.csv and calibration.yaml; images as tum"
 
     def recognises(self, folder: Path) -> bool:
-        """Whether wheels.csv is there."""
+        """Whether the folder has a wheels.csv."""
         return is_there(folder / "wheels.csv")
 
     def open(self, folder: Path, options: OpenOptions) -> ImageRecording | WheelRecording:
@@ -122,17 +117,9 @@ class NativeReader:
 
 
 def _missing(folder: Path, has_images: bool) -> Calibration:
-    """Raises CalibrationError: nothing tells what sensors these are."""
+    """Raises CalibrationError: the recording has no calibration."""
     fix = camera_choices() if has_images else "say how large the wheels are with --calibration"
     raise CalibrationError("is missing", path=folder / "calibration.yaml", fix=fix)
-
-
-def read_wheels(path: Path) -> tuple[list[WheelTicks], list[str]]:
-    """The counts of two wheels in wheels.csv in order of time, and warnings. Raises RecordingError."""
-    table, warnings = read_columns(path, counts=("left", "right"))
-    ticks = list(map(WheelTicks, table.stamps_s, table["left"], table["right"]))
-    growing, more = keep_growing(ticks, table.lines, path)
-    return growing, warnings + more
 
 
 def _read_readings(
@@ -140,15 +127,15 @@ def _read_readings(
 ) -> tuple[tuple[WheelTicks, ...] | tuple[WheelCounts, ...] | tuple[OdometryReading, ...], list[str]]:
     """The readings of wheels.csv in order of time, and warnings. Raises RecordingError.
 
-    Which columns it has goes by the calibration's wheels; the pose by a base's own odometry is read beside any
-    holonomic wheels.
+    The calibration's wheels determine the columns. For holonomic wheels the columns of a pose are accepted too.
     """
     holonomic = calibration.holonomic
     names = () if holonomic is None else holonomic.wheel_names
     if _has_columns(path, _ODOMETRY) and not _has_columns(path, names or ("left", "right")):
         if calibration.wheels is not None:
             fix = "say `kind: holonomic` of wheels in calibration.yaml, or write stamp_s,left,right"
-            raise RecordingError(f"has {', '.join(_ODOMETRY)}, which two wheels have not", path=path, fix=fix)
+            problem = f"has {', '.join(_ODOMETRY)}, but the calibration has two wheels"
+            raise RecordingError(problem, path=path, fix=fix)
         table, warnings = read_columns(path, numbers=_ODOMETRY)
         poses = list(map(OdometryReading, table.stamps_s, *(table[name] for name in _ODOMETRY)))
         growing_poses, more = keep_growing(poses, table.lines, path)
@@ -170,15 +157,29 @@ def _has_columns(path: Path, names: Sequence[str]) -> bool:
         return False
 
 
+def read_wheels(path: Path) -> tuple[list[WheelTicks], list[str]]:
+    """The counts of two wheels in wheels.csv in order of time, and warnings. Raises RecordingError."""
+    table, warnings = read_columns(path, counts=("left", "right"))
+    ticks = list(map(WheelTicks, table.stamps_s, table["left"], table["right"]))
+    growing, more = keep_growing(ticks, table.lines, path)
+    return growing, warnings + more
+
+
 def _read_yaw_rates(folder: Path, calibration: Calibration) -> tuple[list[YawRate], list[str]]:
-    """The readings of gyro.csv in order of time, or where it has none those of the camera's gyroscope; and warnings."""
-    rates, warnings = _read_gyro(folder / "gyro.csv")
+    """Yaw rates of gyro.csv in order of time, else those of the camera's gyroscope in imu.csv; and warnings."""
+    rates: list[YawRate] = []
+    warnings: list[str] = []
+    path = folder / "gyro.csv"
+    if is_there(path):
+        table, warnings = read_columns(path, numbers=("yaw_rate_rad_s",))
+        rates, more = keep_growing(list(map(YawRate, table.stamps_s, table["yaw_rate_rad_s"])), table.lines, path)
+        warnings += more
     if rates or not is_there(folder / IMU_FILE):
         return rates, warnings
     turns, more = read_angular_velocities(folder / IMU_FILE)
     mount = calibration.T_base_camera
     if mount is None:
-        unused = f"{len(turns)} readings in {IMU_FILE} are not used: T_base_camera, how the camera sits, is not known."
+        unused = f"{len(turns)} readings in {IMU_FILE} are not used: T_base_camera, the camera's mount, is unknown."
         return [], [*warnings, *more, *([unused] if turns else [])]
     return [turn.yaw_rate(mount) for turn in turns], [*warnings, *more]
 
@@ -193,23 +194,12 @@ def read_angular_velocities(path: Path) -> tuple[list[AngularVelocity], list[str
 
 
 def camera_turns(folder: StrPath) -> tuple[list[AngularVelocity], list[str]]:
-    """What the gyroscope in a recording's camera told, and warnings; nothing where the recording keeps none."""
+    """The readings of the camera's gyroscope in a recording, and warnings; empty where it has none."""
     path = Path(folder) / IMU_FILE
     return read_angular_velocities(path) if is_there(path) else ([], [])
 
 
-def _read_gyro(path: Path) -> tuple[list[YawRate], list[str]]:
-    """The readings of gyro.csv in order of time, and warnings; none where there is no such file."""
-    if not is_there(path):
-        return [], []
-    table, warnings = read_columns(path, numbers=("yaw_rate_rad_s",))
-    rates = list(map(YawRate, table.stamps_s, table["yaw_rate_rad_s"]))
-    growing, more = keep_growing(rates, table.lines, path)
-    return growing, warnings + more
-
-
-# Writing recordings in wheelsight's own layout, so that a broken-off recording is only a shorter one.
-
+# Writing
 
 _IMAGE_HEADERS = {
     "rgb.txt": "# color images\n# timestamp filename\n",
@@ -222,7 +212,7 @@ _LABELS_HEADER = "stamp_s,area\n"
 _DEEPEST_UNITS = np.iinfo(np.uint16).max
 _INFRARED = "infrared.txt"
 _INFRARED_HEADER = "# infrared images\n# timestamp filename\n"
-# What a stamp of each list must come after.
+# The kinds of events in each list. Stamps of each kind must increase.
 _KINDS = {
     "rgb.txt": ("RgbdFrame",),
     "wheels.csv": ("WheelTicks", "WheelCounts", "OdometryReading"),
@@ -232,12 +222,12 @@ _KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class WrittenFrame:
-    """A frame whose images are in the folder, and which no list names yet.
+    """A frame whose images are written, but not listed yet.
 
     Attributes:
-        lines: what the lists are to get, by their names.
+        lines: the line for each list, by the list's name.
         size_bytes: of the images.
-        too_far: depth pixels beyond 13.107 m.
+        too_far: the number of depth pixels beyond 13.107 m.
     """
 
     lines: dict[str, str]
@@ -246,7 +236,7 @@ class WrittenFrame:
 
 
 class LiveWriter(Protocol):
-    """Where what live sensors say is written: frames by several threads, listed by one in the order they came."""
+    """A writer for events of live sensors. Several threads write frames; one thread lists them in order."""
 
     @property
     def last_stamp_s(self) -> float:
@@ -254,14 +244,14 @@ class LiveWriter(Protocol):
 
     @property
     def frames(self) -> int:
-        """How many it has by now."""
+        """The number of frames so far."""
 
     @property
     def readings(self) -> int:
-        """How many wheel readings it has."""
+        """The number of wheel readings so far."""
 
     def check(self, event: Event) -> None:
-        """Refuse what cannot be read again. Raises ArgumentError, RecordingError."""
+        """Raise ArgumentError or RecordingError where the event cannot be stored without loss."""
 
     def add(self, event: Event) -> None:
         """Write one event. Raises as `check`, and OutputError."""
@@ -270,44 +260,44 @@ class LiveWriter(Protocol):
         """Write a reading of the camera's gyroscope. Raises as `add`."""
 
     def write_frame(self, frame: RgbdFrame, infrared: UInt16Array | None = None) -> Any:
-        """Encode a frame that was checked; what it comes to tells its `size_bytes`. Raises OutputError."""
+        """Encode a checked frame. Returns a value with `size_bytes`, for `list_frame`. Raises OutputError."""
 
     def list_frame(self, written: Any, clock: FrameClock | None = None) -> None:
-        """Let readers find a frame. Raises OutputError."""
+        """Add a written frame to the lists. Raises OutputError."""
 
     def close(self) -> None:
-        """End. Raises OutputError."""
+        """Close all files. Raises OutputError."""
 
 
 class RecordingWriter(OneCaller):
-    """Writes events into a folder as they come; use it in a `with` block, and `open_recording` reads them again.
+    """Writes events into a folder as they come. Use it in a `with` block; `open_recording` reads the folder.
 
-    Colour is kept exactly, unless as JPEG, depth to 0.1 mm: 5000 units a metre in 16 bits, as in the TUM benchmark,
-    so that any TUM tool reads it. That ends at 13.107 m; what lies beyond is written as not measured and counted in
-    `depths_too_far`. Images appear whole or not at all, and a list names an image only once it is
-    there; a recording broken off at any point, even by a power cut, is a valid shorter one.
+    PNG stores colour without loss. Depth has a resolution of 0.2 mm: 16 bits with 5000 units per metre, as in the TUM
+    benchmark, so that any TUM tool reads it. Depth beyond 13.107 m is written as invalid and counted in
+    `depths_too_far`. Images are written atomically, and before the list that names them. An interrupted recording, even
+    by a power cut, is therefore valid and only shorter.
 
-    Of a robot without cameras, by its calibration, it is a recording of the wheels alone; so it is where `calibration`
-    is None, of a robot not calibrated yet.
+    Without cameras in `calibration`, or without a calibration, it is a recording of the wheels alone.
 
-    Several threads may `write_frame` at once, which takes nearly all the time of a frame; one of them `list_frame`.
+    Several threads may call `write_frame` at once, which takes nearly all the time of a frame; one thread calls
+    `list_frame`.
 
     Args:
-        folder: made if need be.
-        calibration: of the robot; None of one that is not calibrated yet.
-        force: whether a recording in the folder is overwritten.
-        color: "png" keeps colour exactly, "jpeg" with quality 95, in a tenth of the time and a fifth of the room.
-        resume: whether to go on behind what the folder holds, by its own calibration; where it holds nothing, anew.
+        folder: created if necessary.
+        calibration: of the robot; None where it is not calibrated yet.
+        force: whether to overwrite a recording in the folder.
+        color: "png" for lossless colour; "jpeg" with quality 95, in a tenth of the time and a fifth of the space.
+        resume: whether to append to the folder's recording, or start one where the folder is empty.
 
     Attributes:
-        folder: where the recording lies.
-        frames: how many it has by now.
-        readings: how many wheel readings it has.
-        depths_too_far: depth pixels beyond 13.107 m, in all frames that were added.
+        folder: of the recording.
+        frames: the number of frames so far.
+        readings: the number of wheel readings so far.
+        depths_too_far: the number of depth pixels beyond 13.107 m in all frames that were added.
 
     Raises:
-        OutputError: the folder is not empty and neither `force` nor `resume` is on, cannot be written, or the disk is
-            full; or what is to be resumed is no recording of these sensors.
+        OutputError: the folder is not empty and neither `force` nor `resume` is set, the folder cannot be written, the
+            disk is full, or the recording to resume has other sensors.
     """
 
     def __init__(
@@ -331,24 +321,17 @@ class RecordingWriter(OneCaller):
         if resume:
             remove_leftovers(self.folder)
         else:
-            self._begin_anew()
+            # Remove files of an earlier recording that this one may not overwrite.
+            for name in (*TRUTH_FILES.values(), _LABELS, _INFRARED, CLOCK_FILE, IMU_FILE, "calibration.yaml"):
+                (self.folder / name).unlink(missing_ok=True)
         for name in ("rgb", "depth") if has_cameras else ():
             make_output_folder(self.folder / name, force=True)
         if calibration is not None:
-            # Depth is written as it was corrected when it was read; it must not be corrected again.
+            # Depth is written after its correction, so the correction must not be applied again.
             save_calibration(replace(calibration, depth_error=DepthError()), self.folder / "calibration.yaml")
         of_wheels = {"wheels.csv": f"{wheels_header(calibration)}\n"}
         headers = (_IMAGE_HEADERS if has_cameras else {}) | of_wheels | _GYRO_HEADERS
         self._lists = {name: GrowingText(self.folder / name, header, resume) for name, header in headers.items()}
-        self._count_earlier()
-
-    def _begin_anew(self) -> None:
-        """Leave nothing of a recording before that this one may lack."""
-        for name in (*TRUTH_FILES.values(), _LABELS, _INFRARED, CLOCK_FILE, IMU_FILE, "calibration.yaml"):
-            (self.folder / name).unlink(missing_ok=True)
-
-    def _count_earlier(self) -> None:
-        """What is resumed counts, and its stamps are those that others must come after."""
         for name, kinds in _KINDS.items():
             if name in self._lists and (earlier := self._lists[name].earlier):
                 self._last_stamp_s |= dict.fromkeys(kinds, last_stamp_s(earlier))
@@ -362,13 +345,13 @@ class RecordingWriter(OneCaller):
 
     @one_at_a_time
     def add(self, event: Event) -> None:
-        """Write one event; frames that were skipped when they were read leave no trace.
+        """Write one event. Skipped frames are ignored.
 
         Raises:
-            ArgumentError: no event, stamps that are no seconds, or numbers or images that cannot be read again as they
-                are: of another size or kind than the calibration's, or depth that is not in metres.
-            RecordingError: stamps that do not grow.
-            OutputError: the disk is full or the folder has gone.
+            ArgumentError: the argument is not an event, its stamp is not in seconds, or its numbers or images cannot be
+                stored: another size or type than the calibration's, or depth that is not in metres.
+            RecordingError: the stamp does not increase.
+            OutputError: the disk is full, or the folder was removed.
         """
         if isinstance(event, SkippedFrame):
             check_event(event)
@@ -383,16 +366,16 @@ class RecordingWriter(OneCaller):
             self._lists["gyro.csv"].append(f"{seconds(event.stamp_s)},{seconds(event.yaw_rate_rad_s)}\n")
 
     def add_angular_velocity(self, turn: AngularVelocity) -> None:
-        """Write a reading of the camera's gyroscope, in imu.csv: how the camera sits need not be known yet.
+        """Write a reading of the camera's gyroscope to imu.csv. The camera's mount may be unknown.
 
         Raises:
-            ArgumentError: a number that is not finite.
-            RecordingError: a stamp that does not grow.
+            ArgumentError: a number is not finite.
+            RecordingError: the stamp does not increase.
             OutputError: as `add`.
         """
         numbers = (turn.stamp_s, turn.x_rad_s, turn.y_rad_s, turn.z_rad_s)
         if not np.isfinite(numbers).all():
-            raise ArgumentError(f"{turn} holds what is no number", fix="leave it out")
+            raise ArgumentError(f"{turn} has a number that is not finite", fix="leave it out")
         lines = self._list(IMU_FILE, f"{IMU_HEADER}\n")
         if lines.earlier and IMU_FILE not in self._last_stamp_s:
             self._last_stamp_s[IMU_FILE] = last_stamp_s(lines.earlier)
@@ -400,50 +383,48 @@ class RecordingWriter(OneCaller):
         lines.append(",".join(map(seconds, numbers)) + "\n")
 
     def check(self, event: Event) -> None:
-        """Refuse what `add` refuses, and take note of its stamp: others of its kind must come after it.
+        """Check an event as `add` does. Later stamps of its kind must be greater than this one.
 
-        Raises ArgumentError, RecordingError.
+        Raises:
+            ArgumentError, RecordingError: as `add`.
         """
         check_event(event, finite=True)
         if isinstance(event, WheelSpeeds):
             raise RecordingError("wheel speeds have no place here: wheels.csv holds ticks", path=self.folder)
         if isinstance(event, WheelReading):
-            self._check_wheels(event)
+            of = None if self._calibration is None else self._calibration.holonomic
+            header = wheels_header(self._calibration)
+            kind = WheelTicks if of is None else WheelCounts if of.wheel_names else OdometryReading
+            given = len(_columns_of(event))
+            if type(event) is not kind or given != header.count(","):
+                problem = f"a {type(event).__name__} of {given} numbers has no place here"
+                fix = f"wheels.csv has {header}, by the calibration's wheels"
+                raise RecordingError(problem, path=self.folder, fix=fix)
         if isinstance(event, RgbdFrame):
             check_images(event, self._known_calibration())
         self._stamps.check(event)
         self._check_stamps(type(event).__name__, event.stamp_s, event.stamp_s)
 
-    def _check_wheels(self, reading: WheelReading) -> None:
-        """Refuse readings of other wheels than the calibration's: wheels.csv has the columns of these."""
-        of = None if self._calibration is None else self._calibration.holonomic
-        header = wheels_header(self._calibration)
-        kind = WheelTicks if of is None else WheelCounts if of.wheel_names else OdometryReading
-        given = len(_columns_of(reading))
-        if type(reading) is not kind or given != header.count(","):
-            problem = f"a {type(reading).__name__} of {given} numbers has no place here"
-            fix = f"wheels.csv has {header}, by the calibration's wheels"
-            raise RecordingError(problem, path=self.folder, fix=fix)
-
     def write_frame(self, frame: RgbdFrame, infrared: UInt16Array | None = None) -> WrittenFrame:
-        """Write the images of a frame that was checked, and (H, W) infrared beside depth; no list names them yet.
+        """Write the images of a checked frame, with (H, W) infrared where given. `list_frame` adds them to the lists.
 
         Raises OutputError.
         """
         color, depth = seconds(frame.stamp_s), seconds(frame.stamp_s + frame.depth_late_s)
         names = {"rgb.txt": f"rgb/{color}{SUFFIXES[self._color]}", "depth.txt": f"depth/{depth}.png"}
         lines = {"rgb.txt": f"{color} {names['rgb.txt']}\n", "depth.txt": f"{depth} {names['depth.txt']}\n"}
-        units, too_far = _depth_units(frame.depth_m)
+        units = np.rint(np.asarray(frame.depth_m, np.float64) * DEPTH_FACTOR)
+        is_too_far = units > _DEEPEST_UNITS
         size = write_color(self.folder / names["rgb.txt"], frame.color, self._color)
-        size += write_units(self.folder / names["depth.txt"], units)
+        size += write_units(self.folder / names["depth.txt"], np.where(is_too_far, 0, units).astype(np.uint16))
         if infrared is not None:
             make_output_folder(self.folder / "infrared", force=True)
             size += write_units(self.folder / f"infrared/{depth}.png", infrared)
             lines[_INFRARED] = f"{depth} infrared/{depth}.png\n"
-        return WrittenFrame(lines, size, too_far)
+        return WrittenFrame(lines, size, int(np.count_nonzero(is_too_far)))
 
     def list_frame(self, written: WrittenFrame, clock: FrameClock | None = None) -> None:
-        """Name the images of a frame in their lists, in the order of stamps, and how it got its stamp.
+        """Add a written frame to the lists, and its clock to camera_clock.csv. Call it in order of stamps.
 
         Raises OutputError.
         """
@@ -457,17 +438,17 @@ class RecordingWriter(OneCaller):
         self.depths_too_far += written.too_far
 
     def _list(self, name: str, header: str) -> GrowingText:
-        """One that not every recording has."""
+        """A list or table that is created at first use."""
         if name not in self._lists:
             self._lists[name] = GrowingText(self.folder / name, header, self._resumes)
         return self._lists[name]
 
     @one_at_a_time
     def add_ground_truth(self, truth: Trajectory) -> None:
-        """Write the true trajectory of the camera or the base; if the calibration joins the two, both.
+        """Write the true trajectory of the camera or the base; of both where T_base_camera is known.
 
         Raises:
-            CalibrationError: the trajectory describes the base and no T_base_camera says where the camera is.
+            CalibrationError: the trajectory describes the base, and the calibration has no T_base_camera.
             OutputError: it cannot be written.
         """
         calibration = self._known_calibration()
@@ -478,12 +459,12 @@ class RecordingWriter(OneCaller):
             write_tum(express_for(body, truth, calibration), self.folder / TRUTH_FILES[body])
 
     def append_ground_truth(self, truth: Trajectory) -> None:
-        """Append true poses of the camera or the base as they become known, to that body's file alone.
+        """Append true poses of the camera or the base to the file of that body.
 
-        Unlike `add_ground_truth` it believes no T_base_camera: whoever knows both bodies' truth gives both.
+        Unlike `add_ground_truth` it does not use T_base_camera; call it for each body.
 
         Raises:
-            RecordingError: the body is another, or stamps do not come after those appended before.
+            RecordingError: the body is neither, or the stamps do not increase.
             OutputError: as `add`.
         """
         name = TRUTH_FILES.get(truth.body)
@@ -496,10 +477,10 @@ class RecordingWriter(OneCaller):
 
     @one_at_a_time
     def add_label(self, stamp_s: float, area: str | None) -> None:
-        """Say in which area the robot was at a frame's time, None for no area; they land in labels.csv.
+        """Write the robot's area at a frame's time to labels.csv; None for no area.
 
         Raises:
-            RecordingError: a stamp that does not grow, or a name that would break its line.
+            RecordingError: the stamp does not increase, or the name has a character that the table cannot hold.
             OutputError: as `add`.
         """
         name = area or ""
@@ -509,7 +490,7 @@ class RecordingWriter(OneCaller):
         self._list(_LABELS, _LABELS_HEADER).append(f"{seconds(stamp_s)},{name}\n")
 
     def close(self) -> None:
-        """End the recording. Nothing is lost without it but what the system had not yet written."""
+        """Close all files. Without it, only data in the system's buffers is lost."""
         for stream in self._lists.values():
             stream.close()
 
@@ -527,7 +508,7 @@ class RecordingWriter(OneCaller):
         return self._calibration
 
     def _check_stamps(self, what: str, first_s: float, last_s: float) -> None:
-        """Refuse stamps that do not come after those of the same kind, or are no numbers."""
+        """Raise RecordingError where stamps are not greater than earlier ones of their kind, or not finite."""
         before_s = self._last_stamp_s.get(what, -np.inf)
         if not before_s < first_s <= last_s < np.inf:
             raise RecordingError(f"stamp {first_s:.6f} does not come after {before_s:.6f}", path=self.folder)
@@ -535,11 +516,10 @@ class RecordingWriter(OneCaller):
 
 
 def write_recording(folder: StrPath, recording: Recording, force: bool = False) -> RecordingWriter:
-    """Write any recording in wheelsight's own layout; answers the closed writer with its counts.
+    """Write any recording in wheelsight's own layout. Returns the closed writer, with its counts.
 
     Raises:
-        OutputError: as `RecordingWriter`.
-        RecordingError: as `RecordingWriter`.
+        OutputError, RecordingError: as `RecordingWriter`.
     """
     folder = Path(folder)
     with RecordingWriter(folder, recording.calibration, force) as writer:
@@ -551,7 +531,7 @@ def write_recording(folder: StrPath, recording: Recording, force: bool = False) 
 
 
 def _columns_of(reading: WheelReading) -> list[str]:
-    """The numbers of a reading after its stamp, as wheels.csv has them."""
+    """The columns of a reading in wheels.csv, without its stamp."""
     if isinstance(reading, WheelTicks):
         return [str(int(reading.left)), str(int(reading.right))]
     if isinstance(reading, WheelCounts):
@@ -561,54 +541,40 @@ def _columns_of(reading: WheelReading) -> list[str]:
     return [seconds(number) for number in (reading.left_rad_s, reading.right_rad_s)]
 
 
-def _depth_units(depth_m: Float32Array) -> tuple[NDArray[np.uint16], int]:
-    """Depth (H, W) as a file holds it, and how many pixels were too far for that."""
-    units = np.rint(np.asarray(depth_m, np.float64) * DEPTH_FACTOR)
-    is_too_far = units > _DEEPEST_UNITS
-    return np.where(is_too_far, 0, units).astype(np.uint16), int(np.count_nonzero(is_too_far))
-
-
-# Going on with a recording that was broken off: whether that can be, and what is left over of its end.
-
+# Resuming an interrupted recording
 
 _IMAGE_FOLDERS = "rgb", "depth", "infrared"
-_LEFT_OVER = re.compile(r"\..+\.[0-9a-f]{8}")  # as files.atomic_write calls what is not whole yet
+_LEFT_OVER = re.compile(r"\..+\.[0-9a-f]{8}")  # temporary files of `files.atomic_write`
 
 
 def resumed_calibration(folder: Path) -> Calibration | None:
-    """Of the recording that is to go on; None where there is none yet, or it has no calibration.
-
-    Raises CalibrationError.
-    """
+    """The calibration of a recording to resume; None where it has none, or does not exist. Raises CalibrationError."""
     path = folder / "calibration.yaml"
     return load_calibration(path) if is_there(path) else None
 
 
 def check_resumable(folder: Path, calibration: Calibration | None) -> None:
-    """Refuse a folder that holds something else, or a recording that frames of these cameras do not go on.
-
-    Raises OutputError.
-    """
+    """Raise OutputError where a folder has other contents than a recording of the same sensors."""
     if not folder.is_dir() or not any(folder.iterdir()):
         return
     another = "record into another --out"
     if not is_there(folder / "wheels.csv"):
-        raise OutputError("holds no recording that could go on", path=folder, fix=another)
+        raise OutputError("holds no recording to resume", path=folder, fix=another)
     try:
         before = resumed_calibration(folder)
     except CalibrationError as error:
-        raise OutputError(f"cannot go on: {error.problem}", path=error.path or folder, fix=another) from error
+        raise OutputError(f"cannot be resumed: {error.problem}", path=error.path or folder, fix=another) from error
     if _sizes(before) != _sizes(calibration):
-        problem = f"holds a recording of {_told(before)}, which {_told(calibration)} cannot go on"
+        problem = f"holds a recording of {_sensors(before)}, which {_sensors(calibration)} cannot resume"
         raise OutputError(problem, path=folder, fix=another)
     headers = [wheels_header(of) for of in (before, calibration)]
     if headers[0] != headers[1]:
-        problem = f"its wheels.csv has {headers[0]}, which {headers[1]} cannot go on"
+        problem = f"its wheels.csv has {headers[0]}, which {headers[1]} cannot resume"
         raise OutputError(problem, path=folder, fix=another)
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove what was written only in part when the recording was broken off."""
+    """Remove files that were written only in part when the recording was interrupted."""
     for place in (folder, *(folder / name for name in _IMAGE_FOLDERS)):
         for path in place.glob(".*") if place.is_dir() else ():
             if _LEFT_OVER.fullmatch(path.name) and path.is_file():
@@ -617,7 +583,7 @@ def remove_leftovers(folder: Path) -> None:
 
 
 def last_stamp_s(lines: Sequence[str]) -> float:
-    """The stamp of the last line of a list or table. Raises OutputError where it is none."""
+    """The stamp of the last line of a list or table. Raises OutputError where it has none."""
     word = re.split(r"[\s,]", lines[-1], maxsplit=1)[0]
     try:
         return float(word)
@@ -626,19 +592,18 @@ def last_stamp_s(lines: Sequence[str]) -> float:
 
 
 def _sizes(calibration: Calibration | None) -> tuple[tuple[int, int], ...]:
-    """Of the images of both cameras; nothing where there are none."""
+    """Width and height of the images of both cameras; empty without cameras."""
     if calibration is None or calibration.color is None:
         return ()
     return tuple((camera.width, camera.height) for camera in calibration.cameras)
 
 
-def _told(calibration: Calibration | None) -> str:
+def _sensors(calibration: Calibration | None) -> str:
     sizes = _sizes(calibration)
     return f"a camera of {' and '.join(f'{w}×{h}' for w, h in dict.fromkeys(sizes))}" if sizes else "wheels alone"
 
 
-# camera_clock.csv: how each frame of a live camera got its stamp, and how sure that is.
-
+# camera_clock.csv: the stamps of a live camera's frames
 
 CLOCK_FILE = "camera_clock.csv"
 CLOCK_HEADER = "stamp_s,stamp_sigma_s,arrived_s,device_s,sequence"
@@ -646,14 +611,14 @@ CLOCK_HEADER = "stamp_s,stamp_sigma_s,arrived_s,device_s,sequence"
 
 @dataclass(frozen=True, slots=True)
 class FrameClock:
-    """Of one frame; all times but `device_s` are of the host's clock.
+    """The times of one frame. All but `device_s` are of the host's clock.
 
     Attributes:
         stamp_s: of the frame, mapped from the camera's clock.
         stamp_sigma_s: standard deviation of that mapping.
-        arrived_s: when the host was handed the frame.
-        device_s: the camera's own stamp, by its own clock; None where it has none.
-        sequence: the camera's own number of it; None where it has none.
+        arrived_s: when the host received the frame.
+        device_s: the stamp by the camera's clock; None where it gives none.
+        sequence: the frame number that the camera gives; None where it gives none.
     """
 
     stamp_s: float
@@ -664,14 +629,14 @@ class FrameClock:
 
     @property
     def line(self) -> str:
-        """Of the file; what is not known is left empty."""
+        """The line in camera_clock.csv; unknown values are empty."""
         device = "" if self.device_s is None else seconds(self.device_s)
         numbers = (seconds(value) for value in (self.stamp_s, self.stamp_sigma_s, self.arrived_s))
         return ",".join([*numbers, device, "" if self.sequence is None else str(self.sequence)]) + "\n"
 
 
 def read_frame_clocks(folder: Path) -> tuple[FrameClock, ...]:
-    """Of each frame of a recording in wheelsight's own layout; none where it has no such file.
+    """The clock of each frame of a recording in wheelsight's own layout; empty where it has no such file.
 
     Raises RecordingError.
     """
@@ -679,18 +644,16 @@ def read_frame_clocks(folder: Path) -> tuple[FrameClock, ...]:
     if not is_there(path):
         return ()
     rows, _ = read_table(path, CLOCK_HEADER.split(","))
-    return tuple(map(_clock, rows))
+    clocks = []
+    for row in rows:
+        known = {name: bool(row.words[row.columns[name]]) for name in ("device_s", "sequence")}
+        device_s = row["device_s"] if known["device_s"] else None
+        sequence = row.whole("sequence") if known["sequence"] else None
+        clocks.append(FrameClock(row.stamp_s, row["stamp_sigma_s"], row["arrived_s"], device_s, sequence))
+    return tuple(clocks)
 
 
-def _clock(row: Row) -> FrameClock:
-    known = {name: bool(row.words[row.columns[name]]) for name in ("device_s", "sequence")}
-    device_s = row["device_s"] if known["device_s"] else None
-    sequence = row.whole("sequence") if known["sequence"] else None
-    return FrameClock(row.stamp_s, row["stamp_sigma_s"], row["arrived_s"], device_s, sequence)
-
-
-# loops.csv: matches from outside, which anybody's place recognition may write beside a recording.
-
+# loops.csv: matches of places from an external place recognition
 
 MATCHES_FILE = "loops.csv"
 _STAMPS = ("stamp_a_s", "stamp_b_s")
@@ -698,18 +661,18 @@ _POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 _SIGMAS = ("sigma_m", "sigma_rad")
 _SCORE = "score"
 _UNIT_TOLERANCE = 0.01
-# A match a second over a whole day; each is checked by itself, which takes 25 µs.
+# One match per second over a day. Checking one takes 25 µs.
 _FILE = replace(LIST, name="a list of matches", most_mb=32, most_lines=100_000)
 
 
 def read_matches(path: StrPath) -> tuple[list[Match], list[str]]:
-    """Matches of a table, one a line, and warnings.
+    """The matches of a table, one per line, and warnings.
 
-    Columns, named in the first line, in any order: stamp_a_s and stamp_b_s; if there are any, all of x_m, y_m, z_m, qx,
-    qy, qz, qw, the pose of the body at b seen from a; sigma_m and sigma_rad of that pose; score, 0 to 1.
+    The first line names the columns, in any order. Required are stamp_a_s and stamp_b_s. Optional are the pose T_a_b
+    of the body as x_m, y_m, z_m, qx, qy, qz, qw, its standard deviations sigma_m and sigma_rad, and score, 0 to 1.
 
     Raises:
-        RecordingError: naming file and line, for columns that are missing, or what is no number, pose or score.
+        RecordingError: a column is missing, or a number, pose or score is invalid; names file and line.
     """
     path = Path(path)
     has = set(column_names(path, _STAMPS, _FILE))
@@ -721,17 +684,8 @@ def read_matches(path: StrPath) -> tuple[list[Match], list[str]]:
     return [_match(row, has) for row in rows], warnings
 
 
-def matches_of(recording: Recording) -> tuple[list[Match], list[str]]:
-    """The recording's own, and those of a loops.csv in its folder; and warnings. Raises RecordingError."""
-    own = list(recording.matches) if isinstance(recording, GivesMatches) else []
-    path = recording.path / MATCHES_FILE
-    if not is_there(path):
-        return own, []
-    others, warnings = read_matches(path)
-    return own + others, warnings
-
-
 def _match(row: Row, has: set[str]) -> Match:
+    """The match of a line, given the table's columns. Raises RecordingError."""
     a_s, b_s = (parse_stamp(row.words[row.columns[name]], row.path, row.number) for name in _STAMPS)
     score = row[_SCORE] if _SCORE in has else None
     if score is not None and not 0 <= score <= 1:
@@ -744,11 +698,19 @@ def _match(row: Row, has: set[str]) -> Match:
         problem = f"quaternion has length {np.linalg.norm(quaternion):.4g}, not 1"
         raise RecordingError(problem, path=row.path, line=row.number, fix="write qx qy qz qw")
     T_a_b = se3.from_parts(so3.from_quaternion(quaternion / np.linalg.norm(quaternion)), position)
-    return Match(a_s, b_s, T_a_b, _covariance(row) if _SIGMAS[0] in has else None, score)
-
-
-def _covariance(row: Row) -> FloatArray:
+    if _SIGMAS[0] not in has:
+        return Match(a_s, b_s, T_a_b, None, score)
     sigmas = [row[name] for name in _SIGMAS]
     if min(sigmas) <= 0:
         raise RecordingError("a sigma is not positive", path=row.path, line=row.number, fix="standard deviations")
-    return np.diag(np.square(np.repeat(sigmas, 3)))
+    return Match(a_s, b_s, T_a_b, np.diag(np.square(np.repeat(sigmas, 3))), score)
+
+
+def matches_of(recording: Recording) -> tuple[list[Match], list[str]]:
+    """The matches of a recording and of the loops.csv in its folder, and warnings. Raises RecordingError."""
+    own = list(recording.matches) if isinstance(recording, GivesMatches) else []
+    path = recording.path / MATCHES_FILE
+    if not is_there(path):
+        return own, []
+    others, warnings = read_matches(path)
+    return own + others, warnings

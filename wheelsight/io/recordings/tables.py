@@ -35,13 +35,10 @@ from wheelsight.core.inputs import (
 from wheelsight.core.stamps import column_unit
 from wheelsight.io.recordings.recording import LeftOut
 
-# Text files of recordings: lines with their numbers, stamps, and that these must grow.
-
-
 _SHARE_OUT_OF_ORDER_ALLOWED = 0.01
-# In stretches that are shorter on the average, lines lie about; longer ones are in order, each by itself.
+# Mean length of sorted stretches from which on they are taken for a clock that was set back, not for unsorted lines.
 _FEWEST_IN_ORDER = 10
-LARGEST_STAMP = 1e20  # over a hundred years in nanoseconds: a wrong unit, which others name; beyond, no unit has it
+LARGEST_STAMP = 1e20  # over a hundred years in nanoseconds; no unit has larger stamps
 _STAMP_NAME = re.compile(r"(?:time_?stamps?|stamps?|time|t)(?![a-z])", re.IGNORECASE)
 _OTHER_UNIT = re.compile(r"(?<![a-z])(?:[nmuµ]s|[nmu]secs?|(?:nano|micro|milli)sec\w*)(?![a-z])", re.IGNORECASE)
 COMMENT = re.compile(r"(^|\s)#.*")
@@ -62,7 +59,7 @@ S = TypeVar("S", bound=_Stamped)
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One line that is no comment, with its number in the file, from 1."""
+    """A line that is not a comment, with its number in the file, from 1."""
 
     number: int
     text: str
@@ -74,10 +71,10 @@ def read_list(path: Path, kind: Kind = LIST) -> str:
 
 
 def read_lines(path: Path) -> list[Line]:
-    """The lines of a text file without comments and blank lines; any line ends, with or without byte order mark.
+    """The lines of a text file without comments and blank lines. Any line ending and a byte order mark are accepted.
 
     Raises:
-        RecordingError: naming the file, if it is missing, no text, no regular file, or too large.
+        RecordingError: the file is missing, not text, not a regular file, or too large; names the file.
     """
     lines = enumerate(lines_of(read_list(path)), start=1)
     bare = (Line(number, COMMENT.sub("", line).strip()) for number, line in lines)
@@ -85,12 +82,12 @@ def read_lines(path: Path) -> list[Line]:
 
 
 def listed_lines(path: Path) -> tuple[list[Line], float]:
-    """The lines of a list of images, and how many of their stamps are a second, as a line above them may name it.
+    """The lines of a list of images, and the units per second of their stamps, which a line above them may name.
 
-    # may stand in a name: only lines that begin with it are comments. A first line of names is left out.
+    Only lines that begin with # are comments, since a name may contain it. A first line of column names is left out.
 
     Raises:
-        RecordingError: as `read_lines`, and for a unit in the first line that cannot be told.
+        RecordingError: as `read_lines`, and where the first line names an unknown unit.
     """
     lines: list[Line] = []
     per_second = 1.0
@@ -104,7 +101,7 @@ def listed_lines(path: Path) -> tuple[list[Line], float]:
 
 
 def _is_header(line: Line, path: Path) -> bool:
-    """Whether a list's first line names its columns, a stamp first. Raises RecordingError for a unit not understood."""
+    """Whether a list's first line names its columns, a stamp first. Raises RecordingError for an unknown unit."""
     name = unquoted(re.split(r"[;,\t]", line.text)[0])
     if not _STAMP_NAME.match(name):
         return False
@@ -124,12 +121,12 @@ def parse_stamp(word: str, path: Path, line: int) -> float:
 
 
 def keep_growing(items: Sequence[S], lines: Sequence[int], path: Path) -> tuple[list[S], list[str]]:
-    """The longest part of `items` whose stamps strictly grow, and a warning if that leaves any out.
+    """The longest subsequence of `items` whose stamps strictly increase, and a warning where it leaves any out.
 
-    A few lines out of order, up to 1 % of the file, are left out; more say that the file is wrong.
+    Up to 1 % of the lines may be left out.
 
     Raises:
-        RecordingError: naming file and line of the first that would have to go, or at which a clock was set back.
+        RecordingError: more lines are out of order; names the first one, or the line at which a clock was set back.
     """
     stamps_s = [item.stamp_s for item in items]
     if all(map(lt, stamps_s, stamps_s[1:])):
@@ -143,27 +140,26 @@ def keep_growing(items: Sequence[S], lines: Sequence[int], path: Path) -> tuple[
             problem, path=path, line=lines[first], fix="sort the lines by stamp and keep one of each stamp"
         )
     gone = len(items) - len(kept)
-    told = f"{path.name}:{lines[first]}: {problem}; {gone} of {len(items)} lines like it were left out"
+    warning = f"{path.name}:{lines[first]}: {problem}; {gone} of {len(items)} lines like it were left out"
     reason = f"{path.name}: stamps repeat others or are out of order"
-    return [items[i] for i in kept], [LeftOut(told, gone, len(items), reason)]
+    return [items[i] for i in kept], [LeftOut(warning, gone, len(items), reason)]
 
 
 def _refuse_clock_set_back(stamps_s: Sequence[float], lines: Sequence[int], path: Path) -> None:
-    """Refuse stretches in order that begin again earlier, which sorting would mix. Raises RecordingError."""
-    begins = [i for i in range(2, len(stamps_s)) if _begins_again(stamps_s, i)]
+    """Raise RecordingError for sorted stretches that overlap in time: sorting the file would interleave them."""
+    # A stretch begins where two stamps precede the ones before them; a single one may be wrong.
+    begins = [
+        i
+        for i in range(2, len(stamps_s))
+        if stamps_s[i] < min(stamps_s[i - 2 : i]) and stamps_s[min(i + 1, len(stamps_s) - 1)] < stamps_s[i - 1]
+    ]
     if not begins or len(stamps_s) < _FEWEST_IN_ORDER * (len(begins) + 1):
         return
     at = begins[0]
     by_s = stamps_s[at - 1] - stamps_s[at]
     problem = f"stamp {stamps_s[at]:.6f} is {by_s:.3g} s earlier than the one before it: a clock was set back"
-    fix = "cut the file before this line, or record again; sort the lines only if somebody put them in another order"
+    fix = "cut the file before this line, or record again; sort the lines only if they were shuffled afterwards"
     raise RecordingError(problem, path=path, line=lines[at], fix=fix)
-
-
-def _begins_again(stamps_s: Sequence[float], i: int) -> bool:
-    """Whether a stamp and the one after it come before both of those that were; one alone may be a bad one."""
-    before_s = stamps_s[i - 2 : i]
-    return stamps_s[i] < min(before_s) and stamps_s[min(i + 1, len(stamps_s) - 1)] < before_s[1]
 
 
 def _longest_growing(stamps: Sequence[float]) -> list[int]:
@@ -185,18 +181,17 @@ def _longest_growing(stamps: Sequence[float]) -> list[int]:
     return chain[::-1]
 
 
-# Tables of numbers whose first line names their columns, as people's programs write them.
-
+# Tables whose first line names their columns
 
 _FIX = "correct or remove the line"
-_LARGEST = 1e15  # of numbers: squares of larger ones no longer add up
-_UNIT_APART = re.compile(r"\s+(?=[\[(])()")  # "time [ms] left": one name, where white space parts names
-_LARGEST_COUNT = (1 << 64) - 1  # of the widest counter
+_LARGEST = 1e15  # of numbers: sums of squares of larger ones lose precision
+_UNIT_APART = re.compile(r"\s+(?=[\[(])()")  # "time [ms] left" has two names
+_LARGEST_COUNT = (1 << 64) - 1  # 64 bits, the widest counter
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One line of a table: its number in the file, from 1, the words of its columns, how stamps count."""
+    """One line of a table: its number in the file, from 1, its words, and the units per second of its stamp."""
 
     path: Path
     number: int
@@ -206,18 +201,18 @@ class Row:
 
     @property
     def stamp_s(self) -> float:
-        """Of column stamp_s, in seconds. Raises RecordingError."""
+        """The stamp in seconds. Raises RecordingError."""
         return parse_stamp(self.words[self.columns["stamp_s"]], self.path, self.number) / self.per_second
 
     def __getitem__(self, column: str) -> float:
-        """A finite number. Raises RecordingError."""
+        """The number in a column. Raises RecordingError where it is not finite."""
         value = as_number(self.words[self.columns[column]])
         if not abs(value) <= _LARGEST:
             raise self._error(column, "a number")
         return value
 
     def whole(self, column: str) -> int:
-        """A whole number, "7" or "7.0". Raises RecordingError."""
+        """The integer in a column, such as "7" or "7.0". Raises RecordingError."""
         word = self.words[self.columns[column]]
         try:
             value = int(word)
@@ -235,7 +230,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """A table's columns: stamps (N,) in seconds, the others by name, and the number of each row's line, from 1."""
+    """The columns of a table: stamps in seconds, the others by name, and the line number of each row, from 1."""
 
     stamps_s: list[float]
     values: dict[str, list[Any]]
@@ -246,10 +241,10 @@ class Columns:
 
 
 def read_columns(path: Path, numbers: Sequence[str] = (), counts: Sequence[str] = ()) -> tuple[Columns, list[str]]:
-    """Column stamp_s of a table, its `numbers` and its `counts`, which are whole; and warnings. See `read_table`.
+    """The columns stamp_s, `numbers` and `counts` (integers) of a table, and warnings. See `read_table`.
 
     Raises:
-        RecordingError: as `read_table`, and for what is no number, or no whole one.
+        RecordingError: as `read_table`, and where a word is not a number, or not an integer.
     """
     text = read_list(path)
     header = _header(text, path, ("stamp_s", *numbers, *counts))
@@ -269,20 +264,24 @@ def read_columns(path: Path, numbers: Sequence[str] = (), counts: Sequence[str] 
 
 
 def column_names(path: Path, columns: Sequence[str], kind: Kind = LIST) -> tuple[str, ...]:
-    """All columns that the first line of a table names; `columns` must be among them. Raises RecordingError."""
+    """All columns of a table. Raises RecordingError where one of `columns` is missing."""
     return _header(read_list(path, kind), path, columns).names
 
 
 def read_table(path: Path, columns: Sequence[str], kind: Kind = LIST) -> tuple[list[Row], list[str]]:
-    """The rows of a table whose first line names its columns, of which `columns` are read; and warnings.
+    """The rows of a table whose first line names its columns, and warnings.
 
-    Its first line says what parts the columns: semicolons (numbers may then have decimal commas), tabs, commas or
-    spaces; it may begin with #, be in capitals or have quotes. For stamp_s any name of stamps with a unit may stand,
-    such as stamp_ms or `time [ns]`. A last line that does not end was cut off while it was written; its numbers may
-    lack digits, so it is left out.
+    The first line determines the separator: semicolon (numbers may then have decimal commas), tab, comma or space. It
+    may begin with #, be in capitals or have quotes. In place of stamp_s a name with another unit is accepted, such as
+    stamp_ms or `time [ns]`. A last line without a line end is left out, since its numbers may lack digits.
+
+    Args:
+        path: of the table.
+        columns: that must be present.
+        kind: of file, with its bounds of size.
 
     Raises:
-        RecordingError: naming file and line, for a column that is missing, or a line of too few or too many words.
+        RecordingError: a column is missing, or a line has too few or too many words; names file and line.
     """
     text, warnings = read_list(path, kind), list[str]()
     return list(_rows(text, _header(text, path, columns), path, warnings)), warnings
@@ -290,7 +289,7 @@ def read_table(path: Path, columns: Sequence[str], kind: Kind = LIST) -> tuple[l
 
 @dataclass(frozen=True, slots=True)
 class _Header:
-    """The line that names the columns: its number, what parts them (None: white space), and how stamps count."""
+    """The line that names the columns: its number, the separator (None: white space), and stamp units per second."""
 
     number: int
     between: str | None
@@ -299,10 +298,12 @@ class _Header:
 
 
 def _plain_columns(text: str, header: _Header, numbers: Sequence[str], counts: Sequence[str]) -> Columns | None:
-    """The columns of a table of nothing but numbers, read at once; None for any other."""
-    begin = _start_of_line(text, header.number + 1)
+    """The columns of a table that has numbers only, parsed as one array; None for any other table."""
     if "\r" in text or not text.endswith("\n"):
         return None
+    begin = 0
+    for _ in range(header.number):
+        begin = text.find("\n", begin) + 1
     found = plain_rows(text[begin:], [name in counts for name in header.names], header.between)
     if found is None:
         return None
@@ -315,49 +316,8 @@ def _plain_columns(text: str, header: _Header, numbers: Sequence[str], counts: S
     return Columns(stamps_s, values, range(header.number + 1, header.number + 1 + len(stamps_s)))
 
 
-def _start_of_line(text: str, number: int) -> int:
-    begin = 0
-    for _ in range(number - 1):
-        begin = text.find("\n", begin) + 1
-    return begin
-
-
-def _rows(text: str, header: _Header, path: Path, warnings: list[str]) -> Iterator[Row]:
-    places, last = {name: place for place, name in enumerate(header.names)}, 0
-    for last, line in enumerate(_lines(text), start=1):
-        bare = COMMENT.sub("", line).strip() if "#" in line else line.strip()
-        if last <= header.number or not bare:
-            continue
-        words = _split(bare, header.between)
-        while len(words) > len(places) and not words[-1]:
-            words.pop()
-        if len(words) != len(places):
-            fix = "decimal commas need semicolons between the columns" if len(words) > len(places) else _FIX
-            problem = f"{len(words)} values where {len(places)} are expected"
-            raise RecordingError(problem, path=path, line=last, fix=fix)
-        yield Row(path, last, places, tuple(words), header.per_second)
-    if COMMENT.sub("", _rest(text)).strip() and last + 1 > header.number:
-        told = f"{path.name}:{last + 1}: the last line is cut off and was left out"
-        warnings.append(LeftOut(told, 1, last + 1, f"{path.name}: the last line is cut off"))
-
-
-def _lines(text: str) -> Iterator[str]:
-    """The lines that end, one by one, as `lines_of` counts them."""
-    if "\r" in text:
-        text = text.replace("\r\n", "\n").replace("\r", "\n")
-    begin = 0
-    while (end := text.find("\n", begin)) >= 0:
-        yield text[begin:end]
-        begin = end + 1
-
-
-def _rest(text: str) -> str:
-    """What stands after the last line that ends."""
-    return text[max(text.rfind("\n"), text.rfind("\r")) + 1 :]
-
-
 def _header(text: str, path: Path, columns: Sequence[str]) -> _Header:
-    """The line that names the columns."""
+    """The line that names the columns. Raises RecordingError where it lacks one of `columns`."""
     first = None
     for number, line in enumerate(itertools.chain(_lines(text), [_rest(text)]), start=1):
         is_comment = line.lstrip().startswith("#")
@@ -380,7 +340,7 @@ def _header(text: str, path: Path, columns: Sequence[str]) -> _Header:
 
 
 def _with_stamps(names: list[str]) -> tuple[list[str], float]:
-    """The names, with stamp_s for the one that is of stamps in some unit, and how many of these are a second."""
+    """The names, with stamp_s for the name of stamps in another unit, and that unit per second."""
     if "stamp_s" in names:
         return names, 1.0
     found = [(i, unit.per_second) for i, name in enumerate(names) if (unit := column_unit(name)) is not None]
@@ -390,13 +350,47 @@ def _with_stamps(names: list[str]) -> tuple[list[str], float]:
     return [*names[:place], "stamp_s", *names[place + 1 :]], per_second or 1.0
 
 
+def _rows(text: str, header: _Header, path: Path, warnings: list[str]) -> Iterator[Row]:
+    """The rows below the header; adds a warning where the last line is incomplete. Raises RecordingError."""
+    places, last = {name: place for place, name in enumerate(header.names)}, 0
+    for last, line in enumerate(_lines(text), start=1):
+        bare = COMMENT.sub("", line).strip() if "#" in line else line.strip()
+        if last <= header.number or not bare:
+            continue
+        words = _split(bare, header.between)
+        while len(words) > len(places) and not words[-1]:
+            words.pop()
+        if len(words) != len(places):
+            fix = "decimal commas need semicolons between the columns" if len(words) > len(places) else _FIX
+            problem = f"{len(words)} values where {len(places)} are expected"
+            raise RecordingError(problem, path=path, line=last, fix=fix)
+        yield Row(path, last, places, tuple(words), header.per_second)
+    if COMMENT.sub("", _rest(text)).strip() and last + 1 > header.number:
+        warning = f"{path.name}:{last + 1}: the last line is cut off and was left out"
+        warnings.append(LeftOut(warning, 1, last + 1, f"{path.name}: the last line is cut off"))
+
+
+def _lines(text: str) -> Iterator[str]:
+    """The complete lines, as `lines_of` counts them."""
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+    begin = 0
+    while (end := text.find("\n", begin)) >= 0:
+        yield text[begin:end]
+        begin = end + 1
+
+
+def _rest(text: str) -> str:
+    """The incomplete line after the last line end, or an empty text."""
+    return text[max(text.rfind("\n"), text.rfind("\r")) + 1 :]
+
+
 def _split(text: str, between: str | None) -> list[str]:
     words = text.strip().split(between)
     return [unquoted(word) for word in words] if "'" in text or '"' in text else [word.strip() for word in words]
 
 
-# Lists of stamped images, `stamp file` a line, as people's programs write them.
-
+# Lists of stamped files, with lines `stamp file`
 
 _STAMP = r"[+-]?\d+,\d+(?=[\s;\"'])|[^\s,;\"']+"
 _ENTRY = re.compile(rf"[\"']?(?P<stamp>{_STAMP})[\"']?(?:\s*[,;]\s*|\s+)(?P<rest>.*\S)")
@@ -408,21 +402,24 @@ _NAMES_TRIED = 20
 
 @dataclass(frozen=True, slots=True)
 class ListedFile:
-    """A file and its time in seconds, as a list file names them."""
+    """A file and its time in seconds."""
 
     stamp_s: float
     path: Path
 
 
 def read_file_list(path: Path, rate_hz: float | None = None) -> tuple[list[ListedFile], list[str]]:
-    """The files that a list names, one `stamp file` a line, at growing stamps; and warnings about what was done to it.
+    """The files of a list with lines `stamp file`, at increasing stamps, and warnings.
 
-    White space, comma or semicolon part the two; quotes, more columns and a first line of names are passed over, and
-    names that lack the folder called as the list, or part folders by backslashes, are found all the same. Stamps count
-    `rate_hz` a second; where that is None, the unit that a first line or comment names, else seconds.
+    White space, comma or semicolon separates the two. Quotes, further columns and a first line of names are ignored.
+    Names may lack the folder that is called as the list, and may have backslashes.
+
+    Args:
+        path: of the list.
+        rate_hz: units per second of the stamps; None for the unit in a first line or comment, else seconds.
 
     Raises:
-        RecordingError: naming file and line, for a line that is none, stamps out of order, or an empty list.
+        RecordingError: a line is invalid, stamps are out of order, or the list is empty; names file and line.
     """
     lines, per_second = listed_lines(path)
     if not lines:
@@ -442,47 +439,8 @@ def read_file_list(path: Path, rate_hz: float | None = None) -> tuple[list[Liste
     return growing, warnings + more
 
 
-def find_files(names: Sequence[str], path: Path, folder: str) -> tuple[list[Path], list[str]]:
-    """The files that the list at `path` means by `names`, and a warning where they are not as they are written.
-
-    Args:
-        names: as written.
-        path: of the list; names are relative to its folder.
-        folder: below it, where files of names without a folder lie.
-    """
-    beside = path.parent
-    tried = names[:: max(len(names) // _NAMES_TRIED, 1)]
-    ways: tuple[Callable[[str], Path], ...] = (
-        lambda name: beside / name,
-        lambda name: beside / name.replace("\\", "/"),
-        lambda name: beside / folder / name,
-        lambda name: beside / folder / re.split(r"[\\/]", name)[-1],
-    )
-    for number, way in enumerate(ways):
-        if any(is_there(way(name)) for name in tried):
-            told = f"{path.name}: its names are not those of files; the files in {way(names[0]).parent} were taken."
-            return [way(name) for name in names], [told] if number > 1 else []
-    return [beside / name for name in names], []
-
-
-def pair_of_files(line: Line, path: Path) -> tuple[tuple[float, str], tuple[float, str]]:
-    """The two stamps and names of a line `stamp file stamp file`; more columns are passed over.
-
-    Raises:
-        RecordingError: naming file and line.
-    """
-    words = split_words(line.text)
-    has_more = len(words) > 4 and all(_IMAGE.fullmatch(word) for word in (words[1], words[3]))
-    if len(words) != 4 and not has_more:
-        problem = "`stamp color-file stamp depth-file` is expected"
-        fix = "remove the file to have images paired by stamp"
-        raise RecordingError(problem, path=path, line=line.number, fix=fix)
-    first, second = ((parse_stamp(words[i], path, line.number), words[i + 1]) for i in (0, 2))
-    return first, second
-
-
 def _name_in(rest: str, path: Path, line: int) -> str:
-    """The file's name among what follows a stamp."""
+    """The file's name in the text after a stamp. Raises RecordingError."""
     if rest[0] in "\"'" and rest.find(rest[0], 1) > 0:
         return rest[1 : rest.find(rest[0], 1)].strip()
     rest = rest.rstrip(" \t,;")
@@ -495,28 +453,66 @@ def _name_in(rest: str, path: Path, line: int) -> str:
     return rest if image is None else image[0]
 
 
-# Text files that grow while a recording goes on, by whole lines only.
+def find_files(names: Sequence[str], path: Path, folder: str) -> tuple[list[Path], list[str]]:
+    """The paths of a list's files, and a warning where they are found under other paths than the list names.
+
+    Args:
+        names: as written in the list.
+        path: of the list; names are relative to its folder.
+        folder: the subfolder to search for names without a folder.
+    """
+    beside = path.parent
+    tried = names[:: max(len(names) // _NAMES_TRIED, 1)]
+    ways: tuple[Callable[[str], Path], ...] = (
+        lambda name: beside / name,
+        lambda name: beside / name.replace("\\", "/"),
+        lambda name: beside / folder / name,
+        lambda name: beside / folder / re.split(r"[\\/]", name)[-1],
+    )
+    for number, way in enumerate(ways):
+        if any(is_there(way(name)) for name in tried):
+            warning = f"{path.name}: its names are not those of files; the files in {way(names[0]).parent} were taken."
+            return [way(name) for name in names], [warning] if number > 1 else []
+    return [beside / name for name in names], []
 
 
-_LIST = Kind("a list that a recording goes on with", 1 << 10)  # ten hours of readings at 300 Hz have 300 MB
+def pair_of_files(line: Line, path: Path) -> tuple[tuple[float, str], tuple[float, str]]:
+    """The two stamps and names of a line `stamp file stamp file`; further columns are ignored.
+
+    Raises:
+        RecordingError: the line is invalid; names file and line.
+    """
+    words = split_words(line.text)
+    has_more = len(words) > 4 and all(_IMAGE.fullmatch(word) for word in (words[1], words[3]))
+    if len(words) != 4 and not has_more:
+        problem = "`stamp color-file stamp depth-file` is expected"
+        fix = "remove the file to have images paired by stamp"
+        raise RecordingError(problem, path=path, line=line.number, fix=fix)
+    first, second = ((parse_stamp(words[i], path, line.number), words[i + 1]) for i in (0, 2))
+    return first, second
+
+
+# Text files that grow during a recording
+
+_LIST = Kind("a list of a recording to resume", 1 << 10)  # ten hours of readings at 300 Hz have 300 MB
 
 
 class GrowingText:
-    """A text file that is appended to, on its way to the disk at once; what cannot be written whole is taken back.
+    """A text file to which whole lines are appended without buffering. A partial write is undone.
 
-    A disk that fills up in the middle of a line, or Ctrl-C, would else leave half a line, which no reader takes.
+    Otherwise a full disk or Ctrl-C would leave half a line, which readers refuse.
 
     Args:
         path: of the file.
         header: its first lines.
-        resume: whether to go on behind the whole lines that it has; else it begins anew.
+        resume: whether to append to the complete lines of an existing file; else the file is overwritten.
 
     Attributes:
-        earlier: the lines that it went on behind, without comments and the header; empty where it began anew.
+        earlier: the existing lines, without comments and the header; empty where the file is new.
 
     Raises:
-        OutputError: the file cannot be made.
-        RecordingError: what is to be resumed is no ordinary file.
+        OutputError: the file cannot be created.
+        RecordingError: the file to resume is not a regular file.
     """
 
     def __init__(self, path: Path, header: str, resume: bool = False) -> None:
@@ -540,10 +536,12 @@ class GrowingText:
         self.earlier = tuple(line for line in lines if line.strip() and line[0] != "#" and line not in first)
 
     def append(self, text: str) -> None:
-        """Write whole lines. Raises OutputError, and adds nothing, where the disk is full or the folder has gone."""
+        """Write whole lines. Raises OutputError, and adds nothing, where the disk is full or the folder was removed."""
         data = memoryview(text.encode("utf-8", "backslashreplace"))
         try:
-            self._write(data)
+            rest = data
+            while rest:
+                rest = rest[self._stream.write(rest) :]
         except BaseException as error:
             with suppress(OSError):
                 os.ftruncate(self._stream.fileno(), self._length)
@@ -553,22 +551,18 @@ class GrowingText:
             raise
         self._length += len(data)
 
-    def _write(self, data: memoryview) -> None:
-        while data:
-            data = data[self._stream.write(data) :]
-
     def close(self) -> None:
-        """Nothing is lost without it but what the system had not yet written."""
+        """Close the file. Without it, only data in the system's buffers is lost."""
         self._stream.close()
 
 
 def seconds(stamp_s: float) -> str:
-    """A stamp with all its decimals, never in powers of ten, so that it reads back exactly."""
+    """A number with all its decimals and without exponent, so that it reads back exactly."""
     return np.format_float_positional(stamp_s, min_digits=6)
 
 
 def _whole_lines(path: Path) -> bytes:
-    """What a file has up to its last line end, and up to the first zero: a power cut leaves such where lines were."""
+    """The complete lines of a file, up to the first zero byte, which a power cut may leave; empty without a file."""
     if not is_there(path):
         return b""
     data = read_bytes(path, _LIST, RecordingError)

@@ -23,20 +23,18 @@ from wheelsight.io.recordings.recording import AssociationReport, Layout, LeftOu
 from wheelsight.io.recordings.tables import keep_growing, read_columns, read_lines, read_table
 from wheelsight.io.recordings.tum_datasets import read_truth
 
-# A recording of wheels without images: what all formats of that kind come down to once their files are read.
-
-
 _FOLDER = Path(__file__).parent / "robots"
 
 
 @dataclass(frozen=True, eq=False)
 class WheelRecording:
-    """A `Recording` of wheel readings. Attributes beside the protocol's:
+    """A `Recording` of wheel readings.
 
-    wheels: readings of the wheels in order of time, all ticks or all speeds.
-    yaw_rates: readings of a gyroscope in order of time.
-    matches: where somebody took two places for one.
-    speed_variances: what the recording states of its odometry's errors, or None.
+    Attributes beside the protocol's:
+        wheels: readings of the wheels in order of time, all of one type.
+        yaw_rates: readings of a gyroscope in order of time.
+        matches: of places, from an external source.
+        speed_variances: the variances of the odometry's speeds that the recording states, or None.
     """
 
     name: str
@@ -57,17 +55,17 @@ class WheelRecording:
 
     @property
     def frame_count(self) -> int:
-        """None has images."""
+        """0: there are no images."""
         return 0
 
     @property
     def wheel_count(self) -> int:
-        """How many wheel readings `events()` will yield."""
+        """The number of wheel readings that `events()` yields."""
         return len(self.wheels)
 
     @property
     def association(self) -> AssociationReport:
-        """Nothing to pair."""
+        """Zero pairs: there are no images."""
         return AssociationReport(0, 0, 0, 0.0)
 
     def events(self, *, images: bool = True) -> Iterator[Event]:
@@ -77,12 +75,12 @@ class WheelRecording:
 
 
 def shipped_robot(name: str) -> Calibration:
-    """Nominal wheels that come with the package for a format whose files do not tell of them."""
+    """The nominal wheels that come with the package, for a format without wheel parameters."""
     return load_calibration(_FOLDER / f"{name}.yaml")
 
 
 def speeds_of_wheels(wheels: Wheels, stamp_s: float, forward_m_s: float, yaw_rate_rad_s: float) -> WheelSpeeds:
-    """The speeds of wheels that together go forward and turn so: what `wheels` would have told."""
+    """The wheel speeds of a differential drive with the given forward speed and yaw rate."""
     across_m_s = yaw_rate_rad_s * wheels.track_width_m / 2
     left, right = forward_m_s - across_m_s, forward_m_s + across_m_s
     return WheelSpeeds(stamp_s, left / wheels.left_radius_m, right / wheels.right_radius_m)
@@ -96,14 +94,11 @@ def need_wheels(calibration: Calibration) -> Wheels:
     return calibration.wheels
 
 
-# Speeds as a robot's own odometry tells them: odometry.csv, with true poses in ground_truth.csv.
-
-
 class VelocityReader:
-    """Forward speed and yaw rate, each until the next row, and poses of a motion-capture system.
+    """Reads forward speed and yaw rate of a robot's odometry, and poses of a motion-capture system.
 
-    odometry.csv: stamp_s, v_mps, w_radps. ground_truth.csv: stamp_s, x_m, y_m, yaw_rad and valid, 0 where the pose is
-    none. The robot's wheels are not told of: `robots/velocities.yaml` stands for them.
+    odometry.csv has stamp_s, v_mps, w_radps; a row holds until the next one. ground_truth.csv has stamp_s, x_m, y_m,
+    yaw_rad and valid, which is 0 for an invalid pose. The wheels are those of `robots/velocities.yaml`.
     """
 
     name = "velocities"
@@ -116,7 +111,12 @@ class VelocityReader:
 
     def open(self, folder: Path, options: OpenOptions) -> WheelRecording:
         """The recording in `folder`. Raises InputError naming file and line."""
-        speeds, warnings = _read_speeds(folder / "odometry.csv")
+        path = folder / "odometry.csv"
+        nominal = need_wheels(shipped_robot("velocities"))
+        table, warnings = read_columns(path, numbers=("v_mps", "w_radps"))
+        rows = zip(table.stamps_s, table["v_mps"], table["w_radps"], strict=True)
+        speeds, more = keep_growing([speeds_of_wheels(nominal, *row) for row in rows], table.lines, path)
+        warnings += more
         truth, more = _read_truth(folder / "ground_truth.csv")
         return WheelRecording(
             name=folder.resolve().name,
@@ -129,16 +129,8 @@ class VelocityReader:
         )
 
 
-def _read_speeds(path: Path) -> tuple[list[WheelSpeeds], list[str]]:
-    nominal = need_wheels(shipped_robot("velocities"))
-    table, warnings = read_columns(path, numbers=("v_mps", "w_radps"))
-    told = zip(table.stamps_s, table["v_mps"], table["w_radps"], strict=True)
-    growing, more = keep_growing([speeds_of_wheels(nominal, *row) for row in told], table.lines, path)
-    return growing, warnings + more
-
-
 def _read_truth(path: Path) -> tuple[Trajectory | None, list[str]]:
-    """T_frame_base of the rows that are valid."""
+    """T_frame_base of the valid rows, None without any; and warnings."""
     rows, warnings = read_table(path, ("stamp_s", "x_m", "y_m", "yaw_rad", "valid"))
     rows = [row for row in rows if row["valid"] != 0]
     rows, more = keep_growing(rows, [row.number for row in rows], path)
@@ -150,18 +142,16 @@ def _read_truth(path: Path) -> tuple[Trajectory | None, list[str]]:
     return Trajectory(stamps_s, se3.from_plane(x, y, yaw), body="base"), warnings
 
 
-# Four encoders of a skid-steered robot beside an IMU: encoders.csv, imu.csv and, if there is one, reference.txt.
-
-
 _SIDES = (("front_left", "rear_left"), ("front_right", "rear_right"))
 
 
 class SkidSteerReader:
-    """Ticks since the reading before of four wheels, and the yaw rate of an IMU.
+    """Reads increments of four encoders of a skid-steered robot, and the yaw rate of an IMU.
 
-    encoders.csv: stamp_s, front_right, front_left, rear_right, rear_left, in any order. imu.csv: stamp_s and wz_radps,
-    others are left alone. reference.txt: TUM text of the base, by another system. A side's ticks are the sum of its two
-    encoders, so that `ticks_per_turn` of a calibration.yaml is twice that of one.
+    encoders.csv has stamp_s, front_right, front_left, rear_right, rear_left, in any order; a row holds the ticks since
+    the one before. imu.csv has stamp_s and wz_radps. reference.txt, which may be missing, is the base's trajectory by
+    another system, in TUM text. A side's ticks are the sum of its two encoders, so `ticks_per_turn` of a
+    calibration.yaml is twice that of one encoder.
     """
 
     name = "skid_steer"
@@ -175,8 +165,16 @@ class SkidSteerReader:
     def open(self, folder: Path, options: OpenOptions) -> WheelRecording:
         """The recording in `folder`. Raises InputError naming file and line."""
         calibration = choose_calibration(folder, options, lambda: shipped_robot("skid_steer"))
-        ticks, warnings = _read_ticks(folder / "encoders.csv")
-        rates, more = _read_rates(folder / "imu.csv")
+        path = folder / "encoders.csv"
+        table, warnings = read_columns(path, counts=(*_SIDES[0], *_SIDES[1]))
+        # Sums over all rows: one that is left out because of its stamp still contributes its ticks.
+        left, right = (accumulate(map(sum, zip(*(table[name] for name in side), strict=True))) for side in _SIDES)
+        ticks, more = keep_growing(list(map(WheelTicks, table.stamps_s, left, right)), table.lines, path)
+        warnings += more
+        path = folder / "imu.csv"
+        table, more = read_columns(path, numbers=("wz_radps",))
+        warnings += more
+        rates, more = keep_growing(list(map(YawRate, table.stamps_s, table["wz_radps"])), table.lines, path)
         warnings += more
         reference = read_truth(folder / "reference.txt", warnings, body="base")
         if reference is not None:
@@ -193,25 +191,6 @@ class SkidSteerReader:
         )
 
 
-def _read_ticks(path: Path) -> tuple[list[WheelTicks], list[str]]:
-    """Counts summed up from the first reading; a row whose stamp is out of order keeps its ticks."""
-    table, warnings = read_columns(path, counts=(*_SIDES[0], *_SIDES[1]))
-    left, right = (accumulate(map(sum, zip(*(table[name] for name in side), strict=True))) for side in _SIDES)
-    growing, more = keep_growing(list(map(WheelTicks, table.stamps_s, left, right)), table.lines, path)
-    return growing, warnings + more
-
-
-def _read_rates(path: Path) -> tuple[list[YawRate], list[str]]:
-    table, warnings = read_columns(path, numbers=("wz_radps",))
-    growing, more = keep_growing(list(map(YawRate, table.stamps_s, table["wz_radps"])), table.lines, path)
-    return growing, warnings + more
-
-
-# Text with one measurement a line, its kind first: odom2 and loop in *_Input.txt, point2 and angle in *_GT.txt.
-#
-# The layout of TU Chemnitz's SLAM datasets (Neubert, Schubert & Protzel, RA-L 2019).
-
-
 _INPUT, _TRUTH = "*_Input.txt", "*_GT.txt"
 _NUMBERS = {"odom2": 7, "loop": 3, "point2": 7, "angle": 3}
 _SAME_STAMP_S = 1e-6
@@ -225,10 +204,12 @@ class _Measurement:
 
 
 class MeasurementLineReader:
-    """Speeds of lines odom2 (stamp, vx, vy, turn rate, variances), each until the next; true poses of point2 and angle.
+    """Reads text with one measurement per line, its kind first, as TU Chemnitz's SLAM datasets have it.
 
-    Of the speeds, that across is left out: wheels cannot tell of it. Lines `loop` (stamp, stamp of the same place
-    before, score) are matches. The robot's wheels are not told of: `robots/velocities.yaml` stands for them.
+    *_Input.txt has lines odom2 (stamp, vx, vy, turn rate, three variances), whose speeds hold until the next line, and
+    loop (stamp, stamp of the same place before, score), which are matches. *_GT.txt has the true pose as lines point2
+    and angle. vy is ignored. The wheels are those of `robots/velocities.yaml`. See Neubert, Schubert & Protzel, RA-L
+    2019.
     """
 
     name = "measurement_lines"
@@ -244,7 +225,7 @@ class MeasurementLineReader:
         path = _only(folder, _INPUT)
         kinds = _read(path)
         speeds, warnings = _speeds(kinds["odom2"], path)
-        truth, more = _measurement_lines_read_truth(_only(folder, _TRUTH))
+        truth, more = _true_poses(_only(folder, _TRUTH))
         return WheelRecording(
             name=folder.resolve().name,
             path=folder,
@@ -265,6 +246,27 @@ def _only(folder: Path, pattern: str) -> Path:
     return found[0]
 
 
+def _read(path: Path) -> dict[str, list[_Measurement]]:
+    """The measurements of each kind in a file. Raises RecordingError."""
+    found: dict[str, list[_Measurement]] = {kind: [] for kind in _NUMBERS}
+    for line in read_lines(path):
+        kind, *words = line.text.split()
+        if kind not in found:
+            known = ", ".join(_NUMBERS)
+            raise RecordingError(f"unknown measurement {kind!r}", path=path, line=line.number, fix=f"known: {known}")
+        if len(words) != _NUMBERS[kind]:
+            problem = f"{kind} has {len(words)} numbers, not {_NUMBERS[kind]}"
+            raise RecordingError(problem, path=path, line=line.number)
+        try:
+            stamp_s, *values = map(float, words)
+        except ValueError as error:
+            raise RecordingError(str(error), path=path, line=line.number) from error
+        if not np.isfinite([stamp_s, *values]).all():
+            raise RecordingError("a value is not finite", path=path, line=line.number)
+        found[kind].append(_Measurement(stamp_s, line.number, tuple(values)))
+    return found
+
+
 def _speeds(odometry: list[_Measurement], path: Path) -> tuple[list[WheelSpeeds], list[str]]:
     if not odometry:
         raise RecordingError("holds no line odom2", path=path, fix="odom2 stamp vx vy turn-rate and three variances")
@@ -273,12 +275,12 @@ def _speeds(odometry: list[_Measurement], path: Path) -> tuple[list[WheelSpeeds]
     growing, warnings = keep_growing(speeds, [m.line for m in odometry], path)
     across_m_s = max(abs(m.values[1]) for m in odometry)
     if across_m_s > 0:
-        warnings.append(f"Speeds across, up to {across_m_s:.2g} m/s, are left out: wheels cannot tell of them.")
+        warnings.append(f"Speeds across, up to {across_m_s:.2g} m/s, are left out: two wheels cannot measure them.")
     return growing, warnings
 
 
 def _variances(odometry: list[_Measurement], path: Path) -> SpeedVariances:
-    """What the lines state of their own errors. Raises RecordingError for variances below 0."""
+    """The variances of the lines in order of time. Raises RecordingError where one is negative."""
     for m in odometry:
         if min(m.values[3:]) < 0:
             raise RecordingError("a variance is negative", path=path, line=m.line, fix="three variances from 0 up")
@@ -286,8 +288,8 @@ def _variances(odometry: list[_Measurement], path: Path) -> SpeedVariances:
     return SpeedVariances(np.array([m.stamp_s for m in stated]), np.array([m.values[3:] for m in stated]))
 
 
-def _measurement_lines_read_truth(path: Path) -> tuple[Trajectory | None, list[str]]:
-    """T_frame_base where a point and an angle share their stamp."""
+def _true_poses(path: Path) -> tuple[Trajectory | None, list[str]]:
+    """T_frame_base at the stamps that have a point and an angle, None without any; and warnings."""
     kinds = _read(path)
     points, warnings = keep_growing(kinds["point2"], [m.line for m in kinds["point2"]], path)
     angles, more = keep_growing(kinds["angle"], [m.line for m in kinds["angle"]], path)
@@ -319,29 +321,3 @@ def _without_partner(path: Path, kind: str, missing: str, count: int, of: int) -
 
 def _column(measurements: list[_Measurement], column: int) -> FloatArray:
     return np.array([m.values[column] for m in measurements])
-
-
-def _read(path: Path) -> dict[str, list[_Measurement]]:
-    """The measurements of each kind."""
-    found: dict[str, list[_Measurement]] = {kind: [] for kind in _NUMBERS}
-    for line in read_lines(path):
-        kind, *words = line.text.split()
-        if kind not in found:
-            known = ", ".join(_NUMBERS)
-            raise RecordingError(f"unknown measurement {kind!r}", path=path, line=line.number, fix=f"known: {known}")
-        if len(words) != _NUMBERS[kind]:
-            problem = f"{kind} has {len(words)} numbers, not {_NUMBERS[kind]}"
-            raise RecordingError(problem, path=path, line=line.number)
-        stamp_s, *values = _numbers(words, path, line.number)
-        found[kind].append(_Measurement(stamp_s, line.number, tuple(values)))
-    return found
-
-
-def _numbers(words: list[str], path: Path, line: int) -> list[float]:
-    try:
-        values = [float(word) for word in words]
-    except ValueError as error:
-        raise RecordingError(str(error), path=path, line=line) from error
-    if not np.isfinite(values).all():
-        raise RecordingError("a value is not finite", path=path, line=line)
-    return values

@@ -1,4 +1,6 @@
-"""When a message was measured: by its header, judged by its topic's neighbours, then other topics, then receipt."""
+"""`TopicClock` gives the stamps of a topic's messages. It validates header stamps against the topic's other headers,
+then other topics, then receipt times. `clocks_of` makes the clocks of a bag from its first messages.
+"""
 
 from __future__ import annotations
 
@@ -13,23 +15,23 @@ from wheelsight.core.geometry import FloatArray
 from wheelsight.io.recordings.bags.storage import Message
 from wheelsight.io.recordings.recording import LeftOut
 
-# A step of so many usual periods needs no other witness: one message was lost.
+# Largest step, in usual periods, that is accepted without a check against receipt: one message was lost.
 _LARGEST_STEP = 2.5
-# Longer than what a driver hands over at once; shorter than a wrong stamp that matters to wheels.
+# Longer than a burst of a driver; shorter than an error of a stamp that matters to wheels.
 _SMALLEST_STEP_S = 0.1
-# So well receipt agrees with a header at least, in seconds or periods: images are received up to some tenths late.
+# Largest difference between receipt and header, in seconds or periods: images are received up to some tenths late.
 _AGREES_S = 0.25
-# So many messages in a row that follow each other make a clock that was set; fewer are single wrong stamps.
+# Fewest consecutive messages that show that a clock was set; fewer are single wrong stamps.
 _RUN = 5
 _MOST_PENDING = 12
-# Single wrong stamps are ahead too, but not so many that follow each other, where others reach their beginning.
+# Fewest consecutive headers ahead that show that the recorder's clock was set back; fewer are single wrong stamps.
 _FEWEST_AHEAD = 3
-# What a recorder received after its clock was set back waits for what came before, so long and so much of a topic.
+# Bounds on the messages of a topic that wait after the recorder's clock was set back.
 _MOST_AHEAD_S, _MOST_AHEAD_BYTES = 60.0, 192 << 20
-# Headers of topics that are received together may differ by so much: more is no delay of a driver's.
+# Largest difference between headers of topics that are received together: more is not a driver's delay.
 APART_S = 0.5
 _RECENT = 50
-# Topics that count seconds seem to differ by less, even where the first ones are received in a burst.
+# Largest ratio of two topics' rates, both in seconds, even where the first messages are received in a burst.
 _RATES_ALIKE = 4.0
 _RATE_SAMPLES, _RATE_SPAN_S = 8, 0.3
 _SLOWEST, _FASTEST = 0.02, 50.0
@@ -38,16 +40,16 @@ Settled = tuple[float, Message]
 
 
 class TopicClock:
-    """Stamps of one topic's messages, some of them known only once later ones are there.
+    """Stamps of one topic's messages. Some are known only after later messages have come.
 
     Attributes:
         shift_s: added to each header.
-        by_receipt: whether headers are passed over; `shift_s` is then added to the time of receipt.
-        left_out: how many messages were left out for headers that fit neither their neighbours nor receipt.
-        unstamped: how many single headers were 0; receipt stands for them.
-        settings: (after which stamp, by how many seconds) the clock was set forward; negative for back.
-        set_back: (after which stamp, by how many seconds) the clock of the recorder was set back.
-        newest_s: the newest stamp by now.
+        by_receipt: whether to ignore headers; `shift_s` is then added to the time of receipt.
+        left_out: the number of messages left out because their headers fit neither their neighbours nor receipt.
+        unstamped: the number of headers that are 0; receipt replaces them.
+        settings: (stamp before it, seconds) of each setting of the clock; positive is forward.
+        set_back: (stamp before it, seconds) of each time the recorder's clock was set back.
+        newest_s: the newest stamp so far.
     """
 
     def __init__(self, shift_s: float = 0.0, by_receipt: bool = False) -> None:
@@ -64,11 +66,11 @@ class TopicClock:
         self._pending: list[tuple[float, Message]] = []
 
     def restarted(self) -> TopicClock:
-        """The same for another pass, nothing counted."""
+        """The clock for another pass, with counts of zero."""
         return TopicClock(self._begins_with, self.by_receipt)
 
     def add(self, header_s: float, message: Message, others_s: Iterable[float] = ()) -> list[Settled]:
-        """The messages whose stamps are known now, oldest first.
+        """Add a message. Returns the messages whose stamps are now known, oldest first.
 
         Args:
             header_s: of the message; 0 for none.
@@ -88,7 +90,7 @@ class TopicClock:
         return self._resolve(others_s)
 
     def end(self) -> list[Settled]:
-        """The rest, after the last message."""
+        """The remaining messages, after the last one."""
         if self._recent:
             settled = [*self._late_ones(), *self._reached(_LARGEST_STEP)]
             self._leave_out_ahead()
@@ -97,7 +99,7 @@ class TopicClock:
         return self._accept(chain) if len(chain) > len(self._pending) / 2 else self._late_ones()
 
     def _resolve(self, others_s: Iterable[float]) -> list[Settled]:
-        """What is pending, where it is a run of its own: the beginning, or a clock that was set."""
+        """Pending messages that follow each other: the beginning of the topic, or the clock was set."""
         if len(self._pending) >= _RUN and (settled := self._reached(_LARGEST_STEP)):
             return [*settled, *self._late_ones()]
         chain = self._chain()
@@ -112,12 +114,12 @@ class TopicClock:
         return []
 
     def _set(self, chain: Sequence[int], others_s: Iterable[float]) -> None:
-        """Take out by how much the clock was set, unless receipt or other topics show that so much time went by."""
+        """Remove the step of a clock that was set, unless receipt or other topics show that this time passed."""
         run = [self._pending[place] for place in chain]
         change_s = float(np.median([self._expected(message.receipt_s) - header_s for header_s, message in run]))
         last_s, newest_s = run[-1][0] + self.shift_s, self._recent[-1][0]
         is_later, usual_s = run[0][0] > newest_s, max(1.0, self._rate())
-        # How fast receipt goes is known of some messages on: before, headers that go on later are good.
+        # The rate of receipt is known after some messages. Before, later headers are accepted.
         is_known = len(self._recent) >= _RATE_SAMPLES
         if abs(change_s) <= _AGREES_S * usual_s or (
             is_later
@@ -128,13 +130,14 @@ class TopicClock:
             )
         ):
             return
-        # After all that was stamped before, however unsteady receipt is.
+        # Stamps after it must follow those before it, however irregular receipt is.
         change_s = max(change_s, newest_s - run[0][0] + min(self._period_s(), _SMALLEST_STEP_S))
         self.settings.append((newest_s + self.shift_s, -change_s))
         self.shift_s += change_s
         self._recent.clear()
 
     def _accept(self, chain: Sequence[int]) -> list[Settled]:
+        """Stamp the pending messages at the places `chain`, and those of the others that came out of order."""
         run = [self._pending[place] for place in chain]
         others = [item for place, item in enumerate(self._pending) if place not in set(chain)]
         self._recent.extend((header_s, message.receipt_s) for header_s, message in run)
@@ -143,7 +146,7 @@ class TopicClock:
         return sorted([*settled, *self._late_ones()], key=lambda item: item[0])
 
     def _late_ones(self) -> list[Settled]:
-        """Of what is pending, those that were only received out of order, or have no stamp; others are left out."""
+        """Pending messages that were received out of order or have no stamp; others wait ahead or are left out."""
         settled = []
         for header_s, message in self._pending:
             expected_s = self._expected(message.receipt_s) if self._recent else header_s
@@ -160,10 +163,10 @@ class TopicClock:
         return settled
 
     def _put_ahead(self, header_s: float, message: Message) -> None:
-        """Keep a message whose header is ahead, while those ahead follow each other; others are left out.
+        """Keep a message whose header is ahead, as long as those ahead follow each other; leave out others.
 
-        A recorder whose clock is set back receives what comes then at the times of what came before: both are mixed in
-        the bag. The headers of each go on, and those of the first reach the beginning of the others.
+        When a recorder's clock is set back, the bag interleaves the messages before and after it, since receipt times
+        repeat. The headers of both parts continue, and those of the first part reach the beginning of the second.
         """
         if self._recent and header_s <= self._recent[-1][0]:
             self.left_out += 1
@@ -182,7 +185,7 @@ class TopicClock:
         self._ahead, self._ahead_bytes = [], 0
 
     def _reached(self, most_periods: float = 1.5) -> list[Settled]:
-        """What was ahead, once the headers of what came before have reached its beginning."""
+        """The messages ahead, once the headers before them have reached their beginning."""
         if len(self._ahead) < _FEWEST_AHEAD or not self._recent:
             return []
         last_s, first_s = self._recent[-1][0], self._ahead[0][0]
@@ -190,27 +193,23 @@ class TopicClock:
             return []
         self.set_back.append((last_s + self.shift_s, self._recent[-1][1] - self._ahead[0][1].receipt_s))
         run, self._ahead, self._ahead_bytes = self._ahead, [], 0
-        self._recent.clear()  # receipt begins anew, too
+        self._recent.clear()  # receipt times start again too
         self._recent.extend((header_s, message.receipt_s) for header_s, message in run)
         return [self._stamped(header_s, message) for header_s, message in run]
 
-    def _out_of_order_s(self) -> float:
-        """How far a header may be from what is usual at its receipt, to be good though a younger one was received."""
-        return max(min(3 * self._period_s(), _AGREES_S), _SMALLEST_STEP_S) * max(1.0, self._rate())
-
     def _chain(self) -> list[int]:
-        """Places in the longest run of pending messages: each follows the one before."""
+        """The places of the longest run of pending messages that follow each other."""
         return _longest_run([(header_s, message.receipt_s) for header_s, message in self._pending])
 
     def _goes_on(self, header_s: float, receipt_s: float) -> bool:
-        """Whether a header follows the last one that was good."""
+        """Whether a header follows the last valid one."""
         before, period_s = self._recent[-1], self._period_s()
         near = 0 < header_s - before[0] <= max(_LARGEST_STEP * period_s, _SMALLEST_STEP_S)
         if not near and not _follows(before, (header_s, receipt_s), period_s, self._rate()):
             return False
         if not self._pending:
             return True
-        # A clock that was set back by little soon passes its last good header: receipt then is as far off as before.
+        # A clock that was set back by little soon passes its last valid header; its offset from receipt persists.
         off_s = self._expected(receipt_s) - header_s
         others_s = [self._expected(message.receipt_s) - other_s for other_s, message in self._pending]
         alike_s = max(_SMALLEST_STEP_S, 0.25 * abs(off_s))
@@ -222,13 +221,13 @@ class TopicClock:
         return stamp_s, message
 
     def _expected(self, receipt_s: float) -> float:
-        """The header that is usual at a time of receipt."""
+        """The header expected at a time of receipt."""
         header_s, receipts_s = np.array(self._recent).T
         rate = self._rate()
         return float(np.median(header_s - rate * (receipts_s - receipts_s[-1])) + rate * (receipt_s - receipts_s[-1]))
 
     def _period_s(self) -> float:
-        """The usual one of late, found again now and then."""
+        """The median period of recent headers, updated now and then."""
         self._usual_for -= 1
         if self._usual_for < 0:
             self._usual_s = _usual_period_s([header_s for header_s, _ in self._recent])
@@ -236,7 +235,7 @@ class TopicClock:
         return self._usual_s
 
     def _rate(self) -> float:
-        """Seconds of the headers a second of receipt: other than 1 in simulators."""
+        """Header seconds per second of receipt; differs from 1 in simulators."""
         return _rate_of(np.array(self._recent)) if self._recent else 1.0
 
 
@@ -246,7 +245,7 @@ def _usual_period_s(headers_s: Sequence[float]) -> float:
 
 
 def _follows(before: tuple[float, float], after: tuple[float, float], period_s: float, rate: float) -> bool:
-    """Whether a header and its receipt come after others: within some periods, or as much later as receipt."""
+    """Whether (header, receipt) follows another one: within a few periods, or by the step of receipt."""
     step_s = after[0] - before[0]
     if not step_s > 0 or not after[0] or not before[0]:
         return False
@@ -256,7 +255,7 @@ def _follows(before: tuple[float, float], after: tuple[float, float], period_s: 
 
 
 def _longest_run(stamps: Sequence[tuple[float, float]]) -> list[int]:
-    """Places in the longest run of (header, receipt), each after the one before; some between may be wrong."""
+    """The places of the longest run of (header, receipt) that follow each other; others between are skipped."""
     period_s = _usual_period_s([header_s for header_s, _ in stamps])
     longest: list[list[int]] = []
     for place, stamp in enumerate(stamps):
@@ -266,10 +265,10 @@ def _longest_run(stamps: Sequence[tuple[float, float]]) -> list[int]:
 
 
 def _rate_of(stamps: FloatArray) -> float:
-    """Of (N, 2) headers and receipts; 1 where too little is there to say."""
+    """The rate of (N, 2) headers and receipts; 1 where there are too few."""
     if len(stamps) < _RATE_SAMPLES:
         return 1.0
-    # Medians of both ends: a single wrong one does not count.
+    # Medians of both ends are robust against a single wrong one.
     thirds = len(stamps) // 3
     (h0, r0), (h1, r1) = np.median(stamps[:thirds], axis=0), np.median(stamps[-thirds:], axis=0)
     if r1 - r0 < _RATE_SPAN_S:
@@ -283,8 +282,8 @@ class _Head:
     """The first messages of one topic.
 
     Attributes:
-        stamps: (N, 2) headers and receipts, without headers that are none or wrong.
-        why_not: why headers are not believed; empty where they are.
+        stamps: (N, 2) valid headers, and receipts.
+        why_not: why the headers are rejected; empty where they are used.
     """
 
     stamps: FloatArray
@@ -305,17 +304,16 @@ def clocks_of(
     images: Sequence[str],
     most_apart_s: float,
 ) -> tuple[dict[str, TopicClock], tuple[str, ...]]:
-    """A clock for each topic, and sentences with numbers on what was decided.
+    """A clock for each topic, and warnings about offsets and rejected headers.
 
-    Headers of topics that are received at the same time are stamped alike. Those of a topic that are off by a constant
-    have it taken out; those that count no seconds give way to receipt. Headers that all are off by the same, as in a
-    bag that was recorded from another one's replay, are believed.
+    A constant offset between the headers of topics that are received together is removed. Headers that do not count
+    seconds are replaced by receipt. An offset that all headers share, as in the recording of a replay, remains.
 
     Args:
         firsts: header and receipt of each topic's first messages, from when all topics have begun.
         lasts: header and receipt of each topic's last message.
-        images: topics of one camera, whose images are stamped by one clock.
-        most_apart_s: how far headers are from receipt without a word.
+        images: topics of one camera, which share a clock.
+        most_apart_s: the largest offset between headers and receipt without a warning.
     """
     heads = {topic: _head(stamps) for topic, stamps in firsts.items()}
     believed = _of_one_rate({topic: head for topic, head in heads.items() if not head.why_not}, heads)
@@ -333,7 +331,12 @@ def clocks_of(
         if topic in shifts_s:
             clocks[topic] = TopicClock(shifts_s[topic])
             if shifts_s[topic]:
-                warnings.append(_shift_sentence(topic, shifts_s[topic], reference, len(head.stamps)))
+                side = "before" if shifts_s[topic] > 0 else "after"
+                warnings.append(
+                    f"{topic}: headers are {abs(shifts_s[topic]):.3f} s {side} those of {reference} that are received "
+                    f"at the same time (median of {len(head.stamps)}): the clocks are apart. The difference is taken "
+                    "out, to within the delay of receipt."
+                )
         else:
             clocks[topic] = TopicClock(-lag_s if abs(lag_s) > most_apart_s else 0.0, by_receipt=True)
             warnings.append(f"{topic}: {head.why_not}; the time of receipt stands for it.")
@@ -344,11 +347,13 @@ def clocks_of(
         )
     elif abs(lag_s) > most_apart_s:
         what = "All headers are" if len(believed) == len(heads) and not any(shifts_s.values()) else "Headers are"
-        warnings.append(f"{what} stamped {_apart(lag_s)} receipt: a replay was recorded. They are believed.")
+        apart = f"{abs(lag_s):.0f} s {'before' if lag_s > 0 else 'after'}"
+        warnings.append(f"{what} stamped {apart} receipt: a replay was recorded. They are believed.")
     return clocks, tuple(warnings)
 
 
 def _head(stamps: Sequence[tuple[float, float]]) -> _Head:
+    """The valid ones of a topic's first (header, receipt), or why its headers are rejected."""
     unstamped = sum(not header_s for header_s, _ in stamps)
     if unstamped > len(stamps) / 2:
         return _Head(np.zeros((0, 2)), "headers have no stamp")
@@ -360,7 +365,7 @@ def _head(stamps: Sequence[tuple[float, float]]) -> _Head:
 
 
 def _of_one_rate(believed: dict[str, _Head], heads: dict[str, _Head]) -> dict[str, _Head]:
-    """Those whose headers count the seconds that others' do; of two that differ, receipt says which does."""
+    """The topics whose headers have the rate nearest to receipt's. Rejects the others in `heads`."""
     if len(believed) < 2:
         return believed
     best = min(believed, key=lambda topic: abs(np.log(believed[topic].rate)))
@@ -374,7 +379,7 @@ def _of_one_rate(believed: dict[str, _Head], heads: dict[str, _Head]) -> dict[st
 
 
 def _whole_rate(believed: Mapping[str, _Head], lasts: Mapping[str, tuple[float, float]]) -> float:
-    """Seconds of headers a second of receipt over the bag, of the slowest topic: one that was set looks faster."""
+    """Header seconds per second of receipt over the bag, of the slowest topic: a clock that was set looks faster."""
     rates = []
     for topic, head in believed.items():
         (first_s, first_receipt_s), (last_s, last_receipt_s) = head.stamps[0].tolist(), lasts[topic]
@@ -384,9 +389,12 @@ def _whole_rate(believed: Mapping[str, _Head], lasts: Mapping[str, tuple[float, 
 
 
 def _shifts(believed: Mapping[str, _Head], images: Sequence[str], most_s: float) -> tuple[dict[str, float], str]:
-    """What to add to each topic's headers, and the topic by whose clock: that of most sensors, or of receipt.
+    """The shift of each topic's headers, and the topic of the reference clock: that of most sensors, or of receipt.
 
-    Where receipt is faster than the clocks, as in simulators, what is usual to be received late, `most_s`, is longer.
+    Args:
+        believed: topics whose headers are used.
+        images: topics of one camera.
+        most_s: the largest offset of topics with one clock, in header seconds.
     """
     if not believed:
         return {}, ""
@@ -404,19 +412,19 @@ def _shifts(believed: Mapping[str, _Head], images: Sequence[str], most_s: float)
     reference = group[0]
     shifts_s = {}
     for names in groups:
-        # By its topic that is received with the least delay, as is the other's.
+        # Both clocks are compared by their topic with the least delay of receipt.
         shift_s = 0.0 if names is group else behind_s[names[0]] - behind_s[reference]
         shifts_s.update({topic: shift_s for name in names for topic in (camera if name in camera else [name])})
     return shifts_s, reference
 
 
 def _behind_s(head: _Head, other: _Head) -> float:
-    """By how much another topic's header is ahead of this one's that is received at the same time."""
+    """By how much another topic's headers are ahead of this one's that are received at the same time."""
     receipts_s, others_s = head.stamps[:, 1], other.stamps[:, 1]
     inside = (receipts_s >= others_s[0]) & (receipts_s <= others_s[-1])
     if len(other.stamps) < 2 or inside.sum() < min(3, len(head.stamps)) or others_s[-1] <= others_s[0]:
         return head.lag_s - other.lag_s
-    # Several that are received at once, as before a clock begins, are one in the middle.
+    # Messages that are received at once, as before a clock starts, count as one with their mean header.
     distinct_s, place = np.unique(others_s, return_inverse=True)
     headers_s = np.bincount(place, other.stamps[:, 0]) / np.bincount(place)
     at_once_s, which = np.unique(receipts_s[inside], return_inverse=True)
@@ -424,25 +432,17 @@ def _behind_s(head: _Head, other: _Head) -> float:
     low_s, usual_s, high_s = np.quantile(np.interp(at_once_s, distinct_s, headers_s) - own_s, [0.1, 0.5, 0.9]).tolist()
     if high_s - low_s <= max(0.1 * abs(usual_s), _AGREES_S):
         return float(usual_s)
-    # What is not constant is delay of receipt; the least of it is nearest to the clocks' difference.
+    # Variation is delay of receipt; the least delay is nearest to the clocks' offset.
     return float(max(low_s, min(high_s, 0.0)))
 
 
-def _shift_sentence(topic: str, shift_s: float, reference: str, count: int) -> str:
-    side = "before" if shift_s > 0 else "after"
-    return (
-        f"{topic}: headers are {abs(shift_s):.3f} s {side} those of {reference} that are received at the same time "
-        f"(median of {count}): the clocks are apart. The difference is taken out, to within the delay of receipt."
-    )
-
-
 def clock_findings(topic: str, clock: TopicClock, count: int) -> list[str]:
-    """What a pass found of the headers of one topic with so many messages, one sentence each."""
+    """Warnings of a pass about the headers of a topic, given the number of its messages."""
     found: list[str] = []
     if clock.left_out:
         why = "headers fit neither their neighbours nor receipt"
-        told = f"{topic}: {clock.left_out:,} messages were left out: their {why}."
-        found.append(LeftOut(told, clock.left_out, count, f"{topic}: {why}"))
+        warning = f"{topic}: {clock.left_out:,} messages were left out: their {why}."
+        found.append(LeftOut(warning, clock.left_out, count, f"{topic}: {why}"))
     if clock.unstamped:
         found.append(f"{topic}: {clock.unstamped:,} headers are 0; receipt stands for them.")
     for after_s, by_s in clock.set_back[:3]:
@@ -459,7 +459,3 @@ def clock_findings(topic: str, clock: TopicClock, count: int) -> list[str]:
     if len(clock.settings) > 3:
         found.append(f"{topic}: the clock was set {len(clock.settings):,} times.")
     return found
-
-
-def _apart(lag_s: float) -> str:
-    return f"{abs(lag_s):.0f} s {'before' if lag_s > 0 else 'after'}"

@@ -1,4 +1,6 @@
-"""Which topics of a bag are camera, wheels, gyroscope and truth: by type, by frame, by name, or as the user says."""
+"""`roles_of` assigns the topics of a bag to camera, wheels, gyroscope and truth: by type, frame, name, or choice of
+the user.
+"""
 
 from __future__ import annotations
 
@@ -30,9 +32,9 @@ INFO, IMU = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/Imu"
 POSE, POSE_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 TEXT = "std_msgs/msg/String"
-# Text of a calibration.yaml, which wheelsight's own bags carry; an Odometry beside it is its estimate.
+# Text of a calibration.yaml, in bags that wheelsight wrote. An Odometry beside it is wheelsight's estimate.
 CALIBRATION = "/wheelsight/calibration"
-# The pose by a holonomic base's own odometry, in wheelsight's own bags.
+# The pose by a holonomic base's own odometry, in bags that wheelsight wrote.
 WHEEL_ODOMETRY = "/wheelsight/wheel_odometry"
 NONE = "none"
 _TYPES = {
@@ -47,16 +49,16 @@ ROLES = ("color", "depth", "color_info", "depth_info", "wheels", "gyro", "truth"
 _CHOICE = re.compile(r"(?P<role>[a-z_]+)=(?P<topic>[^:,\s]+)(?:,(?P<right>[^:,\s]+))?(?::(?P<sides>\S+))?")
 _REGISTERED = re.compile(r"aligned|registered", re.IGNORECASE)
 _TRANSPORT = re.compile(r"/(?:compressed|compressedDepth|theora|ffmpeg)$")
-# Of several, colour before grey.
+# In order of preference: colour before grey.
 _COLOR_WORDS = (re.compile(r"colou?r|rgb", re.IGNORECASE), re.compile(r"image", re.IGNORECASE))
 _NO_COLOR = re.compile(r"/ir\b|infra|depth|disparity|confidence|mask|debug|label", re.IGNORECASE)
-# Of each is read; a robot with many cameras has some twenty.
+# One message of each image topic is read. A robot with many cameras has about twenty topics.
 _MOST_IMAGES = 200
 
 
 @dataclass(frozen=True, slots=True)
 class ImageTopic:
-    """What the first message of a topic of images tells of all."""
+    """A topic of images, as its first message describes it."""
 
     name: str
     frame: str
@@ -65,26 +67,26 @@ class ImageTopic:
 
     @property
     def is_rectified(self) -> bool:
-        """Whether its name says that lens distortion was taken out."""
+        """Whether its name says that lens distortion was removed."""
         return "rect" in _base(self.name).rpartition("/")[2]
 
     @property
     def says_registered(self) -> bool:
-        """Whether its name says that its pixels are those of the colour image."""
+        """Whether its name says that it is registered to the colour image."""
         return bool(_REGISTERED.search(self.name))
 
 
 @dataclass(frozen=True, slots=True)
 class Choices:
-    """What a user says of topics. Raises ConfigError where the text is no choice.
+    """The topics that the user chose.
 
     Attributes:
-        topics: by role; NONE to leave one out.
+        topics: by role; NONE to leave a role out.
         right: the topic of the right wheel, where each wheel has its own.
-        sides: names of joints or fields, or places in an array, of the left and the right wheels; frames of tf, parent
-            and child, for wheels.
-        truth_frames: likewise for the truth.
-        places: names of joints, or places in an array, of three or four wheels of a holonomic base.
+        sides: names of joints or fields, or indices of an array, of the left and the right wheels; of tf, parent and
+            child frame.
+        truth_frames: parent and child frame of the truth.
+        places: names of joints, or indices of an array, of three or four wheels of a holonomic base.
     """
 
     topics: Mapping[str, str] = field(default_factory=dict)
@@ -95,7 +97,10 @@ class Choices:
 
     @classmethod
     def of(cls, texts: Sequence[str]) -> Choices:
-        """Of "color=/camera/rgb/image_raw", or "wheels=/joint_states:left_joint,right_joint"."""
+        """The choices of texts such as "color=/camera/rgb/image_raw" or "wheels=/joint_states:left_joint,right_joint".
+
+        Raises ConfigError where a text is not valid.
+        """
         topics: dict[str, str] = {}
         right, sides, truth_frames = None, None, None
         places: tuple[str, ...] = ()
@@ -115,11 +120,27 @@ class Choices:
         return cls(topics, right, sides, truth_frames, places)
 
 
+def _sides(text: str, role: str, names: str) -> Joints:
+    """The two sides of "left,right", each of one or several names. Raises ConfigError."""
+    sides = tuple(tuple(side.split("+")) for side in names.split(","))
+    if role not in ("wheels", "truth") or len(sides) != 2 or not all(name for side in sides for name in side):
+        fix = (
+            "wheels=/joint_states:left,right, or of four front_left+rear_left,front_right+rear_right; "
+            "wheels=/tf:odom,base_link or truth=/tf:world,marker of tf"
+        )
+        raise ConfigError(f"--topic {text}: joints of a left and a right side are expected", fix=fix)
+    return Joints(*sides)
+
+
 @dataclass(frozen=True, slots=True)
 class Roles:
-    """The topics that are used, each None where there is none, and what is to be said about the choice.
+    """The topic of each role, None where there is none, with warnings about the choice.
 
-    `transforms` are topics of their own in the bag; `faults`, also in `warnings`, are what makes wheels' poses wrong.
+    Attributes:
+        source: how the wheels' topic describes their motion.
+        transforms: transforms of tf that are used; the bag serves them as topics.
+        warnings: one sentence each.
+        faults: those of the warnings that make poses by wheels wrong.
     """
 
     color: ImageTopic | None = None
@@ -136,17 +157,17 @@ class Roles:
 
     @property
     def joints(self) -> Joints | None:
-        """Those of the wheels, where they are joints."""
+        """The joints of the wheels, where their topic is of joint states."""
         return self.source.sides if self.source is not None and self.source.topic.type == JOINTS else None
 
     @property
     def needs_sizes(self) -> bool:
-        """Whether the wheels are told of by how far they turn."""
+        """Whether the wheels' topic gives angles or counts, so that the wheels' sizes are needed."""
         return self.source is not None and self.source.needs_sizes
 
     @property
     def used(self) -> dict[str, str]:
-        """Names by role."""
+        """Names of topics by role."""
         named = {"color": self.color, "depth": self.depth, "wheels": self.wheels}
         plain = {"color_info": self.color_info, "depth_info": self.depth_info, "gyro": self.gyro, "truth": self.truth}
         plain["right wheel"] = None if self.source is None else self.source.right
@@ -157,16 +178,16 @@ class Roles:
 def roles_of(
     bag: OpenBag, choices: Choices, knows_wheels: bool = False, holonomic: HolonomicWheels | None = None
 ) -> Roles:
-    """Who is who in a bag. Of topics of images and joints the first message is read.
+    """The roles of a bag's topics. Reads the first messages of images, joints and wheels.
 
     Args:
-        bag: is read; transforms of tf that are used become topics of their own in it.
+        bag: transforms of tf that are used become topics of it.
         choices: of the user.
-        knows_wheels: whether a calibration is there that has the wheels' sizes.
-        holonomic: the wheels of a calibration that says that the base also moves sideways.
+        knows_wheels: whether a calibration gives the wheels' sizes.
+        holonomic: the wheels of a calibration of a holonomic base, else None.
 
     Raises:
-        ConfigError: a topic that was chosen is not there, is empty, or of another type.
+        ConfigError: a chosen topic does not exist, is empty, or has another type.
         RecordingError: a first message is damaged.
     """
     chosen = _chosen(bag, choices)
@@ -176,7 +197,7 @@ def roles_of(
     infos = [topic.name for topic in filled if topic.type == INFO]
     frames = {name: bag.header(bag.first(name)[0]).frame for name in infos}
     color_info = None if color is None else chosen.get("color_info") or _info_of(color, frames)
-    # Registered depth has the colour camera's pixels.
+    # Registered depth has the camera model of the colour image.
     own_depth = None if depth is None or depth.says_registered else depth
     depth_info = None if own_depth is None else chosen.get("depth_info") or _info_of(own_depth, frames)
     truth = _truth(bag, chosen, choices)
@@ -188,7 +209,7 @@ def roles_of(
         source = _holonomic(bag, [topic for topic in filled if topic.name != left_out], choices, holonomic, warnings)
     gyro = _gyro(filled, chosen, warnings)
     if source is not None and gyro is not None and "gyro" not in chosen and is_fused(source):
-        warnings.append(f"{gyro} is left out: {source.topic.name} has it already, it seems: see --topic gyro=….")
+        warnings.append(f"{gyro} is left out: {source.topic.name} has it already, by its name: see --topic gyro=….")
         gyro = None
     transforms = tuple(one for one in (source and source.transform, truth) if isinstance(one, TransformTopic))
     bag.add_transforms(transforms)
@@ -199,33 +220,8 @@ def roles_of(
     )
 
 
-def _sides(text: str, role: str, names: str) -> Joints:
-    sides = tuple(tuple(side.split("+")) for side in names.split(","))
-    if role not in ("wheels", "truth") or len(sides) != 2 or not all(name for side in sides for name in side):
-        fix = (
-            "wheels=/joint_states:left,right, or of four front_left+rear_left,front_right+rear_right; "
-            "wheels=/tf:odom,base_link or truth=/tf:world,marker of tf"
-        )
-        raise ConfigError(f"--topic {text}: joints of a left and a right side are expected", fix=fix)
-    return Joints(*sides)
-
-
-def _truth(bag: OpenBag, chosen: Mapping[str, str], choices: Choices) -> TransformTopic | str | None:
-    """The topic of true poses, which only a user can know of. Raises ConfigError."""
-    name = chosen.get("truth")
-    if name is None or name == NONE:
-        return None
-    topic = next(topic for topic in bag.topics if topic.name == name)
-    if topic.type not in TF:
-        return name
-    if choices.truth_frames is None:
-        fix = f"say which: --topic truth={name}:PARENT,CHILD, such as truth={name}:world,marker"
-        raise ConfigError(f"--topic truth={name}: tf has many transforms", fix=fix)
-    (parent, *_), (child, *_) = choices.truth_frames.left, choices.truth_frames.right
-    return counted_transform(bag, topic, parent.lstrip("/"), child.lstrip("/"))
-
-
 def _chosen(bag: OpenBag, choices: Choices) -> dict[str, str]:
+    """The chosen topics by role. Raises ConfigError where one has no messages or another type."""
     known = {topic.name: topic for topic in bag.topics}
     for role, name in choices.topics.items():
         if name == NONE or role == "wheels":
@@ -242,11 +238,17 @@ def _chosen(bag: OpenBag, choices: Choices) -> dict[str, str]:
 def _cameras(
     bag: OpenBag, filled: Sequence[Topic], chosen: Mapping[str, str], warnings: list[str]
 ) -> tuple[ImageTopic | None, ImageTopic | None]:
+    """Colour and depth that most likely belong to one camera; both None where there is no such pair."""
     topics = [topic for topic in filled if topic.type in (IMAGE, COMPRESSED)]
     if len(topics) > _MOST_IMAGES:
-        warnings.append(f"Of {len(topics)} topics of images, the first {_MOST_IMAGES} by name are looked at.")
+        warnings.append(f"Of {len(topics)} topics of images, only the first {_MOST_IMAGES} by name are read.")
         topics = [topic for topic in topics if topic.name in chosen.values()] + topics[:_MOST_IMAGES]
-    images = [_image(bag, topic) for topic in topics]
+    images = []
+    for topic in topics:
+        decoded = bag.decode(bag.first(topic.name)[0])
+        encoding = str(decoded.format if topic.type == COMPRESSED else decoded.encoding)
+        frame = str(decoded.header.frame_id).lstrip("/")
+        images.append(ImageTopic(topic.name, frame, encoding, is_depth(encoding, topic.name)))
     by_name = {image.name: image for image in images}
     if chosen.get("color") == NONE or chosen.get("depth") == NONE:
         return None, None
@@ -259,26 +261,21 @@ def _cameras(
     both = [(color, depth) for color in colors for depth in depths if color is not depth]
     pairs = sorted((_unlikely(color, depth), color.name, depth.name) for color, depth in both)
     if not pairs:
-        warnings += _half_a_camera(colors, depths)
+        names = ", ".join(image.name for image in (*colors, *depths))
+        if names:
+            other = "depth" if colors else "colour"
+            warnings.append(f"Not used, for want of {other} images that go with them: {names}.")
         return None, None
     (best, color, depth), others = pairs[0], pairs[1:]
-    rivals = [f"{c} with {d}" for unlikely, c, d in others if unlikely == best and _base(d) != _base(depth)]
-    if rivals:
+    equals = [f"{c} with {d}" for unlikely, c, d in others if unlikely == best and _base(d) != _base(depth)]
+    if equals:
         taken = f"{color} with {depth} is taken, by its name alone"
-        warnings.append(f"There are several cameras: {taken}, not {rivals[0]}. Choose by --topic color=… and depth=….")
+        warnings.append(f"There are several cameras: {taken}, not {equals[0]}. Choose by --topic color=… and depth=….")
     return by_name[color], by_name[depth]
 
 
-def _image(bag: OpenBag, topic: Topic) -> ImageTopic:
-    message = bag.first(topic.name)[0]
-    decoded = bag.decode(message)
-    encoding = str(decoded.format if topic.type == COMPRESSED else decoded.encoding)
-    frame = str(decoded.header.frame_id).lstrip("/")
-    return ImageTopic(topic.name, frame, encoding, is_depth(encoding, topic.name))
-
-
 def _unlikely(color: ImageTopic, depth: ImageTopic) -> tuple[int, ...]:
-    """How little two topics look like one camera's colour and depth; the least is taken."""
+    """A sort key of pairs of topics: the least is the most likely pair of one camera's colour and depth."""
     parts = [_base(image.name).split("/") for image in (color, depth)]
     shared = next((i for i, (a, b) in enumerate(zip(*parts, strict=False)) if a != b), min(map(len, parts)))
     is_registered = color.frame == depth.frame or depth.says_registered
@@ -288,22 +285,14 @@ def _unlikely(color: ImageTopic, depth: ImageTopic) -> tuple[int, ...]:
 
 
 def _base(name: str) -> str:
-    """Name of the topic that a compressed one is of."""
+    """The name of a topic without the suffix of its image transport."""
     return _TRANSPORT.sub("", name)
-
-
-def _half_a_camera(colors: Sequence[ImageTopic], depths: Sequence[ImageTopic]) -> list[str]:
-    """What to say of images that are not used, since they are of one kind alone."""
-    names = ", ".join(image.name for image in (*colors, *depths))
-    if not names:
-        return []
-    return [f"Not used, for want of {'depth' if colors else 'colour'} images that go with them: {names}."]
 
 
 def _info_of(image: ImageTopic, frames: Mapping[str, str]) -> str | None:
     """The CameraInfo beside an image, else the only one of its frame, else the only one there is."""
     folder = _base(image.name).rpartition("/")[0]
-    # The RealSense SDK has …/image/data and …/info/camera_info.
+    # The RealSense SDK writes …/image/data and …/info/camera_info.
     for beside in (f"{folder}/camera_info", f"{folder.rpartition('/')[0]}/info/camera_info"):
         if beside in frames:
             return beside
@@ -311,6 +300,21 @@ def _info_of(image: ImageTopic, frames: Mapping[str, str]) -> str | None:
     if len(alike) == 1:
         return alike[0]
     return next(iter(frames)) if len(frames) == 1 else None
+
+
+def _truth(bag: OpenBag, chosen: Mapping[str, str], choices: Choices) -> TransformTopic | str | None:
+    """The topic of true poses, where the user chose one. Raises ConfigError."""
+    name = chosen.get("truth")
+    if name is None or name == NONE:
+        return None
+    topic = next(topic for topic in bag.topics if topic.name == name)
+    if topic.type not in TF:
+        return name
+    if choices.truth_frames is None:
+        fix = f"say which: --topic truth={name}:PARENT,CHILD, such as truth={name}:world,marker"
+        raise ConfigError(f"--topic truth={name}: tf has many transforms", fix=fix)
+    (parent, *_), (child, *_) = choices.truth_frames.left, choices.truth_frames.right
+    return counted_transform(bag, topic, parent.lstrip("/"), child.lstrip("/"))
 
 
 def _wheels(
@@ -323,17 +327,17 @@ def _wheels(
     warnings: list[str],
     faults: list[str],
 ) -> WheelSource | None:
-    """What tells of the wheels: raw readings before a filter's output; what is not taken is said, and why."""
+    """The source of wheel motion: raw readings rather than a filter's output. Warnings name the sources not used."""
     name = choices.topics.get("wheels")
     if name == NONE:
         return None
     if name is not None:
         chosen = chosen_source(bag, name, choices.right, choices.sides)
-        chosen, told = _as_it_moves(bag, chosen, knows_wheels, warnings)
-        faults += [] if told is None else [f"{name} goes sideways: {told}; the way is wrong by as much."]
+        chosen, how = _as_it_moves(bag, chosen, knows_wheels, warnings)
+        faults += [] if how is None else [f"{name} goes sideways: {how}; the path is wrong by as much."]
         return chosen
     own = any(topic.name == CALIBRATION for topic in filled)
-    # In a bag of our own, poses and transforms are our estimate, by the other sensors.
+    # In a bag that wheelsight wrote, poses and transforms are its estimate from the other sensors.
     is_estimated = own and (has_camera or any(topic.type == JOINTS for topic in filled))
     left_out = {truth.of if isinstance(truth, TransformTopic) else truth}
     found = sources_in(bag, [topic for topic in filled if topic.name not in left_out], choices.sides, is_estimated)
@@ -341,13 +345,13 @@ def _wheels(
     if not usable and not has_camera:
         usable = found
     others = [source for source in found if not usable or source is not usable[0]]
-    taken, told = _as_it_moves(bag, usable[0], knows_wheels, warnings) if usable else (None, None)
-    if taken is not None and told is not None:
+    taken, how = _as_it_moves(bag, usable[0], knows_wheels, warnings) if usable else (None, None)
+    if taken is not None and how is not None:
         if not has_camera:
-            faults.append(f"{taken.topic.name} goes sideways: {told}; the way is wrong by as much, no camera leads.")
+            faults.append(f"{taken.topic.name} goes sideways: {how}; without a camera the path is wrong by as much.")
         else:
-            fix = f"the camera leads (--topic wheels={taken.topic.name} takes them all the same)"
-            warnings.append(f"{taken.topic.name} is left out: {told}; {fix}.")
+            fix = f"the camera alone is used (--topic wheels={taken.topic.name} uses the wheels too)"
+            warnings.append(f"{taken.topic.name} is left out: {how}; {fix}.")
             taken = None
     if taken is not None:
         warnings += [f"{taken.topic.name} is taken for the wheels' odometry, {taken.doubt}."] if taken.doubt else []
@@ -364,24 +368,24 @@ def _wheels(
 def _as_it_moves(
     bag: OpenBag, source: WheelSource, knows_wheels: bool, warnings: list[str]
 ) -> tuple[WheelSource, str | None]:
-    """The source, as of a holonomic base where it goes sideways and no two wheels are known; where they are, how much.
+    """The source, and how much it moves sideways where the calibration has two wheels, which cannot.
 
-    What is taken for a holonomic base is said in `warnings`.
+    Without a calibration a source that moves sideways becomes that of a holonomic base, with a warning.
     """
-    told = sideways(bag, source)
-    if told is None:
+    how = sideways(bag, source)
+    if how is None:
         return source, None
     if knows_wheels:
-        return source, f"{told}, which two wheels cannot show"
-    fix = "give a calibration.yaml with its wheels where it has but two"
-    warnings.append(f"{source.topic.name} is taken for that of a holonomic base: {told} ({fix}).")
+        return source, f"{how}, which two wheels cannot show"
+    fix = "give a calibration.yaml with its wheels if it has two"
+    warnings.append(f"{source.topic.name} is taken for that of a holonomic base: {how} ({fix}).")
     return replace(source, is_holonomic=True), None
 
 
 def _holonomic(
     bag: OpenBag, filled: Sequence[Topic], choices: Choices, wheels: HolonomicWheels, warnings: list[str]
 ) -> WheelSource | None:
-    """The source of a holonomic base that a calibration states: counts of all its wheels, else its own odometry."""
+    """The source of a holonomic base that a calibration describes: counts of all wheels, else its own odometry."""
     name = choices.topics.get("wheels")
     if name == NONE:
         return None
@@ -390,13 +394,13 @@ def _holonomic(
     if taken is None and name is not None:
         taken = chosen_source(bag, name, choices.right, choices.sides)
     elif taken is None:
-        own = any(topic.name == WHEEL_ODOMETRY for topic in filled)  # of ours, others are an estimate
+        own = any(topic.name == WHEEL_ODOMETRY for topic in filled)  # other topics of such a bag are estimates
         filled = [topic for topic in filled if topic.name == WHEEL_ODOMETRY] if own else filled
         found = sources_in(bag, filled, choices.sides, any(topic.name == CALIBRATION for topic in filled) and not own)
         taken = next((source for source in found if not source.needs_sizes), None)
         others = [source for source in found if source is not taken]
     if taken is not None and taken.needs_sizes and not taken.is_holonomic:
-        problem = f"--topic wheels={taken.topic.name} tells of two wheels, and the calibration has a holonomic base"
+        problem = f"--topic wheels={taken.topic.name} is of two wheels, and the calibration has a holonomic base"
         raise ConfigError(problem, fix="name a topic of all its wheels, or of its odometry")
     if others:
         names = ", ".join(source.topic.name for source in others)
@@ -406,6 +410,7 @@ def _holonomic(
 
 
 def _gyro(filled: Sequence[Topic], chosen: Mapping[str, str], warnings: list[str]) -> str | None:
+    """The gyroscope's topic: the chosen one, else the first by name."""
     if "gyro" in chosen:
         return None if chosen["gyro"] == NONE else chosen["gyro"]
     found = [topic.name for topic in filled if topic.type == IMU]
@@ -415,7 +420,7 @@ def _gyro(filled: Sequence[Topic], chosen: Mapping[str, str], warnings: list[str
 
 
 def lacks(roles: Roles, bag: OpenBag, path: Path) -> RecordingError:
-    """What to say of a bag with neither camera nor wheels."""
+    """The error for a bag with neither camera nor wheels."""
     types = {topic.type for topic in bag.topics if topic.count}
     none = ["counts or speeds of wheels", "odom → base_link in tf", "Odometry", "JointState of wheels"]
     missing = ["no depth images with colour", *(f"no {what}" for what in none)]

@@ -1,4 +1,6 @@
-"""Which topics of a bag tell of its wheels: odometry, joints, counts, speeds or tf; raw ones before a filter's."""
+"""`sources_in` finds the topics of a bag that describe the motion of its wheels: odometry, joints, counts, speeds or
+tf. Raw readings rank before a filter's output.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,7 @@ ODOMETRY, JOINTS = "nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState"
 _TWISTS = ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/TwistWithCovarianceStamped")
 _COUNT = re.compile(r"std_msgs/msg/(?P<sign>U?)Int(?P<bits>16|32|64)")
 _ARRAY = re.compile(r"std_msgs/msg/(?P<sign>U?)Int(?P<bits>16|32|64)MultiArray")
-# Packages of which no message tells of wheels' turns by fields of a left and a right one.
+# Packages whose messages have no fields of a left and a right wheel.
 _OF_ROS = re.compile(
     r"(std|sensor|geometry|nav|tf2?|rosgraph|diagnostic|visualization|actionlib|stereo|shape|trajectory|map|bond|"
     r"dynamic_reconfigure|rcl_interfaces|builtin_interfaces|action|lifecycle|statistics|service|theora\w*)_?msgs/|"
@@ -50,7 +52,7 @@ _WHEEL_WORDS = re.compile(r"wheel|controller|diff|base|encoder", re.IGNORECASE)
 _NO_WHEELS = re.compile(
     r"visual|vio|vo\b|rtabmap|slam|icp|gps|truth|lidar|laser|camera|t265|mocap|vicon|optitrack", re.I
 )
-# What was joined from several sensors: robot_localization, robot_pose_ekf and their like.
+# Outputs of sensor fusion: robot_localization, robot_pose_ekf and others.
 _FUSED = re.compile(r"filter|ekf|ukf|fused|fusion|combined|robot_pose|kalman", re.IGNORECASE)
 _COMMANDED = re.compile(
     r"cmd|command|request|target|desired|setpoint|goal|teleop|joy|reference|\bset|pwm|duty|current|effort|torque|power|"
@@ -64,11 +66,11 @@ _SPEED_FIELD = re.compile(r"vel|speed|omega|rad_?s", re.IGNORECASE)
 _ONE_SIDE = re.compile(r"(^|[/_])l(?=[/_]|wheel|whl|enc|tick|motor|count|$)", re.IGNORECASE)
 _ODOM_FRAME, _BASE_FRAME = re.compile(r"(?:.*/)?(odom\w*|wheel_odom)"), re.compile(r"(?:.*/)?base(_footprint|_link)?")
 _MOST_SAMPLES, _TF_SAMPLES = 20, 400
-# Of tf, messages that carry a transform are counted where these are few enough to be read in some tenths of a second.
+# Most messages of tf that are read to count a transform, which takes some tenths of a second.
 _MOST_COUNTED = 5000
-# Increments that are looked at for sideways motion: all of a short bag, else as many in windows over all of it.
+# Increments that are checked for sideways motion: all of a short bag, else this many in windows spread over it.
 _MOST_INCREMENTS, _WINDOWS = 4000, 20
-# A differential drive's own errors (slip, a heading that was taken before a turn) stay below this share of its way.
+# Sideways errors of a differential drive (slip, a heading from before a turn) stay below this share of its path.
 _MOST_SIDEWAYS = 0.05
 _LEAST_SIDEWAYS_M = 0.1  # the noise of a robot at rest adds up to less
 _LONGEST_LEVER_M = 1.0  # from a drive's axle to the frame of its base
@@ -78,20 +80,20 @@ Kind = Literal["odometry", "joints", "twist", "counts", "columns", "fields", "tf
 
 @dataclass(frozen=True, slots=True)
 class WheelSource:
-    """A topic that tells of the wheels, and how.
+    """A topic that describes the motion of the wheels.
 
     Attributes:
         topic: its name, type and count; of tf, one transform.
-        kind: how it tells.
+        kind: of its data.
         sides: joints, fields or places in an array, of the left and the right wheels.
         right: the right wheel's topic, where each has one.
-        bits: after how many bits counts begin anew; 0 for never.
+        bits: of the counter, which wraps around; 0 where it does not.
         unit: of fields: "counts", "mm" rolled, or "rad/s".
         transform: of tf.
-        rank: the least is taken.
-        doubt: what speaks against it; empty where nothing does.
-        is_holonomic: whether it is of a base that also moves sideways.
-        places: of its wheels, joints or places in an array, in the order of the calibration's wheels.
+        rank: the source with the least is used.
+        doubt: a reason against it; empty without one.
+        is_holonomic: whether the base is holonomic.
+        places: joints or indices of an array, in the order of the calibration's wheels.
     """
 
     topic: Topic
@@ -108,12 +110,12 @@ class WheelSource:
 
     @property
     def needs_sizes(self) -> bool:
-        """Whether it tells how far or fast wheels turn, of which a calibration must know the sizes."""
+        """Whether it gives angles or speeds of wheels, so that a calibration must give their sizes."""
         return self.kind in ("joints", "counts", "columns", "fields")
 
     @property
     def tells(self) -> str:
-        """In a few words what it tells, for a user."""
+        """Its data in a few words, for messages."""
         sides = "" if self.sides is None else f"{'+'.join(self.sides.left)} and {'+'.join(self.sides.right)}"
         sides = ", ".join(self.places) or sides
         return {
@@ -127,13 +129,19 @@ class WheelSource:
         }[self.kind]
 
     def why_not(self, knows_wheels: bool) -> str:
-        """Why it is not taken, for a user."""
+        """Why it is not used, for messages."""
         if self.needs_sizes and not knows_wheels:
             return f"{self.tells}; their sizes are not known: give a calibration.yaml with wheels by --calibration"
         return self.doubt or self.tells
 
     def reader(self, wheels: Wheels, nominal: Wheels, by_twist: bool) -> Callable[[], SpeedReader]:
-        """Makes readers of it. Args: the robot's wheels, those that stand for speeds, whether poses say nothing."""
+        """A factory of readers.
+
+        Args:
+            wheels: of the robot.
+            nominal: wheels for sources that give the motion of the base.
+            by_twist: whether to use twists, since poses stay at zero.
+        """
         sides = self.sides or Joints((), ())
         if self.kind == "odometry":
             return partial(PoseSpeeds, nominal, planar_of, by_twist)
@@ -151,13 +159,18 @@ class WheelSource:
         return partial(CountedTicks, fields_of, sides, self.bits, per_number)
 
     def holonomic_reader(self, wheels: HolonomicWheels, by_twist: bool) -> Callable[[], SpeedReader]:
-        """Makes readers of it as of a holonomic base's. Args: the robot's wheels, whether poses say nothing."""
+        """A factory of readers for a holonomic base.
+
+        Args:
+            wheels: of the robot.
+            by_twist: whether to use twists, since poses stay at zero.
+        """
         if self.kind == "joints":
             return partial(AllCounts, self.places, 0, wheels.ticks_per_turn)
         if self.kind == "columns":
             return partial(AllCounts, self.places, self.bits)
-        told_of = planar_of if self.kind == "odometry" else self.planar_of_tf
-        return partial(BasePoses, None if by_twist or self.kind == "twist" else told_of)
+        pose_of = planar_of if self.kind == "odometry" else self.planar_of_tf
+        return partial(BasePoses, None if by_twist or self.kind == "twist" else pose_of)
 
     def planar_of_tf(self, message: Any) -> Any:
         """Pose and twist of a message of tf; see `planar_of_transform`."""
@@ -166,33 +179,36 @@ class WheelSource:
 
 
 def is_fused(source: WheelSource) -> bool:
-    """Whether its name says that a filter joined it from several sensors, a gyroscope among them."""
+    """Whether its name says that it is the output of sensor fusion, which includes a gyroscope."""
     return source.kind in ("odometry", "tf", "twist") and bool(_FUSED.search(source.topic.name))
 
 
 def sources_in(bag: OpenBag, topics: Sequence[Topic], sides: Joints | None, is_estimated: bool) -> list[WheelSource]:
-    """All that tells of wheels by itself, the best first.
+    """All sources of wheel motion in a bag, the best first. Reads some first messages, and the last of arrays.
 
     Args:
-        bag: is read: some first messages, and the last of arrays.
-        topics: that may be used.
-        sides: of joints, where a user named them.
-        is_estimated: whether poses, twists and tf are an estimate of wheelsight's own.
+        bag: to read.
+        topics: to consider.
+        sides: joints that the user chose, or None.
+        is_estimated: whether poses, twists and tf are wheelsight's own estimate, and so not used.
     """
     found: list[WheelSource] = []
     for topic in topics:
-        with suppress(RecordingError):  # a message that cannot be read tells of nothing
+        with suppress(RecordingError):  # a message that cannot be read
             found += _sources_of(bag, topic, topics, sides)
     if is_estimated:
         found = [source for source in found if source.kind not in ("odometry", "tf", "twist")]
     if any(topic.type == ODOMETRY for topic in topics):
-        found = [source for source in found if source.kind != "tf"]  # the same once more
+        found = [source for source in found if source.kind != "tf"]  # tf repeats the odometry
     return sorted(found, key=lambda source: (source.rank, source.topic.name))
 
 
 def _sources_of(bag: OpenBag, topic: Topic, topics: Sequence[Topic], sides: Joints | None) -> Iterator[WheelSource]:
+    """The sources in one topic. Raises RecordingError where a message cannot be read."""
     if topic.type == ODOMETRY:
-        yield _odometry(topic)
+        by_name = not _WHEEL_WORDS.search(topic.name)
+        rank = 9 if _NO_WHEELS.search(topic.name) else 7 if _FUSED.search(topic.name) else by_name
+        yield WheelSource(topic, "odometry", rank, doubt=_doubt(topic.name))
     elif topic.type == JOINTS:
         joints = sides or _found_joints(bag, topic.name)
         if joints is not None:
@@ -209,7 +225,7 @@ def _sources_of(bag: OpenBag, topic: Topic, topics: Sequence[Topic], sides: Join
 
 
 def _counted(bag: OpenBag, topic: Topic, topics: Sequence[Topic]) -> Iterator[WheelSource]:
-    """Counts of a left wheel whose right one has a topic of its own, or of both in an array."""
+    """Counts of two wheels: the right one in a topic of its own, or both in an array."""
     if match := _COUNT.fullmatch(topic.type):
         right = _other_side(topic.name)
         if right is not None and any((other.name, other.type) == (right, topic.type) for other in topics):
@@ -220,15 +236,8 @@ def _counted(bag: OpenBag, topic: Topic, topics: Sequence[Topic]) -> Iterator[Wh
             yield WheelSource(topic, "columns", 4, places, bits=_bits(match))
 
 
-def _odometry(topic: Topic) -> WheelSource:
-    is_other = bool(_NO_WHEELS.search(topic.name))
-    by_name = not _WHEEL_WORDS.search(topic.name)
-    return WheelSource(
-        topic, "odometry", 9 if is_other else 7 if _FUSED.search(topic.name) else by_name, doubt=_doubt(topic.name)
-    )
-
-
 def _doubt(name: str) -> str:
+    """A reason against a topic, by its name; empty without one."""
     if _NO_WHEELS.search(name):
         return "but its name says it is not theirs"
     if _FUSED.search(name):
@@ -246,7 +255,7 @@ def _bits(match: re.Match[str]) -> int:
 
 
 def _other_side(name: str) -> str | None:
-    """The name with right for left; None where it names no left side."""
+    """The name with left replaced by right; None where it has no left side."""
     for left, right in (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT")):
         if left in name:
             return name.replace(left, right)
@@ -255,7 +264,7 @@ def _other_side(name: str) -> str | None:
 
 
 def _found_joints(bag: OpenBag, topic: str) -> Joints | None:
-    """The wheels among the joints of some first messages: arm and base may take turns on one topic."""
+    """The wheels among the joints of the first messages: arm and base may alternate on one topic. None without any."""
     for message in bag.first(topic, _MOST_SAMPLES):
         joints = wheel_joints(bag.decode(message).name)
         if joints is not None:
@@ -264,7 +273,7 @@ def _found_joints(bag: OpenBag, topic: str) -> Joints | None:
 
 
 def _places(bag: OpenBag, topic: str) -> Joints | None:
-    """The only two places of an array, or the only two of which the numbers change over the bag."""
+    """The indices of an array of two numbers, or of the only two numbers that change over the bag; else None."""
     arrays = [list(bag.decode(message).data) for message in (*bag.first(topic), bag.last(topic))]
     length = len(arrays[0])
     if any(len(array) != length for array in arrays):
@@ -275,7 +284,7 @@ def _places(bag: OpenBag, topic: str) -> Joints | None:
 
 
 def _in_fields(bag: OpenBag, topic: Topic, sides: Joints | None) -> Iterator[WheelSource]:
-    """Fields of a left and a right wheel in a message of a robot's own, by their names."""
+    """Fields of a left and a right wheel in a robot-specific message, by name. Raises ConfigError."""
     types = bag.fields(topic.name)
     if sides is not None:
         missing = [name for name in (*sides.left, *sides.right) if name not in types]
@@ -298,7 +307,7 @@ def _in_fields(bag: OpenBag, topic: Topic, sides: Joints | None) -> Iterator[Whe
 
 
 def _in_tf(bag: OpenBag, topic: Topic) -> Iterator[WheelSource]:
-    """What moves a base in an odom frame, by the first messages."""
+    """Transforms from an odom frame to a base frame in the first messages."""
     pairs: dict[tuple[str, str], None] = {}
     for message in bag.first(topic.name, _TF_SAMPLES):
         for stamped in bag.decode(message).transforms:
@@ -314,7 +323,7 @@ def _in_tf(bag: OpenBag, topic: Topic) -> Iterator[WheelSource]:
 
 
 def counted_transform(bag: OpenBag, topic: Topic, parent: str, child: str) -> TransformTopic:
-    """One transform of a topic of tf, and how many messages carry it. Raises ConfigError where none does."""
+    """A transform of a topic of tf, with its number of messages. Raises ConfigError where there is none."""
     transform = TransformTopic(topic.name, parent, child, topic.count)
     count = 0
     for message in islice(bag.messages([topic.name]), _MOST_COUNTED):
@@ -327,11 +336,11 @@ def counted_transform(bag: OpenBag, topic: Topic, parent: str, child: str) -> Tr
 
 
 def chosen_source(bag: OpenBag, name: str, right: str | None, sides: Joints | None) -> WheelSource:
-    """What a user named.
+    """The source that the user chose.
 
     Raises:
-        ConfigError: it is not there, is empty, or of a type that tells nothing of wheels.
-        RecordingError: which of its numbers are the wheels' is to be said.
+        ConfigError: the topic does not exist, is empty, or has a type without wheel motion.
+        RecordingError: the user must say which of its numbers are the wheels'.
     """
     known = {topic.name: topic for topic in bag.topics if topic.count}
     for one in (name, right):
@@ -340,7 +349,7 @@ def chosen_source(bag: OpenBag, name: str, right: str | None, sides: Joints | No
             # Joints without the names of wheels can be named by the user.
             names |= {topic.name for topic in known.values() if topic.type in (ODOMETRY, JOINTS, *_TWISTS)}
             readable = ", ".join(sorted(names))
-            fix = f"there are: {readable}" if readable else "the bag has none that tells of wheels"
+            fix = f"there are: {readable}" if readable else "the bag has none of wheels"
             raise ConfigError(f"--topic wheels={one}: {bag.path.name} has no messages of it", fix=fix)
     topic = known[name]
     if right is not None or _COUNT.fullmatch(topic.type):
@@ -363,6 +372,7 @@ def chosen_source(bag: OpenBag, name: str, right: str | None, sides: Joints | No
 
 
 def _chosen_counts(topic: Topic, right: str | None, known: Mapping[str, Topic]) -> WheelSource:
+    """The source of two topics of counts. Raises ConfigError."""
     match = _COUNT.fullmatch(topic.type)
     if right is None or right not in known:
         raise ConfigError(f"--topic wheels={topic.name} counts one wheel", fix=f"wheels={topic.name},RIGHT_TOPIC")
@@ -374,6 +384,7 @@ def _chosen_counts(topic: Topic, right: str | None, known: Mapping[str, Topic]) 
 
 
 def _chosen_transform(bag: OpenBag, topic: Topic, sides: Joints | None) -> WheelSource:
+    """The source of a transform of tf. Raises ConfigError, RecordingError."""
     if sides is None:
         found = next(_in_tf(bag, topic), None)
         return found or _refuse(bag, topic.name, "no transform from odom to base_link", "PARENT,CHILD")
@@ -395,31 +406,31 @@ def _joints_in(bag: OpenBag, topic: str) -> Joints:
 
 
 def unread_topics(bag: OpenBag, topics: Sequence[Topic], found: Sequence[WheelSource]) -> list[str]:
-    """Sentences on topics that may tell of wheels by their names or types, and are not understood."""
+    """Warnings about topics whose names or types suggest wheels, but that cannot be read."""
     read = {name for source in found for name in (source.topic.name, source.right)}
-    told = []
+    warnings = []
     for topic in topics:
         if topic.name in read:
             continue
         if topic.type == JOINTS:
-            told.append(f"{topic.name} is not used: no two of its joints are called a left and a right wheel.")
+            warnings.append(f"{topic.name} is not used: no two of its joints are called a left and a right wheel.")
         elif (
             (topic.type in _TWISTS or re.search(r"std_msgs/msg/(U?Int|Float)", topic.type))
             and re.search(r"wheel|whl|enc|tick|odom", topic.name, re.IGNORECASE)
             and not _COMMANDED.search(topic.name)
         ):
             how = f"--topic wheels={topic.name}:LEFT,RIGHT, or write a wheels.csv of stamp_s,left,right"
-            told.append(f"{topic.name} may tell of wheels, and is not understood: {how}.")
-    return told
+            warnings.append(f"{topic.name} may be of wheels, but its numbers are unknown: {how}.")
+    return warnings
 
 
 def holonomic_source(
     bag: OpenBag, topics: Sequence[Topic], wheels: HolonomicWheels, named: str | None, places: Sequence[str]
 ) -> WheelSource | None:
-    """Joints or an array of all wheels of a holonomic base, by the names of its wheels, or as a user named them.
+    """Joints or an array of all wheels of a holonomic base, by the names of its wheels, or as the user chose.
 
     Raises:
-        RecordingError: of a topic that a user named, which of its numbers are which wheel's is to be said.
+        RecordingError: the user must say which numbers of the chosen topic are the wheels'.
     """
     count = len(wheels.wheel_names)
     for topic in topics if count else ():
@@ -443,6 +454,7 @@ def holonomic_source(
 
 
 def _joints_of_all(bag: OpenBag, topic: str, wheels: HolonomicWheels) -> tuple[str, ...]:
+    """The joints of all wheels of a holonomic base, in their order; empty where not found."""
     for message in bag.first(topic, _MOST_SAMPLES):
         names = bag.decode(message).name
         if set(wheels.wheel_names) <= set(names):
@@ -453,10 +465,10 @@ def _joints_of_all(bag: OpenBag, topic: str, wheels: HolonomicWheels) -> tuple[s
 
 
 def sideways(bag: OpenBag, source: WheelSource) -> str | None:
-    """How much of an odometry's way is sideways, where it is more than two wheels can roll; else None.
+    """How much of an odometry's path is sideways, where it is more than two wheels can roll; else None.
 
-    What a turn moves sideways is taken out: the axle may be before or behind the base, and a heading may be taken
-    before a turn or after.
+    Sideways motion by turns is excluded: the axle may be before or behind the base frame, and the heading may be that
+    before or after a turn.
     """
     steps = _steps(bag, source)
     if len(steps) < 2:
@@ -470,12 +482,11 @@ def sideways(bag: OpenBag, source: WheelSource) -> str | None:
     if sideways_m < max(_LEAST_SIDEWAYS_M, _MOST_SIDEWAYS * way_m):
         return None
     share = 100 * sideways_m / way_m
-    looked_at = f"{sideways_m:.2f} of {way_m:.2f} m that were looked at ({share:.0f} %)"
-    return f"{looked_at} are sideways"
+    return f"{sideways_m:.2f} of {way_m:.2f} m that were checked ({share:.0f} %) are sideways"
 
 
 def _steps(bag: OpenBag, source: WheelSource) -> np.ndarray:
-    """(N, 3) way ahead, way across and turn between messages that follow each other, of all or of some windows."""
+    """(N, 3) motion ahead, to the left and turning between consecutive messages, of all or in windows."""
     name = source.topic.name
     if source.transform is not None:
         bag.add_transforms([source.transform])
@@ -488,22 +499,23 @@ def _steps(bag: OpenBag, source: WheelSource) -> np.ndarray:
         windows, most = list(pairwise(begins)), _MOST_INCREMENTS // _WINDOWS
     steps: list[tuple[float, float, float]] = []
     for start_ns, stop_ns in windows:
-        told: list[tuple[float, Any]] = []
+        received: list[tuple[float, Any]] = []
         for message in islice(bag.messages([name], start_ns, stop_ns), most):
             with suppress(RecordingError):
-                told.append((message.receipt_s, bag.decode(message)))
-        steps += _between(source, told)
+                received.append((message.receipt_s, bag.decode(message)))
+        steps += _between(source, received)
     return np.array(steps).reshape(-1, 3)
 
 
-def _between(source: WheelSource, told: Sequence[tuple[float, Any]]) -> list[tuple[float, float, float]]:
+def _between(source: WheelSource, received: Sequence[tuple[float, Any]]) -> list[tuple[float, float, float]]:
+    """Motion ahead, to the left and turning between consecutive messages, given with their receipt."""
     if source.kind == "twist":
-        speeds = [(at_s, twist_of(message)) for at_s, message in told]
+        speeds = [(at_s, twist_of(message)) for at_s, message in received]
         return [
             (speed[0] * (b - a), speed[1] * (b - a), speed[2] * (b - a))
             for (a, speed), (b, _) in pairwise(speeds)
             if speed is not None and 0 < b - a < 1
         ]
     of = planar_of if source.kind == "odometry" else source.planar_of_tf
-    poses = [found for found in (of(message) for _, message in told) if found is not None]
+    poses = [found for found in (of(message) for _, message in received) if found is not None]
     return [increment(before, now) for before, now in pairwise(poses)]
