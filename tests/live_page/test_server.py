@@ -138,7 +138,7 @@ def test_a_page_that_vanishes_without_a_word_is_no_driver_for_long() -> None:
         mask = b"\x00\x00\x00\x00"
         raw.sendall(bytes([0x81, 0x80 | len(text)]) + mask + text)
         served.until(lambda told: told["state"] == "driving")
-        served.until(lambda told: told["stopped"] == "the page of whoever drives it is gone")
+        served.until(lambda told: told["stopped"] == "the page of the driver is gone")
         raw.close()
 
 

@@ -157,7 +157,7 @@ def test_the_calibration_tells_of_what_is_listened_to_alone(tmp_path: Path) -> N
         assert both.calibration.wheels == WHEELS.never_rolling_over
         alone = LiveSource(LiveSensors(ROBOT, None, link))
         assert default_odometry(alone, Config()).odometry == ("wheels",)
-        with pytest.raises(ConfigError, match="tell nothing while their size is not known"):
+        with pytest.raises(ConfigError, match="give no motion without their sizes"):
             LiveSource(LiveSensors(CALIBRATION, camera, link))
     with pytest.raises(ConfigError, match=r"there is no sensor to listen to \(--camera NAME"):
         LiveSource(LiveSensors(ROBOT))

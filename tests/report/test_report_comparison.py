@@ -76,7 +76,7 @@ def test_without_truth_paths_begin_in_one_point_and_direction() -> None:
 def test_what_cannot_be_laid_with_the_others_is_left_out_with_its_reason() -> None:
     wheels, features = both_runs(with_truth=False)
     camera = replace(features, estimate=replace(features.estimate, body="camera"))
-    assert overlay_of([wheels, camera]).left_out == {"features": "it tells of the camera, the others of the base"}
+    assert overlay_of([wheels, camera]).left_out == {"features": "its poses are of the camera, the others of the base"}
     assert overlay_of([wheels, replace(empty_run(), odometry="features")]).left_out == {"features": "no pose was found"}
     with_truth = both_runs()
     lost = replace(with_truth[1], evaluation=None, evaluation_problem="only one pose")

@@ -49,7 +49,7 @@ def test_the_verdict_is_of_the_goals(record: DriveRecord) -> None:
     helped = replace(record.goals[0], result=replace(record.goals[0].result, recoveries=2))
     phrase, sentences, tone = verdict(replace(record, goals=(helped,)))
     assert (phrase, tone) == ("Arrived", "amber")
-    assert "2 times it had to get itself out" in sentences
+    assert "2 times it had to recover" in sentences
 
 
 def test_the_plan_shows_all_ways_in_metres(record: DriveRecord) -> None:

@@ -133,7 +133,7 @@ def test_the_page_tells_what_areas_did() -> None:
     found = not_none(area_runs()[1].rectification)
     assert f"Areas bring the wheels from {not_none(found.errors).wheels.mean:.2f} m to 50.0 cm off (mean)" in page.text
     assert page.tiles["In the map, mean error"][0] == "50.0 cm"
-    assert "3 frames told nothing of the area: the frame has no depth (3)." in page.text
+    assert "3 frames gave no probabilities: the frame has no depth (3)." in page.text
     assert "The model was not trusted in" in page.text
     assert "The start is the one that was given" in page.text
     assert "the camera was never lost" not in page.text

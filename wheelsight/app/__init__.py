@@ -1,3 +1,3 @@
-"""What people start: runs, drives, the page, reports, batches, exports, and the command line."""
+"""Entry points: runs, drives, the live page, reports, batches, exports and the command line."""
 
 __all__: list[str] = []

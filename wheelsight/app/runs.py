@@ -1,4 +1,4 @@
-"""A run with its page: what most users call."""
+"""A run with its page: the function that most users call."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def run(
         out: folder for the results; made if need be.
         force: write into a folder that holds something already.
         on_frame: called after each frame that is answered, for a progress bar.
-        duration_s: ends so many seconds after the first event, by its stamp; None: with the source.
+        duration_s: duration of the run from the first event, by stamps; None: until the source ends.
         visual_odometry, loop_detector: parts of your own, as of `Localizer`.
 
     Raises:

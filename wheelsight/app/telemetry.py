@@ -1,4 +1,4 @@
-"""From a robot's ticks to its dead-reckoned pose on a pipe, reading by reading."""
+"""Writes a robot's dead-reckoned pose to a pipe, from wheel readings."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class LiveTicks(Protocol):
 
 
 class Telemetry:
-    """Dead-reckons ticks, and tells each pose as one line of JSON.
+    """Integrates ticks and writes each pose as one line of JSON.
 
     The numbers of a line: `stamp_s`, when the wheels stood so; `ticks_stamp_s`, as the ticks were stamped;
     `left_ticks` and `right_ticks`; `x_m`, `y_m`, `yaw_rad` in [-π, π], the base in odom, which is where it was at the
@@ -41,7 +41,7 @@ class Telemetry:
         self.odometry = WheelOdometry(unrolled, integration)
 
     def line(self, ticks: WheelTicks) -> str:
-        """What is to be told after a reading, without a line's end."""
+        """The line for one reading, without its line end."""
         estimate = self.odometry.process(ticks)
         x_m, y_m, yaw_rad = self.odometry.pose
         v_m_s, w_rad_s = self.odometry.twist
@@ -62,7 +62,7 @@ class Telemetry:
 
 
 def serve(source: LiveTicks, telemetry: Telemetry, pipe: TelemetryPipe, is_over: Callable[[], bool]) -> None:
-    """Tell the pose after every reading, until `is_over()`, asked ten times a second or more."""
+    """Write the pose after every reading, until `is_over()`, which is asked at least ten times a second."""
     while not is_over():
         ticks = source.read(_LONGEST_WAIT_S)
         if ticks is not None:

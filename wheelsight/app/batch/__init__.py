@@ -1,4 +1,4 @@
-"""Many recordings at once: on the cores of this computer, or on many computers; one table of it all."""
+"""Runs many recordings on the cores of this computer or on many computers, and makes one table of the results."""
 
 from wheelsight.app.batch.batches import PAGE_FILE, TABLE_FILE, Done, run_batch, run_job
 from wheelsight.app.batch.jobs import BatchSettings, Case, Job, Outcome, Plan, named_recordings, plan_of

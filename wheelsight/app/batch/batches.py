@@ -1,5 +1,5 @@
-"""A batch in a few verbs: what is done already, run the rest, keep each, make the table. `run_job` is what every
-process does with a job.
+"""Runs a batch: skips finished jobs, runs the others, stores each outcome and makes the table. `run_job` is the
+function that every worker process calls.
 """
 
 from __future__ import annotations
@@ -24,9 +24,6 @@ from wheelsight.core.errors import ConfigError, OutputError
 from wheelsight.core.files import StrPath, make_output_folder, write_text
 from wheelsight.core.inputs import Kind, read_text
 from wheelsight.io.recordings import open_recording
-
-# A batch in a few verbs: what is done already, run the rest, keep each, make the table.
-
 
 TABLE_FILE, PAGE_FILE = "table.csv", "table.md"
 
@@ -62,7 +59,7 @@ def run_batch(
         plan: rows and jobs.
         out: folder of the batch; made if need be.
         runner: gives outcomes of jobs as they come, such as `run_on_processes`.
-        on_done: told once before the first job, and after each.
+        on_done: called once before the first job, and after each job.
 
     Raises:
         OutputError: `out` holds something else, or cannot be written.
@@ -86,7 +83,7 @@ def run_batch(
     return rows
 
 
-# What is done of a batch: a file a job, so that one that was broken off goes on where it was.
+# Stored outcomes
 
 
 JOBS_FOLDER = "jobs"
@@ -117,7 +114,14 @@ class KeptOutcomes:
         for job in jobs:
             try:
                 document = json.loads(read_text(self._path(job), _FILE, OutputError))
-                outcome = _outcome(document["outcome"])
+                # One of a job that ended well
+                outcome = Outcome(**document["outcome"])
+                figures, numbers = outcome.figures, (int, float, type(None))
+                is_sound = isinstance(figures, dict) and isinstance(outcome.metrics, dict) and outcome.problem is None
+                if not is_sound or not all(
+                    isinstance(value, numbers) for value in (*figures.values(), outcome.elapsed_s)
+                ):
+                    raise ValueError(outcome.job)
                 if document["version"] == _VERSION and outcome.job == job:
                     found[job] = outcome
             except (OutputError, ValueError, KeyError, TypeError, RecursionError):
@@ -128,17 +132,7 @@ class KeptOutcomes:
         return self._folder / f"{job}.json"
 
 
-def _outcome(told: Any) -> Outcome:
-    """One of a job that ended well. Raises TypeError or ValueError for what is none."""
-    outcome = Outcome(**told)
-    figures, numbers = outcome.figures, (int, float, type(None))
-    is_sound = isinstance(figures, dict) and isinstance(outcome.metrics, dict) and outcome.problem is None
-    if not is_sound or not all(isinstance(value, numbers) for value in (*figures.values(), outcome.elapsed_s)):
-        raise ValueError(outcome.job)
-    return outcome
-
-
-# run_job: what every process does with a job, on this computer and on others.
+# The work of one process
 
 
 _FORGET_PEAK = "5"  # as Linux's proc(5) has it
@@ -157,7 +151,8 @@ def _found(job: Job, began_s: float) -> Outcome:
     if job.code != code_digest():
         raise ConfigError("this computer has another wheelsight", fix="install the same on all of them")
     cv2.setNumThreads(1)
-    _forget_peak()
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text(_FORGET_PEAK)
     config = Config.model_validate(job.settings)
     recording = open_recording(job.recording, config.recording.open_options())
     with tempfile.TemporaryDirectory(prefix="wheelsight-") as folder:
@@ -188,14 +183,8 @@ def _error(own: Mapping[str, Any], name: str) -> float | None:
     return None if found is None else float(found["rmse"])
 
 
-def _forget_peak() -> None:
-    """A process runs many jobs: from here on its peak of memory is that of the next one, where Linux runs."""
-    with suppress(OSError):
-        Path("/proc/self/clear_refs").write_text(_FORGET_PEAK)
-
-
 def _peak_mb() -> float | None:
-    """The most memory held since; None where the system does not tell."""
+    """Peak of memory since; None where the system does not report it."""
     with suppress(OSError):
         found = re.search(r"^VmHWM:\s*(\d+) kB", Path("/proc/self/status").read_text(), re.MULTILINE)
         return None if found is None else int(found[1]) * 1024 / 1e6

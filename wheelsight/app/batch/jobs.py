@@ -1,5 +1,5 @@
-"""Jobs: one recording, one configuration, one seed, named by a digest of all that shapes the outcome. With them
-stand the settings of a batch and Outcome.
+"""Jobs of a batch: one recording, one configuration and one seed. A digest of all inputs names the job. Holds the
+settings of a batch and Outcome, too.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ import glob
 import hashlib
 import json
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
@@ -22,9 +22,6 @@ from wheelsight.core.files import StrPath
 from wheelsight.core.settings import CHOSEN, Settings, setting
 from wheelsight.io.recordings import find_recordings, open_recording
 from wheelsight.slam.settings import FROM_KEYFRAMES, FROM_MATCHES, FROM_NOWHERE
-
-# Jobs: one recording, one configuration, one seed; named by a digest of all that shapes the outcome.
-
 
 DEFAULTS = "defaults"
 """What a batch without a file of settings calls its only configuration."""
@@ -67,7 +64,7 @@ class Case:
     """A row of the table: a recording by one configuration.
 
     Attributes:
-        recording: its name, as much of its path as tells it apart.
+        recording: its name, with as much of its path as makes it unique.
         config: the configuration's.
         odometry: whose figures count: "joined" where sensors are, else "rectified", else the first that is named.
         jobs: identities, one a seed.
@@ -101,7 +98,7 @@ def plan_of(
         recordings: as `named_recordings` gives them.
         configs: files of settings; of none, the defaults.
         seeds: how many a case; where nothing is random, one.
-        settings: how files are told apart.
+        settings: how changed files are found.
 
     Raises:
         ConfigError: a file of settings is wrong for any recording.
@@ -109,7 +106,12 @@ def plan_of(
     paths, given = [Path(path) for path in recordings], [Path(path) for path in configs]
     files: tuple[Path | None, ...] = tuple(given) or (None,)
     for file in files:
-        _refuse(load_config(file), file)
+        # Raises ConfigError for what many runs must not do at once
+        config = load_config(file)
+        if config.known_map.extend:
+            raise ConfigError(
+                "known_map.extend: a batch changes no map", path=file, fix="leave it out; or use wheelsight run"
+            )
     config_names = [DEFAULTS] if not given else short_names([file.with_suffix("") for file in given])
     cases, jobs = [], dict[str, Job]()
     for path, name in zip(paths, short_names(paths), strict=True):
@@ -122,7 +124,7 @@ def plan_of(
 
 
 def short_names(paths: Sequence[Path]) -> list[str]:
-    """The last part of each path; where two have the same, as many parts as tell them apart."""
+    """The last part of each path; where two have the same, as many parts as make them unique."""
     parts = [path.absolute().parts for path in paths]
     deepest = max((len(one) for one in parts), default=0)
     names = list[str]()
@@ -144,14 +146,6 @@ def seeded(config: Config, seeds: int) -> Iterator[Config]:
         features = config.features.model_copy(update={"seed": (config.features.seed + more) % _SEEDS})
         recognition = config.recognition.model_copy(update={"seed": (config.recognition.seed + more) % _SEEDS})
         yield config.model_copy(update={"features": features, "recognition": recognition})
-
-
-def _refuse(config: Config, file: Path | None) -> None:
-    """Raises ConfigError for what many runs must not do at once."""
-    if config.known_map.extend:
-        raise ConfigError(
-            "known_map.extend: a batch changes no map", path=file, fix="leave it out; or use wheelsight run"
-        )
 
 
 class _Problem(NamedTuple):
@@ -180,7 +174,13 @@ def _told(work: Callable[[], _Answer]) -> _Answer | _Problem:
 def _jobs(path: Path, file: Path | None, digest: Digest, seeds: int) -> tuple[Config, list[Job]]:
     """The configuration for it, and a job a seed. Raises InputError where it cannot be run."""
     config = _resolved(path, file)
-    files = _named_files(config)
+    # Digests of all files that settings name
+    found = list[str]()
+    for section, names in _FILES.items():
+        for name in names:
+            value = getattr(getattr(config, section), name)
+            found += [digest_of(one).text for one in (value if isinstance(value, tuple) else (value,)) if _is_file(one)]
+    files = tuple(found)
     return config, [_job(path, one, seed, digest, files) for seed, one in enumerate(seeded(config, seeds))]
 
 
@@ -211,20 +211,6 @@ def _is_file(value: Any) -> bool:
     return isinstance(value, str) and value not in _NO_FILES and Path(value).exists()
 
 
-def _named_files(config: Config) -> tuple[str, ...]:
-    """Digests of all files that settings name."""
-    found = list[str]()
-    for section, names in _FILES.items():
-        for name in names:
-            value = getattr(getattr(config, section), name)
-            found += [digest_of(one).text for one in _several(value) if _is_file(one)]
-    return tuple(found)
-
-
-def _several(value: Any) -> Iterable[Any]:
-    return value if isinstance(value, tuple) else (value,)
-
-
 def _job(path: Path, config: Config, seed: int, digest: Digest, files: tuple[str, ...]) -> Job:
     settings, code = config.to_dict(), code_digest()
     shaping = json.dumps([digest.text, settings, files, code], sort_keys=True)
@@ -238,11 +224,11 @@ def main_track(config: Config) -> str:
     return next((track for track in (JOINED, "rectified") if track in tracks), tracks[0])
 
 
-# BatchSettings: what a batch goes by, with the reasons for the defaults.
+# Settings
 
 
 class BatchSettings(Settings):
-    """How recordings are told apart, and when a figure is worse than before.
+    """How changed recordings are found, and when a figure is worse than before.
 
     Of a batch, not of a run: nothing here changes what a run finds, so it is no part of `Config`.
     """
@@ -286,7 +272,7 @@ class BatchSettings(Settings):
     connect_s: float = setting(10.0, "how long a scheduler may take to answer, seconds", CHOSEN, gt=0, le=3600)
 
 
-# Which recordings are meant, and a digest that changes when one of their files does.
+# Recordings and their digests
 
 
 _ROOT = Path(__file__).resolve().parents[3]
@@ -302,7 +288,7 @@ class Digest(NamedTuple):
 def named_recordings(names: Sequence[str]) -> tuple[Path, ...]:
     """Recordings by what a user names: paths, patterns such as "data/2026-*", folders that hold recordings.
 
-    In the order in which they were named, each once. A path at which nothing is stays, so that it is told.
+    In the order in which they were named, each once. A missing path stays, so that it is reported.
 
     Raises:
         ConfigError: a pattern that fits nothing.
@@ -310,7 +296,7 @@ def named_recordings(names: Sequence[str]) -> tuple[Path, ...]:
     found: dict[Path, Path] = {}
     for name in names:
         for path in _expanded(name):
-            for recording in _at(path):
+            for recording in (find_recordings(path) if path.is_dir() else []) or [path]:
                 found.setdefault(recording.resolve(), recording)
     return tuple(found.values())
 
@@ -325,10 +311,6 @@ def _expanded(name: str) -> list[Path]:
     return fitting
 
 
-def _at(path: Path) -> list[Path]:
-    return (find_recordings(path) if path.is_dir() else []) or [path]
-
-
 def digest_of(path: StrPath, settings: BatchSettings | None = None) -> Digest:
     """Of a file, or of all files below a folder: their names, sizes and content; not where they lie.
 
@@ -337,7 +319,7 @@ def digest_of(path: StrPath, settings: BatchSettings | None = None) -> Digest:
     """
     root, limits = Path(path), settings or BatchSettings()
     whole, size = hashlib.sha256(), 0
-    for file in _files(root):
+    for file in [path for path in sorted(root.rglob("*")) if path.is_file()] if root.is_dir() else [root]:
         about = file.stat()
         size += about.st_size
         name = file.relative_to(root).as_posix() if file != root else ""
@@ -349,12 +331,6 @@ def digest_of(path: StrPath, settings: BatchSettings | None = None) -> Digest:
             for piece in _pieces(file, about.st_size, limits.piece_bytes):
                 whole.update(piece)
     return Digest(whole.hexdigest(), size)
-
-
-def _files(root: Path) -> Iterable[Path]:
-    if not root.is_dir():
-        return [root]
-    return (path for path in sorted(root.rglob("*")) if path.is_file())
 
 
 def _pieces(file: Path, size: int, length: int) -> Iterator[bytes]:
@@ -376,7 +352,7 @@ def code_digest() -> str:
     return whole.hexdigest()
 
 
-# What became of a job: its figures, or why there are none.
+# Outcomes
 
 
 @dataclass(frozen=True, slots=True)

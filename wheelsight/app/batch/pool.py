@@ -1,5 +1,5 @@
-"""Runs jobs on processes of this computer, or on the workers of a Dask scheduler. A process that is killed takes no
-other with it.
+"""Runs jobs in processes of this computer or on workers of a Dask scheduler. The death of one process does not affect
+the others.
 """
 
 from __future__ import annotations
@@ -23,9 +23,6 @@ from wheelsight.app.batch.worker import serve
 from wheelsight.core.errors import DeviceError
 from wheelsight.core.files import StrPath
 from wheelsight.core.runtime import needed
-
-# Processes of this computer that run jobs, one each at a time; one that is killed takes no other with it.
-
 
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _END_S = 10.0
@@ -67,34 +64,49 @@ def run_on_processes(
         work: what each does with a job.
         scratch: folder for what they write meanwhile.
         tries: how often a job is run whose process dies, each time in another one.
-        on_death: told of each job whose process died but is tried again, and how it died.
+        on_death: called with each job whose process died and that is tried again, and the cause.
     """
     waiting, tried, workers = deque(jobs), Counter[str](), list[_Worker]()
     try:
         while waiting or any(worker.job is not None for worker in workers):
             _hand_out(waiting, workers, processes, lambda: _start(work, Path(scratch)))
-            for worker in _heard(workers):
+            # Waits until some of those that have a job have answered, or died
+            busy = [worker for worker in workers if worker.job is not None]
+            ready = wait([worker.connection for worker in busy])
+            answered = [worker for worker in busy if worker.connection in ready]
+            for worker in answered:
                 job, outcome = _take(worker)
                 if outcome is None:
                     workers.remove(worker)
-                    why = _why_dead(worker)
+                    # How a process ended that was to answer
+                    worker.process.join(_END_S)
+                    code = worker.process.exitcode
+                    _end(worker)
+                    if code is not None and code < 0:
+                        name = signal.Signals(-code).name if -code in list(signal.Signals) else f"signal {-code}"
+                        hint = ", as the system does where memory runs out" if name == "SIGKILL" else ""
+                        why = f"its process was killed by {name}{hint}"
+                    else:
+                        lines = (
+                            worker.log.read_text(encoding="utf-8", errors="replace").split("\n")
+                            if worker.log.exists()
+                            else []
+                        )
+                        said = [line.strip() for line in lines if line.strip()]
+                        last_line = f": {said[-1]}" if said else ""
+                        why = f"its process ended with code {code}{last_line}"
                     tried[job.id] += 1
                     if tried[job.id] < tries:
                         waiting.appendleft(job)
                         on_death(job, why)
                         continue
-                    outcome = Outcome(job.id, f"{why}, {_times(tried[job.id])}", is_killed=True)
+                    count = tried[job.id]
+                    times = {1: "once", 2: "twice"}.get(count, f"{count} times")
+                    outcome = Outcome(job.id, f"{why}, {times}", is_killed=True)
                 yield outcome
     finally:
         for worker in workers:
             _end(worker)
-
-
-def _heard(workers: Sequence[_Worker]) -> list[_Worker]:
-    """Waits until some of those that have a job have answered, or died."""
-    busy = [worker for worker in workers if worker.job is not None]
-    heard = wait([worker.connection for worker in busy])
-    return [worker for worker in busy if worker.connection in heard]
 
 
 def _hand_out(waiting: deque[Job], workers: list[_Worker], processes: int, start: Callable[[], _Worker]) -> None:
@@ -121,15 +133,15 @@ def _give(worker: _Worker, waiting: deque[Job]) -> bool:
 
 
 def _take(worker: _Worker) -> tuple[Job, Outcome | None]:
-    """Of a worker that was heard, its job and the outcome; None where it has died. It is free then."""
-    job, worker.job = worker.job, None
-    assert job is not None
+    """The job of a worker that has answered and its outcome; None if the worker died. The worker is free then."""
+    ended, worker.job = worker.job, None
+    assert ended is not None
     try:
         answer = worker.connection.recv()
     except (EOFError, OSError):
-        return job, None
+        return ended, None
     assert isinstance(answer, Outcome)
-    return job, answer
+    return ended, answer
 
 
 def _start(work: Work, scratch: Path) -> _Worker:
@@ -164,35 +176,13 @@ def _quiet_and_single() -> Iterator[None]:
             signal.pthread_sigmask(signal.SIG_SETMASK, held)
 
 
-def _why_dead(worker: _Worker) -> str:
-    """How a process ended that was to answer."""
-    worker.process.join(_END_S)
-    code = worker.process.exitcode
-    _end(worker)
-    if code is not None and code < 0:
-        name = signal.Signals(-code).name if -code in list(signal.Signals) else f"signal {-code}"
-        hint = ", as the system does where memory runs out" if name == "SIGKILL" else ""
-        return f"its process was killed by {name}{hint}"
-    return f"its process ended with code {code}{_last_line(worker.log)}"
-
-
-def _last_line(log: Path) -> str:
-    lines = log.read_text(encoding="utf-8", errors="replace").split("\n") if log.exists() else []
-    said = [line.strip() for line in lines if line.strip()]
-    return f": {said[-1]}" if said else ""
-
-
-def _times(count: int) -> str:
-    return {1: "once", 2: "twice"}.get(count, f"{count} times")
-
-
 def _end(worker: _Worker) -> None:
     worker.connection.close()
     worker.process.kill()
     worker.process.join(_END_S)
 
 
-# The same jobs on the workers of a Dask scheduler, on as many computers as they are.
+# Workers of a Dask scheduler
 
 
 def run_on_fleet(
@@ -213,7 +203,7 @@ def run_on_fleet(
         address: of the scheduler, such as tcp://192.168.1.5:8786.
         work: what each worker does with a job.
         connect_s: how long the scheduler may take to answer, seconds.
-        on_note: told what is odd about the workers.
+        on_note: called with remarks about the workers.
 
     Raises:
         ConfigError: the extra `fleet` is missing.
@@ -221,7 +211,11 @@ def run_on_fleet(
     """
     distributed = needed("distributed")
     with _client(distributed, address, connect_s) as client:
-        _look_at(client.scheduler_info(n_workers=-1)["workers"], on_note)
+        workers = client.scheduler_info(n_workers=-1)["workers"]
+        if not workers:
+            on_note("the scheduler has no worker yet; work begins when one comes: dask worker ADDRESS --nthreads 1")
+        elif any(worker["nthreads"] > 1 for worker in workers.values()):
+            on_note("workers run several jobs in one process: memory is theirs together (dask worker … --nthreads 1)")
         futures = {
             client.submit(work, job, key=f"wheelsight-{job.id}", pure=False, priority=-number): job
             for number, job in enumerate(jobs)
@@ -238,15 +232,8 @@ def _client(distributed: Any, address: str, connect_s: float) -> Any:
     try:
         return distributed.Client(address, timeout=connect_s, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
-        fix = "start one: dask scheduler; its address is told then"
+        fix = "start one: dask scheduler; it prints its address"
         raise DeviceError(f"no scheduler answers at {address}", fix=fix) from error
-
-
-def _look_at(workers: dict[str, Any], on_note: Callable[[str], None]) -> None:
-    if not workers:
-        on_note("the scheduler has no worker yet; work begins when one comes: dask worker ADDRESS --nthreads 1")
-    elif any(worker["nthreads"] > 1 for worker in workers.values()):
-        on_note("workers run several jobs in one process: memory is theirs together (dask worker … --nthreads 1)")
 
 
 def _outcome(future: Any, job: Job, distributed: Any) -> Outcome:

@@ -1,5 +1,5 @@
-"""The table of a batch: a row a recording and configuration, its figures over the seeds. `compare` holds it against
-an earlier one.
+"""The table of a batch: one row for each recording and configuration, with figures over the seeds. `compare` finds
+figures that are worse than a baseline.
 """
 
 from __future__ import annotations
@@ -18,9 +18,6 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.files import StrPath
 from wheelsight.core.inputs import Kind, read_text
 
-# The table of a batch: a row a recording and configuration, its figures over the seeds.
-
-
 BROKEN, DONE = "broken", "ok"
 
 
@@ -31,7 +28,7 @@ class Figure:
     Attributes:
         name: in files, with its unit.
         title: for people.
-        scale: by which it is multiplied for people.
+        scale: factor from the stored to the shown value.
         digits: after the point, for people.
         is_cost: whether it is a matter of the computer, too.
         grows_better: whether more is better.
@@ -166,22 +163,22 @@ def _read(path: Path, reader: csv.DictReader[str]) -> Iterator[Row]:
     for cells in reader:
         try:
             figures = {figure.name: _spread_in(cells, figure.name) for figure in FIGURES}
-            told = {name: spread for name, spread in figures.items() if spread is not None}
+            known = {name: spread for name, spread in figures.items() if spread is not None}
             own = (cells["recording"], cells["config"], cells["odometry"], int(cells["seeds"]), cells["status"])
-            yield Row(*own, cells["problem"], told)
+            yield Row(*own, cells["problem"], known)
         except (TypeError, ValueError) as error:
             raise ConfigError("holds no numbers where they should be", path=path, line=reader.line_num) from error
 
 
 def _spread_in(cells: Mapping[str, str], name: str) -> Spread | None:
     values = [cells.get(f"{name}_{of}") or None for of in Spread._fields]
-    told = [float(value) for value in values if value is not None]
-    if not all(abs(value) < _LARGEST for value in told):
+    known = [float(value) for value in values if value is not None]
+    if not all(abs(value) < _LARGEST for value in known):
         raise ValueError(name)
-    return Spread(*told) if len(told) == len(values) else None
+    return Spread(*known) if len(known) == len(values) else None
 
 
-# A batch held against an earlier one: which figures are worse.
+# Comparison with a baseline
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +208,7 @@ def compare(
     Args:
         rows: of now.
         baseline: of before.
-        tolerance: share by which errors may grow, and the share of frames with a pose fall.
+        tolerance: allowed relative growth of errors, and allowed drop of the share of frames with a pose.
         cost_tolerance: likewise of time and memory; of None they are not judged, since another computer has others.
         settings: changes that are too small to count.
     """
@@ -245,12 +242,9 @@ def _worse(
             continue
         for name in Spread._fields:
             old, new = getattr(was, name), getattr(found, name)
-            if _is_worse(figure, old, new, allowed, settings):
+            grown = old - new if figure.grows_better else new - old
+            least = 0.0 if figure.is_cost else settings.least_share if figure.grows_better else settings.least_error
+            is_worse = grown > max(least, allowed * abs(old))
+            if is_worse:
                 yield f"{figure.title} {name} {shown(figure, new)}, was {shown(figure, old)}"
                 break
-
-
-def _is_worse(figure: Figure, old: float, new: float, allowed: float, settings: BatchSettings) -> bool:
-    grown = old - new if figure.grows_better else new - old
-    least = 0.0 if figure.is_cost else settings.least_share if figure.grows_better else settings.least_error
-    return grown > max(least, allowed * abs(old))

@@ -1,4 +1,4 @@
-"""What a process of the pool does: run one job after another until nobody hands it one."""
+"""The main loop of a pool process: it runs one job after another until the connection closes."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def serve(connection: Connection, work: Callable[[Any], object], folder: str) ->
             connection.send(outcome)
         except ConnectionError:
             break
-    ending.join()  # it tidies up, and ends this process; or whoever closed the connection does
+    ending.join()  # it cleans up and ends this process, unless the parent does
 
 
 def _speak_into(log: str) -> None:
@@ -57,7 +57,7 @@ def _speak_into(log: str) -> None:
 
 
 def _end_with_parent(folder: str) -> None:
-    """Whoever started this process may be killed without a word to it."""
+    """End this process with its parent, which may be killed at any time."""
     parent = parent_process()
     assert parent is not None
     wait([parent.sentinel])

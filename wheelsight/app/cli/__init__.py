@@ -1,4 +1,4 @@
-"""The command line: one thin file a command. Nothing heavy loads before a command runs."""
+"""The command line: one thin file a command. Heavy imports wait until a command runs."""
 
 from wheelsight.app.cli.application import app, main
 

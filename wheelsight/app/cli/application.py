@@ -1,4 +1,4 @@
-"""The application: its commands, its version, and what becomes of errors."""
+"""The application: its commands, its version, and the handling of errors."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class _Commands(Group):
-    """Tells a user's errors in one line; anything else is a bug and keeps its traceback."""
+    """Prints a user's error in one line; any other error is a bug and keeps its traceback."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """As the panels have them: typer would put all groups last."""

@@ -1,4 +1,4 @@
-"""`wheelsight batch`: many recordings by several configurations, one table."""
+"""`wheelsight batch`: several recordings with several configurations, and one table."""
 
 from __future__ import annotations
 
@@ -17,9 +17,6 @@ from wheelsight.core.runtime import exit_code
 
 if TYPE_CHECKING:
     from wheelsight.app.batch import BatchSettings, Row
-
-
-# `wheelsight batch`: many recordings by several configurations, one table.
 
 
 _WORSE = 1
@@ -116,7 +113,7 @@ def _is_worse(
     return bool(found.worse)
 
 
-# The options of `wheelsight batch`.
+# Options
 
 
 _RUNS, _BASELINE = "What is run", "Against a baseline"

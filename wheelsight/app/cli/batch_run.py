@@ -1,4 +1,4 @@
-"""What `wheelsight batch` does once all is known: compile, run, show how far it is and the table."""
+"""Runs `wheelsight batch`: compiles kernels, runs the jobs, shows progress and prints the table."""
 
 from __future__ import annotations
 
@@ -35,8 +35,6 @@ from wheelsight.app.cli.progress import left_text, progress_line, whole
 from wheelsight.app.run.kernels import parts_of
 from wheelsight.config import Config
 
-# What `wheelsight batch` does once all is known: compile, run, show how far it is.
-
 
 def run_plan(
     plan: Plan, out: Path, processes: int, scheduler: str | None, settings: BatchSettings, notes: Sequence[str] = ()
@@ -71,13 +69,13 @@ def run_plan(
 
 def told_of(plan: Plan, seeds: int) -> list[str]:
     """What is run otherwise than a user may expect, and which odometry it is where no configuration names one."""
-    told = []
+    notes = []
     if once := sum(0 < len(case.jobs) < seeds for case in plan.cases):
-        told.append(f"{once} of {len(plan.cases)} rows have nothing random, and are run once")
+        notes.append(f"{once} of {len(plan.cases)} rows have nothing random, and are run once")
     if chosen := Counter(case.chosen for case in plan.cases if case.chosen):
         found = ", ".join(f"{name} of {count}" for name, count in chosen.most_common())
-        told.append(f"odometry by what a recording has: {found} (odometry: in a --config chooses otherwise)")
-    return told
+        notes.append(f"odometry by what a recording has: {found} (odometry: in a --config chooses otherwise)")
+    return notes
 
 
 def _compile(jobs: Sequence[Job]) -> None:
@@ -91,11 +89,11 @@ def _name(job: Job) -> str:
     return f"{Path(job.recording).name}, seed +{job.seed}"
 
 
-# What a terminal sees of a batch: how far it is, and its table.
+# Progress
 
 
 class _TimeLeft(ProgressColumn):
-    """By the bytes that are done, which tell long recordings from short ones; it counts down between jobs."""
+    """Estimate of the time left by bytes, since recordings differ in length; it counts down between jobs."""
 
     def render(self, task: Task) -> Text:
         """Such as "12:30 left"."""

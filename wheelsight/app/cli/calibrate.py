@@ -1,4 +1,4 @@
-"""`wheelsight calibrate`: a robot's cameras, its wheels, from a drive or from squares, and where the camera sits."""
+"""`wheelsight calibrate`: cameras, wheels and mount of a robot, from a drive or from squares."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from wheelsight.app.cli.options import (
 )
 from wheelsight.app.cli.run_options import SettingsFile
 
-# `wheelsight calibrate base`: where the camera sits on its robot, and how late its clock is.
+# wheelsight calibrate base
 
 
 def base(
@@ -69,7 +69,7 @@ def base(
     print_mount(found, written, page)
 
 
-# `wheelsight calibrate robot`: what of a robot is calibrated, what is missing, and the next command.
+# wheelsight calibrate robot
 
 
 Robot = Annotated[
@@ -103,7 +103,7 @@ def robot(file: Robot, check: Check = None, topic: Topics = None) -> None:
 
     stdout = console()
     steps, history = steps_of(file)
-    rows = [(step.name, step.state, step.told) for step in steps]
+    rows = [(step.name, step.state, step.values) for step in steps]
     stdout.print(table(str(file) if is_there(file) else f"{file} (not there yet)", ("", "", "what"), rows))
     if history:
         stdout.print(table("measured so far", HEAD, history_rows(history)))
@@ -124,7 +124,7 @@ def robot(file: Robot, check: Check = None, topic: Topics = None) -> None:
         )
 
 
-# `wheelsight calibrate`: a robot's cameras, its wheels, from a drive or from squares, and where the camera sits.
+# wheelsight calibrate wheels and umbmark
 
 
 calibrate_app = typer.Typer(
@@ -204,8 +204,8 @@ def wheels(
         trial = try_calibration(source, truth, on_step=on_step, **options)  # type: ignore[arg-type]
     against = "its ground truth" if reference is None else reference.name
     found = wheel_fields(trial.fit.wheels, delay="delay_s" in trial.fit.sigmas)
-    told = f"wheels fitted on {source.name} to {against}"
-    written = save_found(found, kept, source.calibration, told, out, measured_wheels(trial))
+    title = f"wheels fitted on {source.name} to {against}"
+    written = save_found(found, kept, source.calibration, title, out, measured_wheels(trial))
     if page is not None:
         write_wheel_page(trial, page)
     print_trial(trial, written, page)

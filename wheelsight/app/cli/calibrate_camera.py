@@ -1,4 +1,4 @@
-"""`wheelsight calibrate camera`: lenses, where the cameras are to each other, and what depth is off by. `wheelsight
+"""`wheelsight calibrate camera`: intrinsics, the transform between the cameras, and the error of depth. `wheelsight
 board` draws the board.
 """
 
@@ -21,16 +21,12 @@ from wheelsight.core.runtime import exit_code, until_stopped
 
 if TYPE_CHECKING:
     from wheelsight.core.settings import LiveCameraSettings
-    from wheelsight.io.devices.live_camera import LiveCamera, LiveFrame
+    from wheelsight.io.devices.live_camera import LiveCamera
     from wheelsight.vision.camera_calibration.board import Board
     from wheelsight.vision.camera_calibration.calibration import CameraCalibration
     from wheelsight.vision.camera_calibration.live_views import ViewTaker
     from wheelsight.vision.camera_calibration.model import CameraSetup
     from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings
-    from wheelsight.vision.camera_calibration.views import Corners
-
-
-# `wheelsight calibrate camera`: lenses, where the cameras are to each other, and what depth is off by.
 
 
 Folders = Annotated[
@@ -128,7 +124,7 @@ def camera(
     calibrate_live(task, camera, folders[0] if folders else Path("views"), of_camera)
 
 
-# The work behind `wheelsight calibrate camera`: views read, cameras calibrated, the file and its page written.
+# Views, calibration and files
 
 
 _MOST_LEFT_OUT = 12
@@ -200,7 +196,7 @@ def _print(found: CameraCalibration, written: str, page: Path | None) -> None:
     print_end(found.warnings, written, page)
 
 
-# Views of a board taken from a live camera, until they determine its calibration or somebody presses Ctrl-C.
+# Views from a live camera
 
 
 _WAIT_S = 0.2
@@ -224,11 +220,24 @@ def calibrate_live(task: CameraTask, which: str, folder: Path, settings: LiveCam
     from wheelsight.vision.camera_calibration.live_views import ViewTaker
 
     task.check()
-    seen = _seen_in(folder, task)
+    # Of views that are there from before
+    from wheelsight.vision.camera_calibration.views import read_views
+
+    if not any(folder.glob("*-color.png")):
+        seen = []
+    else:
+        seen = [view.color for view in read_views([folder], task.board, task.settings.detection).views]
     with until_stopped() as is_over, open_live_camera(None if which == ANY else which, settings) as camera:
         for warning in camera.warnings:
             print_warning(warning)
-        task = _of(task, camera)
+        # The camera's own calibration, overridden by `--calibration`
+        from wheelsight.core.calibration import load_calibration
+
+        nominal = camera.calibration
+        if task.calibration:
+            nominal = load_calibration(*task.calibration, under=nominal)
+        setup = replace(task.setup, nominal=nominal, is_registered=camera.calibration.is_registered)
+        task = replace(task, setup=setup)
         assert task.setup.nominal is not None
         taker = ViewTaker(task.board, task.setup.nominal.cameras[0], task.settings, seen)
         print_note(f"{_counted(len(taker.seen))} in {folder}; {taker.advice}; Ctrl-C ends it and keeps them")
@@ -246,7 +255,7 @@ def calibrate_live(task: CameraTask, which: str, folder: Path, settings: LiveCam
 
 
 def _is_calibrated(task: CameraTask, folder: Path, *, is_last: bool) -> bool:
-    """Whether the views determine it; what is missing is told. Raises CalibrationError where no more can come."""
+    """Whether the views determine it; prints what is missing. Raises CalibrationError where no more views can come."""
     try:
         task.calibrate([folder])
     except CalibrationError as error:
@@ -257,39 +266,25 @@ def _is_calibrated(task: CameraTask, folder: Path, *, is_last: bool) -> bool:
     return True
 
 
-def _of(task: CameraTask, camera: LiveCamera) -> CameraTask:
-    """The task with what the camera tells of itself, under what `--calibration` says. Raises CalibrationError."""
-    from wheelsight.core.calibration import load_calibration
-
-    nominal = camera.calibration
-    if task.calibration:
-        nominal = load_calibration(*task.calibration, under=nominal)
-    setup = replace(task.setup, nominal=nominal, is_registered=camera.calibration.is_registered)
-    return replace(task, setup=setup)
-
-
-def _seen_in(folder: Path, task: CameraTask) -> list[Corners]:
-    """Of views that are there from before. Raises RecordingError where the folder's show another board."""
-    from wheelsight.vision.camera_calibration.views import read_views
-
-    if not any(folder.glob("*-color.png")):
-        return []
-    return [view.color for view in read_views([folder], task.board, task.settings.detection).views]
-
-
 def _take_views(
     camera: LiveCamera, taker: ViewTaker, folder: Path, depth_factor: float, is_over: Callable[[], bool]
 ) -> _Why:
-    """Until nothing is missing, the camera has ended, or it is over; each view is on the disk once it is told."""
+    """Until nothing is missing, the camera has ended, or it is over. Prints each view once it is on the disk."""
     from wheelsight.vision.camera_calibration.live_views import save_view
 
     with _shown() as (show, tell):
         while not is_over():
             if taker.has_enough():
                 return _Why.ENOUGH
-            live = _newest(camera)
+            # The newest frame; a board is searched for more slowly than frames come
+            live = camera.read(_WAIT_S)
+            while live is not None and (later := camera.read(0)) is not None:
+                live = later
             if live is None:
-                if _has_ended(camera):
+                from wheelsight.io.devices import CameraStatus
+
+                has_ended = camera.report().status in (CameraStatus.ENDED, CameraStatus.CLOSED)
+                if has_ended:
                     return _Why.ENDED
                 show(str(camera.report().status))
                 continue
@@ -300,20 +295,6 @@ def _take_views(
             name = save_view(folder, live.frame, live.infrared, depth_factor)
             tell(f"view {name} taken; {taker.advice}")
     return _Why.STOPPED
-
-
-def _newest(camera: LiveCamera) -> LiveFrame | None:
-    """The newest frame; a board is searched for more slowly than frames come."""
-    newest = camera.read(_WAIT_S)
-    while newest is not None and (later := camera.read(0)) is not None:
-        newest = later
-    return newest
-
-
-def _has_ended(camera: LiveCamera) -> bool:
-    from wheelsight.io.devices import CameraStatus
-
-    return camera.report().status in (CameraStatus.ENDED, CameraStatus.CLOSED)
 
 
 @contextmanager
@@ -331,7 +312,7 @@ def _counted(views: int) -> str:
     return f"{views} view{'' if views == 1 else 's'} {'is' if views == 1 else 'are'}"
 
 
-# `wheelsight board`: a board to calibrate cameras by, for a printer.
+# wheelsight board
 
 
 def board_board(

@@ -1,4 +1,4 @@
-"""What calibrations are worth, told and saved: squares, mount and wheels, the file's history, and the steps of a
+"""Shows and saves results of calibrations: squares, mount and wheels, the file's history, and the steps of a
 robot's calibration.
 """
 
@@ -37,15 +37,15 @@ from wheelsight.wheels.umbmark import (
 )
 
 if TYPE_CHECKING:
-    from wheelsight.wheels import LoopCause, LoopCheck
+    from wheelsight.wheels import LoopCause
 
 
-# What the commands of `wheelsight calibrate` share: squares from either source, results told and saved.
+# Squares
 
 
 @dataclass(frozen=True, eq=False)
 class Squares:
-    """UMBmark with what is told of it: errors that corrected wheels leave, of clockwise and of the other runs.
+    """UMBmark with figures for its report: errors that corrected wheels leave, of clockwise and of the other runs.
 
     `nominal` is what was known before. `unused_m` are mean distances before and after, of each run by wheels corrected
     without it; None for too few runs.
@@ -62,7 +62,7 @@ class Squares:
 def squares_from_table(path: Path, calibration: Sequence[str] | None, side_m: float | None) -> Squares:
     """From a table of return position errors. Raises CalibrationError where what it needs beside it is missing."""
     if not calibration or side_m is None:
-        raise CalibrationError("a table tells neither wheels nor side", path=path, fix="add --calibration and --side")
+        raise CalibrationError("a table has neither wheels nor side", path=path, fix="add --calibration and --side")
     nominal = load_calibration(*calibration)
     result = umbmark(_wheels(nominal), *read_return_errors(path), side_m)
     return Squares(path.name, result, result.errors_after_m, nominal)
@@ -86,9 +86,9 @@ def squares_from_recordings(recordings: Sequence[Recording], side_m: float | Non
     if left_out_m is not None:
         unused_m = (float(np.mean([np.hypot(*run.error_m(nominal)) for run in runs])), float(left_out_m.mean()))
     name = f"{len(runs)} squares, {runs[0].name} to {runs[-1].name}"
-    told = tuple(dict.fromkeys(warning for recording in recordings for warning in recording.warnings))
+    warnings = tuple(dict.fromkeys(warning for recording in recordings for warning in recording.warnings))
     after_m = (errors[~turns_left], errors[turns_left])
-    return Squares(name, result, after_m, recordings[0].calibration, unused_m, told)
+    return Squares(name, result, after_m, recordings[0].calibration, unused_m, warnings)
 
 
 def print_trial(trial: WheelTrial, written: str, page: Path | None) -> None:
@@ -112,8 +112,8 @@ def print_squares(squares: Squares, written: str, page: Path | None) -> None:
     before_m, after_m = result.largest_error_m, result.largest_error_after_m
     stdout.print(f"E_max,syst, sides of {result.side_m:.3g} m: {before_m:.3f} m nominal, {after_m:.3f} m corrected")
     if squares.unused_m is not None:
-        told = "mean error of each run by wheels corrected without it"
-        stdout.print(f"{told}: {squares.unused_m[0]:.3f} m nominal, {squares.unused_m[1]:.3f} m corrected")
+        label = "mean error of each run by wheels corrected without it"
+        stdout.print(f"{label}: {squares.unused_m[0]:.3f} m nominal, {squares.unused_m[1]:.3f} m corrected")
     print_end(squares.warnings, written, page)
 
 
@@ -163,7 +163,7 @@ def print_end(warnings: Sequence[str], written: str, page: Path | None) -> None:
         console().print(f"page: {page}", markup=False)
 
 
-# What calibrations are worth, as entries of a calibration file's history, and that history told.
+# History
 
 
 HEAD = ("", "by", "what", "figures")
@@ -203,7 +203,7 @@ def history_rows(history: Sequence[Measured]) -> list[tuple[str, ...]]:
     ]
 
 
-# The steps of a robot's calibration, what each needs, and how a loop shows what they are worth.
+# Steps and the loop check
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,13 +213,13 @@ class Step:
     Attributes:
         is_done: whether a calibration of ours measured it.
         is_known: whether the file has values of it, a ruler's or the maker's at least.
-        told: what those values are.
+        values: what those values are.
     """
 
     name: str
     is_done: bool
     is_known: bool
-    told: str
+    values: str
     how: str
     commands: tuple[str, ...]
 
@@ -235,9 +235,22 @@ def steps_of(file: Path) -> tuple[list[Step], tuple[Measured, ...]]:
     history = history_of(known)
     by = {entry.command for entry in history}
     force = " --force" if known else ""
+    is_done = "calibrate base" in by and "T_base_camera" in known
+    is_known = "T_base_camera" in known
+    values = "T_base_camera, found on a drive" if is_done else "T_base_camera, by a ruler" if is_known else "none"
+    how = (
+        "Drive two minutes over a flat floor that the camera sees: straight, turns both ways, some on the spot, stops "
+        "between. Wheels by a ruler will do."
+    )
+    given = f" --calibration {file}" if known else ""
+    if not _has_wheels(known):
+        given += " --calibration nominal.yaml"
+    mount = Step(
+        "mount", is_done, is_known, values, how, (f"wheelsight calibrate base DRIVE{given} --out {file}{force}",)
+    )
     return [
         _camera(file, known, by, force),
-        _mount(file, known, by, force),
+        mount,
         _robot_steps_wheels(file, known, by, force),
     ], history
 
@@ -245,7 +258,7 @@ def steps_of(file: Path) -> tuple[list[Step], tuple[Measured, ...]]:
 def _camera(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
     is_done = "calibrate camera" in by and "color" in known
     is_known = "color" in known
-    told = "lenses, T_color_depth and depth_error, by a board" if is_done else "lenses as the maker has them"
+    values = "lenses, T_color_depth and depth_error, by a board" if is_done else "lenses as the maker has them"
     how = (
         "Print the board, measure the line on it, glue it to something flat. 20 to 40 views with all still: near and "
         "far, tilted each way, in every corner of the image."
@@ -254,34 +267,20 @@ def _camera(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step
         "wheelsight board --out board.pdf",
         f"wheelsight calibrate camera --camera any --board 9x6:25mm --plate --out {file}{force}",
     )
-    return Step("camera", is_done, is_known, told if is_known else "a live camera's maker says them", how, commands)
-
-
-def _mount(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
-    is_done = "calibrate base" in by and "T_base_camera" in known
-    is_known = "T_base_camera" in known
-    told = "T_base_camera, found on a drive" if is_done else "T_base_camera, by a ruler" if is_known else "none"
-    how = (
-        "Drive two minutes over a flat floor that the camera sees: straight, turns both ways, some on the spot, stops "
-        "between. Wheels by a ruler will do."
-    )
-    given = f" --calibration {file}" if known else ""
-    if not _has_wheels(known):
-        given += " --calibration nominal.yaml"
-    return Step("mount", is_done, is_known, told, how, (f"wheelsight calibrate base DRIVE{given} --out {file}{force}",))
+    return Step("camera", is_done, is_known, values if is_known else "a live camera's maker says them", how, commands)
 
 
 def _robot_steps_wheels(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
     is_done = bool({"calibrate wheels", "calibrate umbmark"} & by) and "wheels" in known
     is_known = _has_wheels(known)
-    told = "radii, track width, delay" if is_done else "by a data sheet or a ruler" if is_known else "none"
-    # The camera's way tells of the wheels once it is known where on the robot the camera sits.
+    values = "radii, track width, delay" if is_done else "by a data sheet or a ruler" if is_known else "none"
+    # The camera's path calibrates the wheels once its mount is known.
     how = "The same drive, or another of some minutes: straight, turns both ways, some on the spot, stops between."
     commands = (
         f"wheelsight run DRIVE --odometry dense --calibration {file} --out visual",
         f"wheelsight calibrate wheels DRIVE --reference visual/trajectory.txt --calibration {file} --out {file}{force}",
     )
-    return Step("wheels", is_done, is_known, told, how, commands)
+    return Step("wheels", is_done, is_known, values, how, commands)
 
 
 def _has_wheels(known: dict[str, Any]) -> bool:
@@ -292,7 +291,7 @@ def loop_check(folder: Path, file: Path, topics: Sequence[str] | None) -> tuple[
     """What the wheels make of a drive that ends where it began, in lines, and whether a calibrated robot's does so.
 
     Raises:
-        InputError: a recording without wheels, or a drive too short to tell.
+        InputError: a recording without wheels, or a drive that is too short.
     """
     from wheelsight.estimation import ErrorStateSettings
     from wheelsight.wheels import check_loop, drive_of, with_sigmas
@@ -301,7 +300,7 @@ def loop_check(folder: Path, file: Path, topics: Sequence[str] | None) -> tuple[
     if source.calibration.holonomic is not None:
         raise RecordingError(source.calibration.lacks_two_wheels, path=folder, fix="a robot with two driven wheels")
     if source.calibration.wheels is None:
-        raise RecordingError("has no wheels, and FILE tells none", path=folder, fix="calibrate the wheels first")
+        raise RecordingError("has no wheels, and FILE has none either", path=folder, fix="calibrate the wheels first")
     likely = ErrorStateSettings()
     wheels = with_sigmas(source.calibration.wheels, likely.scale_sigma, likely.drift_sigma_rad_per_m, likely.turn_sigma)
     try:
@@ -309,41 +308,35 @@ def loop_check(folder: Path, file: Path, topics: Sequence[str] | None) -> tuple[
     except CalibrationError as error:
         raise RecordingError(error.problem, path=folder, fix=error.fix) from error
     is_stated = wheels is source.calibration.wheels
-    return (_loop_off(found), f"{_loop_against(found, is_stated)} {_loop_advice(found)}"), (
-        found.is_as_stated and found.is_good
-    )
-
-
-def _loop_off(found: LoopCheck) -> str:
     degrees, count = np.degrees(found.off_rad), abs(found.turns)
     way = "counter-clockwise" if found.turns > 0 else "clockwise"
     turns = f"{count} turn{'s' if count > 1 else ''} {way}" if count else "no whole turn left over"
     a_turn = f", {degrees / count:+.2f}° a turn" if count else ""
-    return (
+    loop_off = (
         f"loop of {found.way_m:.1f} m, {turns}: by the wheels alone it ends {found.off_m:.3f} m "
         f"({1e3 * found.off_m / found.way_m:.1f} mm a metre) and {degrees:+.1f}° ({degrees / found.way_m:+.2f}° a metre"
         f"{a_turn}) off its start."
     )
-
-
-def _loop_against(found: LoopCheck, is_stated: bool) -> str:
     whose = "The calibration's σ make" if is_stated else "The calibration states no σ; a data sheet's make"
-    likely = f"{whose} {found.sizes_sigma_m:.3f} m and {np.degrees(found.sizes_sigma_rad):.1f}° likely"
+    likely_off = f"{whose} {found.sizes_sigma_m:.3f} m and {np.degrees(found.sizes_sigma_rad):.1f}° likely"
     with_slip = f"with slip and the mark {found.off_sigma_m:.3f} m and {np.degrees(found.off_sigma_rad):.1f}°"
-    return f"{likely}, {with_slip}: {'no more than that is off.' if found.is_as_stated else 'it is off by more.'}"
-
-
-def _loop_advice(found: LoopCheck) -> str:
-    """The next thing to do."""
-    if found.is_as_stated:
-        return "" if found.is_good else "Those σ are large: calibrate the wheels, on a longer drive."
-    if not found.causes:
-        return "No size of the wheels explains it: a wheel slipped, or it did not end at its mark; drive it again."
-    told = " or ".join(_cause(cause, amount) for cause, amount in found.causes)
-    return (
-        f"It is as if {told}. Drive it the other way round: off to the same side again, the radii are unlike; to the "
-        "other side, it is the track width. Then calibrate the wheels anew."
+    loop_against = (
+        f"{likely_off}, {with_slip}: {'no more than that is off.' if found.is_as_stated else 'it is off by more.'}"
     )
+    # The next thing to do
+    if found.is_as_stated:
+        loop_advice = "" if found.is_good else "Those σ are large: calibrate the wheels, on a longer drive."
+    elif not found.causes:
+        loop_advice = (
+            "No size of the wheels explains it: a wheel slipped, or it did not end at its mark; drive it again."
+        )
+    else:
+        causes = " or ".join(_cause(cause, amount) for cause, amount in found.causes)
+        loop_advice = (
+            f"It is as if {causes}. Drive it the other way round: off to the same side again, the radii are unlike; to "
+            "the other side, it is the track width. Then calibrate the wheels again."
+        )
+    return (loop_off, f"{loop_against} {loop_advice}"), (found.is_as_stated and found.is_good)
 
 
 def _cause(cause: LoopCause, amount: float) -> str:

@@ -1,4 +1,4 @@
-"""`wheelsight warm-up`, and compiling ahead as the other commands show it: how long it takes, and how far it is."""
+"""`wheelsight warm-up`, and the progress of compiling that the other commands show."""
 
 from __future__ import annotations
 
@@ -13,9 +13,6 @@ from wheelsight.core.runtime import exit_code
 
 if TYPE_CHECKING:
     from wheelsight.app.run.kernels import CompileEstimate
-
-
-# Compiling ahead, as the commands show it: how long it takes by measured times, and on a terminal how far it is.
 
 
 _SURE_S = 15.0  # some kernels have been compiled by then
@@ -95,7 +92,7 @@ def _about(seconds: float) -> str:
     return "a minute" if minutes == 1 else f"{minutes} minutes"
 
 
-# `wheelsight warm-up`: all kernels compiled, so that nothing waits for them.
+# wheelsight warm-up
 
 
 def warm_up_warm_up() -> None:

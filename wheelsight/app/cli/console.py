@@ -1,4 +1,4 @@
-"""How the commands speak: tables on stdout, errors and progress on stderr, log, and help. Plain text where nobody
+"""Output of the commands: tables on stdout, errors and progress on stderr, log, and help. Plain text where nothing
 watches.
 """
 
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
-# How the commands speak: tables on stdout, errors and progress on stderr, plain text where nobody watches.
-
-
 @dataclass
 class Quiet:
     """Whether -q was given."""
@@ -49,14 +46,6 @@ _IN_LETTERS = {"σ": "sigma", "α": "alpha", "β": "beta", "γ": "gamma", "≥":
 _IN_LETTERS |= {"×": "x", "°": " deg", "µ": "u", "±": "+-", "·": "-", "…": "...", "✓": "ok", "²": "2", "³": "3"}
 
 
-def _speak_any_encoding() -> None:
-    """Signs that the encoding of stdout and stderr lacks are written in letters."""
-    codecs.register_error(_LETTERS, _told_in_letters)
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "backslashreplace"):
-            stream.reconfigure(errors=_LETTERS)
-
-
 def _told_in_letters(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
@@ -65,7 +54,7 @@ def _told_in_letters(error: UnicodeError) -> tuple[str, int]:
 
 
 class _Loseable(io.FileIO):
-    """Drops what it can no longer write: whoever closes a terminal must not break off what its program still does.
+    """A stream that drops what it cannot write: a closed terminal must not stop the program.
 
     A reader of stderr may go too. One of stdout, such as `head`, ends the program as ever.
     """
@@ -81,7 +70,11 @@ class _Loseable(io.FileIO):
 
 def prepare_streams() -> None:
     """From now on stdout and stderr take any text, and go on without their terminal once that is closed."""
-    _speak_any_encoding()
+    # Signs that the encoding of stdout and stderr lacks are written in letters
+    codecs.register_error(_LETTERS, _told_in_letters)
+    for output in (sys.stdout, sys.stderr):
+        if isinstance(output, io.TextIOWrapper) and output.errors in ("strict", "backslashreplace"):
+            output.reconfigure(errors=_LETTERS)
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if sys.platform == "win32" or not isinstance(stream, io.TextIOWrapper):
@@ -94,7 +87,7 @@ def prepare_streams() -> None:
 
 
 def console(stderr: bool = False) -> Console:
-    """A console for stdout or stderr; made anew each time, since either may have been redirected."""
+    """A console for stdout or stderr. Each call makes a new one, since either may have been redirected."""
     from rich.console import Console
 
     # No markup: what people name their folders, recordings and areas may look like it.
@@ -164,7 +157,7 @@ def _without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-# -v, -q and --log, which every command has: what of the library's log is shown, and where it is kept.
+# Log
 
 
 _LOGGER = logging.getLogger("wheelsight")
@@ -283,7 +276,7 @@ def log_options(panel: str | None) -> tuple[Any, ...]:
     return tuple(made)
 
 
-# How help is laid out: paragraphs as wide as the terminal, examples a line each, flags without a value.
+# Help
 
 
 _EXAMPLES, _LAST = "[bold]Examples[/bold]", "Help"
@@ -321,15 +314,15 @@ class Group(_Readable, typer.core.TyperGroup):
 
 def laid_out(text: str) -> str:
     """The lines of each paragraph as one, which the terminal wraps; examples, which come last, after a prompt each."""
-    told, heading, examples = inspect.cleandoc(text).partition(_EXAMPLES)
-    paragraphs = [" ".join(paragraph.split()) for paragraph in told.split("\n\n") if paragraph.strip()]
+    body, heading, examples = inspect.cleandoc(text).partition(_EXAMPLES)
+    paragraphs = [" ".join(paragraph.split()) for paragraph in body.split("\n\n") if paragraph.strip()]
     if heading:
         commands = [f"$ {line.strip()}" for line in examples.splitlines() if line.strip()]
         paragraphs.append("\n".join([heading, *commands]))
     return "\n\n".join(paragraphs)
 
 
-# Commands of many options: these are the fields of a class, and the command is handed one value.
+# Options as fields of a class
 
 
 Options = TypeVar("Options")

@@ -1,5 +1,5 @@
-"""`wheelsight drive`: a robot goes to places of a map by itself. Holds what its options mean, its robots and tasks,
-and what it says at the end.
+"""`wheelsight drive`: a robot drives to places of a map. Parses the options, opens the robot, runs the tasks and prints
+the results.
 """
 
 from __future__ import annotations
@@ -25,17 +25,11 @@ if TYPE_CHECKING:
     from wheelsight.app.run.drive_record import DriveRecord
     from wheelsight.app.run.drives import Drive, Goal, OnStep
     from wheelsight.config import Config
-    from wheelsight.core.calibration import Calibration
     from wheelsight.core.geometry import FloatArray
     from wheelsight.core.robots import Robot
-    from wheelsight.io.devices import LinkRobot, WheelLink
     from wheelsight.mapping import MapEdit, MapEdits, NamedPoses, OccupancyGrid
     from wheelsight.navigation import Feedback
     from wheelsight.slam.maps import MapFolder
-    from wheelsight_sim import FloorPlan
-
-
-# `wheelsight drive`: a robot goes to places of a map by itself.
 
 
 @takes(DriveOptions)
@@ -70,7 +64,7 @@ def drive(options: DriveOptions) -> None:
     drive_there(options)
 
 
-# What `wheelsight drive` does once all is known: compile, drive, show, write.
+# The drive
 
 
 # Kernels that localization in a known map, and a drive in it, call.
@@ -130,7 +124,7 @@ def _driven(robot: Robot, config: Config, tasks: Sequence[Task], options: DriveO
 
 @contextmanager
 def _begun(robot: Robot, config: Config, watch: DriveWatch, options: DriveOptions) -> Iterator[Drive]:
-    """Whoever is asked about a real robot's floor has looked at it; a simulated one begins on free floor."""
+    """Whether the floor around the start is free: the user confirms it for a real robot; a simulated one has it."""
     from wheelsight.app.run.drives import drive_in_map
     from wheelsight.app.run.exploring import exploring
     from wheelsight.slam.maps import MAP_FOLDER, discard_map
@@ -181,7 +175,7 @@ def _on_step(drive: Drive, watch: DriveWatch, truth: Truth | None) -> OnStep:
     return step
 
 
-# What a drive is to do, one after another, as the options of `wheelsight drive` say it.
+# Tasks
 
 
 if TYPE_CHECKING:
@@ -245,7 +239,7 @@ class _GoTo:
         return drive.go_to(self.goal, on_step)
 
 
-# What `wheelsight drive` leaves and says at the end, and what a simulator knows of it.
+# Results
 
 
 _FAILED = 1
@@ -303,7 +297,13 @@ def tell(record: DriveRecord, left_out: str = "") -> None:
             typer.echo(f"arrived at {goal.name}: {result.way_m:.1f} m in {result.time_s:.0f} s{change}")
         elif not record.is_interrupted:
             print_error(f"{goal.name} was not reached: {result.reason} ({result.detail})")
-    _tell_late(record)
+    # Say where the robot was often led later than it should have been
+    periods = record.periods
+    if periods.late > _OFTEN * periods.count:
+        print_note(
+            f"{periods.late:,} of {periods.count:,} periods of the control loop took longer than they should, "
+            f"{1e3 * periods.longest_s:.0f} ms at most: a faster computer helps, or fewer programs beside it"
+        )
     if record.rests_on_start:
         print_warning(
             "nothing of the map was recognised: where the robot was rests on --known-start alone, and may be wrong"
@@ -328,17 +328,7 @@ def _tell_contacts(record: DriveRecord) -> None:
         print_error(f"the robot drove against something {times}: {', '.join(touched[:_NAMED])}{more}")
 
 
-def _tell_late(record: DriveRecord) -> None:
-    """Say where the robot was often led later than it should have been."""
-    periods = record.periods
-    if periods.late > _OFTEN * periods.count:
-        print_note(
-            f"{periods.late:,} of {periods.count:,} periods of the control loop took longer than they should, "
-            f"{1e3 * periods.longest_s:.0f} ms at most: a faster computer helps, or fewer programs beside it"
-        )
-
-
-# What the words of `wheelsight drive`'s and `serve`'s options mean.
+# Options
 
 
 _CALLED = {"profile": "--profile", "known_map.path": "--map", "known_map.start": "--known-start"}
@@ -398,7 +388,7 @@ def drive_settings(options: DriveOptions) -> Config:
 
 
 def settings_of(options: SettingsOptions, given: Mapping[str, str | None]) -> Config:
-    """The configuration that options tell, and over its file what else is given and not None. Raises ConfigError.
+    """The configuration by the options, and over its file what else is given and not None. Raises ConfigError.
 
     Without a name for it, the odometry is the one that `Localizer`, `run` and `wheelsight run` choose: a robot without
     wheels or without a mounted camera is refused. Dense odometry keeps up beside control: on two cores 14.3 to 14.5 of
@@ -458,7 +448,7 @@ def _setting(text: str) -> tuple[str, Any]:
     return name.strip(), found
 
 
-# The robot that `wheelsight drive` leads: in the simulator, or at a serial port.
+# Robots
 
 
 _QUESTION = "Is the floor around the robot free, and is somebody at the stop button?"
@@ -496,41 +486,38 @@ def _simulator(options: RobotOptions, config: Config) -> Robot:
     camera = options.camera or _SIMULATED_CAMERA
     if not 0 <= options.people <= 100:
         raise ConfigError(f"--people is {options.people}", fix="0 to 100")
-    plan = _plan_of(options.sim, options.resolution)
+    # None where a world is named
+    sim = options.sim
+    from wheelsight_sim import FloorPlan, world_names
+
+    if sim in world_names():
+        if options.resolution is not None:
+            raise ConfigError("--resolution means nothing without a plan", fix="--sim flat.png --resolution 0.05")
+        plan = None
+    else:
+        if not Path(sim).is_file():
+            worlds = ", ".join(world_names())
+            raise ConfigError(f"--sim is {sim!r}, no world and no file", fix=f"{worlds}, or the file of a floor plan")
+        plan = FloorPlan(sim, options.resolution)
     where: dict[str, Any] = {"world": options.sim} if plan is None else {"plan": plan}
     how: dict[str, Any] = {"seed": options.seed, "day": options.day, "passersby": options.people}
     how |= {"realism": options.realism, "rate_hz": options.rate, "camera": camera}
     settings = SimulationSettings(**where, **how, size=size_of(options.size, camera))
-    start = _start_of(options.start)
+    from wheelsight.app.cli.map_contents import pose_of
+
+    if options.start is None:
+        start = None
+    else:
+        x_m, y_m, yaw = pose_of("--start", options.start).tolist()
+        if yaw != yaw:
+            raise ConfigError(
+                f"--start is {options.start!r}", fix="X,Y,YAW_DEG in metres and degrees, such as 3.2,1.5,90"
+            )
+        start = x_m, y_m, yaw
     robot = Simulator(settings, start=start, limits=config.navigation.limits)
     for warning in robot.world.warnings:
         print_warning(warning)
     return robot
-
-
-def _plan_of(sim: str, resolution: float | None) -> FloorPlan | None:
-    """None where a world is named. Raises ConfigError for what is neither."""
-    from wheelsight_sim import FloorPlan, world_names
-
-    if sim in world_names():
-        if resolution is not None:
-            raise ConfigError("--resolution means nothing without a plan", fix="--sim flat.png --resolution 0.05")
-        return None
-    if not Path(sim).is_file():
-        worlds = ", ".join(world_names())
-        raise ConfigError(f"--sim is {sim!r}, no world and no file", fix=f"{worlds}, or the file of a floor plan")
-    return FloorPlan(sim, resolution)
-
-
-def _start_of(text: str | None) -> tuple[float, float, float] | None:
-    from wheelsight.app.cli.map_contents import pose_of
-
-    if text is None:
-        return None
-    x_m, y_m, yaw = pose_of("--start", text).tolist()
-    if yaw != yaw:
-        raise ConfigError(f"--start is {text!r}", fix="X,Y,YAW_DEG in metres and degrees, such as 3.2,1.5,90")
-    return x_m, y_m, yaw
 
 
 @contextmanager
@@ -543,13 +530,28 @@ def _linked(options: RobotOptions, config: Config) -> Iterator[Robot]:
     with ExitStack() as opened:
         frames, calibration = open_robot_camera(options.camera or ANY, config.camera, [options.calibration])
         opened.callback(frames.close)
-        _check_mount(calibration, options.calibration)
+        # Refuse a calibration without the robot's geometry
+        if calibration.holonomic is not None:
+            raise CalibrationError(
+                calibration.lacks_two_wheels, path=options.calibration, fix="wheelsight run localizes such a base"
+            )
+        if calibration.wheels is None:
+            raise CalibrationError(
+                "has no wheels", path=options.calibration, fix="wheelsight calibrate wheels finds their sizes"
+            )
+        if calibration.T_base_camera is None:
+            fix = "wheelsight calibrate base finds where the camera sits"
+            raise CalibrationError("has no T_base_camera", path=options.calibration, fix=fix)
         for warning in frames.warnings:
             print_warning(warning)
         link = WheelLink(options.robot, options.baud)
         opened.callback(link.close)
         robot = opened.enter_context(LinkRobot(link, calibration, config.navigation.limits, frames=frames))
-        _check_firmware(robot, link)
+        # Refuse a controller that would stop its motors too late
+        ends_s = time.monotonic() + _HEARD_WITHIN_S
+        while link.report().format is None and time.monotonic() < ends_s:
+            time.sleep(_LOOK_S)
+        robot.check_firmware()
         # Asked as late as can be: what can go wrong before anything moves has not.
         if not (options.yes or typer.confirm(_QUESTION)):
             typer.echo("nothing moved", err=True)
@@ -557,26 +559,7 @@ def _linked(options: RobotOptions, config: Config) -> Iterator[Robot]:
         yield robot
 
 
-def _check_firmware(robot: LinkRobot, link: WheelLink) -> None:
-    """Refuse a controller that would stop its motors too late. Raises DeviceError."""
-    ends_s = time.monotonic() + _HEARD_WITHIN_S
-    while link.report().format is None and time.monotonic() < ends_s:
-        time.sleep(_LOOK_S)
-    robot.check_firmware()
-
-
-def _check_mount(calibration: Calibration, path: Path) -> None:
-    """Refuse a robot of which nobody knows how it is built. Raises CalibrationError."""
-    if calibration.holonomic is not None:
-        raise CalibrationError(calibration.lacks_two_wheels, path=path, fix="wheelsight run localizes such a base")
-    if calibration.wheels is None:
-        raise CalibrationError("has no wheels", path=path, fix="wheelsight calibrate wheels finds their sizes")
-    if calibration.T_base_camera is None:
-        fix = "wheelsight calibrate base finds where the camera sits"
-        raise CalibrationError("has no T_base_camera", path=path, fix=fix)
-
-
-# What the words of goals mean in a map: names, areas and coordinates.
+# Goals
 
 
 def poses_of(words: Sequence[str], folder: MapFolder) -> list[FloatArray]:
@@ -587,7 +570,7 @@ def poses_of(words: Sequence[str], folder: MapFolder) -> list[FloatArray]:
 
     Raises:
         ConfigError: coordinates that are none.
-        MapError: a name that the map does not have; tells the nearest and all. An area without free floor.
+        MapError: an unknown name (with the nearest name and all names), or an area without free floor.
     """
     from wheelsight.app.cli.map_contents import grid_of, names_of
     from wheelsight.slam.maps.contents import edits_as_known
@@ -627,7 +610,7 @@ def _goal_in(area: MapEdit, folder: MapFolder, grid: Callable[[], OccupancyGrid]
     at = roomiest_place(grid(), area.polygon_now(folder.store.T_map_keyframe))
     if at is None:
         fix = (
-            f"wheelsight map zone MAP --area '{area.name}' X,Y X,Y X,Y draws it anew; "
+            f"wheelsight map zone MAP --area '{area.name}' X,Y X,Y X,Y redraws it; "
             "wheelsight map export MAP --picture plan.png shows where the map has free floor"
         )
         raise MapError(f"no free floor of the map lies in the area {area.name!r}", path=folder.path, fix=fix)

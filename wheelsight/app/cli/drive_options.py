@@ -10,7 +10,7 @@ import typer
 
 from wheelsight.app.cli.options import OUTPUT, SETTINGS, Profile
 
-# Options of `wheelsight drive` and `serve`: which robot, simulated or real.
+# The robot
 
 
 _SIMULATED, _REAL, _EITHER = "A simulated robot", "A real robot", "Either robot"
@@ -121,7 +121,7 @@ class RobotOptions:
         return self.robot is None
 
 
-# The options of `wheelsight drive`, in the order of its help.
+# The drive
 
 
 _TASK = "Where to"

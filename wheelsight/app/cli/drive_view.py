@@ -1,6 +1,4 @@
-"""What `wheelsight drive` shows meanwhile: on a terminal a plan and what goes on, else a line a second; and in
-Rerun.
-"""
+"""The live view of `wheelsight drive`: a plan on a terminal, otherwise one line a second; and Rerun."""
 
 from __future__ import annotations
 
@@ -32,9 +30,6 @@ if TYPE_CHECKING:
     from wheelsight.config import Config
     from wheelsight.core.messages import Event
     from wheelsight.core.robots import Robot
-
-
-# What `wheelsight drive` shows meanwhile: on a terminal a plan and what goes on; else a line a second.
 
 
 _VIEWS_A_S, _LINES_A_S = 5, 1
@@ -77,7 +72,7 @@ class DriveView:
             self._console.print(f"{transition.stamp_s:.1f} s {transition}")
 
     def show(self, feedback: Feedback, navigator: Navigator) -> None:
-        """A period is over; shown only so many times a second."""
+        """Show a period, at a limited rate."""
         self._so_far.add(feedback)
         now_s = time.monotonic()
         if now_s - self._shown_s < 1 / (_LINES_A_S if self._live is None else _VIEWS_A_S):
@@ -159,7 +154,7 @@ def facts_of(feedback: Feedback, so_far: SoFar, seen_m2: float) -> Iterator[tupl
     yield "monitor", monitor_words(feedback)
 
 
-# What watches a drive: the terminal and, where that is asked for, Rerun.
+# Watchers
 
 
 class DriveWatch:
@@ -203,7 +198,7 @@ def watching(rerun: str | None, robot: Robot, config: Config) -> Iterator[DriveW
         yield DriveWatch(view, log)
 
 
-# The plan of the floor about a robot, as half-block characters: two cells above each other are a letter.
+# The plan as characters
 
 
 class Sign(IntEnum):
@@ -218,7 +213,7 @@ class Sign(IntEnum):
     FRONT = 6
 
 
-# Told apart by people who see no red and green (Okabe & Ito 2008).
+# Distinguishable with red-green colour blindness (Okabe & Ito 2008).
 _COLOURS = {
     Sign.FREE: "#e9e9e9",
     Sign.UNKNOWN: "#9a9a9a",
@@ -254,11 +249,28 @@ def plan_signs(
         shape: rows and columns.
         cell_m: side of a cell.
     """
-    middle = _middle(floor) if feedback.pose is None else feedback.pose[:2]
+    middle = (
+        (np.array(floor.origin) + np.array(floor.state.shape[::-1]) * floor.resolution_m / 2)
+        if feedback.pose is None
+        else feedback.pose[:2]
+    )
     rows, columns = shape
     x = (np.arange(columns) + 0.5 - columns / 2) * cell_m + middle[0]
     y = (rows / 2 - np.arange(rows) - 0.5) * cell_m + middle[1]
-    signs = _floor_signs(floor, x, y, cell_m)
+    # A cell in which anything is occupied is a wall; else it is what its middle is
+    offsets = (np.arange(_LOOKS) - (_LOOKS - 1) / 2) * cell_m / _LOOKS
+    cell_columns = np.floor((x[:, None] + offsets - floor.origin[0]) / floor.resolution_m).astype(int)
+    cell_rows = np.floor((y[:, None] - offsets - floor.origin[1]) / floor.resolution_m).astype(int)
+    height, width = floor.state.shape
+    looked = floor.state[np.clip(cell_rows, 0, height - 1).ravel()][:, np.clip(cell_columns, 0, width - 1).ravel()]
+    inside = ((cell_rows >= 0) & (cell_rows < height)).ravel()[:, None] & (
+        (cell_columns >= 0) & (cell_columns < width)
+    ).ravel()
+    states = np.where(inside, looked, CellState.UNKNOWN).reshape(len(y), _LOOKS, len(x), _LOOKS)
+    is_wall = (states == CellState.OCCUPIED).any(axis=(1, 3))
+    middle_states = states[:, _LOOKS // 2, :, _LOOKS // 2]
+    open_signs = np.where(middle_states == CellState.FREE, Sign.FREE, Sign.UNKNOWN)
+    signs = np.where(is_wall, Sign.WALL, open_signs).astype(np.uint8)
     if feedback.plan is not None:
         _mark(signs, feedback.plan.poses[:, :2], x, y, Sign.WAY)
     if feedback.goal is not None:
@@ -266,7 +278,14 @@ def plan_signs(
         spots = feedback.goal[:2] + np.stack(np.meshgrid(around, around), axis=-1).reshape(-1, 2)
         _mark(signs, spots, x, y, Sign.GOAL)
     if feedback.pose is not None:
-        _draw_robot(signs, feedback.pose, footprint, x, y)
+        # Its outline, filled; the foremost quarter shows where it looks
+        c, s = np.cos(feedback.pose[2]), np.sin(feedback.pose[2])
+        away = np.stack(np.meshgrid(x, y), axis=-1) - feedback.pose[:2]
+        in_base = away @ np.array([[c, -s], [s, c]])
+        under = footprint.contains(in_base)
+        low, high = footprint.corners[:, 0].min(), footprint.corners[:, 0].max()
+        signs[under] = Sign.ROBOT
+        signs[under & (in_base[..., 0] > high - (high - low) / 4)] = Sign.FRONT
     return signs
 
 
@@ -284,25 +303,6 @@ def as_text(signs: ByteArray, *, in_colour: bool = True) -> Text:
     return text
 
 
-def _middle(floor: StaticLayer | Costmap) -> FloatArray:
-    return np.array(floor.origin) + np.array(floor.state.shape[::-1]) * floor.resolution_m / 2
-
-
-def _floor_signs(floor: StaticLayer | Costmap, x: FloatArray, y: FloatArray, cell_m: float) -> ByteArray:
-    """A cell in which anything is occupied is a wall; else it is what its middle is."""
-    offsets = (np.arange(_LOOKS) - (_LOOKS - 1) / 2) * cell_m / _LOOKS
-    columns = np.floor((x[:, None] + offsets - floor.origin[0]) / floor.resolution_m).astype(int)
-    rows = np.floor((y[:, None] - offsets - floor.origin[1]) / floor.resolution_m).astype(int)
-    height, width = floor.state.shape
-    looked = floor.state[np.clip(rows, 0, height - 1).ravel()][:, np.clip(columns, 0, width - 1).ravel()]
-    inside = ((rows >= 0) & (rows < height)).ravel()[:, None] & ((columns >= 0) & (columns < width)).ravel()
-    states = np.where(inside, looked, CellState.UNKNOWN).reshape(len(y), _LOOKS, len(x), _LOOKS)
-    is_wall = (states == CellState.OCCUPIED).any(axis=(1, 3))
-    middle = states[:, _LOOKS // 2, :, _LOOKS // 2]
-    signs = np.where(middle == CellState.FREE, Sign.FREE, Sign.UNKNOWN)
-    return np.where(is_wall, Sign.WALL, signs).astype(np.uint8)
-
-
 def _mark(signs: ByteArray, points: FloatArray, x: FloatArray, y: FloatArray, sign: Sign) -> None:
     """Where points (N, 2) are."""
     cell_m = x[1] - x[0]
@@ -311,14 +311,3 @@ def _mark(signs: ByteArray, points: FloatArray, x: FloatArray, y: FloatArray, si
     inside = (columns >= 0) & (columns < len(x)) & (rows >= 0) & (rows < len(y))
     at = rows[inside], columns[inside]
     signs[at] = np.maximum(signs[at], sign)
-
-
-def _draw_robot(signs: ByteArray, pose: FloatArray, footprint: Footprint, x: FloatArray, y: FloatArray) -> None:
-    """Its outline, filled; the foremost quarter shows where it looks."""
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    away = np.stack(np.meshgrid(x, y), axis=-1) - pose[:2]
-    in_base = away @ np.array([[c, -s], [s, c]])
-    under = footprint.contains(in_base)
-    low, high = footprint.corners[:, 0].min(), footprint.corners[:, 0].max()
-    signs[under] = Sign.ROBOT
-    signs[under & (in_base[..., 0] > high - (high - low) / 4)] = Sign.FRONT

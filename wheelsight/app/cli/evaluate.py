@@ -1,4 +1,4 @@
-"""`wheelsight evaluate`: an estimated trajectory against the truth."""
+"""`wheelsight evaluate`: compares an estimated trajectory with the truth."""
 
 from __future__ import annotations
 
@@ -53,7 +53,13 @@ def evaluate(
     from wheelsight.io.recordings import TRUTH_FILES
 
     for given, names in ((estimate, _OF_RESULTS), (ground_truth, tuple(TRUTH_FILES.values()))):
-        _refuse_folder(given, names)
+        # Raise TrajectoryError for a folder, with the trajectory in it that was probably meant
+        from wheelsight.core.errors import TrajectoryError
+
+        if os.path.isdir(given):  # noqa: PTH112 (a name that is too long is none)
+            meant = next((given / name for name in names if (given / name).is_file()), None)
+            fix = "give the file" if meant is None else f"did you mean {meant}?"
+            raise TrajectoryError("is a folder, not a file", path=given, fix=fix)
     estimated = read_tum(estimate, body)
     truth = _truth_for(estimated, ground_truth, body)
     evaluation = compare(estimated, truth, max_gap_s=max_gap, with_scale=scale)
@@ -67,18 +73,8 @@ def evaluate(
         print_warning(warning)
 
 
-def _refuse_folder(given: Path, names: tuple[str, ...]) -> None:
-    """Raise TrajectoryError for a folder, with the trajectory in it that was probably meant."""
-    from wheelsight.core.errors import TrajectoryError
-
-    if os.path.isdir(given):  # noqa: PTH112 (a name that is too long is none)
-        meant = next((given / name for name in names if (given / name).is_file()), None)
-        fix = "give the file" if meant is None else f"did you mean {meant}?"
-        raise TrajectoryError("is a folder, not a file", path=given, fix=fix)
-
-
 def _truth_for(estimated: Trajectory, ground_truth: Path, body: str) -> Trajectory:
-    """The truth of the body that was estimated: where the file tells of another, the one beside it, and says so."""
+    """The truth of the estimated body: if the file is of another body, the one beside it, with a note."""
     from wheelsight.app.cli.console import print_note
     from wheelsight.core.trajectory import read_tum
     from wheelsight.io.recordings import TRUTH_FILES

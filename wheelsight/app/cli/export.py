@@ -1,5 +1,5 @@
-"""`wheelsight export`: a run, its map or a recording for other programs, as a bag, in other formats, or as points
-and a mesh.
+"""`wheelsight export`: writes a run, its map or a recording for other programs: as a bag, in other formats, or as
+points and a mesh.
 """
 
 from __future__ import annotations
@@ -13,9 +13,6 @@ import typer
 if TYPE_CHECKING:
     from wheelsight.app.exports import Exported
     from wheelsight.mapping import SurfelMap
-
-
-# `wheelsight export`: a run, its map or a recording for other programs.
 
 
 Out = Annotated[
@@ -119,7 +116,7 @@ def export(
         export_in(asked, form)
 
 
-# What `wheelsight export` is asked for.
+# The request
 
 
 _BODIES = ("base", "camera")
@@ -166,7 +163,7 @@ def check_asked(asked: Asked, way: str) -> None:
         raise ConfigError(f"--body is {asked.body!r}", fix=f"one of {', '.join(_BODIES)}")
 
 
-# What `wheelsight export --bag` does.
+# Bags
 
 
 def export_to_bag(asked: Asked, to: Path) -> None:
@@ -184,7 +181,11 @@ def export_to_bag(asked: Asked, to: Path) -> None:
     check_bag_name(to)
     check_library()
     source = exported_at(asked.source)
-    _refuse_itself(asked.source, to)
+    # Raises OutputError where a bag would be written over what it is made of
+    from wheelsight.core.errors import OutputError
+
+    if to.exists() and asked.source.exists() and to.samefile(asked.source):
+        raise OutputError("is what is to be exported", path=to, fix="choose another name")
     for path in (to, *layout_paths(to)):
         check_out(path, asked.force)
     parts = BagParts(asked.images, asked.voxel_m or DEFAULT_VOXEL_M)  # type: ignore[arg-type]
@@ -201,15 +202,7 @@ def export_to_bag(asked: Asked, to: Path) -> None:
     typer.echo(f"{rviz}: for RViz (-d)")
 
 
-def _refuse_itself(source: Path, to: Path) -> None:
-    """Raises OutputError where a bag would be written over what it is made of."""
-    from wheelsight.core.errors import OutputError
-
-    if to.exists() and source.exists() and to.samefile(source):
-        raise OutputError("is what is to be exported", path=to, fix="choose another name")
-
-
-# What `wheelsight export --format` does.
+# Formats
 
 
 # Where to, beside what is exported, unless --out says.
@@ -238,30 +231,22 @@ def export_in(asked: Asked, form: str) -> None:
     source = exported_at(asked.source)
     to = asked.out or asked.source / _OUT[form]
     if is_trajectory:
-        _trajectory(source, form, to, asked)
+        from wheelsight.app.cli.options import check_out
+        from wheelsight.app.exports import export_trajectory
+
+        check_out(to, asked.force)
+        found = export_trajectory(source, form, to, asked.body)
+        typer.echo(f"{len(found):,} poses, T_{found.frame}_{found.body}: {to}")
     elif form == "octomap":
         _octomap(source, to, asked)
     else:
-        _images(source, form, to, asked)
+        from wheelsight.app.cli.progress import FrameProgress
+        from wheelsight.app.exports import DEFAULT_VOXEL_M, export_colmap, export_nerfstudio
 
-
-def _trajectory(source: Exported, form: str, to: Path, asked: Asked) -> None:
-    from wheelsight.app.cli.options import check_out
-    from wheelsight.app.exports import export_trajectory
-
-    check_out(to, asked.force)
-    found = export_trajectory(source, form, to, asked.body)
-    typer.echo(f"{len(found):,} poses, T_{found.frame}_{found.body}: {to}")
-
-
-def _images(source: Exported, form: str, to: Path, asked: Asked) -> None:
-    from wheelsight.app.cli.progress import FrameProgress
-    from wheelsight.app.exports import DEFAULT_VOXEL_M, export_colmap, export_nerfstudio
-
-    write = export_nerfstudio if form == "nerfstudio" else export_colmap
-    with FrameProgress("writing", None, unit="keyframes") as progress:
-        count = write(source, to, asked.voxel_m or DEFAULT_VOXEL_M, asked.force, progress.reach)
-    typer.echo(f"{count:,} images: {to}")
+        write = export_nerfstudio if form == "nerfstudio" else export_colmap
+        with FrameProgress("writing", None, unit="keyframes") as progress:
+            count = write(source, to, asked.voxel_m or DEFAULT_VOXEL_M, asked.force, progress.reach)
+        typer.echo(f"{count:,} images: {to}")
 
 
 def _octomap(source: Exported, to: Path, asked: Asked) -> None:
@@ -278,7 +263,7 @@ def _octomap(source: Exported, to: Path, asked: Asked) -> None:
     typer.echo(f"{count:,} keyframes, {to.stat().st_size / 1e6:.1f} MB: {to}")
 
 
-# What `wheelsight export --ply` and `--mesh` do.
+# Points and meshes
 
 
 _VOXEL_M = 0.02
@@ -296,7 +281,12 @@ def export_surface(asked: Asked, is_mesh: bool) -> None:
     if to.suffix.lower() != ".ply":
         raise ConfigError(f"--out is {str(to)!r}, which does not end in .ply", fix="PLY is what is written")
     check_out(to, asked.force)
-    surfel_map = _loaded(path)
+    # A map's file; of a map folder, where its keyframes are by now
+    from wheelsight.mapping import load_map
+    from wheelsight.slam.maps import MapFolder, is_map
+
+    found = MapFolder.open(path.parent).surfels() if is_map(path.parent) else None
+    surfel_map = load_map(path) if found is None else found
     if is_mesh:
         compile_missing([part for part in usable_parts() if part == "mesh"])
     write = _write_mesh if is_mesh else _write_points
@@ -327,15 +317,6 @@ def _beside(path: Path) -> Path:
     from wheelsight.slam.maps import is_map
 
     return path.parent.parent if is_map(path.parent) else path.parent
-
-
-def _loaded(path: Path) -> SurfelMap:
-    """A map's file; of a map folder, where its keyframes are by now."""
-    from wheelsight.mapping import load_map
-    from wheelsight.slam.maps import MapFolder, is_map
-
-    found = MapFolder.open(path.parent).surfels() if is_map(path.parent) else None
-    return load_map(path) if found is None else found
 
 
 def _write_points(surfel_map: SurfelMap, to: Path, asked: Asked) -> str:

@@ -1,4 +1,4 @@
-"""`wheelsight info`: what is in a recording."""
+"""`wheelsight info`: the contents of a recording."""
 
 from __future__ import annotations
 
@@ -24,12 +24,8 @@ from wheelsight.app.cli.options import (
 if TYPE_CHECKING:
     from wheelsight.app.run import FrameDrops
     from wheelsight.evaluation import SequenceStatistics
-    from wheelsight.io.recordings import AssociationReport, RecordedTopic
-    from wheelsight.io.recordings.clock_checks import MotionOffset
+    from wheelsight.io.recordings import RecordedTopic
     from wheelsight.io.recordings.inspection import ClockMapping, Inspection, RegistrationOffset
-
-
-# `wheelsight info`: what is in a recording.
 
 
 _GAPS_SHOWN = 5
@@ -101,7 +97,23 @@ def _facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
         yield "yaw rates", str(inspection.yaw_readings)
     yield "gaps", _gaps(inspection)
     if inspection.frames:
-        yield from _image_facts(inspection)
+        from wheelsight.app.cli.console import percent
+
+        association = inspection.association
+        dropped = f"{association.dropped_color} and {association.dropped_depth} without a partner"
+        counts = f"{association.color_images} colour, {association.depth_images} depth, {dropped}"
+        pairing = f"{counts}; at most {1e3 * association.largest_gap_s:.1f} ms apart"
+        yield "images", pairing
+        yield "dropped", frame_drops(inspection).sentence
+        for reason, count in inspection.skipped:
+            yield "unusable", f"{count} × {reason}"
+        depth_m = inspection.depth_m
+        yield "valid depth", f"{percent(inspection.valid_depth_share)} of pixels"
+        yield (
+            "depth",
+            f"median {depth_m['median']:.2f} m, 5 to 95 % within {depth_m['p5']:.2f} to {depth_m['p95']:.2f} m",
+        )
+        yield "registration", _registration(inspection.offset, bool(inspection.is_registered))
     if inspection.clock is not None:
         yield from clock_facts(inspection.clock)
     yield from _reading_facts(inspection)
@@ -113,32 +125,11 @@ def _reading_facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
     for why, count, of in inspection.left_out:
         yield "left out", f"{count} of {of}: {why}"
     if inspection.motion is not None:
-        yield "camera and wheels", _motion(inspection.motion)
-
-
-def _motion(motion: MotionOffset) -> str:
-    if motion.offset_s is None:
-        return f"whether their clocks are apart is not known: {motion.why_not}"
-    return f"by their turns the camera's stamps are {motion}"
-
-
-def _image_facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
-    from wheelsight.app.cli.console import percent
-
-    yield "images", _pairing(inspection.association)
-    yield "dropped", frame_drops(inspection).sentence
-    for reason, count in inspection.skipped:
-        yield "unusable", f"{count} × {reason}"
-    depth_m = inspection.depth_m
-    yield "valid depth", f"{percent(inspection.valid_depth_share)} of pixels"
-    yield "depth", f"median {depth_m['median']:.2f} m, 5 to 95 % within {depth_m['p5']:.2f} to {depth_m['p95']:.2f} m"
-    yield "registration", _registration(inspection.offset, bool(inspection.is_registered))
-
-
-def _pairing(association: AssociationReport) -> str:
-    dropped = f"{association.dropped_color} and {association.dropped_depth} without a partner"
-    counts = f"{association.color_images} colour, {association.depth_images} depth, {dropped}"
-    return f"{counts}; at most {1e3 * association.largest_gap_s:.1f} ms apart"
+        if inspection.motion.offset_s is None:
+            motion = f"whether their clocks are apart is not known: {inspection.motion.why_not}"
+        else:
+            motion = f"by their turns the camera's stamps are {inspection.motion}"
+        yield "camera and wheels", motion
 
 
 def _gaps(inspection: Inspection) -> str:
@@ -159,7 +150,7 @@ def _registration(offset: RegistrationOffset | None, is_registered: bool) -> str
     return f"{said}; {offset}"
 
 
-# What `wheelsight info` says of a bag's topics, of clocks, of ground truth, and of dropped frames.
+# Topics, clocks, truth and drops
 
 
 def topic_facts(topics: Sequence[RecordedTopic]) -> Iterator[tuple[str, str]]:

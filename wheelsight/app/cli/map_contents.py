@@ -1,4 +1,4 @@
-"""What a map holds, told, named and exported: facts, names of places, points, occupancy, and a picture."""
+"""Shows, names and exports the contents of a map: facts, names of places, points, occupancy, and a picture."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from wheelsight.core.geometry import FloatArray
     from wheelsight.mapping import NamedPose, NamedPoses, OccupancyGrid, SurfelMap
     from wheelsight.mapping.occupancy import PlanLine, PlanMark
-    from wheelsight.slam.maps import Health, MapFolder, MapInfo
+    from wheelsight.slam.maps import MapFolder, MapInfo
 
 
-# What `wheelsight map info` prints.
+# wheelsight map info
 
 
 _MB = 1e6
@@ -49,11 +49,12 @@ def _facts(found: MapInfo) -> Iterator[tuple[str, str]]:
     if found.begin_s is not None and found.end_s is not None:
         yield "time", f"{found.end_s - found.begin_s:.1f} s"
         yield "way", f"{found.length_m:.1f} m from keyframe to keyframe"
-    yield "edges", f"{found.edges:,} by odometry, {found.loops:,} loops; {_parts(found.parts)}"
+    parts = "all hang together" if found.parts <= 1 else f"in {found.parts:,} parts that do not hang together"
+    yield "edges", f"{found.edges:,} by odometry, {found.loops:,} loops; {parts}"
     yield "surfels", _size(found.surfel_bytes, "none; wheelsight map rebuild makes them")
     yield "recognition", _size(found.recognition_bytes, "made when the map is used")
-    told = "none; wheelsight map export --occupancy makes it"
-    yield "occupancy", told if found.occupancy_bytes is None else f"{found.occupancy_bytes / 1e3:.0f} kB"
+    absent = "none; wheelsight map export --occupancy makes it"
+    yield "occupancy", absent if found.occupancy_bytes is None else f"{found.occupancy_bytes / 1e3:.0f} kB"
     if found.edits != 0:
         yield "edits", "cannot be read" if found.edits is None else f"{found.edits:,} zones and wiped places"
     if found.areas:
@@ -61,26 +62,21 @@ def _facts(found: MapInfo) -> Iterator[tuple[str, str]]:
     if found.places != ():
         yield "places", "cannot be read" if found.places is None else ", ".join(found.places)
     yield "size", f"{found.bytes / _MB:.1f} MB"
-    yield "health", _how_whole(found.health)
-
-
-def _how_whole(health: Health) -> str:
+    health = found.health
     if health.incomplete:
-        return f"{health.incomplete}; run it again"
-    if not health.is_whole:
-        return "damaged, see below"
-    return "whole but for its end, see below" if health.notes else "whole"
-
-
-def _parts(parts: int) -> str:
-    return "all hang together" if parts <= 1 else f"in {parts:,} parts that do not hang together"
+        how_whole = f"{health.incomplete}; run it again"
+    elif not health.is_whole:
+        how_whole = "damaged, see below"
+    else:
+        how_whole = "whole but for its end, see below" if health.notes else "whole"
+    yield "health", how_whole
 
 
 def _size(size: int | None, missing: str) -> str:
     return missing if size is None else f"{size / _MB:.1f} MB"
 
 
-# What `wheelsight map name` does, and how poses are written.
+# wheelsight map name
 
 
 _FORM = "X,Y,YAW_DEG in metres and degrees, such as 3.2,1.5,90; or X,Y for any heading"
@@ -99,7 +95,7 @@ def change(source: Path, called: str, at: str | None) -> None:
             folder.save_named_poses(known.without(called))
             typer.echo(f"forgotten: {called}")
             return
-        # On a keyframe of which nobody knows where it lies it would go astray.
+        # A keyframe of unknown position must not carry a named pose.
         sure = lie_together(folder).nonzero()[0]
         hung = NamedPose(called, pose).hung_on_nearest(folder.store.T_map_keyframe, sure)
         folder.save_named_poses(known.with_pose(hung))
@@ -169,7 +165,7 @@ def told(pose: FloatArray) -> str:
     return f"{pose[0]:.2f}, {pose[1]:.2f} m, {yaw}"
 
 
-# What `wheelsight map export` does.
+# wheelsight map export
 
 
 _SUFFIXES = {"--out": (".ply",), "--occupancy": (".yaml", ".yml"), "--picture": (".png",)}
@@ -198,12 +194,22 @@ def export(folder: MapFolder, wanted: Exports, force: bool) -> None:
     """Write a map for other programs; nothing where any of it must not be written."""
     _check(wanted, force)
     if wanted.points is not None:
-        _write_points(folder, wanted.points, wanted.everything)
+        from wheelsight.mapping import write_ply
+
+        count = write_ply(folder.surfels() or _fused(folder), wanted.points, stable_only=not wanted.everything)
+        typer.echo(f"{count:,} points, {wanted.points.stat().st_size / _MB:.1f} MB: {wanted.points}")
     if wanted.occupancy is None and wanted.picture is None:
         return
     grid = grid_of(folder, wanted.resolution_m)
     if wanted.occupancy is not None:
-        _write_occupancy(grid, wanted.occupancy)
+        from wheelsight.io.ros_map import write_ros_map
+
+        about, image = write_ros_map(grid.to_ros(), wanted.occupancy)
+        rows, columns = grid.kind.shape
+        size = (
+            f"{columns * grid.resolution_m:.1f} × {rows * grid.resolution_m:.1f} m in cells of {grid.resolution_m:g} m"
+        )
+        typer.echo(f"{size}, {grid.free_m2():.1f} m² free: {about}, {image.name}")
     if wanted.picture is not None:
         write_picture(grid, folder, wanted.picture)
 
@@ -228,15 +234,8 @@ def _check(wanted: Exports, force: bool) -> None:
         check_out(wanted.occupancy.with_suffix(".pgm"), force)
 
 
-def _write_points(folder: MapFolder, out: Path, everything: bool) -> None:
-    from wheelsight.mapping import write_ply
-
-    count = write_ply(folder.surfels() or _fused(folder), out, stable_only=not everything)
-    typer.echo(f"{count:,} points, {out.stat().st_size / _MB:.1f} MB: {out}")
-
-
 def grid_of(folder: MapFolder, resolution_m: float | None = None) -> OccupancyGrid:
-    """The occupancy map of an open map, made with progress; of cells of so many metres, or as its settings say.
+    """The occupancy map of an open map, with a progress bar; cells of `resolution_m`, or of the map's settings.
 
     Raises as `occupancy_of` does.
     """
@@ -249,19 +248,10 @@ def grid_of(folder: MapFolder, resolution_m: float | None = None) -> OccupancyGr
     if resolution_m is not None:
         settings = settings.model_copy(update={"resolution_m": resolution_m})
     compile_missing(["dense"])
-    # Refused before any keyframe is read, where nobody knows where the camera sits.
+    # Without the camera's mount refuse before any keyframe is read.
     mapper = OccupancyMapper(folder.calibration, settings)
     with FrameProgress("occupancy", None, unit="keyframes") as progress:
         return occupancy_of(folder, settings, progress.reach, mapper)
-
-
-def _write_occupancy(grid: OccupancyGrid, out: Path) -> None:
-    from wheelsight.io.ros_map import write_ros_map
-
-    about, image = write_ros_map(grid.to_ros(), out)
-    rows, columns = grid.kind.shape
-    size = f"{columns * grid.resolution_m:.1f} × {rows * grid.resolution_m:.1f} m in cells of {grid.resolution_m:g} m"
-    typer.echo(f"{size}, {grid.free_m2():.1f} m² free: {about}, {image.name}")
 
 
 def _fused(folder: MapFolder) -> SurfelMap:
@@ -276,7 +266,7 @@ def _fused(folder: MapFolder) -> SurfelMap:
         return fused_anew(folder, on_keyframe=progress.reach)
 
 
-# The picture that `wheelsight map export` makes of a map.
+# The picture of a map
 
 
 def write_picture(grid: OccupancyGrid, folder: MapFolder, out: Path) -> None:
@@ -286,7 +276,7 @@ def write_picture(grid: OccupancyGrid, folder: MapFolder, out: Path) -> None:
 
     image = picture_of(grid, [stretch[:, :2] for stretch in driven_way(folder)], *_said_of(folder), has_axes=True)
     save_picture(image, out)
-    # By which corners of zones can be read off it.
+    # Grid lines, to read off corners of zones.
     (x, y), (rows, columns) = grid.origin, grid.kind.shape
     reach = f"x {x:.2f} to {x + columns * grid.resolution_m:.2f} m, y {y:.2f} to {y + rows * grid.resolution_m:.2f} m"
     typer.echo(f"{image.shape[1]} × {image.shape[0]} pixels: {out}; above its legend {reach}")

@@ -1,4 +1,4 @@
-"""What `wheelsight map` does."""
+"""The tasks of `wheelsight map`."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def zone(source: Path, asked: AskedZone) -> None:
     from wheelsight.app.cli.map_zones import change, print_zones
 
     asked.check()
-    if asked.told is None:
+    if asked.option is None:
         print_zones(_opened(source))
     else:
         change(source, asked)
@@ -58,7 +58,7 @@ def export(source: Path, wanted: Exports, force: bool) -> None:
 
 
 def rebuild(source: Path, out: Path) -> None:
-    """Write a map anew."""
+    """Rewrite a map."""
     from wheelsight.app.cli.progress import FrameProgress
     from wheelsight.slam.maps import info_of, rebuild
 
@@ -66,9 +66,9 @@ def rebuild(source: Path, out: Path) -> None:
     _compile()
     with FrameProgress("rebuilding", None, unit="keyframes") as progress:
         new = rebuild(folder, out, on_keyframe=lambda doing, done, total: progress.reach(done, total, doing))
-    told = info_of(new)
-    surfels = f"{(told.surfel_bytes or 0) / _MB:.1f} MB of surfels"
-    typer.echo(f"{told.keyframes:,} keyframes, {told.loops:,} loops, {surfels}: {out}")
+    info = info_of(new)
+    surfels = f"{(info.surfel_bytes or 0) / _MB:.1f} MB of surfels"
+    typer.echo(f"{info.keyframes:,} keyframes, {info.loops:,} loops, {surfels}: {out}")
 
 
 def merge(first: Path, second: Path, out: Path) -> None:
@@ -82,11 +82,11 @@ def merge(first: Path, second: Path, out: Path) -> None:
     with FrameProgress("merging", None, unit="keyframes") as progress:
         made = merge(*folders, out, on_keyframe=lambda doing, done, total: progress.reach(done, total, doing))
     if made.left_out:
-        print_warning(f"{made.left_out:,} keyframes are left out: nobody knows where they lie in {first}.")
+        print_warning(f"{made.left_out:,} keyframes are left out: their place in {first} is unknown.")
     of_first, of_second = made.keyframes
     joined, refused = made.loops
-    told = f"{of_first:,} keyframes and {of_second:,}, joined by {joined:,} loops, {refused:,} refused"
-    typer.echo(f"{told}: {out}")
+    counts = f"{of_first:,} keyframes and {of_second:,}, joined by {joined:,} loops, {refused:,} refused"
+    typer.echo(f"{counts}: {out}")
 
 
 def prune(source: Path, out: Path) -> None:

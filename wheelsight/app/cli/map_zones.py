@@ -1,4 +1,4 @@
-"""What `wheelsight map zone` does, and what the words of its options mean."""
+"""The tasks of `wheelsight map zone`, and the parser of its options."""
 
 from __future__ import annotations
 
@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from wheelsight.core.geometry import FloatArray
     from wheelsight.mapping import MapEdit, MapEdits
     from wheelsight.slam.maps import MapFolder
-
-
-# What `wheelsight map zone` does.
 
 
 def change(source: Path, asked: AskedZone) -> None:
@@ -40,7 +37,7 @@ def _added(folder: MapFolder, known: MapEdits, drawn: Sequence[MapEdit]) -> Sequ
     """Keep what was drawn, each hung on the nearest keyframe, and say so."""
     from wheelsight.slam.maps import lie_together
 
-    # On a keyframe of which nobody knows where it lies it would go astray.
+    # A keyframe of unknown position must not carry a zone.
     sure, poses = lie_together(folder).nonzero()[0], folder.named_poses().names
     hung = [edit.hung_on_nearest(folder.store.T_map_keyframe, sure) for edit in drawn]
     for edit in hung:
@@ -48,10 +45,18 @@ def _added(folder: MapFolder, known: MapEdits, drawn: Sequence[MapEdit]) -> Sequ
     folder.save_edits(known)
     for number, edit in enumerate(hung, start=len(known) - len(hung) + 1):
         on = "no keyframe" if edit.keyframe is None else f"keyframe {edit.keyframe}"
-        typer.echo(f"{number}: {_what(edit)}: {_size_m2(edit):.2f} m², moves with {on}")
+        import shapely
+
+        size_m2 = float(shapely.Polygon(edit.polygon).area)
+        typer.echo(f"{number}: {_what(edit)}: {size_m2:.2f} m², moves with {on}")
         _warn_where_nobody_saw(_what(edit), edit.polygon, folder.store.T_map_keyframe[sure])
         if edit.name in poses:
-            _warn_of_namesake(edit.name)
+            from wheelsight.app.cli.console import print_warning
+
+            print_warning(
+                f"a place is called {edit.name}, too, and is where wheelsight drive --to goes "
+                f"(wheelsight map name MAP '{edit.name}' --remove leaves the area alone)"
+            )
     return hung
 
 
@@ -68,7 +73,7 @@ def _forgotten(folder: MapFolder, known: MapEdits, number: int) -> MapEdit:
 
 
 def _renew_occupancy(folder: MapFolder, changed: Sequence[MapEdit]) -> None:
-    """What other programs read of the map must know of a zone, too; it is written anew where there is one."""
+    """Rewrite the exported occupancy map, if there is one: other programs must know a new zone, too."""
     from wheelsight.app.cli.compiling import compile_missing
     from wheelsight.app.cli.console import print_warning
     from wheelsight.app.cli.progress import FrameProgress
@@ -104,15 +109,6 @@ def _warn_where_nobody_saw(what: str, polygon: FloatArray, T_map_keyframe: Float
         )
 
 
-def _warn_of_namesake(name: str) -> None:
-    from wheelsight.app.cli.console import print_warning
-
-    print_warning(
-        f"a place is called {name}, too, and is where wheelsight drive --to goes "
-        f"(wheelsight map name MAP '{name}' --remove leaves the area alone)"
-    )
-
-
 def print_zones(folder: MapFolder) -> None:
     """All edits of a map, each with its number and where it is by now. Raises MapError."""
     from wheelsight.app.cli.console import console, facts_table
@@ -144,13 +140,7 @@ def _told(polygon: FloatArray) -> str:
     return " ".join(f"{x:.2f},{y:.2f}" for x, y in (polygon.round(2) + 0.0).tolist())
 
 
-def _size_m2(edit: MapEdit) -> float:
-    import shapely
-
-    return float(shapely.Polygon(edit.polygon).area)
-
-
-# What the words of `wheelsight map zone` mean.
+# Options
 
 
 _WHICH = "--keep-out, --speed M_S, --wipe or --area NAME"
@@ -177,7 +167,7 @@ class AskedZone:
     forget: int | None
 
     @property
-    def told(self) -> str | None:
+    def option(self) -> str | None:
         """The first option that was given."""
         return next(iter(self._options()), None)
 
@@ -196,8 +186,8 @@ class AskedZone:
             raise ConfigError(f"{options[0]} and {options[1]} are given at once", fix="one after another")
         if not options and self.corners:
             raise ConfigError("what is in these corners is not said", fix=_WHICH)
-        if self.told in ("--areas", "--forget") and self.corners:
-            raise ConfigError(f"{self.told} has no corners", fix="leave them out")
+        if self.option in ("--areas", "--forget") and self.corners:
+            raise ConfigError(f"{self.option} has no corners", fix="leave them out")
         if self.speed_m_s is not None and not 0 < self.speed_m_s < math.inf:
             raise ConfigError(
                 f"--speed is {self.speed_m_s:g}", fix="metres a second, over 0, such as 0.3; or --keep-out"
@@ -213,25 +203,22 @@ def drawn_by(asked: AskedZone) -> Sequence[MapEdit]:
         return [MapEdit(EditKind.AREA, area.polygon, name=area.name) for area in load_areas(asked.areas)]
     if asked.forget is not None:
         return []
-    polygon = _polygon_of(asked.told or "", asked.corners)
-    if asked.speed_m_s is not None:
-        return [MapEdit(EditKind.SPEED, polygon, limit_m_s=asked.speed_m_s)]
-    if asked.area is not None:
-        return [MapEdit(EditKind.AREA, polygon, name=asked.area)]
-    return [MapEdit(EditKind.KEEP_OUT if asked.keep_out else EditKind.WIPED, polygon)]
-
-
-def _polygon_of(option: str, words: Sequence[str]) -> FloatArray:
-    """(N, 2) corners of words such as "2,-1" or "2,-1 3,-1 3,0.5". Raises ConfigError."""
+    # (N, 2) corners of words such as "2,-1" or "2,-1 3,-1 3,0.5"
+    option = asked.option or ""
     import numpy as np
 
-    corners = [_corner(text) for word in words for text in word.split()]
+    corners = [_corner(text) for word in asked.corners for text in word.split()]
     if len(corners) < 2:
         raise ConfigError(f"{option} has {'one corner' if corners else 'no corners'}", fix=_FORM)
     if len(corners) == 2:
         (x, y), (far_x, far_y) = corners
         corners = [(x, y), (far_x, y), (far_x, far_y), (x, far_y)]
-    return np.array(corners)
+    polygon = np.array(corners)
+    if asked.speed_m_s is not None:
+        return [MapEdit(EditKind.SPEED, polygon, limit_m_s=asked.speed_m_s)]
+    if asked.area is not None:
+        return [MapEdit(EditKind.AREA, polygon, name=asked.area)]
+    return [MapEdit(EditKind.KEEP_OUT if asked.keep_out else EditKind.WIPED, polygon)]
 
 
 def _corner(text: str) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""`wheelsight map`: the map that a run leaves for the next drive. Holds its commands and their options."""
+"""`wheelsight map`: commands for the map folder that a run leaves for the next drive, and their options."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from wheelsight.app.cli.console import Command, Group
 from wheelsight.app.cli.map_contents import Exports
 from wheelsight.app.cli.map_zones import AskedZone
 
-# `wheelsight map zone`: what people say of parts of a map's floor.
+# wheelsight map zone
 
 
 def zone(
@@ -48,7 +48,7 @@ def zone(
     work.zone(source, AskedZone(tuple(corners or ()), keep_out, speed, wipe, area, areas, forget))
 
 
-# `wheelsight map`: the map that a run leaves for the next drive: told, named, exported, rebuilt, merged, pruned.
+# wheelsight map
 
 
 maps_app = typer.Typer(cls=Group, no_args_is_help=True, rich_markup_mode="rich")
@@ -183,7 +183,7 @@ def prune(source: MapPath, out: NewMap) -> None:
     work.prune(source, out)
 
 
-# The options of `wheelsight map`.
+# Options
 
 
 _ZONES = "What is there"

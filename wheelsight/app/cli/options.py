@@ -1,4 +1,4 @@
-"""Options that several commands share, the recordings that they open, and checks of the places for outputs."""
+"""Options that several commands share, the recordings that they open, and checks of output paths."""
 
 from __future__ import annotations
 
@@ -13,9 +13,6 @@ if TYPE_CHECKING:
     from wheelsight.core.calibration import Calibration, Measured
     from wheelsight.core.calibration_parts import Wheels
     from wheelsight.io.recordings import Recording
-
-
-# Options that several commands share.
 
 
 # Panels of the help that several commands have.
@@ -158,7 +155,7 @@ Rerun = Annotated[
 ]
 
 
-# Places for outputs.
+# Outputs
 
 
 def can_draw() -> bool:
@@ -202,7 +199,7 @@ def check_rerun(target: str | None, force: bool | None = None) -> None:
         check_out(Path(target), force, "--rerun")
 
 
-# What the commands of `wheelsight calibrate` read and write: options, the recording, FILE and the page beside it.
+# Calibrations
 
 
 Out = Annotated[
@@ -270,7 +267,7 @@ def save_found(
     out: Path,
     entry: Measured,
 ) -> str:
-    """Write what was found over what is kept, and below it the wheels as they were known; tells FILE and what it keeps.
+    """Write found values over kept ones, and below them the wheels as they were known. Print FILE and what it keeps.
 
     `entry` goes to the end of the file's history.
 
@@ -286,8 +283,8 @@ def save_found(
         save_layer,
     )
 
-    told = {HISTORY: [entry.as_field()]}
-    document = laid_over(kept, {"format": FORMAT, "source": source, **found, **told})
+    history = {HISTORY: [entry.as_field()]}
+    document = laid_over(kept, {"format": FORMAT, "source": source, **found, **history})
     known = {name: part for name, part in calibration_fields(nominal).items() if name in NOMINAL_PARTS}
     if any(name not in document.get(part, ()) for part in known for name in known[part]):
         document[NOMINAL] = known

@@ -1,4 +1,4 @@
-"""`wheelsight places`: label a recording by areas, train a model on it, test the model, let it name areas."""
+"""`wheelsight places`: labels a recording by areas, trains a model, tests it, and names areas with it."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from wheelsight.app.cli.console import Command, Group
 from wheelsight.app.cli.options import RecordingPath, Topics
 from wheelsight.app.cli.places_tasks import label_images, predict_places, train_model, try_model_on
 
-# The options of `wheelsight places`.
+# Options
 
 
 class Kind(StrEnum):
-    """What a frame is told by."""
+    """The descriptor of a frame."""
 
     HISTOGRAMS = "histograms"
     LAYOUT = "layout"
@@ -74,7 +74,7 @@ Every = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 
 
-# `wheelsight places`: label a recording by areas, train a model on it, test the model, let it name areas.
+# Commands
 
 
 places_app = typer.Typer(cls=Group, no_args_is_help=True, rich_markup_mode="rich")

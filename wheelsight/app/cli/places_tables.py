@@ -1,4 +1,4 @@
-"""What `wheelsight places` prints: a model's worth, and its answers beside the truth."""
+"""Tables of `wheelsight places`: the accuracy of a model, and its answers beside the truth."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def training_tables(model: PlaceModel, drives: Sequence[LabelledDrive]) -> Itera
     """A model's areas and figures."""
     held_out = "whole drives held out in turn"
     if len(drives) == 1:
-        held_out = "seconds of the drive held out in turn, where whole drives would tell more"
+        held_out = "seconds of the drive held out in turn, where whole drives would prove more"
     forest = f"{model.forest.tree_count} trees of at most {model.settings.max_depth} splits, {model.describer.kind}"
     yield _table(f"{forest}; {held_out}", TRAINING_HEAD, training_rows(model, drives))
     yield facts_table("", training_facts(model))

@@ -1,4 +1,4 @@
-"""The work behind `wheelsight places`: recordings opened, labels found, files written."""
+"""The tasks of `wheelsight places`: they open recordings, find labels and write files."""
 
 from __future__ import annotations
 
@@ -13,9 +13,6 @@ from wheelsight.app.cli.options import check_out
 if TYPE_CHECKING:
     from wheelsight.io.recordings import Recording
     from wheelsight.places import Describer, LabelledDrive, LabelSource
-
-
-# The work behind `wheelsight places`: recordings opened, labels found, files written.
 
 
 _KERNELS = ("places",)
@@ -56,7 +53,7 @@ def train_model(
     topics: Sequence[str] | None,
     force: bool,
 ) -> None:
-    """Train a model on recordings, save it, and tell what it is worth."""
+    """Train a model on recordings, save it, and print its accuracy."""
     from wheelsight.app.cli.console import console
     from wheelsight.app.cli.places_tables import training_tables
     from wheelsight.core.runtime import needed
@@ -132,11 +129,11 @@ def predict_places(model_path: Path, folder: Path, out: Path, topics: Sequence[s
     print_note(f"{len(answers)} frames are in {out}, {named} of them with an area named")
 
 
-# What the commands of `wheelsight places` are given, opened: recordings, labels, places for outputs.
+# Inputs
 
 
 def open_listed(folder: Path, topics: Sequence[str] | None) -> Recording:
-    """A recording, its warnings told on stderr; `topics` of a bag, as `--topic` says them."""
+    """A recording, its warnings printed on stderr; `topics` of a bag, as `--topic` says them."""
     from wheelsight.app.cli.console import print_warning
     from wheelsight.app.cli.options import open_source, settings_from
 
@@ -149,7 +146,7 @@ def open_listed(folder: Path, topics: Sequence[str] | None) -> Recording:
 def source_of(
     recording: Recording, labels: Path | None, areas: Path | None, trajectory: Path | None, needed: bool = False
 ) -> LabelSource:
-    """What tells the areas of a recording's frames. Raises AreaError where nothing does and it is needed."""
+    """The source of a recording's area labels. Raises AreaError if it is needed and there is none."""
     from wheelsight.core.errors import AreaError
     from wheelsight.core.trajectory import read_tum
     from wheelsight.io.recordings import express_for

@@ -1,4 +1,4 @@
-"""A line of progress, also on a terminal of 60 columns; silent where no terminal watches."""
+"""A line of progress for a terminal of 60 columns or more; nothing without a terminal."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def whole() -> Column:
 
 
 def left_text(seconds: float | None) -> str:
-    """Such as "12:30 left"; dashes where nobody knows yet."""
+    """The time left, such as "12:30 left"; dashes while it is unknown."""
     if seconds is None:
         return "-:-- left"
     left_s = max(round(seconds), 0)
@@ -74,14 +74,14 @@ def left_text(seconds: float | None) -> str:
 
 
 class _Count(ProgressColumn):
-    """How many of how many; how many alone where nobody knows the end."""
+    """The count of the total; the count alone if the total is unknown."""
 
     def render(self, task: Task) -> Text:
         return Text(f"{int(task.completed)}" if task.total is None else f"{int(task.completed)}/{int(task.total)}")
 
 
 class _Rate(ProgressColumn):
-    """Frames, or another unit, a second, once there are some; nothing without a unit, unless it is told."""
+    """Frames, or another unit, a second, once there are some; nothing without a unit, unless a text is given."""
 
     def __init__(self, unit: str) -> None:
         super().__init__(whole())

@@ -1,4 +1,4 @@
-"""`wheelsight record`: keep what the robot's sensors say. Opens the sensors and the place, and shows how far it is."""
+"""`wheelsight record`: records the robot's sensors. Opens sensors and output, and shows the progress."""
 
 from __future__ import annotations
 
@@ -22,14 +22,10 @@ if TYPE_CHECKING:
 
     from wheelsight.core.calibration import Calibration
     from wheelsight.core.settings import LiveCameraSettings, RecorderSettings
-    from wheelsight.io.devices import WheelLink
     from wheelsight.io.devices.live_camera import LiveCamera
     from wheelsight.io.devices.recorder import LiveRecorder, RecordingSession, SessionLook
     from wheelsight.io.recordings.bags.writing import LiveBag
     from wheelsight.io.recordings.native import LiveWriter
-
-
-# `wheelsight record`: keep what the robot's sensors say.
 
 
 _SENSORS = "Sensors"
@@ -131,7 +127,7 @@ def record(
         session.run(is_over, show, seconds)
 
 
-# Sensors opened for `wheelsight record`, and what is said in the end.
+# Sensors
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +147,7 @@ class Sensors:
 def opened_recording(
     asked: Sensors, out: Path | BagPlace, color: str, *, force: bool, resume: bool
 ) -> Iterator[RecordingSession]:
-    """Sensors and recording opened for the block; what is refused leaves no folder, and what is over is told.
+    """Sensors and recording opened for the block; a refusal leaves no folder, and the end prints a summary.
 
     Raises InputError.
     """
@@ -171,14 +167,26 @@ def opened_recording(
         # refused before a device is touched
         opened.enter_context(new_output_folder(folder, force or resume or bag is not None))
         camera, calibration = _camera(asked, of_camera, known, opened)
-        link = _link(asked, opened)
+        from wheelsight.app.cli.wheels import note_status
+        from wheelsight.io.devices import WheelLink
+
+        if asked.wheels is None:
+            link = None
+        else:
+            link = opened.enter_context(WheelLink(asked.wheels, asked.baud, note_status(asked.wheels)))
         writer: LiveWriter
         if bag is not None:
             writer = bag.writer(calibration, color, of_recorder)
         else:
             writer = RecordingWriter(folder, calibration, force, color=color, resume=resume)  # type: ignore[arg-type]
         recorder = opened.enter_context(LiveRecorder(writer, of_recorder))
-        _check_time(writer, folder)
+        # Refuse to go on with a recording whose stamps are still to come
+        from wheelsight.io.devices import host_clock
+
+        ahead_s = writer.last_stamp_s - host_clock.now_s()
+        if ahead_s > 0:
+            problem = f"its last stamp lies {ahead_s:.0f} s in the future: the clock was set back"
+            raise OutputError(problem, path=folder, fix="set this computer's clock, or record into another --out")
         opened.callback(tell_end, writer, recorder, folder if bag is None else bag.path, camera is not None)
         yield RecordingSession(recorder, folder, camera, link, note)
 
@@ -203,10 +211,10 @@ def _known(asked: Sensors, out: Path, resume: bool) -> Calibration | None:
     """Of what is resumed, which stands whatever the camera says. Raises CalibrationError, ConfigError."""
     from wheelsight.io.recordings.native import resumed_calibration
 
-    known = resumed_calibration(out) if resume else None
-    if known is not None and asked.calibration:
+    calibration = resumed_calibration(out) if resume else None
+    if calibration is not None and asked.calibration:
         raise ConfigError("--resume goes by the recording's own calibration", fix="leave out --calibration")
-    return known
+    return calibration
 
 
 def _camera(
@@ -240,27 +248,7 @@ def _settings(asked: Sensors) -> tuple[LiveCameraSettings, RecorderSettings]:
     return camera.model_copy(update=changes), recorder
 
 
-def _link(asked: Sensors, opened: ExitStack) -> WheelLink | None:
-    """Raises DeviceError."""
-    from wheelsight.app.cli.wheels import note_status
-    from wheelsight.io.devices import WheelLink
-
-    if asked.wheels is None:
-        return None
-    return opened.enter_context(WheelLink(asked.wheels, asked.baud, note_status(asked.wheels)))
-
-
-def _check_time(writer: LiveWriter, folder: Path) -> None:
-    """Refuse to go on with a recording whose stamps are still to come. Raises OutputError."""
-    from wheelsight.io.devices import host_clock
-
-    ahead_s = writer.last_stamp_s - host_clock.now_s()
-    if ahead_s > 0:
-        problem = f"its last stamp lies {ahead_s:.0f} s in the future: the clock was set back"
-        raise OutputError(problem, path=folder, fix="set this computer's clock, or record into another --out")
-
-
-# Where `wheelsight record` writes: a folder, or a bag.
+# Outputs
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,7 +293,7 @@ def place_of(out: Path | None, bag: Path | None) -> Path | BagPlace:
     return out
 
 
-# What `wheelsight record` shows while it runs: one line, as much of it as the terminal is wide.
+# Progress
 
 
 # A line for a log, where no terminal watches.
@@ -332,7 +320,10 @@ def _words(look: SessionLook, seconds: float | None, are_few: bool) -> Iterator[
     if look.link is not None:
         yield f"{look.recorder.readings} {'wheels' if are_few else 'wheel readings'}, {look.readings_per_s:.0f}/s"
     if look.camera is not None:
-        yield _drops(look, _short if are_few else str)
+        named = _short if are_few else str
+        causes = ", ".join(f"{named(cause)} {count}" for cause, count in look.drops.items())
+        drops = f"{sum(look.drops.values())} dropped ({causes})" if causes else "0 dropped"
+        yield drops
     if are_few:
         yield f"{look.bytes_per_s / 1e6:.0f} MB/s"
         yield f"{_bytes(look.free_bytes)}{_left(look, ' = ')}"
@@ -358,12 +349,6 @@ def _time_of(look: SessionLook, seconds: float | None, of: str) -> str:
     return clock_of(look.seconds) if seconds is None else f"{clock_of(look.seconds)}{of}{clock_of(seconds)}"
 
 
-def _drops(look: SessionLook, named: Callable[[str], str]) -> str:
-    """Such as "3 dropped (slow disk 2, camera 1)"."""
-    causes = ", ".join(f"{named(cause)} {count}" for cause, count in look.drops.items())
-    return f"{sum(look.drops.values())} dropped ({causes})" if causes else "0 dropped"
-
-
 def _short(cause: str) -> str:
     """Its last word, such as "disk" of "slow disk"."""
     return cause.split()[-1]
@@ -375,12 +360,12 @@ def clock_of(seconds: float) -> str:
 
 
 def _left(look: SessionLook, before: str) -> str:
-    """How long the room lasts; nothing where nobody knows."""
+    """How long the free space lasts; "" if unknown."""
     if look.full_after_s is None:
         return ""
     minutes = look.full_after_s / 60
-    told = f"{minutes:.0f} min" if minutes < 100 else f"{minutes / 60:.0f} h"
-    return f"{before}{told}"
+    left = f"{minutes:.0f} min" if minutes < 100 else f"{minutes / 60:.0f} h"
+    return f"{before}{left}"
 
 
 def _bytes(count: int) -> str:
@@ -389,7 +374,7 @@ def _bytes(count: int) -> str:
 
 @contextmanager
 def shown_looks(seconds: float | None = None) -> Iterator[Callable[[SessionLook], None]]:
-    """What shows a look, of so many seconds if given: a line on a terminal that changes, or one every ten seconds."""
+    """Show the state of a recording: a changing line on a terminal, else a line every ten seconds."""
     stderr = console(stderr=True)
     if stderr.is_terminal:
         with stderr.status("") as line:

@@ -1,5 +1,5 @@
-"""`wheelsight run`: where the camera went. Opens what the run goes by, shows how far it is, and prints what it came
-to.
+"""`wheelsight run`: estimates the path of a camera or robot. Opens the source, shows the progress and prints the
+results.
 """
 
 from __future__ import annotations
@@ -40,9 +40,6 @@ if TYPE_CHECKING:
     from wheelsight.core.settings import RealTimeSettings
     from wheelsight.io.devices.recorder import LiveRecorder
     from wheelsight.io.recordings import Recording
-
-
-# `wheelsight run`: where the camera went.
 
 
 @takes(RunOptions)
@@ -99,24 +96,24 @@ def run(options: RunOptions) -> None:
     asked = LiveRun.of(options)
     asked.check(options.realtime, options.wheels_from)
     settings = settings_from(options.settings(), options.config)
-    told = ""
+    chosen = ""
     with asked.source(settings, options.out, options.realtime, options.wheels_from, options.force) as source:
         if not settings.odometry:
             choice = default_odometry(source, settings)
-            settings, told = settings.with_odometry(choice.odometry), choice.sentence
-        records = track(source, settings, options.out, options.force, options.rerun, told)
+            settings, chosen = settings.with_odometry(choice.odometry), choice.sentence
+        records = track(source, settings, options.out, options.force, options.rerun, chosen)
     print_summary(records, options.out)
 
 
-# What `wheelsight run` does once all is known: compile, track, show how far it is.
+# The run
 
 
 def track(
-    source: EventSource, settings: Config, out: Path, force: bool, rerun: str | None = None, told: str = ""
+    source: EventSource, settings: Config, out: Path, force: bool, rerun: str | None = None, note: str = ""
 ) -> Sequence[RunRecord]:
     """Run, with progress on stderr; Ctrl-C ends it with the exit code of an interruption.
 
-    `rerun` is where Rerun is shown it, if anywhere: a file, or "spawn". `told` is said once nothing can be refused.
+    `rerun` is where Rerun is shown it, if anywhere: a file, or "spawn". `note` is printed once nothing can be refused.
     """
     from wheelsight.app import runs
     from wheelsight.app.cli.compiling import compile_missing
@@ -137,8 +134,8 @@ def track(
         watcher = None if rerun is None else shown.enter_context(_watcher(rerun, source, settings, force))
 
         def begin() -> None:
-            if told:
-                print_note(told)
+            if note:
+                print_note(note)
             can_draw()
             compile_missing(parts_of(settings))
             shown.enter_context(progress)
@@ -177,7 +174,7 @@ def _watcher(target: str, source: EventSource, settings: Config, force: bool) ->
     return open_rerun(target, source.calibration, settings.tracks, settings.viewer)
 
 
-# What a run goes by: a recording, at once or in its time, or sensors as they are just now.
+# Sources
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,11 +240,11 @@ def _opened(asked: LiveRun, settings: Config, out: Path, force: bool) -> Iterato
         opened.enter_context(new_output_folder(out, force))  # refused before a device is touched
         compile_missing(parts_of(settings))  # minutes, in which a camera had better not run
         sensors = _sensors(asked, settings, force, opened)
-        told = f"for {asked.seconds:g} s" if asked.seconds is not None else "until Ctrl-C"
+        how_long = f"for {asked.seconds:g} s" if asked.seconds is not None else "until Ctrl-C"
         yield LiveSource(
             sensors,
             lambda: until_stopped(asked.seconds),
-            lambda: print_note(f"ready; following {told}"),
+            lambda: print_note(f"ready; following {how_long}"),
             note,
             settings.realtime,
         )
@@ -278,7 +275,7 @@ def _sensors(asked: LiveRun, settings: Config, force: bool, opened: ExitStack) -
 
 
 def _recorder(folder: Path, calibration: Calibration, settings: Config, force: bool, opened: ExitStack) -> LiveRecorder:
-    """What keeps all that is heard. Raises OutputError."""
+    """The recorder of all events. Raises OutputError."""
     from wheelsight.app.cli.record import tell_end
     from wheelsight.io.devices.recorder import LiveRecorder
     from wheelsight.io.recordings import RecordingWriter
@@ -289,7 +286,7 @@ def _recorder(folder: Path, calibration: Calibration, settings: Config, force: b
     return recorder
 
 
-# What the progress bar says of a run, also in real time, and how a recording is opened for that.
+# Progress
 
 
 @contextmanager
@@ -369,7 +366,7 @@ def words(recording: InRealTime) -> str:
     return ", ".join(parts)
 
 
-# What the progress bar of `wheelsight run` says beside its numbers.
+# Status beside the progress bar
 
 
 _JOINED = "joined"
@@ -405,7 +402,7 @@ def count(n: int) -> str:
     return f"{n / 1e3:.0f}k" if n < 999_500 else f"{n / 1e6:.2f}M"
 
 
-# What `wheelsight run` prints at its end.
+# Results
 
 
 _ON_THE_PAGE_ONLY = ("ATE, max", "of the way", "turn a metre", "95 % within", "time covered")  # 80 signs wide

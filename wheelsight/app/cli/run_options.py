@@ -1,5 +1,5 @@
-"""The options of `wheelsight run`, in the order of its help, and `wheelsight config`, which prints the settings that
-they come to.
+"""The options of `wheelsight run`, in the order of its help, and `wheelsight config`, which prints the resulting
+settings.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from wheelsight.app.cli.options import (
     settings_from,
 )
 
-# Options of `wheelsight run`: what is followed, also as it is just now.
+# Sensors
 
 
 _REAL_TIME, _LIVE = "In real time", "Live, in place of a recording"
@@ -110,7 +110,7 @@ Record = Annotated[
 ]
 
 
-# Options of `wheelsight run`: how motion is estimated, and rectified by areas.
+# Odometry and areas
 
 
 _ODOMETRY, _AREAS = "Odometry", "Areas that rectify wheels"
@@ -205,7 +205,7 @@ Weights = Annotated[
 ]
 
 
-# Options of `wheelsight run`: maps and loops.
+# Maps and loops
 
 
 _MAPS = "Loops and maps"
@@ -254,7 +254,7 @@ Start = Annotated[
 ]
 
 
-# The options of `wheelsight run`, in the order of its help.
+# All options
 
 
 Out = Annotated[
@@ -345,7 +345,7 @@ class RunOptions:
         }
 
 
-# `wheelsight config`: the settings that a run would go by.
+# wheelsight config
 
 
 def config_config(

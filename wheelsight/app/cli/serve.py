@@ -1,5 +1,5 @@
-"""`wheelsight serve`: a page to see a robot and to lead it from a browser. Opens robot, session and page until
-somebody ends it; CountedLines keeps its terminal readable.
+"""`wheelsight serve`: a page to watch and drive a robot from a browser. CountedLines limits the output on the
+terminal.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.runtime import until_stopped
 
 if TYPE_CHECKING:
-    from wheelsight.app.page import Access, DriveMaps, Session
+    from wheelsight.app.page import Access, Session
     from wheelsight.app.viewer import DriveLog
     from wheelsight.config import Config, StartSettings
     from wheelsight.core.calibration import Calibration
 
 
-# The options of `wheelsight serve`, in the order of its help.
+# Options
 
 
 _PAGE = "The page"
@@ -87,7 +87,7 @@ class ServeOptions(RobotOptions, SettingsOptions, PageOptions):
     rate: Rate = 5.0
 
 
-# `wheelsight serve`: a page to see a robot and to lead it from a browser.
+# The command
 
 
 @takes(ServeOptions)
@@ -110,11 +110,11 @@ def serve(options: ServeOptions) -> None:
     serve_there(options)
 
 
-# CountedLines: what a page's program says on its terminal, where strangers decide how often.
+# Terminal
 
 
 _COUNTED_LINES_LOOK_S, _ENDS_S = 0.1, 2.0
-# So many different lines of refusals at once, and one more each 10 s: less than 1 MB a day. Up to 10 minutes apart.
+# Different lines of refusals at once, and one more each 10 s: less than 1 MB a day. Up to 10 minutes apart.
 _NEW_LINES, _NEW_LINE_S, _LONGEST_S = 8.0, 10.0, 600.0
 _TIMES = re.compile(r" \((\d+) times\)$")
 
@@ -204,7 +204,7 @@ class _Line:
     times: int = 0
 
 
-# What `wheelsight serve` does: robot, session, page, until somebody ends it.
+# The session
 
 
 _PARTS = ("wheels", "dense", "joined", "loops", "navigation")
@@ -231,7 +231,12 @@ def serve_there(options: ServeOptions) -> None:
     check_robot(options)
     # Where no map of before is driven in first, and on the page, a new one is made.
     config, access = settings_of(options, {"loops.source": "keyframes"}), access_of(options)
-    maps = _maps_of(config, options)
+    from wheelsight.app.page import DriveMaps
+
+    if options.known_start is not None and options.map_ is None:
+        raise ConfigError("--known-start is of a map", fix="--map DIR")
+    start = None if options.known_start is None else _start_of(options.known_start)
+    maps = DriveMaps(config, options.map_, start, options.out, in_step=options.is_simulated)
     check_rerun(options.rerun)
     compile_missing((*_PARTS, *(("simulation",) if options.is_simulated else ())))
     with (
@@ -267,15 +272,6 @@ def access_of(options: PageOptions) -> Access:
     if token is None:
         token = "" if at_home else secrets.token_hex(_TOKEN_BYTES)
     return Access(at_home, token)
-
-
-def _maps_of(config: Config, options: ServeOptions) -> DriveMaps:
-    from wheelsight.app.page import DriveMaps
-
-    if options.known_start is not None and options.map_ is None:
-        raise ConfigError("--known-start is of a map", fix="--map DIR")
-    start = None if options.known_start is None else _start_of(options.known_start)
-    return DriveMaps(config, options.map_, start, options.out, in_step=options.is_simulated)
 
 
 def _start_of(text: str) -> StartSettings:

@@ -1,5 +1,5 @@
-"""`wheelsight simulate`: a wheelchair's drive through a world, as a recording with truth; its options, and what
-their words mean.
+"""`wheelsight simulate`: records a wheelchair's simulated drive with ground truth. Holds its options and their
+parser.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from wheelsight_sim import FloorPlan, Robot, SimulatedRecording, SimulationSettings, WheelFaults
 
 
-# Options of `wheelsight simulate`: the robot, its camera, how it drives, and what goes wrong.
+# Options of the robot and its camera
 
 
 _DRIVE, _CAMERA, _ROBOT, _FAULTS = "The drive", "The camera", "The true robot", "Faults"
@@ -113,7 +113,7 @@ Lift = Annotated[list[str] | None, _times("Seconds with the left wheel in the ai
 Cover = Annotated[list[str] | None, _times("Seconds with something lying on the camera.")]
 
 
-# The options of `wheelsight simulate`, in the order of its help.
+# All options
 
 
 _WORLD, _PLAN = "The world", "A building of your own"
@@ -234,7 +234,7 @@ class SimulateOptions:
     cover: Cover = None
 
 
-# `wheelsight simulate`: a wheelchair's drive through a world, as a recording with truth.
+# The command
 
 
 @takes(SimulateOptions)
@@ -262,7 +262,12 @@ def simulate(options: SimulateOptions) -> None:
     wheelsight simulate --list
     """
     if options.show_list:
-        _print_list()
+        from wheelsight.app.cli.console import console, facts_table
+        from wheelsight_sim import build_world, camera_model, camera_names, world_names
+
+        stdout = console()
+        stdout.print(facts_table("Worlds", ((name, build_world(name).description) for name in world_names())), "")
+        stdout.print(facts_table("Cameras", ((name, camera_model(name).description) for name in camera_names())))
         return
     plan = plan_of(options)
     is_named = options.world is not None or plan is not None
@@ -287,7 +292,10 @@ def _simulate(settings: SimulationSettings, out: Path, force: bool) -> None:
         try:
             writer = _render(recording, out)
         except KeyboardInterrupt as interruption:
-            frames = _frames_listed(out)
+            # How many frames a recording that broke off holds
+            path = out / "depth.txt"
+            lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+            frames = sum(not line.startswith("#") for line in lines)
             print_note(f"interrupted; {out} holds the drive up to there, {frames} frames" if frames else "interrupted")
             raise typer.Exit(exit_code()) from interruption
     print_note(f"{writer.frames} frames and {writer.readings} wheel readings are in {out}; plan: {out / 'plan.png'}")
@@ -310,23 +318,7 @@ def _render(recording: SimulatedRecording, out: Path) -> RecordingWriter:
         return write_simulation(recording, out, force=True, on_frame=lambda frame: progress.advance())
 
 
-def _frames_listed(folder: Path) -> int:
-    """How many frames a recording that broke off holds."""
-    path = folder / "depth.txt"
-    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
-    return sum(not line.startswith("#") for line in lines)
-
-
-def _print_list() -> None:
-    from wheelsight.app.cli.console import console, facts_table
-    from wheelsight_sim import build_world, camera_model, camera_names, world_names
-
-    stdout = console()
-    stdout.print(facts_table("Worlds", ((name, build_world(name).description) for name in world_names())), "")
-    stdout.print(facts_table("Cameras", ((name, camera_model(name).description) for name in camera_names())))
-
-
-# What the words of `wheelsight simulate`'s options mean.
+# Parser of the options
 
 
 _TIMES_FORM = "FROM:TO in seconds, such as 12:15.5"
@@ -335,7 +327,7 @@ _PATCH_FORM = "X,Y,R in metres, such as 4,2.5,0.6"
 
 
 def settings_from(given: SimulateOptions, plan: FloorPlan | None) -> SimulationSettings:
-    """The settings that the options tell. Raises ConfigError naming the option whose words mean nothing."""
+    """The settings by the options. Raises ConfigError naming the option whose words mean nothing."""
     from wheelsight_sim import SimulationSettings
 
     building: dict[str, Any] = {"world": given.world} if plan is None else {"plan": plan}
@@ -368,11 +360,11 @@ def settings_from(given: SimulateOptions, plan: FloorPlan | None) -> SimulationS
 def _robot(given: SimulateOptions) -> Robot:
     from wheelsight_sim import Robot
 
-    told = {"left_radius_m": given.left_radius, "right_radius_m": given.right_radius, "track_width_m": given.track}
-    if given.base != "differential" and any(size_m is not None for size_m in told.values()):
+    given_m = {"left_radius_m": given.left_radius, "right_radius_m": given.right_radius, "track_width_m": given.track}
+    if given.base != "differential" and any(size_m is not None for size_m in given_m.values()):
         fix = "--left-radius, --right-radius and --track are of two wheels: leave them out"
         raise ConfigError(f"--base {given.base} has no such wheels", fix=fix)
-    sizes: dict[str, Any] = {name: size_m for name, size_m in told.items() if size_m is not None}
+    sizes: dict[str, Any] = {name: size_m for name, size_m in given_m.items() if size_m is not None}
     return Robot(**sizes, has_gyro=given.gyro)
 
 
@@ -388,7 +380,7 @@ def _faults(given: SimulateOptions) -> WheelFaults:
 
 
 def plan_of(given: SimulateOptions) -> FloorPlan | None:
-    """The floor plan that the options tell, if any. Raises ConfigError for options that mean nothing together."""
+    """The floor plan of the options, if any. Raises ConfigError for options that mean nothing together."""
     from wheelsight_sim import FloorPlan
 
     if given.plan is None:

@@ -1,5 +1,5 @@
-"""`wheelsight wheels`: the wheel controller on a serial port, to look at, to serve, and a simulated one. `wheelsight
-devices` lists what is plugged in.
+"""`wheelsight wheels`: monitors and serves the wheel controller at a serial port, or a simulated one. `wheelsight
+devices` lists cameras and ports.
 """
 
 from __future__ import annotations
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from wheelsight.core.calibration_parts import Wheels
     from wheelsight.io.devices import LinkReport, LinkStatus
     from wheelsight.io.devices.plugged_in import PluggedIn
-
-
-# `wheelsight wheels`: the wheel controller on a serial port, to look at, to serve, and a simulated one to practise.
 
 
 wheels_app = typer.Typer(cls=Group, no_args_is_help=True, rich_markup_mode="rich")
@@ -201,7 +198,7 @@ def _wait_s(rate_hz: float, seconds: float | None) -> float:
     return min(1 / rate_hz, seconds if seconds else 1 / rate_hz)
 
 
-# What `wheels monitor` shows: rates from one look at the link to the next, as a table or a line.
+# wheelsight wheels monitor
 
 
 _SHORTEST_S = 0.5
@@ -240,15 +237,13 @@ class Meter:
             self._before.pop(0)
         then_s, then = self._before[0]
         frames_per_s = (report.line.frames - then.line.frames) / (now_s - then_s) if now_s > then_s else None
-        left, right = self._speeds(then, report)
+        if then.last is None or report.last is None or report.last.stamp_s <= then.last.stamp_s:
+            left, right = None, None
+        else:
+            passed_s = report.last.stamp_s - then.last.stamp_s
+            left_ticks, right_ticks = report.last.left - then.last.left, report.last.right - then.last.right
+            left, right = left_ticks * self._scales[0] / passed_s, right_ticks * self._scales[1] / passed_s
         return Look(report, frames_per_s, left, right, self._unit)
-
-    def _speeds(self, then: LinkReport, now: LinkReport) -> tuple[float | None, float | None]:
-        if then.last is None or now.last is None or now.last.stamp_s <= then.last.stamp_s:
-            return None, None
-        passed_s = now.last.stamp_s - then.last.stamp_s
-        left, right = now.last.left - then.last.left, now.last.right - then.last.right
-        return left * self._scales[0] / passed_s, right * self._scales[1] / passed_s
 
 
 def live_table(port: str, look: Look) -> Table:
@@ -283,7 +278,7 @@ def _speed(speed: float | None, unit: str) -> str:
     return "standing still or unknown" if speed is None else f"{speed:+.3f} {unit}"
 
 
-# `wheelsight devices`: cameras and serial ports that are plugged in, and what those lack that cannot be used.
+# wheelsight devices
 
 
 def devices_devices(

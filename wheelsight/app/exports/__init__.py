@@ -1,4 +1,4 @@
-"""What a run, a map or a recording holds, in the formats of other programs: bags, trajectories, images with poses."""
+"""Exports of runs, maps and recordings in formats of other programs: bags, trajectories, images with poses."""
 
 from wheelsight.app.exports.bag import DEFAULT_VOXEL_M, BagParts, BagReport, export_bag
 from wheelsight.app.exports.octomaps import export_octomap

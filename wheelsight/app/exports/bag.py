@@ -1,4 +1,4 @@
-"""A run, a map or a recording as a bag that Foxglove, RViz and Nav2 open, and the layouts that show it there."""
+"""Writes a run, a map or a recording as a bag for Foxglove, RViz and Nav2, and layouts that show it there."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ import yaml
 
 from wheelsight.app.exports.sources import (
     Exported,
-    StatusRow,
     body_frame,
     in_odom,
     map_to_odom,
@@ -34,12 +33,9 @@ from wheelsight.io.recordings.bags.writing import Diagnosis, ImageForm, Messages
 from wheelsight.io.ros_map import read_ros_map
 from wheelsight.slam.maps.folder import OCCUPANCY_FILE
 
-# A run, a map or a recording as a bag that Foxglove, RViz and Nav2 open.
-
-
 MAP, ODOM = "map", "odom"
 DEFAULT_VOXEL_M = 0.05
-# How a run's words are told to who looks at lights: green, yellow, red.
+# The diagnostic level of each status.
 _LEVELS = {"tracking": 0, "coasting": 1, "initializing": 1, "failing": 2, "lost": 2}
 _ERROR = 2
 _TELL_EVERY = 50
@@ -122,27 +118,24 @@ class _Writing:
         is_of_base = has_base or (self.calibration is not None and self.calibration.color is None)
         self.body = lived.body if lived is not None else "base" if is_of_base else "camera"
         self.robot = RobotTopics(make, self.calibration, parts.images)
-        # Without a map the frame map begins where odom does; in one that was never recognised nobody knows.
+        # Without a map, map and odom begin together. In a map that is never recognised, map to odom is unknown.
         is_lost = lived is not None and lived.frame == ODOM and source.corrected is None and source.map is not None
         self.fixed = ODOM if is_lost else MAP
         if is_lost:
             self.warnings.append("Nothing leads from map to odom: where the run lies in its map is not known.")
 
     def messages(self) -> Iterator[Sent]:
-        """All: what is told once comes first, with the stamp of the first of all others."""
+        """All messages: latched ones first, with the stamp of the first of the others."""
         streams = (self._poses(), self._statuses(), self._events())
-        told = heapq.merge(*streams, key=lambda sent: sent.stamp_s)
-        first = next(told, None)
+        merged = heapq.merge(*streams, key=lambda sent: sent.stamp_s)
+        first = next(merged, None)
         begin_s = first.stamp_s if first is not None else self._first_keyframe_s()
-        yield from self._once(begin_s)
-        yield from chain([] if first is None else [first], told)
-
-    def _once(self, begin_s: float) -> Iterator[Sent]:
         yield from self.robot.mounts(begin_s)
         for topic, way in self._ways():
             path = self.make.path(begin_s, self.fixed, way.stamps_s, way.T_frame_body)
             yield Sent(begin_s, topic, path, is_latched=True)
         yield from self._map(begin_s)
+        yield from chain([] if first is None else [first], merged)
 
     def _ways(self) -> Iterator[tuple[str, Trajectory]]:
         """The way as known at the end; of a map, from keyframe to keyframe; and the true one of a recording."""
@@ -203,10 +196,12 @@ class _Writing:
     def _statuses(self) -> Iterator[Sent]:
         rows = sorted(self.source.status(), key=lambda row: row.stamp_s)
         for row in rows:
-            yield Sent(row.stamp_s, DIAGNOSTICS_TOPIC, self.make.diagnostics(row.stamp_s, [_diagnosis(row)]))
+            message = f"{row.status}: {row.reason}" if row.reason else row.status
+            diagnosis = Diagnosis(_LEVELS.get(row.status, _ERROR), "wheelsight: localization", message, row.details)
+            yield Sent(row.stamp_s, DIAGNOSTICS_TOPIC, self.make.diagnostics(row.stamp_s, [diagnosis]))
 
     def _events(self) -> Iterator[Sent]:
-        """What the sensors said; of a run whose recording is not there, nothing, and that is told."""
+        """Messages of the sensors; none, with a warning, if the run's recording is missing."""
         try:
             recording = self.source.recording
         except InputError as error:
@@ -222,15 +217,8 @@ class _Writing:
             yield from self.robot.of_event(event)
 
 
-def _diagnosis(row: StatusRow) -> Diagnosis:
-    told = f"{row.status}: {row.reason}" if row.reason else row.status
-    return Diagnosis(_LEVELS.get(row.status, _ERROR), "wheelsight: localization", told, row.details)
-
-
-# Layouts that show an exported bag: a file for Foxglove and one for RViz, with the topics that the bag has.
-#
-# Foxglove's is what its "Import from file" takes (panels by id, and how they share the window); RViz's is its own
-# configuration, of RViz 2 for bags of ROS 2 and of RViz 1 for bags of ROS 1, whose classes have other names.
+# Layouts of an exported bag, for Foxglove ("Import from file": panels by id, and how they share the window) and for
+# RViz: RViz 2 for bags of ROS 2, and RViz 1, whose classes have other names, for bags of ROS 1.
 
 
 ODOM_TOPIC, DIAGNOSTICS_TOPIC, MAP_TOPIC, POINTS_TOPIC = "/odom", "/diagnostics", "/map", "/map_points"
@@ -350,13 +338,13 @@ def rviz_config(topics: Collection[str], fixed_frame: str, *, is_ros1: bool) -> 
     }
 
 
-def _rviz_image(made: dict[str, Any], topic: str, *, is_ros1: bool) -> dict[str, Any]:
-    """RViz 1 has another field for it, and names a compressed image by its raw topic and a transport."""
+def _rviz_image(display: dict[str, Any], topic: str, *, is_ros1: bool) -> dict[str, Any]:
+    """The display of an image. RViz 1 names a compressed image by its raw topic and a transport."""
     if is_ros1:
-        del made["Topic"]
+        del display["Topic"]
         raw, _, transport = topic.partition("/image_raw")
-        made |= {"Image Topic": f"{raw}/image_raw", "Transport Hint": transport.strip("/") or "raw"}
-    return made
+        display |= {"Image Topic": f"{raw}/image_raw", "Transport Hint": transport.strip("/") or "raw"}
+    return display
 
 
 def _image_of(topics: Collection[str]) -> str | None:

@@ -1,4 +1,4 @@
-"""OctoMap's binary trees, by its own library through octomap-python, which must be there."""
+"""Writes OctoMap's binary trees with its own library, octomap-python, which must be installed."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import numpy as np
 from wheelsight.app.exports.sources import ColoredPoints, Exported, thinned, upright_points
 from wheelsight.core.errors import MapError, OutputError
 from wheelsight.core.files import StrPath, check_name, output_error
-from wheelsight.core.geometry import FloatArray, se3
-from wheelsight.core.keyframes import Keyframe, KeyframeId
+from wheelsight.core.geometry import se3
+from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.runtime import needed
 from wheelsight.slam.maps import lie_together
 
@@ -41,28 +41,21 @@ def export_octomap(
     tree = octomap.OcTree(voxel_m)
     for done, number in enumerate(numbers, start=1):
         T_map_camera = kept.store.pose(number)
-        p = upright_points(se3.apply(T_map_camera, _seen(kept.store[number], voxel_m)), body)
+        # Points (N, 3) of a keyframe in its own frame, one a cell
+        keyframe = kept.store[number]
+        depth_m, (fx, fy, cx, cy) = keyframe.depth_m, keyframe.intrinsics
+        v, u = np.nonzero(depth_m)
+        z = depth_m[v, u].astype(float)
+        p_keyframe = np.column_stack([(u - cx) / fx * z, (v - cy) / fy * z, z])
+        seen = thinned(ColoredPoints(p_keyframe, np.zeros((len(p_keyframe), 3), np.uint8)), voxel_m).p_map
+        p = upright_points(se3.apply(T_map_camera, seen), body)
         eye = upright_points(T_map_camera[None, :3, 3], body)[0]
         tree.insertPointCloud(np.ascontiguousarray(p), np.ascontiguousarray(eye))
         on_keyframe(done, len(numbers))
-    _write(tree, path)
-    return len(numbers)
-
-
-def _seen(keyframe: Keyframe, voxel_m: float) -> FloatArray:
-    """Points (N, 3) of a keyframe in its own frame, one a cell."""
-    depth_m, (fx, fy, cx, cy) = keyframe.depth_m, keyframe.intrinsics
-    v, u = np.nonzero(depth_m)
-    z = depth_m[v, u].astype(float)
-    p = np.column_stack([(u - cx) / fx * z, (v - cy) / fy * z, z])
-    return thinned(ColoredPoints(p, np.zeros((len(p), 3), np.uint8)), voxel_m).p_map
-
-
-def _write(tree: object, path: Path) -> None:
-    """Whole or not at all; the library takes names alone."""
+    # Whole or not at all; the library takes names alone
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:
-        if not tree.writeBinary(os.fsencode(temporary)):  # type: ignore[attr-defined]
+        if not tree.writeBinary(os.fsencode(temporary)):
             raise OutputError("OctoMap could not write it", path=path, fix="check the folder and the room on the disk")
         temporary.replace(path)
     except OSError as error:
@@ -70,3 +63,4 @@ def _write(tree: object, path: Path) -> None:
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+    return len(numbers)

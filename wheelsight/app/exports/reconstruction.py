@@ -1,5 +1,5 @@
-"""Images of keyframes with their cameras and poses, for reconstruction: nerfstudio's transforms.json and COLMAP's
-text model.
+"""Writes images of keyframes with cameras and poses for reconstruction: nerfstudio's transforms.json and COLMAP's text
+model.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from wheelsight.io.recordings import Recording
 from wheelsight.io.recordings.bags.writing import T_LINK_OPTICAL
 from wheelsight.slam.maps import MapFolder, lie_together
 
-# nerfstudio's transforms.json: images of keyframes with poses in OpenGL's axes, and the map's points to begin with.
+# nerfstudio
 
 
 TRANSFORMS_FILE, POINTS_FILE = "transforms.json", "points.ply"
@@ -68,7 +68,7 @@ def export_nerfstudio(
 def _frame(view: KeyframeView, turn: FloatArray) -> dict[str, Any]:
     camera = view.camera
     k1, k2, p1, p2, k3 = camera.distortion
-    told: dict[str, Any] = {
+    frame: dict[str, Any] = {
         "file_path": f"{IMAGES}/{view.name}",
         "transform_matrix": (turn @ view.T_map_camera @ _CV_TO_GL).tolist(),
         "camera_model": "OPENCV",
@@ -80,7 +80,7 @@ def _frame(view: KeyframeView, turn: FloatArray) -> dict[str, Any]:
         "cy": camera.cy + HALF_PX,
         **{"k1": k1, "k2": k2, "k3": k3, "k4": 0.0, "p1": p1, "p2": p2},
     }
-    return told | ({} if view.depth_name is None else {"depth_file_path": f"{DEPTHS}/{view.depth_name}"})
+    return frame | ({} if view.depth_name is None else {"depth_file_path": f"{DEPTHS}/{view.depth_name}"})
 
 
 def write_points(points: ColoredPoints, path: Path) -> None:
@@ -100,11 +100,11 @@ def write_points(points: ColoredPoints, path: Path) -> None:
         stream.write(table.tobytes())
 
 
-# COLMAP's text model: cameras.txt, images.txt and points3D.txt, beside the images of keyframes.
+# COLMAP
 
 
 MODEL = "sparse/0"
-# COLMAP's word for an error that nobody reckoned.
+# COLMAP's value for an unknown reprojection error.
 _NO_ERROR = -1
 
 
@@ -124,7 +124,16 @@ def export_colmap(
         numbers: dict[PinholeCamera, int] = {}
         for view in views:
             numbers.setdefault(view.camera, len(numbers) + 1)
-        write_text(model / "points3D.txt", _points_text(points_of(source, voxel_m)))
+        points = points_of(source, voxel_m)
+        if points is None:
+            points_text = ""
+        else:
+            rows = zip(points.p_map.tolist(), points.colors.tolist(), strict=True)
+            points_text = "".join(
+                f"{number} {x:.6f} {y:.6f} {z:.6f} {red} {green} {blue} {_NO_ERROR}\n"
+                for number, ((x, y, z), (red, green, blue)) in enumerate(rows, start=1)
+            )
+        write_text(model / "points3D.txt", points_text)
         write_text(model / "images.txt", _images_text(views, numbers))
         write_text(model / "cameras.txt", "".join(_camera_line(camera, n) for camera, n in numbers.items()))
     return len(views)
@@ -141,7 +150,7 @@ def _camera_line(camera: PinholeCamera, number: int) -> str:
 
 
 def _images_text(views: list[KeyframeView], numbers: dict[PinholeCamera, int]) -> str:
-    """Two lines an image: how the map lies in the camera, w first; and the keypoints, of which there are none."""
+    """Two lines an image: T_camera_map as quaternion (w first) and position; and the keypoints, an empty line."""
     text = ""
     for number, view in enumerate(views, start=1):
         T_camera_map = se3.invert(view.T_map_camera)
@@ -151,17 +160,7 @@ def _images_text(views: list[KeyframeView], numbers: dict[PinholeCamera, int]) -
     return text
 
 
-def _points_text(points: ColoredPoints | None) -> str:
-    if points is None:
-        return ""
-    rows = zip(points.p_map.tolist(), points.colors.tolist(), strict=True)
-    return "".join(
-        f"{number} {x:.6f} {y:.6f} {z:.6f} {red} {green} {blue} {_NO_ERROR}\n"
-        for number, ((x, y, z), (red, green, blue)) in enumerate(rows, start=1)
-    )
-
-
-# Images of a map's keyframes, with the camera that took them and where it was: what reconstruction starts from.
+# Images and poses of keyframes
 
 
 IMAGES, DEPTHS = "images", "depths"

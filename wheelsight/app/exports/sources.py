@@ -1,12 +1,12 @@
-"""What can be exported from a path: a run's folder, a map's, or a recording. Holds the thinned points of a map, and
-poses in ROS's conventions.
+"""The exportable parts of a path: of a run's folder, a map or a recording. Holds the thinned points of a map, and poses
+in ROS's conventions.
 """
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -34,9 +34,6 @@ from wheelsight.io.recordings import Recording, open_recording
 from wheelsight.io.recordings.bags.writing import BASE, LINK, T_LINK_OPTICAL
 from wheelsight.mapping import colors_of, load_map
 from wheelsight.slam.maps import MAP_FOLDER, MapFolder, find_map, is_map
-
-# What can be exported from a path: a run's folder, a map's, or a recording; each part is read when it is asked for.
-
 
 # Where a run of several odometries has its best trajectory, first the one that knows most.
 _TRACKS = ("", "joined", "dense", "features", "own", "rectified", "wheels")
@@ -101,19 +98,20 @@ class Exported:
             return None if self.map is not None else open_recording(self.path)
         path = self.path / METRICS_FILE
         try:
-            told: Any = parse_json(read_text(path, _METRICS, OutputError))["recording"]["path"]
+            given: Any = parse_json(read_text(path, _METRICS, OutputError))["recording"]["path"]
         except (KeyError, TypeError, ValueError) as error:
             raise OutputError("does not tell of a run's recording", path=path, fix="run again") from error
-        if told is None:
+        if given is None:
             return None
-        if not isinstance(told, str) or "\0" in told:
+        if not isinstance(given, str) or "\0" in given:
             raise OutputError("does not tell of a run's recording", path=path, fix="run again")
-        # A run in another folder told it from there, which is mostly a folder that the run lies in, too.
+        # A relative path starts at the working folder of the run, which is mostly a parent of its results.
         found = next(
-            (path for path in (Path(told), *(up / told for up in self.path.absolute().parents)) if is_there(path)), None
+            (path for path in (Path(given), *(up / given for up in self.path.absolute().parents)) if is_there(path)),
+            None,
         )
         if found is None:
-            raise RecordingError("the run's recording is not there any more", path=told, fix="put it where it was")
+            raise RecordingError("the run's recording is not there any more", path=given, fix="put it where it was")
         return open_recording(found, load_config(self._settings_file).recording.open_options())
 
     @property
@@ -138,7 +136,7 @@ class Exported:
 
     @property
     def calibration(self) -> Calibration | None:
-        """Of the robot, by the map, else by the recording; None where neither tells or is there."""
+        """Of the robot, by the map, else by the recording; None where neither has it."""
         if self.map is not None:
             return self.map.calibration
         try:
@@ -153,25 +151,22 @@ class Exported:
         path = self.track / STATUS_FILE
         try:
             for row in csv.DictReader(lines_of(read_text(path, _STATUS, OutputError))):
-                yield _status_row(row)
+                # Raises KeyError, TypeError or ValueError for what is none: csv leaves None where a line is short
+                stamp, status, reason, *cells = (row[name] for name in ("stamp_s", "status", "reason", *_DETAILS))
+                details = tuple((name, cell) for name, cell in zip(_DETAILS, cells, strict=True) if cell is not None)
+                if stamp is None or status is None or reason is None or len(details) < len(_DETAILS):
+                    raise ValueError("a short line")
+                stamp_s = float(stamp)
+                if not math.isfinite(stamp_s):
+                    raise ValueError(stamp)
+                status_row = StatusRow(stamp_s, status, reason, details)
+                yield status_row
         except (KeyError, TypeError, ValueError, csv.Error) as error:
             raise OutputError("is no status of a run", path=path, fix="run again") from error
 
     def need_map(self) -> MapFolder:
         """The map. Raises MapError, with how to make one."""
         return self.map if self.map is not None else MapFolder.open(find_map(self.path))
-
-
-def _status_row(row: Mapping[str, str | None]) -> StatusRow:
-    """Raises KeyError, TypeError or ValueError for what is none: csv leaves None where a line is short."""
-    stamp, status, reason, *cells = (row[name] for name in ("stamp_s", "status", "reason", *_DETAILS))
-    details = tuple((name, cell) for name, cell in zip(_DETAILS, cells, strict=True) if cell is not None)
-    if stamp is None or status is None or reason is None or len(details) < len(_DETAILS):
-        raise ValueError("a short line")
-    stamp_s = float(stamp)
-    if not math.isfinite(stamp_s):
-        raise ValueError(stamp)
-    return StatusRow(stamp_s, status, reason, details)
 
 
 def exported_at(path: StrPath) -> Exported:
@@ -187,7 +182,7 @@ def exported_at(path: StrPath) -> Exported:
     return Exported(path, found)
 
 
-# The points of a map, thinned: one for each cube of space.
+# Points
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,7 +219,7 @@ def thinned(points: ColoredPoints, voxel_m: float) -> ColoredPoints:
     return ColoredPoints(means[:, :3], np.rint(means[:, 3:]).astype(np.uint8))
 
 
-# Poses, covariances and twists of ours in ROS's conventions (REP 103, REP 105, the comments of its messages).
+# ROS's conventions (REP 103, REP 105)
 
 
 def body_frame(body: str) -> str:
@@ -292,7 +287,7 @@ def in_odom(lived: Trajectory, odom: Trajectory | None) -> Trajectory:
 def map_to_odom(lived: Trajectory, corrected: Trajectory | None) -> tuple[FloatArray, FloatArray]:
     """Stamps (N,), and T_map_odom (N, 4, 4) at them: the identity where nothing corrected the way.
 
-    Poses that the correction lacks are left out: where they lie in the map nobody knows.
+    Poses that the correction lacks are left out: their place in the map is unknown.
     """
     if corrected is None:
         return lived.stamps_s, np.tile(np.eye(4), (len(lived), 1, 1))

@@ -1,4 +1,4 @@
-"""Trajectories as the tools of the field read them: TUM, KITTI and EuRoC's csv."""
+"""Writes trajectories as TUM, KITTI or EuRoC's csv."""
 
 from __future__ import annotations
 

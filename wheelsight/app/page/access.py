@@ -1,4 +1,4 @@
-"""Who may speak to the page: by host, origin and token; as a layer about the application."""
+"""Decides which requests may reach the page, by host, origin and token, as a layer around the application."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ HEADERS = (
 
 
 def is_loopback(host: str) -> bool:
-    """Whether nobody but this computer can reach it there."""
+    """Whether only this computer can reach the address."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -68,8 +68,8 @@ class Access:
 
     def _has_token(self, scope: _Scope, headers: dict[bytes, bytes]) -> bool:
         kind, _, given = headers.get(b"authorization", b"").decode("latin-1").partition(" ")
-        told = [_asked(scope), given if kind.lower() == "bearer" else "", _kept(headers)]
-        return any(_is_same(one, self.token) for one in told)
+        offered = [_asked(scope), given if kind.lower() == "bearer" else "", _kept(headers)]
+        return any(_is_same(one, self.token) for one in offered)
 
 
 class Guarded:
@@ -78,7 +78,7 @@ class Guarded:
     Args:
         app: the application.
         access: what is asked.
-        on_refusal: told in a line who was refused, and why.
+        on_refusal: called with one line about each refused client and the reason.
     """
 
     def __init__(self, app: App, access: Access, on_refusal: Callable[[str], None]) -> None:
@@ -140,5 +140,5 @@ def _kept(headers: dict[bytes, bytes]) -> str:
 
 
 def _is_same(given: str, token: str) -> bool:
-    """Takes as long for any, so that nobody finds it letter by letter."""
+    """Compare in constant time: the duration does not reveal a common prefix."""
     return compare_digest(given.encode("utf-8", "replace"), token.encode())

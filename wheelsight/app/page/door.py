@@ -71,7 +71,7 @@ class Stranger:
 
 
 class Budget:
-    """So many a second, after a burst of as many."""
+    """A rate limit: `rate` a second, after a burst of the same number."""
 
     def __init__(self, a_second: float) -> None:
         self._a_second = self._left = a_second
@@ -214,7 +214,16 @@ class Door:
             self._count(f"refused {stranger.address}: no whole request after {HEAD_S:.0f} s")
             self._leave(stranger)
         if self._pressing and now_s - self._sent_s >= _STOP_TICK_S:
-            self._ask_to_stop(now_s)
+            # Pass STOP on, of all that press it now
+            pressing, self._pressing, self._sent_s = self._pressing, [], now_s
+            try:
+                self._control.send(STOP)
+            except OSError:
+                # Its buffer is full: it has not read for a long time.
+                self._answer_all(pressing, 503, _SILENT)
+            else:
+                self._stops_sent += 1
+                self._asked.append((self._stops_sent, now_s, pressing))
         while self._asked:
             _, asked_s, those = self._asked[0]
             if now_s - asked_s > _CONFIRMED_S and asked_s - self._lively_s < _LIVELY_S:
@@ -350,36 +359,21 @@ class Door:
         elif not self._budget.takes(now_s):
             self._refuse(stranger, 503, "too many requests: try again")
         else:
-            self._hand_on(stranger)
+            try:
+                socket.send_fds(self._handed, [stranger.head], [stranger.socket.fileno()])
+            except OSError:
+                self._answer(stranger, 503, "the robot's program does not answer")
+            else:
+                stranger.socket.close()
 
     def _may_hold_token(self, stranger: Stranger) -> bool:
         """Whether a head may hold the token, as far as a quick look shows; true where none is asked for."""
         head = stranger.head.lower()
         return not self._access.token or any(word in head for word in _CREDENTIALS)
 
-    def _ask_to_stop(self, now_s: float) -> None:
-        """Pass STOP on, of all that press it now."""
-        those, self._pressing, self._sent_s = self._pressing, [], now_s
-        try:
-            self._control.send(STOP)
-        except OSError:
-            # Its buffer is full: it has not read for a long time.
-            self._answer_all(those, 503, _SILENT)
-        else:
-            self._stops_sent += 1
-            self._asked.append((self._stops_sent, now_s, those))
-
     def _answer_all(self, those: list[Stranger], status: int, text: str) -> None:
         for stranger in those:
             self._answer(stranger, status, text)
-
-    def _hand_on(self, stranger: Stranger) -> None:
-        try:
-            socket.send_fds(self._handed, [stranger.head], [stranger.socket.fileno()])
-        except OSError:
-            self._answer(stranger, 503, "the robot's program does not answer")
-        else:
-            stranger.socket.close()
 
     def _refuse(self, stranger: Stranger, status: int, why: str) -> None:
         self._count(f"refused {stranger.address}: {why}")
@@ -438,7 +432,7 @@ def _scope_of(head: bytes) -> dict[str, Any] | None:
 
 
 def _host(address: Any) -> str:
-    """By which a peer is counted; one of IPv6 has a whole network of 64 bits to itself."""
+    """The key under which a peer is counted. For IPv6 it is the /64 network, which one client may own."""
     host = str(address[0])
     if ":" not in host or host.startswith("::ffff:"):
         return host.removeprefix("::ffff:")

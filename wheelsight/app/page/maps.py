@@ -1,4 +1,4 @@
-"""DriveMaps: maps of before, and new ones that are made while driving, each in a folder of its own."""
+"""DriveMaps: the known maps that can be driven in, and new maps that are made while driving, each in its own folder."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from wheelsight.core.files import StrPath, make_output_folder
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.keyframes import KeyframeStore
 from wheelsight.core.robots import Robot
-from wheelsight.mapping import MapEdits, NamedPose, NamedPoses, OccupancyGrid, roomiest_place
+from wheelsight.mapping import NamedPose, NamedPoses, OccupancyGrid, roomiest_place
 from wheelsight.navigation import Transition
 from wheelsight.slam.maps import MAP_FOLDER, MapFolder, find_map, lie_together
 from wheelsight.slam.maps.contents import edits_as_known, names_as_known
@@ -86,7 +86,12 @@ class DriveMaps:
     @contextmanager
     def _making(self, robot: Robot, on_transition: Callable[[Transition], None]) -> Iterator[Driven]:
         assert self._out is not None
-        name = _unused(self._out)
+        # Named after now, and no folder yet
+        name = time.strftime("%Y-%m-%d %H.%M.%S")
+        number = 1
+        while (self._out / name).exists():
+            number += 1
+            name = f"{name.partition(' (')[0]} ({number})"
         path = make_output_folder(self._out / name) / MAP_FOLDER
         with exploring(
             robot, self._config, path, in_step=self._in_step, trusts_floor=True, on_transition=on_transition
@@ -107,7 +112,7 @@ class KnownPlaces:
 
     Args:
         path: of the map's folder.
-        grid: of its floor, by which areas are places, too: where in each is most room; without free floor it is none.
+        grid: occupancy grid. With it each area with free floor is a place, too: its point of most clearance.
 
     Raises:
         MapError: a file of it is damaged.
@@ -119,7 +124,9 @@ class KnownPlaces:
             table = folder.store.T_map_keyframe
             self._where = _where(names_as_known(folder), table)
             if grid is not None:
-                self._areas = _places_in(edits_as_known(folder), table, grid)
+                edits = edits_as_known(folder)
+                found = {area.name or "": roomiest_place(grid, area.polygon_now(table)) for area in edits.areas}
+                self._areas = {name: np.array([*at, np.nan]) for name, at in found.items() if at is not None}
 
     def where(self) -> Mapping[str, FloatArray]:
         """See `Places`; a name that a place and an area have is the place's."""
@@ -129,7 +136,7 @@ class KnownPlaces:
         """See `Places`."""
         with closing(MapFolder.open(self._path, read_only=False)) as folder:
             table = folder.store.T_map_keyframe
-            # On a keyframe of which nobody knows where it lies it would go astray.
+            # A keyframe of unknown position must not carry a named pose.
             hung = NamedPose(name, pose).hung_on_nearest(table, np.flatnonzero(lie_together(folder)))
             named = folder.named_poses().with_pose(hung)
             folder.save_named_poses(named)
@@ -167,25 +174,9 @@ def _where(named: NamedPoses, T_map_keyframe: FloatArray) -> dict[str, FloatArra
     return {one.name: one.pose_now(T_map_keyframe) for one in named}
 
 
-def _places_in(edits: MapEdits, T_map_keyframe: FloatArray, grid: OccupancyGrid) -> dict[str, FloatArray]:
-    """(3,) of each area that has free floor, with any heading."""
-    found = {area.name or "": roomiest_place(grid, area.polygon_now(T_map_keyframe)) for area in edits.areas}
-    return {name: np.array([*at, np.nan]) for name, at in found.items() if at is not None}
-
-
 def _start_at(pose: FloatArray) -> StartSettings:
     x_m, y_m, yaw = map(float, pose)
     return StartSettings(x_m=x_m, y_m=y_m, yaw_deg=float(np.degrees(yaw)))
-
-
-def _unused(out: Path) -> str:
-    """Named after now, and no folder yet."""
-    name = time.strftime("%Y-%m-%d %H.%M.%S")
-    number = 1
-    while (out / name).exists():
-        number += 1
-        name = f"{name.partition(' (')[0]} ({number})"
-    return name
 
 
 def _maps_in(out: Path) -> dict[str, Path]:

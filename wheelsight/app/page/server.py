@@ -1,4 +1,4 @@
-"""PageServer: serves the page by uvicorn, in a thread of its own, to those whom its door lets in. PageApp answers
+"""PageServer: serves the page by uvicorn, in its own thread, to connections that its door accepts. PageApp answers
 requests; Viewers knows who drives.
 """
 
@@ -36,9 +36,6 @@ from wheelsight.app.page.door import MOST_HEAD_BYTES, PULSE, REFUSED, STOP
 from wheelsight.app.page.session import Alive, Leave, Message, Session, ShowCostmap, Take, parsed, says_stop
 from wheelsight.core.errors import ArgumentError, ConfigError
 from wheelsight.core.settings import LivePageSettings
-
-# PageServer: serves the page by uvicorn, in a thread of its own, to those whom its door lets in.
-
 
 _STARTS_S, _ENDS_S = 10.0, 5.0
 # The kernel keeps so many until the door accepts them; where it cannot, it drops a newcomer's first packet, which comes
@@ -168,7 +165,7 @@ class PageServer:
             task.add_done_callback(self._adopted.discard)
 
     async def _answer(self, connection: socket.socket, head: bytes) -> None:
-        """Serve a connection, of which the door has read so much."""
+        """Serve a connection from which the door has read `head`."""
         assert self.loop is not None
         connection.setblocking(False)
         state = self._server.server_state
@@ -253,9 +250,11 @@ class _DoorProcess:
         numbers = listening.fileno(), control.fileno(), handed.fileno()
         try:
             # Not of this program's group: Ctrl-C and Ctrl-Z are for the robot's program, which ends it.
-            self.process = subprocess.Popen(
-                _command(numbers), pass_fds=numbers, stdin=subprocess.DEVNULL, start_new_session=True
-            )
+            # What begins a door; by itself, since `-m` would look into the folder where somebody stands
+            root = str(Path(__file__).resolve().parents[3])
+            code = f"import sys; sys.path.append({root!r}); from wheelsight.app.page.door import serve; serve{numbers}"
+            command = [sys.executable, "-P", "-c", code]
+            self.process = subprocess.Popen(command, pass_fds=numbers, stdin=subprocess.DEVNULL, start_new_session=True)
         except OSError:
             self.control.close()
             self.handed.close()
@@ -291,13 +290,6 @@ class _DoorProcess:
             self.handed.shutdown(socket.SHUT_RDWR)
 
 
-def _command(numbers: tuple[int, int, int]) -> list[str]:
-    """What begins a door; by itself, since `-m` would look into the folder where somebody stands."""
-    root = str(Path(__file__).resolve().parents[3])
-    code = f"import sys; sys.path.append({root!r}); from wheelsight.app.page.door import serve; serve{numbers}"
-    return [sys.executable, "-P", "-c", code]
-
-
 class _Begun(asyncio.Protocol):
     """A protocol whose first bytes were read by the door."""
 
@@ -313,7 +305,7 @@ class _Begun(asyncio.Protocol):
 
 
 class _Counted(logging.Handler):
-    """What uvicorn and asyncio log: each line to `tell`, which counts; a traceback with the first of its kind."""
+    """Passes the log of uvicorn and asyncio line by line to `tell`; a traceback with the first of its kind."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
         super().__init__(logging.WARNING)
@@ -349,7 +341,7 @@ def _bound(host: str, port: int) -> socket.socket:
     return made
 
 
-# The page's application: its files, its images, STOP, and the websocket of what goes on.
+# Application
 
 
 _log = logging.getLogger("uvicorn.page")
@@ -523,12 +515,12 @@ class _Socket:
                     await websocket.close(sent_away.code, str(sent_away))
 
 
-# Viewers: the pages that are open, which of them drives, and what each may still say.
+# Viewers
 
 
 # How many refusals wait for a page that reads slowly.
 _REFUSALS = 4
-GONE = "the page of whoever drives it is gone"
+GONE = "the page of the driver is gone"
 
 
 class SentAwayError(Exception):
@@ -544,10 +536,10 @@ class SentAwayError(Exception):
 
 
 class Viewer:
-    """One page: what waits to be sent to it, of which the newest state wins, and what it said.
+    """One connected page: the queue of what to send, where the newest state replaces older ones, and what it sent.
 
     Args:
-        number: by which it is known.
+        number: its identifier.
         settings: how much it may say.
         now_s: the clock.
     """
@@ -601,7 +593,7 @@ class Viewers:
     Args:
         session: that they see and ask.
         settings: of the page.
-        on_refusal: told in a line who was refused, and why.
+        on_refusal: called with one line about each refused client and the reason.
         now_s: the clock.
     """
 

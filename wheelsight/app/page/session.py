@@ -1,5 +1,5 @@
-"""Session: drives a robot in a thread of its own, by the messages of pages. Messages are strict models; Pace holds a
-simulated robot to the clock on the wall.
+"""Session: drives a robot in its own thread, by messages of pages. The messages are strict models. Pace holds a
+simulated robot to real time.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from wheelsight.core.robots import Robot
 from wheelsight.core.settings import LivePageSettings
 from wheelsight.navigation import Feedback, NavigationResult, NavigationState, Transition
 
-# What a page may say, and nothing else: strict models, told apart by their `type`.
+# Messages
 
 
 _FARTHEST_M, _LONGEST_NAME = 1e4, 60
@@ -122,7 +122,7 @@ _ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator=
 
 
 def says_stop(text: str) -> bool:
-    """Whether a message is to stop, whatever else it holds: nobody in need is asked for the right form."""
+    """Whether a message is to stop, whatever else it holds. STOP must not fail on a malformed message."""
     if '"stop"' not in text:
         return False
     try:
@@ -142,9 +142,8 @@ def parsed(text: str) -> Message:
         raise ArgumentError(f"a message of no sense: {f'{where}: ' if where else ''}{first['msg']}") from None
 
 
-# Session: drives a robot in a thread of its own, by what pages ask; it alone owns what is driven.
-#
-# Pages see snapshots, and ask by messages that the thread takes between two periods. To stop waits for neither.
+# Session: its thread alone owns the robot. Pages see snapshots and send messages, which the thread takes between two
+# periods. STOP waits for neither.
 
 
 _WAITING, _SAID = 16, 6
@@ -180,11 +179,11 @@ class Session:
     """Begins with the first of its maps; use it in a `with` block, which stops the robot at the end.
 
     Args:
-        robot: that is driven; whoever opened it closes it.
+        robot: the robot to drive. The caller opens and closes it.
         maps: that it can drive in.
         settings: of the page.
         paces: whether the robot's time stands still between steps, and is to go as the wall's.
-        on_problem: told in a line what went wrong, as pages are.
+        on_problem: called with one line about each problem; pages show it, too.
         watch: sees all of the drives, in the session's thread; or None.
 
     Attributes:
@@ -361,7 +360,7 @@ class Session:
             beat()
             try:
                 self._cancel_if_stopped(driven)
-                # What is asked for after a failure waits until a period has passed by which the robot stands.
+                # A request after a failure waits for one successful period, which stops the robot.
                 following = self._take(driven, feedback) if failures == 0 else None
                 if following is not None:
                     return following
@@ -438,7 +437,11 @@ class Session:
         if speed or not navigator.is_task_complete():
             self.say("stop the robot first", is_problem=True)
         elif isinstance(task, NamePlace):
-            self._name_place(task.name, driven, feedback)
+            if feedback.pose is None:
+                self.say("it is not known where the robot is", is_problem=True)
+            else:
+                driven.places.name(task.name, feedback.pose)
+                self.say(f"this place is called {task.name}")
         elif isinstance(task, SaveMap):
             if driven.is_new:
                 return _Next("", feedback.pose)
@@ -448,13 +451,6 @@ class Session:
         else:
             return _Next(task.map)
         return None
-
-    def _name_place(self, name: str, driven: Driven, feedback: Feedback) -> None:
-        if feedback.pose is None:
-            self.say("it is not known where the robot is", is_problem=True)
-            return
-        driven.places.name(name, feedback.pose)
-        self.say(f"this place is called {name}")
 
     def _hear(self, events: Sequence[Event]) -> None:
         if self._watch is not None:
@@ -508,9 +504,6 @@ def _begin_of(task: GoToPose | GoToName | Explore, driven: Driven) -> Callable[[
         raise ConfigError(f"no place of the map is called {task.name!r}")
     pose = where[task.name]
     return lambda: navigator.go_to_pose(pose if pose[2] == pose[2] else pose[:2], task.name)
-
-
-# Pace: holds a robot whose time stands still between steps to the clock on the wall.
 
 
 # A step that renders a frame takes longer than others; what is later than so much is not made up for.

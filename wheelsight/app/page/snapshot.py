@@ -1,5 +1,5 @@
-"""Snapshot: what pages are shown at a moment, as a value. Driven is what a session drives in; its images are made
-here.
+"""Snapshot: the state that pages show, as a value. Driven is what a session drives with. Makes the images of the
+page.
 """
 
 from __future__ import annotations
@@ -24,9 +24,6 @@ from wheelsight.core.settings import LivePageSettings
 from wheelsight.navigation import CellState, Costmap, Feedback, Navigator, StaticLayer, Transition
 from wheelsight.navigation.senses import Senses
 from wheelsight.navigation.task import STATUS_WORDS, monitor_words
-
-# Snapshot: what pages are shown at a moment, as a value; and Telling, which makes one of a navigator's feedback.
-
 
 _WAY_STEP_M, _PATH_POINTS = 0.1, 80
 _SIGMAS = 2.0
@@ -95,12 +92,23 @@ class Telling:
     def of(self, driven: Driven, feedback: Feedback, facts: Mapping[str, Any]) -> Snapshot:
         """Of a period, with facts that the session adds."""
         senses = driven.navigator.senses
-        # Wheels alone begin at the map's origin, before the first frame or a known start tells where that is.
+        # Wheels alone begin at the map's origin until the first frame or a known start gives the pose.
         self._was_tracked = self._was_tracked or feedback.status is Status.TRACKING
         pose = feedback.pose if self._was_tracked else None
-        self._follow(pose)
-        self._picture(senses)
-        told = {
+        if pose is not None and (not self._way or np.hypot(*(pose[:2] - self._way[-1])) >= _WAY_STEP_M):
+            self._way.append(pose[:2].copy())
+        # Redraw the images that have changed, at most at `images_hz`
+        now_s, s = time.monotonic(), self._settings
+        if not (now_s - self._pictured_s < 1 / s.images_hz):
+            self._pictured_s = now_s
+            layer, frame = senses.floor.layer, self._robot.frame
+            self._keep("plan", layer, lambda: Picture(plan_png(layer), 0, _place(layer)))
+            if frame is not None:
+                self._keep("camera", frame, lambda: Picture(camera_jpeg(frame.color, s.image_px, s.jpeg_quality), 0))
+            costmap = senses.local() if self._wants_costmap() else None
+            if costmap is not None:
+                self._keep("costmap", costmap, lambda: Picture(costmap_png(costmap), 0, _place(costmap)))
+        state = {
             **facts,
             **_task(feedback),
             "pose": _rounded(pose),
@@ -115,25 +123,7 @@ class Telling:
             },
         }
         is_driving = not driven.navigator.is_task_complete()
-        return Snapshot(time.monotonic(), json.dumps(told), dict(self._pictures), is_driving)
-
-    def _follow(self, pose: FloatArray | None) -> None:
-        if pose is not None and (not self._way or np.hypot(*(pose[:2] - self._way[-1])) >= _WAY_STEP_M):
-            self._way.append(pose[:2].copy())
-
-    def _picture(self, senses: Senses) -> None:
-        """Make images anew, of what has changed, not more often than is asked."""
-        now_s, s = time.monotonic(), self._settings
-        if now_s - self._pictured_s < 1 / s.images_hz:
-            return
-        self._pictured_s = now_s
-        layer, frame = senses.floor.layer, self._robot.frame
-        self._keep("plan", layer, lambda: Picture(plan_png(layer), 0, _place(layer)))
-        if frame is not None:
-            self._keep("camera", frame, lambda: Picture(camera_jpeg(frame.color, s.image_px, s.jpeg_quality), 0))
-        costmap = senses.local() if self._wants_costmap() else None
-        if costmap is not None:
-            self._keep("costmap", costmap, lambda: Picture(costmap_png(costmap), 0, _place(costmap)))
+        return Snapshot(time.monotonic(), json.dumps(state), dict(self._pictures), is_driving)
 
     def _keep(self, name: str, of: object, make: Callable[[], Picture]) -> None:
         if self._made_of.get(name) is of:
@@ -189,7 +179,7 @@ def _rounded(values: FloatArray | Sequence[FloatArray] | None) -> Any:
     return None if values is None else np.round(np.asarray(values, float), 2).tolist()
 
 
-# What a session drives in: a map with its navigator and its named places, as one of several that can be chosen.
+# What a session drives with
 
 
 class Places(Protocol):
@@ -249,10 +239,10 @@ class Watch(Protocol):
         """A period is over; another navigator than before drives in another map."""
 
 
-# Images of a page: the plan, the costmap over it, and what the camera sees.
+# Images
 
 
-# Blue, green, red, as OpenCV has them; told apart by people who see no red and green (Okabe & Ito 2008).
+# Blue, green, red, as OpenCV has them; distinguishable with red-green colour blindness (Okabe & Ito 2008).
 _PLAN = np.zeros((3, 3), np.uint8)
 _PLAN[CellState.FREE] = 255, 255, 255
 _PLAN[CellState.UNKNOWN] = 214, 207, 201
@@ -272,7 +262,7 @@ def costmap_png(costmap: Costmap) -> bytes:
     image[..., :3] = _COST
     image[..., 3] = np.clip(costmap.cost, 0, 1) * _COST_ALPHA
     image[costmap.is_lethal] = (*_LETHAL, _LETHAL_ALPHA)
-    # Of what nobody knows the plan tells already; it would hide all else.
+    # Unknown cells are transparent: the plan shows them already.
     image[costmap.state == CellState.UNKNOWN] = 0
     return _encoded(".png", image[::-1])
 

@@ -1,6 +1,5 @@
-"""StopSwitch: stops a robot by a thread of its own, whatever else of the program hangs; StoppableRobot obeys it.
-
-Watchdog: notices, by another thread, which part of the program hangs.
+"""StopSwitch: stops a robot from its own thread, even if the rest of the program hangs. StoppableRobot obeys it.
+Watchdog finds the part of the program that hangs.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The pages of a camera's calibration and of its mount on the robot: lenses, depth, where it sits, and how sure that
-is.
+"""The pages of a camera's calibration and of its mount on the robot: intrinsics, depth, mount, and their
+uncertainty.
 """
 
 from __future__ import annotations
@@ -28,9 +28,6 @@ from wheelsight.vision.camera_calibration.calibration import CameraCalibration, 
 from wheelsight.vision.extrinsics import QUANTITIES, BaseCalibration
 from wheelsight.wheels import drive_path
 
-# The page of a camera calibration: lenses, depth's error before and after, where boards were seen, and each view.
-
-
 _GOOD_PX, _FAIR_PX = 0.3, 0.6
 _FOOTER = "Lengths are in metres, angles in degrees, σ is one standard deviation. This page needs no network."
 _VIEW_HEAD = ("view", "distance", "tilt", "corners", "RMS", "depth less plane")
@@ -41,29 +38,47 @@ def write_camera_page(found: CameraCalibration, path: StrPath) -> None:
     rms_px = found.color_residuals.rms_px
     when = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     facts = (f"{len(found.views)} views of {found.board}", found.sensor, when, f"wheelsight {__version__}")
-    page = fill_template(
-        kicker="wheelsight camera calibration",
-        title=escape("Cameras by a board"),
-        facts=" · ".join(escape(fact) for fact in facts),
-        tone="green" if rms_px < _GOOD_PX else "amber" if rms_px < _FAIR_PX else "red",
-        phrase=escape(f"Corners are explained to {rms_px:.2f} px"),
-        sentences=escape(_sentences(found)),
-        tiles="\n".join(html.tile(*tile) for tile in _tiles(found)),
-        notes=_notes(found),
-        sections="\n".join((_lenses(found), *_depth(found), _views(found))),
-        footer=escape(_FOOTER),
-    )
-    write_text(Path(path), page.encode("utf-8", "replace").decode("utf-8"))
-
-
-def _sentences(found: CameraCalibration) -> str:
     text = f"The colour focal length is {found.color.fx:.1f} px, known to {_share(found, 'color')}."
     if len(found.depth_residuals.off_m):
         before, after = (
             float(np.sqrt((off**2).mean())) for off in (found.depth_residuals.before_m, found.depth_residuals.off_m)
         )
         text += f" Depth is off the boards' planes by {words.length(after)} after {words.length(before)}, RMS."
-    return text
+    remarks = [*found.warnings, *(f"{name} is left out: {reason}." for name, reason in found.left_out)]
+    if not found.board.is_size_known:
+        remarks.append("The size of the squares was not known: all lengths are by depth's nominal scale.")
+    remarks_section = (
+        html.section("notes", "What to know before trusting it", "", html.bullets(remarks, "notes")) if remarks else ""
+    )
+    coverage = html.plot(
+        "coverage",
+        coverage_figure(found),
+        "Where boards were seen",
+        "The colour image; an area without boards is extrapolated. Corners that lean the same way show a bent board.",
+        "Outlines of all boards in the colour image with the residuals of their corners",
+    )
+    lenses = html.section("lenses", "The cameras", "", html.table("What was found", HEAD, lens_rows(found)), coverage)
+    plot = html.plot(
+        "views",
+        views_figure(found),
+        "Views",
+        "A view that stands out moved, or its board is bent.",
+        "RMS of each view's corners over its distance",
+    )
+    views = html.section("views", "The views", "", plot, html.table("Each view", _VIEW_HEAD, view_rows(found)))
+    page = fill_template(
+        kicker="wheelsight camera calibration",
+        title=escape("Cameras by a board"),
+        facts=" · ".join(escape(fact) for fact in facts),
+        tone="green" if rms_px < _GOOD_PX else "amber" if rms_px < _FAIR_PX else "red",
+        phrase=escape(f"Corners are explained to {rms_px:.2f} px"),
+        sentences=escape(text),
+        tiles="\n".join(html.tile(*tile) for tile in _tiles(found)),
+        notes=remarks_section,
+        sections="\n".join((lenses, *_depth(found), views)),
+        footer=escape(_FOOTER),
+    )
+    write_text(Path(path), page.encode("utf-8", "replace").decode("utf-8"))
 
 
 def _share(found: CameraCalibration, name: str) -> str:
@@ -86,24 +101,6 @@ def _tiles(found: CameraCalibration) -> list[tuple[str, str, str]]:
     if len(found.depth_residuals.off_m):
         tiles.append(("Planes, RMS", words.length(found.depth_residuals.rms_m), "of cells, after correction"))
     return tiles
-
-
-def _notes(found: CameraCalibration) -> str:
-    notes = [*found.warnings, *(f"{name} is left out: {reason}." for name, reason in found.left_out)]
-    if not found.board.is_size_known:
-        notes.append("The size of the squares was not known: all lengths are by depth's nominal scale.")
-    return html.section("notes", "What to know before trusting it", "", html.bullets(notes, "notes")) if notes else ""
-
-
-def _lenses(found: CameraCalibration) -> str:
-    coverage = html.plot(
-        "coverage",
-        coverage_figure(found),
-        "Where boards were seen",
-        "The colour image; an area without boards is extrapolated. Corners that lean the same way show a bent board.",
-        "Outlines of all boards in the colour image with the residuals of their corners",
-    )
-    return html.section("lenses", "The cameras", "", html.table("What was found", HEAD, lens_rows(found)), coverage)
 
 
 def _depth(found: CameraCalibration) -> list[str]:
@@ -137,18 +134,7 @@ def _depth(found: CameraCalibration) -> list[str]:
     return [html.section("depth", "Depth", "", table, by_distance, by_region, correction)]
 
 
-def _views(found: CameraCalibration) -> str:
-    plot = html.plot(
-        "views",
-        views_figure(found),
-        "Views",
-        "A view that stands out moved, or its board is bent.",
-        "RMS of each view's corners over its distance",
-    )
-    return html.section("views", "The views", "", plot, html.table("Each view", _VIEW_HEAD, view_rows(found)))
-
-
-# Figures of a camera calibration: where boards were seen, and what is left, by distance and by place in the image.
+# Figures of the calibration
 
 
 _MOST_POINTS, _ARROWS_TIMES = 4000, 60
@@ -174,7 +160,8 @@ def coverage_figure(found: CameraCalibration) -> go.Figure:
         x=ends[:, 0], y=ends[:, 1], mode="lines", line={"color": BLUE, "width": 1},
         name=f"predicted less seen, × {_ARROWS_TIMES}", hoverinfo="skip",
     )  # fmt: skip
-    _image_axes(figure, found.color)
+    figure.update_xaxes(range=[0, found.color.width], title_text="px")
+    figure.update_yaxes(range=[found.color.height, 0], scaleanchor="x", scaleratio=1)
     return figure
 
 
@@ -252,11 +239,6 @@ def correction_figure(error: DepthError, camera: PinholeCamera, near_m: float, f
     return figure
 
 
-def _image_axes(figure: go.Figure, camera: PinholeCamera) -> None:
-    figure.update_xaxes(range=[0, camera.width], title_text="px")
-    figure.update_yaxes(range=[camera.height, 0], scaleanchor="x", scaleratio=1)
-
-
 def _means(px: FloatArray, values: FloatArray, camera: PinholeCamera) -> FloatArray:
     u = (px[:, 0] * _ACROSS / camera.width).astype(int).clip(0, _ACROSS - 1)
     v = (px[:, 1] * _DOWN / camera.height).astype(int).clip(0, _DOWN - 1)
@@ -271,7 +253,7 @@ def _middles(length: int, count: int) -> FloatArray:
     return (np.arange(count) + 0.5) * length / count
 
 
-# Tables of a camera calibration, for its page and for the terminal.
+# Tables of the calibration
 
 
 HEAD = ("", "found", "± σ")
@@ -367,7 +349,7 @@ def _sigma(found: CameraCalibration, name: str, factor: float, unit: str) -> str
     return f"{factor * found.sigmas[name]:.2g}{unit}" if name in found.sigmas else ""
 
 
-# The page of a camera's mount: what changed, how sure it is, and what it was seen by.
+# The page of the mount
 
 
 _BASE_PAGE_FOOTER = (
@@ -381,41 +363,61 @@ def write_base_page(found: BaseCalibration, path: StrPath) -> None:
     path = Path(path)
     when = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     facts = ("wheels against camera, and the floor in depth", when, f"wheelsight {__version__}")
-    page = fill_template(
-        kicker="wheelsight camera mount",
-        title=escape(found.recording),
-        facts=" · ".join(escape(fact) for fact in facts),
-        tone="green",
-        phrase=escape(_phrase(found)),
-        sentences=escape(_base_page_sentences(found)),
-        tiles="\n".join(html.tile(*tile) for tile in _base_page_tiles(found)),
-        notes=html.section(
-            "notes", "What to know before trusting it", "", html.bullets(_base_page_notes(found), "notes")
-        ),
-        sections="\n".join((_mount(found), _turns(found), _floor(found), _pieces(found))),
-        footer=escape(_BASE_PAGE_FOOTER),
-    )
-    # A folder's name may hold bytes that are no text; they must not cost the page.
-    write_text(path, page.encode("utf-8", "replace").decode("utf-8"))
-
-
-def _phrase(found: BaseCalibration) -> str:
     tilt = max(found.sigmas[name] for name in ("roll", "pitch", "yaw"))
     place = max(found.sigmas[name] for name in ("x", "y", "height"))
-    return f"The camera's mount, to {words.angle(float(np.degrees(tilt)))} and {words.length(place)} (1 σ)"
-
-
-def _base_page_sentences(found: BaseCalibration) -> str:
+    phrase = f"The camera's mount, to {words.angle(float(np.degrees(tilt)))} and {words.length(place)} (1 σ)"
     v = found.values
     ahead, aside = ("ahead of", "behind")[v["x"] < 0], ("left", "right")[v["y"] < 0]
     turned, tipped = ("left", "right")[v["yaw"] < 0], ("down", "up")[v["pitch"] < 0]
     late = ("late", "early")[v["delay"] < 0]
-    return (
+    base_page_sentences = (
         f"It sits {words.length(abs(v['x']))} {ahead} the axle, {words.length(abs(v['y']))} to the {aside} and "
         f"{words.length(v['height'])} over the floor, and looks {_degrees(v['yaw'])} to the {turned} and "
         f"{_degrees(v['pitch'])} {tipped}. The wheels' stamps are {words.duration(abs(v['delay']))} {late} by the "
         "camera's clock."
     )
+    plot = html.plot(
+        "turns",
+        turning_figure(found),
+        "Turn rates",
+        f"With {told('delay', found.values['delay'])} taken off the wheels' stamps, both show one drive. "
+        "Turns show x, y and the delay; the straight ways between them show yaw.",
+        "Turn rates by wheels and camera over time",
+    )
+    turns = html.section("turns", "What the drive shows", "", plot)
+    floor_plot = html.plot(
+        "floor",
+        floor_figure(found),
+        "The floor, view by view",
+        "Roll, pitch and height by each view alone, less those by all. Steps or a wave would mean a camera that moves "
+        "on its mount, or ground that is not level.",
+        "Roll, pitch and height by the floor in each view",
+    )
+    floor_section = html.section("floor", "The floor", "", floor_plot)
+    residual_plot = html.plot(
+        "pieces",
+        residual_figure(found),
+        "Residuals",
+        "Wheels minus camera over each piece of the way; slips may lie at the edge.",
+        "Residuals of the pieces over time, along, across and in turn",
+    )
+    residual_section = html.section("pieces", "What stayed unexplained", "", residual_plot)
+    page = fill_template(
+        kicker="wheelsight camera mount",
+        title=escape(found.recording),
+        facts=" · ".join(escape(fact) for fact in facts),
+        tone="green",
+        phrase=escape(phrase),
+        sentences=escape(base_page_sentences),
+        tiles="\n".join(html.tile(*tile) for tile in _base_page_tiles(found)),
+        notes=html.section(
+            "notes", "What to know before trusting it", "", html.bullets(_base_page_notes(found), "notes")
+        ),
+        sections="\n".join((_mount(found), turns, floor_section, residual_section)),
+        footer=escape(_BASE_PAGE_FOOTER),
+    )
+    # A folder's name may hold bytes that are no text; they must not cost the page.
+    write_text(path, page.encode("utf-8", "replace").decode("utf-8"))
 
 
 def _degrees(angle_rad: float) -> str:
@@ -468,42 +470,7 @@ def _mount(found: BaseCalibration) -> str:
     )
 
 
-def _turns(found: BaseCalibration) -> str:
-    plot = html.plot(
-        "turns",
-        turning_figure(found),
-        "Turn rates",
-        f"With {told('delay', found.values['delay'])} taken off the wheels' stamps, both tell of one drive. "
-        "Turns show x, y and the delay; the straight ways between them show yaw.",
-        "Turn rates by wheels and camera over time",
-    )
-    return html.section("turns", "What the drive shows", "", plot)
-
-
-def _floor(found: BaseCalibration) -> str:
-    plot = html.plot(
-        "floor",
-        floor_figure(found),
-        "The floor, view by view",
-        "Roll, pitch and height by each view alone, less those by all. Steps or a wave would mean a camera that moves "
-        "on its mount, or ground that is not level.",
-        "Roll, pitch and height by the floor in each view",
-    )
-    return html.section("floor", "The floor", "", plot)
-
-
-def _pieces(found: BaseCalibration) -> str:
-    plot = html.plot(
-        "pieces",
-        residual_figure(found),
-        "Residuals",
-        "Wheels minus camera over each piece of the way; slips may lie at the edge.",
-        "Residuals of the pieces over time, along, across and in turn",
-    )
-    return html.section("pieces", "What stayed unexplained", "", plot)
-
-
-# Figures of a camera's mount: from above, the turns that told of it, the floor, and what stayed unexplained.
+# Figures of the mount
 
 
 _RATE_STEP_S = 0.2
@@ -542,7 +509,7 @@ def turning_figure(found: BaseCalibration) -> go.Figure:
     marks = np.arange(camera.stamps_s[0], camera.stamps_s[-1], _RATE_STEP_S)
     cuts = np.unique(np.searchsorted(camera.stamps_s, marks))
     stamps_s, T_odom_camera = camera.stamps_s[cuts], camera.T_frame_body[cuts]
-    yaw_camera = _heading(T_odom_camera[:, :3, :3] @ _heading_frame(found))
+    yaw_camera = _heading(T_odom_camera[:, :3, :3] @ np.asarray(found.T_base_camera[:3, :3].T))
     path = drive_path(found.sightings.drive, found.fit.wheels, stamps_s).T_frame_body
     figure = drawing.style(go.Figure(), 300, hovermode="x unified")
     middle_s = (stamps_s[1:] + stamps_s[:-1]) / 2 - found.sightings.span_s[0]
@@ -640,18 +607,13 @@ def _line(figure: go.Figure, points: FloatArray, name: str, line: dict[str, obje
     )
 
 
-def _heading_frame(found: BaseCalibration) -> FloatArray:
-    """R_camera_base (3, 3)."""
-    return np.asarray(found.T_base_camera[:3, :3].T)
-
-
 def _heading(R_odom_base: FloatArray) -> FloatArray:
     """Unwrapped yaw (N,) of rotations (N, 3, 3), about the first one's z axis."""
     R = R_odom_base[0].T @ R_odom_base
     return np.unwrap(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
 
 
-# A camera's mount before and after its calibration, as rows of text: for the page and for the terminal.
+# Tables of the mount
 
 
 # Name, unit, and how many of it make one of radians, metres or seconds.

@@ -1,5 +1,5 @@
-"""One page about several odometries of one recording: where they agree, where they part, and what each cost. Joined
-sensors and areas that rectify wheels have sections here.
+"""One page about several odometries of one recording: their paths, errors and times. Has the sections of joined sensors
+and of areas that rectify wheels.
 """
 
 from __future__ import annotations
@@ -47,9 +47,6 @@ from wheelsight.app.run.verdict import (
 from wheelsight.core.estimates import Status
 from wheelsight.core.files import StrPath, write_text
 from wheelsight.core.runtime import why_missing
-
-# One page about several odometries of one recording: where they agree, where they part, and what each cost.
-
 
 _MOST_OF_THE_TIME = 0.95
 _STEPS = ("second", "metre")
@@ -226,21 +223,17 @@ def _sections(judged: Sequence[Judged], paths: Overlay, joined: _Joined | None) 
     yield _errors(records)
     yield _bands(records)
     for record, summary, _ in judged:
-        yield from _details(record, summary)
+        # What there is to say of one odometry; of joined sensors only what is not said above already
+        of = record.odometry
+        yield sections.certainty(record, of)
+        if record.unit == "frame" and record.rectification is None and not record.is_joined:
+            yield sections.tracking(record, summary, of)
+        yield loop_section(record, of)
+        yield sections.timing(record, summary, of)
+        if not record.is_joined:
+            yield map_section(record, of)
+        yield sections.pictures(record, of)
     yield settings(records[0])
-
-
-def _details(record: RunRecord, summary: Summary) -> Iterable[str]:
-    """What there is to say of one odometry; of joined sensors only what is not said above already."""
-    of = record.odometry
-    yield sections.certainty(record, of)
-    if record.unit == "frame" and record.rectification is None and not record.is_joined:
-        yield sections.tracking(record, summary, of)
-    yield loop_section(record, of)
-    yield sections.timing(record, summary, of)
-    if not record.is_joined:
-        yield map_section(record, of)
-    yield sections.pictures(record, of)
 
 
 def _path(records: Sequence[RunRecord], paths: Overlay) -> str:
@@ -286,7 +279,7 @@ def _errors(records: Sequence[RunRecord]) -> str:
         return html.section("errors", title, "", html.paragraph(f"Not evaluated: {why.rstrip('.')}.", "missing"), table)
     sentence = (
         "ATE is the distance to the true position once the path is laid upon the truth; RPE is the error of the motion "
-        "over one second, which tells when it went wrong."
+        "over one second, which shows when it went wrong."
     )
     alt = "Errors over time of " + ", ".join(record.odometry for record in evaluated) + "."
     plot = html.plot("errors", figures.errors_figure(records), "Error over time", sentence, alt)
@@ -311,7 +304,7 @@ def _bands(records: Sequence[RunRecord]) -> str:
     return html.section("bands", "When each was followed", "", plot)
 
 
-# The page of a run, whatever it followed.
+# The page of any run
 
 
 def why_no_page() -> str | None:
@@ -332,7 +325,7 @@ def write_page(records: Sequence[RunRecord], path: StrPath) -> None:
         write_comparison(records, path)
 
 
-# The page's part about joined sensors: key figures, and whether it knew its errors.
+# Joined sensors
 
 
 def tiles(record: RunRecord, facts: JoinedFacts, best_alone: BestAlone | None) -> Iterable[tuple[str, str, str]]:
@@ -384,13 +377,7 @@ def joined_section(record: RunRecord, facts: JoinedFacts) -> str:
         "band is ±3σ as the filter stated it; red is where the true position lies beyond it. (Both directions are "
         "judged together, by the 3σ ellipse.)"
     )
-    alt = f"{_leading_sentence(facts)} {_consistency_sentence(facts)}".strip()
-    plot = html.plot(key, trust_figure(record, found), "Error, stated error, status", sentence, alt)
-    return html.section(key, title, intro, plot, sections.matches(record, record.odometry))
-
-
-def _leading_sentence(facts: JoinedFacts) -> str:
-    """Which sensor led."""
+    # Which sensor led
     led = "the camera led throughout"
     if facts.coasting_s:
         share = words.percent(facts.share_of(Status.COASTING))
@@ -401,17 +388,19 @@ def _leading_sentence(facts: JoinedFacts) -> str:
         led = "it never tracked"
     lost_s = facts.seconds.get(Status.LOST, 0.0)
     led += f", and was lost for {words.duration(lost_s)}" if lost_s else ""
-    return f"{led[0].upper()}{led[1:]}."
-
-
-def _consistency_sentence(facts: JoinedFacts) -> str:
-    found = facts.consistency
-    if found is None:
-        return ""
-    return (
-        f"Begun at the true start, it ends {words.length(found.drift_m)} off, {words.percent(found.drift_share)} of "
-        f"the way; the position is within its stated 3σ in {words.percent(found.share)} of the time."
-    )
+    leading_sentence = f"{led[0].upper()}{led[1:]}."
+    consistent = facts.consistency
+    if consistent is None:
+        consistency_sentence = ""
+    else:
+        consistency_sentence = (
+            f"Begun at the true start, it ends {words.length(consistent.drift_m)} off, "
+            f"{words.percent(consistent.drift_share)} of the way; the position is within its stated 3σ in "
+            f"{words.percent(consistent.share)} of the time."
+        )
+    alt = f"{leading_sentence} {consistency_sentence}".strip()
+    plot = html.plot(key, trust_figure(record, found), "Error, stated error, status", sentence, alt)
+    return html.section(key, title, intro, plot, sections.matches(record, record.odometry))
 
 
 def _share(share: float) -> str:
@@ -422,7 +411,7 @@ def _times(n: int) -> str:
     return "once" if n == 1 else f"{n} times"
 
 
-# The page's section about areas that rectify wheels, and what it comes to in words.
+# Areas
 
 
 _DOUBT = 0.5
@@ -460,7 +449,7 @@ def rectification_notes(record: RunRecord) -> list[str]:
     if unmeasured:
         kinds = Counter(note.removeprefix("no measurement: ") or "no pose yet" for note in unmeasured)
         which = ", ".join(f"{why} ({n:,})" for why, n in kinds.most_common(5))
-        said.append(f"{words.count(len(unmeasured), 'frame')} told nothing of the area: {which}.")
+        said.append(f"{words.count(len(unmeasured), 'frame')} gave no probabilities: {which}.")
     if found.way == "paper" and not any(look.named >= 0 for look in found.looks):
         said.append("The model was never sure enough to name an area, so that eq. 5 had nothing to go by.")
     distrusted = np.isfinite(found.trust) & (found.trust < _DOUBT)
@@ -501,23 +490,33 @@ def rectification_section(records: Sequence[RunRecord]) -> str:
         f"Wheels lead from frame to frame; the area that each frame shows corrects them, by {_WAYS[found.way]}. Here "
         f"nothing is laid upon anything: all paths are where they say they are in the map of the areas. {found.start}"
     )
-    return html.section(
-        "areas",
-        "What areas did to the wheels",
-        intro,
-        _map(record),
-        _rectification_errors(record, found),
-        _time(record),
-    )
-
-
-def _map(record: RunRecord) -> str:
-    return html.plot(
+    area_map = html.plot(
         "area-map",
         area_map_figure(record),
         "On the map of areas",
         "Seen from above. All begin at the ring; squares are where each one ends.",
         "Areas from above with the paths of wheels alone, of rectified wheels, and of the ground truth where known.",
+    )
+    rectified = record.rectification
+    assert rectified is not None
+    if not rectified.looks:
+        time_plot = html.paragraph("No frame was looked at.", "missing")
+    else:
+        sentence = "One row an area, in its colour on the map: the fuller, the more probable."
+        if rectified.true_areas is not None:
+            sentence += " The line is the area in which the robot truly was."
+        alt = "Probability of each area over time"
+        if rectified.is_judged.any():
+            right = words.percent(rectified.accuracy(rectified.forest))
+            alt += f"; the most probable one is right in {right} of the frames"
+        time_plot = html.plot("area-time", area_time_figure(record), "Areas along time", sentence, alt + ".")
+    return html.section(
+        "areas",
+        "What areas did to the wheels",
+        intro,
+        area_map,
+        _rectification_errors(record, found),
+        time_plot,
     )
 
 
@@ -538,17 +537,3 @@ def _rectification_errors(record: RunRecord, found: RectificationRecord) -> str:
     sentence = "Wheels drift away for good; what is rectified is brought back at each change of area."
     plot = html.plot("map-error", map_error_figure(record), "Error in the map over time", sentence, alt)
     return html.table(caption, head, rows) + "\n" + plot
-
-
-def _time(record: RunRecord) -> str:
-    found = record.rectification
-    assert found is not None
-    if not found.looks:
-        return html.paragraph("No frame was looked at.", "missing")
-    sentence = "One row an area, in its colour on the map: the fuller, the more probable."
-    if found.true_areas is not None:
-        sentence += " The line is the area in which the robot truly was."
-    alt = "Probability of each area over time"
-    if found.is_judged.any():
-        alt += f"; the most probable one is right in {words.percent(found.accuracy(found.forest))} of the frames"
-    return html.plot("area-time", area_time_figure(record), "Areas along time", sentence, alt + ".")

@@ -1,5 +1,5 @@
-"""Figures of several odometries together, in one frame and on one time axis. Figures of joined sensors and of areas
-that rectify wheels stand here, too.
+"""Figures of several odometries in one frame and on one time axis, of joined sensors, and of areas that rectify
+wheels.
 """
 
 from __future__ import annotations
@@ -31,9 +31,6 @@ from wheelsight.evaluation import (
     position_covariances_m2,
     start_alignment,
 )
-
-# The figures of several odometries together: each has its own colour, and all share one frame and one time axis.
-
 
 _TIME = "seconds since the first event"
 
@@ -153,7 +150,7 @@ def _mark(figure: go.Figure, point: FloatArray, name: str, symbol: str, colour: 
     )
 
 
-# Overlay: the paths of several odometries brought into one frame, as far as they can be.
+# Paths in one frame
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,9 +193,17 @@ def overlay_of(records: Sequence[RunRecord]) -> Overlay:
         if not len(record.estimate):
             left_out[record.odometry] = "no pose was found"
         elif record.estimate.body != body:
-            left_out[record.odometry] = f"it tells of the {record.estimate.body}, the others of the {body}"
+            left_out[record.odometry] = f"its poses are of the {record.estimate.body}, the others of the {body}"
     drawn = [record for record in records if record.odometry not in left_out]
-    return _overlay(drawn, _from_one_start(drawn), None, "start", left_out)
+    # Each estimate seen from its pose at the first moment at which all are known, or else from its first pose.
+    begin_s = max((each.estimate.stamps_s[0] for each in drawn), default=0.0)
+    from_start = {}
+    for each in drawn:
+        T_odom_start = each.estimate.at([begin_s])[0]
+        if not np.isfinite(T_odom_start).all():
+            T_odom_start = each.estimate.T_frame_body[0]
+        from_start[each.odometry] = each.estimate.moved(se3.invert(T_odom_start))
+    return _overlay(drawn, from_start, None, "start", left_out)
 
 
 def _overlay(
@@ -226,19 +231,7 @@ def _from_the_true_start(record: RunRecord) -> Trajectory:
         return record.evaluation.ate.aligned
 
 
-def _from_one_start(records: Sequence[RunRecord]) -> dict[str, Trajectory]:
-    """Each estimate seen from its pose at the first moment at which all are known, or else from its first pose."""
-    begin_s = max((record.estimate.stamps_s[0] for record in records), default=0.0)
-    moved = {}
-    for record in records:
-        T_odom_start = record.estimate.at([begin_s])[0]
-        if not np.isfinite(T_odom_start).all():
-            T_odom_start = record.estimate.T_frame_body[0]
-        moved[record.odometry] = record.estimate.moved(se3.invert(T_odom_start))
-    return moved
-
-
-# Figures of wheels and a camera joined: how far it was off beside what it said, its statuses and flags; ellipses.
+# Joined sensors
 
 
 _MOST_ELLIPSES = 24
@@ -258,7 +251,18 @@ def trust_figure(record: RunRecord, found: Consistency | None) -> go.Figure:
     panels_px = [150, 150, 24 + _LANE_PX * len(lanes)]
     figure = make_subplots(rows=3, cols=1, shared_xaxes=True, vertical_spacing=0.09, row_heights=panels_px)
     drawing.style(figure, 150 + sum(panels_px), hovermode="closest")
-    x, sigmas_m, errors_m = _errors_beside_sigmas(record, found)
+    # Seconds (M,), σ (M, 2) ahead and to the left, and errors (M, 2, 2), all of them and those beyond the stated
+    # 3σ. Broken where no pose is known; errors are NaN without a truth.
+    if found is None:
+        stamps_s, C = record.estimate.stamps_s, covariances_ahead_m2(record.estimate)
+        off_m = np.full((len(C), 2, 2), np.nan)
+    else:
+        stamps_s, C = found.stamps_s, found.covariances_m2
+        off_m = np.stack([found.errors_m, np.where(found.is_within[:, None], np.nan, found.errors_m)], axis=1)
+    stated_m = np.sqrt(np.diagonal(C, axis1=1, axis2=2).clip(0))
+    every = np.concatenate([stated_m[:, None], off_m], axis=1)
+    stamps_s, every = with_gaps(stamps_s, every, poseless_stamps_s(record))
+    x, sigmas_m, errors_m = record.seconds_since_start(stamps_s), every[:, 0], every[:, 1:]
     for axis, name in enumerate(_AXES):
         row, band_m = axis + 1, 3 * sigmas_m[:, axis]
         how = {"name": "±3σ as stated", "legendgroup": "3σ", "showlegend": axis == 0, "fillcolor": _SIGMA_FILL}
@@ -285,7 +289,15 @@ def add_ellipses(figure: go.Figure, name: str, aligned: Trajectory, colour: str,
 
 def ellipses_m(trajectory: Trajectory) -> FloatArray:
     """Outlines (N, 2) in x and y of 3σ of two dimensions, at most some 24 of them, a row of NaN after each."""
-    chosen = _evenly_along(trajectory)
+    # Indices of poses at equal ways, of 1, 2 or 5 times a power of ten of metres, and of the last
+    way_m = trajectory.distances_m
+    if not len(way_m) or way_m[-1] <= 0:
+        chosen = np.arange(min(len(way_m), 1))
+    else:
+        least_m = way_m[-1] / _MOST_ELLIPSES
+        power = 10.0 ** np.floor(np.log10(least_m))
+        step_m = next(factor * power for factor in (1, 2, 5, 10) if factor * power >= least_m)
+        chosen = np.unique(np.append(np.searchsorted(way_m, np.arange(step_m, way_m[-1], step_m)), len(way_m) - 1))
     if not len(chosen):
         return np.empty((0, 2))
     C = position_covariances_m2(trajectory.select(chosen))[:, :2, :2]
@@ -295,34 +307,6 @@ def ellipses_m(trajectory: Trajectory) -> FloatArray:
     circle = THREE_SIGMA_RADIUS * np.stack([np.cos(turns), np.sin(turns)])
     outlines = trajectory.positions_m[chosen, None, :2] + (roots @ circle).transpose(0, 2, 1)
     return np.concatenate([outlines, np.full((len(chosen), 1, 2), np.nan)], axis=1).reshape(-1, 2)
-
-
-def _evenly_along(trajectory: Trajectory) -> IntArray:
-    """Indices of poses at equal ways, of 1, 2 or 5 times a power of ten of metres, and of the last."""
-    way_m = trajectory.distances_m
-    if not len(way_m) or way_m[-1] <= 0:
-        return np.arange(min(len(way_m), 1))
-    least_m = way_m[-1] / _MOST_ELLIPSES
-    power = 10.0 ** np.floor(np.log10(least_m))
-    step_m = next(factor * power for factor in (1, 2, 5, 10) if factor * power >= least_m)
-    return np.unique(np.append(np.searchsorted(way_m, np.arange(step_m, way_m[-1], step_m)), len(way_m) - 1))
-
-
-def _errors_beside_sigmas(record: RunRecord, found: Consistency | None) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Seconds (M,), σ (M, 2) ahead and to the left, and errors (M, 2, 2), all of them and those beyond the stated 3σ.
-
-    Broken where no pose is known; errors are NaN without a truth.
-    """
-    if found is None:
-        stamps_s, C = record.estimate.stamps_s, covariances_ahead_m2(record.estimate)
-        errors_m = np.full((len(C), 2, 2), np.nan)
-    else:
-        stamps_s, C = found.stamps_s, found.covariances_m2
-        errors_m = np.stack([found.errors_m, np.where(found.is_within[:, None], np.nan, found.errors_m)], axis=1)
-    sigmas_m = np.sqrt(np.diagonal(C, axis1=1, axis2=2).clip(0))
-    every = np.concatenate([sigmas_m[:, None], errors_m], axis=1)
-    stamps_s, every = with_gaps(stamps_s, every, poseless_stamps_s(record))
-    return record.seconds_since_start(stamps_s), every[:, 0], every[:, 1:]
 
 
 def _add_errors(figure: go.Figure, x: FloatArray, errors_m: FloatArray, row: int) -> None:
@@ -349,7 +333,7 @@ def _add_lanes(figure: go.Figure, record: RunRecord, lanes: list[str]) -> None:
     figure.update_yaxes(showgrid=False, row=3, col=1, **order)
 
 
-# The figures of areas that rectify wheels: the paths on the map of areas, and the areas' probabilities along time.
+# Areas
 
 
 _MOST_COLUMNS = 1200
@@ -506,7 +490,20 @@ def _add_rows(
     figure: go.Figure, found: RectificationRecord, seconds: FloatArray, probabilities: FloatArray, row: int
 ) -> None:
     n = len(found.areas)
-    x, shown = _thinned(seconds, probabilities)
+    # Times (M,) and means (M, A), at most one a column of the screen; NaN where no frame of a column has
+    # probabilities.
+    if len(seconds) <= _MOST_COLUMNS:
+        x, shown = seconds, probabilities
+    else:
+        column = np.arange(len(seconds)) * _MOST_COLUMNS // len(seconds)
+        known = ~np.isnan(probabilities).any(axis=1)
+        sums, counts = np.zeros((_MOST_COLUMNS, probabilities.shape[1])), np.zeros(_MOST_COLUMNS)
+        np.add.at(sums, column[known], probabilities[known])
+        np.add.at(counts, column[known], 1)
+        times = np.bincount(column, seconds) / np.bincount(column)
+        means = np.full_like(sums, np.nan)
+        np.divide(sums, counts[:, None], out=means, where=counts[:, None] > 0)
+        x, shown = times, means
     figure.add_heatmap(
         x=x,
         y=list(range(n)),
@@ -555,21 +552,6 @@ def _rows_of_colours(n: int) -> list[list[float | str]]:
         scale.append([index / n, _faded(area_colour(index), 0.05)])
         scale.append([(index + _FULL) / n, area_colour(index)])
     return [*scale, [1.0, area_colour(n - 1)]]
-
-
-def _thinned(seconds: FloatArray, probabilities: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Times (M,) and means (M, A) of at most so many columns as a screen has; NaN where no frame of a column tells."""
-    if len(seconds) <= _MOST_COLUMNS:
-        return seconds, probabilities
-    column = np.arange(len(seconds)) * _MOST_COLUMNS // len(seconds)
-    known = ~np.isnan(probabilities).any(axis=1)
-    sums, counts = np.zeros((_MOST_COLUMNS, probabilities.shape[1])), np.zeros(_MOST_COLUMNS)
-    np.add.at(sums, column[known], probabilities[known])
-    np.add.at(counts, column[known], 1)
-    times = np.bincount(column, seconds) / np.bincount(column)
-    means = np.full_like(sums, np.nan)
-    np.divide(sums, counts[:, None], out=means, where=counts[:, None] > 0)
-    return times, means
 
 
 def _panel_title(figure: go.Figure, text: str, row: int) -> None:

@@ -1,5 +1,5 @@
-"""What all figures share: colours, a calm style, one time axis. Lines over time are broken where nothing is known
-and thinned where they are long.
+"""The common style of all figures: colours, one time axis. Lines over time have gaps where values are unknown, and long
+lines are thinned.
 """
 
 from __future__ import annotations
@@ -12,9 +12,6 @@ from wheelsight.app.report import plotly as go
 from wheelsight.app.run.run_record import FrameRecord, RunRecord
 from wheelsight.app.run.verdict import cold_frames, runs
 from wheelsight.core.geometry import BoolArray, FloatArray, IntArray
-
-# What the report's figures share: colours, a calm style, lines with gaps, one time axis for all.
-
 
 # Okabe and Ito's colours; these four also stand out from white and from near black.
 BLUE, GREEN, VERMILLION, GREY = "#0072B2", "#009E73", "#D55E00", "#808080"
@@ -150,7 +147,7 @@ def warm_frames(record: RunRecord) -> list[FrameRecord]:
     return [frame for frame in used_frames(record) if frame.index not in cold]
 
 
-# Lines over time as a browser can draw them: broken where nothing is known, thinned where they are long.
+# Lines over time
 
 
 DRAWN_POINTS = 4000

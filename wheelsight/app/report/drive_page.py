@@ -1,4 +1,4 @@
-"""The page and the picture of a drive: where it was to go, where it went, what held it, and what it saw."""
+"""The page and the plan of a drive: goals, path, stops, and images of the camera."""
 
 from __future__ import annotations
 
@@ -24,9 +24,6 @@ from wheelsight.core.files import StrPath, settings_text, write_text
 from wheelsight.core.geometry import ByteArray, FloatArray
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.mapping.occupancy import COLOURS, PlanLine, PlanMark, picture_of, save_picture
-
-# The page and the picture of a drive: where it was to go, where it went, what held it, and what it saw.
-
 
 _PLANNED, _DRIVEN, _STOPPED, _GOAL, _START = (230, 159, 0), (0, 114, 178), (213, 94, 0), (204, 121, 167), (0, 158, 115)
 _WALKED = (86, 180, 233)
@@ -69,18 +66,52 @@ def render_drive(record: DriveRecord) -> str:
     """The page as HTML that refers to nothing outside itself."""
     phrase, sentences, tone = verdict(record)
     facts = [record.robot, record.finished_at.strftime("%Y-%m-%d %H:%M %Z").strip(), f"wheelsight {__version__}"]
+    named = [goal.name for goal in record.goals]
+    goal_names = "To " + (", then ".join(named) if named else "nowhere")
+    intro = (
+        "The map, what was planned (orange) and what was driven (blue), from the circle to the squares; crosses are "
+        "where the robot was held, light blue where it knew somebody to walk."
+    )
+    alt = f"The map from above with the way of the robot, {words.length(record.way_m)} long."
+    plot = html.plot("drive-map-plan", plan_figure(record), "From above", "", alt)
+    plan = html.section("plan", "Where it went", intro, plot)
+    sentence = (
+        "Above, what the navigator was about, where the localization stood, and what the collision monitor made of "
+        "the commands; below, the speeds that the wheels measured. Single readings may run off an axis."
+    )
+    time_alt = f"States and speeds over {words.duration(record.time_s)}."
+    time_plot = html.plot("time-line", time_line_figure(record), "States and speeds", sentence, time_alt)
+    time_section = html.section("time", "What it did when", "", time_plot)
+    if not record.images:
+        film = ""
+    else:
+        pictures = [_picture(image, max(image.stamp_s - record.begin_s, 0.0)) for image in record.images]
+        film = html.section("film", "What it saw", "Images of its camera on the way.", html.group("strip", pictures))
+    body = html.table("Off the goal is as the robot believes.", *goal_rows(record))
+    goals = html.section("goals", "Its goals", "", body)
+    if not record.stops:
+        stop_section = html.section("stops", "What held it", "Nothing held it.")
+    else:
+        stop_table = html.table(
+            "Each time that the collision monitor held the robot, or it stopped by itself.", *stop_rows(record)
+        )
+        stop_section = html.section("stops", "What held it", "", stop_table)
+    rows = transition_rows(record)
+    table = html.table("All changes of state.", ("Seconds", "From", "To", "Why"), rows)
+    settings = settings_text(record.config["navigation"])
+    log = html.section(
+        "log", "The log", "", html.fold("All changes of state", table), html.folded("Settings of navigation", settings)
+    )
     return fill_template(
         kicker="wheelsight drive",
-        title=escape(f"{_names(record)} in {record.map_name}"),
+        title=escape(f"{goal_names} in {record.map_name}"),
         facts=" · ".join(escape(fact) for fact in facts),
         tone=tone,
         phrase=escape(phrase),
         sentences=escape(sentences),
         tiles="\n".join(html.tile(*tile) for tile in _tiles(record)),
         notes="",
-        sections="\n".join(
-            (_plan(record), _time_line(record), _film(record), _goals(record), _stops(record), _log(record))
-        ),
+        sections="\n".join((plan, time_section, film, goals, stop_section, log)),
         footer=escape(_FOOTER),
     )
 
@@ -105,29 +136,30 @@ def verdict(record: DriveRecord) -> tuple[str, str, str]:
             f"{', '.join(record.contacts)}.",
             "red",
         )
-    told = [f"{goal.name}: {goal.result.goal_change}." for goal in record.goals if goal.result.goal_change]
+    remarks = [f"{goal.name}: {goal.result.goal_change}." for goal in record.goals if goal.result.goal_change]
     if record.rests_on_start:
-        told.append("Nothing of the map was recognised: all of it rests on the start that was said.")
+        remarks.append("Nothing of the map was recognised: every pose rests on the given start.")
     helped = sum(goal.result.recoveries for goal in record.goals)
     if helped:
-        told.append(f"{words.count(helped, 'time')} it had to get itself out or find out where it was.")
-    return "Arrived", " ".join(told) or "At every goal, by its own localization.", "amber" if told else "green"
-
-
-def _names(record: DriveRecord) -> str:
-    names = [goal.name for goal in record.goals]
-    return "To " + (", then ".join(names) if names else "nowhere")
+        remarks.append(f"{words.count(helped, 'time')} it had to recover or to find its pose.")
+    return "Arrived", " ".join(remarks) or "At every goal, by its own localization.", "amber" if remarks else "green"
 
 
 def _tiles(record: DriveRecord) -> list[tuple[str, str, str]]:
     held_s = sum(stop.end_s - stop.begin_s for stop in record.stops)
     near = words.length(record.clearance_m) if math.isfinite(record.clearance_m) else "nothing near"
     offs = [goal.off_m for goal in record.goals if goal.result.has_arrived and math.isfinite(goal.off_m)]
+    if not len(record.people):
+        people_tile = []
+    else:
+        people_tile = [
+            ("Nearest person", words.length(float(record.people[:, 3].min())), "who walked, as the camera followed him")
+        ]
     tiles = [
         ("Way driven", words.length(record.way_m), f"first plans: {words.length(record.planned_m)}"),
         ("Time", words.duration(record.time_s), f"{words.number(record.way_m / max(record.time_s, 1e-9))} m/s in all"),
         ("Clearance", near, "least, as map and camera showed"),
-        *_people_tile(record),
+        *people_tile,
         ("Held", words.count(len(record.stops), "time"), f"{words.duration(held_s)} in all"),
         ("Plans", str(sum(goal.result.plans for goal in record.goals)), ""),
     ]
@@ -145,74 +177,16 @@ def _tiles(record: DriveRecord) -> list[tuple[str, str, str]]:
     return tiles
 
 
-def _people_tile(record: DriveRecord) -> list[tuple[str, str, str]]:
-    if not len(record.people):
-        return []
-    return [
-        ("Nearest person", words.length(float(record.people[:, 3].min())), "who walked, as the camera followed him")
-    ]
-
-
-def _plan(record: DriveRecord) -> str:
-    intro = (
-        "The map, what was planned (orange) and what was driven (blue), from the circle to the squares; crosses are "
-        "where the robot was held, light blue where it knew somebody to walk."
-    )
-    alt = f"The map from above with the way of the robot, {words.length(record.way_m)} long."
-    plot = html.plot("drive-map-plan", plan_figure(record), "From above", "", alt)
-    return html.section("plan", "Where it went", intro, plot)
-
-
-def _time_line(record: DriveRecord) -> str:
-    sentence = (
-        "Above, what the navigator was about, where the localization stood, and what the collision monitor made of "
-        "the commands; below, the speeds that the wheels measured. Single readings may run off an axis."
-    )
-    alt = f"States and speeds over {words.duration(record.time_s)}."
-    plot = html.plot("time-line", time_line_figure(record), "States and speeds", sentence, alt)
-    return html.section("time", "What it did when", "", plot)
-
-
-def _film(record: DriveRecord) -> str:
-    if not record.images:
-        return ""
-    pictures = [_picture(image, max(image.stamp_s - record.begin_s, 0.0)) for image in record.images]
-    return html.section("film", "What it saw", "Images of its camera on the way.", html.group("strip", pictures))
-
-
 def _picture(image: FilmImage, after_s: float) -> str:
     return html.picture(jpeg_uri(image.color), f"{after_s:.1f} s", f"What the camera saw after {after_s:.1f} s")
 
 
-def _goals(record: DriveRecord) -> str:
-    body = html.table("Off the goal is as the robot believes.", *goal_rows(record))
-    return html.section("goals", "Its goals", "", body)
-
-
-def _stops(record: DriveRecord) -> str:
-    if not record.stops:
-        return html.section("stops", "What held it", "Nothing held it.")
-    body = html.table(
-        "Each time that the collision monitor held the robot, or it stopped by itself.", *stop_rows(record)
-    )
-    return html.section("stops", "What held it", "", body)
-
-
-def _log(record: DriveRecord) -> str:
-    rows = transition_rows(record)
-    table = html.table("All changes of state.", ("Seconds", "From", "To", "Why"), rows)
-    settings = settings_text(record.config["navigation"])
-    return html.section(
-        "log", "The log", "", html.fold("All changes of state", table), html.folded("Settings of navigation", settings)
-    )
-
-
-# Figures of a drive: the map with its ways, and a time line of states and speeds.
+# Figures
 
 
 _PLAN_PX, _TIME_PX = 640, 460
 _AROUND_M = 0.5
-# Of who was followed without a break there is a row each 0.05 s; nobody walks farther in the longer time.
+# A person who is tracked without a break has a row each 0.05 s; a walking person moves less than this in the time.
 _SAME_WALKER_S, _SAME_WALKER_M = 0.5, 0.8
 _BANDS = ("navigator", "localization", "monitor")
 _BAND_COLOURS = {
@@ -290,12 +264,12 @@ def apart(poses: FloatArray, apart_m: float) -> FloatArray:
     return np.array(kept).reshape(-1, 3)
 
 
-def _add_band(figure: go.Figure, name: str, told: list[tuple[str, str]], seconds: FloatArray) -> None:
+def _add_band(figure: go.Figure, name: str, labelled: list[tuple[str, str]], seconds: FloatArray) -> None:
     """A bar a stretch of one label and reason; a trace a label."""
-    words = [f"{label}: {reason}" if reason else label for label, reason in told]
+    words = [f"{label}: {reason}" if reason else label for label, reason in labelled]
     stretches = runs(words)
-    for label in dict.fromkeys(label for label, _ in told):
-        own = [(begin, end) for begin, end, _ in stretches if told[begin][0] == label]
+    for label in dict.fromkeys(label for label, _ in labelled):
+        own = [(begin, end) for begin, end, _ in stretches if labelled[begin][0] == label]
         begin_s = np.array([seconds[begin] for begin, _ in own])
         for_s = np.array([seconds[min(end, len(seconds) - 1)] for _, end in own]) - begin_s
         figure.add_bar(
@@ -323,19 +297,18 @@ def _add_speeds(figure: go.Figure, record: DriveRecord, seconds: FloatArray) -> 
     ):
         line = {"color": colour, "width": 1.6}
         drawing.add_line(figure, seconds, values, name=name, line=line, hover="%{y:.2f}", row=row)
-        figure.update_yaxes(range=_usual(values), row=row, col=1)
+        # Bounds of all values but the strangest hundredth, with 0 and some air: single readings would flatten the
+        # rest.
+        known = values[np.isfinite(values)]
+        if not len(known):
+            usual = None
+        else:
+            low, high = np.minimum(np.percentile(known, 0.5), 0.0), np.maximum(np.percentile(known, 99.5), 0.0)
+            air = 0.1 * max(float(high - low), 0.1)
+            usual = [float(low) - air, float(high) + air]
+        figure.update_yaxes(range=usual, row=row, col=1)
         axis = figure.layout[f"yaxis{row}"]
         drawing.panel_title(figure, name, y=axis.domain[1])
-
-
-def _usual(values: FloatArray) -> list[float] | None:
-    """Bounds of all values but the strangest hundredth, with 0 and some air: single readings would flatten the rest."""
-    known = values[np.isfinite(values)]
-    if not len(known):
-        return None
-    low, high = np.minimum(np.percentile(known, 0.5), 0.0), np.maximum(np.percentile(known, 99.5), 0.0)
-    air = 0.1 * max(float(high - low), 0.1)
-    return [float(low) - air, float(high) + air]
 
 
 def _add_map(figure: go.Figure, grid: OccupancyGrid) -> None:
@@ -347,8 +320,8 @@ def _add_map(figure: go.Figure, grid: OccupancyGrid) -> None:
     place = {"x": left, "y": bottom + height, "sizex": width, "sizey": height, "xref": "x", "yref": "y"}
     figure.add_layout_image(source=uri, layer="below", sizing="stretch", **place)
     cells = np.argwhere(grid.kind != CellKind.UNKNOWN)
-    known = grid.middle_of(cells) if len(cells) else np.array([[left, bottom], [left + width, bottom + height]])
-    (x0, y0), (x1, y1) = known.min(axis=0) - _AROUND_M, known.max(axis=0) + _AROUND_M
+    known_xy = grid.middle_of(cells) if len(cells) else np.array([[left, bottom], [left + width, bottom + height]])
+    (x0, y0), (x1, y1) = known_xy.min(axis=0) - _AROUND_M, known_xy.max(axis=0) + _AROUND_M
     figure.update_xaxes(range=[x0, x1], title_text="m", constrain="domain", showgrid=False)
     figure.update_yaxes(range=[y0, y1], scaleanchor="x", scaleratio=1, constrain="domain", showgrid=False)
 
@@ -368,7 +341,7 @@ def _add_marks(figure: go.Figure, points: FloatArray, texts: list[str], name: st
     )
 
 
-# Rows of the tables on a drive's page.
+# Tables
 
 
 Columns = tuple[tuple[str, ...], list[tuple[str, ...]]]

@@ -1,6 +1,5 @@
-"""The figures of a run, as plotly figures: for the report's page, for a paper, for a notebook.
-
-Backgrounds are transparent, and time runs in seconds since the first frame. What is not known is left out, never drawn.
+"""The plotly figures of a run, for the page, a paper or a notebook. Backgrounds are transparent. Time is in seconds
+since the first frame. Unknown values are left out.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from wheelsight.core.errors import EvaluationError
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.trajectory import Trajectory
-from wheelsight.evaluation import Evaluation, position_covariances_m2
+from wheelsight.evaluation import position_covariances_m2
 
 STATUS_COLOURS = {
     Status.TRACKING.value: GREEN,
@@ -78,7 +77,20 @@ def error_figure(record: RunRecord) -> go.Figure:
     Raises:
         EvaluationError: the run has no evaluation.
     """
-    lines = _error_lines(_evaluation(record), record.unit)
+    if record.evaluation is None:
+        raise EvaluationError(record.evaluation_problem or "the run was not evaluated")
+    evaluation = record.evaluation
+    # Name, unit, stamps (M,) and errors (M,) of each panel
+    panels = [("ATE", "m", evaluation.ate.stamps_s, evaluation.ate.errors_m)]
+    per_frame = evaluation.rpe_per_frame
+    if per_frame is None:
+        lines = panels
+    else:
+        lines = [
+            *panels,
+            (f"RPE a {record.unit}, translation", "m", per_frame.end_s, per_frame.errors_m),
+            (f"RPE a {record.unit}, rotation", "°", per_frame.end_s, np.degrees(per_frame.errors_rad)),
+        ]
     breaks_s = poseless_stamps_s(record)
     figure = make_subplots(rows=len(lines), cols=1, shared_xaxes=True, vertical_spacing=0.11)
     drawing.style(figure, 80 + 160 * len(lines), hovermode="x unified", showlegend=False)
@@ -131,7 +143,7 @@ def status_figure(record: RunRecord) -> go.Figure:
 
 
 def status_labels(record: RunRecord) -> list[str]:
-    """The status of each frame, or that it was skipped, unless it was lost anyway, or other sensors told the pose."""
+    """The status of each frame, or that it was skipped, unless it was lost anyway, or other sensors gave the pose."""
     return [
         SKIPPED if frame.is_skipped and not (record.is_joined or frame.status == Status.LOST) else str(frame.status)
         for frame in record.frames
@@ -268,25 +280,6 @@ def stage_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
     figure.update_yaxes(categoryorder="array", categoryarray=names[::-1], showgrid=False, automargin=True)
     figure.update_layout(margin={"r": 56, "t": 12})
     return figure
-
-
-def _evaluation(record: RunRecord) -> Evaluation:
-    if record.evaluation is None:
-        raise EvaluationError(record.evaluation_problem or "the run was not evaluated")
-    return record.evaluation
-
-
-def _error_lines(evaluation: Evaluation, unit: str) -> list[tuple[str, str, FloatArray, FloatArray]]:
-    """Name, unit, stamps (M,) and errors (M,) of each panel."""
-    lines = [("ATE", "m", evaluation.ate.stamps_s, evaluation.ate.errors_m)]
-    per_frame = evaluation.rpe_per_frame
-    if per_frame is None:
-        return lines
-    return [
-        *lines,
-        (f"RPE a {unit}, translation", "m", per_frame.end_s, per_frame.errors_m),
-        (f"RPE a {unit}, rotation", "°", per_frame.end_s, np.degrees(per_frame.errors_rad)),
-    ]
 
 
 def estimated_path_m(record: RunRecord) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The few pieces of HTML that the page is made of. All text that comes in is escaped here, and only here."""
+"""The HTML elements of the pages. All text is escaped here, and only here."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def bullets(items: Sequence[str], kind: str) -> str:
 
 
 def table(caption: str, head: Sequence[str], rows: Sequence[Sequence[str]], main: str | None = None) -> str:
-    """A table whose first column names its rows, of which the one called `main` stands out; wide ones scroll."""
+    """A table whose first column names its rows. The row named `main` stands out; wide tables scroll."""
     heads = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
     lines = "\n".join(
         f'<tr{_class("main" if name == main else "")}><th scope="row">{escape(name)}</th>'

@@ -1,4 +1,4 @@
-"""The report: one HTML page that holds all it needs, so that it opens anywhere, offline, years later."""
+"""The report of a run: one self-contained HTML page that opens offline."""
 
 from __future__ import annotations
 
@@ -34,6 +34,16 @@ def render(record: RunRecord, folder: Path | None = None) -> str:
     """The page about `record` as HTML that needs nothing outside itself; it links results that lie in `folder`."""
     summary = summarise(record)
     verdict = verdict_of_run([record])
+    body = _BODIES.get(record.estimate.body, f"poses of the {record.estimate.body}")
+    where = "the map" if record.estimate.frame == "map" else f"{record.estimate.frame}, where it was at first"
+    footer = (
+        f"{_frame(record)}: {body} in {where}. Lengths are in metres, stamps in seconds. This page needs no network."
+    )
+    found = notes(record)
+    listed = "image" if record.unit == "frame" else "reading"
+    intro = "" if found else f"Nothing: every listed {listed} was used, and every {record.unit} has a pose."
+    bulleted = html.bullets(found, "notes") if found else ""
+    remarks = html.section("notes", "What to know before trusting it", intro, bulleted)
     return fill_template(
         kicker="wheelsight run report",
         title=escape(record.recording),
@@ -43,9 +53,9 @@ def render(record: RunRecord, folder: Path | None = None) -> str:
         findings=html.findings(shown_findings(verdict)),
         sentences=html.lines(verdict.facts),
         tiles="\n".join(html.tile(*tile) for tile in _tiles(record, summary)),
-        notes=_notes(record),
+        notes=remarks,
         sections="\n".join(part for part in (*_sections(record, summary), files_section(folder)) if part),
-        footer=escape(_footer(record)),
+        footer=escape(footer),
     )
 
 
@@ -74,19 +84,25 @@ def _frame(record: RunRecord) -> str:
     return f"T_{record.estimate.frame}_{record.estimate.body}"
 
 
-def _footer(record: RunRecord) -> str:
-    body = _BODIES.get(record.estimate.body, f"poses of the {record.estimate.body}")
-    where = "the map" if record.estimate.frame == "map" else f"{record.estimate.frame}, where it was at first"
-    return f"{_frame(record)}: {body} in {where}. Lengths are in metres, stamps in seconds. This page needs no network."
-
-
 def _tiles(record: RunRecord, summary: Summary) -> list[tuple[str, str, str]]:
     posed = f"{summary.posed:,} of {summary.frames:,}"
     unit = summary.unit
     rate = f"{words.number(summary.frames_per_second)} {unit}s/s, 95 % under {words.duration(summary.p95_s)}"
     lost = f"{words.duration(summary.lost_s)} in all" if summary.lost_episodes else ""
+    evaluation = record.evaluation
+    if evaluation is None:
+        error_tiles = [("ATE", words.UNKNOWN, "not evaluated")]
+    else:
+        ate = evaluation.ate.translation
+        share = f"{words.percent(ate.rmse / summary.length_m)} of the path" if summary.length_m > 0 else ""
+        tiles = [("ATE, RMSE", words.length(ate.rmse), share)]
+        for name, error in (("second", evaluation.rpe_per_second), ("metre", evaluation.rpe_per_metre)):
+            if error is not None:
+                turn = f"{words.angle(error.rotation.in_degrees().rmse)} of rotation"
+                tiles.append((f"RPE a {name}, RMSE", words.length(error.translation.rmse), turn))
+        error_tiles = tiles
     return [
-        *_error_tiles(record, summary),
+        *error_tiles,
         (f"{unit.capitalize()}s with a pose", words.percent(summary.pose_share), posed),
         *([("Lost episodes", str(summary.lost_episodes), lost)] if unit == "frame" else []),
         (f"Median time a {unit}", words.duration(summary.median_s), rate if summary.median_s > 0 else ""),
@@ -97,20 +113,6 @@ def _tiles(record: RunRecord, summary: Summary) -> list[tuple[str, str, str]]:
     ]
 
 
-def _error_tiles(record: RunRecord, summary: Summary) -> list[tuple[str, str, str]]:
-    evaluation = record.evaluation
-    if evaluation is None:
-        return [("ATE", words.UNKNOWN, "not evaluated")]
-    ate = evaluation.ate.translation
-    share = f"{words.percent(ate.rmse / summary.length_m)} of the path" if summary.length_m > 0 else ""
-    tiles = [("ATE, RMSE", words.length(ate.rmse), share)]
-    for name, error in (("second", evaluation.rpe_per_second), ("metre", evaluation.rpe_per_metre)):
-        if error is not None:
-            turn = f"{words.angle(error.rotation.in_degrees().rmse)} of rotation"
-            tiles.append((f"RPE a {name}, RMSE", words.length(error.translation.rmse), turn))
-    return tiles
-
-
 def shown_findings(verdict: Verdict) -> list[Finding]:
     """What the verdict names at the top of a page: whether a known map was recognised, then all that is not green.
 
@@ -119,14 +121,6 @@ def shown_findings(verdict: Verdict) -> list[Finding]:
     in_map = [one for one in verdict.findings if one.about == "map"]
     concerns = [one for one in verdict.concerns if one.about != "map"]
     return [*in_map, *concerns] if concerns else [*in_map, *(one for one in verdict.findings if one.about == "poses")]
-
-
-def _notes(record: RunRecord) -> str:
-    found = notes(record)
-    listed = "image" if record.unit == "frame" else "reading"
-    intro = "" if found else f"Nothing: every listed {listed} was used, and every {record.unit} has a pose."
-    body = html.bullets(found, "notes") if found else ""
-    return html.section("notes", "What to know before trusting it", intro, body)
 
 
 def _sections(record: RunRecord, summary: Summary) -> list[str]:

@@ -1,4 +1,4 @@
-"""Images and data that a page holds: matches between two frames, a cloud of points, and bytes packed small."""
+"""Images and data in a page: matches between two frames, a cloud of points, and packed bytes."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 
 from wheelsight.app.run.run_record import MatchPicture
-from wheelsight.core.geometry import BoolArray, ByteArray, FloatArray, IntArray
+from wheelsight.core.geometry import ByteArray, FloatArray
 from wheelsight.mapping.export import MapCloud
 
-# Two frames side by side with the matches that joined them, as an image a page can hold.
+# Matches
 
 
 INLIER_RGB = (0, 158, 115)
@@ -45,9 +45,22 @@ def draw_matches(picture: MatchPicture) -> ByteArray:
     is_inlier = np.asarray(picture.is_inlier, bool)
     classes = ((is_inlier & drawable, INLIER_RGB), (~is_inlier & drawable, OUTLIER_RGB))
     for which, colour in classes:
-        _draw_lines(canvas, start, end, _evenly(which, drawable.sum()), colour)
+        # Indices of the chosen matches to be joined by lines: their fair part of all lines drawn
+        total = drawable.sum()
+        index = np.flatnonzero(which)
+        share = min(len(index), int(np.ceil(_DRAWN_LINES * len(index) / max(total, 1))))
+        evenly = index[np.linspace(0, len(index) - 1, share).round().astype(int)] if share else index
+        for i in evenly:
+            cv2.line(canvas, _fixed(start[i]), _fixed(end[i]), colour, 1, cv2.LINE_AA, _SUBPIXEL_BITS)
     for which, colour in classes:
-        _draw_marks(canvas, np.concatenate([start[which], end[which]]), colour)
+        points = np.concatenate([start[which], end[which]])
+        for point in points:
+            x, y = point.round().astype(int).tolist()
+            for shade, width in ((_HALO_RGB, 3), (colour, 2)):
+                if colour == INLIER_RGB:
+                    cv2.circle(canvas, _fixed(point), 3 << _SUBPIXEL_BITS, shade, width, cv2.LINE_AA, _SUBPIXEL_BITS)
+                else:
+                    cv2.drawMarker(canvas, (x, y), shade, cv2.MARKER_TILTED_CROSS, 7, width, cv2.LINE_AA)
     return canvas
 
 
@@ -71,36 +84,12 @@ def _panel(color: ByteArray) -> tuple[ByteArray, float]:
     return np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8), scale
 
 
-def _evenly(which: BoolArray, total: int) -> IntArray:
-    """Indices of the chosen matches to be joined by lines: their fair part of all lines drawn."""
-    index = np.flatnonzero(which)
-    share = min(len(index), int(np.ceil(_DRAWN_LINES * len(index) / max(total, 1))))
-    return index[np.linspace(0, len(index) - 1, share).round().astype(int)] if share else index
-
-
-def _draw_lines(
-    canvas: ByteArray, start: FloatArray, end: FloatArray, index: IntArray, colour: tuple[int, int, int]
-) -> None:
-    for i in index:
-        cv2.line(canvas, _fixed(start[i]), _fixed(end[i]), colour, 1, cv2.LINE_AA, _SUBPIXEL_BITS)
-
-
-def _draw_marks(canvas: ByteArray, points: FloatArray, colour: tuple[int, int, int]) -> None:
-    for point in points:
-        x, y = point.round().astype(int).tolist()
-        for shade, width in ((_HALO_RGB, 3), (colour, 2)):
-            if colour == INLIER_RGB:
-                cv2.circle(canvas, _fixed(point), 3 << _SUBPIXEL_BITS, shade, width, cv2.LINE_AA, _SUBPIXEL_BITS)
-            else:
-                cv2.drawMarker(canvas, (x, y), shade, cv2.MARKER_TILTED_CROSS, 7, width, cv2.LINE_AA)
-
-
 def _fixed(point: FloatArray) -> tuple[int, int]:
     x, y = (point * (1 << _SUBPIXEL_BITS)).round().astype(int).tolist()
     return x, y
 
 
-# How a page looks at a map's points at first: the camera, and the same view as a picture.
+# View of a cloud of points
 
 
 # As of `cloud.js`.
@@ -143,8 +132,11 @@ class View:
 
     def to_dict(self) -> dict[str, object]:
         """For the page's script."""
-        told = {"distance": self.distance_m, "yaw": self.yaw_rad, "pitch": self.pitch_rad}
-        return {"centre": np.round(self.centre, 4).tolist(), **{name: round(value, 5) for name, value in told.items()}}
+        angles = {"distance": self.distance_m, "yaw": self.yaw_rad, "pitch": self.pitch_rad}
+        return {
+            "centre": np.round(self.centre, 4).tolist(),
+            **{name: round(value, 5) for name, value in angles.items()},
+        }
 
     @property
     def axes(self) -> FloatArray:
@@ -197,7 +189,7 @@ def _draw_points(image: ByteArray, px: FloatArray, color: ByteArray, edge_m: flo
     image.reshape(-1, 3)[seen] = color[order[nearest[seen]]]
 
 
-# What a page holds besides text, made small: deflated and written in base64, numbers no finer than one can see.
+# Packed data
 
 
 # Of its extent: a figure 1000 px wide may be zoomed in a hundred times before such a rounding moves a line by a pixel.
@@ -210,7 +202,7 @@ def packed(data: bytes) -> str:
 
 
 def lean_json(figure_json: str) -> str:
-    """A plotly figure's JSON with its arrays in single precision, where nobody can see the difference."""
+    """A plotly figure's JSON with its arrays in single precision, where the difference is invisible."""
     return json.dumps(_lean(json.loads(figure_json)), separators=(",", ":"), ensure_ascii=False)
 
 
@@ -220,16 +212,12 @@ def _lean(value: Any) -> Any:
     if not isinstance(value, dict):
         return value
     if value.get("dtype") == "f8":
-        return _in_single_precision(value)
+        wide = np.frombuffer(base64.b64decode(value["bdata"]), "<f8")
+        known = wide[np.isfinite(wide)]
+        if len(known) == 0 or abs(known).max() > np.finfo(np.float32).max:
+            return value
+        narrow = wide.astype("<f4")
+        if abs(narrow[np.isfinite(wide)] - known).max() > _SEEN_SHARE * np.ptp(known):
+            return value
+        return {**value, "dtype": "f4", "bdata": base64.b64encode(narrow.tobytes()).decode("ascii")}
     return {name: _lean(part) for name, part in value.items()}
-
-
-def _in_single_precision(array: dict[str, Any]) -> dict[str, Any]:
-    wide = np.frombuffer(base64.b64decode(array["bdata"]), "<f8")
-    known = wide[np.isfinite(wide)]
-    if len(known) == 0 or abs(known).max() > np.finfo(np.float32).max:
-        return array
-    narrow = wide.astype("<f4")
-    if abs(narrow[np.isfinite(wide)] - known).max() > _SEEN_SHARE * np.ptp(known):
-        return array
-    return {**array, "dtype": "f4", "bdata": base64.b64encode(narrow.tobytes()).decode("ascii")}

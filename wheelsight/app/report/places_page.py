@@ -1,6 +1,4 @@
-"""The page about a model of places on a drive that it was not trained on. The contact sheet is for a person who
-labels a drive.
-"""
+"""The page about a model of places, tested on another drive. The contact sheet is for a person who labels a drive."""
 
 from __future__ import annotations
 
@@ -27,9 +25,6 @@ from wheelsight.core.geometry import ByteArray
 from wheelsight.places import CalibrationCurve, LabelledDrive, PlaceModel, PlaceTrial
 from wheelsight.places.dataset import ContactSheet
 
-# The page about a model of places on a drive that it was not trained on.
-
-
 # Shares of frames; with one wrong in ten, areas still rectify wheels.
 _GOOD, _FAIR = 0.9, 0.7
 _CALIBRATED = 0.05
@@ -44,40 +39,54 @@ def write_places_page(trial: PlaceTrial, model: PlaceModel, recording: str, path
 def _render(trial: PlaceTrial, model: PlaceModel, recording: str) -> str:
     forest = f"{model.forest.tree_count} trees of at most {model.settings.max_depth} splits"
     facts = [f"described by {model.describer.kind}", forest, f"wheelsight {__version__}"]
-    tone, phrase = _verdict(trial)
-    return fill_template(
-        kicker="wheelsight places test",
-        title=escape(recording),
-        facts=" · ".join(escape(fact) for fact in facts),
-        tone=tone,
-        phrase=escape(phrase),
-        sentences=escape(_sentences(trial)),
-        tiles="\n".join(html.tile(*tile) for tile in _tiles(trial, model)),
-        notes=html.section("notes", "What to know before trusting it", "", html.bullets(_notes(trial, model), "notes")),
-        sections="\n".join([_confusions(trial), _time(trial), _calibration(trial), _mistakes(trial)]),
-        footer="Frames that have no true area count nowhere. This page needs no network.",
-    )
-
-
-def _verdict(trial: PlaceTrial) -> tuple[str, str]:
     if trial.accuracy >= _GOOD:
-        return "green", "It knows where it is"
-    if trial.accuracy >= _FAIR:
-        return "amber", "It mostly knows where it is"
-    return "red", "It often takes one area for another"
-
-
-def _sentences(trial: PlaceTrial) -> str:
+        tone, phrase = "green", "It knows where it is"
+    elif trial.accuracy >= _FAIR:
+        tone, phrase = "amber", "It mostly knows where it is"
+    else:
+        tone, phrase = "red", "It often takes one area for another"
     counts = trial.confusion[:, :-1].copy()
     for area in range(len(counts)):
         counts[area, area] = 0
     judged = words.count(int(trial.is_judged.sum()), "frame")
     text = f"Of {judged} with a true area, {words.percent(trial.accuracy)} have it as the most probable one."
     if not counts.any():
-        return text
-    true, named = divmod(int(counts.argmax()), counts.shape[1])
-    worst = f"area {trial.area_names[true]} is taken for {trial.area_names[named]}"
-    return f"{text} Most often {worst}: {words.count(int(counts[true, named]), 'frame')}."
+        sentences = text
+    else:
+        true, named = divmod(int(counts.argmax()), counts.shape[1])
+        worst = f"area {trial.area_names[true]} is taken for {trial.area_names[named]}"
+        sentences = f"{text} Most often {worst}: {words.count(int(counts[true, named]), 'frame')}."
+    plot = html.plot(
+        "confusion",
+        confusion_figure(trial),
+        "Confusion matrix",
+        "Rows are true areas, columns what they were taken for; the darker, the larger the share of its row.",
+        "Heat map of frames by true area and most probable area",
+    )
+    accuracy = html.table("Accuracy of each area", AREA_HEAD, area_rows(trial))
+    as_table = html.fold("The same as a table", html.table("Frames", *confusion_rows(trial)))
+    confusions = html.section("confusions", "What it takes for what", "", plot, as_table, accuracy)
+    curve_plot = html.plot(
+        "reliability",
+        reliability_figure(trial),
+        "Calibration curve",
+        "Above the dashed line it is right more often than it says, below less often.",
+        "Share of right answers over their probability",
+    )
+    table = html.fold("The same as a table", html.table("By how sure it is", CURVE_HEAD, curve_rows(trial.curve)))
+    curve_section = html.section("sure", "Whether it knows how sure it is", "", curve_plot, table)
+    return fill_template(
+        kicker="wheelsight places test",
+        title=escape(recording),
+        facts=" · ".join(escape(fact) for fact in facts),
+        tone=tone,
+        phrase=escape(phrase),
+        sentences=escape(sentences),
+        tiles="\n".join(html.tile(*tile) for tile in _tiles(trial, model)),
+        notes=html.section("notes", "What to know before trusting it", "", html.bullets(_notes(trial, model), "notes")),
+        sections="\n".join([confusions, _time(trial), curve_section, _mistakes(trial)]),
+        footer="Frames that have no true area count nowhere. This page needs no network.",
+    )
 
 
 def _tiles(trial: PlaceTrial, model: PlaceModel) -> list[tuple[str, str, str]]:
@@ -107,21 +116,8 @@ def _notes(trial: PlaceTrial, model: PlaceModel) -> list[str]:
     blind = int(trial.confusion[:, -1].sum())
     if blind:
         found.append(f"{words.count(blind, 'frame has', 'frames have')} no depth and count as wrong.")
-    tested = "A drive that the model was trained on, or one right after it, tells little: test on another day."
+    tested = "A drive that the model was trained on, or one right after it, proves little: test on another day."
     return [*found, tested]
-
-
-def _confusions(trial: PlaceTrial) -> str:
-    plot = html.plot(
-        "confusion",
-        confusion_figure(trial),
-        "Confusion matrix",
-        "Rows are true areas, columns what they were taken for; the darker, the larger the share of its row.",
-        "Heat map of frames by true area and most probable area",
-    )
-    accuracy = html.table("Accuracy of each area", AREA_HEAD, area_rows(trial))
-    counts = html.fold("The same as a table", html.table("Frames", *confusion_rows(trial)))
-    return html.section("confusions", "What it takes for what", "", plot, counts, accuracy)
 
 
 def _time(trial: PlaceTrial) -> str:
@@ -133,18 +129,6 @@ def _time(trial: PlaceTrial) -> str:
         "True and most probable area of each frame over time",
     )
     return html.section("along", "Along the drive", "", plot)
-
-
-def _calibration(trial: PlaceTrial) -> str:
-    plot = html.plot(
-        "reliability",
-        reliability_figure(trial),
-        "Calibration curve",
-        "Above the dashed line it is right more often than it says, below less often.",
-        "Share of right answers over their probability",
-    )
-    table = html.fold("The same as a table", html.table("By how sure it is", CURVE_HEAD, curve_rows(trial.curve)))
-    return html.section("sure", "Whether it knows how sure it is", "", plot, table)
 
 
 def _mistakes(trial: PlaceTrial) -> str:
@@ -164,7 +148,7 @@ def _mistakes(trial: PlaceTrial) -> str:
     return html.section("mistakes", "Its surest mistakes", intro, html.group("triple", shown))
 
 
-# Figures of a model of places on trial: what it takes for what, how sure it is, and its answers along time.
+# Figures
 
 
 _CELL_PX, _LEAST_PX = 52, 320
@@ -275,7 +259,7 @@ def _room_for(names: Sequence[str]) -> int:
     return 62 + 7 * min(max(map(len, names)), 24)
 
 
-# What a model of places is worth, as rows of text: for the page and for the terminal.
+# Tables
 
 
 AREA_HEAD = ("area", "frames", "right", "named", "right where named", "precision", "mostly taken for")
@@ -352,10 +336,10 @@ def _share(part: int, whole: int) -> float | None:
     return part / whole if whole else None
 
 
-# The contact sheet: one HTML page on which a person says which area each part of a drive is in, and saves that.
+# Contact sheet
 
 
-# Told apart by number and name too; the first eight are neighbours on the colour circle as little as can be.
+# Areas are labelled by number and name too; the first eight are neighbours on the colour circle as little as can be.
 AREA_COLOURS = (
     "#0072B2",
     "#E69F00",
@@ -432,12 +416,10 @@ def _data(sheet: ContactSheet) -> dict[str, Any]:
         "names": list(sheet.names),
         "colours": list(AREA_COLOURS),
         "polygons": [] if sheet.areas is None else [np.round(a.polygon, 3).tolist() for a in sheet.areas],
-        "places": [_place(xy) for xy in sheet.xy_m.tolist()],
+        "places": [
+            ([round(value, 3) for value in xy] if np.isfinite(xy).all() else None) for xy in sheet.xy_m.tolist()
+        ],
     }
-
-
-def _place(xy_m: Sequence[float]) -> list[float] | None:
-    return [round(value, 3) for value in xy_m] if np.isfinite(xy_m).all() else None
 
 
 def _plain(name: str) -> str:

@@ -1,4 +1,4 @@
-"""plotly's figures, loaded when the first one is drawn: what the report tells in words and tables goes without.
+"""plotly's figures, loaded when the first one is drawn: text and tables of a report do not need it.
 
 Stands for `plotly.graph_objects`. Any use raises ConfigError where plotly is not installed.
 """

@@ -1,5 +1,5 @@
-"""The sections of a run's page: each a question that a reader has, and the figures that answer it. Loops, the map
-and the files beside the page have sections of their own.
+"""The sections of a run's page, each with its figures: tracking, time, certainty, loops, map, and the files beside the
+page.
 """
 
 from __future__ import annotations
@@ -33,11 +33,9 @@ from wheelsight.app.run.run_record import MapPicture, MapRecord, MatchPicture, R
 from wheelsight.app.run.verdict import Summary, cold_frames
 from wheelsight.core.geometry import BoolArray, ByteArray, FloatArray, se3
 from wheelsight.evaluation import Statistics
-from wheelsight.mapping.export import MapCloud, Plan
+from wheelsight.mapping.export import MapCloud
 
-# The page's sections: each a question a reader has, and the figures that answer it.
-#
-# Those that take `of` stand on a page of several odometries too, then under that odometry's name and in its colour.
+# Sections of every run. With `of` a section stands on a page of several odometries, under that name and in its colour.
 
 
 MOST_PICTURES = 12
@@ -187,12 +185,21 @@ def timing(record: RunRecord, summary: Summary, of: str = "") -> str:
     median, p95, longest = (words.duration(s) for s in (summary.median_s, summary.p95_s, summary.longest_s))
     colour = drawing.ODOMETRY_COLOURS.get(of, drawing.BLUE)
     numbers = f"Median {median}, 95 % under {p95}, longest {longest}"
+    cold = cold_frames(record)
+    if not cold:
+        cold_sentence = ""
+    else:
+        which = "The first frame, which took" if len(cold) == 1 else f"The first {len(cold)} frames, which took up to"
+        slowest = words.duration(max(frame.seconds for frame in cold))
+        cold_sentence = (
+            f" {which} {slowest}, {'is' if len(cold) == 1 else 'are'} not drawn: kernels were still compiled or loaded."
+        )
     over = html.plot(
         _key("time", of),
         figures.time_figure(record, colour),
         "Time a frame",
         f"{numbers}; reading images is not included. Triangles at the upper edge are frames that took longer still."
-        f"{_cold_sentence(record)}",
+        f"{cold_sentence}",
         f"Time a frame over the run. {numbers}.",
     )
     spread = html.plot(
@@ -202,31 +209,20 @@ def timing(record: RunRecord, summary: Summary, of: str = "") -> str:
         "How many frames took how long: a narrow hill is a steady pace.",
         f"Histogram of the time a frame. {numbers}.",
     )
-    pair = html.group("pair", [spread, *_stages(record, of, colour)])
-    return html.section(_key("timing", of), _title("Was it quick enough?", of), "", over, pair)
-
-
-def _cold_sentence(record: RunRecord) -> str:
-    cold = cold_frames(record)
-    if not cold:
-        return ""
-    which = "The first frame, which took" if len(cold) == 1 else f"The first {len(cold)} frames, which took up to"
-    slowest = words.duration(max(frame.seconds for frame in cold))
-    return f" {which} {slowest}, {'is' if len(cold) == 1 else 'are'} not drawn: kernels were still compiled or loaded."
-
-
-def _stages(record: RunRecord, of: str, colour: str) -> list[str]:
     if not record.stage_seconds:
-        return []
-    stages = ", ".join(f"{name} {words.duration(seconds)}" for name, seconds in record.stage_seconds.items())
-    plot = html.plot(
-        _key("stages", of),
-        figures.stage_figure(record, colour),
-        "Stages",
-        "Where the time of a usual frame goes.",
-        f"Median time of each stage: {stages}.",
-    )
-    return [plot]
+        stage_plots = []
+    else:
+        stages = ", ".join(f"{name} {words.duration(seconds)}" for name, seconds in record.stage_seconds.items())
+        plot = html.plot(
+            _key("stages", of),
+            figures.stage_figure(record, colour),
+            "Stages",
+            "Where the time of a usual frame goes.",
+            f"Median time of each stage: {stages}.",
+        )
+        stage_plots = [plot]
+    pair = html.group("pair", [spread, *stage_plots])
+    return html.section(_key("timing", of), _title("Was it quick enough?", of), "", over, pair)
 
 
 def pictures(record: RunRecord, of: str = "") -> str:
@@ -264,7 +260,7 @@ def _title(title: str, of: str) -> str:
     return f"{of.capitalize()}: {title[0].lower()}{title[1:]}" if of else title
 
 
-# What lies beside the page: links to a run's results, with a word on each.
+# Files
 
 
 _FILES = {
@@ -310,7 +306,7 @@ def _rows(folder: Path, place: str) -> Iterator[str]:
             yield f'<tr><th scope="row">{link}</th><td>{size / 1e3:,.2f}</td><td>{escape(sentence)}</td></tr>'
 
 
-# The plan of a trajectory that loops have corrected: the way before and after, loops kept and refused.
+# Loops
 
 
 # More lines than this hide what lies below.
@@ -386,7 +382,7 @@ def _add_loops(figure: go.Figure, name: str, ends: FloatArray, which: BoolArray,
     )
 
 
-# The section about a run's map.
+# Map
 
 
 def map_section(record: RunRecord, of: str = "") -> str:
@@ -401,8 +397,25 @@ def map_section(record: RunRecord, of: str = "") -> str:
         return html.section(key, title, "", html.paragraph("It is empty: no frame had a pose.", "missing"))
     start_s = record.frames[0].stamp_s if record.frames else 0.0
     shown = html.group("pictures", [_map_picture(picture, start_s) for picture in record.map.pictures])
-    figures_of = (figure(record, key), _plan(record, of, key), shown if record.map.pictures else "")
-    return html.section(key, title, _intro(record.map, of), *figures_of)
+    assert record.map is not None
+    sentence = (
+        "Stable surfels seen from straight above, what faces down left out, and what stands upright drawn darker; the "
+        "line is the path, from the circle to the square. White is not known."
+    )
+    if not record.map.is_levelled:
+        sentence += " The vertical is estimated from the surfels: the calibration has none."
+    colour = drawing.ODOMETRY_COLOURS.get(of, drawing.BLUE)
+    alt = "The map seen from above, with the path of the camera over it."
+    plan = html.plot(f"{key}-plan", plan_figure(record, colour), "From above", sentence, alt)
+    figures_of = (figure(record, key), plan, shown if record.map.pictures else "")
+    found = record.map
+    status, file = found.status, f"{of}/{found.file}" if of else found.file
+    intro = (
+        f"{words.count(status.surfels, 'surfel')} (small disks) of {words.count(found.fused, 'frame')}, "
+        f"{status.stable:,} of them stable: seen often enough to be sure. They took {status.memory_bytes / 1e6:,.0f} "
+        f"MB of memory, and are in {file}; wheelsight export makes points or a mesh of it."
+    )
+    return html.section(key, title, intro, *figures_of)
 
 
 def map_tile(found: MapRecord) -> tuple[str, str, str]:
@@ -411,34 +424,12 @@ def map_tile(found: MapRecord) -> tuple[str, str, str]:
     return "Surfels in the map", f"{found.status.surfels:,}", f"{stable} of them stable"
 
 
-def _intro(found: MapRecord, of: str) -> str:
-    status, file = found.status, f"{of}/{found.file}" if of else found.file
-    return (
-        f"{words.count(status.surfels, 'surfel')} (small disks) of {words.count(found.fused, 'frame')}, "
-        f"{status.stable:,} of them stable: seen often enough to be sure. They took {status.memory_bytes / 1e6:,.0f} "
-        f"MB of memory, and are in {file}, of which wheelsight export makes points or a mesh."
-    )
-
-
-def _plan(record: RunRecord, of: str, key: str) -> str:
-    assert record.map is not None
-    sentence = (
-        "Stable surfels seen from straight above, what faces down left out, and what stands upright drawn darker; the "
-        "line is the path, from the circle to the square. White is not known."
-    )
-    if not record.map.is_levelled:
-        sentence += " Which way is up was judged by the surfels, since the calibration does not tell it."
-    colour = drawing.ODOMETRY_COLOURS.get(of, drawing.BLUE)
-    alt = "The map seen from above, with the path of the camera over it."
-    return html.plot(f"{key}-plan", plan_figure(record, colour), "From above", sentence, alt)
-
-
 def _map_picture(picture: MapPicture, start_s: float) -> str:
     caption = f"{picture.stamp_s - start_s:.2f} s after the start: left the frame, right the finished map from there"
     return html.picture(view_uri(picture), caption + ".", f"Frame and map side by side: {caption}.")
 
 
-# Figures of a run's map: its plan with the path on it, and views along the way.
+# Figures of the map
 
 
 _HEIGHT_PX = 640
@@ -455,7 +446,10 @@ def plan_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
     assert record.map.plan is not None
     plan = record.map.plan
     figure = drawing.style(go.Figure(), _HEIGHT_PX, hovermode="closest", showlegend=False)
-    (left, bottom), (right, top) = _corners(plan)
+    # Lower left and upper right of the plan's image, at the outer edges of its pixels
+    (height, width), half_px = plan.is_known.shape, 0.5 * plan.m_per_px
+    left_m, top_m = plan.corner_m[0] - half_px, plan.corner_m[1] + half_px
+    (left, bottom), (right, top) = (left_m, top_m - height * plan.m_per_px), (left_m + width * plan.m_per_px, top_m)
     place = {"x": left, "y": top, "sizex": right - left, "sizey": top - bottom, "xref": "x", "yref": "y"}
     figure.add_layout_image(source=webp_uri(plan.image), layer="below", sizing="stretch", **place)
     _, positions_m = with_gaps(record.estimate.stamps_s, record.estimate.positions_m, poseless_stamps_s(record))
@@ -465,7 +459,12 @@ def plan_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
     drawing.add_path(figure, path, name="halo", line={"color": "#ffffff", "width": 5}, hover=hover)
     drawing.add_path(figure, path, name="path", line={"color": colour, "width": 2.5}, hover=hover)
     _mark_ends(figure, path[~np.isnan(path).any(axis=1)], colour)
-    _add_bar(figure, left, right)
+    # Above the plan, at its right end
+    length_m = bar_length_m(right - left)
+    line = {"color": drawing.GREY, "width": 4}
+    figure.add_shape(type="line", x0=right - length_m, x1=right, yref="paper", y0=1.015, y1=1.015, line=line)
+    bar_place = {"x": right - length_m / 2, "y": 1.02, "yref": "paper", "yanchor": "bottom", "xanchor": "center"}
+    figure.add_annotation(text=f"{length_m:g} m", showarrow=False, **bar_place)
     figure.update_xaxes(range=[left, right], title_text="m", constrain="domain", showgrid=False)
     figure.update_yaxes(range=[bottom, top], scaleanchor="x", scaleratio=1, constrain="domain", showgrid=False)
     figure.update_layout(plot_bgcolor="#ffffff")
@@ -493,13 +492,6 @@ def view_uri(picture: MapPicture) -> str:
     return webp_uri(draw_view(picture))
 
 
-def _corners(plan: Plan) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Lower left and upper right of the plan's image, at the outer edges of its pixels."""
-    (height, width), half_px = plan.is_known.shape, 0.5 * plan.m_per_px
-    left, top = plan.corner_m[0] - half_px, plan.corner_m[1] + half_px
-    return (left, top - height * plan.m_per_px), (left + width * plan.m_per_px, top)
-
-
 def _mark_ends(figure: go.Figure, path: np.ndarray, colour: str) -> None:
     marker = {"size": 11, "color": "#ffffff", "line": {"color": colour, "width": 3}}
     for name, symbol, points in (("start", "circle", path[:1]), ("end", "square", path[-1:])):
@@ -509,22 +501,13 @@ def _mark_ends(figure: go.Figure, path: np.ndarray, colour: str) -> None:
         )
 
 
-def _add_bar(figure: go.Figure, left: float, right: float) -> None:
-    """Above the plan, at its right end."""
-    length_m = bar_length_m(right - left)
-    line = {"color": drawing.GREY, "width": 4}
-    figure.add_shape(type="line", x0=right - length_m, x1=right, yref="paper", y0=1.015, y1=1.015, line=line)
-    place = {"x": right - length_m / 2, "y": 1.02, "yref": "paper", "yanchor": "bottom", "xanchor": "center"}
-    figure.add_annotation(text=f"{length_m:g} m", showarrow=False, **place)
-
-
 def _panel(image: ByteArray) -> ByteArray:
     size = (_PANEL_WIDTH_PX, max(1, round(image.shape[0] * _PANEL_WIDTH_PX / image.shape[1])))
     how = cv2.INTER_AREA if image.shape[1] > _PANEL_WIDTH_PX else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(image, size, interpolation=how), np.uint8)
 
 
-# The map as points that a reader turns: what the page holds of it, and the picture for who cannot.
+# Cloud of points
 
 
 _MOST_LOOPS = 400
@@ -545,11 +528,11 @@ def figure(record: RunRecord, key: str) -> str:
     still = webp_uri(draw_cloud(view, position, found.cloud, R, path, loops))
     counts = {"points": len(position), "path": len(path), "loops": len(loops)}
     low, step_m = _box(position)
-    told = counts | {"edge": round(found.cloud.edge_m, 5), "low": low.tolist(), "step": step_m} | view.to_dict()
+    data = counts | {"edge": round(found.cloud.edge_m, 5), "low": low.tolist(), "step": step_m} | view.to_dict()
     alt = f"{len(position):,} points of the map, seen aslant from above, with the path."
     return (
         f"<figure>\n<figcaption><strong>To be turned.</strong> {escape(_sentence(found, len(loops)))}</figcaption>\n"
-        f'<div class="cloud" id="{key}-cloud" data-cloud="{escape(json.dumps(told))}">'
+        f'<div class="cloud" id="{key}-cloud" data-cloud="{escape(json.dumps(data))}">'
         f'<img src="{still}" alt="{escape(alt)}"><canvas tabindex="0" role="img" aria-label="{escape(alt)}"></canvas>'
         f'</div><script type="text/plain">{packed(_bytes(position, found.cloud, R, path, loops))}</script>\n</figure>'
     )
@@ -597,8 +580,8 @@ def _box(position: FloatArray) -> tuple[FloatArray, float]:
 
 def _bytes(position: FloatArray, cloud: MapCloud, R: FloatArray, path: FloatArray, loops: FloatArray) -> bytes:
     """Lines as float32; then x, y, z in 16 bits, red, green, blue, and normals in 8, each less the one before."""
-    low, step_m = _box(position)
-    level = np.rint((position - low) / step_m).clip(0, _LEVELS).astype("<u2")
+    lowest, level_m = _box(position)
+    level = np.rint((position - lowest) / level_m).clip(0, _LEVELS).astype("<u2")
     normal = np.rint(_NORMAL_LEVELS * (cloud.normal.astype(float) @ R.T)).astype(np.int8).view(np.uint8)
     lines = np.concatenate([path, loops]).astype("<f4").tobytes()
     planes = (np.diff(plane.T, axis=1, prepend=plane.T[:, :1] * 0) for plane in (level, cloud.color, normal))

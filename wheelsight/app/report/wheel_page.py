@@ -1,4 +1,6 @@
-"""The page of a wheel calibration: what changed, how sure it is, and what it is worth on the part it did not use."""
+"""The page of a wheel calibration: changes, uncertainty, and the error on the part of the drive that the fit did not
+use.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,6 @@ from wheelsight.core.geometry import FloatArray
 from wheelsight.wheels.calibration import WheelFit, WheelTrial
 from wheelsight.wheels.umbmark import Umbmark
 
-# The page of a wheel calibration: what changed, how sure it is, and what it is worth on the part it did not use.
-
-
 _BETTER, _WORSE = 0.9, 1.1
 _FOOTER = "Lengths are in metres, stamps in seconds, σ is one standard deviation. This page needs no network."
 
@@ -32,16 +31,43 @@ def write_wheel_page(trial: WheelTrial, path: StrPath) -> None:
     """Write the page about a calibration against a reference, atomically. Raises OutputError."""
     path = Path(path)
     phrase, tone = _verdict(trial)
+    before, after = trial.before.evaluation, trial.after.evaluation
+    ate = (words.length(evaluation.ate.translation.rmse) for evaluation in (after, before))
+    length = words.length(trial.held_out.length_m)
+    text = "Over the {} that the fit did not see, the path's error (ATE) is {} after {}".format(length, *ate)
+    old, new = before.rpe_per_metre, after.rpe_per_metre
+    if old is None or new is None:
+        sentences = text + "."
+    else:
+        turns = (words.angle(error.rotation.in_degrees().rmse) for error in (new, old))
+        sentences = text + ", and heading drifts by {} a metre after {}.".format(*turns)
+    x_m, y_m, yaw_rad = trial.fit.mount.tolist()
+    ahead, aside, turned = ("ahead", "behind")[x_m < 0], ("left", "right")[y_m < 0], ("left", "right")[yaw_rad < 0]
+    mount = (
+        f"By the fit, what the reference follows sits {words.length(abs(x_m))} {ahead} and {words.length(abs(y_m))} "
+        f"{aside} of the axle's middle and looks {words.angle(abs(np.degrees(yaw_rad)))} to the {turned}; "
+        "the comparison allows for that."
+    )
+    found = [*trial.warnings, mount, "All errors hold the reference's own, and those of slips."]
+    notes = html.section("notes", "What to know before trusting it", "", html.bullets(found, "notes"))
+    plot = html.plot(
+        "residuals",
+        residual_figure(trial),
+        "Residuals",
+        "Wheels minus reference over each segment; slips, or jumps of the reference, may lie at the edge.",
+        "Residuals of the segments over time, along, across and in turn",
+    )
+    residuals = html.section("segments", "On the part it was fitted to", "", plot)
     page = fill_template(
         kicker="wheelsight wheel calibration",
         title=escape(trial.recording),
         facts=_facts("least squares against a reference trajectory"),
         tone=tone,
         phrase=escape(phrase),
-        sentences=escape(_sentences(trial)),
+        sentences=escape(sentences),
         tiles="\n".join(html.tile(*tile) for tile in _tiles(trial)),
-        notes=_notes(trial),
-        sections="\n".join((_wheels_section(fit_rows(trial.fit)), _proof(trial), _residuals(trial))),
+        notes=notes,
+        sections="\n".join((_wheels_section(fit_rows(trial.fit)), _proof(trial), residuals)),
         footer=escape(_FOOTER),
     )
     _write(path, page)
@@ -110,18 +136,6 @@ def _changes(trial: WheelTrial) -> tuple[float, float]:
     return path, after.rpe_per_metre.translation.rmse / max(before.rpe_per_metre.translation.rmse, 1e-9)
 
 
-def _sentences(trial: WheelTrial) -> str:
-    before, after = trial.before.evaluation, trial.after.evaluation
-    ate = (words.length(evaluation.ate.translation.rmse) for evaluation in (after, before))
-    length = words.length(trial.held_out.length_m)
-    text = "Over the {} that the fit did not see, the path's error (ATE) is {} after {}".format(length, *ate)
-    old, new = before.rpe_per_metre, after.rpe_per_metre
-    if old is None or new is None:
-        return text + "."
-    turns = (words.angle(error.rotation.in_degrees().rmse) for error in (new, old))
-    return text + ", and heading drifts by {} a metre after {}.".format(*turns)
-
-
 def _tiles(trial: WheelTrial) -> list[tuple[str, str, str]]:
     fit, before, after = trial.fit, trial.before, trial.after
     tiles = [_tile("ATE, RMSE", *(x.evaluation.ate.translation.rmse for x in (before, after)))]
@@ -140,18 +154,6 @@ def _tiles(trial: WheelTrial) -> list[tuple[str, str, str]]:
 
 def _tile(name: str, before: float, after: float) -> tuple[str, str, str]:
     return name, words.length(after), f"nominal wheels {words.length(before)}"
-
-
-def _notes(trial: WheelTrial) -> str:
-    x_m, y_m, yaw_rad = trial.fit.mount.tolist()
-    ahead, aside, turned = ("ahead", "behind")[x_m < 0], ("left", "right")[y_m < 0], ("left", "right")[yaw_rad < 0]
-    mount = (
-        f"By the fit, what the reference follows sits {words.length(abs(x_m))} {ahead} and {words.length(abs(y_m))} "
-        f"{aside} of the axle's middle and looks {words.angle(abs(np.degrees(yaw_rad)))} to the {turned}; "
-        "the comparison allows for that."
-    )
-    found = [*trial.warnings, mount, "All errors hold the reference's own, and those of slips."]
-    return html.section("notes", "What to know before trusting it", "", html.bullets(found, "notes"))
 
 
 def _wheels_section(rows: list[tuple[str, ...]]) -> str:
@@ -179,18 +181,7 @@ def _proof(trial: WheelTrial) -> str:
     return html.section("proof", "On the part it did not use", intro, errors, drive, drift)
 
 
-def _residuals(trial: WheelTrial) -> str:
-    plot = html.plot(
-        "residuals",
-        residual_figure(trial),
-        "Residuals",
-        "Wheels minus reference over each segment; slips, or jumps of the reference, may lie at the edge.",
-        "Residuals of the segments over time, along, across and in turn",
-    )
-    return html.section("segments", "On the part it was fitted to", "", plot)
-
-
-# Figures of a wheel calibration: the path before and after, its error, and what each segment left unexplained.
+# Figures
 
 
 _LOOKS = {"nominal": {"color": ORANGE, "width": 2}, "calibrated": {"color": BLUE, "width": 2}}
@@ -237,7 +228,10 @@ def residual_figure(trial: WheelTrial) -> go.Figure:
     drawing.style(figure, 520, hovermode="closest", margin_l=88)
     for row, (name, unit, factor) in enumerate(_PANELS, start=1):
         values = factor * fit.residuals[:, row - 1]
-        limit = _limit(values[~fit.is_slip], factor * fit.spread[row - 1])
+        shown = values[~fit.is_slip]
+        spread = factor * fit.spread[row - 1]
+        largest = float(np.abs(shown).max()) if len(shown) else 0.0
+        limit = max(1.1 * largest, 5 * spread, 1e-3)
         for kind, which, color, symbol in (
             ("segment", ~fit.is_slip, BLUE, "circle"),
             ("slip or jump, hardly counted", fit.is_slip, VERMILLION, "x"),
@@ -312,13 +306,7 @@ def _mark(figure: go.Figure, point: FloatArray, word: str, color: str, symbol: s
     )
 
 
-def _limit(values: FloatArray, spread: float) -> float:
-    """Up to where residuals are drawn: all that are no slips, and five spreads at least; slips lie at the edge."""
-    largest = float(np.abs(values).max()) if len(values) else 0.0
-    return max(1.1 * largest, 5 * spread, 1e-3)
-
-
-# Wheels and errors before and after a calibration, as rows of text: for the page and for the terminal.
+# Tables
 
 
 HEAD = ("", "nominal", "calibrated", "± σ", "change")
@@ -338,7 +326,7 @@ def fit_rows(fit: WheelFit) -> list[tuple[str, ...]]:
 
 
 def square_rows(result: Umbmark) -> list[tuple[str, ...]]:
-    """The same for UMBmark, which tells of no size and no delay."""
+    """The same for UMBmark, which gives no wheel size and no delay."""
 
     def row(name: str, value: float, sigma: float | None) -> tuple[str, ...]:
         return name, "1", f"{value:.5f}", "unknown" if sigma is None else f"{sigma:.5f}", _change(1.0, value)

@@ -1,4 +1,4 @@
-"""From events to a folder of results: track, compare, write; and the records of what was learned."""
+"""Runs and drives, from events to a folder of results, and their records."""
 
 from wheelsight.app.run.kernels import InRealTime
 from wheelsight.app.run.loops import CORRECTED_FILE, CorrectionRecord

@@ -1,5 +1,5 @@
-"""DriveRecord: what became of a drive to goals, period by period. DriveRecorder fills it, and write_drive leaves it
-as files.
+"""DriveRecord: the results of a drive to goals, period by period. DriveRecorder fills it, and write_drive writes its
+files.
 """
 
 from __future__ import annotations
@@ -26,9 +26,6 @@ from wheelsight.navigation import CellState, Costmap, Feedback, Footprint, Monit
 from wheelsight.navigation.costmap import distances_m
 from wheelsight.navigation.people import Person
 from wheelsight.navigation.senses import Senses
-
-# DriveRecord: what became of a drive to goals, period by period, as files and pages tell it.
-
 
 # Of what a period is to take: longer ones are late.
 _LATE = 1.2
@@ -151,7 +148,7 @@ class DriveRecord:
         goals: those that were begun, in order.
         asked: how many there were to be.
         rows: period by period.
-        way: as the localization told it, of the base in the map.
+        way: path of the base in the map, by the localization.
         plans: stamp and poses (N, 3) of each plan.
         stops: by the collision monitor, and by the robot itself.
         clearance_m: least distance of the outline from what map and camera showed; infinite where nothing was near.
@@ -200,7 +197,7 @@ class DriveRecord:
 
     @property
     def rests_on_start(self) -> bool:
-        """Whether nothing but what somebody said of the start tells where in the map it was."""
+        """Whether the pose in the map rests on the given start alone."""
         return self.config["known_map"]["start"] is not None and self.recognised == 0
 
     @property
@@ -215,7 +212,7 @@ class DriveRecord:
 
     @property
     def periods(self) -> PeriodLengths:
-        """How regularly the robot was led: what is reckoned in a period may take longer than that."""
+        """Length of the control periods: the computation of one may exceed the period."""
         return PeriodLengths.of(self.rows.stamps_s, self.config["navigation"]["follow"]["period_s"])
 
     @property
@@ -227,9 +224,6 @@ class DriveRecord:
     def planned_m(self) -> float:
         """Of the first plan to each goal."""
         return sum(one.result.planned_m for one in self.goals)
-
-
-# DriveRecorder: keeps of a drive what its record tells, while it goes on.
 
 
 _FILM_WIDTH_PX, _MOST_IMAGES = 240, 24
@@ -249,7 +243,7 @@ class _Rows:
 
 
 class DriveRecorder:
-    """Told of each period and of each event.
+    """Collects each period and each event of a drive.
 
     Args:
         footprint: of the robot.
@@ -295,9 +289,17 @@ class DriveRecorder:
         if feedback.plan is not None and feedback.plan is not self._plan:
             self.plans.append((feedback.stamp_s, feedback.plan.poses))
         self._plan = feedback.plan
-        self._keep_way(senses)
+        estimate = senses.where.estimate
+        is_new = estimate is not None and (not self._way or estimate.stamp_s > self._way[-1][0])
+        if estimate is not None and estimate.T_map_body is not None and is_new:
+            self._way.append((estimate.stamp_s, estimate.T_map_body))
         if feedback.pose is not None:
-            self._look_about(feedback.pose, feedback.stamp_s, senses)
+            # What and who is near
+            local = senses.local()
+            if local is not None:
+                self.clearance_m = min(self.clearance_m, self._clearance.of(local, feedback.pose))
+            outline = self._footprint.at(feedback.pose)
+            self._people += [_met(one, outline, feedback.stamp_s) for one in senses.people(feedback.stamp_s)]
 
     @property
     def people(self) -> FloatArray:
@@ -340,24 +342,9 @@ class DriveRecorder:
                 return
         self.stops.append(StopRecord(now_s, now_s, reason, feedback.pose))
 
-    def _look_about(self, pose: FloatArray, stamp_s: float, senses: Senses) -> None:
-        """What and who is near."""
-        local = senses.local()
-        if local is not None:
-            self.clearance_m = min(self.clearance_m, self._clearance.of(local, pose))
-        outline = self._footprint.at(pose)
-        self._people += [_met(one, outline, stamp_s) for one in senses.people(stamp_s)]
-
-    def _keep_way(self, senses: Senses) -> None:
-        estimate = senses.where.estimate
-        if estimate is None or estimate.T_map_body is None:
-            return
-        if not self._way or estimate.stamp_s > self._way[-1][0]:
-            self._way.append((estimate.stamp_s, estimate.T_map_body))
-
 
 class _Film:
-    """So many images at most, evenly over the time so far."""
+    """A limited number of images, evenly over the time so far."""
 
     def __init__(self) -> None:
         self.images: list[FilmImage] = []
@@ -379,7 +366,13 @@ class _Clearance:
     """Distance of an outline from what is occupied; of one costmap it is made once."""
 
     def __init__(self, footprint: Footprint) -> None:
-        self._outline = _points_on(footprint)
+        # (N, 2) along an outline
+        corners = footprint.corners
+        sides = []
+        for begin, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            count = max(int(np.ceil(np.hypot(*(end - begin)) / _OUTLINE_STEP_M)), 1)
+            sides.append(begin + (end - begin) * (np.arange(count) / count)[:, None])
+        self._outline = np.concatenate(sides)
         self._of: Costmap | None = None
         self._distance_m: FloatArray = np.empty((0, 0))
 
@@ -406,17 +399,7 @@ def _met(person: Person, outline: FloatArray, stamp_s: float) -> tuple[float, fl
     return stamp_s, x, y, max(-inside_m - person.radius_m, 0.0)
 
 
-def _points_on(footprint: Footprint) -> FloatArray:
-    """(N, 2) along an outline."""
-    corners = footprint.corners
-    sides = []
-    for begin, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        count = max(int(np.ceil(np.hypot(*(end - begin)) / _OUTLINE_STEP_M)), 1)
-        sides.append(begin + (end - begin) * (np.arange(count) / count)[:, None])
-    return np.concatenate(sides)
-
-
-# The files that a drive leaves: what became of it as JSON, its way, and its settings.
+# Files
 
 
 DRIVE_FILE, WAY_FILE, SETTINGS_FILE = "drive.json", "trajectory.txt", "config.yaml"
@@ -453,7 +436,11 @@ def drive_dict(record: DriveRecord) -> dict[str, Any]:
         "planned_m": round(record.planned_m, 3),
         "clearance_m": _number(record.clearance_m),
         "people": _people(record.people),
-        "periods": _periods(record.periods),
+        "periods": {
+            "count": record.periods.count,
+            "late": record.periods.late,
+            "longest_s": round(record.periods.longest_s, 3),
+        },
         "stops": [_stop(stop) for stop in record.stops],
         "transitions": transitions,
         "plans": plans,
@@ -485,16 +472,12 @@ def _goal(goal: GoalRecord) -> dict[str, Any]:
 
 
 def _people(people: FloatArray) -> dict[str, Any] | None:
-    """When somebody was known to walk near the robot, and how near; None where nobody was."""
+    """Closest distance to a walking person and its time; None without people."""
     if not len(people):
         return None
     stamp_s, x_m, y_m, away_m = people[people[:, 3].argmin()].tolist()
     nearest = {"stamp_s": _number(stamp_s), "x_m": _number(x_m), "y_m": _number(y_m), "away_m": _number(away_m)}
     return {"periods": len(np.unique(people[:, 0])), "nearest": nearest}
-
-
-def _periods(periods: PeriodLengths) -> dict[str, Any]:
-    return {"count": periods.count, "late": periods.late, "longest_s": round(periods.longest_s, 3)}
 
 
 def _stop(stop: StopRecord) -> dict[str, Any]:

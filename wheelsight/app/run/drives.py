@@ -1,5 +1,5 @@
-"""A drive to goals in a known map: robot, localization and navigator, put together and watched. Reads a recorded way
-that is to be driven again.
+"""Builds a drive to goals in a known map from robot, localization and navigator. Reads a recorded path that a robot
+follows again.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.messages import Event, VelocityCommand
 from wheelsight.core.robots import Robot
-from wheelsight.core.trajectory import Trajectory, read_tum
+from wheelsight.core.trajectory import read_tum
 from wheelsight.estimation import Localizer, LocalizerApart, LocalizerBeside, LocalizerInStep
 from wheelsight.estimation.localizer_workers import Make
 from wheelsight.io.recordings import express_for
@@ -35,7 +35,6 @@ from wheelsight.mapping import OccupancyGrid
 from wheelsight.navigation import (
     DepthViewer,
     Feedback,
-    Footprint,
     KnownFloor,
     NavigationResult,
     Navigator,
@@ -49,9 +48,6 @@ from wheelsight.navigation.goals import words_of
 from wheelsight.navigation.localization import Localization
 from wheelsight.slam.maps import MAP_FOLDER, MapFolder, driven_way, find_map, occupancy_of
 from wheelsight.slam.maps.contents import edits_as_known
-
-# A drive to goals in a known map: a robot, its localization and its navigator, put together and watched.
-
 
 # How long a robot that was stopped is stepped on, until it stands.
 _STOPPING_S = 5.0
@@ -149,7 +145,7 @@ class Drive:
         try:
             return self.navigator.run(lambda feedback: self._step(feedback, on_step))
         except BaseException:
-            # What went wrong is what whoever asked is to hear, and not what comes of it.
+            # The caller gets the original error, not an error that follows from it.
             with suppress(WheelsightError):
                 self._stop()
             raise
@@ -205,9 +201,9 @@ class Drive:
             self.navigator.cancel_task()
         follow, until_s = self.navigator.settings.follow, self._robot.now_s + _STOPPING_S
         while self._robot.now_s < until_s:
-            feedback = self.navigator.step()
-            self._recorder.step(feedback, self.navigator.senses)
-            if follow.stands(feedback.forward_m_s, feedback.turn_rad_s):
+            last = self.navigator.step()
+            self._recorder.step(last, self.navigator.senses)
+            if follow.stands(last.forward_m_s, last.turn_rad_s):
                 return
 
 
@@ -225,7 +221,7 @@ def drive_in_map(
     """A drive that can begin.
 
     Args:
-        robot: that is led; whoever opened it closes it.
+        robot: the robot to drive. The caller opens and closes it.
         config: with a known map.
         in_step: whether localization and plans answer before the robot goes on, as for simulators; else beside it.
         trusts_floor, on_transition: see `Navigator`.
@@ -247,13 +243,20 @@ def drive_in_map(
     ):
         grid = occupancy_of(folder, on_keyframe=on_keyframe)
         near_m = near_floor_m(calibration, config) if trusts_floor else 0.0
-        floor = _floor_of(folder, grid, outline, near_m)
+        poses, driven = folder.store.T_map_keyframe, driven_way(folder)
+        floor = KnownFloor(grid, edits_as_known(folder), poses, driven, outline, near_m)
         navigator = Navigator(watched, localization, floor, config.navigation, planning=planning, **how)
-        yield Drive(watched, navigator, lambda: grid, _name_of(folder))
+        # That of its run's folder, where it lies in one
+        map_path = folder.path.resolve()
+        if map_path.name == MAP_FOLDER:
+            map_path = map_path.parent
+            map_path = map_path.parent if map_path.name in _TRACKS else map_path
+        name_of = map_path.name or str(map_path)
+        yield Drive(watched, navigator, lambda: grid, name_of)
 
 
 def planning_worker(config: Config, *, in_step: bool) -> Worker[Planned]:
-    """What makes a robot's plans; closed by whoever asks for it."""
+    """The worker that plans paths. The caller closes it."""
     return WorkerInStep(config.navigation.navigator.planning_s) if in_step else WorkerBeside("planning")
 
 
@@ -263,23 +266,8 @@ def near_floor_m(calibration: Calibration, config: Config) -> float:
     return DepthViewer(calibration, s.footprint.outline, s.view, s.live).near_m
 
 
-def _floor_of(folder: MapFolder, grid: OccupancyGrid, footprint: Footprint, trusted_m: float) -> KnownFloor:
-    """With edits, where the robot of the map drove, and where this one does."""
-    poses, driven = folder.store.T_map_keyframe, driven_way(folder)
-    return KnownFloor(grid, edits_as_known(folder), poses, driven, footprint, trusted_m)
-
-
-def _name_of(folder: MapFolder) -> str:
-    """That of its run's folder, where it lies in one."""
-    path = folder.path.resolve()
-    if path.name == MAP_FOLDER:
-        path = path.parent
-        path = path.parent if path.name in _TRACKS else path
-    return path.name or str(path)
-
-
 class WatchedRobot:
-    """A `Robot` whose events a recorder hears, too, and whoever else asks for them.
+    """A `Robot` that passes its events to a recorder and to further listeners.
 
     Attributes:
         recorder: as it was given.
@@ -327,7 +315,7 @@ class WatchedRobot:
         self.close()
 
 
-# What answers where a robot that is led is: in step with a simulator, or in a process of its own beside a robot.
+# Localization
 
 
 @contextmanager
@@ -371,7 +359,7 @@ def known_localizer(calibration: Calibration, config: Config, *, waits: bool = F
         yield localizer
 
 
-# A way that a robot is to drive along again: read from a trajectory that wheelsight wrote.
+# Recorded paths
 
 
 _log = logging.getLogger(__name__)
@@ -389,8 +377,8 @@ def read_way(path: StrPath, calibration: Calibration, warn: Callable[[str], None
     Args:
         path: TUM text, such as the trajectory.txt of a run or of a drive; or the folder of one of these. Of a file
             whose header names no frames, poses are taken to be of the base in the map.
-        calibration: of the robot; where the poses are of its camera, they are told for its base.
-        warn: told in a sentence what was left out.
+        calibration: of the robot; poses of its camera are converted to poses of its base.
+        warn: called with one sentence about poses that were left out.
 
     Raises:
         TrajectoryError: no such file, no poses, a value that is not finite (with its line), poses in another frame
@@ -407,7 +395,11 @@ def read_way(path: StrPath, calibration: Calibration, warn: Callable[[str], None
     except CalibrationError as error:
         problem = f"its poses are of the {found.body}, and the map's calibration has no T_base_camera"
         raise CalibrationError(problem, path=file, fix="give a way of the base, as wheelsight drive writes") from error
-    _refuse_tipped(of_base, file)
+    # Raises TrajectoryError naming the first pose whose base does not stand upright in the map
+    tipped_deg = np.degrees(np.arccos(np.clip(of_base.T_frame_body[:, 2, 2], -1.0, 1.0)))
+    for bad in np.flatnonzero(tipped_deg > _MOST_TIPPED_DEG):
+        tipped_problem = f"the quaternion at stamp {of_base.stamps_s[bad]:.6f} tips the base by {tipped_deg[bad]:.0f}°"
+        raise TrajectoryError(tipped_problem, path=file, fix="give poses of the base in the map, whose z points up")
     T = of_base.T_frame_body
     return np.column_stack([T[:, :2, 3], np.arctan2(T[:, 1, 0], T[:, 0, 0])])
 
@@ -422,11 +414,3 @@ def _file_of(path: Path) -> Path:
         problem = f"the folder holds neither {TRAJECTORY_FILE} nor {CORRECTED_FILE}"
         raise TrajectoryError(problem, path=path, fix="give a trajectory, or the folder of a run or a drive")
     return found
-
-
-def _refuse_tipped(way: Trajectory, path: Path) -> None:
-    """Raises TrajectoryError naming the first pose whose base does not stand upright in the map."""
-    tipped_deg = np.degrees(np.arccos(np.clip(way.T_frame_body[:, 2, 2], -1.0, 1.0)))
-    for bad in np.flatnonzero(tipped_deg > _MOST_TIPPED_DEG):
-        problem = f"the quaternion at stamp {way.stamps_s[bad]:.6f} tips the base by {tipped_deg[bad]:.0f}°"
-        raise TrajectoryError(problem, path=path, fix="give poses of the base in the map, whose z points up")

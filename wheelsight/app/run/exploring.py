@@ -1,4 +1,4 @@
-"""An exploration: a robot looks at all floor that it can reach, and leaves a map of it for the next drive."""
+"""An exploration: a robot drives until it has seen all reachable floor, and leaves a map for the next drive."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def exploring(
     """A drive that can begin to explore; however it ends, what was seen is a map.
 
     Args:
-        robot: that is led; whoever opened it closes it.
+        robot: the robot to drive. The caller opens and closes it.
         config: with loops by keyframes, and no known map.
         path: folder of the map, empty or not there.
         in_step: whether localization, map and plans answer before the robot goes on, as for simulators; else beside it.
@@ -104,7 +104,10 @@ def exploring(
         ConfigError: loops are not closed, or a known map is named.
         OutputError, MapError, CalibrationError, ArgumentError: as `MapFolder.create` and `Navigator`.
     """
-    _check(config)
+    if config.known_map.path is not None:
+        raise ConfigError("an exploration begins without a map", fix="no --map, or --to a place of it")
+    if config.loops.source != FROM_KEYFRAMES:
+        raise ConfigError("an exploration closes loops", fix='load_config(overrides={"loops.source": "keyframes"})')
     footprint, calibration = config.navigation.footprint.outline, robot.calibration
     near_m = near_floor_m(calibration, config) if trusts_floor else 0.0
     how: dict[str, Any] = {"trusts_floor": trusts_floor, "on_transition": on_transition}
@@ -131,10 +134,3 @@ def loops_of(path: StrPath) -> int:
 def _growing_worker(config: Config, *, in_step: bool) -> Worker[SeenFloor]:
     """What makes the floor of what keyframes see."""
     return WorkerInStep(config.navigation.navigator.mapping_s) if in_step else WorkerBeside("floor")
-
-
-def _check(config: Config) -> None:
-    if config.known_map.path is not None:
-        raise ConfigError("an exploration begins without a map", fix="no --map, or --to a place of it")
-    if config.loops.source != FROM_KEYFRAMES:
-        raise ConfigError("an exploration closes loops", fix='load_config(overrides={"loops.source": "keyframes"})')

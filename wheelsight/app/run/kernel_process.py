@@ -1,4 +1,4 @@
-"""The process that `kernels.compile_kernels` starts: it runs a small drive, part by part, and tells of each kernel.
+"""The process that `kernels.compile_kernels` starts: it runs a small drive, part by part, and reports each kernel.
 A drive by navigation is one of the parts.
 """
 
@@ -38,11 +38,9 @@ from wheelsight.navigation import (
 from wheelsight.places import HistogramDescriber, LayoutDescriber
 from wheelsight_sim import SimulationSettings, camera_names, simulate
 
-# The process that `kernels.compile_kernels` starts: runs a small drive, part by part, and tells of each kernel.
-
 
 class _Counter(event.Listener):
-    """Tells on stdout how many kernels were compiled so far, and for what part."""
+    """Reports on stdout how many kernels are compiled so far, and for which part."""
 
     def __init__(self) -> None:
         self.part, self.kernels, self._depth = "", 0, 0
@@ -52,7 +50,7 @@ class _Counter(event.Listener):
         self._depth += 1
 
     def on_end(self, _: Any) -> None:
-        """Told once it and all that it calls are there."""
+        """Called when the kernel and all kernels that it calls are compiled."""
         self._depth -= 1
         if not self._depth:
             self.kernels += 1
@@ -94,22 +92,18 @@ def _rehearse(part: str, recording: Recording, out: Path) -> None:
         mesh_of(floor_map(), 0.02)
     if part == "simulation":
         for camera in camera_names():
-            _simulate(camera)
-
-
-def _simulate(camera: str) -> None:
-    """A second of driving, rendered with all that may be in an image."""
-    seen = {"passersby": 1, "has_motion_blur": True, "realism": "real", "covered_s": ((0.5, 1.0),)}
-    settings = SimulationSettings("square", camera, (64, 48), rate_hz=4, duration_s=1.0, **seen)  # type: ignore[arg-type]
-    for _ in simulate(settings).events():
-        pass
+            # A second of driving, rendered with all that may be in an image
+            seen = {"passersby": 1, "has_motion_blur": True, "realism": "real", "covered_s": ((0.5, 1.0),)}
+            simulation = SimulationSettings("square", camera, (64, 48), rate_hz=4, duration_s=1.0, **seen)  # type: ignore[arg-type]
+            for _ in simulate(simulation).events():
+                pass
 
 
 if __name__ == "__main__":
     main(sys.argv[1:])
 
 
-# A small drive by navigation in the rehearsal's room, which calls whatever kernel a drive may need.
+# A small drive by navigation
 
 
 _CELL_M, _READING_S, _READINGS_A_STEP = 0.05, 0.025, 2
@@ -130,7 +124,11 @@ def rehearse_navigation(calibration: Calibration) -> None:
     footprint = Footprint.rectangle(0.8, 0.3, 0.6)
     place = ToldPlace(DrawnRobot(calibration))
     GrowingFloor(place, calibration, footprint, trusted_m=1.0).update(np.array(_START), 0.0)
-    corridor = Costmap.of(StaticLayer.of(_corridor()), footprint)
+    # A corridor 1 m wide that leads from a dead end to a room
+    kind = np.full((60, 120), CellKind.OBSTACLE, np.uint8)
+    kind[20:40, 5:70] = kind[5:55, 65:115] = CellKind.FREE
+    corridor_grid = OccupancyGrid.of_kinds(kind, np.zeros(kind.shape, bool), _CELL_M, (0.0, 0.0))
+    corridor = Costmap.of(StaticLayer.of(corridor_grid), footprint)
     # Turned round at its end: no straight way is free.
     Planner(footprint).plan(corridor, (1.2, 1.5, 0.0), (1.2, 1.5, np.pi))
 
@@ -195,7 +193,7 @@ class DrawnRobot:
 
 
 class ToldPlace:
-    """A `Localization` that is told where the robot is."""
+    """A `Localization` that takes its pose from the simulator."""
 
     keyframes: KeyframeStore | None = None
     recognised: int | None = None
@@ -219,10 +217,3 @@ def drawn_room() -> OccupancyGrid:
     kind = np.full((height, width), CellKind.FREE, np.uint8)
     kind[[0, -1]] = kind[:, [0, -1]] = CellKind.OBSTACLE
     return OccupancyGrid.of_kinds(kind, np.zeros(kind.shape, bool), _CELL_M, (float(low[0]), float(low[1])))
-
-
-def _corridor() -> OccupancyGrid:
-    """A corridor 1 m wide that leads from a dead end to a room."""
-    kind = np.full((60, 120), CellKind.OBSTACLE, np.uint8)
-    kind[20:40, 5:70] = kind[5:55, 65:115] = CellKind.FREE
-    return OccupancyGrid.of_kinds(kind, np.zeros(kind.shape, bool), _CELL_M, (0.0, 0.0))

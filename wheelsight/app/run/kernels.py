@@ -1,5 +1,5 @@
-"""Compiles kernels before they are needed, in a process of its own. The rehearsal is a small drive that calls
-whatever kernel a run may need.
+"""Compiles kernels before they are needed, in a separate process. The rehearsal is a small drive that calls every
+kernel that a run may need.
 """
 
 from __future__ import annotations
@@ -36,11 +36,9 @@ from wheelsight.io.recordings import RecordingWriter
 from wheelsight.mapping import SurfelMap, Surfels
 from wheelsight.slam.settings import FROM_KEYFRAMES
 
-# Kernels compiled before they are needed, in a process of their own, so that it can be watched and broken off.
-#
-# Numba compiles a kernel when it is first called, and keeps it on the disk. A small drive in which everything happens
-# is run there (`rehearsal`), so that later runs find all of it compiled. Compiling takes half a gigabyte, too, which
-# is free again when the process ends. How long it takes is measured, and remembered beside the kernels.
+# Numba compiles a kernel at its first call and caches it on disk. A separate process runs the rehearsal, so that later
+# runs find all kernels compiled. Compiling takes half a gigabyte, which is free again when the process ends. The
+# measured time is stored beside the kernels.
 
 
 PACKAGE = Path(__file__).parents[2]
@@ -115,7 +113,9 @@ def parts_of(config: Config) -> tuple[str, ...]:
 
 def missing_parts(parts: Sequence[str]) -> tuple[str, ...]:
     """Those of the parts that were not compiled yet, or whose kernels have changed or gone since."""
-    if not _are_kernels():
+    import numba
+
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]  # set by NUMBA_DISABLE_JIT: nothing is compiled
         return ()
     return tuple(part for part in parts if not _is_compiled(part))
 
@@ -139,7 +139,12 @@ def compile_kernels(parts: Sequence[str], on_kernel: Callable[[str, int], None] 
             for made in compiling:
                 on_kernel(part, before + made)
         before += made
-        _remember(part, PartCost(made, time.monotonic() - began_s))
+        # For the next estimate; where it cannot be written there is none
+        cost = PartCost(made, time.monotonic() - began_s)
+        known = remembered_costs()
+        if not (cost.kernels < _WHOLE_SHARE * (known.get(part) or COSTS.get(part, cost)).kernels):
+            with suppress(OutputError):
+                write_text(_times_file(), json.dumps({**known, part: cost}) + "\n")
 
 
 class CompileEstimate:
@@ -190,15 +195,6 @@ def remembered_costs() -> dict[str, PartCost]:
     return {part: cost for part, cost in costs.items() if cost.kernels > 0 and 0 < cost.seconds < _LONGEST_S}
 
 
-def _remember(part: str, cost: PartCost) -> None:
-    """For the next estimate; where it cannot be written there is none."""
-    known = remembered_costs()
-    if cost.kernels < _WHOLE_SHARE * (known.get(part) or COSTS.get(part, cost)).kernels:
-        return
-    with suppress(OutputError):
-        write_text(_times_file(), json.dumps({**known, part: cost}) + "\n")
-
-
 def _times_file() -> Path:
     return _mark("wheels").with_name(_TIMES)
 
@@ -247,13 +243,6 @@ def _is_compiled(part: str) -> bool:
         return False
 
 
-def _are_kernels() -> bool:
-    """Whether anything is compiled at all: with NUMBA_DISABLE_JIT nothing is."""
-    import numba
-
-    return not numba.config.DISABLE_JIT  # type: ignore[attr-defined]
-
-
 def _mark(part: str) -> Path:
     folder = min(_caches(import_module("wheelsight.core.geometry.motion_kernels")))
     return folder / _MARK.format(part)
@@ -268,7 +257,7 @@ def _folders() -> set[Path]:
 
 
 def _caches(module: ModuleType) -> set[Path]:
-    """Where numba keeps the kernels that a module knows by name; only it can tell."""
+    """Where numba caches the kernels that a module knows by name. Only numba knows these paths."""
     return {Path(kernel.stats.cache_path) for kernel in vars(module).values() if hasattr(kernel, "stats")}
 
 
@@ -291,10 +280,8 @@ def _digest() -> str:
     return hashlib.sha256("\n".join(facts).encode()).hexdigest()
 
 
-# A small drive in which everything happens: a recording that calls whatever kernel a run may need.
-#
-# A box of a room, painted in cells, is driven through in an arc. On the way the camera is covered, a wheel slips, the
-# robot is carried off, a counter leaps, and the image goes dark.
+# The rehearsal: a small drive that calls every kernel that a run may need. The robot drives an arc through a painted
+# room. On the way the camera is covered, a wheel slips, the robot is kidnapped, a counter jumps and the image is dark.
 
 
 # Small: images of 320×240 call the same kernels and take more than twice the time.
@@ -310,7 +297,7 @@ _DEEPEST_M = 8.0
 
 @dataclass(frozen=True, slots=True)
 class _Leg:
-    """So many frames at a speed and a turn; the left wheel turns `slip` times as far as it rolls."""
+    """A number of frames at one speed and turn rate; the left wheel turns `slip` times as far as it rolls."""
 
     frames: int
     v_m_s: float = 0.0
@@ -372,7 +359,11 @@ def _drive(images: bool = True) -> Iterator[tuple[float, FloatArray, list[Event]
     for index, (stamp_s, T_odom_base, leg, ticks, is_frame) in enumerate(_steps()):
         events: list[Event] = [YawRate(stamp_s, leg.yaw_rate_rad_s), WheelTicks(stamp_s, *ticks)]
         if is_frame and images:
-            color, depth_m = _seen(T_odom_base, leg)
+            # Colour (H, W, 3) and depth (H, W) on a leg
+            seen, seen_m = seen_from(T_odom_base)
+            if leg.is_dark or leg.is_covered:
+                seen = np.zeros_like(seen)
+            color, depth_m = seen, np.zeros_like(seen_m) if leg.is_covered else seen_m
             events.append(RgbdFrame(stamp_s + 1e-3, color, depth_m, index // _STEPS_A_FRAME))
         yield stamp_s, T_odom_base, events
 
@@ -404,14 +395,6 @@ def _steps() -> Iterator[tuple[float, FloatArray, _Leg, tuple[int, int], bool]]:
             ticks = (round(left_m / WHEELS.left_m_per_tick), round(right_m / WHEELS.right_m_per_tick))
             yield index * _STEP_S, se3.from_plane(x, y, yaw), leg, ticks, index % _STEPS_A_FRAME == 0
             index += 1
-
-
-def _seen(T_odom_base: FloatArray, leg: _Leg) -> tuple[ByteArray, Float32Array]:
-    """Colour (H, W, 3) and depth (H, W) on a leg."""
-    color, depth_m = seen_from(T_odom_base)
-    if leg.is_dark or leg.is_covered:
-        color = np.zeros_like(color)
-    return color, np.zeros_like(depth_m) if leg.is_covered else depth_m
 
 
 def seen_from(T_odom_base: FloatArray, camera: PinholeCamera | None = None) -> tuple[ByteArray, Float32Array]:
@@ -446,11 +429,11 @@ def floor_map() -> SurfelMap:
     return surfel_map
 
 
-# What is answered for nothing but that kernels are compiled, or loaded, before time begins to run.
+# Rehearsals in real time
 
 
 class Rehearses(EventSource, Protocol):
-    """A source with events to rehearse by; a run's own localizers must not hear them."""
+    """A source with events to rehearse by; a run's own localizers must not process them."""
 
     def rehearsal(self) -> Iterable[Event]:
         """The events, at once."""
@@ -481,7 +464,7 @@ class InRealTime(EventSource, Protocol):
 def rehearse(source: Rehearses, localizers: Sequence[Localizer]) -> None:
     """Answer the events of a rehearsal, and forget the answers."""
     events: Iterator[Event] = iter(source.rehearsal())
-    with suppress(WheelsightError):  # what is wrong with a source is told at its place
+    with suppress(WheelsightError):  # errors of the source are reported when the run reads it
         for event in events:
             for localizer in localizers:
                 localizer.process(event)

@@ -1,4 +1,4 @@
-"""Loops of a run: closed by the localizer on the way; or matches from outside, judged once it is over."""
+"""Loop closing of a run: by the localizer during the run, or by matches from outside after it."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ CORRECTED_FILE, JUDGED_FILE = "trajectory_corrected.txt", "loops_judged.csv"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchesOfRun:
-    """What a run has to judge.
+    """Matches from outside that a run evaluates.
 
     Attributes:
         matches: as read.
-        stated: what the recording states of its wheel odometry's errors, or None.
+        stated: the recording's variances of its wheel odometry, or None.
         warnings: of the files.
         settings: see `LoopSettings`.
-        are_seen: whether the localizer itself closes loops, and there are no matches to judge.
+        are_seen: whether the localizer closes loops itself; then there are no matches.
     """
 
     matches: tuple[Match, ...]
@@ -49,17 +49,17 @@ class MatchesOfRun:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CorrectionRecord:
-    """What matches made of one track.
+    """The loops of one track.
 
     Attributes:
-        found: the corrected trajectory, and how matches were judged.
-        stamps_s: (K,) of the keyframes of this drive.
-        matches: how many there were.
-        seconds: that it took.
+        found: the corrected trajectory, and the verdict on each match.
+        stamps_s: (K,) stamps of the keyframes of this drive.
+        matches: number of matches.
+        seconds: time for the correction.
         evaluation: of the corrected trajectory, or None without truth.
-        refused: how many keyframes that looked alike were no place seen again, by reason.
-        unseen: keyframes that there was no time to compare.
-        is_joined: whether it is known where the drive's end lies in its own map.
+        refused: number of similar keyframes that were rejected as loops, by reason.
+        unseen: number of keyframes that were not compared for lack of time.
+        is_joined: whether the end of the drive has a known place in its own map.
     """
 
     found: Correction
@@ -92,7 +92,7 @@ class CorrectionRecord:
 
     @property
     def sentence(self) -> str:
-        """What became of the matches."""
+        """The number of kept and refused loops."""
         loops = self.found.loops
         unused = "".join(f", {count:,} not judged ({why})" for why, count in self.found.unused.items())
         unused += f", {self.unseen:,} keyframes not compared for want of time" if self.unseen else ""
@@ -100,13 +100,16 @@ class CorrectionRecord:
 
 
 def matches_of_run(source: EventSource, config: Config) -> MatchesOfRun | None:
-    """The matches that a run is to judge, or None. Raises ConfigError where there are none, RecordingError."""
+    """The matches that a run evaluates, or None. Raises ConfigError where there are none, RecordingError."""
     asked = config.loops.source
     if asked == FROM_NOWHERE:
         return None
     stated = source.speed_variances if isinstance(source, GivesMatches) else None
     if asked == FROM_KEYFRAMES:
-        return _of_keyframes(config)
+        # What is judged once the run is over
+        if set(config.odometry) <= {"wheels"}:
+            raise ConfigError("--loops keyframes needs a camera", fix="--odometry dense, or --loops matches")
+        return MatchesOfRun((), None, (), config.loops, are_seen=True)
     if asked != FROM_MATCHES:
         if not Path(asked).exists():
             raise ConfigError(f"--loops {asked}: there is no such file", fix=f"{_CHOICES}, or a file that is there")
@@ -120,19 +123,23 @@ def matches_of_run(source: EventSource, config: Config) -> MatchesOfRun | None:
     return MatchesOfRun(tuple(matches), stated, tuple(warnings), config.loops)
 
 
-def _of_keyframes(config: Config) -> MatchesOfRun:
-    """What is judged once the run is over. Raises ConfigError where no camera is followed."""
-    if set(config.odometry) <= {"wheels"}:
-        raise ConfigError("--loops keyframes needs a camera", fix="--odometry dense, or --loops matches")
-    return MatchesOfRun((), None, (), config.loops, are_seen=True)
-
-
 def correction_of(
     given: MatchesOfRun, localizer: Localizer, lived: Trajectory, judge: Callable[[Trajectory], Evaluation | None]
 ) -> tuple[CorrectionRecord | None, tuple[str, ...]]:
-    """What loops make of a track's trajectory, or None; and warnings."""
+    """The correction of a track's trajectory by loops, or None; and warnings."""
     if not given.are_seen:
-        return _by_matches(given, lived, isinstance(localizer.odometry, WheelOdometry), judge)
+        # Likewise, of matches from outside
+        is_wheels = isinstance(localizer.odometry, WheelOdometry)
+        began = time.perf_counter()
+        try:
+            corrected = correct(lived, given.matches, given.settings, stated=given.stated if is_wheels else None)
+        except ArgumentError as error:
+            return None, (*given.warnings, f"Loops were not closed: {error}.")
+        took_s = time.perf_counter() - began
+        record = CorrectionRecord(
+            corrected, lived.stamps_s[corrected.rows], len(given.matches), took_s, judge(corrected.corrected)
+        )
+        return record, given.warnings
     if localizer.loops is None:
         return None, ()
     started = time.perf_counter()
@@ -147,22 +154,8 @@ def correction_of(
     return CorrectionRecord(found, closed.stamps_s, count, seconds, *judged), ()
 
 
-def _by_matches(
-    given: MatchesOfRun, lived: Trajectory, is_wheels: bool, judge: Callable[[Trajectory], Evaluation | None]
-) -> tuple[CorrectionRecord | None, tuple[str, ...]]:
-    """Likewise, of matches from outside."""
-    started = time.perf_counter()
-    try:
-        found = correct(lived, given.matches, given.settings, stated=given.stated if is_wheels else None)
-    except ArgumentError as error:
-        return None, (*given.warnings, f"Loops were not closed: {error}.")
-    seconds = time.perf_counter() - started
-    record = CorrectionRecord(found, lived.stamps_s[found.rows], len(given.matches), seconds, judge(found.corrected))
-    return record, given.warnings
-
-
 def judged_csv(record: CorrectionRecord) -> str:
-    """A row for each match that was judged; a keyframe of a known map has a number and no stamp."""
+    """One row for each match; a keyframe of a known map has a number and no stamp."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["stamp_a_s", "stamp_b_s", "kept", "chi2", "limit", "cluster", "keyframe_a", "keyframe_b"])

@@ -1,4 +1,4 @@
-"""The known map that a run is to find itself in. Says what its own map comes to, with plan and views."""
+"""The known map of a run, and the record of the run's own map with its plan and views."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from wheelsight.config import Config
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.errors import ConfigError, MapError
 from wheelsight.core.estimates import Estimate
-from wheelsight.core.geometry import BoolArray, ByteArray, Float32Array, FloatArray, PinholeCamera, se3
+from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera, se3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.trajectory import Trajectory
@@ -27,7 +27,7 @@ from wheelsight.slam.loop_closing import ClosedLoops, corrected_by
 from wheelsight.slam.maps import MapFolder, find_map, lie_together
 from wheelsight.slam.place_recognition import KnownMap
 
-# What a run's map comes to: how it stands, its plan, and views along the way.
+# The run's own map
 
 
 MAP_FILE = "map.surfels"
@@ -40,7 +40,7 @@ _WHITE = 255.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stop:
-    """A frame from whose pose in the map, T_map_camera (4, 4), the finished map is to be looked at."""
+    """A frame with T_map_camera (4, 4), from which a view of the finished map is rendered."""
 
     stamp_s: float
     color: ByteArray
@@ -49,15 +49,14 @@ class Stop:
 
 @dataclass
 class Stops:
-    """A few frames, evenly spread over a recording: those at or after `due` indices that have a pose.
+    """A few frames with poses, evenly spread over a recording, at or after the `due` indices.
 
     Attributes:
-        due: indices.
+        due: frame indices.
         found: the frames.
-        stamps_s: of all frames that have a pose.
+        stamps_s: of all frames with a pose.
         T_map_body: their poses (4, 4) in the map.
-        T_odom_map: (4, 4) where the map lay at each of these frames in the frame of the trajectory, by what was known
-            then.
+        T_odom_map: (4, 4) the map's frame in the trajectory's frame at each of these frames.
     """
 
     due: list[int]
@@ -69,7 +68,7 @@ class Stops:
     def look(
         self, frame: RgbdFrame, estimate: Estimate, T_odom_map: FloatArray, T_base_camera: FloatArray | None
     ) -> None:
-        """Keep where a frame is, if its pose is known, and all of it if one is due."""
+        """Store the pose of a frame, if it has one, and the frame itself if one is due."""
         if estimate.T_odom_body is None:
             return
         T_map_body = se3.invert(T_odom_map) @ estimate.T_odom_body
@@ -82,21 +81,27 @@ class Stops:
         self.due = [index for index in self.due if index > frame.index]
 
     def lay(self, surfel_map: SurfelMap) -> None:
-        """Move the finished map, and all poses in it, to where the whole trajectory has them.
+        """Move the finished map and all its poses into the frame of the whole trajectory.
 
-        Beside wheels, poses are corrected on the way and the map is not: it lies a little elsewhere at each frame. What
-        is written is laid to the mean of that, which is nearer to the trajectory than where it lay first or last.
+        With wheels, poses are corrected during the run and the map is not, so that its offset changes from frame to
+        frame. The map moves by the mean offset.
         """
         if not self.T_odom_map or all((np.eye(4) == T).all() for T in self.T_odom_map):
             return
-        T_new_old = _mean_motion(np.array(self.T_odom_map), np.array(self.T_map_body))
+        # The motion (4, 4) that brings poses (N, 4, 4) nearest to where motions (N, 4, 4), each its own, bring
+        # them.
+        T_odom_map = np.array(self.T_odom_map)
+        T_map_body = np.array(self.T_map_body)
+        R = Rotation.from_matrix(T_odom_map[:, :3, :3]).mean().as_matrix()
+        p_odom, p_map = (T_odom_map @ T_map_body)[:, :3, 3], T_map_body[:, :3, 3]
+        T_new_old = se3.from_parts(R, (p_odom - p_map @ R.T).mean(axis=0))
         surfel_map.move(T_new_old)
         self.T_map_body = [T_new_old @ T for T in self.T_map_body]
         self.found = [replace(stop, T_map_camera=T_new_old @ stop.T_map_camera) for stop in self.found]
         self.T_odom_map = [np.eye(4)] * len(self.T_map_body)
 
     def follow(self, closed: ClosedLoops) -> None:
-        """Put all poses to where loops have them at the end, as the map is; those drop out that lie nobody knows where.
+        """Move all poses to where loop closing has them at the end, like the map. Drop poses of unknown position.
 
         The map itself stays: its keyframes lie where the corrected trajectory has them.
         """
@@ -115,13 +120,6 @@ class Stops:
         self.T_odom_map = [np.eye(4)] * len(new)
 
 
-def _mean_motion(T_odom_map: FloatArray, T_map_body: FloatArray) -> FloatArray:
-    """The motion (4, 4) that brings poses (N, 4, 4) nearest to where motions (N, 4, 4), each its own, bring them."""
-    R = Rotation.from_matrix(T_odom_map[:, :3, :3]).mean().as_matrix()
-    p_odom, p_map = (T_odom_map @ T_map_body)[:, :3, 3], T_map_body[:, :3, 3]
-    return se3.from_parts(R, (p_odom - p_map @ R.T).mean(axis=0))
-
-
 def map_record_of(
     surfel_map: SurfelMap,
     stops: Sequence[Stop],
@@ -132,11 +130,11 @@ def map_record_of(
     """The record of a run's map.
 
     Args:
-        surfel_map: as it is at the end.
-        stops: where to look at it from.
-        T_map_body: (n, 4, 4) of the whole way, in the map.
-        calibration: tells the colour camera, and which way is up where it has `T_base_camera`.
-        cloud_points: how many points of it at most a page is to turn.
+        surfel_map: at the end of the run.
+        stops: viewpoints.
+        T_map_body: (n, 4, 4) the whole path in the map.
+        calibration: has the colour camera, and with `T_base_camera` the direction of gravity.
+        cloud_points: maximum number of points for the page.
     """
     is_levelled = calibration.T_base_camera is not None
     pictures = tuple(MapPicture(stop.stamp_s, stop.color, _seen(surfel_map, stop, calibration)) for stop in stops)
@@ -147,7 +145,7 @@ def map_record_of(
 
 
 def camera_of(T_map_body: FloatArray, T_base_camera: FloatArray | None) -> FloatArray:
-    """T_map_camera (..., 4, 4) of a body that is the base where `T_base_camera` is known, else the camera."""
+    """T_map_camera (..., 4, 4) of a body, which is the base where `T_base_camera` is known, else the camera."""
     return T_map_body if T_base_camera is None else T_map_body @ T_base_camera
 
 
@@ -164,9 +162,9 @@ def _plan(parts: Parts, T_map_body: FloatArray, calibration: Calibration) -> Pla
 
 
 def _seen(surfel_map: SurfelMap, stop: Stop, calibration: Calibration) -> ByteArray:
-    """The map (h, w, 3) uint8 as the colour camera, free of distortion, would show it; white where it has nothing.
+    """The map rendered as the colour camera without distortion sees it, (h, w, 3) uint8; white without surfels.
 
-    Pixels that fall between surfels, which may have been seen from farther off, are those of a coarser view.
+    Gaps between surfels that were seen from farther away are filled from a coarser view.
     """
     camera, _ = calibration.cameras
     T_map_color = stop.T_map_camera
@@ -180,7 +178,7 @@ def _seen(surfel_map: SurfelMap, stop: Stop, calibration: Calibration) -> ByteAr
 
 
 def _rendered(surfel_map: SurfelMap, T_map_color: FloatArray, camera: PinholeCamera, width: int) -> Float32Array:
-    """(h, width, 3) from 0 to 255, grey where colour is unknown, -1 where the map has nothing."""
+    """(h, width, 3) from 0 to 255: grey where the colour is unknown, -1 without surfels."""
     scale = width / camera.width
     # Pixel centres lie at integers, so that an image begins half a pixel before its first.
     cx, cy = scale * (np.array([camera.cx, camera.cy]) + 0.5) - 0.5
@@ -191,24 +189,24 @@ def _rendered(surfel_map: SurfelMap, T_map_color: FloatArray, camera: PinholeCam
     return np.where(view.depth_m[..., None] > 0, image, np.float32(-1))
 
 
-# The map of before in which a run is to find itself: opened, checked, and made ready to be recognised.
+# The known map
 
 
 def open_known(
     calibration: Calibration, config: Config, on_keyframe: Callable[[int, int], None] = lambda done, total: None
 ) -> tuple[KnownMap, MapFolder] | None:
-    """The map that settings name, and its folder; None where they name none.
+    """The known map of the settings, and its folder; None without one.
 
-    Keyframes that damage took, or of which nobody knows how they lie to the others, are not recognised.
+    Damaged keyframes, and keyframes of unknown position relative to the others, are not recognised.
 
     Args:
-        calibration: of the robot: its camera has to be the map's.
+        calibration: of the robot; its camera must be that of the map.
         config: of the run.
-        on_keyframe: called with how many codes are made, and of how many, where their file is missing.
+        on_keyframe: called with the number of codes made and their total, where the map has no file of codes.
 
     Raises:
-        MapError: it is none, damaged, of another camera or version, or written by another run.
-        ConfigError: a start is given, and the calibration does not say where the camera sits.
+        MapError: no map, a damaged one, of another camera or version, or written by another run.
+        ConfigError: a start is given, and the calibration has no mount of the camera.
         OutputError: it is to be extended and cannot be written.
     """
     given = config.known_map
@@ -220,7 +218,15 @@ def open_known(
         together = lie_together(folder)
         if not together.any():
             raise MapError("has no keyframes", path=folder.path, fix="make a map by a run with --map surfels")
-        recognizer = _of_these(folder.recognizer(config.recognition, on_keyframe), folder, together, config)
+        # The recognizer, of keyframes that lie together alone
+        found = folder.recognizer(config.recognition, on_keyframe)
+        if all(together[number] for number in found.keyframes):
+            recognizer = found
+        else:
+            made = Recognizer(config.recognition)
+            for number in np.flatnonzero(together):
+                made.add(KeyframeId(int(number)), folder.store[KeyframeId(int(number))])
+            recognizer = made
         start = _start(calibration, config)
         edges = folder.edges if given.extend else ()
         return KnownMap(folder.store, recognizer, edges, *start), folder
@@ -229,18 +235,8 @@ def open_known(
         raise
 
 
-def _of_these(found: Recognizer, folder: MapFolder, together: BoolArray, config: Config) -> Recognizer:
-    """The recognizer, of keyframes that lie together alone."""
-    if all(together[number] for number in found.keyframes):
-        return found
-    made = Recognizer(config.recognition)
-    for number in np.flatnonzero(together):
-        made.add(KeyframeId(int(number)), folder.store[KeyframeId(int(number))])
-    return made
-
-
 def _start(calibration: Calibration, config: Config) -> tuple[FloatArray | None, FloatArray | None]:
-    """T_map_camera where the drive begins, and its covariance; None where nobody says."""
+    """T_map_camera (4, 4) at the start of the drive and its covariance (6, 6); None where no start is given."""
     given = config.known_map
     if given.start is None:
         return None, None

@@ -1,4 +1,4 @@
-"""What a run with places needs beforehand, and what it comes to: model, areas and start; errors in the map."""
+"""Areas of a run: its model, areas and start before the run, and the record of the rectified path after it."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from wheelsight.estimation import Places, load_places
 from wheelsight.io.recordings import Recording, express_for
 from wheelsight.places import PlaceModel, labels_on_the_way
 
-_MAX_GAP_S = 0.5  # true poses further apart tell nothing of the time between them
+_MAX_GAP_S = 0.5  # no interpolation between true poses that are further apart
 _AREAS = "areas.yaml"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacesOfRun:
-    """What rectifies the wheels of a run, in a sentence how the start is known, and whether only by the truth."""
+    """The areas of a run: `Places`, a sentence on the source of its start, and whether the truth gives the start."""
 
     places: Places
     start: str
@@ -35,18 +35,25 @@ class PlacesOfRun:
 
 
 def places_of(source: EventSource, config: Config) -> PlacesOfRun | None:
-    """Model, areas and start of a run whose configuration names a model; None of any other.
+    """Model, areas and start of a run whose configuration names a model; None for other runs.
 
     Raises:
         ConfigError: the recording has no images, no areas are found, or no start is known.
-        AreaError, PlaceError: a file that is none, a model of other areas or of images of another size.
+        AreaError, PlaceError: an invalid file, a model of other areas or of images of another size.
     """
     settings = config.places
     if settings.model is None:
         return None
     if frame_count_of(source) == 0:
         raise ConfigError(f"{where(source)}: the recording has no images that could show places", fix="no --places")
-    areas = _areas_file(source, settings.areas)
+    # The file of areas: as given, or beside the recording
+    if settings.areas is not None:
+        areas = Path(settings.areas)
+    else:
+        folder = path_of(source)
+        if folder is None or not (folder / _AREAS).exists():
+            raise ConfigError(f"{where(source)}: the recording has no {_AREAS}", fix="give --areas FILE")
+        areas = folder / _AREAS
     if settings.start is not None:
         places = load_places(settings, areas)
         sentence = "The start is the one that was given"
@@ -57,18 +64,8 @@ def places_of(source: EventSource, config: Config) -> PlacesOfRun | None:
     _check_size(places.model, source)
     x_m, y_m = places.T_odom_base[:2, 3].round(2) + 0.0  # no minus before a zero
     yaw_deg = np.degrees(np.arctan2(places.T_odom_base[1, 0], places.T_odom_base[0, 0])).round(1) + 0.0
-    told = f"{sentence}: x {x_m:.2f} m, y {y_m:.2f} m, yaw {yaw_deg:.1f}°."
-    return PlacesOfRun(places, told, settings.start is None)
-
-
-def _areas_file(source: EventSource, given: str | None) -> Path:
-    """The file of areas: as given, or beside the recording. Raises ConfigError."""
-    if given is not None:
-        return Path(given)
-    folder = path_of(source)
-    if folder is None or not (folder / _AREAS).exists():
-        raise ConfigError(f"{where(source)}: the recording has no {_AREAS}", fix="give --areas FILE")
-    return folder / _AREAS
+    start_text = f"{sentence}: x {x_m:.2f} m, y {y_m:.2f} m, yaw {yaw_deg:.1f}°."
+    return PlacesOfRun(places, start_text, settings.start is None)
 
 
 def rectification_of(
@@ -79,7 +76,7 @@ def rectification_of(
     rectified: Trajectory,
     truth: Trajectory | None,
 ) -> RectificationRecord:
-    """What areas did to the wheels on a run that is over.
+    """The record of the wheels rectified by areas, for a finished run.
 
     Args:
         run: from `places_of`.
@@ -89,19 +86,34 @@ def rectification_of(
         rectified: T_odom_base.
         truth: T_odom_base, or None.
     """
-    in_map = _from_start(wheels, run.places)
+    # The wheels alone, led on from the start that the rectified path has
+    later = wheels.between(run.places.begin_s, np.inf)
+    if not len(later):
+        in_map = Trajectory(later.stamps_s, later.T_frame_body, None, "base", "map")
+    else:
+        moved = later.moved(run.places.T_odom_base @ se3.invert(later.T_frame_body[0]))
+        in_map = Trajectory(moved.stamps_s, moved.T_frame_body, moved.covariances, "base", "map")
     stamps_s = np.array([look.stamp_s for look in looks], float)
     areas = run.places.areas
     record = RectificationRecord(way, areas, looks, in_map, run.start)
     if truth is None or not len(truth) or not len(stamps_s):
         return record
     true_areas = labels_on_the_way(areas, truth, stamps_s, _MAX_GAP_S)
-    errors = _map_errors(in_map, rectified, truth, stamps_s)
+    paths = [
+        (path.at(stamps_s, _MAX_GAP_S)[:, :2, 3] if len(path) else np.full((len(stamps_s), 2), np.nan))
+        for path in (truth, in_map, rectified)
+    ]
+    known = np.isfinite(np.concatenate(paths, axis=1)).all(axis=1)
+    if not known.any():
+        errors = None
+    else:
+        true_xy, *others = (xy[known] for xy in paths)
+        errors = MapErrors(stamps_s[known], *(np.hypot(*(xy - true_xy).T) for xy in others))
     return RectificationRecord(way, areas, looks, in_map, run.start, true_areas, errors)
 
 
 def looks_csv(record: RectificationRecord) -> str:
-    """Looks as text: stamp_s, area (empty: unknown), what the model and the filter hold probable, trust, note.
+    """Rows of stamp_s, area (empty if unknown), probabilities by model and filter, trust, and note.
 
     `wheelsight.places.read_labels` reads its first two columns.
     """
@@ -111,15 +123,15 @@ def looks_csv(record: RectificationRecord) -> str:
     rows.writerow(["stamp_s", "area", *(f"p({n})" for n in names), *(f"belief({n})" for n in names), "trust", "note"])
     empty = ("",) * len(names)
     for look in record.looks:
-        told = [empty if p is None else [f"{x:.4f}" for x in p] for p in (look.probabilities, look.belief)]
+        cells = [empty if p is None else [f"{x:.4f}" for x in p] for p in (look.probabilities, look.belief)]
         trust = f"{look.trust:.4f}" if np.isfinite(look.trust) else ""
         stamp = np.format_float_positional(look.stamp_s, min_digits=6)
-        rows.writerow([stamp, names[look.named] if look.named >= 0 else "", *told[0], *told[1], trust, look.note])
+        rows.writerow([stamp, names[look.named] if look.named >= 0 else "", *cells[0], *cells[1], trust, look.note])
     return text.getvalue()
 
 
 def _true_start(source: EventSource) -> tuple[FloatArray, float]:
-    """Where the base truly is, in the plane, and when: at the first reading, or where the truth begins later."""
+    """The true planar pose of the base and its stamp, at the first reading or at the beginning of the truth."""
     fix = "give --start X,Y,YAW_DEG"
     if not isinstance(source, Recording) or source.ground_truth is None or not len(source.ground_truth):
         raise ConfigError(f"{where(source)}: where the robot starts is not known: no ground truth", fix=fix)
@@ -151,25 +163,3 @@ def _check_size(model: PlaceModel, source: EventSource) -> None:
     if words(color, depth) != wanted:
         problem = f"{where(source)}: images are {words(color, depth)}; the model was trained on {wanted}"
         raise PlaceError(problem, fix="use one camera at one resolution, or train a model for this one")
-
-
-def _from_start(wheels: Trajectory, places: Places) -> Trajectory:
-    """The wheels alone, led on from the start that the rectified path has."""
-    later = wheels.between(places.begin_s, np.inf)
-    if not len(later):
-        return Trajectory(later.stamps_s, later.T_frame_body, None, "base", "map")
-    moved = later.moved(places.T_odom_base @ se3.invert(later.T_frame_body[0]))
-    return Trajectory(moved.stamps_s, moved.T_frame_body, moved.covariances, "base", "map")
-
-
-def _map_errors(wheels: Trajectory, rectified: Trajectory, truth: Trajectory, stamps_s: FloatArray) -> MapErrors | None:
-    paths = [_xy_at(path, stamps_s) for path in (truth, wheels, rectified)]
-    known = np.isfinite(np.concatenate(paths, axis=1)).all(axis=1)
-    if not known.any():
-        return None
-    true_xy, *others = (xy[known] for xy in paths)
-    return MapErrors(stamps_s[known], *(np.hypot(*(xy - true_xy).T) for xy in others))
-
-
-def _xy_at(path: Trajectory, stamps_s: FloatArray) -> FloatArray:
-    return path.at(stamps_s, _MAX_GAP_S)[:, :2, 3] if len(path) else np.full((len(stamps_s), 2), np.nan)

@@ -1,5 +1,5 @@
-"""Plays a recording in real time: what comes too late is dropped and counted. Holds the player, wheel readings
-beside the recording, and AnswerTimes.
+"""Plays a recording in real time: late frames are dropped and counted. Holds the player, wheel readings beside the
+recording, and AnswerTimes.
 """
 
 from __future__ import annotations
@@ -27,25 +27,22 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight.io.devices import BAUDRATE, ClockMap, LinkStatus, TicksFile, WheelSource, is_recorded, open_wheels
 from wheelsight.io.recordings import AssociationReport, ListedFrame, ListsFrames, Recording
 
-# A recording played in real time: what comes too late for it is dropped, not queued, and counted.
-
 
 class RealTimeRecording:
-    """A `Recording` whose events come when their time comes, as from a robot that drives just now.
+    """A `Recording` whose events come at their stamps, like those of a live robot.
 
-    Readings come all, of frames only the newest: one that is overtaken while nobody was free for it is dropped
-    (`Playing` tells the rules). Hence frames that take too long cost frames, never a growing delay. How late an answer
-    is shows when the next event is asked for. `frame_count` stays that of the recording.
+    All readings are played, but only the newest frame. A frame that is overtaken while the caller is busy is dropped
+    (see `Playing`). Slow processing costs frames and never adds delay. The latency of an answer ends with the request
+    for the next event. `frame_count` is that of the recording.
 
     Args:
-        recording: what is played.
-        wheels: where wheel readings come from in place of the recording's own.
-        clock: what it is played by.
-        settings: of None, the defaults.
+        recording: to play.
+        wheels: source of wheel readings in place of the recording's own.
+        clock: time of the playback.
+        settings: defaults if None.
 
     Raises:
-        ConfigError: there are wheels and no frames beside which they could be played, or they were recorded at another
-            time than the frames.
+        ConfigError: wheels without frames to play beside them, or recorded at another time than the frames.
     """
 
     def __init__(
@@ -57,8 +54,13 @@ class RealTimeRecording:
     ) -> None:
         if wheels is not None and not recording.frame_count:
             raise ConfigError(f"{recording.path}: the recording has no images to play beside the wheels")
-        if isinstance(wheels, RecordedWheels):
-            _check_times(recording, wheels)
+        if isinstance(wheels, RecordedWheels) and isinstance(recording, ListsFrames):
+            frames_s = [item.stamp_s for item in recording.listed() if isinstance(item, ListedFrame)]
+            first_s, last_s = (wheels.ticks[index].stamp_s if wheels.ticks else np.nan for index in (0, -1))
+            if not (first_s <= frames_s[-1] and last_s >= frames_s[0]):
+                problem = f"{wheels.where}: its readings are of {first_s:.3f} s to {last_s:.3f} s"
+                images = f"the images of {recording.path} of {frames_s[0]:.3f} s to {frames_s[-1]:.3f} s"
+                raise ConfigError(f"{problem}, {images}", fix="both must be stamped by one clock")
         self.wheels = wheels
         self.settings = settings or RealTimeSettings()
         self._recording = recording
@@ -68,32 +70,32 @@ class RealTimeRecording:
 
     @property
     def played(self) -> Recording:
-        """What is played."""
+        """The recording."""
         return self._recording
 
     @property
     def name(self) -> str:
-        """The recording's, as with most that follows."""
+        """Name of the recording."""
         return self._recording.name
 
     @property
     def path(self) -> Path:
-        """The recording's."""
+        """Path of the recording."""
         return self._recording.path
 
     @property
     def format(self) -> str:
-        """The recording's."""
+        """Format of the recording."""
         return self._recording.format
 
     @property
     def body(self) -> str:
-        """The recording's."""
+        """Body of the recording's ground truth."""
         return self._recording.body
 
     @property
     def calibration(self) -> Calibration:
-        """The recording's, but that the counters of live wheels, which the link has unrolled, do not roll over."""
+        """The recording's calibration. The counters of live wheels do not wrap: the link has unrolled them."""
         calibration = self._recording.calibration
         if not isinstance(self.wheels, LiveWheels) or calibration.wheels is None:
             return calibration
@@ -101,32 +103,32 @@ class RealTimeRecording:
 
     @property
     def frame_count(self) -> int:
-        """The recording's: those that are dropped included."""
+        """The recording's number of frames, with dropped ones."""
         return self._recording.frame_count
 
     @property
     def wheel_count(self) -> int:
-        """Of live wheels, how many were heard while it was played."""
+        """Number of readings of live wheels that came during the playback."""
         return self._recording.wheel_count if self.wheels is None else self.wheels.count
 
     @property
     def association(self) -> AssociationReport:
-        """The recording's."""
+        """The recording's association."""
         return self._recording.association
 
     @property
     def ground_truth(self) -> Trajectory | None:
-        """The recording's."""
+        """The recording's ground truth."""
         return self._recording.ground_truth
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """The recording's and the wheels'."""
+        """Warnings of the recording and of the wheels."""
         of_wheels = () if self.wheels is None else self.wheels.warnings
         return (*self._recording.warnings, *of_wheels)
 
     def events(self, *, images: bool = True) -> Generator[Event]:
-        """The events, each when its time comes, from the start at each call."""
+        """The events at their times; each call starts at the beginning."""
         self._times = AnswerTimes(self.settings.recent_frames)
         playing = self._playing = Playing(self._items(images), self._clock, self.settings)
         if isinstance(self.wheels, LiveWheels):
@@ -141,11 +143,11 @@ class RealTimeRecording:
             playing.close()
 
     def rehearsals(self) -> tuple[RealTimeRecording]:
-        """Its own first events."""
+        """This recording: its first events are the rehearsal."""
         return (self,)
 
     def rehearsal(self) -> Generator[Event]:
-        """The first few events, at once: for kernels to be compiled by. Wheels from elsewhere stand still in it."""
+        """The first few events without waiting, to compile kernels. External wheels stand still in it."""
         has_frames, seen = self._recording.frame_count > 0, 0
         events = self._recording.events(images=has_frames)
         try:
@@ -163,7 +165,7 @@ class RealTimeRecording:
                 events.close()
 
     def report(self) -> RealTimeRecord:
-        """How it went so far."""
+        """Counts and latencies so far."""
         played = self._playing
         counts = (0, 0, 0, 0) if played is None else (played.frames, played.dropped, played.unread, played.readings)
         where = None if self.wheels is None else self.wheels.where
@@ -171,21 +173,21 @@ class RealTimeRecording:
         return RealTimeRecord(played_s, *counts, *latencies, where)
 
     def lately(self) -> tuple[float, float] | None:
-        """Frames answered a second, and their median latency in seconds, over the last of them; None before two."""
+        """Frames answered a second and their median latency, seconds, in the recent window; None before two frames."""
         return self._times.lately()
 
     @property
     def frames_so_far(self) -> tuple[int, int]:
-        """Frames that came by, and how many of them were dropped."""
+        """Number of frames so far, and number of dropped ones."""
         return (0, 0) if self._playing is None else (self._playing.frames, self._playing.dropped)
 
     @property
     def is_missing_wheels(self) -> bool:
-        """Whether live wheels have fallen silent."""
+        """Whether live wheels are silent."""
         return isinstance(self.wheels, LiveWheels) and self.wheels.is_silent
 
     def _hear(self, ticks: WheelTicks) -> bool:
-        """A live reading, stamped by the clock; False before the playing clock runs."""
+        """Take a live reading, stamped by the clock; False before the playback starts."""
         assert self._playing is not None
         stamp_s = self._playing.shown_s(ticks.stamp_s)
         if stamp_s is not None:
@@ -214,7 +216,7 @@ def in_real_time(
     clock: Clock | None = None,
     settings: RealTimeSettings | None = None,
 ) -> Iterator[RealTimeRecording]:
-    """A recording to be played in real time, with the wheels at a port, pipe or file, if given, opened for the block.
+    """A recording that plays in real time. Wheels at a port, pipe or file, if given, are open in the block.
 
     Raises:
         DeviceError: the port or pipe cannot be opened.
@@ -231,19 +233,7 @@ def in_real_time(
             yield RealTimeRecording(recording, wheels, clock, settings)
 
 
-def _check_times(recording: Recording, wheels: RecordedWheels) -> None:
-    """Refuse readings that no frame lies between. Raises ConfigError."""
-    if not isinstance(recording, ListsFrames):
-        return
-    frames_s = [item.stamp_s for item in recording.listed() if isinstance(item, ListedFrame)]
-    first_s, last_s = (wheels.ticks[index].stamp_s if wheels.ticks else np.nan for index in (0, -1))
-    if not (first_s <= frames_s[-1] and last_s >= frames_s[0]):
-        problem = f"{wheels.where}: its readings are of {first_s:.3f} s to {last_s:.3f} s"
-        images = f"the images of {recording.path} of {frames_s[0]:.3f} s to {frames_s[-1]:.3f} s"
-        raise ConfigError(f"{problem}, {images}", fix="both must be stamped by one clock")
-
-
-# Events handed out when their time comes: readings all, frames only the newest.
+# Player
 
 
 _LONGEST_WAIT_S = 60.0  # of one wait, after which it goes on: no thread sleeps for ever
@@ -251,45 +241,45 @@ THREAD = "wheelsight-player"
 
 
 class Clock(Protocol):
-    """The time that a recording is played by, and waiting for it."""
+    """The time of a playback, and waiting for it."""
 
     def now_s(self) -> float:
-        """Seconds since some moment; never backwards."""
+        """Seconds since an arbitrary moment; never decreases."""
 
     def wait(self, condition: threading.Condition, until_s: float) -> None:
-        """Wait until woken, or until that time, which may be infinite; sometimes for less. `condition` is held."""
+        """Wait until woken or until the given time, which may be infinite; may return early. `condition` is held."""
 
     def wake(self, condition: threading.Condition) -> None:
-        """Wake all who wait; `condition` is held."""
+        """Wake all waiting threads; `condition` is held."""
 
 
 class MonotonicClock:
-    """The host's time, as it passes."""
+    """The host's monotonic clock."""
 
     def now_s(self) -> float:
         """As `time.monotonic`."""
         return time.monotonic()
 
     def wait(self, condition: threading.Condition, until_s: float) -> None:
-        """Up to a minute."""
+        """Wait at most a minute."""
         condition.wait(min(max(until_s - self.now_s(), 0.0), _LONGEST_WAIT_S))
 
     def wake(self, condition: threading.Condition) -> None:
-        """All of them."""
+        """Wake all waiting threads."""
         condition.notify_all()
 
 
 class Playing:
-    """One passage through a recording in real time; a thread reads ahead some frames and readings.
+    """One playback of a recording. A thread reads some frames and readings ahead.
 
-    Its clock, the playing clock, shows the recording's time: the first event's stamp when what is read ahead is ready,
-    and then seconds as they pass. An event is due when the clock shows its stamp. Due events are taken in the order of
-    their stamps; a frame is dropped as soon as the one after it is due too. Where the recording lists its frames, one
-    that is overtaken before it was decoded never is.
+    The playing clock shows the recording's time. It starts at the first event's stamp when the events ahead are read.
+    An event is due when the clock shows its stamp. Due events are taken in the order of their stamps. A frame is
+    dropped as soon as the next frame is due. If the recording lists its frames, an overtaken frame is not decoded.
 
     Attributes:
-        frames, dropped, unread: frames taken or dropped so far; dropped; and of these never decoded.
-        readings: taken so far, of all sensors but the camera.
+        frames, dropped, unread: number of frames taken or dropped; of dropped ones; of dropped ones that were not
+            decoded.
+        readings: number of readings taken, of all sensors but the camera.
     """
 
     def __init__(
@@ -311,24 +301,31 @@ class Playing:
 
     @property
     def now_s(self) -> float:
-        """What the playing clock shows; -∞ before it began."""
+        """The time of the playing clock; -∞ before it starts."""
         return -math.inf if self._behind_s is None else self._clock.now_s() - self._behind_s
 
     @property
     def played_s(self) -> float:
-        """How long it has run, or ran."""
+        """Duration of the playback so far."""
         end_s = self._ended_s if self._is_over else self._clock.now_s()
         return 0.0 if self._behind_s is None else end_s - self._began_s
 
     def take(self) -> Event | None:
-        """The next event, once it is due; None at the end. Raises what stopped the recording, at its place."""
+        """Wait for the next due event; None at the end. Raises the recording's error at its place."""
         with self._changed:
             while True:
                 self._begin()
                 self._drop_overtaken()
                 event = self._next()
                 if event is not None and self._is_due(event.stamp_s):
-                    return self._taken(event)
+                    queues = (self._heard, self._readings, self._frames)
+                    next(queue for queue in queues if queue and queue[0] is event).popleft()
+                    if isinstance(event, RgbdFrame | SkippedFrame):
+                        self.frames += 1
+                        self._clock.wake(self._changed)  # there is room for another
+                    else:
+                        self.readings += 1
+                    return event
                 if event is None and self._is_read:
                     if self._error is not None:
                         raise self._error
@@ -336,17 +333,17 @@ class Playing:
                 self._clock.wait(self._changed, self._due_s(math.inf if event is None else event.stamp_s))
 
     def hear(self, event: Event) -> None:
-        """An event from elsewhere, stamped by the recording's clock; it is due by now."""
+        """Add an external event, stamped by the recording's clock; it is due now."""
         with self._changed:
             self._heard.append(event)
             self._clock.wake(self._changed)
 
     def shown_s(self, clock_s: float) -> float | None:
-        """What the playing clock shows when `clock` shows `clock_s`; None if it had not begun by now."""
+        """The time of the playing clock at `clock_s` of `clock`; None before it starts."""
         return None if self._behind_s is None else clock_s - self._behind_s
 
     def close(self) -> None:
-        """End it; the thread ends after the frame that it decodes."""
+        """End the playback; the thread ends after its current frame."""
         with self._changed:
             self._is_over = True
             self._ended_s = self._clock.now_s()
@@ -354,7 +351,7 @@ class Playing:
         self._thread.join()
 
     def _begin(self) -> None:
-        """Let the playing clock run, as soon as what is read ahead is ready."""
+        """Start the playing clock once the events ahead are read."""
         first = self._next()
         if self._behind_s is None and self._is_ready and first is not None:
             self._began_s = self._clock.now_s()
@@ -362,19 +359,9 @@ class Playing:
             self._clock.wake(self._changed)
 
     def _next(self) -> Event | None:
-        """The oldest that is at hand; of several at one stamp, readings before the frame."""
+        """The oldest waiting event; at equal stamps readings come before the frame."""
         at_hand = [queue[0] for queue in (self._heard, self._readings, self._frames) if queue]
         return min(at_hand, key=_stamp_s, default=None)
-
-    def _taken(self, event: Event) -> Event:
-        queues = (self._heard, self._readings, self._frames)
-        next(queue for queue in queues if queue and queue[0] is event).popleft()
-        if isinstance(event, RgbdFrame | SkippedFrame):
-            self.frames += 1
-            self._clock.wake(self._changed)  # there is room for another
-        else:
-            self.readings += 1
-        return event
 
     def _drop_overtaken(self) -> None:
         while len(self._frames) > 1 and self._is_due(self._frames[1].stamp_s):
@@ -383,15 +370,15 @@ class Playing:
             self.dropped += 1
 
     def _due_s(self, stamp_s: float) -> float:
-        """The clock's time at which the playing clock shows a stamp; infinite before it began."""
+        """The time of `clock` at which a stamp is due; infinite before the start."""
         return math.inf if self._behind_s is None else stamp_s + self._behind_s
 
     def _is_due(self, stamp_s: float) -> bool:
-        """Whether it shows it by now; it always does one that is no number."""
+        """Whether a stamp is due; a NaN stamp always is."""
         return not self._due_s(stamp_s) > self._clock.now_s()
 
     def _read(self) -> None:
-        """The thread: decode ahead, as far as there is room, until the recording ends or nobody plays it any more."""
+        """Decode ahead in a thread, as far as there is room, until the recording or the playback ends."""
         try:
             for item in self._items:
                 if not self._is_wanted(item):
@@ -414,7 +401,7 @@ class Playing:
                 self._clock.wake(self._changed)
 
     def _is_wanted(self, item: Event | ListedFrame) -> bool:
-        """Wait for room; False for a frame that was overtaken meanwhile, and for all once it is over."""
+        """Wait for room; False if the frame is overtaken meanwhile, or the playback is over."""
         with self._changed:
             while not self._is_over and (look_again_s := self._has_room_at(item)) is not None:
                 if not self._is_ready:
@@ -429,7 +416,7 @@ class Playing:
             return not (self._is_over or is_overtaken)
 
     def _has_room_at(self, item: Event | ListedFrame) -> float | None:
-        """None where there is room, else the stamp at which to look again."""
+        """None if there is room, else the stamp at which to look again."""
         self._drop_overtaken()
         if isinstance(item, ListedFrame | RgbdFrame | SkippedFrame):
             return self._frames[1].stamp_s if len(self._frames) >= self.settings.frames_ahead else None
@@ -441,11 +428,11 @@ class Playing:
 
 
 def _stamp_s(event: Event) -> float:
-    """A stamp that is no number comes first: whoever takes it refuses it."""
+    """Sort key. A NaN stamp comes first: the localizer rejects it."""
     return -math.inf if math.isnan(event.stamp_s) else event.stamp_s
 
 
-# Wheel readings beside the recording that is played: from a serial port, the telemetry pipe, or a file.
+# Wheel readings beside the recording
 
 
 WHEELS_THREAD = "wheelsight-wheels"
@@ -453,12 +440,12 @@ _SILENT = (LinkStatus.VANISHED, LinkStatus.NO_DATA, LinkStatus.NOISE, LinkStatus
 
 
 class RecordedWheels:
-    """The readings of a wheels.csv, or of a recording's folder that holds one.
+    """The readings of a wheels.csv, or of a recording's folder with one.
 
     Attributes:
         where: the path.
         ticks: in order of time, by the clock of the recording beside which they are played.
-        count: how many.
+        count: number of readings.
         warnings: about lines left out.
 
     Raises:
@@ -473,22 +460,22 @@ class RecordedWheels:
 
 
 class LiveWheels:
-    """A source of ticks, listened to by a thread; use it in a `with` block.
+    """A live source of ticks, read by a thread. Use it in a `with` block.
 
-    The source stamps by a clock of its own: the link in host time as mapped from the controller's clock, the pipe as
-    its writer did. `ClockMap` maps it to the time at which readings arrive here, later by the smallest delay of the
-    way, so that stamps do not tremble with the transport. A source that falls silent ends nothing.
+    The source has its own clock: the link stamps in host time mapped from the controller's clock, the pipe as its
+    writer did. `ClockMap` maps these stamps to arrival times here, less the jitter of the transport. A silent source
+    does not end the playback.
 
     Args:
         where: a serial port, or a named pipe.
         baudrate: of the port.
-        clock: tells when readings arrive.
-        source: in place of what would be opened at `where`.
+        clock: stamps the arrival of readings.
+        source: used in place of `where`.
 
     Attributes:
         where: as given.
-        count: readings that were of use.
-        is_silent: whether it has fallen silent.
+        count: number of used readings.
+        is_silent: whether it is silent.
 
     Raises:
         DeviceError: the port or pipe cannot be opened.
@@ -515,17 +502,17 @@ class LiveWheels:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """When it fell silent, and that it never spoke."""
+        """Warnings about silence: when it began, or that no reading came at all."""
         if not self.count and not self._silences:
             return (f"No wheel reading came from {self.where}.",)
         return tuple(f"The wheels ({self.where}) fell silent after {why}." for why in self._silences)
 
     def tell(self, listener: Callable[[WheelTicks], bool] | None) -> None:
-        """Who hears each reading from now on, in the thread and stamped by `clock`, and says whether it is of use."""
+        """Set the listener of all further readings, which are stamped by `clock`. It returns whether it used one."""
         self._listener = listener
 
     def close(self) -> None:
-        """Give port or pipe back; may be called twice."""
+        """Close port or pipe; may be called twice."""
         self._is_over, self._listener = True, None
         self._source.close()
         self._thread.join()
@@ -549,37 +536,34 @@ class LiveWheels:
             self._fall_silent(error.strerror or str(error))
 
     def _stamp_s(self, source_s: float) -> float:
-        """By `clock`; what is no number stays so, for whoever answers it to refuse."""
+        """The stamp by `clock`. NaN stays NaN: the localizer rejects it."""
         if not math.isfinite(source_s):
             return math.nan
         if source_s <= self._last_s:
-            self._map = ClockMap()  # the source's clock began anew
+            self._map = ClockMap()  # the source's clock restarted
         self._last_s = source_s
         self._map.update(source_s, self._clock.now_s())
         return self._map.stamp_s(source_s)
 
     def _told(self, status: LinkStatus) -> None:
-        """The link has a new status."""
+        """Handle a new status of the link."""
         if status in _SILENT:
             self._fall_silent(str(status).split(":")[0])
         elif status is LinkStatus.CONNECTED:
             self.is_silent = False
 
     def _fall_silent(self, why: str) -> None:
-        """Note it, once until readings come again."""
+        """Note the silence, once until readings come again."""
         if not (self._is_over or self.is_silent):
             self.is_silent = True
             self._silences.append(f"{self.count} readings: {why}")
 
 
-# AnswerTimes: how late the answers of a run in real time are.
-
-
 class AnswerTimes:
-    """Latencies, from an event's stamp until the next event is asked for.
+    """Latencies, from an event's stamp until the request for the next event.
 
     Args:
-        recent: frames over which `lately` tells.
+        recent: number of frames in the window of `lately`.
     """
 
     def __init__(self, recent: int) -> None:
@@ -587,7 +571,7 @@ class AnswerTimes:
         self._lately: deque[tuple[float, float]] = deque(maxlen=recent)
 
     def add(self, event: Event, now_s: float) -> None:
-        """One more event was answered."""
+        """Add one answered event."""
         if not isinstance(event, RgbdFrame | SkippedFrame):
             self._readings_s.append(now_s - event.stamp_s)
             return
@@ -595,14 +579,14 @@ class AnswerTimes:
         self._lately.append((now_s, now_s - event.stamp_s))
 
     def lately(self) -> tuple[float, float] | None:
-        """Frames a second and their median latency over the last of them; None before two."""
+        """Frames a second and their median latency, seconds, in the recent window; None before two frames."""
         if len(self._lately) < 2 or self._lately[-1][0] <= self._lately[0][0]:
             return None
         rate = (len(self._lately) - 1) / (self._lately[-1][0] - self._lately[0][0])
         return rate, float(np.median([latency_s for _, latency_s in self._lately]))
 
     def median_and_p95_s(self) -> tuple[float | None, float | None]:
-        """Of frames, else of readings; None of none."""
+        """Median and 95th percentile, seconds, of frames, else of readings; None without any."""
         latencies_s = self._frames_s or self._readings_s
         if not latencies_s:
             return None, None

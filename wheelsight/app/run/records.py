@@ -1,5 +1,5 @@
-"""What a track comes to once it is over: its trajectory, compared with the truth. The map folder for the next drive
-is written here, too.
+"""The record of a finished track: its trajectory and its errors against the truth. Writes the map folder for the next
+drive, too.
 """
 
 from __future__ import annotations
@@ -28,11 +28,8 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import Evaluation, evaluate
 from wheelsight.io.recordings import Recording, express_for
 from wheelsight.io.recordings.recording import TellsWheelFaults, left_out_of
-from wheelsight.slam.loop_closing import ClosedLoops
 from wheelsight.slam.maps import DRIVE, MAP_FOLDER, MapFolder, MapWriter, discard_map
 from wheelsight.slam.maps.folder import SURFELS_FILE
-
-# What a track comes to once it is over: its trajectory, compared with the truth.
 
 
 def records_of(
@@ -42,7 +39,7 @@ def records_of(
     places: PlacesOfRun | None,
     matches: MatchesOfRun | None = None,
 ) -> tuple[RunRecord, ...]:
-    """The record of each track of a pass that is over."""
+    """The record of each track of a finished pass."""
     for track in passage.tracks:
         if track.localizer.loops is not None and not passage.is_torn:
             track.localizer.loops.finish()  # first: keyframes, and all that hangs on them, move once more
@@ -51,19 +48,15 @@ def records_of(
         for track in passage.tracks:
             records[track.odometry] = _with_correction(records[track.odometry], track, config, matches)
     if places is not None:
-        records["rectified"] = _with_rectification(records["rectified"], records["wheels"], passage, config, places)
+        record = records["rectified"]
+        wheels = records["wheels"]
+        (wheel_track,) = (wheel_track for wheel_track in passage.tracks if wheel_track.odometry == "rectified")
+        way = config.places.rectify or ""
+        looks = tuple(sorted(wheel_track.looks, key=lambda look: look.stamp_s))
+        found = rectification_of(places, way, looks, wheels.estimate, record.estimate, record.ground_truth)
+        warnings = (places.start, *record.warnings) if places.is_start_true else record.warnings
+        records["rectified"] = replace(record, rectification=found, warnings=warnings)
     return tuple(records.values())
-
-
-def _with_rectification(
-    record: RunRecord, wheels: RunRecord, passage: Passage, config: Config, places: PlacesOfRun
-) -> RunRecord:
-    (track,) = (track for track in passage.tracks if track.odometry == "rectified")
-    way = config.places.rectify or ""
-    looks = tuple(sorted(track.looks, key=lambda look: look.stamp_s))
-    found = rectification_of(places, way, looks, wheels.estimate, record.estimate, record.ground_truth)
-    warnings = (places.start, *record.warnings) if places.is_start_true else record.warnings
-    return replace(record, rectification=found, warnings=warnings)
 
 
 def _with_correction(record: RunRecord, track: Track, config: Config, matches: MatchesOfRun) -> RunRecord:
@@ -119,7 +112,7 @@ def _record_of(track: Track, passage: Passage, source: EventSource, config: Conf
 
 
 def _known_map(track: Track, passage: Passage, config: Config) -> KnownMapRecord | None:
-    """Whether and where it found itself in the map of an earlier drive; None where it was not to."""
+    """Whether and where the run was recognised in the known map; None without one."""
     localizer, given = track.localizer, config.known_map
     if localizer.recognised is None or localizer.loops is None or given.path is None or passage.is_torn:
         return None
@@ -157,8 +150,17 @@ def _known_map(track: Track, passage: Passage, config: Config) -> KnownMapRecord
 def _maps(
     track: Track, passage: Passage, source: EventSource, config: Config
 ) -> tuple[MapRecord | None, KeptMapRecord | None]:
-    """Of its surfels, and of what the next drive finds."""
-    surfels = _map(track, passage, source, config)
+    """The records of the track's surfel map and of its map folder."""
+    if track.localizer.map is None or passage.is_torn:
+        surfels = None
+    else:
+        track.localizer.map.settle()
+        if track.localizer.loops is None:
+            track.stops.lay(track.localizer.map)
+        else:
+            track.stops.follow(track.localizer.loops.finish())
+        way = (track.stops.found, np.array(track.stops.T_map_body, float).reshape(-1, 4, 4))
+        surfels = map_record_of(track.localizer.map, *way, source.calibration, config.report.cloud_points)
     kept = finish_map(track, passage)  # after the map was laid where the trajectory has it
     at = kept_surfels(track)
     if surfels is not None and at is not None:
@@ -166,20 +168,8 @@ def _maps(
     return surfels, kept
 
 
-def _map(track: Track, passage: Passage, source: EventSource, config: Config) -> MapRecord | None:
-    if track.localizer.map is None or passage.is_torn:
-        return None
-    track.localizer.map.settle()
-    if track.localizer.loops is None:
-        track.stops.lay(track.localizer.map)
-    else:
-        track.stops.follow(track.localizer.loops.finish())
-    way = (track.stops.found, np.array(track.stops.T_map_body, float).reshape(-1, 4, 4))
-    return map_record_of(track.localizer.map, *way, source.calibration, config.report.cloud_points)
-
-
 def _map_warnings(track: Track, passage: Passage, config: Config) -> tuple[str, ...]:
-    """That the map is not all of what was seen, or that there is none."""
+    """Warnings about an incomplete or missing map."""
     surfel_map = track.localizer.map
     if surfel_map is None:
         return ()
@@ -194,16 +184,16 @@ def _map_warnings(track: Track, passage: Passage, config: Config) -> tuple[str, 
 
 
 def _interruption(track: Track, passage: Passage) -> tuple[str, ...]:
-    """A warning where the pass did not reach the end."""
+    """A warning if the pass was interrupted."""
     if passage.interruption is None:
         return ()
     why = "by the user" if isinstance(passage.interruption, KeyboardInterrupt) else f"by {passage.interruption}"
-    of_all = f" of {track.listed}" if track.listed else ""  # nobody knows how many a live source will give
+    of_all = f" of {track.listed}" if track.listed else ""  # a live source has no known count
     return (f"Interrupted {why} after {len(track.frames)}{of_all} {UNITS[track.odometry]}s.",)
 
 
 def _repeats(track: Track) -> tuple[str, ...]:
-    """A warning where images came more than once."""
+    """A warning if images were repeated."""
     count = sum(frame.is_repeat for frame in track.frames)
     if not count:
         return ()
@@ -212,14 +202,14 @@ def _repeats(track: Track) -> tuple[str, ...]:
 
 
 def _wheel_faults(source: EventSource, track: Track) -> tuple[str, ...]:
-    """What the recording knows to be wrong with poses by its wheels, where these were followed."""
+    """Known faults of the recording's wheels, if the track uses them."""
     if "wheels" not in track.odometry or not isinstance(source, TellsWheelFaults):
         return ()
     return tuple(source.wheel_faults)
 
 
 def _truth(source: EventSource, body: str) -> tuple[Trajectory | None, str | None]:
-    """The ground truth of the body that was followed, or why there is none."""
+    """The ground truth of the tracked body, or the reason why there is none."""
     if not isinstance(source, Recording) or source.ground_truth is None:
         kind = "recording" if isinstance(source, Recording) else "live source"
         return None, f"the {kind} has no ground truth"
@@ -232,7 +222,7 @@ def _truth(source: EventSource, body: str) -> tuple[Trajectory | None, str | Non
 def _compare(
     estimate: Trajectory, truth: Trajectory, config: Config, track: Track
 ) -> tuple[Evaluation | None, str | None]:
-    """The evaluation, or why there is none."""
+    """The evaluation, or the reason why there is none."""
     frames = [frame for frame in track.frames if not frame.is_repeat]
     if not frames:
         return None, "no frames are listed, so no share of them can have a pose"
@@ -245,7 +235,7 @@ def _compare(
 
 
 def _peak_memory_mb() -> float | None:
-    """Of this process so far; None where the system does not tell."""
+    """Peak memory of this process; None where the system does not report it."""
     try:
         import resource
     except ImportError:
@@ -254,16 +244,16 @@ def _peak_memory_mb() -> float | None:
     return peak / (1e6 if sys.platform == "darwin" else 1e6 / 1024)
 
 
-# The map folders that a run leaves, for the next drive: begun, written while driving, and finished.
+# Map folders
 
 
 @contextmanager
 def keeping_maps(
     tracks: Sequence[Track], source: EventSource, config: Config, folder: Path, known: MapFolder | None = None
 ) -> Iterator[None]:
-    """Let each track that is to leave a map write it, while the block runs; however it ends, what is written is a map.
+    """Write the map of each track that leaves one, while the block runs. The map is valid however the block ends.
 
-    What an earlier run left in its place goes. A drive in a known map leaves none of its own: it extends that, or not.
+    The map of an earlier run in the same place is removed. A drive in a known map extends that map or leaves none.
 
     Raises:
         OutputError: the folder cannot be made, or holds something else.
@@ -272,21 +262,24 @@ def keeping_maps(
     try:
         for track in tracks:
             if known is not None:
-                _extend(track, tracks, config, known)
+                store = track.localizer.keyframes
+                if (
+                    config.known_map.extend
+                    and store is not None
+                    and has_map(track.odometry, [one.odometry for one in tracks])
+                ):
+                    track.map_writer, track.map_path, track.extends = MapWriter(known, store), known.path, True
             elif _is_asked(track, tracks, config):
                 _begin(track, source, config, (folder if len(tracks) == 1 else folder / track.odometry) / MAP_FOLDER)
         yield
     finally:
         for track in tracks:
-            _close(track)
+            if track.map_writer is not None and track.map_path is not None:
+                track.map_writer.close()
+                if _is_empty(track.map_writer) and not track.extends:
+                    discard_map(track.map_path)
         if known is not None:
             known.close()
-
-
-def _extend(track: Track, tracks: Sequence[Track], config: Config, known: MapFolder) -> None:
-    store = track.localizer.keyframes
-    if config.known_map.extend and store is not None and has_map(track.odometry, [one.odometry for one in tracks]):
-        track.map_writer, track.map_path, track.extends = MapWriter(known, store), known.path, True
 
 
 def _begin(track: Track, source: EventSource, config: Config, path: Path) -> None:
@@ -301,15 +294,8 @@ def _begin(track: Track, source: EventSource, config: Config, path: Path) -> Non
     track.map_writer, track.map_path = MapWriter(kept, store, recognition), path
 
 
-def _close(track: Track) -> None:
-    if track.map_writer is not None and track.map_path is not None:
-        track.map_writer.close()
-        if _is_empty(track.map_writer) and not track.extends:
-            discard_map(track.map_path)
-
-
 def _is_asked(track: Track, tracks: Sequence[Track], config: Config) -> bool:
-    """Of a camera alone; of joined sensors one map is enough."""
+    """Whether a track leaves a map: a single camera, or the joined track."""
     if track.localizer.keyframes is None:
         return False
     if not has_map(track.odometry, [one.odometry for one in tracks]):
@@ -319,7 +305,7 @@ def _is_asked(track: Track, tracks: Sequence[Track], config: Config) -> bool:
 
 
 def finish_map(track: Track, passage: Passage) -> KeptMapRecord | None:
-    """Write what is left of a track's map, if it has one; no surfels where the run was torn within a frame."""
+    """Finish the map of a track, if it has one. A run that was interrupted within a frame writes no surfels."""
     writer, path = track.map_writer, track.map_path
     if writer is None or path is None:
         return None
@@ -332,7 +318,13 @@ def finish_map(track: Track, passage: Passage) -> KeptMapRecord | None:
     else:
         closed = loops.finish()
         if track.extends:
-            is_whole = _add_to_known(writer, closed)
+            # Add to a map of before what is known to lie in it; whether those are all keyframes of the drive. An
+            # edge of one that is not written would be taken for one of the next drive's, which will have its
+            # number.
+            if closed.is_joined:
+                writer.look(None)  # those of a place that was recognised when the drive was over
+            writer.add_edges([edge for edge in closed.edges if closed.known <= edge.second < writer.taken])
+            is_whole = writer.taken == len(closed.T_map_keyframe)
         else:
             writer.add_edges(closed.edges)
             is_whole = True
@@ -343,19 +335,8 @@ def finish_map(track: Track, passage: Passage) -> KeptMapRecord | None:
     return KeptMapRecord(path.name, writer.keyframes, _bytes_in(path), writer.warnings)
 
 
-def _add_to_known(writer: MapWriter, closed: ClosedLoops) -> bool:
-    """Add to a map of before what is known to lie in it; whether those are all keyframes of the drive.
-
-    An edge of one that is not written would be taken for one of the next drive's, which will have its number.
-    """
-    if closed.is_joined:
-        writer.look(None)  # those of a place that was recognised when the drive was over
-    writer.add_edges([edge for edge in closed.edges if closed.known <= edge.second < writer.taken])
-    return writer.taken == len(closed.T_map_keyframe)
-
-
 def _is_empty(writer: MapWriter) -> bool:
-    """Whether its drive has seen nothing, rather than not been able to write it."""
+    """Whether the drive has no keyframes, and no write failed."""
     return not writer.keyframes and not writer.warnings
 
 
@@ -367,7 +348,7 @@ def _bytes_in(folder: Path) -> int:
 
 
 def kept_surfels(track: Track) -> Path | None:
-    """Where in its map folder a track's surfels are; None where that has none of this run."""
+    """The path of the track's surfels in its map folder; None without surfels of this run."""
     if track.map_path is None or track.extends:
         return None
     path = track.map_path / SURFELS_FILE

@@ -1,5 +1,5 @@
-"""RunRecord: all that one run learned, as the metrics file and the report take it. With it stand the records of its
-parts: real time, the map, the map folders, the areas.
+"""RunRecord: the results of one run, for the metrics file and the report. Holds the records of its parts: real time,
+map, map folders and areas.
 """
 
 from __future__ import annotations
@@ -22,8 +22,6 @@ from wheelsight.evaluation import Evaluation, Statistics
 from wheelsight.io.recordings import AssociationReport
 from wheelsight.mapping import MapStatus
 from wheelsight.mapping.export import MapCloud, Plan
-
-# RealTimeRecord: how a recording went that was played in real time.
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,9 +83,6 @@ class RealTimeRecord:
         }
 
 
-# MapRecord: what a run's map came to, with the pictures that the report shows of it.
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class MapPicture:
     """What the camera saw, and what the finished map looks like from there.
@@ -113,7 +108,7 @@ class MapRecord:
         file: its name in the run's folder.
         plan: it from above, or None where it is empty.
         pictures: it along the way.
-        is_levelled: whether the calibration tells which way is up, and not the surfels alone.
+        is_levelled: whether the calibration gives the vertical; otherwise the surfels do.
         cloud: it as a few points, to be turned on the page, or None.
     """
 
@@ -129,9 +124,6 @@ class MapRecord:
     def sentence(self) -> str:
         """How large it is."""
         return f"{self.status.surfels:,} surfels, {self.status.stable:,} of them stable"
-
-
-# KeptMapRecord and KnownMapRecord: the map folder that a run leaves, and the one in which it found itself.
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,19 +208,16 @@ class KnownMapRecord:
         return f"Recognised in the map {self.path} after {after}, at {where} ({sure}); {seen}"
 
 
-# RectificationRecord: what areas did to the wheels, frame by frame, and what is left of their error in the map.
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
-    """What a frame said of the area, and what was believed once it was heard.
+    """The area probabilities of one frame, and the belief after the update.
 
     Attributes:
         stamp_s: of the frame.
         probabilities: (A,) by the model, or None where the frame is no measurement.
         named: index of the area that the model names, -1 for none.
         belief: (A,) that the base is in each area by the filter, or None: the paper's way has none.
-        trust: probability that the forest is in order, NaN where nothing tells.
+        trust: probability that the forest is reliable, NaN if unknown.
         note: why it is no measurement, or "".
     """
 
@@ -272,7 +261,7 @@ class MapErrors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RectificationRecord:
-    """What a report tells of areas.
+    """The results on areas for a report.
 
     Attributes:
         way: "probabilistic" or "paper".
@@ -309,7 +298,7 @@ class RectificationRecord:
 
     @property
     def trust(self) -> FloatArray:
-        """(N,) that the forest is in order, NaN where nothing tells."""
+        """(N,) probability that the forest is reliable, NaN if unknown."""
         return np.array([look.trust for look in self.looks], float)
 
     @property
@@ -329,9 +318,6 @@ class RectificationRecord:
         nothing = np.full(len(self.areas), np.nan)
         found = [nothing if row is None else row for row in rows]
         return np.array(found, float).reshape(-1, len(self.areas))
-
-
-# RunRecord: all that one run learned, as the metrics file and a report take it.
 
 
 _POSED = (Status.TRACKING, Status.COASTING)
@@ -484,7 +470,7 @@ class RunRecord:
         pictures: a few frames with their matches.
         stage_seconds: median time a frame of each stage (extract, match, align, …).
         config: the resolved configuration.
-        peak_memory_mb: of the whole process, or None where the system does not tell.
+        peak_memory_mb: of the whole process, or None where the system does not report it.
         finished_at: when the run ended, with its time zone.
         unit: what `frames` holds, "frame" or "reading".
         odometry: its name, "rectified" of wheels that areas correct, or "joined" of wheels and a camera: then `frames`

@@ -1,5 +1,5 @@
-"""LiveSource: a camera and wheels as they are just now, as a source of events. Says what is known of any source
-before its first event, and which odometry a run of it follows.
+"""LiveSource: a live camera and live wheels as a source of events. Holds what is known of any source before its first
+event, and the odometry that a run of it uses.
 """
 
 from __future__ import annotations
@@ -42,25 +42,22 @@ from wheelsight.io.devices.live_camera import (
 from wheelsight.io.devices.recorder import LiveRecorder
 from wheelsight.io.recordings import Recording
 
-# LiveSource: a camera and wheels as they are just now, as a source of events for a run.
-
-
 _WAIT_S = 0.005  # for what comes next; a frame waits no longer for a reading
 _SILENT_S = 1.0
 _REHEARSED_WITHIN_S = 3.0
 
 Until = Callable[[], AbstractContextManager[Callable[[], bool]]]
-"""Opened when the first event is asked for; tells whether it is over."""
+"""A context that opens with the first event; it yields a function that returns whether the run is over."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiveSensors:
-    """What a run listens to.
+    """The sensors of a live run.
 
     Attributes:
         calibration: of the robot.
-        camera, link: either may be None.
-        recorder: what keeps all that is heard, or None.
+        camera, link: camera and wheel link; either may be None.
+        recorder: records all events, or None.
     """
 
     calibration: Calibration
@@ -70,18 +67,18 @@ class LiveSensors:
 
 
 class LiveSource:
-    """Events of sensors that are there just now; it ends when it is told to, or the camera plays a file that ends.
+    """Events of live sensors. It ends when `until` says so, or with the file that the camera plays.
 
-    Readings come all, of frames only the newest: what the run was too slow for is dropped, and counted. A frame may be
-    stamped before readings that were handed out earlier, since cameras deliver later than wheels. What came before the
-    first event is asked for is left out: it is old by then. A sensor that goes away is told, and the other goes on.
+    All readings are given, but only the newest frame: frames that the run is too slow for are dropped and counted.
+    Cameras deliver later than wheels, so a frame may have an earlier stamp than readings before it. Events from before
+    the first request are discarded. The loss of a sensor is reported; the other one goes on.
 
     Args:
-        sensors: opened, and closed by whoever opened them.
-        until: tells when it is over; for ever, if None.
-        on_begin: called when all is ready, right before the first event is waited for.
-        note: told a sentence about each change of a sensor.
-        settings: of None, the defaults.
+        sensors: open; the caller closes them.
+        until: says when the run is over; None: never.
+        on_begin: called when all is ready, before the first event.
+        note: called with one sentence about each change of a sensor.
+        settings: defaults if None.
 
     Raises:
         ConfigError: no sensor, or wheels of unknown size.
@@ -95,7 +92,16 @@ class LiveSource:
         note: Callable[[str], None] = lambda text: None,
         settings: RealTimeSettings | None = None,
     ) -> None:
-        _check(sensors)
+        if sensors.camera is None and sensors.link is None:
+            raise ConfigError("there is no sensor to listen to", fix="--camera NAME, --wheels PORT, or both")
+        if sensors.link is not None and sensors.calibration.holonomic is not None:
+            problem = f"wheels at {sensors.link.port} are two, and the calibration has a holonomic base"
+            raise ConfigError(problem, fix="record its odometry in a bag, or leave out --wheels")
+        if sensors.link is not None and sensors.calibration.wheels is None:
+            problem = f"wheels at {sensors.link.port} give no motion without their sizes"
+            raise ConfigError(problem, fix="--calibration FILE with wheels, or leave out --wheels")
+        if sensors.camera is not None and sensors.calibration.color is None:
+            raise ConfigError(f"{sensors.camera.name} has no calibration", fix="--calibration FILE of the camera")
         self.settings = settings or RealTimeSettings()
         self._sensors, self._on_begin, self._note = sensors, on_begin, note
         self._until: Until = until or (lambda: nullcontext(lambda: False))
@@ -110,13 +116,13 @@ class LiveSource:
 
     @property
     def name(self) -> str:
-        """What it listens to."""
+        """Name of the camera, the port, or both."""
         names = [] if self._sensors.camera is None else [self._sensors.camera.name]
         return " and ".join([*names, *([] if self._sensors.link is None else [self._sensors.link.port])])
 
     @property
     def calibration(self) -> Calibration:
-        """The robot's, without the sensors that are not listened to; the link has unrolled the wheels' counters."""
+        """The robot's calibration without absent sensors. The link has unrolled the wheels' counters."""
         known = self._sensors.calibration
         if self._sensors.camera is None:
             known = replace(known, color=None, depth=None, T_color_depth=None)
@@ -125,7 +131,7 @@ class LiveSource:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """The camera's, and which sensor never spoke."""
+        """Warnings of the camera, and each sensor that has given nothing."""
         camera, link = self._sensors.camera, self._sensors.link
         told = [] if camera is None else [*camera.warnings]
         if self._ended_s is not None:
@@ -136,12 +142,22 @@ class LiveSource:
         return tuple(told)
 
     def events(self, *, images: bool = True) -> Generator[Event]:
-        """As they come."""
+        """Events in the order of their arrival."""
         with self._until() as is_over:
             self._begin()
             self._on_begin()
             while not (is_over() or self._has_ended()):
-                for event in self._came(images):
+                # What has come by now: all readings and the newest frame, by their stamps
+                ticks = list(self._ticks(_WAIT_S))
+                frames = [live.frame for live in self._frames(0.0 if self._sensors.link is not None else _WAIT_S)]
+                self._fetched += len(frames)
+                self._readings += len(ticks)
+                if ticks:
+                    self._heard_s = host_clock.now_s()
+                newest: list[RgbdFrame] = frames[-1:] if images else []
+                self._answered += len(newest)
+                came: list[Event] = [*ticks, *self._rates(), *newest]
+                for event in sorted(came, key=lambda event: event.stamp_s):
                     yield event
                     self._times.add(event, host_clock.now_s())
                 for text in () if self._watch is None else self._watch.changes():
@@ -149,11 +165,11 @@ class LiveSource:
             self._ended_s = host_clock.now_s()
 
     def rehearsals(self) -> tuple[Rehearses, ...]:
-        """A drive in which everything happens, then what the sensors show just now."""
+        """A drive that calls every kernel, then live events of the sensors."""
         return DrawnDrive(self.calibration), self
 
     def rehearsal(self) -> Iterator[Event]:
-        """A few frames as they come, between wheels that stand still."""
+        """A few live frames, between readings of wheels that stand still."""
         camera, ends_s = self._sensors.camera, host_clock.now_s() + _REHEARSED_WITHIN_S
         for _ in range(self.settings.rehearsed_frames if camera is not None else 0):
             assert camera is not None
@@ -165,7 +181,7 @@ class LiveSource:
             yield live.frame
 
     def report(self) -> RealTimeRecord:
-        """How it went so far."""
+        """Counts and latencies so far."""
         frames, dropped = self.frames_so_far
         counts = (frames, dropped, max(frames - self._fetched, 0), self._readings)
         camera, link = self._sensors.camera, self._sensors.link
@@ -173,12 +189,12 @@ class LiveSource:
         return RealTimeRecord(self._lasted_s, *counts, *self._times.median_and_p95_s(), port, True, name)
 
     def lately(self) -> tuple[float, float] | None:
-        """Frames answered a second, and their median latency in seconds, over the last of them; None before two."""
+        """Frames answered a second and their median latency, seconds, in the recent window; None before two frames."""
         return self._times.lately()
 
     @property
     def frames_so_far(self) -> tuple[int, int]:
-        """Frames that came by, those that the camera lost included, and how many were not answered."""
+        """Number of frames so far, with those that the camera lost, and number of frames without an answer."""
         lost = 0
         if self._sensors.camera is not None and self._at_begin is not None:
             lost = _lost(self._sensors.camera.report()) - _lost(self._at_begin)
@@ -186,7 +202,7 @@ class LiveSource:
 
     @property
     def is_missing_wheels(self) -> bool:
-        """Whether the wheels have fallen silent."""
+        """Whether the wheels are silent."""
         if self._sensors.link is None or self._began_s is None:
             return False
         return host_clock.now_s() - (self._heard_s or self._began_s) > _SILENT_S
@@ -198,7 +214,7 @@ class LiveSource:
         return (self._ended_s or host_clock.now_s()) - self._began_s
 
     def _begin(self) -> None:
-        """Leave out what came while others made ready."""
+        """Discard events from before the start."""
         for _ in self._ticks():
             pass
         for _ in (*self._frames(0.0), *self._rates()):
@@ -208,41 +224,29 @@ class LiveSource:
         self._times = AnswerTimes(self.settings.recent_frames)
         self._at_begin = None if self._sensors.camera is None else self._sensors.camera.report()
 
-    def _came(self, images: bool) -> list[Event]:
-        """What has come by now: all readings and the newest frame, by their stamps."""
-        ticks = list(self._ticks(_WAIT_S))
-        frames = [live.frame for live in self._frames(0.0 if self._sensors.link is not None else _WAIT_S)]
-        self._fetched += len(frames)
-        self._readings += len(ticks)
-        if ticks:
-            self._heard_s = host_clock.now_s()
-        newest: list[RgbdFrame] = frames[-1:] if images else []
-        self._answered += len(newest)
-        return sorted([*ticks, *self._rates(), *newest], key=lambda event: event.stamp_s)
-
     def _ticks(self, timeout_s: float = 0.0) -> Iterator[WheelTicks]:
-        """All that came; the first is waited for."""
+        """All waiting readings; waits for the first."""
         while self._sensors.link is not None and (ticks := self._sensors.link.read(timeout_s)) is not None:
             timeout_s = 0.0
             self._keep(ticks)
             yield ticks
 
     def _frames(self, timeout_s: float) -> Iterator[LiveFrame]:
-        """All that came; the first is waited for."""
+        """All waiting frames; waits for the first."""
         while self._sensors.camera is not None and (live := self._sensors.camera.read(timeout_s)) is not None:
             timeout_s = 0.0
             self._keep(live)
             yield live
 
     def _rates(self) -> list[YawRate]:
-        """All that the camera's gyroscope told; nothing where it is not known how the camera sits."""
+        """All rates of the camera's gyroscope; none without the camera's mount."""
         turns, mount = take_angular_velocities(self._sensors.camera), self._sensors.calibration.T_base_camera
         for turn in turns:
             self._keep(turn)
         return [] if mount is None else [turn.yaw_rate(mount) for turn in turns]
 
     def _keep(self, heard: WheelTicks | LiveFrame | AngularVelocity) -> None:
-        """Have it recorded, if that was asked for, from the first event on."""
+        """Record an event, if there is a recorder, from the first requested event on."""
         recorder = self._sensors.recorder
         if recorder is None or self._began_s is None:
             return
@@ -260,87 +264,74 @@ class LiveSource:
         return camera is not None and camera.report().status in (CameraStatus.ENDED, CameraStatus.CLOSED)
 
 
-def _check(sensors: LiveSensors) -> None:
-    if sensors.camera is None and sensors.link is None:
-        raise ConfigError("there is no sensor to listen to", fix="--camera NAME, --wheels PORT, or both")
-    if sensors.link is not None and sensors.calibration.holonomic is not None:
-        problem = f"wheels at {sensors.link.port} are two, and the calibration has a holonomic base"
-        raise ConfigError(problem, fix="record its odometry in a bag, or leave out --wheels")
-    if sensors.link is not None and sensors.calibration.wheels is None:
-        problem = f"wheels at {sensors.link.port} tell nothing while their size is not known"
-        raise ConfigError(problem, fix="--calibration FILE with wheels, or leave out --wheels")
-    if sensors.camera is not None and sensors.calibration.color is None:
-        raise ConfigError(f"{sensors.camera.name} has no calibration", fix="--calibration FILE of the camera")
-
-
 def _lost(report: CameraReport) -> int:
     return report.device_drops + report.host_drops + report.stale
 
 
-# What is known of a source before its first event: much of a recording, little of a live one.
+# Facts about a source before its first event
 
 
 LIVE = "live"
-# Frames that are shown of a source without an end: nobody knows how long it will be, so each is so much later.
+# Frames to show of a source of unknown length: each index is this factor later than the one before.
 _FIRST_FRAME, _LATER = 10, 4
 
 
 def frame_count_of(source: EventSource) -> int | None:
-    """How many frames there will be, skipped ones included; None where nobody knows."""
+    """Number of frames, with skipped ones; None if unknown."""
     return source.frame_count if isinstance(source, Recording) else None
 
 
 def wheel_count_of(source: EventSource) -> int | None:
-    """How many wheel readings there will be; None where nobody knows."""
+    """Number of wheel readings; None if unknown."""
     return source.wheel_count if isinstance(source, Recording) else None
 
 
 def path_of(source: EventSource) -> Path | None:
-    """The folder it is read from, if any."""
+    """The path of the source, or None."""
     return source.path if isinstance(source, Recording) else None
 
 
 def format_of(source: EventSource) -> str:
-    """Its reader's name, or "live"."""
+    """The name of the source's reader, or "live"."""
     return source.format if isinstance(source, Recording) else LIVE
 
 
 def where(source: EventSource) -> str:
-    """What messages call it: its folder, else its name."""
+    """The name of the source in messages: its path, else its name."""
     return str(path_of(source) or source.name)
 
 
 def spread(wanted: int, frame_count: int | None) -> list[int]:
-    """Indices of so many frames, growing: evenly spread and none at the very ends, where their count is known."""
+    """Rising indices of `count` frames. If the total is known, they are evenly spread and none is at either end."""
     if frame_count is None:
         return [_FIRST_FRAME * _LATER**number for number in range(wanted)]
     return [int((number + 0.5) * frame_count / wanted) for number in range(wanted)]
 
 
-# Which odometry a run of a source follows, and what of the source it does not use.
+# Choice of the odometry
 
 
 def default_odometry(source: EventSource, config: Config) -> Choice:
-    """`localizer.choose_odometry` by what the source has. Raises ConfigError."""
+    """The odometry of `localizer.choose_odometry` for the sensors of the source. Raises ConfigError."""
     elsewhere = source.wheels.where if isinstance(source, RealTimeRecording) and source.wheels is not None else ""
     sensors = Sensors(frame_count_of(source), wheel_count_of(source), elsewhere, where(source))
     return choose_odometry(source.calibration, config, sensors)
 
 
 def resolved(source: EventSource, config: Config, parts: OwnParts = NO_PARTS) -> Config:
-    """The configuration with its odometry named: `default_odometry` where it is automatic. Raises ConfigError."""
+    """The configuration with its odometry: `default_odometry` where it is automatic. Raises ConfigError."""
     if config.odometry and parts == NO_PARTS:
         return config
     return parts.named_in(config, default_odometry(source, config))
 
 
 def unused_of(source: EventSource, config: Config, yaw_rates: int) -> tuple[str, ...]:
-    """One sentence about each sensor of the source that a run of `config` does not use, and why.
+    """One sentence about each sensor of the source that a run of `config` does not use, with the reason.
 
     Args:
-        source: what was followed.
-        config: all settings of the run, its odometry named.
-        yaw_rates: how many readings of a gyroscope came.
+        source: of the run.
+        config: all settings of the run, with its odometry.
+        yaw_rates: number of readings of a gyroscope.
     """
     choice, calibration = default_odometry(source, config), source.calibration
     frames, readings = frame_count_of(source), wheel_count_of(source)

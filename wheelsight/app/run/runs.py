@@ -1,4 +1,4 @@
-"""A run in a few verbs: check, follow, judge, write. Holds the writers of all files that a run leaves, metrics.json
+"""Runs a recording or live sensors: checks, tracks, judges, writes. Holds the writers of all result files, metrics.json
 and covariances among them.
 """
 
@@ -39,9 +39,6 @@ from wheelsight.io.recordings.clock_checks import FRAMES, WHEELS, refuse_if_apar
 from wheelsight.mapping import save_map
 from wheelsight.slam.maps import MAP_FOLDER, MapFolder, discard_map
 
-# A run in a few verbs: check, follow, judge, write.
-
-
 _LOG = logging.getLogger(__name__)
 
 
@@ -71,7 +68,7 @@ def run_each(
         on_ready, on_code: called before the first event; while keyframes of a known map are made ready, with how many.
         on_event, watcher: called after each event that was answered, with each odometry's answer by its name.
         draw: writes a page of the records to a path, such as `report.write_page`; None: no page.
-        duration_s: ends so many seconds after the first event, by its stamp; None: with the source.
+        duration_s: duration of the run from the first event, by stamps; None: until the source ends.
         parts: of a user's own.
 
     Raises:
@@ -83,45 +80,27 @@ def run_each(
     on_ready()
     with keeping_maps(tracks, source, config, folder, known):
         passage = follow(tracks, source, config, on_event, _areas_of(places), duration_s, watcher)
-        _raise_where_nothing(passage)
+        if isinstance(passage.interruption, KeyboardInterrupt) and not any(track.frames for track in passage.tracks):
+            raise passage.interruption
         records = records_of(passage, source, config, places, matches)
-        _log(records)
-        _show_end(watcher, passage)
+        # Warnings that no localizer has logged, and how many frames have a pose
+        logged = {sentence for record in records for sentence in record.faults}
+        for sentence in dict.fromkeys(sentence for record in records for sentence in record.warnings):
+            if sentence not in logged:
+                _LOG.warning(sentence)
+        for record in records:
+            posed = len(record.estimate), len(record.frames), record.unit
+            _LOG.info("%s, %s: %d poses; %d %ss", record.recording, record.odometry, *posed)
+        if watcher is not None and not passage.is_torn:
+            watcher.finish(passage.tracks)
     write_results(records, passage, source, config, folder, draw)
-    _raise_interruption(passage)
+    if passage.interruption is not None:
+        raise passage.interruption
     return records
-
-
-def _log(records: tuple[RunRecord, ...]) -> None:
-    """Warnings that no localizer has logged, and how many frames have a pose."""
-    logged = {sentence for record in records for sentence in record.faults}
-    for sentence in dict.fromkeys(sentence for record in records for sentence in record.warnings):
-        if sentence not in logged:
-            _LOG.warning(sentence)
-    for record in records:
-        posed = len(record.estimate), len(record.frames), record.unit
-        _LOG.info("%s, %s: %d poses; %d %ss", record.recording, record.odometry, *posed)
 
 
 def _areas_of(places: PlacesOfRun | None) -> Places | None:
     return None if places is None else places.places
-
-
-def _raise_interruption(passage: Passage) -> None:
-    if passage.interruption is not None:
-        raise passage.interruption
-
-
-def _show_end(watcher: Watcher | None, passage: Passage) -> None:
-    """Nothing of a run that was torn within a step: what was being built then is not to be trusted."""
-    if watcher is not None and not passage.is_torn:
-        watcher.finish(passage.tracks)
-
-
-def _raise_where_nothing(passage: Passage) -> None:
-    """Ctrl-C before anything was answered leaves nothing to write."""
-    if isinstance(passage.interruption, KeyboardInterrupt) and not any(track.frames for track in passage.tracks):
-        raise passage.interruption
 
 
 class _Begun(NamedTuple):
@@ -142,21 +121,7 @@ def _begin(source: EventSource, config: Config, on_code: Callable[[int, int], No
         AreaError, PlaceError: places cannot be read, or do not fit.
         RecordingError: stamps are no seconds, or wheels and camera, which are to be joined, share no time.
     """
-    _check_sensors(source, config)
-    places, matches = places_of(source, config), matches_of_run(source, config)
-    known, folder = open_known(source.calibration, config, on_code) or (None, None)
-    try:
-        tracks = begin_all(source, config, None if places is None else places.places, known, parts)
-        _check_clocks(source, config)
-    except BaseException:
-        if folder is not None:
-            folder.close()
-        raise
-    return _Begun(tracks, places, matches, folder)
-
-
-def _check_sensors(source: EventSource, config: Config) -> None:
-    """Refuse odometries of sensors that the source does not have. Raises ConfigError."""
+    # Refuse odometries of sensors that the source does not have
     wheels = source.wheels if isinstance(source, RealTimeRecording) else None
     if wheels is not None and (config.odometry == ("wheels",) or "wheels" not in config.odometry):
         raise ConfigError(f"wheels from {wheels.where} are played beside a camera", fix="--odometry wheels,dense")
@@ -165,20 +130,27 @@ def _check_sensors(source: EventSource, config: Config) -> None:
             raise ConfigError(f"{where(source)}: the recording has no wheel readings", fix="--odometry features")
         if UNITS[odometry] == "frame" and wheel_count_of(source) and frame_count_of(source) == 0:
             raise ConfigError(f"{where(source)}: the recording has no images", fix="--odometry wheels")
+    places, matches = places_of(source, config), matches_of_run(source, config)
+    known, folder = open_known(source.calibration, config, on_code) or (None, None)
+    try:
+        tracks = begin_all(source, config, None if places is None else places.places, known, parts)
+        # Refuse stamps that are no seconds, and to join what shares no time
+        played = source.played if isinstance(source, RealTimeRecording) and source.wheels is None else source
+        is_joined = bool({"joined", "rectified"} & set(config.tracks))
+        if isinstance(played, Recording) and not isinstance(played, RealTimeRecording):
+            if is_joined:
+                refuse_if_apart(played)
+            refuse_other_units(
+                played, {FRAMES if UNITS[odometry] == "frame" else WHEELS for odometry in config.odometry}
+            )
+    except BaseException:
+        if folder is not None:
+            folder.close()
+        raise
+    return _Begun(tracks, places, matches, folder)
 
 
-def _check_clocks(source: EventSource, config: Config) -> None:
-    """Refuse stamps that are no seconds, and to join what shares no time. Raises RecordingError."""
-    played = source.played if isinstance(source, RealTimeRecording) and source.wheels is None else source
-    is_joined = bool({"joined", "rectified"} & set(config.tracks))
-    if not isinstance(played, Recording) or isinstance(played, RealTimeRecording):
-        return
-    if is_joined:
-        refuse_if_apart(played)
-    refuse_other_units(played, {FRAMES if UNITS[odometry] == "frame" else WHEELS for odometry in config.odometry})
-
-
-# All figures of a run with the unit in each name, as metrics.json holds them.
+# Figures: metrics.json
 
 
 def metrics_of(
@@ -208,6 +180,16 @@ def joint_metrics(records: Sequence[RunRecord], passage: Passage, source: EventS
         }
         for record in records
     }
+    # How joined sensors compare with the better one alone; nothing where none were joined
+    if joined_of(records) is None:
+        beside_alone = {}
+    else:
+        best_alone = best_alone_of(records)
+        beside_alone = {
+            "joined_beside_alone": None
+            if best_alone is None
+            else {"better": best_alone.odometry, "ate_ratio": best_alone.ratio}
+        }
     return {
         "recording": _recording(source),
         "interrupted": passage.interruption is not None,
@@ -215,7 +197,7 @@ def joint_metrics(records: Sequence[RunRecord], passage: Passage, source: EventS
         "elapsed_s": passage.elapsed_s,
         **_real_time(records[0]),
         "odometry": of_each,
-        **_beside_alone(records),
+        **beside_alone,
         "peak_memory_mb": max((r.peak_memory_mb for r in records if r.peak_memory_mb is not None), default=None),
         "warnings": shared,
         "versions": _versions(),
@@ -235,10 +217,23 @@ def _real_time(record: RunRecord) -> dict[str, Any]:
 def _of_odometry(
     record: RunRecord, passage: Passage, source: EventSource, records: Sequence[RunRecord]
 ) -> dict[str, Any]:
+    # Times a frame or reading, image decoding not included; the first, which may compile kernels, stands apart.
+    # `elapsed_s` and the throughput are of the whole pass, which all its odometries share.
+    used_ms = [1e3 * frame.seconds for frame in record.frames if not frame.is_skipped]
+    later_ms = used_ms[1:]
+    timing = {
+        "frame_median_ms": float(np.median(later_ms)) if later_ms else None,
+        "frame_p95_ms": float(np.percentile(later_ms, 95)) if later_ms else None,
+        "frame_max_ms": max(later_ms, default=None),
+        "first_frame_ms": used_ms[0] if used_ms else None,
+        "stages_median_ms": {stage: 1e3 * seconds for stage, seconds in record.stage_seconds.items()},
+        "elapsed_s": passage.elapsed_s,
+        "throughput_frames_per_s": len(record.frames) / passage.elapsed_s if passage.elapsed_s else None,
+    }
     return {
         "verdict": verdict_of(record, records).to_dict(),
         "frames" if record.unit == "frame" else "wheel_readings": _frame_counts(record, source),
-        "timing": _timing(record, passage),
+        "timing": timing,
         "trajectory": {"length_m": record.estimate.length_m, "duration_s": record.estimate.duration_s},
         "evaluation": None if record.evaluation is None else record.evaluation.to_dict(),
         "evaluation_problem": record.evaluation_problem,
@@ -248,18 +243,6 @@ def _of_odometry(
         **({} if record.known_map is None else {"known_map": record.known_map.to_dict()}),
         **({} if record.kept_map is None else {"kept_map": record.kept_map.to_dict()}),
         **({"joined": _joined(facts_of(record))} if record.is_joined else {}),
-    }
-
-
-def _beside_alone(records: Sequence[RunRecord]) -> dict[str, Any]:
-    """How joined sensors compare with the better one alone; nothing where none were joined."""
-    if joined_of(records) is None:
-        return {}
-    best_alone = best_alone_of(records)
-    return {
-        "joined_beside_alone": None
-        if best_alone is None
-        else {"better": best_alone.odometry, "ate_ratio": best_alone.ratio}
     }
 
 
@@ -335,24 +318,6 @@ def _frame_counts(record: RunRecord, source: EventSource) -> dict[str, Any]:
     }
 
 
-def _timing(record: RunRecord, passage: Passage) -> dict[str, Any]:
-    """Times a frame or reading, image decoding not included; the first, which may compile kernels, stands apart.
-
-    `elapsed_s` and the throughput are of the whole pass, which all its odometries share.
-    """
-    used_ms = [1e3 * frame.seconds for frame in record.frames if not frame.is_skipped]
-    later_ms = used_ms[1:]
-    return {
-        "frame_median_ms": float(np.median(later_ms)) if later_ms else None,
-        "frame_p95_ms": float(np.percentile(later_ms, 95)) if later_ms else None,
-        "frame_max_ms": max(later_ms, default=None),
-        "first_frame_ms": used_ms[0] if used_ms else None,
-        "stages_median_ms": {stage: 1e3 * seconds for stage, seconds in record.stage_seconds.items()},
-        "elapsed_s": passage.elapsed_s,
-        "throughput_frames_per_s": len(record.frames) / passage.elapsed_s if passage.elapsed_s else None,
-    }
-
-
 def _versions() -> dict[str, str]:
     import cv2
     import numba
@@ -367,7 +332,7 @@ def _versions() -> dict[str, str]:
     }
 
 
-# How sure a run was of its poses, as a table beside its trajectory: TUM text has no room for it.
+# Covariances
 
 
 COVARIANCES_FILE = "covariances.csv"
@@ -410,7 +375,7 @@ def with_covariances(trajectory: Trajectory, path: StrPath) -> Trajectory:
     return replace(trajectory, covariances=C)
 
 
-# The files that a run leaves.
+# Files
 
 
 PAGE_FILE = "report.html"
@@ -445,7 +410,17 @@ def write_results(
     `draw` writes the page of it all. What an earlier run left there under these names goes. Raises OutputError.
     """
     if (folder / "config.yaml").exists():  # a run's folder, not just any
-        _forget_others(records, folder)
+        # Remove results of odometries that this run does not have: a reader would take them for its own
+        kept = {folder} if len(records) == 1 else {folder / record.odometry for record in records}
+        for place in {folder, *(folder / name for name in get_args(TrackName))} - kept:
+            try:
+                for name in _OF_ONE:
+                    (place / name).unlink(missing_ok=True)
+                discard_map(place / MAP_FOLDER)
+                if place.is_dir() and place != folder and not any(place.iterdir()):
+                    place.rmdir()
+            except OSError as error:
+                raise output_error(error, place) from error
     save_config(config, folder / "config.yaml")
     if len(records) == 1:
         _write_one(records[0], passage, source, folder)
@@ -457,20 +432,6 @@ def write_results(
         _forget(folder / PAGE_FILE)
     else:
         draw(records, folder / PAGE_FILE)
-
-
-def _forget_others(records: Sequence[RunRecord], folder: Path) -> None:
-    """Remove the results of odometries that this run does not have, lest they be taken for its own."""
-    kept = {folder} if len(records) == 1 else {folder / record.odometry for record in records}
-    for place in {folder, *(folder / name for name in get_args(TrackName))} - kept:
-        try:
-            for name in _OF_ONE:
-                (place / name).unlink(missing_ok=True)
-            discard_map(place / MAP_FOLDER)
-            if place.is_dir() and place != folder and not any(place.iterdir()):
-                place.rmdir()
-        except OSError as error:
-            raise output_error(error, place) from error
 
 
 def _write_one(
@@ -487,23 +448,15 @@ def _write_one(
     write_text(folder / STATUS_FILE, _status_csv(record))
     if record.rectification is not None:
         write_text(folder / "areas.csv", looks_csv(record.rectification))
-    _write_correction(record, folder)
-    _write_map(record, passage, folder / MAP_FILE)
-    _write_json(metrics_of(record, passage, source, records), folder / METRICS_FILE)
-
-
-def _write_correction(record: RunRecord, folder: Path) -> None:
-    """The way as known at its end, and what became of each match; what an earlier run left in their place goes."""
+    # The way as known at its end, and what became of each match; what an earlier run left in their place goes.
     if record.correction is None:
         _forget(folder / CORRECTED_FILE)
         _forget(folder / JUDGED_FILE)
     else:
         write_tum(record.correction.found.corrected, folder / CORRECTED_FILE)
         write_text(folder / JUDGED_FILE, judged_csv(record.correction))
-
-
-def _write_map(record: RunRecord, passage: Passage, path: Path) -> None:
-    """The map of a run that has one, unless its map folder holds it; what an earlier run left in its place goes."""
+    # The map of a run that has one, unless its map folder holds it; what an earlier run left in its place goes.
+    path = folder / MAP_FILE
     (track,) = (track for track in passage.tracks if track.odometry == record.odometry)
     if record.kept_map is None:
         discard_map(path.with_name(MAP_FOLDER))
@@ -511,6 +464,7 @@ def _write_map(record: RunRecord, passage: Passage, path: Path) -> None:
         save_map(track.localizer.map, path)
     else:
         _forget(path)
+    _write_json(metrics_of(record, passage, source, records), folder / METRICS_FILE)
 
 
 def _forget(path: Path) -> None:

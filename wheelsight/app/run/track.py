@@ -1,5 +1,5 @@
-"""One pass over the events of a source, answered by every odometry that was asked for. LivedPoses keeps the poses as
-they were answered.
+"""One pass over the events of a source with every requested odometry. LivedPoses keeps the poses as they were
+answered.
 """
 
 from __future__ import annotations
@@ -36,9 +36,6 @@ from wheelsight.io.recordings import Recording
 from wheelsight.mapping import SurfelMap
 from wheelsight.slam.maps import MapWriter
 from wheelsight.slam.place_recognition import KnownMap
-
-# LivedPoses: the poses of a run as they were answered, of which hardly any stay in memory.
-
 
 # Stamp, three rows of the pose, covariance, where odom lies: 416 bytes, where an estimate has some 2 kB.
 _STAMP, _POSE, _COVARIANCE, _ODOM, _ROW = 0, slice(1, 13), slice(13, 49), slice(49, 52), 52
@@ -106,7 +103,7 @@ class LivedPoses:
     def _in_order(self) -> tuple[FloatArray, IntArray]:
         """Stamps (N,) in order of time, and of each row as it was answered the place there; -1 where it has none."""
         answered_s = np.concatenate([rows[:, _STAMP].copy() for rows in self._chunks()])
-        # Readings are told of late where wheels have a delay, and a frame may have a reading's stamp.
+        # With a delay of the wheels, readings come late. A frame may have the stamp of a reading.
         order = np.argsort(answered_s, kind="stable")
         stamps_s = answered_s[order]
         is_last = np.ones(len(order), bool)
@@ -129,38 +126,32 @@ class LivedPoses:
                 if self._file is None:
                     self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - open as long as the run goes
                     weakref.finalize(self, self._file.close)
-                self._write(self._file, rows)
+                data = memoryview(rows.tobytes())
+                self._file.seek(self._stored * rows[0].nbytes)  # over what a full disk took but in part
+                while data:
+                    data = data[self._file.write(data) :]
+                self._stored += len(rows)
                 return
         except OSError:
             self._has_disk = False
         self._held.append(rows.copy())
 
-    def _write(self, file: BinaryIO, rows: FloatArray) -> None:
-        data = memoryview(rows.tobytes())
-        file.seek(self._stored * rows[0].nbytes)  # over what a full disk took but in part
-        while data:
-            data = data[file.write(data) :]
-        self._stored += len(rows)
-
     def _chunks(self) -> Iterator[FloatArray]:
         """All rows in the order in which they were answered, some at a time: an hour's are 82 MB."""
         for begin in range(0, self._stored, _CHUNK):
             rows = np.empty((min(_CHUNK, self._stored - begin), _ROW))
-            self._read(begin, rows)
+            # From the file, from a row on
+            assert self._file is not None
+            self._file.seek(begin * rows[0].nbytes)
+            into = rows.data.cast("B")
+            while into:
+                count = self._file.readinto(into)  # type: ignore[attr-defined]
+                if not count:
+                    raise OSError("a temporary file has lost poses of the run")
+                into = into[count:]
             yield rows
         yield from self._held
         yield self._rows[: self._filled]
-
-    def _read(self, begin: int, rows: FloatArray) -> None:
-        """From the file, from a row on."""
-        assert self._file is not None
-        self._file.seek(begin * rows[0].nbytes)
-        into = rows.data.cast("B")
-        while into:
-            count = self._file.readinto(into)  # type: ignore[attr-defined]
-            if not count:
-                raise OSError("a temporary file has lost poses of the run")
-            into = into[count:]
 
 
 def _unmoved(count: int) -> FloatArray:
@@ -169,10 +160,10 @@ def _unmoved(count: int) -> FloatArray:
     return T
 
 
-# One pass over a recording's events, answered by every odometry that was asked for.
+# Tracks
 
 
-# What a track's record lists; of rectified and joined ones frames, though they tell a pose at each reading too.
+# What a track's record lists. Rectified and joined tracks list frames, though they have a pose at each reading too.
 UNITS: dict[TrackName, Literal["frame", "reading"]] = {
     "features": "frame",
     "dense": "frame",
@@ -220,7 +211,7 @@ class Track:
 
     Attributes:
         odometry: its name.
-        listed: how many frames or readings of the recording it is to answer; None where nobody knows.
+        listed: how many frames or readings of the recording it is to answer; None if unknown.
         localizer: what answers.
         photographer: what takes pictures.
         T_base_camera: (4, 4), or None where the body that is followed is the camera.
@@ -295,7 +286,7 @@ class Track:
         self.last = estimate
         if self.found is None and localizer.recognised and _is_in_map(estimate):
             self.found = estimate
-        is_joined = self.odometry == "joined"  # which knows the pose though the event told it nothing
+        is_joined = self.odometry == "joined"  # the joined filter has a pose even if the event gave no motion
         if estimate.T_odom_body is not None and (estimate.reason is None or is_joined):
             self.poses.add(estimate)
         if isinstance(event, RgbdFrame) and not localizer.note:
@@ -407,7 +398,11 @@ def begin_all(
 
     Raises CalibrationError, ConfigError.
     """
-    names = _followed(source, config)
+    # The tracks; in real time, where sensors are joined, not the camera alone once more, which would cost frames.
+    if isinstance(source, InRealTime | DrawnDrive) and config.fusion.filter != "none":
+        names = tuple(track for track in config.tracks if track not in ("features", "dense", "own"))
+    else:
+        names = config.tracks
     if parts.loop_detector is not None and sum(has_map(name, names) for name in names) != 1:
         raise ConfigError("loop_detector is for one odometry by a camera", fix="--odometry dense, or wheels,dense")
     return tuple(
@@ -421,13 +416,6 @@ def begin_all(
 def has_map(name: str, names: Collection[str]) -> bool:
     """Whether a track of some is the one whose keyframes are kept: a camera's, or where sensors are joined, that."""
     return name == "joined" or (UNITS[name] == "frame" and "joined" not in names)  # type: ignore[index]
-
-
-def _followed(source: EventSource, config: Config) -> tuple[TrackName, ...]:
-    """The tracks; in real time, where sensors are joined, not the camera alone once more, which would cost frames."""
-    if isinstance(source, InRealTime | DrawnDrive) and config.fusion.filter != "none":
-        return tuple(track for track in config.tracks if track not in ("features", "dense", "own"))
-    return config.tracks
 
 
 def follow(
@@ -455,14 +443,18 @@ def follow(
             yaw_rates += isinstance(event, YawRate)
             overtaken = _overtaken(source, event, dropped)
             dropped += overtaken
-            answers = _answers(passage, event, overtaken)
+            with whole_step():
+                passage.is_torn = True
+                given = [(track.odometry, track.step(event, overtaken)) for track in passage.tracks]
+                passage.is_torn = False
+            answers: dict[str, FrameRecord] = {odometry: answer for odometry, answer in given if answer is not None}
             if answers and watcher is not None:
                 watcher.step(event, answers, tracks)
             if answers and on_event is not None:
                 on_event(answers)
     except (KeyboardInterrupt, WheelsightError) as interruption:
         passage.interruption = interruption
-        passage.is_torn &= isinstance(interruption, KeyboardInterrupt)  # errors are told before anything is changed
+        passage.is_torn &= isinstance(interruption, KeyboardInterrupt)  # errors are raised before anything changes
     finally:
         if isinstance(events, Generator):
             events.close()  # stops the reader's thread
@@ -483,17 +475,8 @@ def _overtaken(source: EventSource, event: Event, before: int) -> int:
     return max(source.frames_so_far[1] - before, 0)
 
 
-def _answers(passage: Passage, event: Event, overtaken: int) -> dict[str, FrameRecord]:
-    """Of each track that answers it."""
-    with whole_step():
-        passage.is_torn = True
-        given = [(track.odometry, track.step(event, overtaken)) for track in passage.tracks]
-        passage.is_torn = False
-    return {odometry: answer for odometry, answer in given if answer is not None}
-
-
 def _rehearse_all(source: InRealTime, config: Config, places: Places | None) -> None:
-    """By localizers of its own: those of the run must not have heard anything."""
+    """Rehearse with separate localizers: those of the run must not have processed any event."""
     if OWN in config.odometry:  # a part of a user's own has no kernels here, and must not see these frames
         names = tuple("features" if name == OWN else name for name in config.odometry)
         config = config.model_copy(update={"odometry": names})

@@ -1,5 +1,5 @@
-"""What a run is worth, judged from its evidence: the one verdict that report, terminal and metrics.json give. Holds
-the key figures and the facts of joined sensors that it judges by.
+"""The verdict on a run, by its figures, for report, terminal and metrics.json. Holds a run's key figures and the
+figures of joined sensors.
 """
 
 from __future__ import annotations
@@ -20,8 +20,6 @@ from wheelsight.core.errors import EvaluationError
 from wheelsight.core.estimates import Reason, Status
 from wheelsight.core.messages import NOTHING_MEASURED
 from wheelsight.evaluation import Consistency, consistency
-
-# What a run is worth, judged from its evidence: the one verdict that report, terminal and metrics.json give.
 
 
 class Tone(StrEnum):
@@ -281,7 +279,14 @@ def judge(evidence: Evidence) -> Verdict:
 def verdict_of(record: RunRecord, records: Sequence[RunRecord] = ()) -> Verdict:
     """What a run of one odometry is worth, with its accuracy and speed; `records` as for `evidence_of`."""
     verdict = judge(evidence_of(record, records))
-    facts = accuracy_sentence(record), _drift_sentence(record), speed_sentence(record)
+    # Of joined sensors, how far off they end from the true start; nothing without a truth
+    found = facts_of(record).consistency if record.is_joined else None
+    if found is None:
+        drift_sentence = ""
+    else:
+        share = words.percent(found.drift_share)
+        drift_sentence = f"Begun at the true start, it ends {words.length(found.drift_m)} off, {share} of the way."
+    facts = accuracy_sentence(record), drift_sentence, speed_sentence(record)
     return Verdict(verdict.phrase, verdict.tone, verdict.findings, tuple(filter(None, facts)))
 
 
@@ -308,7 +313,14 @@ def _findings(e: Evidence) -> Iterator[Finding]:
         yield _in_map(e.known_map)
     yield _poses(e)
     yield from _drops(e)
-    yield from _left_out(e)
+    # Readings and true poses that the recording holds and that were not used
+    if e.left_out:
+        share = max(count / max(of, 1) for count, of in e.left_out.values())
+        tone = _graded(share, _DROPPED)
+        causes = "; ".join(f"{count:,} of {of:,}: {why}" for why, (count, of) in e.left_out.items())
+        total = sum(count for count, _ in e.left_out.values())
+        remedy = "" if tone is Tone.GREEN else "see the notes: repair the stamps, or record again"
+        yield Finding("left out", tone, f"{total:,} readings were left out", f"Left out were {causes}.", remedy)
     if e.is_joined:
         yield from _of_sensors(e)
     yield from _accuracy(e)
@@ -353,18 +365,6 @@ def _drops(e: Evidence) -> Iterator[Finding]:
         remedy = "record again, or copy the recording again: the notes say what is wrong with the images"
     short = f"{words.percent(drops.share)} of frames were dropped"
     yield Finding("drops", tone, short, f"{drops.sentence}.", "" if tone is Tone.GREEN else remedy)
-
-
-def _left_out(e: Evidence) -> Iterator[Finding]:
-    """Readings and true poses that the recording holds and that were not used."""
-    if not e.left_out:
-        return
-    share = max(count / max(of, 1) for count, of in e.left_out.values())
-    tone = _graded(share, _DROPPED)
-    causes = "; ".join(f"{count:,} of {of:,}: {why}" for why, (count, of) in e.left_out.items())
-    total = sum(count for count, _ in e.left_out.values())
-    remedy = "" if tone is Tone.GREEN else "see the notes: repair the stamps, or record again"
-    yield Finding("left out", tone, f"{total:,} readings were left out", f"Left out were {causes}.", remedy)
 
 
 def _of_sensors(e: Evidence) -> Iterator[Finding]:
@@ -552,15 +552,6 @@ def accuracy_sentence(record: RunRecord) -> str:
     return text + "."
 
 
-def _drift_sentence(record: RunRecord) -> str:
-    """Of joined sensors, how far off they end from the true start; nothing without a truth."""
-    found = facts_of(record).consistency if record.is_joined else None
-    if found is None:
-        return ""
-    share = words.percent(found.drift_share)
-    return f"Begun at the true start, it ends {words.length(found.drift_m)} off, {share} of the way."
-
-
 def speed_sentence(record: RunRecord) -> str:
     """Whether it keeps up with its sensor; nothing where no time is known."""
     if record.realtime is not None:
@@ -598,24 +589,22 @@ def notes(record: RunRecord) -> list[str]:
         found.append(
             "After a reading without a pose the path goes on from where it was: the motion between is not known."
         )
-    return [*found, *_association_notes(record), *_evaluation_notes(record)]
+    pairing = record.association
+    if pairing is None or not (pairing.dropped_color or pairing.dropped_depth):
+        association_notes = []
+    else:
+        association_notes = [
+            f"{pairing.dropped_color:,} of {words.count(pairing.color_images, 'colour image')} and "
+            f"{pairing.dropped_depth:,} of {words.count(pairing.depth_images, 'depth image')} found no partner within "
+            f"{1e3 * pairing.max_gap_s:g} ms and were left out."
+        ]
+    return [*found, *association_notes, *_evaluation_notes(record)]
 
 
 def _counted(reasons: tuple[tuple[str, int], ...]) -> str:
     text = ", ".join(f"{why} ({n:,})" for why, n in reasons[:_MOST_REASONS])
     others = sum(n for _, n in reasons[_MOST_REASONS:])
     return f"{text}, other reasons ({others:,})" if others else text
-
-
-def _association_notes(record: RunRecord) -> list[str]:
-    pairing = record.association
-    if pairing is None or not (pairing.dropped_color or pairing.dropped_depth):
-        return []
-    return [
-        f"{pairing.dropped_color:,} of {words.count(pairing.color_images, 'colour image')} and "
-        f"{pairing.dropped_depth:,} of {words.count(pairing.depth_images, 'depth image')} found no partner within "
-        f"{1e3 * pairing.max_gap_s:g} ms and were left out."
-    ]
 
 
 def _evaluation_notes(record: RunRecord) -> list[str]:
@@ -637,12 +626,12 @@ def _times(n: int) -> str:
     return "once" if n == 1 else f"{n} times"
 
 
-# What a run comes to in a few numbers: the key figures of the report, and the words they deserve.
+# Key figures
 
 
 SKIPPED = "skipped"
-# What is compiled or loaded once makes a first frame slower by so many times than the usual one. Fewer frames than
-# these do not tell what is usual.
+# A first frame that compiles or loads kernels is slower than the usual one by at least this factor. Fewer frames than
+# the second number give no usual time.
 _COLD_TIMES, _LEAST_FRAMES = 10.0, 10
 
 
@@ -740,7 +729,7 @@ def _percentile(values: np.ndarray, percent: float) -> float:
     return float(np.percentile(values, percent)) if len(values) else float("nan")
 
 
-# JoinedFacts: what came of joining wheels and a camera, for page, metrics and terminal.
+# Joined sensors
 
 
 JOINED = "joined"

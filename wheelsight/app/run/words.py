@@ -1,4 +1,4 @@
-"""Numbers as a person reads them: three digits and a unit that fits; what is not known says so."""
+"""Formats numbers for people: three digits and a fitting unit, or a word for an unknown value."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _MOST_PLACES = 4
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """`value` to so many significant digits, without an exponent where a person would write none."""
+    """Format `value` with the given number of significant digits, in plain notation where the exponent is small."""
     if value is None or not math.isfinite(value):
         return UNKNOWN
     if value == 0:

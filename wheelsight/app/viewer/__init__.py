@@ -1,4 +1,4 @@
-"""A run or a drive in Rerun's viewer: written as it goes to a file, or to a viewer on this machine (extra `rerun`)."""
+"""Shows a run or a drive in Rerun's viewer: in a file, or in a viewer on this machine (extra `rerun`)."""
 
 from wheelsight.app.viewer.logs import DriveLog, RerunLog
 from wheelsight.app.viewer.targets import SPAWN, is_file, open_drive_log, open_rerun, start_viewer, why_no_rerun

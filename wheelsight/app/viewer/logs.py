@@ -1,5 +1,5 @@
-"""RerunLog and DriveLog: show a run, or a drive to goals, to Rerun as it goes. Scene holds what both show alike, and
-the blueprint says how the viewer opens.
+"""RerunLog and DriveLog: show a run, or a drive to goals, in Rerun while it goes on. Scene holds what both share, with
+the blueprint of the viewer.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 from wheelsight.app.run.run_record import FrameRecord
 from wheelsight.app.run.track import UNITS, Track
 from wheelsight.core.calibration import Calibration
-from wheelsight.core.estimates import Estimate, Status
-from wheelsight.core.geometry import ByteArray, FloatArray, IntArray, PinholeCamera, se3
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import ByteArray, FloatArray, IntArray, se3
 from wheelsight.core.keyframes import KeyframeId, KeyframeStore
 from wheelsight.core.messages import Event, RgbdFrame
 from wheelsight.core.runtime import needed
@@ -32,10 +32,6 @@ from wheelsight.navigation import (
     StaticLayer,
     Transition,
 )
-from wheelsight.navigation.localization import WhereNow
-
-# RerunLog: shows a run to Rerun as it goes, and keeps nothing of it but where keyframes were shown last.
-
 
 _GREEN, _GREY = (0, 158, 115), (150, 150, 150)
 _MS = 1e3
@@ -72,7 +68,32 @@ class RerunLog:
         self._scene.begin(event.stamp_s)
         for track in tracks:
             if track.odometry in answers and track.last is not None:
-                self._show_answer(track, track.last, answers[track.odometry])
+                estimate = track.last
+                answer = answers[track.odometry]
+                name = track.odometry
+                self._scene.at(estimate.stamp_s)
+                if estimate.T_odom_body is not None:
+                    T_odom_body = estimate.T_odom_body
+                    if name == self.chief:
+                        self._scene.show_robot(T_odom_body, estimate.T_map_odom)
+                    else:
+                        place = f"{OTHERS}/{name}"
+                        self._log(f"{place}/body", self._scene.transform(T_odom_body))
+                        self._scene.show_way(f"{place}/trail", self._positions.get(name), T_odom_body[:3, 3], _GREY)
+                        self._positions[name] = T_odom_body[:3, 3]
+                # Status, and why; only where they change
+                status, words = self._last.get(name, ("", ""))
+                if status != estimate.status:
+                    self._scene.show_state(name, estimate.status)
+                said = "; ".join(filter(None, [str(answer.reason or ""), answer.note, *answer.flags]))
+                if said != words and said:
+                    self._log(f"{WORDS}/{name}", self._rr.TextLog(said, level="WARN"))
+                self._last[name] = (str(estimate.status), said)
+                if UNITS[name] == "frame" and not answer.is_skipped and answer.matches:
+                    self._log(f"{CURVES}/{name}/inliers", self._rr.Scalars(answer.inliers))
+                    self._log(f"{CURVES}/{name}/ms", self._rr.Scalars(_MS * answer.seconds))
+                if name == self.chief:
+                    self._show_keyframes(track, until=-1)  # the last one may still be in the making
         if isinstance(event, RgbdFrame):
             self._scene.show_images(event)
 
@@ -82,38 +103,15 @@ class RerunLog:
             if track.odometry == self.chief and track.last is not None:
                 self._scene.at(track.last.stamp_s)
                 self._show_keyframes(track, until=None)
-                self._show_surfels(track)
-
-    def _show_answer(self, track: Track, estimate: Estimate, answer: FrameRecord) -> None:
-        name = track.odometry
-        self._scene.at(estimate.stamp_s)
-        if estimate.T_odom_body is not None:
-            self._show_pose(name, estimate.T_odom_body, estimate.T_map_odom)
-        self._show_words(name, estimate, answer)
-        if UNITS[name] == "frame" and not answer.is_skipped and answer.matches:
-            self._log(f"{CURVES}/{name}/inliers", self._rr.Scalars(answer.inliers))
-            self._log(f"{CURVES}/{name}/ms", self._rr.Scalars(_MS * answer.seconds))
-        if name == self.chief:
-            self._show_keyframes(track, until=-1)  # the last one may still be in the making
-
-    def _show_pose(self, name: str, T_odom_body: FloatArray, T_map_odom: FloatArray) -> None:
-        if name == self.chief:
-            self._scene.show_robot(T_odom_body, T_map_odom)
-            return
-        place = f"{OTHERS}/{name}"
-        self._log(f"{place}/body", self._scene.transform(T_odom_body))
-        self._scene.show_way(f"{place}/trail", self._positions.get(name), T_odom_body[:3, 3], _GREY)
-        self._positions[name] = T_odom_body[:3, 3]
-
-    def _show_words(self, name: str, estimate: Estimate, answer: FrameRecord) -> None:
-        """Status, and why; only where they change."""
-        status, words = self._last.get(name, ("", ""))
-        if status != estimate.status:
-            self._scene.show_state(name, estimate.status)
-        said = "; ".join(filter(None, [str(answer.reason or ""), answer.note, *answer.flags]))
-        if said != words and said:
-            self._log(f"{WORDS}/{name}", self._rr.TextLog(said, level="WARN"))
-        self._last[name] = (str(estimate.status), said)
+                surfel_map = track.localizer.map
+                cloud = (
+                    None
+                    if surfel_map is None
+                    else cloud_of(partial(surfel_map.parts, "stable"), self._settings.map_points)
+                )
+                if cloud is not None:
+                    radius_m = max(cloud.edge_m, 0.005) / 2
+                    self._log(SURFELS, self._rr.Points3D(cloud.position, colors=cloud.color, radii=radius_m))
 
     def _show_keyframes(self, track: Track, until: int | None) -> None:
         """New ones with what they saw, and all where they lie once loops have moved some."""
@@ -148,18 +146,8 @@ class RerunLog:
         colours = np.repeat(grey[v, u].astype(np.uint8)[:, None], 3, axis=1)
         self._log(f"{KEYFRAMES}/{number}/points", self._rr.Points3D(points, colors=colours, radii=self._scene.px(1.5)))
 
-    def _show_surfels(self, track: Track) -> None:
-        surfel_map = track.localizer.map
-        cloud = None if surfel_map is None else cloud_of(partial(surfel_map.parts, "stable"), self._settings.map_points)
-        if cloud is not None:
-            radius_m = max(cloud.edge_m, 0.005) / 2
-            self._log(SURFELS, self._rr.Points3D(cloud.position, colors=cloud.color, radii=radius_m))
-
     def _log(self, place: str, *what: Any) -> None:
         self._scene.log(place, *what)
-
-
-# DriveLog: shows a drive to goals to Rerun as it goes: floor, costmap, plan, goal, robot, camera and statuses.
 
 
 # As in all plans (Okabe & Ito 2008).
@@ -218,29 +206,32 @@ class DriveLog:
         """A period is over."""
         self._scene.begin(feedback.stamp_s)
         self._scene.at(feedback.stamp_s)
-        self._begin_map(navigator)
-        self._show_robot(feedback, navigator.senses.where)
-        self._show_statuses(feedback)
-        self._show_plan(feedback)
-        self._show_maps(feedback.stamp_s, navigator)
-
-    def _begin_map(self, navigator: Navigator) -> None:
-        """Of another map than before nothing is known yet; the way does not go on from where the robot was in that."""
+        # Of another map than before nothing is known yet; the way does not go on from where the robot was in
+        # that.
         if self._navigator is not None and navigator is not self._navigator:
             self._revision, self._costmap, self._maps_s = -1, None, -np.inf
             self._scene.end_way()
             for place in (FLOOR, COSTMAP):
                 self._scene.log(place, self._rr.Clear(recursive=False))
         self._navigator = navigator
-
-    def _show_robot(self, feedback: Feedback, where: WhereNow) -> None:
-        odom_pose = where.odom_pose
+        odom_pose = navigator.senses.where.odom_pose
         if feedback.pose is not None and odom_pose is not None:
-            self._scene.show_robot(se3.from_plane(*odom_pose), se3.from_plane(*where.T_map_odom))
+            self._scene.show_robot(se3.from_plane(*odom_pose), se3.from_plane(*navigator.senses.where.T_map_odom))
         curves = {"forward_m_s": feedback.forward_m_s, "turn_rad_s": feedback.turn_rad_s, "to_go_m": feedback.to_go_m}
         for name, value in curves.items():
             if value is not None:
                 self._scene.log(f"{CURVES}/{name}", self._rr.Scalars(value))
+        self._show_statuses(feedback)
+        # Plan and goal where they change, nothing of them once there are none; what the controller expects
+        if feedback.plan is not self._plan:
+            self._plan = feedback.plan
+            self._show_line(PLAN, None if self._plan is None else self._plan.poses, _BLUE)
+        goal = feedback.goal
+        if (goal is None) != (self._goal is None) or (goal is not None and (goal != self._goal).any()):
+            self._goal = goal
+            self._scene.log(GOAL, self._rr.Clear(recursive=False) if goal is None else self._arrow(goal))
+        self._show_line(PREDICTED, feedback.predicted if len(feedback.predicted) else None, _SKY)
+        self._show_maps(feedback.stamp_s, navigator)
 
     def _show_statuses(self, feedback: Feedback) -> None:
         """Where they change."""
@@ -254,17 +245,6 @@ class DriveLog:
         if self._has_changed("reason", why) and why:
             self._scene.log(f"{WORDS}/{_MONITORED}", self._rr.TextLog(why, level="WARN"))
 
-    def _show_plan(self, feedback: Feedback) -> None:
-        """Plan and goal where they change, nothing of them once there are none; what the controller expects."""
-        if feedback.plan is not self._plan:
-            self._plan = feedback.plan
-            self._show_line(PLAN, None if self._plan is None else self._plan.poses, _BLUE)
-        goal = feedback.goal
-        if (goal is None) != (self._goal is None) or (goal is not None and (goal != self._goal).any()):
-            self._goal = goal
-            self._scene.log(GOAL, self._rr.Clear(recursive=False) if goal is None else self._arrow(goal))
-        self._show_line(PREDICTED, feedback.predicted if len(feedback.predicted) else None, _SKY)
-
     def _show_line(self, place: str, poses: FloatArray | None, colour: tuple[int, int, int]) -> None:
         if poses is not None:
             points = np.column_stack([poses[:, :2], np.full(len(poses), _LINES_M)])
@@ -274,14 +254,18 @@ class DriveLog:
         self._said[place] = "" if poses is None else "there"
 
     def _show_maps(self, stamp_s: float, navigator: Navigator) -> None:
-        """The floor and the costmap about the robot, so many times a second, where they have changed."""
+        """Show floor and local costmap if they have changed, at a limited rate."""
         rate_hz, senses = self._settings.costmap_rate_hz, navigator.senses
         if not rate_hz or stamp_s - self._maps_s < 1 / rate_hz - 1e-4:
             return
         self._maps_s = stamp_s
         if senses.floor.revision != self._revision:
             self._revision, floor = senses.floor.revision, senses.floor.layer
-            self._scene.log(FLOOR, self._texture(floor, _floor_colours(floor), _FLOOR_M))
+            # (H, W, 3); row 0 is the least y
+            colours = np.full((*floor.state.shape, 3), _UNKNOWN, np.uint8)
+            colours[floor.state == CellState.FREE] = _FREE
+            colours[floor.state == CellState.OCCUPIED] = _WALL
+            self._scene.log(FLOOR, self._texture(floor, colours, _FLOOR_M))
         local = senses.local()
         if local is not None and local is not self._costmap:
             self._costmap = local
@@ -309,23 +293,12 @@ class DriveLog:
         return before != said
 
 
-def _floor_colours(floor: StaticLayer) -> ByteArray:
-    """(H, W, 3); row 0 is the least y."""
-    colours = np.full((*floor.state.shape, 3), _UNKNOWN, np.uint8)
-    colours[floor.state == CellState.FREE] = _FREE
-    colours[floor.state == CellState.OCCUPIED] = _WALL
-    return colours
-
-
 def _cost_colours(costmap: Costmap) -> ByteArray:
     """(H, W, 3): from white, free, to orange, where the robot's middle can never be; lethal cells are dark."""
     share = costmap.cost[..., None].astype(float)
     colours = np.asarray(np.rint((1 - share) * _CHEAP + share * _COSTLY), np.uint8)
     colours[costmap.is_lethal] = _WALL
     return colours
-
-
-# Scene: what every log for Rerun shows alike: one timeline, the robot and its way, what its camera sees, statuses.
 
 
 STATUS_COLOURS: Mapping[str, int] = {
@@ -358,7 +331,7 @@ class Scene:
         self._show_fixed(calibration)
 
     def begin(self, stamp_s: float) -> None:
-        """The timeline begins at the first stamp that is told."""
+        """Begin the timeline at the first stamp."""
         if self._start_s is None:
             self._start_s = stamp_s
             self._stream.send_property("recording", self.rr.AnyValues(start_s=stamp_s))
@@ -390,7 +363,7 @@ class Scene:
             self.log(place, self.rr.LineStrips3D([[begin, end]], colors=[colour], radii=self.px(LINE_PX)))
 
     def show_images(self, frame: RgbdFrame) -> None:
-        """Colour and depth, so many times a second as the settings say."""
+        """Show colour and depth at the rate of the settings."""
         rate_hz = self._settings.image_rate_hz
         if not rate_hz or frame.stamp_s - self._image_s < 1 / rate_hz - 1e-4:
             return
@@ -436,13 +409,11 @@ class Scene:
             (COLOR, calibration.color, depth_color),
             (DEPTH, calibration.depth, np.eye(4)),
         ):
-            self.log(place, self.transform(T), self._pinhole(camera), static=True)
-
-    def _pinhole(self, camera: PinholeCamera) -> Any:
-        scale = min(1.0, self._settings.image_width_px / camera.width)
-        K = np.array([[camera.fx, 0, camera.cx + 0.5], [0, camera.fy, camera.cy + 0.5], [0, 0, 1 / scale]]) * scale
-        size = [round(scale * camera.width), round(scale * camera.height)]
-        return self.rr.Pinhole(image_from_camera=K, resolution=size, image_plane_distance=0.5)
+            scale = min(1.0, self._settings.image_width_px / camera.width)
+            K = np.array([[camera.fx, 0, camera.cx + 0.5], [0, camera.fy, camera.cy + 0.5], [0, 0, 1 / scale]]) * scale
+            size = [round(scale * camera.width), round(scale * camera.height)]
+            pinhole = self.rr.Pinhole(image_from_camera=K, resolution=size, image_plane_distance=0.5)
+            self.log(place, self.transform(T), pinhole, static=True)
 
 
 def _narrowed(image: Any, width: int, how: int) -> Any:
@@ -451,7 +422,7 @@ def _narrowed(image: Any, width: int, how: int) -> Any:
     return cv2.resize(image, (width, max(1, round(image.shape[0] * width / image.shape[1]))), interpolation=how)
 
 
-# How the viewer opens: the map large at the left; images, statuses and curves at the right; one timeline.
+# Blueprint
 
 
 TIMELINE = "time"

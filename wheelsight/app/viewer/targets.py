@@ -1,4 +1,4 @@
-"""Where a run is shown: a file, or a viewer that is started on this machine and listens to nobody else's."""
+"""Where a run is shown: a file, or a viewer that runs on this machine and accepts only local connections."""
 
 from __future__ import annotations
 
@@ -118,7 +118,14 @@ def start_viewer(viewer: Sequence[str] = VIEWER) -> tuple[str, subprocess.Popen[
         port = found.getsockname()[1]
     command = [*viewer, "--bind", _LOOPBACK, "--port", str(port), "--expect-data-soon"]
     try:
-        process = subprocess.Popen(command, env=_environment(viewer), start_new_session=True)
+        # An environment in which the viewer sends no analytics. On Linux this variable is the folder of its settings.
+        # The user's own settings stay unchanged; the viewer writes the file itself.
+        folder = Path(tempfile.gettempdir()) / f"wheelsight-rerun-{os.getuid() if hasattr(os, 'getuid') else 0}"
+        environment = {**os.environ, "XDG_CONFIG_HOME": str(folder)}
+        done = subprocess.run([*viewer, "analytics", "disable"], env=environment, capture_output=True, check=False)
+        if done.returncode:
+            raise ConfigError("Rerun's viewer does not let its analytics be switched off", fix="--rerun FILE.rrd")
+        process = subprocess.Popen(command, env=environment, start_new_session=True)
     except OSError as error:
         raise ConfigError(f"Rerun's viewer cannot be started: {error}", fix="--rerun FILE.rrd") from error
     deadline_s = time.monotonic() + _START_S
@@ -128,16 +135,3 @@ def start_viewer(viewer: Sequence[str] = VIEWER) -> tuple[str, subprocess.Popen[
         time.sleep(0.05)
     process.kill()
     raise ConfigError("Rerun's viewer did not start: it needs a screen", fix="--rerun FILE.rrd, and open that later")
-
-
-def _environment(viewer: Sequence[str]) -> dict[str, str]:
-    """In which the viewer tells nobody how it is used; on Linux, where this variable says where it is told so.
-
-    Its user's own settings stay as they are. The viewer itself writes it: how, is its own business.
-    """
-    folder = Path(tempfile.gettempdir()) / f"wheelsight-rerun-{os.getuid() if hasattr(os, 'getuid') else 0}"
-    environment = {**os.environ, "XDG_CONFIG_HOME": str(folder)}
-    done = subprocess.run([*viewer, "analytics", "disable"], env=environment, capture_output=True, check=False)
-    if done.returncode:
-        raise ConfigError("Rerun's viewer does not let its analytics be switched off", fix="--rerun FILE.rrd")
-    return environment
