@@ -1,5 +1,6 @@
-"""ByPlaces: localization by wheels and recognized areas. PlaceSense: area recognition as a position measurement for
-the error-state filter.
+"""ByPlaces: localization by wheels and recognized areas.
+
+`PlaceSense` turns recognized areas into position measurements of the error-state filter.
 """
 
 from __future__ import annotations
@@ -29,18 +30,16 @@ from wheelsight.places import PlaceMatch, PlaceModel, Unknown
 from wheelsight.vision.tracking_state import Stopwatch
 from wheelsight.wheels import AnyWheelOdometry
 
-# ByPlaces: wheels lead from frame to frame, and the area that each frame shows corrects them.
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:
-    """What wheels are rectified by.
+    """Model, areas and start of a localization by areas.
 
     Attributes:
-        model: names the area of a frame.
-        areas: that it was trained on, in the map frame.
-        T_odom_base: (4, 4) where the base is, in the plane, at the first reading from `begin_s` on.
-        begin_s: readings and frames before it have no pose yet.
+        model: recognizes the area of a frame.
+        areas: of its training, in the map frame.
+        T_odom_base: (4, 4) planar pose of the base at the first reading from `begin_s` on.
+        begin_s: readings and frames before it have no pose.
     """
 
     model: PlaceModel
@@ -55,11 +54,11 @@ def load_places(
     T_odom_base: FloatArray | None = None,
     begin_s: float = -np.inf,
 ) -> Places:
-    """Read model and areas; what the settings say wins over what is given beside them.
+    """Read model and areas. Settings take precedence over arguments.
 
     Raises:
         ConfigError: no model, no areas, or no start.
-        AreaError, PlaceError: a file that is none, or a model of other areas.
+        AreaError, PlaceError: an invalid file, or a model of other areas.
     """
     areas = None if areas is None else Path(areas)
     if settings.model is None:
@@ -76,10 +75,10 @@ def load_places(
 
 
 class ByPlaces:
-    """Wheel readings answered by the rectified pose, frames by the pose that they have just corrected.
+    """Answers wheel readings and frames by the wheels' pose, which each frame corrects by its area.
 
     Attributes:
-        last_place: what the model said of the last frame, or None where that could not be asked.
+        last_place: result of the model for the last frame; None if it was not asked.
     """
 
     body, frame, answers = "base", "map", (*WHEEL_READINGS, RgbdFrame, SkippedFrame)
@@ -103,33 +102,33 @@ class ByPlaces:
 
     @property
     def odometry(self) -> AnyWheelOdometry:
-        """Of the wheels, with the gyroscope where that is believed."""
+        """Odometry of the wheels, with the gyroscope while that is trusted."""
         return self._wheels.odometry
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is wrong with the gyroscope, as a sentence."""
+        """Fault of the gyroscope, as a sentence."""
         return self._wheels.warnings
 
     @property
     def stage_seconds(self) -> dict[str, float]:
-        """How long naming the area of the last frame took, and rectifying by it."""
+        """Duration of each stage of the last frame."""
         return self._stopwatch.seconds
 
     def process(self, event: Event) -> tuple[Estimate | None, str]:
-        """The estimate at a reading or frame, None at any other event, and why a frame corrected nothing."""
+        """Return the estimate at a reading or frame, None at any other event, and why a frame is no measurement."""
         if isinstance(event, RgbdFrame | SkippedFrame):
             self._stopwatch.restart()
             self.last_place = None
             why_not = self._why_not(event)
             if why_not is not None:
                 return why_not
-            return self._frame(event)
+            return self._correct(event)
         reading, note = self._wheels.process(event)
         return (None if reading is None else self._reading(reading)), note
 
     def refuse(self, event: Event, why: Untimed) -> tuple[Estimate | None, str]:
-        """The answer to an event whose stamp means nothing: none to a yaw rate."""
+        """Return the estimate at an event with an invalid stamp; None at a yaw rate."""
         self.last_place = None
         if isinstance(event, RgbdFrame | SkippedFrame):
             failed = Estimate(event.stamp_s, Status.FAILING, reason=Reason.FRAME_UNUSABLE, body=self.body)
@@ -140,14 +139,14 @@ class ByPlaces:
     def _reading(self, wheels: WheelEstimate) -> Estimate:
         if wheels.stamp_s < self._begin_s:
             return Estimate(wheels.stamp_s, Status.INITIALIZING, body=self.body)
-        self._rectifier.go_on(wheels)
+        self._rectifier.predict(wheels)
         if wheels.reason is not Reason.CLOCK_BACKWARDS:
             self._reading_s = wheels.stamp_s
         rectified = self._rectifier.estimate(wheels.stamp_s)
         return replace(rectified, status=wheels.status, reason=wheels.reason)
 
     def _why_not(self, frame: RgbdFrame | SkippedFrame) -> tuple[Estimate, str] | None:
-        """The answer to a frame at which wheels do not tell where the robot is."""
+        """Return the estimate at a frame without a current pose of the wheels, else None."""
         if self._reading_s == -np.inf:
             return Estimate(frame.stamp_s, Status.INITIALIZING, body=self.body), "no wheel reading yet"
         if frame.stamp_s > self._reading_s + self._max_gap_s:
@@ -155,43 +154,43 @@ class ByPlaces:
             return replace(self._rectifier.estimate(frame.stamp_s), status=Status.FAILING, reason=Reason.GAP), note
         return None
 
-    def _frame(self, frame: RgbdFrame | SkippedFrame) -> tuple[Estimate, str]:
+    def _correct(self, frame: RgbdFrame | SkippedFrame) -> tuple[Estimate, str]:
         if isinstance(frame, SkippedFrame):
-            return self._moved_on(self._rectifier.estimate(frame.stamp_s)), f"no measurement: {frame.reason}"
-        if self._repeats.lasting_s(frame) > 0:  # would count once more
+            return self._predicted(self._rectifier.estimate(frame.stamp_s)), f"no measurement: {frame.reason}"
+        if self._repeats.lasting_s(frame) > 0:  # would count twice
             again = replace(self._rectifier.estimate(frame.stamp_s), reason=Reason.REPEATED)
-            return self._moved_on(again), "no measurement: the same image as before"
+            return self._predicted(again), "no measurement: the same image as before"
         with self._stopwatch.stage("name the area"):
             self.last_place = match = self._model.predict(frame)
         with self._stopwatch.stage("rectify"):
             rectified = self._rectifier.correct(frame.stamp_s, match)
-        return self._moved_on(rectified), f"no measurement: {match.reason}" if match.reason is Unknown.NO_DEPTH else ""
+        return self._predicted(rectified), f"no measurement: {match.reason}" if match.reason is Unknown.NO_DEPTH else ""
 
-    def _moved_on(self, estimate: Estimate) -> Estimate:
-        """The estimate, which stands at the last reading, by the wheels' speed at the stamp of its frame."""
-        assert estimate.T_odom_body is not None  # rectifiers always tell one
+    def _predicted(self, estimate: Estimate) -> Estimate:
+        """Predict an estimate of the last reading at the stamp of its frame, by the wheels' velocity."""
+        assert estimate.T_odom_body is not None  # rectifiers always have one
         T_reading_frame = self.odometry.motion_in(max(estimate.stamp_s - self._reading_s, 0.0))
         return replace(estimate, T_odom_body=estimate.T_odom_body @ T_reading_frame)
 
 
 class _Rectifier(Protocol):
-    """Either way of rectifying, as ByPlaces takes it."""
+    """A method that corrects wheels by areas."""
 
-    def go_on(self, wheels: WheelEstimate) -> None:
-        """To the next estimate of the wheels; the first is the start."""
+    def predict(self, wheels: WheelEstimate) -> None:
+        """Predict by the next estimate of the wheels; the first one is the start."""
 
     def correct(self, stamp_s: float, match: PlaceMatch) -> Estimate:
-        """The pose at a frame."""
+        """Return the pose at a frame, corrected by its area."""
 
     def estimate(self, stamp_s: float) -> Estimate:
-        """The pose between frames."""
+        """Return the pose between frames."""
 
 
 class _ByProbability:
     def __init__(self, places: Places, settings: AreaRectifierSettings) -> None:
         self._inner = AreaRectifier(places.areas, places.T_odom_base, settings, area_shares=places.model.area_shares)
 
-    def go_on(self, wheels: WheelEstimate) -> None:
+    def predict(self, wheels: WheelEstimate) -> None:
         self._inner.predict_to(wheels)
 
     def correct(self, stamp_s: float, match: PlaceMatch) -> Estimate:
@@ -209,7 +208,7 @@ class _ByPaper:
         self._inner = PaperRectifier(places.areas, places.T_odom_base, weights, settings.odometry_term)
         self._has_begun = False
 
-    def go_on(self, wheels: WheelEstimate) -> None:
+    def predict(self, wheels: WheelEstimate) -> None:
         step = wheels.step
         if self._has_begun and step is not None:
             self._inner.predict(step.T_before_now)
@@ -222,15 +221,12 @@ class _ByPaper:
         return self._inner.estimate(stamp_s)
 
 
-# PlaceSense: the area that a frame shows, told to the default filter as a position.
-
-
 class PlaceSense:
-    """What a model of places is to a filter.
+    """Measures positions by recognized areas, for a filter.
 
     Attributes:
-        begin_s: nothing before it has a pose.
-        last_place: what the model said of the last frame, or None where it was not asked.
+        begin_s: events before it have no pose.
+        last_place: result of the model for the last frame; None if it was not asked.
     """
 
     def __init__(self, places: Places, settings: AreaRectifierSettings) -> None:
@@ -243,23 +239,23 @@ class PlaceSense:
 
     @property
     def stage_seconds(self) -> dict[str, float]:
-        """How long naming the area of the last frame took, and measuring by it."""
+        """Duration of each stage of the last frame."""
         return self._stopwatch.seconds
 
     @property
     def start(self) -> tuple[FloatArray, FloatArray]:
-        """T_odom_base (4, 4) at the start, and covariance (6, 6) of its left perturbation, as the rectifier has it."""
+        """T_odom_base (4, 4) at the start, and covariance (6, 6) of its left perturbation."""
         s, Ad = self._settings, se3.adjoint(self._T_odom_begin)
         in_base = np.diag(np.square([s.position_sigma_m, s.position_sigma_m, 0.0, 0.0, 0.0, s.yaw_sigma_rad]))
         return self._T_odom_begin, Ad @ in_base @ Ad.T
 
     def forget(self) -> None:
-        """The last frame is over."""
+        """Forget the result of the last frame."""
         self.last_place = None
         self._stopwatch.restart()
 
     def update(self, frame: RgbdFrame, answer: FusedEstimate, to: ErrorStateFilter) -> FusedEstimate:
-        """The answer to a frame after its place; what was wrong with the look stays said.
+        """Update the filter by the area of a frame; return the estimate, with reason and counts of `answer`.
 
         Raises:
             PlaceError: a frame of another size than the model was trained on.
@@ -270,9 +266,9 @@ class PlaceSense:
             return answer
         probabilities = None if match.reason is Unknown.NO_DEPTH else match.probabilities
         with self._stopwatch.stage("measure by the area"):
-            told = self._meter.measure(answer.T_odom_body, answer.covariance, probabilities)
-            if told is None:
+            position = self._meter.measure(answer.T_odom_body, answer.covariance, probabilities)
+            if position is None:
                 return answer
-            placed = to.update_position(frame.stamp_s, *told)
-        of_look = {name: getattr(answer, name) for name in ("reason", "nis", "matches", "inliers")}
-        return replace(placed, **of_look)
+            placed = to.update_position(frame.stamp_s, *position)
+        of_camera = {name: getattr(answer, name) for name in ("reason", "nis", "matches", "inliers")}
+        return replace(placed, **of_camera)

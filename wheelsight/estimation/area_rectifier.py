@@ -1,5 +1,17 @@
-"""AreaRectifier: recursive correction of wheel odometry by recognized areas. It holds the hidden Markov filter over
-areas and the position measurement for a Kalman filter.
+"""AreaRectifier: recursive correction of wheel odometry by recognized areas, with covariance.
+
+It replaces eq. 5 of Trinh et al. The state is the planar pose of the base, and the errors of the wheels: scale of
+distances, heading drift per metre (unequal radii) and scale of turns (track width), each of which may vary slowly.
+Wheels predict the state. A frame corrects it by the likelihood of its result as a function of the position: for each
+area that of the hidden Markov filter (`AreaFilter`), constant within that area (`FloorShares`). A Gaussian with the
+same mean and covariance replaces the product of the Gaussian and that likelihood (assumed density filtering; Maybeck
+1982, chapter 12). Heading and wheel errors follow by their correlation with the position.
+
+If the forest fails for a while, the likelihoods of all areas become alike and the wheels continue alone. A second
+belief uses the wheels alone, for the case that the forest is worthless. The estimate is the mean of both by the
+probability of that. The areas are the only knowledge of the building.
+
+`PlaceMeter` turns the same likelihoods into position measurements for a Kalman filter.
 """
 
 from __future__ import annotations
@@ -17,28 +29,15 @@ from wheelsight.core.geometry import FloatArray, se2, se3, so3
 from wheelsight.core.settings.fusion import AreaFilterSettings, AreaRectifierSettings
 from wheelsight.estimation import area_kernels as kernels
 
-# AreaRectifier: the areas that a forest names correct the wheels, as a recursive estimate with covariance.
-#
-# The way meant to be better than eq. 5 of Trinh et al. The state is the base's pose in the plane and what is wrong
-# with the wheels: the scale of the way, a drift of the heading a metre (unequal radii) and the scale of turns (track
-# width), each of which may wander slowly. Wheels predict it. A frame corrects it by the likelihood of its answer as a
-# function of the position: for each area the hidden Markov filter's (`filter`), anywhere in that area (`_floor`). The
-# product of a Gaussian with that likelihood is replaced by the Gaussian of the same mean and covariance (assumed
-# density filtering; Maybeck 1982, chapter 12), and what is correlated with the position, heading and wheels, follows.
-#
-# A forest that fails for a while makes all areas' likelihoods alike, and the wheels go on from where they are. Beside
-# all this the wheels are reckoned alone, for the case that the forest never was worth anything; the answer is the
-# mean of both by the probability of that. Nothing but the areas is known of the building.
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RectifiedEstimate(Estimate):
-    """A pose that areas have corrected.
+    """A pose that is corrected by areas.
 
     Attributes:
-        area_probabilities: (A,) that the base is in each area; what they leave of 1 is outside all of them.
-        trust: probability that the forest is worth something and does not fail just now.
-        support: share of the position's belief before the frame that agrees with its answer, or 1 without one.
+        area_probabilities: (A,) of the areas; the rest to 1 is that of the floor outside all areas.
+        trust: probability that the forest is informative and does not fail at present.
+        support: share of the predicted position that agrees with the frame's area; 1 without a frame.
     """
 
     area_probabilities: FloatArray | None = None
@@ -47,17 +46,17 @@ class RectifiedEstimate(Estimate):
 
 
 class AreaRectifier:
-    """Wheels corrected by areas, frame by frame; the same input gives the same answer to the last bit.
+    """Corrects wheels by areas, frame by frame. The same input gives the same result bit for bit.
 
     Args:
         areas: in the order of the forest's probabilities, at least one.
-        T_odom_base: (4, 4) pose at the start, in the plane.
-        settings: see there.
-        area_shares: (A,) of the frames that the forest was trained on, which its probabilities take for granted
-            (`PlaceModel.area_shares`); None: all alike.
+        T_odom_base: (4, 4) planar pose at the start.
+        settings: of the method; None for the defaults.
+        area_shares: (A,) shares of the forest's training frames, which are the prior of its probabilities
+            (`PlaceModel.area_shares`); None for equal shares.
 
     Raises:
-        ConfigError: no area, a pose that is none, or shares that are not one positive number an area.
+        ConfigError: no area, an invalid pose, or shares that are not one positive number per area.
     """
 
     def __init__(
@@ -77,10 +76,10 @@ class AreaRectifier:
         self._has_begun = False
 
     def predict(self, T_before_now: ArrayLike, covariance: ArrayLike) -> None:
-        """Go on by a step of the wheels.
+        """Predict by a step of the wheels.
 
         Args:
-            T_before_now: (4, 4) pose now in the frame of the base before.
+            T_before_now: (4, 4) current pose in the frame of the base before the step.
             covariance: (6, 6) of its left perturbation.
 
         Raises:
@@ -90,7 +89,7 @@ class AreaRectifier:
         if not (np.isfinite(T).all() and np.isfinite(covariance).all()):
             raise ConfigError("a step of the wheels is not finite", fix="leave steps out that odometry refused")
         step = np.array([T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])])
-        # Of forward and left rather than of the left perturbation, which turns about the place before.
+        # From the left perturbation, which rotates about the previous position, to forward and left.
         J = np.array([[1.0, 0.0, -step[1]], [0.0, 1.0, step[0]], [0.0, 0.0, 1.0]])
         noise = J @ covariance[np.ix_(PLANE, PLANE)] @ J.T
         for belief in (self._corrected, self._alone):
@@ -99,7 +98,7 @@ class AreaRectifier:
         self._turn_rad += abs(float(step[2]))
 
     def predict_to(self, wheels: WheelEstimate) -> None:
-        """Go on to the next estimate of wheel odometry; the first is the start, whatever step it tells.
+        """Predict by the next estimate of wheel odometry. The first one is the start; its step is ignored.
 
         Raises:
             ConfigError: an estimate without pose or covariance.
@@ -112,14 +111,14 @@ class AreaRectifier:
         self._has_begun = True
 
     def update(self, stamp_s: float, probabilities: ArrayLike | None) -> RectifiedEstimate:
-        """The pose at a frame.
+        """Return the pose at a frame.
 
         Args:
-            stamp_s: of the frame; the wheels have been predicted up to it.
-            probabilities: (A,) of the areas, from the forest, or None where it does not know: no measurement.
+            stamp_s: of the frame, up to which the wheels are predicted.
+            probabilities: (A,) of the areas, from the forest; None for no measurement.
 
         Raises:
-            ConfigError: not one probability an area, negative, not finite, or all zero.
+            ConfigError: probabilities that are not one per area, negative, not finite, or all zero.
         """
         frame_likelihood = None if probabilities is None else likelihood_of(probabilities, self._shares)
         self._filter.predict(self._way_m, self._turn_rad)
@@ -136,7 +135,7 @@ class AreaRectifier:
         return self._estimate(stamp_s, support)
 
     def estimate(self, stamp_s: float) -> RectifiedEstimate:
-        """The pose between frames, by the wheels since the last one; areas and trust are as of that frame."""
+        """Return the pose between frames, by the wheels; areas and trust are those of the last frame."""
         return self._estimate(stamp_s, 1.0)
 
     def _parts(self) -> tuple[FloatArray, FloatArray]:
@@ -145,7 +144,7 @@ class AreaRectifier:
     def _estimate(self, stamp_s: float, support: float) -> RectifiedEstimate:
         pose, spread = pose_of(self._corrected, self._alone, self._filter.worth)
         x, y, yaw = pose
-        # From x, y, yaw to the perturbation from the left, which turns about the map's origin.
+        # From x, y, yaw to the left perturbation, which rotates about the map's origin.
         J = np.array([[1.0, 0.0, y], [0.0, 1.0, -x], [0.0, 0.0, 1.0]])
         covariance = np.zeros((6, 6))
         covariance[np.ix_(PLANE, PLANE)] = J @ spread @ J.T
@@ -164,7 +163,7 @@ class AreaRectifier:
 def _start(T_odom_base: ArrayLike, settings: AreaRectifierSettings) -> PlaneBelief:
     T = np.asarray(T_odom_base, float)
     if not se3.is_valid(T):
-        raise ConfigError("the pose at the start is none", fix="give T_odom_base (4, 4)")
+        raise ConfigError("the start pose is invalid", fix="give T_odom_base (4, 4)")
     of_pose = (settings.position_sigma_m, settings.position_sigma_m, settings.yaw_sigma_rad)
     of_wheels = (settings.scale_sigma, settings.drift_sigma_rad_per_m, settings.turn_sigma)
     walk = np.square([settings.scale_walk, settings.drift_walk_rad_per_m, settings.turn_walk])
@@ -172,7 +171,7 @@ def _start(T_odom_base: ArrayLike, settings: AreaRectifierSettings) -> PlaneBeli
 
 
 def checked_shares(areas: AreaMap, area_shares: ArrayLike | None) -> FloatArray:
-    """(A,) that sum to 1; of None, all alike. Raises ConfigError."""
+    """Return shares (A,) that sum to 1; equal ones for None. Raises ConfigError."""
     n = len(areas)
     if n == 0:
         raise ConfigError("there is no area to rectify by", fix="give areas")
@@ -183,7 +182,7 @@ def checked_shares(areas: AreaMap, area_shares: ArrayLike | None) -> FloatArray:
 
 
 def likelihood_of(probabilities: ArrayLike, shares: FloatArray) -> FloatArray:
-    """(A,) what a frame says for each area, from the forest's probabilities (A,). Raises ConfigError."""
+    """Return the likelihood of a frame in each area (A,), from the forest's probabilities. Raises ConfigError."""
     probabilities = np.asarray(probabilities, float)
     if probabilities.shape != shares.shape:
         raise ConfigError(f"a frame has {probabilities.size} probabilities", fix=f"{len(shares)}, one an area")
@@ -192,32 +191,28 @@ def likelihood_of(probabilities: ArrayLike, shares: FloatArray) -> FloatArray:
     return np.asarray(probabilities / shares)
 
 
-# AreaFilter: a hidden Markov filter over the areas' adjacency, and over what the forest's answers are worth.
-#
-# Hidden are three things: how good the forest is just now (a level), in which area the robot is, and which area the
-# frames look like: their appearance. Frames taken close together look alike and are wrong together, so the appearance
-# keeps while the robot has hardly moved, and is drawn anew, from the confusions of a forest of that level, about once
-# every `appearance_m`. A run of wrong answers thereby counts once, however many frames it has. On the last levels
-# appearances are drawn without regard to the area, and keep for longer or shorter ways: a forest that fails, for a
-# while.
-#
-# Against all this stands the hypothesis that the forest is worth nothing and never was: appearances drawn without
-# regard to the area from the first frame on. Each answer's log-likelihood ratio tells between the two (`worth`). A
-# forest that always answers the same, or has areas mixed up, keeps its appearances long; only those that change where
-# areas do speak for the forest.
-#
-# Forward filtering is exact (Rabiner 1989, section III.A); `likelihoods` of `update` are what one frame says of the
-# area given all frames before it, which is what a filter of the position may take as a measurement without counting
-# anything twice.
-
-
 class AreaFilter:
-    """The belief over level, place and appearance; places are the A areas and, last, the floor outside them.
+    """A hidden Markov filter over level, place and appearance.
+
+    Three variables are hidden. The level is the current accuracy of the forest. The place is the area of the robot, or
+    the floor outside all areas. The appearance is the area that frames look like. Frames from nearby poses look alike
+    and are wrong together. So the appearance stays while the robot hardly moves, and is drawn again, from the
+    confusions of a forest of that level, about once every `appearance_m`. A run of wrong results thereby counts once.
+    On the last levels, appearances do not depend on the area and stay for shorter or longer distances: a forest that
+    fails for a while.
+
+    The alternative hypothesis is a forest that was never informative: appearances do not depend on the area from the
+    first frame on. The log-likelihood ratio of each result decides between both (`worth`). A forest that always gives
+    the same result, or confuses areas, keeps its appearances for long. Only appearances that change with the areas
+    support the forest.
+
+    Forward filtering is exact (Rabiner 1989, section III.A). `update` returns the likelihood of one frame given all
+    frames before it, which a filter of the position can use as a measurement without counting anything twice.
 
     Args:
         areas: in the order of the forest's probabilities.
-        settings: see there.
-        places: (A + 1,) probabilities of the places at the start, or None: all areas alike.
+        settings: of the method; None for the defaults.
+        places: (A + 1,) probabilities of the places at the start; None for equal areas.
     """
 
     def __init__(
@@ -240,26 +235,26 @@ class AreaFilter:
 
     @property
     def belief(self) -> FloatArray:
-        """(L, A + 1, A) of level, place and appearance, if the forest is worth something; last the levels that fail."""
+        """(L, A + 1, A) of level, place and appearance, given an informative forest; failing levels are last."""
         return np.array(self._belief)
 
     @property
     def places(self) -> FloatArray:
-        """(A + 1,) probabilities of the areas, and of being outside them."""
+        """(A + 1,) probabilities of the areas, and of the floor outside them."""
         return np.asarray(self._belief.sum(axis=(0, 2)))
 
     @property
     def trust(self) -> float:
-        """Probability that the forest is worth something and does not fail just now."""
+        """Probability that the forest is informative and does not fail at present."""
         return self.worth * float(self._belief[: self._n_right].sum())
 
     @property
     def worth(self) -> float:
-        """Probability that the forest is worth something, by all its answers so far."""
+        """Probability that the forest is informative, by all its results so far."""
         return float(1 / (1 + np.exp(-np.clip(self._log_odds, -700, 700))))
 
     def predict(self, way_m: float, turn_rad: float = 0.0) -> None:
-        """After so much way and turn, in absolute values, the place, the level and the appearance may have changed."""
+        """Predict place, level and appearance by the absolute distance and turn."""
         settings = self.settings
         belief = self._belief
         left = 1 - np.exp(-way_m / settings.area_m)
@@ -272,7 +267,7 @@ class AreaFilter:
         self._worthless = kept * self._worthless + (1 - kept) * appearances * self._worthless.sum(axis=1, keepdims=True)
 
     def agree_with(self, places: FloatArray) -> None:
-        """Take the probabilities (A + 1,) of the places from who knows better; what else is hidden keeps its own."""
+        """Set the marginal probabilities (A + 1,) of the places; the conditional ones stay."""
         known = self._belief.sum(axis=(0, 2))
         fallback = self._belief.sum(axis=1).sum(axis=1)[:, None, None] * self._appearances
         share = np.divide(self._belief, known[None, :, None], out=fallback, where=known[None, :, None] > 1e-300)
@@ -280,10 +275,10 @@ class AreaFilter:
         self._belief /= self._belief.sum()
 
     def update(self, frame_likelihood: FloatArray) -> FloatArray:
-        """Take in a frame.
+        """Update by a frame.
 
         Args:
-            frame_likelihood: (A,) what the frame says for each appearance, p(area | frame) / p(area), up to a factor.
+            frame_likelihood: (A,) likelihood of each appearance, p(area | frame) / p(area), up to a factor.
 
         Returns:
             (A + 1,) the frame's likelihood in each place, given all frames before; of mean 1 over the places.
@@ -302,11 +297,11 @@ class AreaFilter:
 
 
 def _level_jumps(settings: AreaFilterSettings) -> tuple[float, FloatArray]:
-    """How often a metre a level may change, and then (L, L) to which, from row to column; it may stay."""
+    """Return how often per metre a level may change, and the transitions (L, L) then, from row to column."""
     n, k = len(settings.accuracies), len(settings.failing_appearances_m)
     rates = np.zeros((n + k, n + k))
     rates[:n, :n] = 1 / (settings.level_m * n)
-    # A forest worth something rarely gets stuck: the longer a failure's appearance keeps, the rarer such failures are.
+    # An informative forest rarely gets stuck: failures with a longer appearance are rarer.
     rare = 1 / np.maximum(np.array(settings.failing_appearances_m) / settings.appearance_m, 1)
     rates[:n, n:] = rare / rare.sum() / settings.failure_m
     rates[n:, :n] = 1 / (settings.recovery_m * n)
@@ -316,7 +311,7 @@ def _level_jumps(settings: AreaFilterSettings) -> tuple[float, FloatArray]:
 
 
 def _appearances_of(areas: AreaMap, settings: AreaFilterSettings) -> FloatArray:
-    """(L, A + 1, A) probability of each appearance, by level and place; outside the areas any is as likely."""
+    """Return the probability (L, A + 1, A) of each appearance by level and place; uniform outside the areas."""
     n = len(areas)
     own = np.eye(n)
     near = areas.adjacency().astype(float) - own
@@ -331,35 +326,32 @@ def _appearances_of(areas: AreaMap, settings: AreaFilterSettings) -> FloatArray:
 
 
 def _moves_of(areas: AreaMap) -> FloatArray:
-    """(A + 1, A + 1) where one gets on leaving each place: a neighbour, or outside; from outside anywhere."""
+    """Return transitions (A + 1, A + 1) on leaving a place: to a neighbour or outside; from outside, to any area."""
     n = len(areas)
     moves = np.ones((n + 1, n + 1)) - np.eye(n + 1)
     moves[:n, :n] = areas.adjacency().astype(float) - np.eye(n)
     return np.asarray(moves / moves.sum(axis=1, keepdims=True))
 
 
-# PlaceMeter: the area that a frame shows, as a position that a Kalman filter takes as it takes any other.
-#
-# What the area filter (`filter`) says of each area is a likelihood of the position (`_floor`), and no Gaussian. The
-# filter's belief of the position, seen through it, has a mean and a covariance; what is told is the measurement that
-# takes the belief there, as expectation propagation replaces a factor by a Gaussian (Minka, UAI 2001). Directions in
-# which the belief gets no narrower, such as along a corridor, are left open: their variance says nothing.
-
-
-_OPEN = 1e6  # times the belief's own variance
+_OPEN = 1e6  # variance of an unmeasured direction, relative to the predicted one
 _NARROWEST, _WIDEST = 1e-6, 1 - 1e-4
 
 
 class PlaceMeter:
-    """Positions by areas, frame by frame; the same input gives the same answer to the last bit.
+    """Measures positions by areas, frame by frame, for a Kalman filter. The same input gives the same result.
+
+    The likelihood of the position by the area filter is not Gaussian. Its product with the filter's predicted position
+    has a mean and a covariance. `measure` returns the measurement that moves the prediction there, as expectation
+    propagation replaces a factor by a Gaussian (Minka, UAI 2001). Directions in which the prediction gets no narrower,
+    such as along a corridor, get a very large variance.
 
     Args:
         areas: in the order of the forest's probabilities, at least one.
-        settings: what is believed of areas and forest; of the wheels, the filter knows more.
-        area_shares: (A,) of the frames that the forest was trained on; None: all alike.
+        settings: of areas and forest; those of the wheels are not used.
+        area_shares: (A,) shares of the forest's training frames; None for equal shares.
 
     Raises:
-        ConfigError: no area, or shares that are not one positive number an area.
+        ConfigError: no area, or shares that are not one positive number per area.
     """
 
     def __init__(
@@ -374,39 +366,39 @@ class PlaceMeter:
     def measure(
         self, T_odom_base: FloatArray, covariance: FloatArray, probabilities: ArrayLike | None
     ) -> tuple[FloatArray, FloatArray] | None:
-        """The position that a frame tells.
+        """Return the position of a frame by its area.
 
         Args:
-            T_odom_base: (4, 4) at the frame, as it is believed without it.
+            T_odom_base: (4, 4) predicted pose at the frame.
             covariance: (6, 6) of its left perturbation.
-            probabilities: (A,) of the areas, from the forest, or None where it does not know.
+            probabilities: (A,) of the areas, from the forest; None for no measurement.
 
         Returns:
-            x, y (2,) in the map, metres, and covariance (2, 2); or None where the frame tells nothing, or what hardly
-            agrees with the belief.
+            x, y (2,) in the map, metres, and covariance (2, 2); None without information, or if the area hardly
+            agrees with the prediction.
 
         Raises:
-            ConfigError: not one probability an area, negative, not finite, or all zero.
+            ConfigError: probabilities that are not one per area, negative, not finite, or all zero.
         """
         frame_likelihood = None if probabilities is None else likelihood_of(probabilities, self._shares)
         xy = T_odom_base[:2, 3]
-        parts, axes = self._floor.parts_of(xy, _of_position(T_odom_base, covariance))
-        areas = self._moved_to(T_odom_base, parts[:, 0])
+        parts, axes = self._floor.parts_of(xy, se3.position_covariance(T_odom_base, covariance)[:2, :2])
+        areas = self._predicted(T_odom_base, parts[:, 0])
         if frame_likelihood is None:
             return None
         likelihoods = areas.update(frame_likelihood)
-        # Of a forest that was never worth anything an answer says nothing, whatever the area.
+        # The result of an uninformative forest has the likelihood 1 in all areas.
         likelihoods = 1 + areas.worth * (likelihoods - 1)
         if parts[:, 0] @ likelihoods / likelihoods.max() < self.settings.least_support:
             return None
-        told = equivalent(*reweighted(parts, likelihoods))
-        if told is None:
+        found = equivalent(*reweighted(parts, likelihoods))
+        if found is None:
             return None
-        offset, spread = axes @ told[0], axes @ told[1] @ axes.T
+        offset, spread = axes @ found[0], axes @ found[1] @ axes.T
         return xy + offset, (spread + spread.T) / 2
 
-    def _moved_to(self, T_odom_base: FloatArray, places: FloatArray) -> AreaFilter:
-        """The area filter at a frame's pose, which is in the places (A + 1,) by these probabilities."""
+    def _predicted(self, T_odom_base: FloatArray, places: FloatArray) -> AreaFilter:
+        """Return the area filter, predicted at a frame's pose, with its probabilities (A + 1,) of the places."""
         if self._filter is None:
             self._filter = AreaFilter(self._areas, self.settings.forest, places)
         else:
@@ -419,27 +411,19 @@ class PlaceMeter:
 
 
 def equivalent(mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """The measurement (2,) with covariance (2, 2) that takes N(0, I) to N(mean, covariance); None if there is none.
+    """Return the measurement (2,) with covariance (2, 2) that updates N(0, I) to N(mean, covariance), or None.
 
-    Along an axis of the covariance with variance c and mean m it is m / (1 - c) with c / (1 - c); along axes in which
-    c is not below 1, none.
+    Along an axis of the covariance with variance c and mean m it is m / (1 - c) with c / (1 - c). Axes with c ≥ 1 have
+    none.
     """
     variances, directions = np.linalg.eigh(covariance)
-    tells = variances < _WIDEST
-    if not tells.any():
+    is_measured = variances < _WIDEST
+    if not is_measured.any():
         return None
-    left = np.where(tells, np.maximum(variances, _NARROWEST), 0.0)
-    values = np.where(tells, directions.T @ mean / (1 - left), 0.0)
-    spread = np.where(tells, left / (1 - left), _OPEN)
+    left = np.where(is_measured, np.maximum(variances, _NARROWEST), 0.0)
+    values = np.where(is_measured, directions.T @ mean / (1 - left), 0.0)
+    spread = np.where(is_measured, left / (1 - left), _OPEN)
     return directions @ values, (directions * spread) @ directions.T
-
-
-def _of_position(T_odom_base: FloatArray, covariance: FloatArray) -> FloatArray:
-    """(2, 2) of x and y, from that of the left perturbation, which turns about the map's origin."""
-    return se3.position_covariance(T_odom_base, covariance)[:2, :2]
-
-
-# FloorShares: which share of each point of the floor belongs to which area, and a Gaussian's parts in them.
 
 
 _MOST_SHARES = 4_000_000
@@ -447,14 +431,14 @@ _FEWEST_STEPS, _MOST_STEPS = 15, 81
 
 
 class FloorShares:
-    """Areas with soft borders, sampled on a grid.
+    """Share of each point of the floor in each area, sampled on a grid.
 
-    Borders are soft because frames name the next area a little before or behind the line that was drawn.
+    Borders are soft because the recognized area changes a little before or behind the drawn line.
 
     Args:
         areas: at least one.
-        border_m: standard deviation of the Gaussian that the areas are blurred with.
-        cell_m: of the grid; larger where the floor is so large that the grid would take too much memory.
+        border_m: standard deviation of the Gaussian that blurs the areas.
+        cell_m: of the grid; larger for a large floor, to limit memory.
     """
 
     def __init__(self, areas: AreaMap, border_m: float = 0.4, cell_m: float = 0.1) -> None:
@@ -463,7 +447,7 @@ class FloorShares:
         corners = np.concatenate([area.polygon for area in areas])
         low, high = corners.min(axis=0) - 4 * border_m, corners.max(axis=0) + 4 * border_m
         self._cell_m = max(cell_m, float(np.sqrt(np.prod(high - low) * len(areas) / _MOST_SHARES)))
-        # Half a cell off: borders drawn to the decimetre fall between samples, and no area gains by them.
+        # Shifted by half a cell: borders on multiples of a decimetre lie between samples, which favours no area.
         low = corners.min(axis=0) - (np.ceil(4 * border_m / self._cell_m) + 1.5) * self._cell_m
         high = high + 2 * self._cell_m
         columns, rows = np.ceil((high - low) / self._cell_m).astype(int) + 1
@@ -475,14 +459,14 @@ class FloorShares:
         self._corner = low
 
     def parts_of(self, mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """A Gaussian's parts in the areas.
+        """Return the parts of a Gaussian in the areas.
 
         Args:
             mean: (2,) metres.
             covariance: (2, 2) m².
 
         Returns:
-            (A + 1, 6) mass and moments, see `_kernels.parts_in_areas`, and the axes (2, 2) that these are along.
+            (A + 1, 6) mass and moments, see `area_kernels.parts_in_areas`, and their axes (2, 2).
         """
         variances, directions = np.linalg.eigh(covariance)
         sigmas = np.sqrt(np.maximum(variances, 1e-12))
@@ -494,9 +478,9 @@ class FloorShares:
 
 
 def reweighted(parts: FloatArray, likelihoods: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean (2,) and covariance (2, 2), along the axes of the parts, of a Gaussian seen through `likelihoods` (A + 1,).
+    """Return mean (2,) and covariance (2, 2), along the axes of the parts, of a Gaussian times `likelihoods` (A + 1,).
 
-    The grid's own rounding is taken off: likelihoods that are all alike give mean 0 and covariance 1 exactly.
+    The rounding of the grid is corrected: equal likelihoods give mean 0 and covariance 1 exactly.
     """
 
     def moments(weights: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -510,21 +494,18 @@ def reweighted(parts: FloatArray, likelihoods: FloatArray) -> tuple[FloatArray, 
     return (mean - base_mean) * rescale, covariance * np.outer(rescale, rescale)
 
 
-# PlaneBelief: a Gaussian over the base's pose in the plane and over what is wrong with the wheels.
-
-
 PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
 
 
 class PlaneBelief:
     """Mean and covariance of x, y in metres, yaw in radians, and the wheels' errors: scale, drift, turn.
 
-    Scale is the ratio by which the way is wrong, drift the heading's in rad/m, turn the ratio by which turns are.
+    Scale is the relative error of distances, drift that of the heading in rad/m, turn the relative error of turns.
 
     Args:
         x_m, y_m, yaw_rad: at the start.
         sigmas: (6,) of the state at the start.
-        walk: (3,) how far the variances of scale, drift and turn grow in one metre.
+        walk: (3,) growth of the variances of scale, drift and turn per metre.
     """
 
     def __init__(self, x_m: float, y_m: float, yaw_rad: float, sigmas: FloatArray, walk: FloatArray) -> None:
@@ -533,13 +514,13 @@ class PlaneBelief:
         self._walk = walk
 
     def move(self, step: FloatArray, step_covariance: FloatArray) -> None:
-        """Go on by a step of the wheels (3,), forward, left, yaw, with its covariance (3, 3)."""
+        """Predict by a step of the wheels (3,), forward, left, yaw, with its covariance (3, 3)."""
         kernels.step(self.mean, self.covariance, step, step_covariance, self._walk)
 
     def correct(self, mean: FloatArray, covariance: FloatArray, axes: FloatArray) -> None:
-        """The position takes mean (2,) and covariance (2, 2) along `axes`, in which they were 0 and the identity.
+        """Set mean (2,) and covariance (2, 2) of the position along `axes`, in which they were 0 and the identity.
 
-        `axes` (2, 2) is a root of the position's covariance: `axes @ axes.T`. All else follows by its correlation.
+        `axes` (2, 2) is a root of the position's covariance, `axes @ axes.T`. The rest follows by its correlation.
         """
         gain = np.linalg.solve(axes, self.covariance[:2]).T
         self.mean += gain @ mean
@@ -548,7 +529,7 @@ class PlaneBelief:
 
 
 def pose_of(one: PlaneBelief, other: PlaneBelief, share: float) -> tuple[FloatArray, FloatArray]:
-    """x, y, yaw (3,) and their covariance (3, 3) where `one` is right with probability `share`, else `other`."""
+    """Return x, y, yaw (3,) and their covariance (3, 3) of a mixture, in which `one` has the probability `share`."""
     apart = one.mean[:3] - other.mean[:3]
     apart[2] = se2.wrap_angle(apart[2])
     within = share * one.covariance[:3, :3] + (1 - share) * other.covariance[:3, :3]

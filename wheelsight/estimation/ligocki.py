@@ -1,4 +1,22 @@
-"""Fusion of wheel and visual odometry with a constant weight, after Ligocki: the localizer and its filter."""
+"""Fusion of wheel and visual odometry with a constant weight, after Ligocki: the localizer and its filter.
+
+From the paper: the state of one axis, x_k = (wheel_k, visual_k, wheel_k-1, visual_k-1); the matrix H of eq. 2, which
+gives the fused position and velocity, z_k = H x_k, with a weight C, 0 ≪ C < 1; and its purpose: "larger weight on
+short-term accurate data from Wheel Odometry and smaller weight on the longer term reliable data from Visual Odometry".
+
+Ours, because the paper does not describe it: the process. No sensor measures z, so z is the estimate and the sensors
+drive x. If wheel_k were the pose of the wheels alone, the estimate would keep the share C of their drift for ever, and
+nothing would be reliable in the long term. So the wheels continue from the last estimate, wheel_k = z_k-1 + Δwheel:
+
+    x_k = A x_k-1 + (Δwheel, Δvisual, 0, 0) + w_k,  A = ((C, 1-C, 0, 0), (0, 1, 0, 0), (C, 1-C, 0, 0), (0, 1, 0, 0)),
+
+with P_k = A P_k-1 Aᵀ + Q, the time update of Welch & Bishop. The first row of A is that of H. Steps of the wheels are
+rotated by the yaw between their frame and the estimate's. Yaw is not wrapped. Without a visual pose, vision moves as
+the wheels do. The estimate follows the wheels at once, and vision with the time constant -Δt / log C.
+
+Limits: the weight is constant, whatever the errors of the sensors; slip and jumps of vision enter the estimate; both
+sensors must start in the same frame; it is planar; its covariance is that of Q, not of the sensors.
+"""
 
 from __future__ import annotations
 
@@ -21,22 +39,20 @@ from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
 from wheelsight.estimation.wheel_localizer import ByWheels
 from wheelsight.vision.features import MatchedPixels
 
-# ByLigocki: wheels and camera, each alone, joined at every frame by the filter of Ligocki's paper.
-
 
 class ByLigocki:
-    """Frames answered by eq. 2. Both sensors begin at the identity at the first frame that the camera tracked.
+    """Answers frames by eq. 2. Both sensors start at the identity at the first tracked frame.
 
     Attributes:
-        odometry: the camera's.
-        mapper: builds a map of the camera alone, where one is asked for.
-        T_odom_map: (4, 4) where that lies by the last frame that both know.
+        odometry: of the camera.
+        mapper: builds a map of the camera alone, if the settings ask for one.
+        T_odom_map: (4, 4) pose of that map at the last frame with poses of both sensors.
     """
 
     body, frame, answers = "base", "map", (RgbdFrame, SkippedFrame)
 
     def __init__(self, calibration: Calibration, settings: Config, parts: OwnParts = NO_PARTS) -> None:
-        mount_of(calibration)  # the camera answers for the base
+        mount_of(calibration)  # raises if it is not known
         self._wheels = ByWheels(calibration, settings.wheels)
         self.hears: tuple[type[Event], ...] = (*self._wheels.hears, *self.answers)
         self._camera = ByFrames(calibration, settings, parts=parts)
@@ -51,21 +67,21 @@ class ByLigocki:
 
     @property
     def last_matches(self) -> MatchedPixels | None:
-        """What the last frame was aligned by."""
+        """Pixels by which the last frame was aligned."""
         return self._camera.last_matches
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is wrong with the gyroscope, as a sentence."""
+        """Fault of the gyroscope, as a sentence."""
         return self._wheels.warnings
 
     @property
     def stage_seconds(self) -> dict[str, float]:
-        """How long each stage of the last frame took."""
+        """Duration of each stage of the last frame."""
         return self._camera.stage_seconds
 
     def process(self, event: Event) -> tuple[Estimate | None, str]:
-        """The joined estimate at a frame, None at any other event, and what was wrong with a frame."""
+        """Return the fused estimate at a frame, None at any other event, and a note on the frame."""
         rolled, _ = self._wheels.process(event)
         if rolled is not None:
             self._rolled = rolled
@@ -73,7 +89,7 @@ class ByLigocki:
         return None if seen is None else self._joined(seen), note
 
     def refuse(self, event: Event, why: Untimed) -> tuple[Estimate | None, str]:
-        """The joined estimate at a frame whose stamp means nothing, None at any other event."""
+        """Return the fused estimate at a frame with an invalid stamp, None at any other event."""
         if not isinstance(event, RgbdFrame | SkippedFrame):
             return None, ""
         seen, note = self._camera.refuse(event, why)
@@ -84,9 +100,11 @@ class ByLigocki:
             return seen
         if seen.reason is Reason.REPEATED and self._answer is not None:
             return replace(self._answer, reason=Reason.REPEATED)
-        T_odom_base = self._rolled_to(seen.stamp_s)
-        if T_odom_base is None:
+        if self._rolled is None or self._rolled.T_odom_body is None:
             return replace(seen, T_odom_body=None, covariance=None, status=Status.INITIALIZING)
+        # The wheels' velocity predicts the pose at the frame, for at most the longest gap.
+        seconds = min(max(seen.stamp_s - self._rolled.stamp_s, 0.0), self._max_gap_s)
+        T_odom_base = self._rolled.T_odom_body @ self._wheels.odometry.motion_in(seconds)
         if self._T_begin_odom is None:
             if seen.T_odom_body is None:
                 return seen
@@ -99,46 +117,16 @@ class ByLigocki:
         self._answer = replace(joined, reason=reason, matches=seen.matches, inliers=seen.inliers)
         return self._answer
 
-    def _rolled_to(self, stamp_s: float) -> FloatArray | None:
-        """T_odom_base by the wheels, moved on from the last reading by their speed, as far as a gap may be bridged."""
-        if self._rolled is None or self._rolled.T_odom_body is None:
-            return None
-        seconds = min(max(stamp_s - self._rolled.stamp_s, 0.0), self._max_gap_s)
-        return self._rolled.T_odom_body @ self._wheels.odometry.motion_in(seconds)
-
-
-# LigockiFilter: wheels and vision joined with a constant weight, by eq. 2 of Ligocki's paper.
-#
-# The paper's: the state of one axis, x_k = (wheel_k, visual_k, wheel_k-1, visual_k-1); the matrix H of eq. 2, which
-# makes of it the joined position and velocity, z_k = H x_k, with a weight C, 0 ≪ C < 1; and what this is for: "larger
-# weight on short-term accurate data from Wheel Odometry and smaller weight on the longer term reliable data from
-# Visual Odometry".
-#
-# Ours, because the paper is silent: the process. No sensor measures z, so z is what the filter answers, and x has to
-# be told by the sensors. Were wheel_k where the wheels alone believe to be, the answer would keep the share C of
-# their drift for ever, and nothing would be long-term reliable. So the wheels go on from the last answer, wheel_k =
-# z_k-1 + Δwheel:
-#
-# x_k = A x_k-1 + (Δwheel, Δvisual, 0, 0) + w_k, A = ((C, 1-C, 0, 0), (0, 1, 0, 0), (C, 1-C, 0, 0), (0, 1, 0, 0)),
-#
-# with P_k = A P_k-1 Aᵀ + Q, the time update of Welch & Bishop. The first row of A is that of H. The steps of the
-# wheels are turned by the yaw between their frame and the answer's; yaw is not wrapped; without a visual pose vision
-# moves as the wheels do. The answer then follows wheels at once and vision with the time constant -Δt / log C.
-#
-# What it cannot do: the weight is constant, whatever the sensors know of their errors; a slip or a leap of vision
-# goes into the answer as it comes; both must begin in the same frame; it is planar; its covariance is that of Q, not
-# of the sensors.
-
 
 _PLANE = np.array([0, 1, 5])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JoinedEstimate(Estimate):
-    """The joined pose, and how fast it moves.
+    """The fused pose and its velocity.
 
     Attributes:
-        velocity: (3,) of x, y in m/s in the map frame and of yaw in rad/s: the second rows of eq. 2. Or None.
+        velocity: (3,) of x, y in m/s in the map frame and of yaw in rad/s, by the second rows of eq. 2; or None.
         velocity_covariance: (3, 3), or None.
     """
 
@@ -147,22 +135,22 @@ class JoinedEstimate(Estimate):
 
 
 def measurement_matrix(weight: float, dt_s: float) -> FloatArray:
-    """H (2, 4) of eq. 2, for one axis."""
+    """Return H (2, 4) of eq. 2, for one axis."""
     C = weight
     return np.array([[C, 1 - C, 0, 0], np.array([C, 1 - C, -C, C - 1]) / dt_s])
 
 
 def process_matrix(weight: float) -> FloatArray:
-    """A (4, 4): wheels go on from the last answer, vision from where it was, and both are remembered."""
+    """Return A (4, 4): wheels continue from the last estimate and vision from its pose; both are remembered."""
     C = weight
     return np.array([[C, 1 - C, 0, 0], [0, 1, 0, 0], [C, 1 - C, 0, 0], [0, 1, 0, 0]])
 
 
 class LigockiFilter:
-    """Poses of wheels and vision in, the joined pose out; the same input gives the same answer to the last bit.
+    """Fuses poses of wheels and vision. The same input gives the same result bit for bit.
 
     Args:
-        settings: see there.
+        settings: of the filter; None for the defaults.
     """
 
     def __init__(self, settings: LigockiSettings | None = None) -> None:
@@ -177,19 +165,19 @@ class LigockiFilter:
         self._wheels = np.zeros(3)
 
     def update(self, stamp_s: float, T_odom_base: ArrayLike, T_map_base_visual: ArrayLike | None) -> JoinedEstimate:
-        """The joined pose at a stamp at which both are known.
+        """Return the fused pose at a stamp at which both poses are known.
 
         Args:
             stamp_s: later than the last one.
             T_odom_base: (4, 4) or (3, 3) by the wheels alone.
-            T_map_base_visual: (4, 4) or (3, 3) by vision alone, in the frame that began where odom did; or None.
+            T_map_base_visual: (4, 4) or (3, 3) by vision alone, in a frame that starts with odom; or None.
 
         Returns:
-            `Status.TRACKING` with the pose, `COASTING` without vision; `FAILING` with `CLOCK_BACKWARDS`, and the pose
-            left as it was, at a stamp that is not later.
+            `Status.TRACKING` with the pose, `COASTING` without vision. At a stamp that is not later: `FAILING` with
+            `CLOCK_BACKWARDS` and the previous pose.
 
         Raises:
-            ConfigError: a pose or stamp that is none.
+            ConfigError: an invalid pose or stamp.
         """
         wheels = _planar(T_odom_base)
         visual = None if T_map_base_visual is None else _planar(T_map_base_visual)
@@ -204,11 +192,6 @@ class LigockiFilter:
         dt_s = stamp_s - self._stamp_s
         if dt_s <= 0:
             return self._estimate(Status.FAILING, None, Reason.CLOCK_BACKWARDS)
-        self._go_on(wheels, visual, dt_s)
-        self._stamp_s = stamp_s
-        return self._estimate(status, dt_s)
-
-    def _go_on(self, wheels: FloatArray, visual: FloatArray | None, dt_s: float) -> None:
         H, A = measurement_matrix(self.settings.weight, dt_s), process_matrix(self.settings.weight)
         turned = _rotation((self._x @ H[0])[2] - self._wheels[2])
         wheel_step = turned @ _unwrapped(wheels - self._wheels)
@@ -218,13 +201,15 @@ class LigockiFilter:
         self._x[:, 1] += visual_step
         self._P = A @ self._P @ A.T + self._Q * dt_s
         self._wheels = wheels
+        self._stamp_s = stamp_s
+        return self._estimate(status, dt_s)
 
     def _estimate(self, status: Status, dt_s: float | None, reason: Reason | None = None) -> JoinedEstimate:
         assert self._stamp_s is not None
         H = measurement_matrix(self.settings.weight, dt_s or 1.0)
         joined, spread = self._x @ H.T, H @ self._P @ H.T
         x, y, yaw = joined[:, 0]
-        # From x, y, yaw to the perturbation from the left, which turns about the map's origin.
+        # From x, y, yaw to the left perturbation, which rotates about the map's origin.
         J = np.array([[1.0, 0.0, y], [0.0, 1.0, -x], [0.0, 0.0, 1.0]])
         covariance = np.zeros((6, 6))
         covariance[np.ix_(_PLANE, _PLANE)] = J @ np.diag(spread[:, 0, 0]) @ J.T
@@ -234,12 +219,12 @@ class LigockiFilter:
 
 
 def _planar(T: ArrayLike) -> FloatArray:
-    """x, y, yaw (3,) of a motion (4, 4) or (3, 3)."""
+    """Return x, y, yaw (3,) of a motion (4, 4) or (3, 3)."""
     T = np.asarray(T, float)
     if T.shape == (3, 3) and np.isfinite(T).all():
         T = se3.from_plane(*se2.to_parts(T)) if np.allclose(T[:2, :2] @ T[:2, :2].T, np.eye(2), atol=1e-6) else T
     if T.shape != (4, 4) or not se3.is_valid(T):
-        raise ConfigError("a pose to join is none", fix="a rigid motion, (4, 4) or (3, 3)")
+        raise ConfigError("a pose to fuse is invalid", fix="a rigid motion, (4, 4) or (3, 3)")
     return np.array([T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])])
 
 

@@ -1,4 +1,4 @@
-"""Which odometry localizes where the configuration names none: all sensors joined, where that is possible."""
+"""Choice of odometry if the configuration names none: all sensors are fused if that is possible."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from wheelsight.vision.visual_odometry import VisualOdometry
 FRAMES, READINGS, RATES = "frames", "wheel readings", "readings of the gyroscope"
 
 
-# What a user reads about a choice, and which option chooses otherwise.
+# Message for the user: the choice, and the option that chooses otherwise.
 _SENTENCES: dict[tuple[OdometryName, ...], str] = {
     ("wheels", "dense"): "wheels and camera are joined (--odometry wheels,dense; dense: the camera alone)",
     ("wheels", "features"): "wheels and camera are joined (--odometry wheels,features; features: the camera alone)",
@@ -27,14 +27,14 @@ _SENTENCES: dict[tuple[OdometryName, ...], str] = {
 
 @dataclass(frozen=True, slots=True)
 class OwnParts:
-    """Parts of a user's own in place of built-in ones; None: the built-in one.
+    """Custom parts that replace built-in ones; None for the built-in one.
 
     Attributes:
-        visual_odometry: follows the camera; the configuration calls it `own`.
+        visual_odometry: tracks the camera; its name in the configuration is `own`.
         loop_detector: names keyframes that may show the same place.
 
     Raises:
-        ArgumentError: a part lacks its method.
+        ArgumentError: a part without its method.
     """
 
     visual_odometry: VisualOdometry | None = None
@@ -47,9 +47,9 @@ class OwnParts:
             need_method("loop_detector", self.loop_detector, "candidates")
 
     def named_in(self, config: Config, choice: Choice) -> Config:
-        """The configuration with its odometry named: what was chosen if it names none, and `own` for the camera's.
+        """Return the configuration with an odometry: `choice` if it names none, and `own` for a custom one.
 
-        A loop detector asks for loops that are closed while driving. Raises ConfigError where a part has no use.
+        A loop detector enables loop closing while driving. Raises ConfigError if a part is not used.
         """
         names = config.odometry or choice.odometry
         if self.visual_odometry is not None and not config.odometry:
@@ -75,24 +75,25 @@ NO_PARTS = OwnParts()
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """Odometries, and one line about the sensor that they do not use and why; empty where all are used."""
+    """Odometries, and one line on the sensor that they do not use; empty if all are used."""
 
     odometry: tuple[OdometryName, ...]
     unused: str = ""
 
     @property
     def sentence(self) -> str:
-        """One line for a user: what localizes, and which option chooses otherwise."""
+        """One line for a user: the choice, and the option that chooses otherwise."""
         return _SENTENCES[self.odometry]
 
 
 @dataclass(frozen=True, slots=True)
 class Sensors:
-    """What is known of the events before the first one; of None, the calibration says whether there will be any.
+    """Known numbers of events before the first one. For None the calibration decides.
 
     Attributes:
-        frames, readings: how many frames and wheel readings there will be.
-        wheels_from: where wheel readings come from that the recording does not hold; empty without such.
+        frames: number of frames.
+        readings: number of wheel readings.
+        wheels_from: source of wheel readings outside the recording, or empty.
         name: of the source, for messages.
     """
 
@@ -106,14 +107,13 @@ _UNKNOWN = Sensors()
 
 
 def choose_odometry(calibration: Calibration, config: Config, sensors: Sensors = _UNKNOWN) -> Choice:
-    """Wheels and camera where both can be used together, else the one that can.
+    """Return wheels and camera if both can be fused, else the one that is usable.
 
-    The camera is followed by dense odometry, which is the more accurate. It is followed by features where settings of
-    features alone differ from their defaults; and, without wheels, with the profile of a small computer, which
-    dense odometry would keep busy. What the configuration says of `odometry` does not matter.
+    Dense odometry tracks the camera, because it is more accurate. Features do if only settings of features differ from
+    their defaults, or, without wheels, with the profile of a small computer. `config.odometry` is ignored.
 
     Raises:
-        ConfigError: a map is asked for, and there are wheels without images.
+        ConfigError: the configuration asks for a map, and there are wheels without images.
     """
     by_camera = (_camera_odometry(config, beside_wheels=False),)
     frames, readings, elsewhere = sensors.frames, sensors.readings, sensors.wheels_from
@@ -132,14 +132,14 @@ def choose_odometry(calibration: Calibration, config: Config, sensors: Sensors =
 
 
 def odometry_of_robot(config: Config) -> tuple[OdometryName, OdometryName]:
-    """What localizes a robot that has wheels and a camera whose place on it is known: both joined."""
+    """Return the odometries of a robot with wheels and a camera whose mount is known: both fused."""
     return "wheels", _camera_odometry(config, beside_wheels=True)
 
 
 def _camera_odometry(config: Config, *, beside_wheels: bool) -> OdometryName:
-    """Dense odometry, or that by features: see `choose_odometry`."""
+    """Return dense or feature odometry; see `choose_odometry`."""
     defaults = Config(profile=config.profile)
-    # Threads change no result, and a seed is of all that is random: neither says which odometry is wanted.
+    # Threads change no result and a seed is common to all: neither indicates an odometry.
     dense = config.dense.model_copy(update={"threads": defaults.dense.threads})
     features = config.features.model_copy(update={"seed": defaults.features.seed})
     asks_dense = config.map is not None or dense != defaults.dense
@@ -148,7 +148,7 @@ def _camera_odometry(config: Config, *, beside_wheels: bool) -> OdometryName:
 
 
 def _why_no_wheels(calibration: Calibration, what: str) -> str:
-    """Why wheel readings cannot be joined with a camera; empty where they can."""
+    """Return why wheel readings cannot be fused with a camera; empty if they can."""
     if calibration.any_wheels is None:
         return f"{what} are not used: the calibration has no wheels (give them by --calibration)"
     if calibration.T_base_camera is None:
@@ -157,12 +157,12 @@ def _why_no_wheels(calibration: Calibration, what: str) -> str:
 
 
 def why_unused(what: str, config: Config, choice: Choice) -> str:
-    """One sentence: why events of one kind are not used.
+    """Return one sentence on why events of one kind are not used.
 
     Args:
         what: such as "1,001 wheel readings"; ends in FRAMES, READINGS or RATES.
-        config: names the odometry that is followed.
-        choice: what would have been followed where none is named.
+        config: with the odometry in use.
+        choice: default for a configuration without odometry.
     """
     by_wheels = "wheels" in config.odometry
     if what.endswith(RATES):
@@ -176,5 +176,5 @@ def why_unused(what: str, config: Config, choice: Choice) -> str:
 
 
 def counted(count: int | None, what: str) -> str:
-    """Such as "1,234 frames", or "frames" of an unknown number."""
+    """Return a text such as "1,234 frames", or "frames" for an unknown number."""
     return what if count is None else f"{count:,} {what}"

@@ -197,7 +197,7 @@ def test_answers_that_are_none_are_refused(probabilities):
 def test_what_cannot_be_rectified_is_refused():
     with pytest.raises(ConfigError, match="no area"):
         AreaRectifier(AreaMap(), START)
-    with pytest.raises(ConfigError, match="pose at the start"):
+    with pytest.raises(ConfigError, match="start pose"):
         AreaRectifier(loop(), np.full((4, 4), np.nan))
     with pytest.raises(ConfigError, match="area_shares"):
         AreaRectifier(loop(), START, area_shares=np.zeros(8))
