@@ -22,7 +22,6 @@ along the axis, so that a surface does not move.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -273,16 +272,11 @@ class ColumnFiles:
 
     def compressed(self, compressor: Compressor) -> bytes:
         """Return all columns, packed as by `packed`, compressed."""
-        return b"".join(
-            compressor.compress(piece)
-            for name, dtype in COLUMNS
-            for piece in _planes(self._streams[name], np.dtype(dtype).itemsize)
-        )
-
-
-def _planes(stream: IO[bytes], width: int) -> Iterator[bytes]:
-    """Yield all first bytes of the numbers in a file, then all second ones, and so on."""
-    for byte in range(width):
-        stream.seek(0)
-        while rows := stream.read(width * _ROWS_AT_ONCE):
-            yield rows[byte::width]
+        pieces = []
+        for name, dtype in COLUMNS:
+            stream, width = self._streams[name], np.dtype(dtype).itemsize
+            for byte in range(width):
+                stream.seek(0)
+                while rows := stream.read(width * _ROWS_AT_ONCE):
+                    pieces.append(compressor.compress(rows[byte::width]))
+        return b"".join(pieces)

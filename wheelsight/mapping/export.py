@@ -119,7 +119,12 @@ def mesh_of(
     offsets = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
     vertices = np.concatenate([piece[0] for piece in pieces])
     triangles = np.concatenate([piece[1] + offset for piece, offset in zip(pieces, offsets, strict=False)])
-    vertices, triangles = _welded(vertices, triangles, voxel_m)
+    # Duplicate vertices of neighbouring chunks are merged.
+    cells = np.round(vertices / (1e-4 * voxel_m)).astype(np.int64)
+    _, kept, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    joined = number.reshape(-1)[triangles].astype(np.int32)
+    a, b, c = joined.T
+    vertices, triangles = vertices[kept], joined[(a != b) & (b != c) & (c != a)]
     _, nearest = KDTree(surfels.position).query(vertices, workers=-1)
     return Mesh(vertices.astype(np.float32), surfels.normal[nearest], colors_of(surfels)[nearest], triangles)
 
@@ -160,16 +165,6 @@ def _triangles(
     except (RuntimeError, ValueError):  # scikit-image's errors if no cube has a surface
         return None
     return vertices * voxel_m + origin, triangles
-
-
-def _welded(vertices: FloatArray, triangles: np.ndarray, voxel_m: float) -> tuple[FloatArray, Int32Array]:
-    """Return vertices and triangles with duplicate vertices of neighbouring chunks merged."""
-    _, kept, number = np.unique(
-        np.round(vertices / (1e-4 * voxel_m)).astype(np.int64), axis=0, return_index=True, return_inverse=True
-    )
-    joined = number.reshape(-1)[triangles].astype(np.int32)
-    a, b, c = joined.T
-    return vertices[kept], joined[(a != b) & (b != c) & (c != a)]
 
 
 def _refuse_empty(surfels: Surfels, stable_only: bool) -> None:

@@ -51,7 +51,13 @@ class NamedPose:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "name", checked_name(self.name))
-        object.__setattr__(self, "pose", _checked_pose(self.name, self.pose))
+        at = np.array(self.pose, float).ravel()
+        at = np.array([*at, np.nan]) if len(at) == 2 else at
+        if len(at) != 3 or not (np.abs(at[:2]) < _FARTHEST_M).all() or np.isinf(at[2]):
+            problem = f"{self.name} is at no place on earth"
+            raise MapError(problem, fix="x and y in metres in the frame map, and a heading")
+        at.setflags(write=False)
+        object.__setattr__(self, "pose", at)
         if (self.keyframe is None) != (self.T_map_keyframe is None):
             raise MapError("an anchor is a keyframe and its pose", fix="give both, or neither")
         if self.T_map_keyframe is not None and not se3.is_valid(self.T_map_keyframe):
@@ -176,17 +182,6 @@ class NamedPoses:
             return cls(tuple(_pose(fields) for fields in listed))
         except MapError as error:
             raise MapError(error.problem, path=path, fix=error.fix) from error
-
-
-def _checked_pose(name: str, pose: ArrayLike) -> FloatArray:
-    """Return a read-only pose (3,). Raises MapError."""
-    at = np.array(pose, float).ravel()
-    at = np.array([*at, np.nan]) if len(at) == 2 else at
-    is_right = len(at) == 3 and bool((np.abs(at[:2]) < _FARTHEST_M).all()) and not np.isinf(at[2])
-    if not is_right:
-        raise MapError(f"{name} is at no place on earth", fix="x and y in metres in the frame map, and a heading")
-    at.setflags(write=False)
-    return at
 
 
 def _pose(fields: Any) -> NamedPose:

@@ -384,7 +384,20 @@ class SeenDepths:
     def __getitem__(self, number: KeyframeId) -> SeenDepth:
         """Return the depth of a keyframe. Raises MapError if the file has lost it."""
         found = self._all[number]
-        return self._read(found) if isinstance(found, _OnDisk) else found
+        if isinstance(found, SeenDepth):
+            return found
+        assert self._file is not None
+        (height, width), begin = found.shape, found.offset
+        sizes = (2 * height * width, 4 * width, 4 * height)
+        try:
+            data = os.pread(self._file.fileno(), sum(sizes), begin)
+        except OSError as error:
+            raise MapError(f"the depth of a keyframe cannot be read again: {error}", fix=_LOST) from error
+        if len(data) != sum(sizes):
+            raise MapError("the depth of a keyframe on disk is cut off", fix=_LOST)
+        slopes = np.frombuffer(data, np.float32, width + height, sizes[0])
+        depth = np.frombuffer(data, np.uint16, height * width).reshape(height, width)
+        return SeenDepth(depth, slopes[:width], slopes[width:])
 
     def _written(self, seen: SeenDepth) -> _OnDisk:
         if self._file is None:
@@ -398,20 +411,6 @@ class SeenDepths:
         self._end = self._file.tell()
         height, width = seen.depth.shape
         return _OnDisk(begin, (height, width))
-
-    def _read(self, rests: _OnDisk) -> SeenDepth:
-        assert self._file is not None
-        (height, width), begin = rests.shape, rests.offset
-        sizes = (2 * height * width, 4 * width, 4 * height)
-        try:
-            data = os.pread(self._file.fileno(), sum(sizes), begin)
-        except OSError as error:
-            raise MapError(f"the depth of a keyframe cannot be read again: {error}", fix=_LOST) from error
-        if len(data) != sum(sizes):
-            raise MapError("the depth of a keyframe on disk is cut off", fix=_LOST)
-        slopes = np.frombuffer(data, np.float32, width + height, sizes[0])
-        depth = np.frombuffer(data, np.uint16, height * width).reshape(height, width)
-        return SeenDepth(depth, slopes[:width], slopes[width:])
 
 
 def camera_over_floor(calibration: Calibration) -> FloatArray:

@@ -90,8 +90,18 @@ def save_map(surfel_map: SurfelMap, path: StrPath) -> None:
     path = Path(path)
     T_map_keyframe = np.ascontiguousarray(surfel_map.T_map_keyframe, "<f8")
     with atomic_write(path, "wb") as stream:
-        # In memory, compressed, since the header before it has its length.
-        count, body = _body(surfel_map, T_map_keyframe, path.parent)
+        count, rules = 0, (surfel_map.stamp_s, surfel_map.settings.stable_confidence)
+        compressor = lzma.LZMACompressor(lzma.FORMAT_XZ, lzma.CHECK_NONE, filters=[_COMPRESSION])
+        with ColumnFiles(path.parent) as files:
+            for keyframes in _intervals(surfel_map, len(T_map_keyframe)):
+                pieces = list(surfel_map.parts(keyframes=keyframes))
+                arrays = (np.concatenate([getattr(piece, name) for piece in pieces]) for name in Surfels.__slots__)
+                columns = columns_of(Surfels(*arrays), *rules)
+                files.add(columns)
+                count += len(columns["keyframe"])
+            compressed = files.compressed(compressor)
+        # In memory, since the header before it has its length.
+        body = b"".join([compressed, compressor.compress(T_map_keyframe.tobytes()), compressor.flush()])
         header = {
             "frame": FRAME,
             "surfels": count,
@@ -105,21 +115,6 @@ def save_map(surfel_map: SurfelMap, path: StrPath) -> None:
         }
         stream.write(f"{FORMAT}\n{json.dumps(header)}\n".encode())
         stream.write(body)
-
-
-def _body(surfel_map: SurfelMap, T_map_keyframe: FloatArray, folder: Path) -> tuple[int, bytes]:
-    """Return the number of surfels, and the compressed columns and poses. Uses files in a folder. Raises OSError."""
-    count, rules = 0, (surfel_map.stamp_s, surfel_map.settings.stable_confidence)
-    compressor = lzma.LZMACompressor(lzma.FORMAT_XZ, lzma.CHECK_NONE, filters=[_COMPRESSION])
-    with ColumnFiles(folder) as files:
-        for keyframes in _intervals(surfel_map, len(T_map_keyframe)):
-            pieces = list(surfel_map.parts(keyframes=keyframes))
-            arrays = (np.concatenate([getattr(piece, name) for piece in pieces]) for name in Surfels.__slots__)
-            columns = columns_of(Surfels(*arrays), *rules)
-            files.add(columns)
-            count += len(columns["keyframe"])
-        body = files.compressed(compressor)
-    return count, b"".join([body, compressor.compress(T_map_keyframe.tobytes()), compressor.flush()])
 
 
 def _intervals(surfel_map: SurfelMap, keyframes: int) -> Iterator[tuple[int, int]]:
@@ -260,28 +255,22 @@ def _old_contents(header: dict[str, Any], body: memoryview) -> tuple[Surfels, Fl
 
 def _refuse_impossible(surfels: Surfels, T_map_keyframe: FloatArray) -> None:
     """Raise MapError for values that no surfel or keyframe has."""
-    _refuse_impossible_values(surfels)
-    if not np.isfinite(T_map_keyframe).all() or not np.all(se3.is_valid(T_map_keyframe, tolerance=1e-4)):
-        raise MapError("its keyframes have poses that are no rigid motions", fix=_DAMAGED)
-    numbers = surfels.keyframe
-    if len(numbers) and not (numbers.min() >= -1 and numbers.max() < len(T_map_keyframe)):
-        raise MapError(f"keyframe holds numbers beyond the {len(T_map_keyframe)} there are", fix=_DAMAGED)
-
-
-def _refuse_impossible_values(surfels: Surfels) -> None:
     for name, largest in _LARGEST.items():
         values = getattr(surfels, name)
         if not np.isfinite(values).all():
             raise MapError(f"{name} holds numbers that are not finite", fix=_DAMAGED)
         if len(values) and np.abs(values).max() > largest:
             raise MapError(f"{name} holds numbers beyond {largest:g}", fix=_DAMAGED)
-    if len(surfels.grey) == 0:
-        return
     for name in ("radius_m", "confidence", "variance_m2"):
-        if getattr(surfels, name).min() <= 0:
+        if getattr(surfels, name).min(initial=1.0) <= 0:
             raise MapError(f"{name} holds numbers that are not positive", fix=_DAMAGED)
-    if np.abs(np.linalg.norm(surfels.normal, axis=1) - 1).max() > 1e-3:
+    if np.abs(np.linalg.norm(surfels.normal, axis=1) - 1).max(initial=0.0) > 1e-3:
         raise MapError("normal holds vectors that are not of length 1", fix=_DAMAGED)
+    if not np.isfinite(T_map_keyframe).all() or not np.all(se3.is_valid(T_map_keyframe, tolerance=1e-4)):
+        raise MapError("its keyframes have poses that are no rigid motions", fix=_DAMAGED)
+    numbers = surfels.keyframe
+    if len(numbers) and not (numbers.min() >= -1 and numbers.max() < len(T_map_keyframe)):
+        raise MapError(f"keyframe holds numbers beyond the {len(T_map_keyframe)} there are", fix=_DAMAGED)
 
 
 def _map_of(

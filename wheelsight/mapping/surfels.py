@@ -144,7 +144,16 @@ class SurfelMap:
         blocks, share, rules = self.blocks, self._rows.share, self._rules_for(camera.noise)
         height, width = seen.depth_m.shape
         pages = blocks.pages_in_view(pose.T, pose.grid, (height, width), self._surfels_far_m(camera.noise) + 1, -np.inf)
-        found, surfels = self._candidates(seen, camera, pages, rules), blocks.surfels
+        entries, surfels = (len(pages) * PAGE,), blocks.surfels
+        found = Candidates(
+            self._room("slots", entries, np.int32),
+            self._room("pixel", entries, np.int32),
+            self._room("rank", entries, np.float32),
+            self._room("found", (len(pages), 4), np.int32),
+            self._room("chosen", (seen.depth_m.size,), np.int32),
+        )
+        given = (InView(pages, blocks.page_fill), surfels, seen, camera, rules, found)
+        share(len(pages), lambda a, b: find_candidates(a, b, *given))
         best = self._room("best", (seen.depth_m.size,), np.float32)
         ranked = (found.pixel, found.rank, found.counts, best, found.chosen)
         share(height, lambda a, b: choose(a, b, width, *ranked))
@@ -161,20 +170,6 @@ class SurfelMap:
         _, died, matched, died_then = found.counts.sum(axis=0, dtype=np.int64).tolist()
         blocks.count_deaths(died + died_then + merged)
         return matched, died + died_then, merged, is_new
-
-    def _candidates(self, seen: Seen, camera: Camera, pages: Int32Array, rules: Rules) -> Candidates:
-        """Return the surfels that fit each pixel, before the best is chosen."""
-        blocks, entries = self.blocks, (len(pages) * PAGE,)
-        found = Candidates(
-            self._room("slots", entries, np.int32),
-            self._room("pixel", entries, np.int32),
-            self._room("rank", entries, np.float32),
-            self._room("found", (len(pages), 4), np.int32),
-            self._room("chosen", (seen.depth_m.size,), np.int32),
-        )
-        given = (InView(pages, blocks.page_fill), blocks.surfels, seen, camera, rules, found)
-        self._rows.share(len(pages), lambda a, b: find_candidates(a, b, *given))
-        return found
 
     def predict(self, T_map_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int]) -> PredictedView:
         """Return a view of the active map: stable surfels, and unstable ones where there are no stable ones.

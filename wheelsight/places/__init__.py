@@ -1,4 +1,4 @@
-"""Places: which area of a building a frame was taken in."""
+"""Places: recognition of keyframes, and classification of the area of a building."""
 
 from wheelsight.places.dataset import (
     ContactSheet,

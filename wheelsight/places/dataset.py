@@ -1,5 +1,7 @@
-"""Labelled drives for training: frames with the areas they show. Labels come from polygons, time ranges or single
-frames; `ContactSheet` shows a recording for labelling.
+"""Labelled drives for training: frames with the areas they show.
+
+Labels come from polygons and a trajectory, from time ranges, or frame by frame. `ContactSheet` shows a recording for
+labelling.
 """
 
 from __future__ import annotations
@@ -30,23 +32,20 @@ from wheelsight.places.describers import Describer
 from wheelsight.places.model import ForestSettings, PlaceModel
 from wheelsight.places.training import DescribedFrames, describe_all, train_places
 
-# Labels: which area each frame was taken in, by polygons and a trajectory, by ranges of time, or frame by frame.
-
-
 RANGES_HEADER = ("from_s", "to_s", "area")
 FRAMES_HEADER = ("stamp_s", "area")
 _FORMS = f"{','.join(RANGES_HEADER)} or {','.join(FRAMES_HEADER)}"
-# Stamps of one frame in two files differ by no more than their last decimal.
+# Stamps of one frame in two files differ at most in the last decimal.
 _SAME_STAMP_S = 1e-3
 _NAMES_SHOWN = 12
 _FILE = Kind("a list of labels", most_mb=64, most_lines=500_000, fix=f"a CSV of {_FORMS}")
 _LARGEST_STAMP = 1e15
-_LONGEST_NUMBER = 18  # digits that are taken for one number
+_LONGEST_NUMBER = 18  # digits of one number in names
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A line of a label file: the area, "" for none, from a stamp to a stamp; of a single frame both are its own."""
+    """A line of a label file: an area, "" for none, from a stamp to a stamp. Both are equal for a single frame."""
 
     line: int
     from_s: float
@@ -56,15 +55,15 @@ class Entry:
 
 @dataclass(frozen=True, eq=False)
 class LabelFile:
-    """What a CSV of labels says: either areas over ranges of time, or the area of each frame.
+    """A CSV of labels: areas of time ranges, or the area of each frame.
 
-    Stamps are the recording's own. A frame where two ranges meet belongs to the later one; ranges may reach beyond
-    the recording's ends, and leave gaps, whose frames have no area.
+    Stamps are those of the recording. A frame at the border of two ranges belongs to the later one. Ranges may extend
+    beyond the recording, and frames in gaps have no area.
 
     Attributes:
-        path: of the file.
+        path: the file.
         entries: its lines, in order of time.
-        is_of_frames: whether each line is of one frame.
+        is_of_frames: whether each line is for one frame.
     """
 
     path: Path
@@ -73,11 +72,11 @@ class LabelFile:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The areas that are named, in natural order: 2 before 10."""
+        """Named areas in natural order: 2 before 10."""
         return natural_order({entry.area for entry in self.entries if entry.area})
 
     def check_names(self, names: Sequence[str]) -> None:
-        """Raises AreaError naming the line whose area is not among `names`."""
+        """Raise AreaError for the first line whose area is not in `names`."""
         for entry in self.entries:
             if entry.area and entry.area not in names:
                 close = get_close_matches(entry.area, names, 1)
@@ -86,71 +85,60 @@ class LabelFile:
                 raise self._error(entry, f"there is no area {entry.area!r}", hint)
 
     def of_frames(self, stamps_s: ArrayLike, names: Sequence[str]) -> IntArray:
-        """The index in `names` of each frame's area (N,), -1 for none.
+        """Return the index in `names` of each frame's area (N,), -1 for none.
 
         Args:
-            stamps_s: (N,) of all frames that the recording lists, growing.
-            names: of the areas.
+            stamps_s: (N,) ascending stamps of all frames of the recording.
+            names: names of the areas.
 
         Raises:
-            AreaError: a line whose area has another name, or that lies outside the recording; of a single frame,
-                one that is not there.
+            AreaError: a line has an unknown area, is outside the recording, or names a missing frame.
         """
         stamps_s = np.asarray(stamps_s, float)
         self.check_names(names)
         indices = {"": -1} | {name: index for index, name in enumerate(names)}
         labels = np.full(len(stamps_s), -1, np.int64)
-        entries = self._without_interrupted(stamps_s) if self.is_of_frames else self.entries
-        for entry in entries:
-            self._check_inside(entry, stamps_s)
-            if self.is_of_frames:
-                labels[self._frame_at(entry, stamps_s)] = indices[entry.area]
-            else:
-                labels[(stamps_s >= entry.from_s) & (stamps_s <= entry.to_s)] = indices[entry.area]
-        return labels
-
-    def _without_interrupted(self, stamps_s: FloatArray) -> tuple[Entry, ...]:
-        """The lines but for a last one without its frame: recording may break off between the two."""
-        if self.entries and len(stamps_s) and self.entries[-1].from_s > stamps_s[-1] + _SAME_STAMP_S:
-            return self.entries[:-1]
-        return self.entries
-
-    def _check_inside(self, entry: Entry, stamps_s: FloatArray) -> None:
+        entries = self.entries
+        if self.is_of_frames and entries and len(stamps_s) and entries[-1].from_s > stamps_s[-1] + _SAME_STAMP_S:
+            entries = entries[:-1]  # recording was interrupted between the label and its frame
         first_s, last_s = (stamps_s[0], stamps_s[-1]) if len(stamps_s) else (math.inf, -math.inf)
-        if entry.from_s > last_s + _SAME_STAMP_S or entry.to_s < first_s - _SAME_STAMP_S:
-            problem = f"{_span(entry)} lies outside the recording, {first_s:.3f} to {last_s:.3f} s"
-            raise self._error(entry, problem, "stamps are the recording's own, and each file is of one recording")
-
-    def _frame_at(self, entry: Entry, stamps_s: FloatArray) -> int:
-        nearest = int(np.abs(stamps_s - entry.from_s).argmin())
-        if abs(stamps_s[nearest] - entry.from_s) > _SAME_STAMP_S:
-            problem = f"no frame has the stamp {entry.from_s:.6f}; the nearest has {stamps_s[nearest]:.6f}"
-            raise self._error(entry, problem, "label the frames of this recording, or give ranges of time")
-        return nearest
+        for entry in entries:
+            if entry.from_s > last_s + _SAME_STAMP_S or entry.to_s < first_s - _SAME_STAMP_S:
+                problem = f"{_span(entry)} lies outside the recording, {first_s:.3f} to {last_s:.3f} s"
+                raise self._error(entry, problem, "stamps are the recording's own, and each file is of one recording")
+            if not self.is_of_frames:
+                labels[(stamps_s >= entry.from_s) & (stamps_s <= entry.to_s)] = indices[entry.area]
+                continue
+            nearest = int(np.abs(stamps_s - entry.from_s).argmin())
+            if abs(stamps_s[nearest] - entry.from_s) > _SAME_STAMP_S:
+                problem = f"no frame has the stamp {entry.from_s:.6f}; the nearest has {stamps_s[nearest]:.6f}"
+                raise self._error(entry, problem, "label the frames of this recording, or give ranges of time")
+            labels[nearest] = indices[entry.area]
+        return labels
 
     def _error(self, entry: Entry, problem: str, fix: str) -> AreaError:
         return AreaError(problem, path=self.path, line=entry.line, fix=fix)
 
 
 def labels_on_the_way(areas: AreaMap, trajectory: Trajectory, stamps_s: ArrayLike, max_gap_s: float = 0.5) -> IntArray:
-    """The index of the area that holds the robot at each stamp (N,), -1 in none and where no pose is known.
+    """Return the index of the robot's area at each stamp (N,), -1 outside all areas or without a pose.
 
     Args:
         areas: polygons in the map frame.
-        trajectory: of the base, in the same frame; of a camera that is carried by hand, of the camera.
-        stamps_s: (N,) of frames.
-        max_gap_s: poses further apart tell nothing of the time between them.
+        trajectory: trajectory of the base in the same frame, or of a hand-held camera.
+        stamps_s: (N,) stamps of frames.
+        max_gap_s: poses are not interpolated over longer gaps.
     """
     stamps_s = np.asarray(stamps_s, float)
     return areas.index_at(trajectory.at(stamps_s, max_gap_s)[:, :2, 3])
 
 
 def read_labels(path: StrPath) -> LabelFile:
-    """Read a CSV of labels, ranges of time or frames; its first line tells which. More columns may follow.
+    """Read a CSV of labels, by time ranges or by frames as its first line says. Further columns are ignored.
 
     Raises:
-        AreaError: naming file and line: no such file, another first line, stamps that are none or out of order,
-            ranges that are empty or overlap.
+        AreaError: the file is missing, its first line is unknown, stamps are invalid or repeated, or ranges are empty
+            or overlap.
     """
     path = Path(path)
     header, rows = _read_rows(path)
@@ -168,7 +156,7 @@ def read_labels(path: StrPath) -> LabelFile:
 
 
 def natural_order(names: set[str]) -> tuple[str, ...]:
-    """Names sorted as a person would: numbers in them by their value."""
+    """Return names sorted with numbers by value."""
 
     def key(name: str) -> list[tuple[int, int | str]]:
         parts = re.split(rf"(\d{{1,{_LONGEST_NUMBER}}})", name.casefold())
@@ -178,20 +166,20 @@ def natural_order(names: set[str]) -> tuple[str, ...]:
 
 
 def _read_rows(path: Path) -> tuple[tuple[str, ...], list[tuple[int, list[str]]]]:
-    """Which of the two forms it is, and each line's number and words."""
+    """Return the form of the file, and each line's number and words."""
     text = read_text(path, _FILE, AreaError)
     lines = [(number, line) for number, line in enumerate(lines_of(text), 1) if not line.lstrip().startswith("#")]
-    rows = [(number, _words(line)) for number, line in lines if line.strip()]
+    rows = [(number, _split_words(line)) for number, line in lines if line.strip()]
     for header in (RANGES_HEADER, FRAMES_HEADER):
         if rows and tuple(word.lower() for word in rows[0][1][: len(header)]) == header:
             is_cut_off = header == FRAMES_HEADER and rows[-1][0] == len(lines_of(text))
             return header, rows[1:-1] if is_cut_off else rows[1:]
-    line, told = (rows[0][0], ",".join(rows[0][1])) if rows else (1, "")
-    raise AreaError(f"the first line is {told!r}", path=path, line=line, fix=f"name the columns: {_FORMS}")
+    line, first = (rows[0][0], ",".join(rows[0][1])) if rows else (1, "")
+    raise AreaError(f"the first line is {first!r}", path=path, line=line, fix=f"name the columns: {_FORMS}")
 
 
-def _words(line: str) -> list[str]:
-    """The words of a line; an area's name may have commas in quotes, or in a line with semicolons."""
+def _split_words(line: str) -> list[str]:
+    """Return the words of a line. An area's name may have commas in quotes, or in a line with semicolons."""
     between = ";" if ";" in line else ","
     try:
         words = next(csv.reader([line], delimiter=between))
@@ -219,9 +207,6 @@ def _span(entry: Entry) -> str:
     return f"{entry.from_s:.3f} s" if entry.from_s == entry.to_s else f"{entry.from_s:.3f} to {entry.to_s:.3f} s"
 
 
-# Labelled drives: frames in numbers beside the areas they were taken in, from one recording or several.
-
-
 AREAS_FILE = "areas.yaml"
 LABELS_FILE = "labels.csv"
 _BLOCK_S, _GAP_S = 1.0, 0.2
@@ -229,13 +214,13 @@ _BLOCK_S, _GAP_S = 1.0, 0.2
 
 @dataclass(frozen=True, eq=False)
 class LabelSource:
-    """What tells the areas of a recording's frames: a file of labels, or polygons and where the robot went.
+    """Source of the areas of a recording's frames: a label file, or polygons and a trajectory.
 
     Attributes:
         areas: the polygons, or None.
-        areas_path: their file, for what is said of them.
-        file: the labels, which go before polygons, or None.
-        trajectory: where the robot went, or None.
+        areas_path: their file, for error messages.
+        file: labels, which have priority over polygons, or None.
+        trajectory: trajectory of the robot, or None.
     """
 
     areas: AreaMap | None = None
@@ -245,17 +230,17 @@ class LabelSource:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the areas: of the polygons, in their order, where there are some."""
+        """Names of the areas: of the polygons in their order, if there are any."""
         return self.areas.names if self.areas is not None else self.file.names if self.file is not None else ()
 
     @property
     def path(self) -> Path | None:
-        """The file to name where something is wrong with the labels."""
+        """File to name in errors about the labels."""
         return self.file.path if self.file is not None else self.areas_path
 
     @property
     def told(self) -> str:
-        """What the labels come from, in a few words; "" where nothing tells them."""
+        """Short description of the source; "" if there is none."""
         if self.file is not None:
             return self.file.path.name
         if self.areas is None or self.trajectory is None:
@@ -263,10 +248,10 @@ class LabelSource:
         return f"{AREAS_FILE if self.areas_path is None else self.areas_path.name} and trajectory"
 
     def of_frames(self, stamps_s: Sequence[float], names: Sequence[str]) -> IntArray:
-        """The index in `names` of each frame's area (N,), -1 for none.
+        """Return the index in `names` of each frame's area (N,), -1 for none.
 
         Raises:
-            AreaError: an area that is not among `names`, or as `LabelFile.of_frames`.
+            AreaError: an area is not in `names`, or as `LabelFile.of_frames`.
         """
         if self.file is not None:
             return self.file.of_frames(stamps_s, names)
@@ -286,18 +271,18 @@ def label_source(
     areas_path: StrPath | None = None,
     trajectory: Trajectory | None = None,
 ) -> LabelSource:
-    """What tells the areas of a recording; what is not given is the recording's own.
+    """Return the source of the areas of a recording; by default the recording's own.
 
-    These are areas.yaml and the ground truth, where it has both; else labels.csv.
+    These are areas.yaml and the ground truth, if it has both; otherwise labels.csv.
 
     Args:
-        recording: whose frames are to be labelled.
-        labels: go before polygons; these then only say which areas there are.
-        areas_path: an areas.yaml.
-        trajectory: in the map of the polygons, of the recording's body.
+        recording: recording to label.
+        labels: labels, which have priority over polygons; these then only name the areas.
+        areas_path: path of an areas.yaml.
+        trajectory: trajectory of the recording's body, in the map of the polygons.
 
     Raises:
-        AreaError: an areas.yaml that is wrong, or a label of an area that it lacks.
+        AreaError: the areas.yaml is invalid, or a label has an area that it lacks.
     """
     areas_path = None if areas_path is None else Path(areas_path)
     own = recording.path / AREAS_FILE
@@ -314,10 +299,10 @@ def label_source(
 
 
 def names_of_all(sources: Sequence[LabelSource]) -> tuple[str, ...]:
-    """The areas of several recordings: of the first polygons there are, else all that the labels name.
+    """Return the areas of several recordings: those of the first polygons, else all that the labels name.
 
     Raises:
-        AreaError: polygons of other names or in another order.
+        AreaError: polygons have other names or another order.
     """
     maps = [source for source in sources if source.areas is not None]
     for source in maps:
@@ -329,7 +314,7 @@ def names_of_all(sources: Sequence[LabelSource]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class LabelledDrive:
-    """A drive's frames in numbers, and the indices of their areas (N,), -1 for none."""
+    """Features of a drive's frames, and the indices of their areas (N,), -1 for none."""
 
     name: str
     frames: DescribedFrames
@@ -337,15 +322,15 @@ class LabelledDrive:
 
 
 def stamps_of(recording: Recording) -> list[float]:
-    """Stamps of all frames that a recording lists, skipped ones included, in seconds."""
-    listed = getattr(recording, "frames", None)  # of images kept as files: none needs to be decoded
+    """Return the stamps of all frames of a recording, including skipped ones, in seconds."""
+    listed = getattr(recording, "frames", None)  # of image files, without decoding any
     if listed is not None:
         return [frame.stamp_s for frame in listed]
     return [event.stamp_s for event in recording.events() if isinstance(event, RgbdFrame | SkippedFrame)]
 
 
 def frames_of(recording: Recording, on_frame: Callable[[], None] = lambda: None) -> Iterator[RgbdFrame]:
-    """A recording's usable frames in order of time; `on_frame` is called after each one that it lists."""
+    """Yield a recording's usable frames in order of time; call `on_frame` after each frame, usable or not."""
     for event in recording.events():
         if isinstance(event, RgbdFrame):
             yield event
@@ -360,11 +345,11 @@ def describe_drive(
     describer: Describer,
     on_frame: Callable[[], None] = lambda: None,
 ) -> LabelledDrive:
-    """A recording's frames in numbers with their areas; frames without depth have none, as they tell nothing.
+    """Return the features of a recording's frames with their areas; frames without depth have none.
 
     Raises:
-        AreaError: labels that do not belong to the recording, told before the long work.
-        PlaceError: no usable frame, or images that change in size.
+        AreaError: the labels do not belong to the recording; raised before features are computed.
+        PlaceError: there are no usable frames, or the images change in size.
     """
     stamps_s = stamps_of(recording)
     labels = source.of_frames(stamps_s, names)
@@ -376,10 +361,10 @@ def describe_drive(
 def train_on_drives(
     drives: Sequence[LabelledDrive], names: Sequence[str], describer: Describer, settings: ForestSettings
 ) -> PlaceModel:
-    """A model of all drives together.
+    """Return a model trained on all drives together.
 
-    Of a single drive, blocks of one second are held out, and a fifth of a second beside them left out, unless
-    `settings` say otherwise: what lies between them is about as new as the same place on another day.
+    With a single drive, blocks of one second are held out, and 0.2 s beside them are not used, unless `settings` say
+    otherwise. The frames in between are about as new as the same place on another day.
 
     Raises:
         PlaceError: as `train_places`, and for images of different sizes.
@@ -389,25 +374,23 @@ def train_on_drives(
         if drive.frames.frame_size != size:
             fix = "train on recordings of one camera at one resolution"
             raise PlaceError(f"{drive.name} has images of another size than {drives[0].name}", fix=fix)
+    stamps_s = drives[0].frames.stamps_s
+    period_s = float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else _BLOCK_S
+    blocks = {"block_frames": max(round(_BLOCK_S / period_s), 2), "gap_frames": max(round(_GAP_S / period_s), 1)}
+    unset = {name: value for name, value in blocks.items() if name not in settings.model_fields_set}
     return train_places(
         np.concatenate([drive.frames.features for drive in drives]),
         np.concatenate([drive.labels for drive in drives]),
         names,
         describer,
-        _with_blocks(settings, drives[0].frames.stamps_s),
+        settings.model_copy(update=unset),
         frame_size=size,
         drives=np.repeat(np.arange(len(drives)), [len(drive.labels) for drive in drives]),
     )
 
 
-def _with_blocks(settings: ForestSettings, stamps_s: FloatArray) -> ForestSettings:
-    period_s = float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else _BLOCK_S
-    told = {"block_frames": max(round(_BLOCK_S / period_s), 2), "gap_frames": max(round(_GAP_S / period_s), 1)}
-    return settings.model_copy(update={k: v for k, v in told.items() if k not in settings.model_fields_set})
-
-
 def check_every_area(labels: Sequence[IntArray], names: Sequence[str], path: StrPath | None) -> None:
-    """Raises AreaError naming `path` and the first area that has no frame."""
+    """Raise AreaError with `path` for the first area without frames."""
     path = None if path is None else Path(path)
     seen = np.unique(np.concatenate(labels)) if labels else np.array([])
     for index, name in enumerate(names):
@@ -418,16 +401,13 @@ def check_every_area(labels: Sequence[IntArray], names: Sequence[str], path: Str
         raise AreaError(f"{len(names)} areas cannot be told apart", path=path, fix="label at least two")
 
 
-# ContactSheet: a recording as thumbnails along time, each with the area that is proposed for its part of the drive.
-
-
 _WIDTH_PX = 240
 _MOST_UNASKED = 600
 
 
 @runtime_checkable
 class _Files(Protocol):
-    """A recording of which any frame can be read alone."""
+    """A recording with random access to frames."""
 
     def read_frame(self, index: int) -> RgbdFrame: ...
 
@@ -437,17 +417,17 @@ class ContactSheet:
     """N thumbnails of a recording, in order of time.
 
     Attributes:
-        name: of the recording.
-        frame_count: how many frames it lists.
-        every_s: seconds between thumbnails, about.
-        pictures: (N) images (h, w, 3) uint8, red green blue.
+        name: name of the recording.
+        frame_count: number of its frames.
+        every_s: approximate seconds between thumbnails.
+        pictures: (N) images (h, w, 3) uint8, red, green, blue.
         stamps_s: (N,).
-        borders_s: (N + 1,) where each thumbnail's part of the drive begins, and the last one's ends: halfway between
-            thumbnails or, where the proposed area changes once between them, between the two frames where it does.
-        labels: (N,) index of the area proposed for each, -1: none.
-        names: of the areas.
+        borders_s: (N + 1,) borders of the thumbnails' parts of the drive: halfway between thumbnails, or where the
+            proposed area changes once between them.
+        labels: (N,) index of the proposed area, -1 for none.
+        names: names of the areas.
         areas: their polygons, or None.
-        xy_m: (N, 2) where the robot was, NaN where that is not known.
+        xy_m: (N, 2) position of the robot, NaN if unknown.
     """
 
     name: str
@@ -468,27 +448,36 @@ def make_sheet(
     every_s: float | None = None,
     on_picture: Callable[[], None] = lambda: None,
 ) -> ContactSheet:
-    """Thumbnails of a recording and what `source` says of them.
+    """Return thumbnails of a recording with the areas that `source` proposes.
 
     Args:
-        recording: with frames.
-        source: of the proposed areas.
-        every_s: seconds between thumbnails; None: one, or more where that would make over 600 of them.
+        recording: recording with frames.
+        source: source of the proposed areas.
+        every_s: seconds between thumbnails; None: one second, or more to have at most 600.
         on_picture: called after each thumbnail.
 
     Raises:
-        PlaceError: a recording without usable frames.
-        AreaError: labels that do not belong to it.
+        PlaceError: the recording has no usable frames.
+        AreaError: the labels do not belong to it.
     """
     stamps_s = np.array(stamps_of(recording), float)
     if not len(stamps_s):
         raise PlaceError(f"{recording.name} has no frames", fix="give a recording with colour and depth")
     every_s = every_s or max(1.0, float(stamps_s[-1] - stamps_s[0]) / _MOST_UNASKED)
     of_frames = source.of_frames(stamps_s.tolist(), source.names)
-    kept = [(frame.index, _shrunk(frame.color)) for frame in _pictured(recording, stamps_s, every_s, on_picture)]
+    kept = []
+    for frame in _read(recording, chosen_frames(stamps_s, every_s)):
+        on_picture()
+        scale = min(_WIDTH_PX / frame.color.shape[1], 1.0)
+        width, height = (max(round(side * scale), 1) for side in frame.color.shape[1::-1])
+        thumbnail = np.asarray(cv2.resize(frame.color, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+        kept.append((frame.index, thumbnail))
     if not kept:
         raise PlaceError(f"{recording.name} has no usable frames", fix="wheelsight info tells why")
     indices = np.array([index for index, _ in kept])
+    xy_m: FloatArray = np.full((len(kept), 2), np.nan)
+    if source.trajectory is not None and source.areas is not None:
+        xy_m = source.trajectory.at(stamps_s[indices])[:, :2, 3]
     return ContactSheet(
         recording.name,
         len(stamps_s),
@@ -499,28 +488,18 @@ def make_sheet(
         of_frames[indices],
         source.names,
         source.areas,
-        _positions(source, stamps_s[indices]),
+        xy_m,
     )
 
 
 def chosen_frames(stamps_s: FloatArray, every_s: float) -> list[int]:
-    """Indices of frames about `every_s` apart: the one nearest to the middle of each such part of the drive."""
+    """Return the indices of frames about `every_s` apart: those nearest to the middle of each part of the drive."""
     parts = max(round((stamps_s[-1] - stamps_s[0]) / every_s), 1)
     middles_s = stamps_s[0] + (np.arange(parts) + 0.5) * every_s
     after = np.searchsorted(stamps_s, middles_s).clip(0, len(stamps_s) - 1)
     before = (after - 1).clip(0)
     nearer = np.abs(stamps_s[before] - middles_s) < np.abs(stamps_s[after] - middles_s)
     return sorted(set(np.where(nearer, before, after).tolist()))
-
-
-def _pictured(
-    recording: Recording, stamps_s: FloatArray, every_s: float, on_picture: Callable[[], None]
-) -> Iterator[RgbdFrame]:
-    """The chosen frames that can be used."""
-    chosen = chosen_frames(stamps_s, every_s)
-    for frame in _read(recording, chosen):
-        on_picture()
-        yield frame
 
 
 def _read(recording: Recording, chosen: Sequence[int]) -> Iterator[RgbdFrame]:
@@ -532,7 +511,7 @@ def _read(recording: Recording, chosen: Sequence[int]) -> Iterator[RgbdFrame]:
         try:
             yield recording.read_frame(index)
         except RecordingError:
-            continue  # its neighbours stand for it
+            continue  # its neighbours represent it
 
 
 def _borders(stamps_s: FloatArray, labels: IntArray, indices: IntArray) -> FloatArray:
@@ -544,15 +523,3 @@ def _borders(stamps_s: FloatArray, labels: IntArray, indices: IntArray) -> Float
 
     inner = [between(left, right) for left, right in pairwise(indices.tolist())]
     return np.array([stamps_s[0], *inner, stamps_s[-1]])
-
-
-def _positions(source: LabelSource, stamps_s: FloatArray) -> FloatArray:
-    if source.trajectory is None or source.areas is None:
-        return np.full((len(stamps_s), 2), np.nan)
-    return source.trajectory.at(stamps_s)[:, :2, 3]
-
-
-def _shrunk(color: ByteArray) -> ByteArray:
-    scale = min(_WIDTH_PX / color.shape[1], 1.0)
-    size = (max(round(color.shape[1] * scale), 1), max(round(color.shape[0] * scale), 1))
-    return np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)

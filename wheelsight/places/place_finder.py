@@ -72,25 +72,16 @@ class PlaceFinder:
                 refused.append(answer)
                 continue
             for earlier in verified:
-                both = self._combined(earlier, answer, T_map_keyframe)
+                # Two places with unobserved directions would agree on whatever the other one does not observe.
+                T_first_second = se3.invert(T_map_keyframe[earlier.keyframe]) @ T_map_keyframe[answer.keyframe]
+                is_apart = not se3.view_shift_m(T_first_second) < self._settings.apart_m
+                if not (earlier.shows_all and answer.shows_all and is_apart):
+                    continue
+                both = joined(earlier, answer, T_first_second, _CERTAIN, self._settings.verification)
                 if both is not None:
                     return Search(both, True, (*verified, answer), tuple(refused))
             verified.append(answer)
         return Search(self._best(verified, T_map_keyframe), False, tuple(verified), tuple(refused))
-
-    def _combined(
-        self, first: VerifiedPlace, second: VerifiedPlace, T_map_keyframe: FloatArray
-    ) -> VerifiedPlace | None:
-        """Return two places combined, if they agree and each observes all directions.
-
-        Two places with unobserved directions would agree on whatever the other one does not observe.
-        """
-        if not (first.shows_all and second.shows_all):
-            return None
-        T_first_second = se3.invert(T_map_keyframe[first.keyframe]) @ T_map_keyframe[second.keyframe]
-        if se3.view_shift_m(T_first_second) < self._settings.apart_m:
-            return None
-        return joined(first, second, T_first_second, _CERTAIN, self._settings.verification)
 
     def _best(self, verified: list[VerifiedPlace], T_map_keyframe: FloatArray) -> VerifiedPlace | None:
         """Return the place with the most keypoints, unless another one contradicts it.

@@ -1,12 +1,13 @@
-"""`train_places` trains a place model and calibrates its probabilities on held-out blocks. `try_places` evaluates a
-model on another drive.
+"""`train_places` trains a place model and calibrates it on held-out blocks.
+
+`try_places` evaluates a model on another drive.
 """
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,18 +33,16 @@ from wheelsight.places.model import (
     log_loss,
 )
 
-# Training: frames in numbers, a forest grown on them, and its probabilities calibrated on blocks held out.
-
 
 @dataclass(frozen=True, eq=False)
 class DescribedFrames:
-    """Frames in numbers, in order of time.
+    """Features of frames, in order of time.
 
     Attributes:
         features: (N, D).
         stamps_s: (N,).
-        has_depth: (N,) whether enough depth was measured for the area to be told.
-        frame_size: of the images: height and width of colour, then of depth.
+        has_depth: (N,) whether there is enough depth to classify the area.
+        frame_size: height and width of colour, then of depth.
     """
 
     features: Float32Array
@@ -53,10 +52,10 @@ class DescribedFrames:
 
 
 def describe_all(frames: Iterable[RgbdFrame], describer: Describer) -> DescribedFrames:
-    """Frames in numbers, one image in memory at a time.
+    """Return the features of frames, with one image in memory at a time.
 
     Raises:
-        PlaceError: no frame at all, or images that change in size.
+        PlaceError: there are no frames, or the images change in size.
     """
     size: FrameSize | None = None
     features, stamps_s, seen = [], [], []
@@ -83,24 +82,33 @@ def train_places(
     frame_size: FrameSize | None = None,
     drives: ArrayLike | None = None,
 ) -> PlaceModel:
-    """Grow a forest, and calibrate its probabilities on blocks that it was not shown.
+    """Return a model trained on features, with probabilities calibrated on held-out blocks.
 
     Args:
-        features: (N, D) frames in order of time, described by `describer`.
+        features: (N, D) of frames in order of time, by `describer`.
         labels: (N,) indices of their areas, -1 for none.
-        area_names: (A,) of the areas.
-        describer: that `features` come from; saved with the model.
-        settings: of the forest.
-        frame_size: that frames to be predicted must have (`DescribedFrames.frame_size`); None: any.
-        drives: (N,) which drive each frame is of, where there are several: whole drives are then held out.
+        area_names: (A,) names of the areas.
+        describer: describer of the features; saved with the model.
+        settings: settings of the forest.
+        frame_size: required image size in prediction (`DescribedFrames.frame_size`); None: any.
+        drives: (N,) drive of each frame, if there are several: whole drives are then held out.
 
     Raises:
-        PlaceError: fewer than two areas, an area without frames (by name), or arrays that do not belong together.
+        PlaceError: there are fewer than two areas, an area has no frames, or the arrays do not match.
     """
     settings = settings or ForestSettings()
     described, wanted = np.asarray(features, np.float32), np.asarray(labels)
     _check_training(described, wanted, area_names, describer)
-    scale, least, figures = _held_out(described, wanted, len(area_names), settings, drives)
+    numbers = None if drives is None else np.asarray(drives)
+    folds = held_out_folds(wanted, settings.folds, settings.block_frames, settings.gap_frames, numbers)
+    tried, raw, fold_of = [], [], []
+    for number, (trained, held) in enumerate(folds):
+        of_fold, _ = grow_forest(described[trained], wanted[trained], len(area_names), settings)
+        tried.append(np.flatnonzero(held))
+        raw.append(of_fold.probabilities(described[held]))
+        fold_of.append(np.full(len(tried[-1]), number))
+    labels_tried = wanted[np.concatenate(tried)]
+    scale, least, figures = _calibrate(np.concatenate(raw), labels_tried, np.concatenate(fold_of), settings)
     shown = wanted >= 0
     forest, out_of_bag = grow_forest(described[shown], wanted[shown], len(area_names), settings, out_of_bag=True)
     shares = np.bincount(wanted[shown], minlength=len(area_names)) / np.count_nonzero(shown)
@@ -109,37 +117,31 @@ def train_places(
     return PlaceModel(forest, names, describer, scale, least, shares, settings, held_out, frame_size)
 
 
-def _held_out(
-    features: Float32Array, labels: IntArray, area_count: int, settings: ForestSettings, drives: ArrayLike | None
-) -> tuple[ProbabilityScale, float, dict[str, Any]]:
-    """Scale, least confidence and figures by forests that were not shown what they are tried on."""
-    numbers = None if drives is None else np.asarray(drives)
-    folds = held_out_folds(labels, settings.folds, settings.block_frames, settings.gap_frames, numbers)
-    tried, raw, fold_of = _try_out(features, labels, area_count, settings, folds)
-    return _calibrate(raw, labels[tried], fold_of, settings)
-
-
-def _try_out(
-    features: Float32Array,
-    labels: IntArray,
-    area_count: int,
-    settings: ForestSettings,
-    folds: list[tuple[BoolArray, BoolArray]],
-) -> tuple[IntArray, FloatArray, IntArray]:
-    """Indices (K,) of the frames held out, the probabilities (K, A) of forests not shown them, and their folds (K,)."""
-    tried, raw, fold_of = [], [], []
-    for number, (shown, held_out) in enumerate(folds):
-        forest, _ = grow_forest(features[shown], labels[shown], area_count, settings)
-        tried.append(np.flatnonzero(held_out))
-        raw.append(forest.probabilities(features[held_out]))
-        fold_of.append(np.full(len(tried[-1]), number))
-    return np.concatenate(tried), np.concatenate(raw), np.concatenate(fold_of)
+def _check_training(features: Float32Array, labels: IntArray, names: Sequence[str], describer: Describer) -> None:
+    if features.ndim != 2 or features.shape[1] != describer.size:
+        raise PlaceError(
+            f"features are {features.shape}", fix=f"{describer.kind} tells {describer.size} numbers a frame"
+        )
+    if labels.shape != (len(features),) or labels.dtype.kind not in "iu":
+        raise PlaceError(
+            f"{len(features)} frames have labels {labels.shape} of {labels.dtype}", fix="one index a frame"
+        )
+    if not np.isfinite(features).all():
+        raise PlaceError(f"features of frame {int(np.argmin(np.isfinite(features).all(axis=1)))} are not finite")
+    if len(names) < 2 or len(set(names)) < len(names):
+        raise PlaceError(f"{len(names)} areas cannot be told apart", fix="give at least two, each with its own name")
+    if len(labels) and not -1 <= labels.min() <= labels.max() < len(names):
+        wrong = int(labels.min() if labels.min() < -1 else labels.max())
+        raise PlaceError(f"label {wrong} is no area's", fix=f"0 to {len(names) - 1}, or -1 for none")
+    missing = [name for index, name in enumerate(names) if not (labels == index).any()]
+    if missing:
+        raise PlaceError(f"area {missing[0]!r} has no training frames", fix="drive through it, or leave the area out")
 
 
 def _calibrate(
     raw: FloatArray, labels: IntArray, fold_of: IntArray, settings: ForestSettings
 ) -> tuple[ProbabilityScale, float, dict[str, Any]]:
-    """Scale and least confidence of all blocks held out, and figures in which no block is scaled by itself."""
+    """Return scale and least confidence by all held-out blocks, and figures with each block scaled by the others."""
     scale = fit_scale(raw, labels)
     honest = np.empty_like(raw)
     for fold in np.unique(fold_of):
@@ -168,30 +170,6 @@ def _share(is_right: BoolArray) -> float:
     return float(is_right.mean()) if len(is_right) else float("nan")
 
 
-def _check_training(features: Float32Array, labels: IntArray, names: Sequence[str], describer: Describer) -> None:
-    if features.ndim != 2 or features.shape[1] != describer.size:
-        raise PlaceError(
-            f"features are {features.shape}", fix=f"{describer.kind} tells {describer.size} numbers a frame"
-        )
-    if labels.shape != (len(features),) or labels.dtype.kind not in "iu":
-        raise PlaceError(
-            f"{len(features)} frames have labels {labels.shape} of {labels.dtype}", fix="one index a frame"
-        )
-    if not np.isfinite(features).all():
-        raise PlaceError(f"features of frame {int(np.argmin(np.isfinite(features).all(axis=1)))} are not finite")
-    if len(names) < 2 or len(set(names)) < len(names):
-        raise PlaceError(f"{len(names)} areas cannot be told apart", fix="give at least two, each with its own name")
-    if len(labels) and not -1 <= labels.min() <= labels.max() < len(names):
-        wrong = int(labels.min() if labels.min() < -1 else labels.max())
-        raise PlaceError(f"label {wrong} is no area's", fix=f"0 to {len(names) - 1}, or -1 for none")
-    missing = [name for index, name in enumerate(names) if not (labels == index).any()]
-    if missing:
-        raise PlaceError(f"area {missing[0]!r} has no training frames", fix="drive through it, or leave the area out")
-
-
-# PlaceTrial: a model's answers on a drive that it was not trained on, beside the truth.
-
-
 _MISTAKES_KEPT = 6
 
 
@@ -202,8 +180,8 @@ class Answers:
     Attributes:
         stamps_s: (N,).
         probabilities: (N, A).
-        named: (N,) index of the area named, -1: unknown.
-        has_depth: (N,) whether the frame had depth, without which it is not looked at.
+        named: (N,) index of the named area, -1 if unknown.
+        has_depth: (N,) whether the frame has depth; without it, it is not classified.
     """
 
     stamps_s: FloatArray
@@ -217,7 +195,7 @@ class Answers:
 
 @dataclass(frozen=True, eq=False)
 class Mistake:
-    """A frame that was named wrongly: true and named area by index, how sure the model was, and what it saw."""
+    """A misclassified frame: true and named area by index, confidence, and the image."""
 
     stamp_s: float
     true: int
@@ -228,13 +206,13 @@ class Mistake:
 
 @dataclass(frozen=True, eq=False)
 class PlaceTrial:
-    """What a model answers on frames whose areas are known.
+    """A model's answers on frames of known areas.
 
     Attributes:
         area_names: (A,).
-        answers: on all frames.
-        labels: (N,) indices of the true areas, -1: in none, or not known; such frames count nowhere.
-        mistakes: frames named wrongly, the surest of each pair of areas, surest first.
+        answers: answers on all frames.
+        labels: (N,) indices of the true areas, -1 for none or unknown; such frames are not counted.
+        mistakes: misclassified frames, the most confident one of each pair of areas, in that order.
     """
 
     area_names: tuple[str, ...]
@@ -249,7 +227,7 @@ class PlaceTrial:
 
     @property
     def is_right(self) -> BoolArray:
-        """(N,) whether the most probable area is the true one; frames without depth count as wrong."""
+        """(N,) whether the most probable area is the true one; False for frames without depth."""
         best = self.answers.probabilities.argmax(axis=1)
         right: BoolArray = (best == self.labels) & self.answers.has_depth & self.is_judged
         return right
@@ -261,18 +239,18 @@ class PlaceTrial:
 
     @property
     def answered(self) -> float:
-        """Share of judged frames whose area is named."""
+        """Share of judged frames with a named area."""
         return float((self.answers.named >= 0)[self.is_judged].mean())
 
     @property
     def answered_accuracy(self) -> float:
-        """Share of the judged frames named that are right; NaN where none is."""
+        """Share of judged frames with a named area that are right; NaN if there are none."""
         named = self.is_judged & (self.answers.named >= 0)
         return float((self.answers.named == self.labels)[named].mean()) if named.any() else float("nan")
 
     @property
     def confusion(self) -> IntArray:
-        """(A, A + 1) judged frames by true area and most probable area; the last column is of frames without depth."""
+        """(A, A + 1) judged frames by true and most probable area; the last column has frames without depth."""
         areas = len(self.area_names)
         best = np.where(self.answers.has_depth, self.answers.probabilities.argmax(axis=1), areas)
         counts = np.zeros((areas, areas + 1), np.int64)
@@ -281,25 +259,27 @@ class PlaceTrial:
 
     @property
     def curve(self) -> CalibrationCurve:
-        """How often answers are right by how sure they are, over judged frames; its error says how far that is off."""
+        """Accuracy by confidence, over judged frames."""
         return calibration_curve(self.answers.probabilities[self.is_judged], self.labels[self.is_judged])
 
 
 def answer_all(model: PlaceModel, frames: Iterable[RgbdFrame]) -> Answers:
-    """A model's answers on frames, one image in memory at a time. Raises PlaceError as `PlaceModel.predict`."""
+    """Return a model's answers on frames, with one image in memory at a time. Raises PlaceError as
+    `PlaceModel.predict`.
+    """
     return _collect(model, frames, lambda frame, probabilities: None)
 
 
 def try_places(model: PlaceModel, frames: Iterable[RgbdFrame], label_at: Callable[[float], int]) -> PlaceTrial:
-    """A model's answers on frames beside the truth.
+    """Return a model's answers on frames with the true areas.
 
     Args:
-        model: to be tried.
-        frames: in order of time.
-        label_at: the index of the true area at a frame's stamp, in the model's order; -1 for none.
+        model: model to evaluate.
+        frames: frames in order of time.
+        label_at: returns the index of the true area at a stamp, in the model's order; -1 for none.
 
     Raises:
-        PlaceError: no frame has an area, or images that are not as the model needs them.
+        PlaceError: no frame has an area, or the images do not suit the model.
     """
     surest: dict[tuple[int, int], Mistake] = {}
 
@@ -319,9 +299,9 @@ def try_places(model: PlaceModel, frames: Iterable[RgbdFrame], label_at: Callabl
 
 
 def predictions_csv(answers: Answers, names: Sequence[str]) -> str:
-    """Answers as text: stamp_s, area (empty: unknown), and a column with the probability of each area.
+    """Return answers as CSV: stamp_s, area (empty if unknown), and a column with the probability of each area.
 
-    `read_labels` reads it too, so that a model's answers can be checked by hand and trained on.
+    `read_labels` accepts it too, so that answers can be corrected by hand and used for training.
     """
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
@@ -334,19 +314,15 @@ def predictions_csv(answers: Answers, names: Sequence[str]) -> str:
 def _collect(
     model: PlaceModel, frames: Iterable[RgbdFrame], on_answer: Callable[[RgbdFrame, FloatArray], None]
 ) -> Answers:
-    rows = list(_rows(model, frames, on_answer))
-    if not rows:
-        raise PlaceError("there are no frames to look at", fix="give a recording with colour and depth")
-    stamps_s, probabilities, named, seen = zip(*rows, strict=True)
-    return Answers(np.array(stamps_s), np.array(probabilities), np.array(named, np.int64), np.array(seen))
-
-
-def _rows(
-    model: PlaceModel, frames: Iterable[RgbdFrame], on_answer: Callable[[RgbdFrame, FloatArray], None]
-) -> Iterator[tuple[float, FloatArray, int, bool]]:
+    rows = []
     for frame in frames:
         match = model.predict(frame)
         has_depth = match.reason is not Unknown.NO_DEPTH
         if has_depth:
             on_answer(frame, match.probabilities)
-        yield frame.stamp_s, match.probabilities, -1 if match.area_index is None else match.area_index, has_depth
+        named = -1 if match.area_index is None else match.area_index
+        rows.append((frame.stamp_s, match.probabilities, named, has_depth))
+    if not rows:
+        raise PlaceError("there are no frames to look at", fix="give a recording with colour and depth")
+    stamps_s, probabilities, areas, seen = zip(*rows, strict=True)
+    return Answers(np.array(stamps_s), np.array(probabilities), np.array(areas, np.int64), np.array(seen))

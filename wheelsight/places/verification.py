@@ -20,12 +20,12 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import DepthNoise
 from wheelsight.core.camera_errors import frame_covariance, place_errors, with_frame_error
 from wheelsight.core.estimates import Reason
-from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, IntArray, se3, so3
+from wheelsight.core.geometry import FloatArray, IntArray, se3, so3
 from wheelsight.core.geometry.motion_kernels import is_definite
 from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId
 from wheelsight.core.settings import PlaceVerificationSettings, RecognitionSettings
 from wheelsight.places.recognition import SeenView, ViewMaker
-from wheelsight.vision.dense.alignment import Aligner, DenseAlignment, Judgement, Prior, SurfaceWeight, Told, judge
+from wheelsight.vision.dense.alignment import Aligner, Judgement, Prior, SurfaceWeight, Told, judge
 from wheelsight.vision.dense.pyramid import Level, ReferenceMaker
 from wheelsight.vision.features.extraction import FeatureSettings
 from wheelsight.vision.features.tracking import Alignment, PointPairs, find_motion, match_all, refine_motion
@@ -199,11 +199,7 @@ class PlaceVerifier:
         reference = self._maker.of_frame(other.grid, np.eye(4))
         aligned = self._aligner.align(view.grid, reference, T_keyframe_camera, told=by_keypoints)
         is_clear = found.inliers >= min(self._settings.clear_inliers, self._settings.clear_share * matches)
-        met = self._weighted(aligned, by_keypoints, is_clear=is_clear)
-        return judge(met, Prior(T_keyframe_camera, self._settings.unseen_sigma_m), self._dense)
-
-    def _weighted(self, aligned: DenseAlignment, by_keypoints: Told, *, is_clear: bool) -> DenseAlignment:
-        """Combine surfaces and keypoints, weighted by their distance; see `SurfaceWeight`."""
+        # Both are weighted by their distance; see `SurfaceWeight`.
         correlation = self._dense.correlation
         weight = SurfaceWeight(self._dense.joint)
         joint = weight.meet(aligned.T_reference_frame, aligned.claimed / correlation, by_keypoints)
@@ -213,7 +209,8 @@ class PlaceVerifier:
         if is_clear:
             hinted = hinted + (self._settings.correlation - 1) * correlation * by_keypoints.information
             information = information + correlation * by_keypoints.information
-        return replace(aligned, T_reference_frame=joint.T_reference_frame, information=information, hinted=hinted)
+        both = replace(aligned, T_reference_frame=joint.T_reference_frame, information=information, hinted=hinted)
+        return judge(both, Prior(T_keyframe_camera, self._settings.unseen_sigma_m), self._dense)
 
     def _systematic_covariance(self, other: Level, view: Level, T_keyframe_camera: FloatArray) -> FloatArray:
         """Return the covariance (6, 6) of errors other than noise and the view's own; NaN with too few common points.
@@ -302,37 +299,27 @@ def shown_points(
 def _one_way(
     seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise, settings: PlaceVerificationSettings
 ) -> Intrusion:
-    """Return the intrusion of one view's points. Points behind what the other one saw are hidden, and not compared."""
-    points, surface_m, within_m, pixels, _ = _met(seen, by, T_by_seen, noise, settings)
-    z_m = points[:, 2]
-    is_compared, intrudes = z_m < surface_m + within_m, z_m < surface_m - within_m
-    compared, intruding = (np.zeros(seen.depth_m.size, bool) for _ in range(2))
-    compared[pixels[is_compared]], intruding[pixels[intrudes]] = True, True
-    shape = seen.depth_m.shape
-    free = _free_pixels(seen.depth_m, intruding.reshape(shape), compared.reshape(shape), noise, settings)
-    return Intrusion(int(np.count_nonzero(intrudes)), int(np.count_nonzero(is_compared)), free)
+    """Return the intrusion of one view's points. Points behind what the other one saw are hidden, and not compared.
 
-
-def _free_pixels(
-    depth_m: Float32Array,
-    intruding: BoolArray,
-    compared: BoolArray,
-    noise: DepthNoise,
-    settings: PlaceVerificationSettings,
-) -> int:
-    """Return the number of intruding pixels in patches whose border is mostly an outline with more depth behind it.
-
-    A neighbour that was not compared and is not farther may be part of the same object, and is ignored.
+    Free-standing are patches whose border is mostly an outline with more depth behind it. A neighbour that was not
+    compared and is not farther may be part of the same object, and is ignored.
     """
+    points, surface_m, within_m, pixels, _ = _met(seen, by, T_by_seen, noise, settings)
+    z_m, depth_m = points[:, 2], seen.depth_m
+    is_compared, intrudes = z_m < surface_m + within_m, z_m < surface_m - within_m
+    compared, intruding = (np.zeros(depth_m.size, bool) for _ in range(2))
+    compared[pixels[is_compared]], intruding[pixels[intrudes]] = True, True
+    compared, intruding = compared.reshape(depth_m.shape), intruding.reshape(depth_m.shape)
     count, label = cv2.connectedComponents(intruding.astype(np.uint8), connectivity=4)
     outline, attached = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    within_m = settings.free_m + settings.free_share * depth_m + settings.free_sigmas * noise.sigma_m(depth_m)
+    behind_m = settings.free_m + settings.free_share * depth_m + settings.free_sigmas * noise.sigma_m(depth_m)
     for here, beside in _NEIGHBOURS:
         borders = (label[here] > 0) & (label[beside] == 0) & (depth_m[beside] > 0)
-        is_behind = depth_m[beside] > (depth_m + within_m)[here]
+        is_behind = depth_m[beside] > (depth_m + behind_m)[here]
         outline += np.bincount(label[here][borders & is_behind], minlength=count)
         attached += np.bincount(label[here][borders & ~is_behind & compared[beside]], minlength=count)
-    return int(np.bincount(label.ravel(), minlength=count)[outline > attached].sum())
+    free = int(np.bincount(label.ravel(), minlength=count)[outline > attached].sum())
+    return Intrusion(int(np.count_nonzero(intrudes)), int(np.count_nonzero(is_compared)), free)
 
 
 def _met(
