@@ -240,7 +240,7 @@ def test_a_pipe_path_that_is_a_file(
 ) -> None:
     (tmp_path / "notes").write_text("precious")
     message = refusal("wheels", "serve", controller.port, "--pipe", tmp_path / "notes", "--calibration", calibration)
-    assert message == f"{tmp_path / 'notes'}: is there already and is no pipe (choose another path for the pipe)"
+    assert message == f"{tmp_path / 'notes'}: exists and is not a pipe (choose another path for the pipe)"
     assert (tmp_path / "notes").read_text() == "precious"
 
 

@@ -164,10 +164,10 @@ def test_a_pipe_left_over_is_used_again(tmp_path: Path) -> None:
 def test_a_regular_file_is_refused_and_never_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "results.json"
     path.write_text("precious")
-    with pytest.raises(OutputError, match=rf"^{path}: is there already and is no pipe \("):
+    with pytest.raises(OutputError, match=rf"^{path}: exists and is not a pipe \("):
         TelemetryPipe(path)
     assert path.read_text() == "precious"
-    with pytest.raises(OutputError, match="is no pipe"):
+    with pytest.raises(OutputError, match="is not a pipe"):
         TelemetryPipe(tmp_path)
 
 

@@ -93,7 +93,7 @@ def test_a_clock_that_leaps_is_told(tmp_path: Path) -> None:
         wait(lambda: bool(session.looks))
         session.camera.tell(clock_jumps=1)
         wait(lambda: bool(session.notes))
-    assert session.notes == ["fake 1: its clock leapt; its stamps are mapped anew"]
+    assert session.notes == ["fake 1: its clock jumped; the mapping of its stamps restarts"]
 
 
 def test_a_stamp_that_goes_back_is_left_out_and_told_once(tmp_path: Path) -> None:
@@ -104,7 +104,7 @@ def test_a_stamp_that_goes_back_is_left_out_and_told_once(tmp_path: Path) -> Non
         wait(lambda: session.recorder.report().frames == 3)
         wait(lambda: any(look.drops == {"refused": 2} for look in session.looks))
     assert len(session.notes) == 1
-    assert session.notes[0].startswith("left out what could not be read again: stamp ")
+    assert session.notes[0].startswith("left out a frame or reading that cannot be stored: stamp ")
 
 
 def test_it_ends_with_a_camera_that_has_ended(tmp_path: Path) -> None:

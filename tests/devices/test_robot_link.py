@@ -189,7 +189,7 @@ def test_a_controller_that_begins_anew_stops(robot: LinkRobot, controller: Simul
     run(robot, AHEAD, 1.0)
     controller.restart()
     wait(robot, lambda: bool(robot.stop_reason), AHEAD)
-    assert robot.stop_reason == "the wheel controller began anew"
+    assert robot.stop_reason == "the wheel controller restarted"
 
 
 def test_closed_it_has_stopped_first(controller: SimulatedController) -> None:
@@ -236,7 +236,7 @@ def test_two_cannot_drive_it_at_once(robot: LinkRobot, controller: SimulatedCont
     other.start()
     robot.step(AHEAD)
     other.join()
-    assert "driven by somebody else" in str(refused[0])
+    assert "another program drives the robot" in str(refused[0])
     assert robot.stop_reason == "two programs drive it at once"
     run(robot, AHEAD, 0.2)
     assert controller.duties == (0, 0)

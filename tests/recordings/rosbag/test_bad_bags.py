@@ -288,7 +288,7 @@ def test_an_index_of_messages_that_are_not_there_is_refused(
 ) -> None:
     path = file_of(tmp_path, is_ros1)
     monkeypatch.setattr(OpenBag, "messages", lambda *_, **__: iter(()))
-    with pytest.raises(RecordingError, match=r"its index tells of messages of .*, and none is there") as caught:
+    with pytest.raises(RecordingError, match=r"its index has messages of .*, and the file has none") as caught:
         open_recording(path)
     assert fix in str(caught.value)
 

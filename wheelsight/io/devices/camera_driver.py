@@ -19,17 +19,44 @@ from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import ByteArray, Float32Array
 from wheelsight.core.geometry.arrays import UInt16Array
 
-# CameraDriver: what a camera's own file does, its library's calls alone; `StreamingCamera` does all else.
+
+class CameraDriver(Protocol):
+    """The interface to a camera's library; `StreamingCamera` does the rest.
+
+    One thread at a time uses it. It may be opened again after it was closed.
+    """
+
+    def open(self) -> OpenedDevice:
+        """Start streaming. Raises DeviceError where the device is missing, denied, in use or too slow."""
+
+    def read(self, timeout_s: float) -> DeviceImages | None:
+        """The next frame, or None if none comes within about `timeout_s` seconds.
+
+        Raises:
+            PlaybackEndedError: the end of a played file.
+            DeviceError: the device is gone.
+        """
+
+    def close(self) -> None:
+        """Release the device, if it is open. Does not raise."""
+
+
+@runtime_checkable
+class GyroDriver(Protocol):
+    """A `CameraDriver` of a camera that may have a gyroscope, with the clock of its frames."""
+
+    def take_angular_velocities(self) -> list[DeviceAngularVelocity]:
+        """Readings since the last call, in order; empty without a gyroscope. Raises DeviceError."""
 
 
 @dataclass(frozen=True, slots=True)
 class OpenedDevice:
-    """What a device tells of itself when it was opened.
+    """A device that was opened.
 
     Attributes:
-        name: kind and serial number, or the file that is played.
-        calibration: of the images it will give.
-        warnings: what to know before trusting them.
+        name: model and serial number, or the file that is played.
+        calibration: of its images.
+        warnings: limitations of its images.
     """
 
     name: str
@@ -39,13 +66,13 @@ class OpenedDevice:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeviceImages:
-    """One frame as a device gives it, in memory that the library will not write to again.
+    """One frame of a device, in memory that the library does not overwrite.
 
     Attributes:
-        color: (H, W, 3) uint8, red green blue.
-        depth_m: (H, W) float32, metres, 0 where nothing was measured.
+        color: (H, W, 3) uint8, RGB.
+        depth_m: (H, W) float32, metres, 0 where there is no measurement.
         color_s, depth_s: stamps by the device's clock, seconds; None where it has none.
-        sequence: the device's number of the frame, or None.
+        sequence: the frame number of the device, or None.
         infrared: (H, W), or None.
     """
 
@@ -71,50 +98,23 @@ class PlaybackEndedError(DeviceError):
     """The file that a driver plays has no more frames."""
 
 
-class CameraDriver(Protocol):
-    """A camera's library. It is used by one thread at a time, and may be opened again after it was closed."""
-
-    def open(self) -> OpenedDevice:
-        """Start streaming. Raises DeviceError where the device is missing, denied, in use or too slow."""
-
-    def read(self, timeout_s: float) -> DeviceImages | None:
-        """The next frame, or None if none comes within about `timeout_s` seconds.
-
-        Raises:
-            PlaybackEndedError: a file has come to its end.
-            DeviceError: the device is gone.
-        """
-
-    def close(self) -> None:
-        """Give the device back, if it is open; raises nothing."""
-
-
-@runtime_checkable
-class GyroDriver(Protocol):
-    """A `CameraDriver` whose camera may have a gyroscope, by the clock that stamps its frames."""
-
-    def take_angular_velocities(self) -> list[DeviceAngularVelocity]:
-        """Readings since the last call, in order; none without a gyroscope. Raises DeviceError if it is gone."""
-
-
-# FramePairs: colour and depth that come apart, joined into frames by their stamps.
-
+# Pairing of colour and depth
 
 T = TypeVar("T")
 
-# Of a stream whose partner has stopped.
+# Images that wait for a partner, at most: the other stream may have stopped.
 _MOST_WAITING = 8
 
 
 class Stamped(NamedTuple, Generic[T]):
-    """Anything, and when it was taken."""
+    """An item with its time."""
 
     stamp_s: float
     what: T
 
 
 class FramePairs(Generic[T]):
-    """Joins what two streams give, each in order; what finds no partner within `gap_s` seconds is passed over."""
+    """Pairs the images of two streams, each in order of time. Drops images without a partner within `gap_s` seconds."""
 
     def __init__(self, gap_s: float) -> None:
         self._gap_s = gap_s
@@ -122,12 +122,12 @@ class FramePairs(Generic[T]):
         self._depth: deque[Stamped[T]] = deque()
 
     def add_color(self, stamp_s: float, image: T) -> tuple[Stamped[T], Stamped[T]] | None:
-        """Colour with its depth, where that is there already."""
+        """Add a colour image. Returns the next pair, if there is one."""
         _append(self._color, Stamped(stamp_s, image))
         return self._pair()
 
     def add_depth(self, stamp_s: float, image: T) -> tuple[Stamped[T], Stamped[T]] | None:
-        """The colour with this depth, where that is there already."""
+        """Add a depth image. Returns the next pair, if there is one."""
         _append(self._depth, Stamped(stamp_s, image))
         return self._pair()
 
@@ -141,7 +141,7 @@ class FramePairs(Generic[T]):
 
 
 def _append(images: deque[Stamped[T]], image: Stamped[T]) -> None:
-    """At the end; where its clock was set back, what came before is of another time."""
+    """Append an image. Drops earlier images where the clock was set back."""
     if images and image.stamp_s < images[-1].stamp_s:
         images.clear()
     images.append(image)
@@ -149,8 +149,7 @@ def _append(images: deque[Stamped[T]], image: Stamped[T]) -> None:
         images.popleft()
 
 
-# What is plugged into USB, as the Linux kernel tells, and whether this user may open it; no library is asked.
-
+# USB devices, from the files of the Linux kernel
 
 _SYSTEM, _NODES, _PROCESSES = Path("/sys/bus/usb/devices"), Path("/dev/bus/usb"), Path("/proc")
 USB_3_MBIT = 5000.0
@@ -158,14 +157,14 @@ USB_3_MBIT = 5000.0
 
 @dataclass(frozen=True, slots=True)
 class UsbDevice:
-    """One device.
+    """A USB device.
 
     Attributes:
-        vendor, product: its numbers.
-        name: as it calls itself; may be "".
+        vendor, product: its ids.
+        name: its product name; may be "".
         serial: its serial number; may be "".
-        speed_mbit: of the line it is on, megabits a second; 480 for USB 2, 5000 and more for USB 3.
-        node: the file by which programs open it.
+        speed_mbit: of its connection, megabits per second; 480 for USB 2, 5000 and more for USB 3.
+        node: the device file.
     """
 
     vendor: int
@@ -177,12 +176,12 @@ class UsbDevice:
 
     @property
     def is_usable(self) -> bool:
-        """Whether this user may open it."""
+        """Whether this user has permission to open it."""
         return os.access(self.node, os.R_OK | os.W_OK)
 
 
 def usb_devices(system: StrPath = _SYSTEM, nodes: StrPath = _NODES) -> list[UsbDevice]:
-    """All that is plugged in, by bus and number; nothing where the kernel does not tell, as in a container."""
+    """All USB devices, in order of bus and number; empty without the kernel's files, as in a container."""
     found = []
     for folder in sorted(Path(system).glob("*")):
         with suppress(OSError, ValueError):
@@ -203,7 +202,7 @@ def udev_rule(vendor: int) -> str:
 
 
 def users_of(node: StrPath, processes: StrPath = _PROCESSES) -> list[str]:
-    """Programs that have a file open, as "name (pid 12)"; those of other users are not seen."""
+    """Programs of this user that have a file open, as "name (pid 12)"."""
     wanted, own = os.path.realpath(node), str(os.getpid())
     found = []
     for folder in sorted(Path(processes).glob("[0-9]*")):
@@ -215,7 +214,7 @@ def users_of(node: StrPath, processes: StrPath = _PROCESSES) -> list[str]:
 
 
 def _text(folder: Path, name: str, otherwise: str | None = None) -> str:
-    """What a file of the kernel's says; `otherwise` where there is none. Raises OSError."""
+    """The text of a kernel's file; `otherwise` where it does not exist. Raises OSError."""
     try:
         return (folder / name).read_text(errors="replace").strip()
     except OSError:
@@ -224,19 +223,16 @@ def _text(folder: Path, name: str, otherwise: str | None = None) -> str:
         return otherwise
 
 
-# C libraries that a system's packages bring, through ctypes.
-
-
 def c_library(called: str, files: Sequence[str], package: str) -> ctypes.CDLL:
-    """The first of the files that the loader finds; a new one at each call.
+    """Load the first of several C libraries that exists.
 
     Args:
         called: name of the library, for the message.
         files: such as "libfreenect.so.0.5", the best first.
-        package: Debian's, which brings it.
+        package: of Debian, that contains it.
 
     Raises:
-        DeviceError: none is there; says how to install it.
+        DeviceError: none exists; says how to install it.
     """
     for name in files:
         with suppress(OSError):

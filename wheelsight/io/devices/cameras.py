@@ -22,11 +22,8 @@ from wheelsight.io.devices import host_clock
 from wheelsight.io.devices.live_camera import CameraReport, CameraStatus, LiveCamera, LiveFrame, StreamingCamera
 from wheelsight.io.devices.plugged_in import why_not
 
-# Live cameras that a robot can carry, by name; each is opened when it is asked for.
-
-
 Opener = Callable[[str | None, LiveCameraSettings, Calibration | None], LiveCamera]
-"""Of a serial number or file (None for the first that is plugged in), settings, and the calibration to go by."""
+"""Opens a camera, given its serial number or file (None for the first one), settings, and a calibration or None."""
 
 
 def _openni2(where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> LiveCamera:
@@ -52,7 +49,6 @@ def _freenect(where: str | None, settings: LiveCameraSettings, calibration: Cali
 
 
 def _recording(where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> LiveCamera:
-
     return PlayedCamera.opened(where, settings, calibration)
 
 
@@ -62,7 +58,7 @@ LIVE_CAMERAS: dict[str, Opener] = {
     "openni2": _openni2,
     "recording": _recording,
 }
-"""How each kind is opened."""
+"""The openers of each kind of camera."""
 
 
 def open_live_camera(
@@ -72,12 +68,12 @@ def open_live_camera(
 
     Args:
         which: its kind, such as "realsense", or kind and serial number or file, such as "openni2:drive.oni"; None for
-            the first that is plugged in.
-        settings: what is asked of it; None for the defaults.
-        calibration: to go by, of the images that are asked for; None for what the camera tells of itself.
+            the first one that is connected.
+        settings: None for the defaults.
+        calibration: of the requested images; None for that of the camera.
 
     Raises:
-        DeviceError: none is there, it is denied or in use, or its library is missing; says what to do.
+        DeviceError: no camera is connected, it is denied or in use, or its library is missing; says what to do.
     """
     asked = settings or LiveCameraSettings()
     kind, _, where = (which or "").partition(":")
@@ -90,12 +86,9 @@ def open_live_camera(
                 return opener(where or None, asked, calibration)
             except DeviceError as error:
                 reasons.append(error)
-    # What is plugged in and lacks something tells more than that a library sees nothing.
-    told = why_not(kind or None) if not where else None
-    raise told or reasons[0]
-
-
-# A live camera of a robot, with its own calibration laid under that of the robot.
+    # An error about a connected device is more useful than that a library found none.
+    of_device = why_not(kind or None) if not where else None
+    raise of_device or reasons[0]
 
 
 ANY = "any"
@@ -107,14 +100,14 @@ def open_robot_camera(
     """A live camera, and the calibration of the robot that carries it.
 
     Args:
-        which: as `open_live_camera`; "any" for the first that is plugged in.
-        settings: what is asked of it.
-        files: calibrations of the robot, laid over each other in this order, and all over the camera's own.
-        known: the calibration to go by in place of all these.
+        which: as for `open_live_camera`; "any" for the first one that is connected.
+        settings: of the camera.
+        files: calibrations of the robot. Each replaces parts of the camera's own and of those before it.
+        known: the calibration to use instead of all these.
 
     Raises:
         DeviceError: as `open_live_camera`.
-        CalibrationError: a file is no calibration, or lacks something.
+        CalibrationError: a file is not a calibration, or is incomplete.
     """
     asked = known if known is not None or not files else _of_camera(files)
     camera = open_live_camera(None if which == ANY else which, settings, asked)
@@ -128,17 +121,12 @@ def open_robot_camera(
 
 
 def _of_camera(files: Sequence[StrPath]) -> Calibration | None:
-    """What the files tell of a camera; None where they tell of none, or only together with what the camera tells."""
+    """The calibration of the files, if it has a camera; None where they are complete only with the camera's own."""
     try:
         found = load_calibration(*files)
     except CalibrationError:
-        return None  # told once the camera's own is laid under, unless that mends it
+        return None  # the camera's own may complete them; else loading both raises it
     return None if found.color is None else found
-
-
-# PlayedCamera: frames that are there already, given as a live camera gives them: in their time, and only once.
-#
-# With a recording it shows what live work looks like before a camera is bought, and tests all of it without one.
 
 
 THREAD = "wheelsight-played-camera"
@@ -146,25 +134,24 @@ _RATE_OVER = 30
 _WAIT_S = 0.05
 _UNASKED_S = 2.0
 _LATEST_S = 0.1
-# Readings of a gyroscope for whoever asks late: ten seconds of the fastest.
+# Readings of a gyroscope that are kept: ten seconds of the fastest.
 _MOST_READINGS = 4000
 
 
 class PlayedCamera:
-    """A `LiveCamera` of frames whose stamps say when each comes after the first.
+    """A `LiveCamera` that plays recorded frames in real time, to show and test live work without a camera.
 
-    Its stamps are the host's, hence exact. At the end it says so, and gives nothing more. While nobody asks for frames,
-    as before a run is ready, it stands still: else it might be over by then. Where frames are decoded too slowly for
-    their time, it plays slower.
+    Its stamps are those of the host clock, without error. It pauses while no frames are fetched, as before a run is
+    ready, and plays slower where decoding takes too long.
 
     Args:
-        name: for people.
+        name: of the camera.
         calibration: of the frames.
-        frames: at growing stamps; those that were skipped are left out.
-        settings: how many frames are kept, and how old they may grow.
-        turns: readings of the camera's gyroscope by the frames' clock, at growing stamps. They come with the frames,
-            as a camera's do, from the first one on.
-        notes: what else to know before trusting what it shows.
+        frames: at increasing stamps; skipped ones are left out.
+        settings: the number of frames that are kept, and their largest age.
+        turns: readings of the camera's gyroscope by the frames' clock, at increasing stamps. They come with the frames,
+            from the first one on.
+        notes: further warnings.
     """
 
     def __init__(
@@ -192,12 +179,9 @@ class PlayedCamera:
 
     @classmethod
     def opened(cls, where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> PlayedCamera:
-        """Of a recording's folder. Raises DeviceError where it has no frames of this calibration."""
-        from wheelsight.io.recordings import (
-            OpenOptions,  # loads OpenCV, which other cameras need not wait for
-            camera_turns,  # loads OpenCV, which other cameras need not wait for
-            open_recording,  # loads OpenCV, which other cameras need not wait for
-        )
+        """A player of a recording. Raises DeviceError where it has no frames of this calibration."""
+        # Loads OpenCV, which other cameras do not need.
+        from wheelsight.io.recordings import OpenOptions, camera_turns, open_recording
 
         if where is None:
             raise DeviceError("no recording is named", fix="--camera recording:DIR")
@@ -225,7 +209,7 @@ class PlayedCamera:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """That these are no new frames, and the notes."""
+        """That the frames are recorded, and the notes."""
         return f"{self._name[0].upper()}{self._name[1:]} is played as if it were a camera.", *self._notes
 
     def read(self, timeout_s: float) -> LiveFrame | None:
@@ -264,7 +248,7 @@ class PlayedCamera:
         """As `LiveCamera` has it."""
         self._is_over.set()
         self._thread.join()
-        self._tell(CameraStatus.CLOSED)
+        self._set_status(CameraStatus.CLOSED)
 
     def __enter__(self) -> Self:
         return self
@@ -273,7 +257,7 @@ class PlayedCamera:
         self.close()
 
     def _fetch(self) -> LiveFrame | None:
-        """The next that is not too old; `_changed` is held."""
+        """The next frame that is not too old, or None. The caller holds `_changed`."""
         now_s = host_clock.now_s()
         while self._kept:
             live = self._kept.popleft()
@@ -283,64 +267,61 @@ class PlayedCamera:
         return None
 
     def _play(self, frames: Iterable[RgbdFrame | SkippedFrame]) -> None:
-        """The thread."""
+        """The thread: give each frame at its time."""
         behind_s: float | None = None
         first_s = math.inf
         try:
             for index, frame in enumerate(frames):
                 if isinstance(frame, SkippedFrame):
                     continue
-                stood_s = self._stand_unasked()
-                behind_s = host_clock.now_s() - frame.stamp_s if behind_s is None else behind_s + stood_s
+                paused_s = self._pause_unused()
+                behind_s = host_clock.now_s() - frame.stamp_s if behind_s is None else behind_s + paused_s
                 behind_s = max(behind_s, host_clock.now_s() - frame.stamp_s - _LATEST_S)
                 due_s = frame.stamp_s + behind_s
                 if self._is_over.wait(max(due_s - host_clock.now_s(), 0.0)):
                     return
                 first_s = min(first_s, frame.stamp_s)
-                self._turn(first_s, frame.stamp_s, behind_s)
+                while self._coming and self._coming[0].stamp_s <= frame.stamp_s:
+                    turn = self._coming.popleft()
+                    if turn.stamp_s >= first_s:
+                        with self._changed:
+                            self._turns.append(replace(turn, stamp_s=turn.stamp_s + behind_s))
                 self._give(replace(frame, stamp_s=due_s, index=index), frame.stamp_s)
         except RecordingError as error:
             self._report = replace(self._report, detail=error.problem)
-        self._tell(CameraStatus.ENDED)
+        self._set_status(CameraStatus.ENDED)
 
-    def _stand_unasked(self) -> float:
-        """Wait until somebody asks for frames; for how long that was."""
+    def _pause_unused(self) -> float:
+        """Wait while no frames are fetched. Returns the duration, seconds."""
         began_s = host_clock.now_s()
         while host_clock.now_s() - self._asked_s > _UNASKED_S and not self._is_over.is_set():
             self._is_over.wait(_WAIT_S)
         return host_clock.now_s() - began_s
 
     def _give(self, frame: RgbdFrame, device_s: float) -> None:
+        """Keep a frame for `read`, and drop the oldest where too many are kept."""
         arrived_s = host_clock.now_s()
         with self._changed:
-            told = self._report
-            if told.status is not CameraStatus.STREAMING:
-                told = replace(told, status=CameraStatus.STREAMING, since_s=arrived_s)
+            report = self._report
+            if report.status is not CameraStatus.STREAMING:
+                report = replace(report, status=CameraStatus.STREAMING, since_s=arrived_s)
             lost = len(self._kept) >= self._settings.kept_frames
             if lost:
                 self._kept.popleft()
             self._kept.append(LiveFrame(frame, 0.0, device_s, arrived_s, frame.index))
             self._arrivals.append(arrived_s)
-            told = replace(told, frames=told.frames + 1, host_drops=told.host_drops + lost)
-            self._report = replace(told, last_stamp_s=frame.stamp_s)
+            report = replace(report, frames=report.frames + 1, host_drops=report.host_drops + lost)
+            self._report = replace(report, last_stamp_s=frame.stamp_s)
             self._changed.notify_all()
 
-    def _turn(self, first_s: float, until_s: float, behind_s: float) -> None:
-        """Let the gyroscope tell what it told until then, but for what came before the first frame."""
-        while self._coming and self._coming[0].stamp_s <= until_s:
-            turn = self._coming.popleft()
-            if turn.stamp_s >= first_s:
-                with self._changed:
-                    self._turns.append(replace(turn, stamp_s=turn.stamp_s + behind_s))
-
-    def _tell(self, status: CameraStatus) -> None:
+    def _set_status(self, status: CameraStatus) -> None:
         with self._changed:
             self._report = replace(self._report, status=status, since_s=host_clock.now_s())
             self._changed.notify_all()
 
 
 def _sizes(calibration: Calibration) -> str:
-    """Of its images, such as "640×480"."""
+    """The sizes of its images, such as "640×480"."""
     if calibration.color is None:
         return "no camera"
     return " and ".join(dict.fromkeys(f"{camera.width}×{camera.height}" for camera in calibration.cameras))

@@ -13,32 +13,20 @@ from itertools import pairwise
 
 from wheelsight.core.settings import LiveCameraSettings
 
-# The one host clock that stamps of all devices are told in: seconds since 1970 that never run backwards.
-
 
 @cache
 def unix_offset_s() -> float:
-    """Seconds since 1970 at which the monotonic clock was 0, as the system had it when first asked for.
+    """Seconds from 1970 to zero of the monotonic clock, by the system clock at the first call.
 
-    Kept for the life of the program: where a time server sets the system's clock meanwhile, stamps of two devices
-    would else differ by that step.
+    It is constant for the life of the program. Otherwise a step of the system clock would appear as an offset between
+    the stamps of two devices.
     """
     return time.time() - time.monotonic()
 
 
 def now_s() -> float:
-    """Now."""
+    """The current time of the host clock."""
     return unix_offset_s() + time.monotonic()
-
-
-# What the controller's clock means in host time: offset and drift, found beneath the delays of the transport.
-#
-# A frame arrives when it was sent plus a delay that is never negative, often small, and sometimes large. Plotted over
-# the controller's clock, arrivals lie on or above a line whose slope is the drift and whose height is the offset: the
-# line beneath all points with the least distance to them in sum. That is the edge of their lower convex hull above
-# which their mean lies (Moon, Skelly & Towsley, *Estimation and removal of clock skew from network delay
-# measurements*, INFOCOM 1999). What no observer of one-way arrivals can tell is the smallest delay itself; it stays
-# in the offset.
 
 
 WINDOW_S = 60.0
@@ -52,10 +40,16 @@ _Point = tuple[float, float]
 
 
 class ClockMap:
-    """Maps seconds of the controller's clock to seconds of the host's, from the arrivals of its frames.
+    """Maps seconds of a device's clock to the host's: estimates offset and drift from the arrivals of its messages.
 
-    Only the earliest arrival of each half second of the last minute is kept, so an update takes constant time.
-    Before four seconds have passed, the drift is taken for zero; it is held within ±`largest_drift`.
+    A message arrives after a delay that is never negative, often small, and sometimes large. Over the device's clock,
+    arrivals lie on or above a line with the drift as slope and the offset as height. The estimate is the line below all
+    points with the least sum of distances to them: the edge of their lower convex hull below their mean (Moon, Skelly &
+    Towsley, *Estimation and removal of clock skew from network delay measurements*, INFOCOM 1999). The offset includes
+    the smallest delay, which arrivals in one direction cannot show.
+
+    Only the earliest arrival of each half second of the last minute is kept, so an update takes constant time. In the
+    first four seconds the drift is zero; later it is limited to ±`largest_drift`.
     """
 
     def __init__(self, largest_drift: float = _LARGEST_DRIFT) -> None:
@@ -66,19 +60,22 @@ class ClockMap:
 
     @property
     def drift_ppm(self) -> float:
-        """How much faster than the host's the controller's clock runs, in millionths."""
+        """The drift of the device's clock in millionths; positive where it runs faster than the host's."""
         return (1 / self._slope - 1) * 1e6
 
     @property
     def is_begun(self) -> bool:
-        """Whether it has learned of any arrival since it began, or began anew."""
+        """Whether there was an arrival since the start, or the last restart."""
         return bool(self._points)
 
     def sigma_s(self, first_s: float) -> float:
-        """Standard deviation of `host_s`, beside the smallest delay, which nobody can tell.
+        """The standard deviation of `host_s`, without the unknown smallest delay.
 
-        How far the kept arrivals lie above the line, on average, tells how much delays vary. A line through `n` points
-        that vary by σ is known to 2σ/√n at its end. `first_s` is that of one arrival alone.
+        The mean distance of the kept arrivals above the line is taken for the standard deviation σ of delays. A line
+        through n such points has the standard deviation 2σ/√n at its end.
+
+        Args:
+            first_s: the standard deviation after one arrival.
         """
         if not self._points:
             return first_s
@@ -87,11 +84,11 @@ class ClockMap:
         return max(2 * late_s / math.sqrt(count), first_s / (count * math.sqrt(count)))
 
     def host_s(self, clock_s: float) -> float:
-        """Host time at which the controller's clock showed `clock_s`, later by the smallest delay of the transport."""
+        """The host time at which the device's clock showed `clock_s`, plus the smallest delay of the transport."""
         return self._offset_s + self._slope * clock_s
 
     def update(self, clock_s: float, arrival_s: float) -> None:
-        """Learn that what was sent at `clock_s` arrived at `arrival_s`; `clock_s` must not decrease."""
+        """Add a message that was sent at `clock_s` and arrived at `arrival_s`. `clock_s` must not decrease."""
         early_s = self.host_s(clock_s) - arrival_s if self._points else 0.0
         bucket = self._points[-1] if self._points else None
         if bucket is None or clock_s // _BUCKET_S > bucket[0] // _BUCKET_S:
@@ -105,7 +102,7 @@ class ClockMap:
                 self._fit()
 
     def stamp_s(self, clock_s: float) -> float:
-        """As `host_s`, for stamps in a row: when the estimate is corrected downwards, they slow down but go on."""
+        """Like `host_s`, but strictly increasing from call to call, also when the estimate decreases."""
         stamp_s = self.host_s(clock_s)
         if self._last is not None:
             passed_s = self._slope * (clock_s - self._last[0])
@@ -114,7 +111,7 @@ class ClockMap:
         return stamp_s
 
     def restart(self) -> None:
-        """Forget everything but the last stamp: the controller's clock began anew."""
+        """Reset all but the last stamp, after the device's clock was reset."""
         self._points.clear()
         self._slope, self._offset_s = 1.0, 0.0
         if self._last is not None:
@@ -129,7 +126,7 @@ class ClockMap:
 
 
 def slope_beneath(points: list[_Point]) -> float:
-    """Slope of the lower convex hull's edge at the points' mean; `points` are sorted by their first coordinate."""
+    """The slope of the lower convex hull's edge at the points' mean. `points` are sorted by their first coordinate."""
     hull: list[_Point] = []
     for point in points:
         while len(hull) >= 2 and _turn(hull[-2], hull[-1], point) <= 0:
@@ -141,26 +138,23 @@ def slope_beneath(points: list[_Point]) -> float:
 
 
 def _turn(a: _Point, b: _Point, c: _Point) -> float:
-    """Positive where a, b, c turn to the left."""
+    """A positive number where a, b, c turn to the left."""
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-
-
-# CameraClock: when frames were taken in host time, how surely, and whether the camera's clock has leapt.
 
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """A time by the host's clock, and the standard deviation of the mapping it is from."""
+    """A time by the host's clock, and the standard deviation of its mapping."""
 
     stamp_s: float
     sigma_s: float
 
 
 class CameraClock:
-    """Stamps in host time of frames whose device stamps grow; they grow strictly, whatever the device's clock does.
+    """Maps a camera's increasing stamps to strictly increasing stamps of the host's clock, over jumps of its clock.
 
-    A frame arrives after it was taken, so a mapped stamp that lies after its arrival tells that the device's clock
-    leapt forward. Late arrivals are ordinary, but not all of them: where every one is late, the clock leapt back.
+    A frame arrives after it was taken. A mapped stamp later than its arrival therefore shows that the device's clock
+    jumped forward. Late arrivals are normal, but where all are late the clock jumped back.
     """
 
     def __init__(self, settings: LiveCameraSettings) -> None:
@@ -172,30 +166,31 @@ class CameraClock:
 
     @property
     def drift_ppm(self) -> float:
-        """How much faster than the host's the device's clock runs, in millionths."""
+        """As `ClockMap` has it."""
         return self._map.drift_ppm
 
     def stamp(self, device_s: float | None, arrival_s: float) -> Stamp:
-        """The stamp of a frame that arrived at `arrival_s`; its arrival, where the device has no clock."""
+        """The stamp of a frame that arrived at `arrival_s`; the arrival itself where the device has no clock."""
         period_s = 1 / self._settings.rate_hz
         if device_s is None:
             return Stamp(self._growing(arrival_s), period_s)
-        if self._has_leapt(device_s, arrival_s):
+        if self._has_jumped(device_s, arrival_s):
             self.jumps += 1
             self.restart()
         self._map.update(device_s, arrival_s)
         return Stamp(self._growing(min(self._map.host_s(device_s), arrival_s)), self._map.sigma_s(period_s))
 
     def host_s(self, device_s: float) -> float | None:
-        """When the device's clock showed that, by the host's, for what is no frame; None before the first frame."""
+        """The host time of a time of the device's clock, for other readings than frames; None before a frame."""
         return self._map.host_s(device_s) if self._map.is_begun else None
 
     def restart(self) -> None:
-        """The device's clock began anew: what was learned of it is forgotten."""
+        """Reset the mapping, after the device's clock was reset."""
         self._map.restart()
         self._late.clear()
 
-    def _has_leapt(self, device_s: float, arrival_s: float) -> bool:
+    def _has_jumped(self, device_s: float, arrival_s: float) -> bool:
+        """Whether the device's clock jumped: a stamp after its arrival, or only late arrivals for long."""
         settings = self._settings
         if not self._map.is_begun:
             return False
@@ -203,11 +198,12 @@ class CameraClock:
         self._late.append((arrival_s, late_s))
         while arrival_s - self._late[0][0] > settings.clock_watch_s:
             self._late.popleft()
-        # Three quarters of the time: frames that stop coming tell nothing of those that would have come.
+        # Arrivals must cover three quarters of the time: a pause of the frames does not count as late.
         is_watched = arrival_s - self._late[0][0] > 0.75 * settings.clock_watch_s
         stays_late = is_watched and min(late for _, late in self._late) > settings.clock_late_s
         return late_s < -settings.clock_ahead_s or stays_late
 
     def _growing(self, stamp_s: float) -> float:
+        """The stamp, or the smallest one after the last."""
         self._stamp_s = max(stamp_s, self._stamp_s + _TICK_S)
         return self._stamp_s

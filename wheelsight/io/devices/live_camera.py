@@ -25,24 +25,22 @@ from wheelsight.io.devices import host_clock
 from wheelsight.io.devices.camera_driver import CameraDriver, DeviceImages, GyroDriver, OpenedDevice, PlaybackEndedError
 from wheelsight.io.devices.host_clock import CameraClock
 
-# LiveCamera: what every camera that is plugged in offers, whatever its library; and what is known of each frame.
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveFrame:
-    """One frame of a live camera, and when and how surely it was taken.
+    """One frame of a live camera, with the uncertainty of its stamp.
 
-    All times but `device_s` are of the one host clock (`host_clock.now_s`).
+    All times but `device_s` are of the host clock (`host_clock.now_s`).
 
     Attributes:
-        frame: the images; its `stamp_s` is when colour was taken, its `index` counts the frames the camera took since
-            it was opened, lost ones included.
-        stamp_sigma_s: standard deviation of the mapping from the device's clock to the host's. A delay that all frames
-            share, from exposure to arrival, is not in it: no observer of arrivals can tell that one.
-        device_s: the camera's own stamp, in seconds of its own clock; None where it has none.
-        arrived_s: when the host was handed the frame.
-        sequence: the camera's own number of the frame; None where it has none. Not continuous over a reconnection.
-        infrared: (H, W) as the sensor gives it, on the depth image's pixels; None where it was not asked for.
+        frame: the images. `stamp_s` is the time of colour; `index` counts all frames since the camera was opened, lost
+            ones included.
+        stamp_sigma_s: standard deviation of the mapping from the device's clock to the host's. It excludes the delay
+            from exposure to arrival that all frames share, which arrivals cannot show.
+        device_s: the stamp by the camera's clock, seconds; None where it has none.
+        arrived_s: when the host received the frame.
+        sequence: the frame number that the camera gives, or None. Not continuous over a reconnection.
+        infrared: raw (H, W), registered to depth; None unless requested.
     """
 
     frame: RgbdFrame
@@ -53,12 +51,12 @@ class LiveFrame:
     infrared: UInt16Array | None = None
 
     def age_s(self, now_s: float) -> float:
-        """How long before `now_s` it was taken."""
+        """The age of the frame at `now_s`, seconds."""
         return now_s - self.frame.stamp_s
 
 
 class CameraStatus(StrEnum):
-    """How a camera is doing."""
+    """The state of a camera."""
 
     STARTING = "starting: no frame has come yet"
     STREAMING = "streaming"
@@ -70,21 +68,21 @@ class CameraStatus(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CameraReport:
-    """How a camera is doing at one moment. Counts are since it was opened.
+    """The state of a camera at one moment. Counts begin when it was opened.
 
     Attributes:
-        status: now.
-        since_s: since when it has been so, host clock; a stall counts from the last frame.
-        detail: what the camera's library said last of a failure, or "".
-        frames: that were kept for whoever asks.
-        device_drops: that the camera or the bus lost, by gaps in the camera's numbers.
-        host_drops: that were dropped since nobody fetched them.
-        stale: that were too old when they were fetched.
-        refused: that were duplicates, out of order, or of a wrong size or kind.
-        reconnects: how often the camera went away and came again.
-        clock_jumps: how often the camera's clock leapt; stamps were mapped anew.
-        rate_hz: of frames over the last seconds; 0 where none came.
-        drift_ppm: how much faster than the host's the camera's clock runs.
+        status: of the camera.
+        since_s: when the status began, host clock; a stall begins with the last frame.
+        detail: the last error of the camera's library, or "".
+        frames: valid frames.
+        device_drops: frames lost by the camera or the bus, by gaps in the camera's frame numbers.
+        host_drops: frames dropped because they were not fetched.
+        stale: frames that were too old when they were fetched.
+        refused: duplicates, frames out of order, and frames of a wrong size or type.
+        reconnects: the number of reconnections.
+        clock_jumps: the number of jumps of the camera's clock; the mapping of stamps then restarts.
+        rate_hz: of frames over the last seconds; 0 without frames.
+        drift_ppm: of the camera's clock against the host's; positive where it runs faster.
         last_stamp_s: of the newest frame; None before the first.
     """
 
@@ -105,82 +103,78 @@ class CameraReport:
 
 @runtime_checkable
 class LiveCamera(Protocol):
-    """A camera that streams on a thread of its own, from when it was opened until it is closed.
+    """A camera that streams in a thread of its own until it is closed. `open_live_camera` opens one.
 
-    The newest few frames are kept; nothing is handed out twice, nor out of order, nor when it is older than asked for.
-    A camera that is unplugged yields nothing, and goes on by itself when it is there again; `report` tells both.
-    It is opened by `open_live_camera`.
+    It keeps the newest few frames and returns each at most once, in order, unless it is too old. An unplugged camera
+    yields no frames, and continues after it was plugged in again; `report` shows both.
     """
 
     @property
     def name(self) -> str:
-        """Its kind and serial number or file, for people."""
+        """Its model and serial number, or its file."""
 
     @property
     def calibration(self) -> Calibration:
-        """Of its cameras, as the device or its data sheet tells; the source says which."""
+        """The calibration of its cameras, by the device or its data sheet; `source` says which."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to know before trusting its images, one sentence each."""
+        """Limitations of its images, one sentence each."""
 
     def read(self, timeout_s: float) -> LiveFrame | None:
-        """The next frame, or None if none comes within `timeout_s` seconds, or the camera has ended or is closed."""
+        """The next frame, or None if none comes within `timeout_s` seconds, or the camera ended or is closed."""
 
     def take(self) -> Sequence[RgbdFrame | SkippedFrame]:
-        """What came since the last call, in order, refused frames with the reason; waits for none."""
+        """Frames since the last call, in order, refused ones with the reason. Does not wait."""
 
     def report(self) -> CameraReport:
-        """Everything a person may want to see."""
+        """The state of the camera, with its counts."""
 
     def close(self) -> None:
-        """Give the camera back; may be called twice."""
+        """Release the camera; may be called twice."""
 
     def __enter__(self) -> Self:
-        """Itself, to be closed at the block's end."""
+        """The camera, which the end of the block closes."""
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close it."""
+        """Close the camera."""
 
 
 @runtime_checkable
 class HasGyro(Protocol):
-    """A `LiveCamera` that may carry a gyroscope."""
+    """A `LiveCamera` that may have a gyroscope."""
 
     def take_angular_velocities(self) -> Sequence[AngularVelocity]:
-        """Readings since the last call, at growing stamps of the host's clock; waits for none."""
+        """Readings since the last call, at increasing stamps of the host's clock. Does not wait."""
 
 
 def take_angular_velocities(camera: object) -> Sequence[AngularVelocity]:
-    """Of a camera that may be none with a gyroscope; nothing then."""
+    """The readings of a camera's gyroscope since the last call; empty where it has none."""
     return camera.take_angular_velocities() if isinstance(camera, HasGyro) else ()
-
-
-# StreamingCamera: a `LiveCamera` of any driver: its thread, queue, counts and clock, and how it reconnects.
 
 
 _READ_S = 0.1
 _RATE_OVER_S = 2.0
-# Readings of a gyroscope for whoever asks late: ten seconds of the fastest.
+# Readings of a gyroscope that are kept: ten seconds of the fastest.
 _MOST_READINGS = 4000
-# A library that hangs in a call is left behind rather than waited for.
+# Longest wait for the thread, since a library may hang in a call.
 _CLOSING_S = 3.0
 
 
 class StreamingCamera:
-    """A `LiveCamera`; use it in a `with` block.
+    """A `LiveCamera` of any driver. Use it in a `with` block.
 
     Args:
         driver: of the camera's library; opened here, and closed with the camera.
         settings: see `LiveCameraSettings`.
-        calibration: to go by in place of what the device tells; None for that.
+        calibration: replaces that of the device; None to use the device's.
         on_status: called with each new status, from the camera's thread.
 
     Raises:
         DeviceError: the device is missing, denied, in use or too slow.
-        CalibrationError: the calibration is of images of another size, or otherwise registered.
+        CalibrationError: the calibration has another image size or registration than the device.
     """
 
     def __init__(
@@ -193,7 +187,7 @@ class StreamingCamera:
         self._driver, self._settings, self._on_status = driver, settings or LiveCameraSettings(), on_status
         self._device = driver.open()
         try:
-            self._calibration = _to_go_by(calibration, self._device)
+            self._calibration = _checked_calibration(calibration, self._device)
         except CalibrationError:
             driver.close()
             raise
@@ -205,7 +199,7 @@ class StreamingCamera:
         self._turned_s = -float("inf")
         self._frames = self._host_drops = self._stale = self._reconnects = 0
         self._last_stamp_s: float | None = None
-        self._heard_s = self._since_s = host_clock.now_s()
+        self._received_s = self._since_s = host_clock.now_s()
         self._status, self._detail = CameraStatus.STARTING, ""
         self._failure: Exception | None = None
         self._is_closing = threading.Event()
@@ -220,12 +214,12 @@ class StreamingCamera:
 
     @property
     def calibration(self) -> Calibration:
-        """As it was given, or as the device tells."""
+        """The given calibration, or that of the device."""
         return self._calibration
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """As the device tells."""
+        """As `LiveCamera` has it."""
         return self._device.warnings
 
     def read(self, timeout_s: float) -> LiveFrame | None:
@@ -252,17 +246,20 @@ class StreamingCamera:
             return [f if isinstance(f, SkippedFrame) else f.frame for f in fresh]
 
     def take_angular_velocities(self) -> list[AngularVelocity]:
-        """As `HasGyro` has it; none of a camera without a gyroscope."""
+        """As `HasGyro` has it; empty for a camera without a gyroscope."""
         with self._ready:
             found = list(self._turns)
             self._turns.clear()
         return found
 
     def report(self) -> CameraReport:
-        """As `LiveCamera` has it; a library that hangs is told as stalled."""
+        """As `LiveCamera` has it; a library that hangs counts as stalled."""
         with self._ready:
             now_s = host_clock.now_s()
-            status, since_s = self._judged(now_s)
+            status, since_s = self._status, self._since_s
+            is_silent = now_s - self._received_s > self._settings.stall_s
+            if is_silent and status in (CameraStatus.STARTING, CameraStatus.STREAMING):
+                status, since_s = CameraStatus.STALLED, self._received_s
             recent = [arrival_s for arrival_s in self._arrivals if now_s - arrival_s < _RATE_OVER_S]
             return CameraReport(
                 status=status,
@@ -281,7 +278,7 @@ class StreamingCamera:
             )
 
     def close(self) -> None:
-        """Give the camera back; may be called twice."""
+        """As `LiveCamera` has it."""
         self._is_closing.set()
         with self._ready:
             self._kept.clear()
@@ -299,7 +296,7 @@ class StreamingCamera:
         self.close()
 
     def _run(self) -> None:
-        """The thread: read until closed, or until a played file ends."""
+        """The thread: read until the camera is closed, or a played file ends."""
         ended = CameraStatus.CLOSED
         try:
             while not self._is_closing.is_set():
@@ -310,26 +307,28 @@ class StreamingCamera:
                     break
                 except DeviceError as error:
                     self._wait_for_device(error)
-        except Exception as error:  # of a driver: told to whoever asks for frames, not lost with the thread
+        except Exception as error:  # `read` and `take` raise it
             self._failure = error
         finally:
             self._driver.close()
-            self._tell(ended)
+            self._set_status(ended)
 
     def _step(self) -> None:
+        """Read a frame and the gyroscope. Raises DeviceError where no frame came for long."""
         images = self._driver.read(_READ_S)
         arrived_s = host_clock.now_s()
         if images is not None:
             self._receive(images, arrived_s)
-        self._hear_gyro()
+        self._read_gyro()
         if images is not None:
             return
-        if arrived_s - self._heard_s > self._settings.reopen_s:
-            raise DeviceError(f"no frame came for {arrived_s - self._heard_s:.1f} s")
-        if arrived_s - self._heard_s > self._settings.stall_s:
-            self._tell(CameraStatus.STALLED, since_s=self._heard_s)
+        if arrived_s - self._received_s > self._settings.reopen_s:
+            raise DeviceError(f"no frame came for {arrived_s - self._received_s:.1f} s")
+        if arrived_s - self._received_s > self._settings.stall_s:
+            self._set_status(CameraStatus.STALLED, since_s=self._received_s)
 
     def _receive(self, images: DeviceImages, arrived_s: float) -> None:
+        """Keep a frame if it is new, and drop the oldest ones where too many are kept."""
         found = self._check.checked(images, arrived_s)
         if found is None:
             return
@@ -343,33 +342,33 @@ class StreamingCamera:
                 self._arrivals.append(arrived_s)
                 while arrived_s - self._arrivals[0] > _RATE_OVER_S:
                     self._arrivals.popleft()
-            self._heard_s = arrived_s
+            self._received_s = arrived_s
             self._ready.notify_all()
-        self._tell(CameraStatus.STREAMING)
+        self._set_status(CameraStatus.STREAMING)
 
-    def _hear_gyro(self) -> None:
-        """Its readings by the clock that frames have told of; what a corrected mapping sets back is left out."""
+    def _read_gyro(self) -> None:
+        """Keep readings of the gyroscope, with stamps mapped as those of frames. Stamps that decrease are left out."""
         if not isinstance(self._driver, GyroDriver):
             return
-        for told in self._driver.take_angular_velocities():
-            stamp_s = self._check.clock.host_s(told.device_s)
+        for turn in self._driver.take_angular_velocities():
+            stamp_s = self._check.clock.host_s(turn.device_s)
             if stamp_s is not None and stamp_s > self._turned_s:
                 self._turned_s = stamp_s
                 with self._ready:
-                    self._turns.append(AngularVelocity(stamp_s, told.x_rad_s, told.y_rad_s, told.z_rad_s))
+                    self._turns.append(AngularVelocity(stamp_s, turn.x_rad_s, turn.y_rad_s, turn.z_rad_s))
 
     def _wait_for_device(self, reason: DeviceError) -> None:
-        """After the device went away: open it again as soon as it is there."""
+        """Close a device that failed, and open it as soon as it is back."""
         self._driver.close()
         self._detail = str(reason)
-        self._tell(CameraStatus.UNPLUGGED)
+        self._set_status(CameraStatus.UNPLUGGED)
         while not self._is_closing.wait(self._settings.retry_s):
             try:
                 device = self._driver.open()
             except DeviceError as error:
                 self._detail = str(error)
                 continue
-            wrong = _why_another(device, self._device)
+            wrong = _difference(device, self._device)
             if wrong is None:
                 break
             self._driver.close()
@@ -380,27 +379,23 @@ class StreamingCamera:
             self._reconnects += 1
             self._detail = ""
             self._check.replugged()
-            self._heard_s = host_clock.now_s()
-        self._tell(CameraStatus.STARTING)
-
-    def _judged(self, now_s: float) -> tuple[CameraStatus, float]:
-        is_silent = now_s - self._heard_s > self._settings.stall_s
-        if is_silent and self._status in (CameraStatus.STARTING, CameraStatus.STREAMING):
-            return CameraStatus.STALLED, self._heard_s
-        return self._status, self._since_s
+            self._received_s = host_clock.now_s()
+        self._set_status(CameraStatus.STARTING)
 
     def _is_stale(self, frame: LiveFrame) -> bool:
+        """Whether a frame is too old, which is counted."""
         is_stale = frame.age_s(host_clock.now_s()) > self._settings.oldest_s
         self._stale += is_stale
         return is_stale
 
     def _has_ended(self) -> bool:
-        """Whether no frame will come any more. Raises DeviceError where that is for a fault of the driver's."""
+        """Whether no further frame will come. Raises DeviceError after an unexpected error of the driver."""
         if self._failure is not None:
             raise DeviceError(f"the camera's driver failed: {self._failure}") from self._failure
         return self._is_closing.is_set() or self._status in (CameraStatus.ENDED, CameraStatus.CLOSED)
 
-    def _tell(self, status: CameraStatus, since_s: float | None = None) -> None:
+    def _set_status(self, status: CameraStatus, since_s: float | None = None) -> None:
+        """Change the status and call `on_status`, unless the status is the same."""
         with self._ready:
             if status is self._status:
                 return
@@ -410,17 +405,17 @@ class StreamingCamera:
             self._on_status(status)
 
 
-def _to_go_by(calibration: Calibration | None, device: OpenedDevice) -> Calibration:
-    """The calibration given, if it can be that of the device's images. Raises CalibrationError."""
-    told = device.calibration
+def _checked_calibration(calibration: Calibration | None, device: OpenedDevice) -> Calibration:
+    """The given calibration, or the device's. Raises CalibrationError where image size or registration differ."""
+    known = device.calibration
     if calibration is None:
-        return told
-    for name, given, own in zip(("colour", "depth"), calibration.cameras, told.cameras, strict=True):
+        return known
+    for name, given, own in zip(("colour", "depth"), calibration.cameras, known.cameras, strict=True):
         if (given.width, given.height) != (own.width, own.height):
             problem = f"the calibration's {name} image is {given.width}×{given.height}, the camera's"
             fix = "ask for that size, or calibrate at this one"
             raise CalibrationError(f"{problem} {own.width}×{own.height}", fix=fix)
-    if calibration.is_registered != told.is_registered:
+    if calibration.is_registered != known.is_registered:
         has, gives = ("has no", "does not register") if calibration.is_registered else ("has a", "registers")
         problem = f"the calibration {has} T_color_depth, but the camera {gives} depth to colour"
         raise CalibrationError(
@@ -429,8 +424,8 @@ def _to_go_by(calibration: Calibration | None, device: OpenedDevice) -> Calibrat
     return calibration
 
 
-def _why_another(found: OpenedDevice, first: OpenedDevice) -> str | None:
-    """What tells that a device is not the one that was opened first; None where nothing does."""
+def _difference(found: OpenedDevice, first: OpenedDevice) -> str | None:
+    """How a device differs from the one that was opened first; None where it is the same."""
     if found.name != first.name:
         return f"another camera is there: {found.name}, not {first.name}"
     if any(a != b for a, b in zip(found.calibration.cameras, first.calibration.cameras, strict=True)):
@@ -438,20 +433,17 @@ def _why_another(found: OpenedDevice, first: OpenedDevice) -> str | None:
     return None
 
 
-# FrameCheck: which of a device's frames are new and whole, when they were taken, and how many are missing.
-
-
-# So many older frames in a row are no mix-up of a bus, but a clock or a count that was set back.
+# Consecutive older frames that the bus may deliver out of order; more mean that a clock or a counter was set back.
 _MOST_OUT_OF_ORDER = 3
 
 
 class FrameCheck:
-    """Takes frames in the order in which they come, and frees depth of the errors that the calibration states.
+    """Validates and stamps frames in order of arrival, counts missing ones, and corrects depth by the calibration.
 
     Attributes:
         clock: of the device.
-        lost: frames that the device numbered and never gave.
-        refused: duplicates, frames out of order, and those of a wrong size or kind.
+        lost: frames missing in the device's frame numbers.
+        refused: duplicates, frames out of order, and frames of a wrong size or type.
     """
 
     def __init__(self, settings: LiveCameraSettings, calibration: Calibration) -> None:
@@ -466,7 +458,7 @@ class FrameCheck:
         self._arrived_s = 0.0
 
     def checked(self, images: DeviceImages, arrived_s: float) -> LiveFrame | SkippedFrame | None:
-        """The frame with its stamp, or why it cannot be used; None where it is none that is new."""
+        """The stamped frame, or why it is invalid; None where it is not new."""
         if self._is_old(images):
             self.refused += 1
             return None
@@ -485,13 +477,13 @@ class FrameCheck:
         return LiveFrame(frame, stamp.sigma_s, images.color_s, arrived_s, images.sequence, images.infrared)
 
     def replugged(self) -> None:
-        """The device went away and came again: its clock and its numbers begin anew."""
+        """Reset after a reconnection: the device's clock and frame numbers start again."""
         self.clock.restart()
         self._device_s = self._sequence = None
         self._older = 0
 
     def _is_old(self, images: DeviceImages) -> bool:
-        """Whether it is a duplicate, or older than the last; where the device's clock was set back, it is not."""
+        """Whether a frame is a duplicate, or older than the last one. A clock that was set back resets the check."""
         if images.color_s is not None and self._device_s is not None:
             behind = self._device_s - images.color_s
             is_set_back = behind > self._settings.clock_late_s
@@ -508,7 +500,7 @@ class FrameCheck:
         return behind >= 0
 
     def _missing(self, sequence: int | None, arrived_s: float) -> int:
-        """Frames between the last and this one; none where there cannot be so many, since numbers began anew."""
+        """The number of frames missing before this one; 0 where it is implausible, since numbers were reset."""
         if sequence is None or self._sequence is None:
             return 0
         missing = sequence - self._sequence - 1
@@ -516,7 +508,7 @@ class FrameCheck:
         return missing if 0 < missing <= most else 0
 
     def _why_wrong(self, images: DeviceImages) -> str:
-        """What is wrong with sizes and types; "" where nothing is."""
+        """The error of an image's size or type; "" without one."""
         for name, image, camera, kind in (
             ("colour", images.color, self._color, np.uint8),
             ("depth", images.depth_m, self._depth, np.float32),
@@ -530,38 +522,25 @@ class FrameCheck:
         return ""
 
 
-# CameraWatch: what has changed with a live camera since the last look, in sentences for a person.
-
-
 GONE = (CameraStatus.STALLED, CameraStatus.UNPLUGGED, CameraStatus.ENDED)
 
 
 class CameraWatch:
-    """Looks at a camera again and again; one that starts and streams goes without saying."""
+    """Reports changes of a camera's state in sentences. Starting and streaming are not reported."""
 
     def __init__(self, camera: LiveCamera) -> None:
         self._camera = camera
         self._before: CameraReport | None = None
 
     def changes(self) -> list[str]:
-        """Since the last call, each with the camera's name before it."""
+        """Changes since the last call, each a sentence that begins with the camera's name."""
         before, now = self._before, self._camera.report()
         self._before = now
-        return [f"{self._camera.name}: {text}" for text in _changes(before, now)]
-
-
-def _changes(before: CameraReport | None, now: CameraReport) -> list[str]:
-    if before is None:
-        return [_told(now)] if now.status in GONE else []
-    told = []
-    if now.status is not before.status and now.status in GONE:
-        told.append(_told(now))
-    elif before.status in GONE and now.status is CameraStatus.STREAMING:
-        told.append("is back")
-    if now.clock_jumps > before.clock_jumps:
-        told.append("its clock leapt; its stamps are mapped anew")
-    return told
-
-
-def _told(report: CameraReport) -> str:
-    return f"{report.status}{f' ({report.detail})' if report.detail else ''}"
+        changes = []
+        if now.status in GONE and (before is None or now.status is not before.status):
+            changes.append(f"{now.status}{f' ({now.detail})' if now.detail else ''}")
+        elif before is not None and before.status in GONE and now.status is CameraStatus.STREAMING:
+            changes.append("is back")
+        if before is not None and now.clock_jumps > before.clock_jumps:
+            changes.append("its clock jumped; the mapping of its stamps restarts")
+        return [f"{self._camera.name}: {text}" for text in changes]

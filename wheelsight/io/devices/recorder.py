@@ -28,24 +28,21 @@ from wheelsight.io.devices.live_camera import (
 from wheelsight.io.devices.wheel_link import LinkReport, WheelLink
 from wheelsight.io.recordings.native import FrameClock, LiveWriter
 
-# LiveRecorder: writes what live sensors say without ever holding them up; what the disk is too slow for is counted.
-
-
 RECORDER_THREAD = "wheelsight-recorder"
 
 
 @dataclass(frozen=True, slots=True)
 class RecorderReport:
-    """What was recorded by now. Counts are of this recorder, not of what a resumed recording held before.
+    """The counts of a recorder so far. They exclude earlier parts of a resumed recording.
 
     Attributes:
-        frames, readings, turns: written; the last are of the camera's gyroscope.
+        frames, readings, turns: that were written; `turns` are readings of the camera's gyroscope.
         size_bytes: of the images.
         waiting: frames that wait for the disk.
-        dropped: frames for which it was too slow.
-        refused: frames or readings that cannot be read again, such as stamps that do not grow.
-        refusal: why, of the last one, or "".
-        problem: what ended the writing, or None.
+        dropped: frames that were dropped because the disk was too slow.
+        refused: frames or readings that cannot be stored, such as those with decreasing stamps.
+        refusal: the reason of the last one, or "".
+        problem: the error that ended the writing, or None.
     """
 
     frames: int = 0
@@ -61,7 +58,7 @@ class RecorderReport:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Waiting:
-    """A frame on its way to the disk, and since when."""
+    """A frame that is being written, and when it came."""
 
     live: LiveFrame
     written: Future[Any]
@@ -69,14 +66,14 @@ class _Waiting:
 
 
 class LiveRecorder:
-    """Takes frames and readings of live sensors, and has them written; use it in a `with` block.
+    """Writes frames and readings of live sensors without blocking them. Use it in a `with` block.
 
-    Images are encoded and written by threads of their own, and listed in the order in which they came. Readings are
-    written at once: they are small. A full disk is told by `report`, not raised, since sensors go on.
+    Threads encode and write images; another lists them in order of arrival. Readings are small and written at once. A
+    full disk does not raise: `report` shows it, since the sensors continue.
 
     Args:
-        writer: where to; closed with the recorder.
-        settings: of None, the defaults.
+        writer: to write to; closed with the recorder.
+        settings: None for the defaults.
     """
 
     def __init__(self, writer: LiveWriter, settings: RecorderSettings | None = None) -> None:
@@ -93,7 +90,7 @@ class LiveRecorder:
         self._thread.start()
 
     def add_frame(self, live: LiveFrame) -> None:
-        """Have a frame written, or drop it where the disk is too slow; never waits."""
+        """Queue a frame for writing, or drop it where the disk is too slow. Does not wait."""
         now_s = time.monotonic()
         with self._changed:
             if not self._goes_on():
@@ -108,7 +105,7 @@ class LiveRecorder:
             self._refuse(error)
             return
         with self._changed:
-            if not self._goes_on():  # the disk was found full meanwhile
+            if not self._goes_on():  # the disk became full meanwhile
                 return
             written = self._pool.submit(self._writer.write_frame, live.frame, live.infrared)
             self._waiting.append(_Waiting(live, written, now_s))
@@ -131,13 +128,13 @@ class LiveRecorder:
             self._end(error)
 
     def report(self) -> RecorderReport:
-        """How far it is."""
+        """The counts so far."""
         with self._changed:
             counts = (self._frames, self._readings, self._size_bytes, len(self._waiting), self._dropped, self._refused)
             return RecorderReport(*counts, self._refusal, self._problem, self._turns)
 
     def close(self) -> None:
-        """Have what waits written, and end; may be called twice."""
+        """Write all waiting frames and stop; may be called twice."""
         with self._changed:
             self._is_over = True
             self._changed.notify_all()
@@ -152,7 +149,7 @@ class LiveRecorder:
         self.close()
 
     def _list(self) -> None:
-        """The thread: name frames in the lists as their images are there."""
+        """The thread: add frames to the lists, in order, once their images are written."""
         while True:
             with self._changed:
                 while not self._waiting and not self._is_over:
@@ -166,6 +163,7 @@ class LiveRecorder:
                     self._waiting.popleft()
 
     def _list_one(self, first: _Waiting) -> None:
+        """Wait until a frame's images are written, and add it to the lists. An error ends the recording."""
         live = first.live
         clock = FrameClock(live.frame.stamp_s, live.stamp_sigma_s, live.arrived_s, live.device_s, live.sequence)
         try:
@@ -173,7 +171,7 @@ class LiveRecorder:
             self._writer.list_frame(written, clock)
         except CancelledError:
             return
-        except Exception as error:  # whatever it is, nobody else would ever hear of it
+        except Exception as error:  # an error of this thread would otherwise be lost
             unknown = OutputError(f"images cannot be written: {error}", fix="record without the camera")
             self._end(error if isinstance(error, OutputError) else unknown)
             return
@@ -190,7 +188,7 @@ class LiveRecorder:
             self._refusal = error.problem
 
     def _end(self, error: OutputError) -> None:
-        """Nothing more can be written."""
+        """Store the error that ends the recording, and drop waiting frames."""
         with self._changed:
             self._problem = self._problem or error
             for waiting in self._waiting:
@@ -198,8 +196,7 @@ class LiveRecorder:
             self._waiting.clear()
 
 
-# RecordingSession: a camera and wheels recorded side by side, until told to stop or the disk is full.
-
+# Recording sessions
 
 THREAD = "wheelsight-capture"
 _LONGEST_WAIT_S = 0.1
@@ -207,14 +204,14 @@ _LONGEST_WAIT_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class SessionLook:
-    """How a recording is going at one moment.
+    """The state of a recording session at one moment.
 
     Attributes:
-        seconds: since it began.
-        recorder, camera, link: as they report; the latter two None where there is none.
-        frames_per_s, readings_per_s, bytes_per_s: written over the last seconds.
+        seconds: since its start.
+        recorder, camera, link: their reports; None without a camera or link.
+        frames_per_s, readings_per_s, bytes_per_s: the rates of writing over the last seconds.
         free_bytes: on the disk.
-        full_after_s: when that is used up at this rate; None where nothing is written.
+        full_after_s: time until the disk is full at this rate; None where nothing is written.
     """
 
     seconds: float
@@ -229,7 +226,7 @@ class SessionLook:
 
     @property
     def drops(self) -> dict[str, int]:
-        """Frames that are lost, by cause; causes of none are left out."""
+        """The numbers of lost frames by cause, without zeros."""
         camera = self.camera
         counts = {"slow disk": self.recorder.dropped, "refused": self.recorder.refused}
         if camera is not None:
@@ -239,16 +236,16 @@ class SessionLook:
 
 
 class RecordingSession:
-    """Fetches what the sensors say and gives it to a recorder; what changes with a sensor is noted.
+    """Records a camera and wheels together, and reports changes of their state.
 
     A camera that goes away does not end it: the wheels go on, and so does the camera once it is back. It ends when it
     is told to, when nothing more can come, or before the disk is full.
 
     Args:
-        recorder: what writes.
-        folder: where to, for the room on its disk.
+        recorder: that writes.
+        folder: of the recording, to check the free space of its disk.
         camera, link: the sensors, either of which may be None.
-        note: told a sentence about each change, from the thread that calls `run`.
+        note: called with a sentence for each change, from the thread that calls `run`.
     """
 
     def __init__(
@@ -274,10 +271,15 @@ class RecordingSession:
         on_look: Callable[[SessionLook], None] = lambda look: None,
         seconds: float | None = None,
     ) -> None:
-        """Record until `is_over`, or for so many seconds, if given.
+        """Record until `is_over`, or for a duration.
+
+        Args:
+            is_over: polled about ten times per second.
+            on_look: called regularly with the state of the session.
+            seconds: the duration; None for no limit.
 
         Raises:
-            OutputError: the disk is full, or nearly; what was recorded stays.
+            OutputError: the disk is full, or nearly. The recording is kept.
         """
         capture = threading.Thread(target=self._capture, name=THREAD, daemon=True)
         self._began_s = time.monotonic()
@@ -285,8 +287,13 @@ class RecordingSession:
         next_look_s = self._began_s
         capture.start()
         try:
-            while not (is_over() or self._has_ended() or self._is_late(seconds)):
-                self._listen()
+            while not (is_over() or self._has_ended()):
+                if seconds is not None and time.monotonic() - self._began_s >= seconds:
+                    break
+                if self._link is None:
+                    time.sleep(_LONGEST_WAIT_S)
+                elif (ticks := self._link.read(_LONGEST_WAIT_S)) is not None:
+                    self._recorder.add_reading(ticks)
                 if time.monotonic() >= next_look_s:
                     next_look_s += self._settings.watch_s
                     on_look(self.look())
@@ -299,7 +306,7 @@ class RecordingSession:
             raise problem
 
     def look(self) -> SessionLook:
-        """How it is going; sentences are noted about what changed since the last time."""
+        """The state of the session. Calls `note` for changes since the last call."""
         now_s, recorder = time.monotonic(), self._recorder.report()
         self._history.append((now_s, recorder))
         while len(self._history) > 2 and self._history[1][0] <= now_s - self._settings.rate_span_s:
@@ -322,15 +329,8 @@ class RecordingSession:
             left_bytes / bytes_per_s if bytes_per_s > 0 else None,
         )
 
-    def _listen(self) -> None:
-        """To the wheels for a moment; where there are none, the moment passes."""
-        if self._link is None:
-            time.sleep(_LONGEST_WAIT_S)
-        elif (ticks := self._link.read(_LONGEST_WAIT_S)) is not None:
-            self._recorder.add_reading(ticks)
-
     def _capture(self) -> None:
-        """The thread: frames as they come."""
+        """The thread: record frames and readings of the camera's gyroscope."""
         while self._camera is not None and not self._is_over.is_set():
             live = self._camera.read(_LONGEST_WAIT_S)
             for turn in take_angular_velocities(self._camera):
@@ -340,34 +340,31 @@ class RecordingSession:
             elif self._camera.report().status is CameraStatus.ENDED:
                 return
 
-    def _is_late(self, seconds: float | None) -> bool:
-        return seconds is not None and time.monotonic() - self._began_s >= seconds
-
     def _has_ended(self) -> bool:
-        """Whether nothing more can come or be written."""
+        """Whether writing failed, or no further frame will come."""
         if self._recorder.report().problem is not None:
             return True
         camera = self._camera
         return camera is not None and camera.report().status in (CameraStatus.ENDED, CameraStatus.CLOSED)
 
     def _notice(self) -> None:
-        """Tell what has changed with the camera, and what is refused for the first time."""
+        """Call `note` for changes of the camera, and for the first refused frame or reading."""
         for text in () if self._watch is None else self._watch.changes():
             self._note(text)
         recorder = self._recorder.report()
         if recorder.refused and not self._refused:
-            self._note(f"left out what could not be read again: {recorder.refusal}")
+            self._note(f"left out a frame or reading that cannot be stored: {recorder.refusal}")
         self._refused = recorder.refused
 
     def _free_bytes(self) -> int:
-        """Raises OutputError where the folder has gone."""
+        """The free space of the disk. Raises OutputError where the folder was removed."""
         try:
             return shutil.disk_usage(self._folder).free
         except OSError as error:
             raise output_error(error, self._folder) from error
 
     def _stop_where_full(self) -> None:
-        """Raises OutputError."""
+        """Raise OutputError before the disk is full."""
         free_mb = self._free_bytes() / 1e6
         if free_mb < self._settings.least_free_mb:
             problem = f"only {free_mb:.0f} MB are left on the disk: recording stopped; what was recorded is whole"

@@ -1,4 +1,4 @@
-"""LinkRobot: a robot on a wheel controller's serial line, whose motors take a voltage and know no speed."""
+"""`LinkRobot` drives a robot through a wheel controller's serial line. It controls wheel speeds through duty cycles."""
 
 from __future__ import annotations
 
@@ -11,48 +11,48 @@ from typing import Protocol
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.errors import ArgumentError, DeviceError
-from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, VelocityCommand, WheelTicks, YawRate
+from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, VelocityCommand, WheelTicks
 from wheelsight.core.robots import STOPPED, RobotLimits, VelocityControl, WheelControlSettings
 from wheelsight.io.devices.live_camera import take_angular_velocities
 from wheelsight.io.devices.wheel_link import WheelLink
 from wheelsight.io.devices.wire_formats import Format
 
 PERIOD_S = 0.05
-# The first program that stops its motors 0.25 s after the last command; the one before waited for half a second, in
-# which a robot at 1 m/s goes on blind for 0.5 m (docs/decisions/0074).
+# The first firmware that stops the motors 0.25 s after the last command. The one before waits for half a second, in
+# which a robot at 1 m/s moves 0.5 m without control (docs/decisions/0074).
 OLDEST_FIRMWARE = (1, 1)
 
 
 class Frames(Protocol):
-    """A camera that is asked what it has."""
+    """A camera that is polled for frames."""
 
     def take(self) -> Sequence[RgbdFrame | SkippedFrame]:
-        """Frames that came since the last call, in order, stamped by the link's clock; waits for none."""
+        """Frames since the last call, in order, stamped by the link's clock. Does not wait."""
 
     def close(self) -> None:
-        """Give the camera back; may be called twice."""
+        """Release the camera; may be called twice."""
 
 
 class LinkRobot:
-    """A `Robot`: commands become duties by a loop on each wheel's speed, closed over the encoders' ticks.
+    """A `Robot` with closed-loop control of each wheel's speed, from the encoders' ticks.
 
-    It only listens until it is first commanded to move. It stops by itself, and says why in `stop_reason`, where ticks
-    stay away or are old, a wheel does not do what it was told, the port vanishes, or the controller begins anew. Where
-    `step` is no longer called, the link stops the motors after `control.hold_s`; where the program is dead, the
-    firmware does after a quarter of a second. A controller with an older firmware, which waits longer, is not driven:
-    it is asked before the first command to move.
+    It sends nothing before the first command to move. It stops the motors, with the reason in `stop_reason`, where
+    ticks are missing or old, a wheel does not follow its command, the port vanishes, or the controller restarts. Where
+    `step` is no longer called, the link stops the motors after `control.hold_s`. Where the program is dead, the
+    firmware stops them after a quarter of a second. Older firmware takes longer and is refused: its version is read
+    before the first command to move.
 
     Args:
         link: to the wheel controller; closed with the robot.
-        calibration: with wheels.
-        limits: which commands are held to.
-        frames: the camera, closed with the robot; None for none. Where it has a gyroscope (`HasGyro`), and the
-            calibration a T_base_camera, what that tells comes as `YawRate`.
+        calibration: with two wheels.
+        limits: of commands.
+        frames: the camera, closed with the robot, or None. Readings of its gyroscope (`HasGyro`) become `YawRate` where
+            the calibration has T_base_camera.
         control: of the wheels' loop.
         period_s: of a step.
 
     Raises:
-        ArgumentError: a calibration without wheels.
+        ArgumentError: the calibration has no two wheels.
     """
 
     def __init__(
@@ -77,12 +77,12 @@ class LinkRobot:
 
     @property
     def calibration(self) -> Calibration:
-        """As it was given."""
+        """The calibration that was given."""
         return self._calibration
 
     @property
     def now_s(self) -> float:
-        """As `Robot` has it; before the first ticks the host's time, of which stamps are late by the line's delay."""
+        """As `Robot` has it; before the first ticks the host's time, without the delay of the line."""
         after_s = self._quickest_s
         return time.time() if after_s is None else time.monotonic() - after_s
 
@@ -92,37 +92,36 @@ class LinkRobot:
         return self._control.reason
 
     def check_firmware(self) -> None:
-        """Ask the controller for its version; in the paper's format nobody can, and nothing is asked.
+        """Check the version of the controller's firmware, except in the paper's format, which cannot give it.
 
         Raises:
-            DeviceError: its firmware is too old to stop the motors in time, with what to do; no answer came; or it
-                takes no commands.
+            DeviceError: the firmware is too old to stop the motors in time, does not answer, or takes no commands.
         """
         if self._link.report().format is Format.PAPER:
             return
         version = self._link.ask_version()
         if (version.major, version.minor) >= OLDEST_FIRMWARE:
             return
-        told = f"{version.major}.{version.minor}, older than {OLDEST_FIRMWARE[0]}.{OLDEST_FIRMWARE[1]}"
+        found = f"{version.major}.{version.minor}, older than {OLDEST_FIRMWARE[0]}.{OLDEST_FIRMWARE[1]}"
         raise DeviceError(
-            f"the controller's firmware is {told}: it stops the motors too late",
+            f"the controller's firmware is {found}: it stops the motors too late",
             path=self._link.port,
             fix="write the new one: make -C firmware/atmega8 flash, docs/firmware.md",
         )
 
     def step(self, command: VelocityCommand) -> list[Event]:
-        """Obey for one control period; what came meanwhile, by stamps.
+        """Execute a command for one control period. Returns the events of this time, in order of stamps.
 
-        A frame may be stamped before ticks that an earlier step has answered: cameras deliver later than wheels.
+        A frame may be older than ticks of an earlier step: cameras deliver later than wheels.
 
         Raises:
-            DeviceError: the robot is closed, or is stepped by somebody else at this moment; then it stops.
+            DeviceError: the robot is closed, or another thread steps it at this moment; then it stops.
         """
         if self._is_closed:
             raise DeviceError("the robot is closed", path=self._link.port)
         if not self._stepping.acquire(blocking=False):
             self._control.stop("two programs drive it at once")
-            raise DeviceError("the robot is driven by somebody else", path=self._link.port, fix="let one drive")
+            raise DeviceError("another program drives the robot", path=self._link.port, fix="let one drive")
         try:
             return self._step(command)
         finally:
@@ -130,29 +129,30 @@ class LinkRobot:
 
     def _step(self, command: VelocityCommand) -> list[Event]:
         ends_s = time.monotonic() + self._period_s
-        events: list[Event] = [*self._backlog()]
-        self._watch_controller()
+        events: list[Event] = []
+        while (backlog := self._link.read(0)) is not None:
+            events.append(backlog)
+        restarts = self._link.report().restarts
+        if restarts != self._restarts:
+            self._restarts = restarts
+            self._control.stop("the wheel controller restarted")
         self._obey(events[-1] if events and isinstance(events[-1], WheelTicks) else None, command)
         while (left_s := ends_s - time.monotonic()) > 0:
             ticks = self._link.read(left_s)
             self._obey(ticks, command)
             events += [] if ticks is None else [ticks]
             if ticks is None and (left_s := ends_s - time.monotonic()) > 0:
-                time.sleep(left_s)  # the link is closed, and waits no more
+                time.sleep(left_s)  # a closed link returns at once
         events += [] if self._frames is None else self._frames.take()
-        events += self._yaw_rates()
-        return sorted(events, key=lambda event: event.stamp_s)
-
-    def _yaw_rates(self) -> list[YawRate]:
-        """What the camera's gyroscope told; nothing where it is not known how the camera sits."""
         turns, mount = take_angular_velocities(self._frames), self._calibration.T_base_camera
-        return [] if mount is None else [turn.yaw_rate(mount) for turn in turns]
+        events += [] if mount is None else [turn.yaw_rate(mount) for turn in turns]
+        return sorted(events, key=lambda event: event.stamp_s)
 
     def stop(self) -> None:
         """Stop both motors at once.
 
         Raises:
-            DeviceError: the port is gone, or the controller does not confirm; then it stops by itself.
+            DeviceError: the port is gone, or the controller does not confirm; its firmware then stops the motors.
         """
         self._control.stop(STOPPED)
         if self._has_driven:
@@ -179,23 +179,14 @@ class LinkRobot:
     ) -> None:
         self.close()
 
-    def _backlog(self) -> list[WheelTicks]:
-        """What has come since the last step."""
-        found = []
-        while (ticks := self._link.read(0)) is not None:
-            found.append(ticks)
-        return found
-
-    def _watch_controller(self) -> None:
-        restarts = self._link.report().restarts
-        if restarts != self._restarts:
-            self._restarts = restarts
-            self._control.stop("the wheel controller began anew")
-
     def _obey(self, ticks: WheelTicks | None, command: VelocityCommand) -> None:
+        """Update the wheels' loop and send its duties. Ticks that came late are ignored."""
         now_s = time.monotonic()
-        if ticks is not None and self._age_s(ticks, now_s) > self._control.settings.silence_s:
-            ticks = None
+        if ticks is not None:
+            after_s = now_s - ticks.stamp_s
+            self._quickest_s = after_s if self._quickest_s is None else min(self._quickest_s, after_s)
+            if after_s - self._quickest_s > self._control.settings.silence_s:
+                ticks = None
         duties = self._control.update(now_s, ticks, command)
         if not self._has_driven and duties.left == duties.right == 0:
             return
@@ -208,16 +199,10 @@ class LinkRobot:
             self._control.stop(error.problem)
 
     def _is_firmware_good(self) -> bool:
-        """Whether it may be driven; the reason to stop says what to do where not. The robot stands meanwhile."""
+        """Whether the firmware is new enough to drive; if not, `stop_reason` says what to do."""
         try:
             self.check_firmware()
         except DeviceError as error:
             self._control.stop(f"{error.problem} ({error.fix})" if error.fix else error.problem)
             return False
         return True
-
-    def _age_s(self, ticks: WheelTicks, now_s: float) -> float:
-        """How much later than the quickest ones they came."""
-        after_s = now_s - ticks.stamp_s
-        self._quickest_s = after_s if self._quickest_s is None else min(self._quickest_s, after_s)
-        return after_s - self._quickest_s

@@ -1,5 +1,5 @@
-"""`WheelLink`: a thread that owns the serial port, decodes ticks, and sends commands until the controller confirms
-them.
+"""`WheelLink` connects to a wheel controller: a thread owns the serial port, decodes ticks, and repeats commands until
+the controller confirms them.
 """
 
 from __future__ import annotations
@@ -39,9 +39,6 @@ from wheelsight.io.devices.wire_formats import (
     encode_command,
 )
 
-# WheelLink: a thread that keeps a serial port, and turns what comes into ticks and what is asked into commands.
-
-
 BAUDRATE = 115200
 _QUIET_S = 1.0
 _RETRY_S = 0.2
@@ -49,7 +46,7 @@ _MOST_QUEUED = 1 << 16
 
 
 class LinkStatus(StrEnum):
-    """How the line to the controller is doing."""
+    """The state of the line to the controller."""
 
     LISTENING = "listening"
     CONNECTED = "connected"
@@ -62,18 +59,18 @@ class LinkStatus(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LinkReport:
-    """How the link is doing at one moment, for a person to look at.
+    """The state of a link at one moment.
 
     Attributes:
         status, format: of the line; the format is None until it was recognised.
         line: bytes, frames, errors and losses since the format was recognised.
         restarts, refused: as `TickTracker` counts them.
-        reconnects: how often the port vanished and came again.
-        overrun: ticks dropped since nobody fetched them.
-        drift_ppm: how much faster than the host's the controller's clock runs.
+        reconnects: the number of reconnections of the port.
+        overrun: ticks dropped because they were not fetched.
+        drift_ppm: of the controller's clock against the host's; positive where it runs faster.
         last: the newest ticks, or None.
-        version: what the controller said it is, or None.
-        other_line: the last line of text that was no counts; empty where there was none.
+        version: of the controller's firmware, or None before it was read.
+        other_line: the last line of text that is not counts, or "".
     """
 
     status: LinkStatus
@@ -90,19 +87,18 @@ class LinkReport:
 
 
 class WheelLink:
-    """The serial line to a wheel controller; use it in a `with` block.
+    """The serial line to a wheel controller. Use it in a `with` block.
 
-    It only listens until it is told something: it sends nothing by itself, so that an unknown device does nothing.
-    Stamps are host time in seconds since 1970 at which the controller took the counts, later by the shortest delay of
-    the transport; they follow the system's clock as it was when the first device was opened, and never run backwards.
+    It sends nothing before the first command, so an unknown device receives nothing. Stamps are the times of the counts
+    by the host clock, plus the smallest delay of the transport; see `host_clock`.
 
     Args:
-        port: such as /dev/ttyUSB0; better /dev/serial/by-id/…, which is the same after it was plugged in again.
+        port: such as /dev/ttyUSB0, or better /dev/serial/by-id/…, which does not change when it is plugged in again.
         baudrate: of the line.
         on_status: called with each new status, from the link's thread.
 
     Raises:
-        DeviceError: the port is missing, denied, in use by another program, or no serial port.
+        DeviceError: the port is missing, denied, in use by another program, or not a serial port.
     """
 
     def __init__(
@@ -118,17 +114,17 @@ class WheelLink:
         self._serial: Serial | None = open_port(self.port, baudrate)
         self._commands = Commands(self.port, self._write)
         self._unix_s = host_clock.unix_offset_s()
-        self._opened_s = self._heard_s = self._understood_s = time.monotonic()
+        self._opened_s = self._received_s = self._decoded_s = time.monotonic()
         self._is_closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"wheel link {self.port}", daemon=True)
         atexit.register(self.close)
         self._thread.start()
 
     def ticks(self) -> Iterator[WheelTicks]:
-        """Ticks as they come, until the link is closed; waits for them, and through a port that vanished."""
+        """Ticks as they come, until the link is closed. Waits for them, also while the port is gone."""
         while (ticks := self._ticks.get()) is not None:
             yield ticks
-        self._ticks.put(None)  # for whoever else, or again, asks
+        self._ticks.put(None)  # ends other and later loops too
 
     def read(self, timeout_s: float) -> WheelTicks | None:
         """The next ticks, or None if none come within `timeout_s` seconds or the link is closed."""
@@ -141,23 +137,23 @@ class WheelLink:
         return ticks
 
     def drive(self, left: float, right: float, hold_s: float | None = None) -> None:
-        """Set both motors' duty, -1 (full speed back) to 1, and keep it up at 20 Hz until something else is said.
+        """Set both motors' duty cycles and repeat them at 20 Hz until the next command.
 
-        The motors stop when the link is closed, the program ends, or the port vanishes; when the program dies, the
+        The motors stop when the link is closed, the program ends, or the port vanishes. When the program dies, the
         controller stops them a quarter of a second later.
 
         Args:
-            left, right: duty of each motor.
-            hold_s: stop after so many seconds unless driven again, for programs that may hang; None for never.
+            left, right: duty cycle of each motor, -1 (full speed backwards) to 1.
+            hold_s: stop after this time without another call, for programs that may hang; None for no limit.
 
         Raises:
-            DeviceError: a duty beyond -1 to 1, the port is gone, or the controller prints text and takes no commands.
+            DeviceError: a duty cycle is out of range, the port is gone, or the controller takes no commands.
         """
         self._need_commands()
         self._commands.drive(left, right, hold_s)
 
     def stop(self) -> None:
-        """Stop both motors at once; confirmed by the controller, save in the paper's format, which has no answers.
+        """Stop both motors. Waits for the confirmation, except in the paper's format, which has none.
 
         Raises:
             DeviceError: the port is gone, or the controller does not confirm, or takes no commands.
@@ -166,7 +162,7 @@ class WheelLink:
         self._commands.stop(self._is_answering)
 
     def ask_version(self) -> Version:
-        """What the controller's program calls itself. Raises DeviceError where it does not answer."""
+        """The version of the controller's firmware. Raises DeviceError where it does not answer."""
         self._need_commands()
         if not self._is_answering:
             raise DeviceError(
@@ -177,7 +173,7 @@ class WheelLink:
         return self._commands.ask_version()
 
     def reset_counts(self) -> None:
-        """Set the controller's counters to zero; the ticks go on as they were. Raises DeviceError as `stop`."""
+        """Set the controller's counters to zero; `ticks` stay continuous. Raises DeviceError as `stop`."""
         self._need_commands()
         self._tracker.expect_reset(True)
         try:
@@ -187,10 +183,7 @@ class WheelLink:
             raise
 
     def set_format(self, wanted: Format) -> None:
-        """Ask the controller for a wire format; pulses are neither lost nor made up in the change.
-
-        Raises DeviceError as `stop`.
-        """
+        """Switch the controller to a wire format, without loss of pulses. Raises DeviceError as `stop`."""
         self._need_commands()
         if wanted is Format.PLAIN:
             raise DeviceError(
@@ -203,9 +196,10 @@ class WheelLink:
         except DeviceError:
             self._decoder.expect_frames(False)
             if not (is_paper and self._decoder.format is wanted and self._status is LinkStatus.CONNECTED):
-                raise  # else it spoke so already, found out meanwhile, and had nothing to answer
+                raise  # else it used this format already, and had nothing to confirm
 
     def _need_commands(self) -> None:
+        """Raise DeviceError where the controller takes no commands."""
         if self._decoder.format is Format.PLAIN:
             raise DeviceError(
                 "the controller prints plain text, and takes no commands",
@@ -219,11 +213,11 @@ class WheelLink:
 
     @property
     def status(self) -> LinkStatus:
-        """How the line is doing now."""
+        """The state of the line."""
         return self._status
 
     def report(self) -> LinkReport:
-        """Everything a person may want to see."""
+        """The state of the link, with its counts."""
         tracker = self._tracker
         return LinkReport(
             status=self._status,
@@ -240,7 +234,7 @@ class WheelLink:
         )
 
     def close(self) -> None:
-        """Stop the motors if they were driven, and give the port back; may be called twice."""
+        """Stop the motors if they were driven, and release the port; may be called twice."""
         self._is_closing.set()
         if self._thread is not threading.current_thread():
             self._thread.join()
@@ -255,7 +249,7 @@ class WheelLink:
         self.close()
 
     def _run(self) -> None:
-        """The thread: read, and keep the motors' command alive, until closed."""
+        """The thread: read, and repeat the motors' command, until closed."""
         try:
             while not self._is_closing.is_set():
                 try:
@@ -266,23 +260,36 @@ class WheelLink:
             self._commands.end()
             if self._serial is not None:
                 self._serial.close()
-            self._tell(LinkStatus.CLOSED)
+            self._set_status(LinkStatus.CLOSED)
             self._put(None)
 
     def _step(self) -> None:
+        """Read and decode, repeat the motors' command where it is due, and update the status."""
         assert self._serial is not None
         waiting = self._serial.in_waiting
         data = self._serial.read(waiting or 1)
         now_s = time.monotonic()
         if data:
-            self._heard_s = now_s
+            self._received_s = now_s
         self._receive(data, now_s, waiting > 0)
         self._commands.keep_alive(now_s)
-        self._judge(now_s)
+        if now_s - self._received_s > _QUIET_S:
+            self._set_status(LinkStatus.NO_DATA)
+        elif now_s - self._decoded_s > _QUIET_S:
+            self._set_status(LinkStatus.TEXT if self._decoder.is_text else LinkStatus.NOISE)
+        elif self._decoded_s > self._opened_s:
+            self._set_status(LinkStatus.CONNECTED)
 
-    def _receive(self, data: bytes, now_s: float, lay_waiting: bool) -> None:
-        for message in self._decoder.feed(data, self._unix_s + now_s, lay_waiting):
-            self._understood_s = now_s
+    def _receive(self, data: bytes, now_s: float, was_waiting: bool) -> None:
+        """Decode bytes, and pass on ticks and answers.
+
+        Args:
+            data: that was read.
+            now_s: monotonic time of reading.
+            was_waiting: whether bytes had arrived before reading.
+        """
+        for message in self._decoder.feed(data, self._unix_s + now_s, was_waiting):
+            self._decoded_s = now_s
             if isinstance(message, Counts):
                 restarts = self._tracker.restarts
                 for ticks in self._tracker.follow(message, self._unix_s + now_s):
@@ -300,22 +307,13 @@ class WheelLink:
             elif isinstance(message, Version):
                 self._commands.told_version(message)
 
-    def _judge(self, now_s: float) -> None:
-        """Tell the status, at most a second late."""
-        if now_s - self._heard_s > _QUIET_S:
-            self._tell(LinkStatus.NO_DATA)
-        elif now_s - self._understood_s > _QUIET_S:
-            self._tell(LinkStatus.TEXT if self._decoder.is_text else LinkStatus.NOISE)
-        elif self._understood_s > self._opened_s:
-            self._tell(LinkStatus.CONNECTED)
-
     def _wait_for_port(self) -> None:
-        """After the port vanished: forget what the motors were told, and open it again as soon as it is there."""
+        """Close a port that vanished, drop the motors' command, and open the port as soon as it is back."""
         if self._serial is not None:
             self._serial.close()
             self._serial = None
         self._commands.forget_drive()
-        self._tell(LinkStatus.VANISHED)
+        self._set_status(LinkStatus.VANISHED)
         while not self._is_closing.wait(_RETRY_S):
             try:
                 self._serial = open_port(self.port, self.baudrate)
@@ -324,12 +322,12 @@ class WheelLink:
             self._reconnects += 1
             self._decoder.restart()
             self._tracker.replugged()
-            self._opened_s = self._heard_s = self._understood_s = time.monotonic()
-            self._tell(LinkStatus.LISTENING)
+            self._opened_s = self._received_s = self._decoded_s = time.monotonic()
+            self._set_status(LinkStatus.LISTENING)
             return
 
     def _write(self, frame: bytes) -> None:
-        """Send a frame. Raises DeviceError where the port is gone."""
+        """Write a frame to the port. Raises DeviceError where the port is gone."""
         port = self._serial
         try:
             if port is None:
@@ -341,6 +339,7 @@ class WheelLink:
             raise DeviceError("the port vanished", path=self.port, fix="plug the controller in") from error
 
     def _put(self, ticks: WheelTicks | None) -> None:
+        """Queue ticks, or None for the end. Drops the oldest where the queue is full."""
         self._last = ticks or self._last
         while True:
             try:
@@ -349,15 +348,15 @@ class WheelLink:
                 self._ticks.get_nowait()
                 self._overrun += 1
 
-    def _tell(self, status: LinkStatus) -> None:
+    def _set_status(self, status: LinkStatus) -> None:
+        """Change the status and call `on_status`, unless the status is the same."""
         if status is not self._status:
             self._status = status
             if self._on_status is not None:
                 self._on_status(status)
 
 
-# What the host tells the controller: numbered, repeated until confirmed, and motors kept running only on purpose.
-
+# Commands
 
 KEEP_ALIVE_S = 0.05
 _ANSWER_S = 0.25
@@ -365,12 +364,12 @@ _ATTEMPTS = 4
 
 
 class Commands:
-    """Sends commands through `write`, and matches the controller's answers to them.
+    """Sends numbered commands through `write`, and repeats them until the controller confirms them.
 
-    Any thread may command; `keep_alive`, `answered` and `told_version` are called by the link's thread.
+    Any thread may command. The link's thread calls `keep_alive`, `answered` and `told_version`.
 
     Attributes:
-        version: what the controller last said it is, or None.
+        version: the last version that the controller sent, or None.
     """
 
     def __init__(self, port: str, write: Callable[[bytes], None]) -> None:
@@ -385,21 +384,21 @@ class Commands:
         self._answers: dict[tuple[int, int], int] = {}
 
     def drive(self, left: float, right: float, hold_s: float | None) -> None:
-        """Send DRIVE now and with each `keep_alive`, for `hold_s` seconds or until told otherwise."""
+        """Send DRIVE now and with each `keep_alive`, for `hold_s` seconds or until the next command."""
         for side, duty in (("left", left), ("right", right)):
             if not -1 <= duty <= 1:
                 raise DeviceError(f"the {side} duty is {duty}, not -1 to 1", path=self._port)
         body = drive_body(left, right)
         with self._sending:
             self._drive, self._has_driven = None, True
-            self._send(Command.DRIVE, body)  # where the port is gone, nothing is left to be kept up when it comes back
+            self._send(Command.DRIVE, body)  # where this raises, nothing is repeated after a reconnection
             now_s = time.monotonic()
             self._drive, self._next_s = body, now_s + KEEP_ALIVE_S
             self._until_s = math.inf if hold_s is None else now_s + hold_s
 
     def keep_alive(self, now_s: float) -> None:
-        """Repeat DRIVE when it is due; the controller stops the motors without it."""
-        with self._sending, suppress(DeviceError):  # a port that vanished is found out by reading
+        """Repeat DRIVE when it is due. Without it the controller stops the motors."""
+        with self._sending, suppress(DeviceError):  # reading detects a port that vanished
             if self._drive is None or now_s < min(self._next_s, self._until_s):
                 return
             if now_s >= self._until_s:
@@ -410,28 +409,28 @@ class Commands:
                 self._send(Command.DRIVE, self._drive)
 
     def forget_drive(self) -> None:
-        """Do not keep up what the motors were told."""
+        """Stop repeating DRIVE."""
         with self._sending:
             self._drive = None
 
     def stop(self, is_answered: bool) -> None:
-        """Stop the motors; confirmed where the controller answers."""
+        """Stop the motors. Waits for the confirmation where `is_answered`."""
         self.forget_drive()
         self._ask(Command.STOP, is_answered=is_answered)
 
     def end(self) -> None:
-        """Stop the motors if they were ever driven, and wait for nothing."""
+        """Stop the motors if they were ever driven, without waiting for the confirmation."""
         self.forget_drive()
         if self._has_driven:
             with suppress(DeviceError):
                 self._send(Command.STOP)
 
     def ask_version(self) -> Version:
-        """What the controller's program calls itself."""
+        """The version of the controller's firmware. Raises DeviceError where it does not answer."""
         self._forget_version()
         self._ask(Command.GET_VERSION)
         if self.version is None:
-            raise DeviceError("the controller tells no version", path=self._port, fix="ask again; the line is noisy")
+            raise DeviceError("the controller sends no version", path=self._port, fix="ask again; the line is noisy")
         return self.version
 
     def reset_counts(self, is_answered: bool) -> None:
@@ -439,25 +438,25 @@ class Commands:
         self._ask(Command.RESET_COUNTS, is_answered=is_answered)
 
     def set_format(self, is_paper: bool, is_answered: bool) -> None:
-        """Choose the wire format; a change is answered either way, since one side of it is framed."""
+        """Choose the wire format. A change is always confirmed, since one of the formats has frames."""
         self._ask(Command.SET_FORMAT, bytes([is_paper]), is_answered)
 
     def answered(self, ack: Ack) -> bool:
-        """Take an answer; whether it says that the counters are zero now."""
+        """Store an answer. Returns whether it confirms that the counters are zero."""
         with self._answer:
             self._answers[ack.command, ack.command_sequence] = ack.status
             self._answer.notify_all()
         return ack.command == Command.RESET_COUNTS and ack.status == 0
 
     def told_version(self, version: Version) -> None:
-        """Take what the controller says it is."""
+        """Store the version that the controller sent."""
         self.version = version
 
     def _forget_version(self) -> None:
         self.version = None
 
     def _ask(self, command: Command, body: bytes = b"", is_answered: bool = True) -> None:
-        """Send a command until it is confirmed. Raises DeviceError where it is refused, or never answered."""
+        """Send a command until it is confirmed. Raises DeviceError where it is refused or not answered."""
         if not is_answered:
             self._send(command, body)
             return
@@ -471,6 +470,7 @@ class Commands:
         raise DeviceError(f"the controller does not answer {command.name}", path=self._port, fix="check the wire to it")
 
     def _answer_to(self, command: Command, body: bytes) -> int | None:
+        """Send a command once. Returns the status of the answer, or None without one in time."""
         with self._answer:
             self._answers.clear()
             key = (int(command), self._send(command, body))
@@ -478,7 +478,7 @@ class Commands:
             return self._answers.get(key)
 
     def _send(self, command: Command, body: bytes = b"") -> int:
-        """Write a frame; its sequence."""
+        """Write a command's frame. Returns its sequence number."""
         with self._sending:
             sequence = self._sequence
             self._sequence = (sequence + 1) & 0xFF
@@ -486,10 +486,9 @@ class Commands:
         return sequence
 
 
-# Opening a serial port, for this program alone, or saying in one line why not.
+# Serial ports
 
-
-_READ_TIMEOUT_S = 0.006  # beyond paper.SILENCE_S, which ends a pair of bytes
+_READ_TIMEOUT_S = 0.006  # longer than the silence that ends a pair of bytes in the paper's format
 _WRITE_TIMEOUT_S = 0.2
 _REASONS = {
     errno.EACCES: ("no permission to open the port", "join its group, e.g. sudo usermod -aG dialout $USER"),
@@ -500,10 +499,10 @@ _REASONS = {
 
 
 def open_port(path: str, baudrate: int) -> Serial:
-    """The port, locked against other programs that lock too, with short timeouts.
+    """The opened port, locked against other programs that use locks, with short timeouts.
 
     Raises:
-        DeviceError: it is missing, denied, in use, no serial port, or does not know the rate.
+        DeviceError: it is missing, denied, in use, not a serial port, or does not support the rate.
     """
     try:
         port = Serial(path, baudrate, timeout=_READ_TIMEOUT_S, write_timeout=_WRITE_TIMEOUT_S, exclusive=True)
@@ -511,9 +510,7 @@ def open_port(path: str, baudrate: int) -> Serial:
         raise _port_error(path, error) from error
     except (ValueError, OverflowError) as error:
         raise DeviceError(f"the port does not know {baudrate} baud", path=path, fix="115200 is usual") from error
-    with suppress(
-        ValueError, OSError, AttributeError, NotImplementedError
-    ):  # not every driver holds bytes back, nor lets that be changed
+    with suppress(ValueError, OSError, AttributeError, NotImplementedError):  # not every driver has this mode
         port.set_low_latency_mode(True)
     return port
 

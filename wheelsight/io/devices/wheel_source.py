@@ -1,4 +1,4 @@
-"""`open_wheels` reads wheel ticks from a serial port, the telemetry pipe or wheels.csv. `TelemetryPipe` writes lines
+"""`open_wheels` reads wheel ticks from a serial port, the telemetry pipe or a wheels.csv. `TelemetryPipe` writes lines
 to a named pipe.
 """
 
@@ -21,34 +21,31 @@ from wheelsight.core.inputs import parse_json
 from wheelsight.core.messages import WheelTicks
 from wheelsight.io.devices.wheel_link import BAUDRATE, LinkStatus, WheelLink
 
-# Wheel ticks from wherever they are: a serial port, the telemetry pipe, or a recording's wheels.csv.
-
-
 _LOOK_MS = 100
 _READ_BYTES = 1 << 16
 
 
 class WheelSource(Protocol):
-    """Where ticks come from; `WheelLink`, `TelemetryReader` and `TicksFile` are such."""
+    """A source of ticks: `WheelLink`, `TelemetryReader` or `TicksFile`."""
 
     def ticks(self) -> Iterator[WheelTicks]:
-        """Ticks at growing stamps, until the source ends or is closed."""
+        """Ticks at increasing stamps, until the source ends or is closed."""
 
     def close(self) -> None:
-        """End it; a loop over `ticks` ends too."""
+        """Close the source; a loop over `ticks` ends."""
 
 
 def open_wheels(
     where: StrPath, baudrate: int = BAUDRATE, on_status: Callable[[LinkStatus], None] | None = None
 ) -> WheelSource:
-    """The ticks of a named pipe, a wheels.csv (or a recording's folder that holds one), or else a serial port.
+    """The source of ticks at a path: a named pipe, a wheels.csv or the folder of one, or else a serial port.
 
     Args:
-        where: the path of any of them.
+        where: the path.
         baudrate, on_status: of the port, as `WheelLink` takes them.
 
     Raises:
-        DeviceError: the port is missing, denied, in use, or none.
+        DeviceError: the port is missing, denied, in use, or not a serial port.
         RecordingError: wheels.csv cannot be read.
     """
     path = Path(where)
@@ -60,22 +57,22 @@ def open_wheels(
 
 
 def is_recorded(where: StrPath) -> bool:
-    """Whether `open_wheels` takes it for a file, whose readings are all there already."""
+    """Whether `open_wheels` reads a file, all readings of which are available at once."""
     path = Path(where)
     return path.is_dir() or path.is_file() or path.suffix == ".csv"
 
 
 class TicksFile:
-    """The readings of a wheels.csv, and warnings about lines left out. Raises RecordingError naming file and line."""
+    """The readings of a wheels.csv, and `warnings` about lines left out. Raises RecordingError naming file and line."""
 
     def __init__(self, path: StrPath) -> None:
-        from wheelsight.io.recordings.native import read_wheels  # loads OpenCV, which a port needs not wait for
+        from wheelsight.io.recordings.native import read_wheels  # loads OpenCV, which a port does not need
 
         self._ticks, self.warnings = read_wheels(Path(path))
         self._is_closed = False
 
     def ticks(self) -> Iterator[WheelTicks]:
-        """All readings, as fast as they are asked for."""
+        """All readings, without waiting."""
         for ticks in self._ticks:
             if self._is_closed:
                 return
@@ -87,12 +84,12 @@ class TicksFile:
 
 
 class TelemetryReader:
-    """Reads ticks from the pipe that `wheelsight wheels serve` writes; waits for the daemon, and ends when it does.
+    """Reads ticks from the pipe of `wheelsight wheels serve`. Waits for the daemon, and ends with it.
 
-    A line whose beginning went to an earlier reader is passed over.
+    The first line is skipped where it is incomplete: its beginning may have gone to an earlier reader.
 
     Raises:
-        DeviceError: the pipe cannot be opened; from `ticks`, a line that is no telemetry.
+        DeviceError: the pipe cannot be opened; or, from `ticks`, a line is not telemetry.
     """
 
     def __init__(self, path: StrPath) -> None:
@@ -114,12 +111,13 @@ class TelemetryReader:
                 raise DeviceError("a line is no telemetry", path=self._path, line=number)
 
     def close(self) -> None:
-        """Leave the pipe; may be called twice."""
+        """Close the pipe; may be called twice."""
         if not self._is_closed:
             self._is_closed = True
             os.close(self._pipe)
 
     def _lines(self) -> Iterator[bytes]:
+        """Lines as they come, until the writer closes the pipe. Raises DeviceError for a line that is too long."""
         poll, rest = select.poll(), b""
         poll.register(self._pipe, select.POLLIN)
         while not self._is_closed:
@@ -136,6 +134,7 @@ class TelemetryReader:
 
 
 def _ticks_of(line: bytes) -> WheelTicks | None:
+    """The ticks of a line of telemetry, or None where it has none."""
     try:
         fields = parse_json(line)
         return WheelTicks(float(fields["ticks_stamp_s"]), int(fields["left_ticks"]), int(fields["right_ticks"]))
@@ -143,30 +142,28 @@ def _ticks_of(line: bytes) -> WheelTicks | None:
         return None
 
 
-# TelemetryPipe: a POSIX named pipe that a robot's other programs read, one line at a time.
+# The pipe's writer
 
-
-LONGEST_LINE = 4096  # PIPE_BUF of Linux: so many bytes go into a pipe whole or not at all
+LONGEST_LINE = 4096  # PIPE_BUF of Linux: the size of an atomic write
 _MOST_WAITING = 256
 
 _Identity = tuple[int, int, int]
 
 
 class TelemetryPipe:
-    """Writes lines into a named pipe and never waits; use it in a `with` block, at the end of which the pipe is gone.
+    """Writes lines to a POSIX named pipe without waiting. Use it in a `with` block, the end of which removes the pipe.
 
-    Readers come and go, one at a time (two would share the lines out between them). What nobody reads is not kept:
-    a reader begins with what is sent after it came. A reader that is too slow gets whole lines with gaps: beyond the
-    system's own buffer (64 KB) and 256 lines more, the oldest waiting are dropped. A pipe left over from a program
-    that died is used again; of one that lives it is told by a lock on an empty file beside it, `.NAME.lock`.
+    One reader at a time may connect; two would each get some of the lines. Lines are not kept without a reader. A slow
+    reader gets whole lines with gaps: beyond the system's buffer (64 KB) and 256 lines, the oldest are dropped. A pipe
+    of a program that died is used again. A lock on the file `.NAME.lock` beside the pipe shows that its writer lives.
 
     Attributes:
         path: of the pipe.
-        sent, dropped: lines that went into the pipe, and lines dropped since a reader was slow.
+        sent, dropped: lines that were written, and lines dropped because a reader was slow.
 
     Raises:
-        DeviceError: another program writes into this pipe.
-        OutputError: something that is no pipe lies at the path (it is left alone), or a pipe cannot be made there.
+        DeviceError: another program writes to this pipe.
+        OutputError: the path exists and is not a pipe, or the pipe cannot be created.
     """
 
     def __init__(self, path: StrPath) -> None:
@@ -186,14 +183,14 @@ class TelemetryPipe:
 
     @property
     def has_reader(self) -> bool:
-        """Whether someone read when the last line was sent."""
+        """Whether there was a reader when the last line was sent."""
         return self._writer is not None
 
     def send(self, line: str) -> None:
-        """Write one line, after those that wait, as far as the pipe takes them; returns at once.
+        """Write waiting lines and this one, as far as the pipe has space. Does not wait.
 
         Raises:
-            ValueError: more than one line, or one longer than a pipe takes whole (4095 bytes).
+            ValueError: it is not one line, or is longer than 4095 bytes.
         """
         data = line.encode() + b"\n"
         if len(data) > LONGEST_LINE or data.count(b"\n") != 1:
@@ -207,8 +204,8 @@ class TelemetryPipe:
         self._flush()
 
     def close(self) -> None:
-        """Remove the pipe, unless something else lies in its place by now; may be called twice."""
-        self._let_go()
+        """Remove the pipe, unless another file replaced it; may be called twice."""
+        self._disconnect()
         with suppress(OSError):
             if self._lock is not None and _identity(self.path.stat()) == self._identity:
                 self.path.unlink()
@@ -223,9 +220,10 @@ class TelemetryPipe:
         self.close()
 
     def _find_reader(self) -> bool:
+        """Open the pipe where it has a reader. Returns whether it has."""
         try:
             writer = os.open(self.path, os.O_WRONLY | os.O_NONBLOCK)
-        except OSError:  # ENXIO: nobody reads; ENOENT: someone took the pipe away
+        except OSError:  # ENXIO: no reader; ENOENT: the pipe was removed
             return False
         if _identity(os.fstat(writer)) != self._identity:
             os.close(writer)
@@ -241,11 +239,12 @@ class TelemetryPipe:
                 self._waiting.popleft()
                 self.sent += 1
         except BlockingIOError:
-            return  # the reader is slow: what waits, waits
+            return  # the reader is slow
         except BrokenPipeError:
-            self._let_go()  # the reader went away: no error
+            self._disconnect()  # the reader closed the pipe
 
-    def _let_go(self) -> None:
+    def _disconnect(self) -> None:
+        """Drop waiting lines and close the pipe for writing."""
         self._waiting.clear()
         if self._writer is not None:
             os.close(self._writer)
@@ -260,7 +259,7 @@ class TelemetryPipe:
 
 
 def _locked(lock_path: Path, path: Path) -> int:
-    """The open file that says that this program writes into the pipe at `path`."""
+    """The descriptor of the locked file of the pipe at `path`. Raises DeviceError, OutputError."""
     while True:
         try:
             lock = os.open(lock_path, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o666)
@@ -275,11 +274,11 @@ def _locked(lock_path: Path, path: Path) -> int:
             raise DeviceError("another program writes into this pipe", path=path, fix="end that one first") from error
         except FileNotFoundError:
             pass
-        os.close(lock)  # its owner removed it just then: there is a new one, or none
+        os.close(lock)  # its owner removed it meanwhile
 
 
 def _make(path: Path) -> _Identity:
-    """Make the pipe, or take one that is left over; its identity."""
+    """Create the pipe, or use an existing one. Returns its identity. Raises OutputError."""
     try:
         with suppress(FileExistsError):
             os.mkfifo(path)
@@ -287,10 +286,10 @@ def _make(path: Path) -> _Identity:
     except OSError as error:
         raise output_error(error, path) from error
     if not stat.S_ISFIFO(status.st_mode):
-        raise OutputError("is there already and is no pipe", path=path, fix="choose another path for the pipe")
+        raise OutputError("exists and is not a pipe", path=path, fix="choose another path for the pipe")
     return _identity(status)
 
 
 def _identity(status: os.stat_result) -> _Identity:
-    """Device, number and kind: a file that is made where a pipe was often gets its number."""
+    """Device, inode and file type. A file that replaces a pipe often gets its inode."""
     return status.st_dev, status.st_ino, stat.S_IFMT(status.st_mode)

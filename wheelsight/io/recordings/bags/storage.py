@@ -20,13 +20,10 @@ from wheelsight.core.inputs import Kind, decompress_into, open_binary, parse_yam
 from wheelsight.io.recordings.bags.chunks import BAG, Allowance, ChunkedReader, Connection, store_of
 from wheelsight.io.recordings.bags.storage_formats import McapReader, Ros1Reader, SqliteReader
 
-# Bags as they are stored: topics, messages and their types; one interface over ROS 1, MCAP and sqlite3.
-
-
-_ZSTD = b"\x28\xb5\x2f\xfd"  # begins what is compressed message by message; plain CDR begins with a zero
+_ZSTD = b"\x28\xb5\x2f\xfd"  # begins a compressed message; plain CDR begins with a zero
 _FIRST_S, _LAST_S = 2.0, 2.0
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
-# Of a message that is no image: transforms of a large robot have 100 kB, a calibration 4 kB.
+# Largest message other than images: transforms of a large robot have 100 kB, a calibration 4 kB.
 _LARGEST_MESSAGE = 1 << 20
 _HEADERS = ("std_msgs/msg/Header", "roslib/msg/Header")
 _Reader = ChunkedReader | SqliteReader
@@ -34,7 +31,7 @@ _Reader = ChunkedReader | SqliteReader
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """A topic of a bag: its name, its type such as "sensor_msgs/msg/Image", and how many messages there are."""
+    """A topic of a bag: its name, its type such as "sensor_msgs/msg/Image", and its number of messages."""
 
     name: str
     type: str
@@ -43,7 +40,7 @@ class Topic:
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message, not decoded: its topic, the time of its receipt, and its bytes."""
+    """An undecoded message: its topic, its time of receipt, and its bytes."""
 
     topic: str
     receipt_ns: int
@@ -51,13 +48,13 @@ class Message:
 
     @property
     def receipt_s(self) -> float:
-        """The same time in seconds."""
+        """The time of receipt in seconds."""
         return self.receipt_ns * 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The stamp, 0 where none was given, and the frame that a message begins with."""
+    """The header of a message: its stamp, 0 where it has none, and its frame."""
 
     stamp_s: float
     frame: str
@@ -65,12 +62,12 @@ class Header:
 
 @dataclass(frozen=True, slots=True)
 class TransformTopic:
-    """One transform of a topic of tf, which stands as a topic of its own.
+    """A transform of a topic of tf, which the bag serves as a topic of its own.
 
     Attributes:
-        of: the topic that carries it, such as /tf.
-        parent, child: its frames, without a slash before them.
-        count: how many messages carry it, or at most.
+        of: the topic that contains it, such as /tf.
+        parent, child: its frames, without a leading slash.
+        count: the number of messages with it, or an upper bound.
     """
 
     of: str
@@ -80,7 +77,7 @@ class TransformTopic:
 
     @property
     def name(self) -> str:
-        """Such as /tf:odom,base_link, as it is chosen by --topic."""
+        """The name for --topic, such as /tf:odom,base_link."""
         return f"{self.of}:{self.parent},{self.child}"
 
     def found_in(self, message: Any) -> Any | None:
@@ -92,14 +89,14 @@ class TransformTopic:
 
 
 class OpenBag:
-    """A bag whose files are open. Its topics come from its index; no message is read before it is asked for.
+    """A bag whose files are open. Topics come from its index; messages are read on request.
 
     Attributes:
-        path: as it was given.
+        path: of the bag.
         topics: in order of name.
-        start_ns, end_ns: the time of the first receipt and just after the last.
-        is_ros1: whether messages are serialized as ROS 1 does.
-        warnings: one sentence each on files that lack their end.
+        start_ns, end_ns: the time of the first receipt, and just after the last.
+        is_ros1: whether messages are serialized as in ROS 1.
+        warnings: one sentence for each file whose end is missing.
     """
 
     def __init__(self, path: Path, readers: Sequence[_Reader], is_ros1: bool, warnings: tuple[str, ...] = ()) -> None:
@@ -120,7 +117,7 @@ class OpenBag:
         self.end_ns = max((reader.end_time for reader in filled), default=0)
 
     def add_transforms(self, topics: Sequence[TransformTopic]) -> None:
-        """Let transforms stand as topics of their own, from now on."""
+        """Serve transforms as topics of their own."""
         for topic in topics:
             if topic.name not in self._transforms:
                 self._transforms[topic.name] = topic
@@ -128,7 +125,7 @@ class OpenBag:
                 self.topics = (*self.topics, Topic(topic.name, self._of_topic[topic.of].msgtype, topic.count))
 
     def fields(self, topic: str) -> dict[str, str]:
-        """Names of the plain fields of a topic's messages, and their types such as "int32". Raises RecordingError."""
+        """The names and types, such as "int32", of plain fields of a topic's messages. Raises RecordingError."""
         connection = self._of_topic[topic]
         try:
             known = self._store(connection).fielddefs[connection.msgtype][1]
@@ -141,7 +138,7 @@ class OpenBag:
     ) -> Iterator[Message]:
         """Messages of some topics in order of receipt, from `start_ns` on and before `stop_ns`.
 
-        Raises RecordingError at what is damaged.
+        Raises RecordingError at damaged data.
         """
         try:
             for reader in self._readers:
@@ -164,7 +161,7 @@ class OpenBag:
             raise _refusal(self.path, error) from error
 
     def _plain(self, data: bytes, topic: str, reader: _Reader) -> bytes:
-        """A message without its own compression, which it may have without a metadata.yaml that says so."""
+        """The data of a message, decompressed where it is compressed by itself, which a bag may not state."""
         if data[:4] != _ZSTD:
             return data
         try:
@@ -174,10 +171,10 @@ class OpenBag:
             raise RecordingError(problem, path=self.path, fix="check what wrote it, and copy it again") from error
 
     def first(self, topic: str, count: int = 1) -> list[Message]:
-        """The first messages of a topic that has any, fewer where there are fewer. Raises RecordingError."""
+        """The first messages of a topic, at most `count`. Raises RecordingError where there is none."""
         if count == 1 and topic in self._firsts:
             return [self._firsts[topic]]
-        # A reader of MCAP looks at every chunk that it may need before it answers: most topics begin at once.
+        # A reader of MCAP examines all chunks in the range before the first message, and most topics begin early.
         begun = list(islice(self.messages([topic], stop_ns=self.start_ns + round(1e9 * _FIRST_S)), count))
         found = begun if len(begun) == count else list(islice(self.messages([topic]), count))
         if not found:
@@ -186,7 +183,7 @@ class OpenBag:
         return found
 
     def last(self, topic: str) -> Message:
-        """The last message of a topic that has any, by halving the time in which it lies. Raises RecordingError."""
+        """The last message of a topic, found by bisection of time. Raises RecordingError where there is none."""
         low_ns, high_ns, width_ns = self.start_ns, self.end_ns, round(1e9 * _LAST_S)
         start_ns = max(low_ns, high_ns - width_ns)
         while high_ns - low_ns > width_ns:
@@ -203,11 +200,11 @@ class OpenBag:
     def _without(self, topic: str) -> RecordingError:
         fix = f"rosbag reindex {self.path.name}" if self.is_ros1 else f"mcap recover {self.path.name} -o whole.mcap"
         return RecordingError(
-            f"is damaged: its index tells of messages of {topic}, and none is there", path=self.path, fix=fix
+            f"is damaged: its index has messages of {topic}, and the file has none", path=self.path, fix=fix
         )
 
     def header(self, message: Message) -> Header:
-        """The header of a message of a type that begins with one, without decoding the rest. Raises RecordingError."""
+        """The header of a message, without decoding the rest; empty for a type without one. Raises RecordingError."""
         part = self._transforms.get(message.topic)
         if part is not None:
             found = part.found_in(self.decode(message))
@@ -218,7 +215,7 @@ class OpenBag:
         data = message.data
         order = "<" if self.is_ros1 or data[1:2] == b"\x01" else ">"
         try:
-            # ROS 1 has the message's number first. CDR has four bytes on its encoding, and ends strings by a zero.
+            # ROS 1 begins with the message's number. CDR begins with four bytes of its encoding; strings end with zero.
             seconds, ns, length = struct.unpack_from(f"{order}{'I' if self.is_ros1 else 'i'}II", data, 4)
             frame = data[16 : 16 + length].rstrip(b"\0").decode()
         except (struct.error, UnicodeDecodeError) as error:
@@ -227,7 +224,7 @@ class OpenBag:
         return Header(seconds + 1e-9 * ns, frame.lstrip("/"))
 
     def has_units(self, topic: str, data: bytes) -> bool:
-        """Whether the bytes of an Image are followed by its units, as the RealSense SDK has it: see `realsense_sdk`."""
+        """Whether an Image of the RealSense SDK ends with its depth unit; see `reader.depth_units_m`."""
         return self.is_ros1 and topic.startswith("/device_") and data[12:17] == b"\x01\0\0\x001"
 
     def _carries(self, part: TransformTopic, data: bytes) -> bool:
@@ -237,13 +234,13 @@ class OpenBag:
             return False
 
     def _is_headless(self, topic: str) -> bool:
-        """Whether a topic's messages have no header; of a type that cannot be read, that is not known yet."""
+        """Whether a topic's messages have no header; False for a type that cannot be read."""
         if topic not in self._headless:
             connection = self._of_topic[topic]
             try:
                 fields = self._store(connection).fielddefs[connection.msgtype][1]
                 self._headless[topic] = bool(fields) and fields[0][1][1] not in _HEADERS
-            except Exception:  # what is wrong with it, decoding says
+            except Exception:  # decoding raises the error
                 self._headless[topic] = False
         return self._headless[topic]
 
@@ -254,7 +251,7 @@ class OpenBag:
         return self._stores[type_]
 
     def decode(self, message: Message) -> Any:
-        """A message's fields as attributes. Raises RecordingError."""
+        """The decoded message, with its fields as attributes. Raises RecordingError."""
         connection = self._of_topic[message.topic]
         type_ = connection.msgtype
         if type_ not in (IMAGE, COMPRESSED) and len(message.data) > _LARGEST_MESSAGE:
@@ -264,7 +261,7 @@ class OpenBag:
             store, data = self._store(connection), message.data
             data = data[:-4] if type_ == IMAGE and self.has_units(message.topic, data) else data
             return (store.deserialize_ros1 if self.is_ros1 else store.deserialize_cdr)(data, type_)
-        except Exception as error:  # rosbags lets through what struct, numpy, its parser and its own asserts raise
+        except Exception as error:  # rosbags raises errors of struct, numpy, its parser and its asserts
             why = error.problem if isinstance(error, RecordingError) else f"{type(error).__name__} {error}"
             problem = f"a message of {message.topic} is no {type_}: {why}"
             raise RecordingError(problem, path=self.path, fix="leave the topic out with --topic") from error
@@ -272,10 +269,10 @@ class OpenBag:
 
 @contextmanager
 def open_bag(path: Path) -> Iterator[OpenBag]:
-    """The bag at a path that `parts_of` knows, for the block.
+    """Open the bag at a path that `parts_of` recognises, for the block.
 
     Raises:
-        RecordingError: it has no index, is cut off, damaged, or no bag; says what to do.
+        RecordingError: it has no index, is truncated, damaged, or not a bag; says what to do.
         ConfigError: rosbags is not installed.
     """
     parts = parts_of(path)
@@ -287,7 +284,7 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
             readers = [_reader_of(_whole(part, stack)) for part in parts]
             for reader in readers:
                 stack.enter_context(reader)
-            bag = OpenBag(path, readers, is_ros1, tuple(told for reader in readers for told in reader.warnings))
+            bag = OpenBag(path, readers, is_ros1, tuple(warning for reader in readers for warning in reader.warnings))
         except Exception as error:
             raise _refusal(path, error) from error
         yield bag
@@ -300,7 +297,7 @@ def _reader_of(part: Path) -> _Reader:
 
 
 def _whole(part: Path, stack: ExitStack) -> Path:
-    """A file as it is to be opened: one that is compressed as a whole is unpacked into a temporary folder."""
+    """The file to open: a compressed file is decompressed into a temporary folder. Raises RecordingError."""
     if not is_packed(part):
         return part
     folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="wheelsight-bag-")))
@@ -319,15 +316,14 @@ def _whole(part: Path, stack: ExitStack) -> Path:
 
 
 def _refusal(path: Path, error: Exception) -> Exception:
-    """An error of wheelsight's as it is; any other, of rosbags or what it stands on, as RecordingError."""
+    """The error itself if it is wheelsight's; any other, of rosbags or below, as RecordingError."""
     if isinstance(error, WheelsightError):
         return error
-    told = f"{type(error).__name__}: {error}"
-    return RecordingError(f"is damaged, or no bag ({told})", path=path, fix="check what wrote it, and copy it again")
+    cause = f"{type(error).__name__}: {error}"
+    return RecordingError(f"is damaged, or no bag ({cause})", path=path, fix="check what wrote it, and copy it again")
 
 
-# Which files are one bag: a file, a folder with metadata.yaml, or the parts that a recorder split it into.
-
+# Files of a bag
 
 METADATA = "metadata.yaml"
 SUFFIXES = (".bag", ".mcap", ".db3")
@@ -343,14 +339,17 @@ _STORAGES = ("mcap", "sqlite3")
 
 
 def parts_of(path: Path) -> tuple[Path, ...]:
-    """The paths to open for the bag at `path`, in order of time; empty where there is none, by names alone.
+    """The paths to open for the bag at `path`, in order of time, by file names only; empty where it is not a bag.
 
-    A folder with metadata.yaml is opened as such. Without one, its files are parts of one bag where they are called
-    alike but for a last number; two bags in one folder are no bag.
+    A folder with metadata.yaml is returned itself. Without one, its files are parts of one bag where their names differ
+    in a last number only. A folder with two bags is not a bag.
     """
     if path.is_file():
         return (path,) if path.suffix in SUFFIXES else ()
-    entries = _entries(path)
+    try:
+        entries = list(path.iterdir())
+    except OSError:
+        entries = []
     if (path / METADATA).is_file() and any(entry.name.endswith(_ROS2) for entry in entries):
         return (path,)
     plain = [entry for entry in entries if entry.suffix in SUFFIXES and entry.is_file()]
@@ -365,9 +364,9 @@ def parts_of(path: Path) -> tuple[Path, ...]:
 
 
 def named_parts(folder: Path) -> tuple[Path, ...]:
-    """The files in a folder that its metadata.yaml names, in the order of time.
+    """The files of a folder that its metadata.yaml names, in order of time.
 
-    Raises RecordingError where it is no such file, names no files or missing ones, or another way of compression.
+    Raises RecordingError where metadata.yaml is invalid, names no files or missing ones, or an unknown compression.
     """
     path = folder / METADATA
     document = parse_yaml(read_text(path, _METADATA, RecordingError), path, RecordingError)
@@ -376,7 +375,7 @@ def named_parts(folder: Path) -> tuple[Path, ...]:
     if not isinstance(about, dict) or not isinstance(names, list) or not names:
         raise RecordingError("does not name the files of a bag", path=path, fix=_FIX)
     _check(about, path)
-    # Old recorders name the folder, too; a name that leads elsewhere does not.
+    # Old recorders write the folder too. The name alone cannot lead out of the folder.
     parts = [folder / PurePosixPath(str(name)).name for name in names]
     missing = [part.name for part in parts if not part.exists()]
     if missing:
@@ -388,12 +387,8 @@ def named_parts(folder: Path) -> tuple[Path, ...]:
     return tuple(dict.fromkeys(parts))
 
 
-def is_packed(part: Path) -> bool:
-    """Whether a file is compressed as a whole."""
-    return part.suffix == _PACKED
-
-
 def _check(about: dict[str, Any], path: Path) -> None:
+    """Raise RecordingError for an unknown version, storage or compression."""
     version, storage = about.get("version"), about.get("storage_identifier")
     if not isinstance(version, int) or not 0 < version <= _LATEST_VERSION:
         raise RecordingError(f"is of version {version}; 1 to {_LATEST_VERSION} are read", path=path, fix=_FIX)
@@ -406,8 +401,6 @@ def _check(about: dict[str, Any], path: Path) -> None:
         )
 
 
-def _entries(folder: Path) -> list[Path]:
-    try:
-        return list(folder.iterdir())
-    except OSError:
-        return []
+def is_packed(part: Path) -> bool:
+    """Whether a file is compressed."""
+    return part.suffix == _PACKED
