@@ -90,6 +90,14 @@ def test_the_api_pages_show_every_part(package: str, project_folder: Path) -> No
     assert package in shown or not module.__all__
 
 
+def test_members_that_the_api_pages_list_are_there(project_folder: Path) -> None:
+    text = "\n".join(page.read_text(encoding="utf-8") for page in (project_folder / "docs" / "api").glob("*.md"))
+    listed = re.findall(r"^::: ([\w.]+)\n    options:\n      members:\n((?:        - \w+\n)+)", text, re.MULTILINE)
+    names = [(module, name) for module, lines in listed for name in re.findall(r"\w+", lines)]
+    assert len(names) > 50
+    assert [pair for pair in names if not hasattr(importlib.import_module(pair[0]), pair[1])] == []
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_all_is_sorted_and_true(package: str) -> None:
     module = importlib.import_module(package)
