@@ -307,9 +307,8 @@ def _one_way(
     points, surface_m, within_m, pixels, _ = _met(seen, by, T_by_seen, noise, settings)
     z_m, depth_m = points[:, 2], seen.depth_m
     is_compared, intrudes = z_m < surface_m + within_m, z_m < surface_m - within_m
-    compared, intruding = (np.zeros(depth_m.size, bool) for _ in range(2))
-    compared[pixels[is_compared]], intruding[pixels[intrudes]] = True, True
-    compared, intruding = compared.reshape(depth_m.shape), intruding.reshape(depth_m.shape)
+    compared, intruding = np.zeros(depth_m.shape, bool), np.zeros(depth_m.shape, bool)
+    compared.reshape(-1)[pixels[is_compared]], intruding.reshape(-1)[pixels[intrudes]] = True, True
     count, label = cv2.connectedComponents(intruding.astype(np.uint8), connectivity=4)
     outline, attached = np.zeros(count, np.int64), np.zeros(count, np.int64)
     behind_m = settings.free_m + settings.free_share * depth_m + settings.free_sigmas * noise.sigma_m(depth_m)
