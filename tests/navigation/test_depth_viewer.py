@@ -67,7 +67,7 @@ def test_kernels_equal_their_plain_form() -> None:
             0.1,
             0.05,
         )
-        module.look(depth, rays, heights, shown)
+        module.sort_pixels(depth, rays, heights, shown)
         nearest_m = np.full(39, np.inf)
         module.reach(depth, rays, heights, shown, shown.cells[..., 0] >= 3, nearest_m)
         results.append((shown.floor, shown.measured, shown.cells, shown.tops, nearest_m))

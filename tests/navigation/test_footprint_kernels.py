@@ -83,8 +83,7 @@ def test_compiled_and_plain_kernels_say_the_same(rng: np.random.Generator) -> No
     poses = np.c_[rng.uniform(0.2, 3.8, (60, 2)), rng.uniform(-4, 4, 60)]
     results = []
     for module in (kernels, plain(kernels)):
-        counts, tight = np.empty(len(poses), np.int64), np.empty(len(poses))
-        module.counts_under(made.cells, CHAIR.corners, poses, counts)
+        counts, tight = [module.count_under(made.cells, CHAIR.corners, *pose) for pose in poses], np.empty(len(poses))
         module.tightnesses(made.cells, made.shape, poses, tight)
         apart = [module.least_clearance(made.cells, CHAIR.corners, pose[None], 0.5) for pose in poses]
         results.append((counts, tight, apart))

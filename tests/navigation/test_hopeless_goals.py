@@ -103,7 +103,7 @@ def test_behind_a_door_that_the_map_has_shut_it_gives_up_where_it_began() -> Non
     result = end_of(ride, 20.0)
     assert result.reason is NavigationReason.NO_PLAN
     assert result.detail.startswith("no way leads to the goal by the map itself")
-    assert "walls or things of the map are all round it" in result.detail
+    assert "walls or obstacles of the map enclose it" in result.detail
     ends_at_once(ride, result)
 
 

@@ -267,7 +267,7 @@ def test_a_heading_that_nothing_leads_to_is_told_and_the_nearest_one_is_taken() 
     cells[12:28, 10:130] = False
     plan = Planner(CHAIR).plan(costmap_of(cells), (1.5, 1.0, 0.0), (4.5, 1.0, math.pi))
     assert isinstance(plan, Plan)
-    assert "no way leads to the goal as it is asked" in plan.goal_change
+    assert "no path leads to the goal as requested" in plan.goal_change
     np.testing.assert_allclose(plan.goal[:2], (4.5, 1.0), atol=0.11)
     np.testing.assert_allclose(plan.poses[-1], plan.goal, atol=1e-9)
     assert abs(math.remainder(plan.goal[2], 2 * math.pi)) < math.radians(20)

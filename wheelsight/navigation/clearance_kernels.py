@@ -446,7 +446,7 @@ def slot(memory: Memory, i: int, j: int) -> Any:
 
 
 @kernel
-def look(memory: Memory, sight: Sight, x: float, y: float) -> None:
+def mark_seen(memory: Memory, sight: Sight, x: float, y: float) -> None:
     """Mark what a camera sees, and remove obstacles that it sees through, in the window around (x, y)."""
     n, cell = len(memory.seen_s), memory.cell_m
     first_i, first_j = int(np.floor(x / cell)) - n // 2, int(np.floor(y / cell)) - n // 2
@@ -492,7 +492,9 @@ def _is_seen(sight: Sight, x: float, y: float, short_m: float, near_m: float) ->
 
 
 @kernel
-def keep(memory: Memory, points: FloatArray, shows_m: FloatArray, stamp_s: float, middle: Any, way_m: float) -> None:
+def store_hits(
+    memory: Memory, points: FloatArray, shows_m: FloatArray, stamp_s: float, middle: Any, way_m: float
+) -> None:
     """Store obstacles at points (N, 2) in the plane, within the window around `middle`.
 
     With each it stores the distance to a camera at which it is visible (N,), and the way driven.

@@ -81,8 +81,8 @@ class MonitorResult:
 class CollisionMonitor:
     """Reduces commands so that the robot does not collide. No later part may make a command faster.
 
-    It knows no plans, maps and controllers. It judges each command by the arcs that the robot drives until it stands,
-    by what is known of the floor there, and by whether all its data are fresh and consistent.
+    It knows no plans, maps and controllers. It checks the arcs that the robot drives until it stands against obstacles
+    and unseen floor. It also stops the robot if any of its data are old or inconsistent.
     """
 
     def __init__(

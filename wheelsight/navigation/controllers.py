@@ -21,8 +21,6 @@ from wheelsight.navigation.path_following import (
 )
 from wheelsight.navigation.settings import FollowSettings, MppiSettings, PurePursuitSettings
 
-__all__ = ["Begin", "Dynamics", "MppiController", "Rollouts", "Way", "Weights", "dynamics_of", "noise_of", "weights_of"]
-
 
 class MppiController:
     """A `Controller` by model predictive path integral control (Williams et al. 2017).

@@ -447,8 +447,8 @@ class LiveLayer:
     def not_seen_through(self, eye: ArrayLike, half_view_rad: float, near_m: float) -> FloatArray:
         """Return (N, 2) places of obstacles in view that no recent image shows, and that cannot be cleared.
 
-        Nothing hides such an obstacle, but there is no depth behind it to see through it, as in front of a hall, a
-        window or black surfaces. It stays, since glass and black objects give no depth themselves.
+        Nothing hides such an obstacle, but there is no depth behind it, as in front of a hall, a window or black
+        surfaces. It stays, since glass and black objects give no depth themselves.
 
         Args:
             eye: (3,) x, y and heading of the camera in the layer's frame.

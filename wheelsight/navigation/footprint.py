@@ -10,10 +10,7 @@ from scipy.spatial.distance import cdist
 
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.geometry import FloatArray
-from wheelsight.navigation.clearance_kernels import ANY_SPEED, OVERHANG_M, CostField, Outline
-
-__all__ = ["ANY_SPEED", "CostField", "Outline", "checked", "outline_of", "sides_of"]
-
+from wheelsight.navigation.clearance_kernels import OVERHANG_M, CostField, Outline
 
 # Sides of the polygon that stands for a circle.
 _ROUND_SIDES = 16

@@ -126,7 +126,7 @@ class Planner:
                 return f"floor on the way there is unknown, first at ({at[0]:.2f}, {at[1]:.2f}) m; {_ABOUT_UNKNOWN}"
         narrowest = narrowest_place(costmap, begin[:2], end[:2], self.settings.goal_tolerance_m)
         if narrowest is None:
-            return "walls or things of the map are all round it"
+            return "walls or obstacles of the map enclose it"
         width_m, (x, y) = narrowest
         low, high = self.footprint.corners.min(axis=0), self.footprint.corners.max(axis=0)
         needs_m = float(high[1] - low[1]) + 2 * self.settings.margin_m
@@ -167,7 +167,7 @@ class Planner:
         known = cost_to_go(metre_cost, costmap.resolution_m, (goal_row, goal_column))
         row, column = costmap.cells_at(out[-1, :2]).tolist()
         if not np.isfinite(known[row, column]):
-            return PlanFailure(PlanReason.UNREACHABLE, "walls or things are between")
+            return PlanFailure(PlanReason.UNREACHABLE, "walls or obstacles are between")
         way = descend(known, metre_cost, float(costmap.resolution_m), row, column)
         corners = any_angle(way, known, drivable, metre_cost)
         if len(corners) < 2:
@@ -216,7 +216,7 @@ class Planner:
             if last < 0:
                 none = f"of {count} places and headings that can be reached none leads there"
                 return PlanFailure(PlanReason.UNREACHABLE, f"{none}: too narrow, or no room to turn")
-            goal = beside(goal.pose, tree.pose[last, :3], "no way leads to the goal as it is asked")
+            goal = beside(goal.pose, tree.pose[last, :3], "no path leads to the goal as requested")
         if how == TOO_MANY:
             return PlanFailure(PlanReason.GAVE_UP, f"after {count} places and headings")
         room = np.empty((1 << 16, 4))
@@ -301,7 +301,7 @@ class PlanReason(StrEnum):
     INVALID = "start or goal is not a pose"
     START_OUTSIDE = "the robot is outside the map"
     START_OCCUPIED = "the robot stands where something is, and finds no way out"
-    START_UNKNOWN = "the floor about the robot is unknown, and it finds no way out"
+    START_UNKNOWN = "the floor around the robot is unknown, and it finds no way out"
     GOAL_OUTSIDE = "the goal is outside the map"
     GOAL_UNKNOWN = "the floor at the goal is unknown"
     GOAL_OCCUPIED = "the robot does not fit at the goal, nor near to it"
@@ -631,7 +631,7 @@ def goal_near(
         if labels[row, column] == label:
             return Goal(goal, "")
         where = f"({goal[0]:.2f}, {goal[1]:.2f}) m"
-        return PlanFailure(PlanReason.UNREACHABLE, f"{where} is free, and walls or things are all round it")
+        return PlanFailure(PlanReason.UNREACHABLE, f"{where} is free, but walls or obstacles enclose it")
     is_unknown = costmap.is_lethal[row, column] and costmap.state[row, column] == CellState.UNKNOWN
     poses, off = _around(goal, costmap.resolution_m, settings)
     cells = costmap.cells_at(poses[:, :2])

@@ -643,13 +643,6 @@ def tightnesses(cells: Cells, shape: Shape, poses: Any, found: Any) -> None:
 
 
 @kernel(error_model="numpy")
-def counts_under(cells: Cells, corners: Any, poses: Any, found: Any) -> None:
-    """Compute `count_under` for poses (N, 3)."""
-    for k in range(len(poses)):
-        found[k] = count_under(cells, corners, poses[k, 0], poses[k, 1], poses[k, 2])
-
-
-@kernel(error_model="numpy")
 def least_clearance(cells: Cells, corners: Any, poses: Any, most_m: float) -> Any:
     """Return metres from an outline at any of poses (N, 3) to the nearest occupied square, at most `most_m`; or 0."""
     least, size_m = most_m, cells.resolution_m

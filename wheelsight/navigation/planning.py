@@ -346,7 +346,7 @@ class RoutePlanner:
         if failure is None or failure.reason is PlanReason.GOAL_OUTSIDE:
             return failure
         is_unknown = failure.reason is PlanReason.GOAL_UNKNOWN
-        what = "unknown floor" if is_unknown else "a wall, a thing or forbidden floor"
+        what = "unknown floor" if is_unknown else "a wall, an obstacle or forbidden floor"
         return PlanFailure(PlanReason.GOAL_IN_WALL, f"{what} is at ({goal[0]:.2f}, {goal[1]:.2f}) m")
 
     def why_no_way(self, costmap: Costmap, start: FloatArray, goal: FloatArray) -> str:

@@ -21,21 +21,27 @@ from wheelsight.navigation.clearance_kernels import (
     Outline,
     Sight,
     all_outside_m,
-    keep,
-    look,
+    mark_seen,
     mark_under,
     moved,
     remembered,
+    store_hits,
     unseen,
 )
 from wheelsight.navigation.costmap import CellState, Costmap, checked_depth
 from wheelsight.navigation.footprint import Footprint, sides_of
 from wheelsight.navigation.settings import LiveLayerSettings, MonitorSettings, ViewSettings
-from wheelsight.navigation.view_kernels import Eye, Heights, Rays, Shown, Walls, first_blind, first_over, reach
-from wheelsight.navigation.view_kernels import look as depth_viewer_look
-
-__all__ = ["Eye", "PlanView"]
-
+from wheelsight.navigation.view_kernels import (
+    Eye,
+    Heights,
+    Rays,
+    Shown,
+    Walls,
+    first_blind,
+    first_over,
+    reach,
+    sort_pixels,
+)
 
 # Pose in the plane of `Surroundings`: x, y, cosine and sine of the yaw.
 Pose = tuple[float, float, float, float]
@@ -232,12 +238,12 @@ class Surroundings:
         seen_m = np.ascontiguousarray(view.seen_m, float)
         near_far = (min(self._settings.air_m, view.near_m), view.near_m, float(seen_m.max()))
         sight = Sight(float(camera[0]), float(camera[1]), first_rad, view.step_rad, *near_far, seen_m, view.stamp_s)
-        look(self._memory, sight, pose[0], pose[1])
+        mark_seen(self._memory, sight, pose[0], pose[1])
         # Points become visible again where they were visible, and nearer if they are high enough.
         shows_m = np.asarray(np.hypot(*(np.asarray(view.points, float) - view.camera).T) - self._settings.cell_m)
         if view.shows_m is not None:
             shows_m = np.asarray(np.minimum(shows_m, np.maximum(view.shows_m, self._settings.air_m)))
-        keep(self._memory, points, shows_m, view.stamp_s, (pose[0], pose[1]), self._way_m)
+        store_hits(self._memory, points, shows_m, view.stamp_s, (pose[0], pose[1]), self._way_m)
         self._newest, self._newest_s = points, view.stamp_s
         return True
 
@@ -391,7 +397,7 @@ class DepthViewer:
             s.bin_m,
             s.cell_m,
         )
-        depth_viewer_look(depth, self._rays, self._heights, shown)
+        sort_pixels(depth, self._rays, self._heights, shown)
         is_thing, points, tops_m = self._things(shown)
         thing_m = np.full(self._count, np.inf)
         reach(depth, self._rays, self._heights, shown, is_thing, thing_m)

@@ -60,7 +60,7 @@ class Shown(NamedTuple):
 
 
 @kernel(error_model="numpy")
-def look(depth_m: Any, rays: Rays, heights: Heights, shown: Shown) -> None:
+def sort_pixels(depth_m: Any, rays: Rays, heights: Heights, shown: Shown) -> None:
     """Sort the pixels of a depth image (h, w) in metres; pixels that are not finite and over 0 have no depth."""
     rows, columns = depth_m.shape
     bins, lowest = shown.floor.shape[1], shown.tops.shape[2] - 1
