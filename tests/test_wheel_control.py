@@ -175,7 +175,7 @@ def test_ticks_that_stand_still_are_found() -> None:
     frozen = plant.ways_m.copy()
     plant.seen = lambda ways_m: np.array([frozen[0], ways_m[1]])
     speeds = plant.run(VelocityCommand(0.5), 0.24)
-    assert "the left wheel is blocked: told 0.50 m/s" in plant.control.reason
+    assert "the left wheel is blocked: command 0.50 m/s" in plant.control.reason
     assert speeds.max() < 0.5 + WheelControlSettings().most_correction * FULL_M_S
 
 

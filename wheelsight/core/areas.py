@@ -1,4 +1,4 @@
-"""Areas of a building: named polygons on the floor and the coordinates each one tells (Trinh et al., Fig. 7)."""
+"""Areas of a building: named polygons on the floor and the coordinates that each one gives (Trinh et al., Fig. 7)."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ __all__ = ["Area", "AreaError", "AreaMap", "load_areas", "save_areas"]
 FORMAT = "wheelsight-areas-1"
 _FIELDS = ("name", "polygon", "x_m", "y_m")
 _TOP_FIELDS = ("format", "areas")
-# Corners drawn from one plan rarely meet to the last digit; a square centimetre of overlap is no contradiction.
+# Corners of one plan rarely meet to the last digit, so a square centimetre of overlap is allowed.
 _LARGEST_OVERLAP_M2 = 1e-4
 _SMALLEST_AREA_M2 = 1e-4
-# More than a building has; which of them are neighbours is a table of all pairs.
+# More than a building has; the table of neighbours holds all pairs.
 _MOST_AREAS = 2000
 
 
 @dataclass(frozen=True, eq=False)
 class Area:
-    """A part of the floor that looks alike enough to be told from the others.
+    """A part of the floor that a classifier can distinguish from the others by its appearance.
 
     Attributes:
-        name: what labels and forests call it.
+        name: its label.
         polygon: (N, 2) corners in the map frame, metres, in either direction, not closed.
-        x_m: the coordinate x of whoever is in it, or None where it does not tell: a corridor along x.
+        x_m: the coordinate x of a robot in it, or None if it is undetermined, as in a corridor along x.
         y_m: the same for y.
 
     Raises:
@@ -55,8 +55,18 @@ class Area:
         corners = _corners(self.polygon, self.name)
         corners.setflags(write=False)
         object.__setattr__(self, "polygon", corners)
-        self._check_shape()
-        self._check_coordinates()
+        if self.shape.convex_hull.area < _SMALLEST_AREA_M2:
+            raise _area_error(self.name, "has a polygon without surface", "its corners lie on one line or in one place")
+        if not self.shape.is_valid:
+            raise _area_error(self.name, "has a polygon that crosses itself", "give corners in order around it")
+        given = {"x_m": self.x_m, "y_m": self.y_m}
+        if all(value is None for value in given.values()):
+            raise _area_error(self.name, "has neither x_m nor y_m", "give at least one, else it rectifies nothing")
+        for axis, (name, value) in enumerate(given.items()):
+            low, high = self.polygon[:, axis].min(), self.polygon[:, axis].max()
+            if value is not None and not low <= value <= high:
+                problem = f"has {name} {value}, but its polygon reaches from {low:g} to {high:g} m"
+                raise _area_error(self.name, problem, "coordinates are metres in the map frame, as the polygon's")
 
     @cached_property
     def shape(self) -> Any:
@@ -64,22 +74,6 @@ class Area:
         import shapely
 
         return shapely.Polygon(self.polygon)
-
-    def _check_shape(self) -> None:
-        if self.shape.convex_hull.area < _SMALLEST_AREA_M2:
-            raise _area_error(self.name, "has a polygon without surface", "its corners lie on one line or in one place")
-        if not self.shape.is_valid:
-            raise _area_error(self.name, "has a polygon that crosses itself", "give corners in order around it")
-
-    def _check_coordinates(self) -> None:
-        told = {"x_m": self.x_m, "y_m": self.y_m}
-        if all(value is None for value in told.values()):
-            raise _area_error(self.name, "tells neither x_m nor y_m", "give at least one, else it rectifies nothing")
-        for axis, (name, value) in enumerate(told.items()):
-            low, high = self.polygon[:, axis].min(), self.polygon[:, axis].max()
-            if value is not None and not low <= value <= high:
-                problem = f"tells {name} {value}, but its polygon reaches from {low:g} to {high:g} m"
-                raise _area_error(self.name, problem, "coordinates are metres in the map frame, as the polygon's")
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +160,14 @@ def load_areas(path: StrPath) -> AreaMap:
 
     document = read_yaml(Path(path), AreaError)
     try:
-        return _from_document(document)
+        if not isinstance(document, dict) or document.get("format") != FORMAT:
+            found = document.get("format") if isinstance(document, dict) else None
+            raise AreaError(f"field format is {found!r}", fix=f"write format: {FORMAT}")
+        _refuse_unknown(document, _TOP_FIELDS, "the file")
+        entries = document.get("areas")
+        if not isinstance(entries, list) or not entries:
+            raise AreaError("field areas is no list of areas", fix="list at least one, with name, polygon, x_m or y_m")
+        return AreaMap(tuple(_area(entry, f"area {number}") for number, entry in enumerate(entries, 1)))
     except AreaError as error:
         raise AreaError(error.problem, path=path, fix=error.fix) from error
 
@@ -181,19 +182,8 @@ def save_areas(areas: AreaMap, path: StrPath) -> None:
 
 
 def _to_entry(area: Area) -> dict[str, Any]:
-    told = {name: float(value) for name, value in (("x_m", area.x_m), ("y_m", area.y_m)) if value is not None}
-    return {"name": area.name, "polygon": area.polygon.tolist(), **told}
-
-
-def _from_document(document: Any) -> AreaMap:
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        found = document.get("format") if isinstance(document, dict) else None
-        raise AreaError(f"field format is {found!r}", fix=f"write format: {FORMAT}")
-    _refuse_unknown(document, _TOP_FIELDS, "the file")
-    entries = document.get("areas")
-    if not isinstance(entries, list) or not entries:
-        raise AreaError("field areas is no list of areas", fix="list at least one, with name, polygon, x_m or y_m")
-    return AreaMap(tuple(_area(entry, f"area {number}") for number, entry in enumerate(entries, 1)))
+    coordinates = {name: float(value) for name, value in (("x_m", area.x_m), ("y_m", area.y_m)) if value is not None}
+    return {"name": area.name, "polygon": area.polygon.tolist(), **coordinates}
 
 
 def _area(entry: Any, where: str) -> Area:
@@ -205,8 +195,8 @@ def _area(entry: Any, where: str) -> Area:
     _refuse_unknown(entry, _FIELDS, f"area {name!r}")
     if "polygon" not in entry:
         raise _area_error(name, "has no polygon", "give its corners: [[x, y], [x, y], [x, y]]")
-    told = {key: _number(entry[key], name, key) for key in ("x_m", "y_m") if entry.get(key) is not None}
-    return Area(name, entry["polygon"], **told)
+    coordinates = {key: _number(entry[key], name, key) for key in ("x_m", "y_m") if entry.get(key) is not None}
+    return Area(name, entry["polygon"], **coordinates)
 
 
 def _corners(polygon: Any, name: str) -> FloatArray:

@@ -61,22 +61,19 @@ __all__ = [
 ]
 
 
-# What was measured when: the `history` of a calibration file, one entry a calibration, which loading does not need.
-
-
 _FIELDS = ("date", "command", "what", "figures")
 _MOST_ENTRIES = 10_000
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """One calibration.
+    """One entry of the `history` of a calibration file.
 
     Attributes:
-        what: of which parts of the robot.
-        command: that found it, as it was typed but for options.
-        figures: what it is worth, by name with its unit.
-        date: of the day, in UTC, as 2026-11-26 13:05.
+        what: the calibrated parts of the robot.
+        command: the command without its options.
+        figures: results by name, with units.
+        date: in UTC, as 2026-11-26 13:05.
     """
 
     what: str
@@ -85,14 +82,14 @@ class Measured:
     date: str = ""
 
     def as_field(self) -> dict[str, Any]:
-        """The entry as a file has it; without a date, that of now."""
+        """The entry for a file; without a date it gets the present one."""
         date = self.date or datetime.now(UTC).strftime("%Y-%m-%d %H:%M")
         figures = {name: float(f"{value:.4g}") for name, value in self.figures.items()}
         return {"date": date, "command": self.command, "what": self.what, "figures": figures}
 
 
 def history_of(document: Mapping[str, Any]) -> tuple[Measured, ...]:
-    """The history of a calibration file's fields, oldest first. Raises CalibrationError for what is none."""
+    """The history in a calibration file's fields, oldest first. Raises CalibrationError if it is invalid."""
     entries = document.get(HISTORY, [])
     if not isinstance(entries, list) or len(entries) > _MOST_ENTRIES:
         raise CalibrationError(f"field {HISTORY} must be a list of what was measured")
@@ -108,23 +105,20 @@ def history_of(document: Mapping[str, Any]) -> tuple[Measured, ...]:
     return tuple(found)
 
 
-# Calibrations laid over each other as they stand in their files: what the upper one tells stands, the rest stays.
-
-
-# One lens is not mixed with another's: who gives the colour camera gives all that its pixels mean.
+# These fields are replaced together with `color`, so that lenses of two calibrations are not mixed.
 _LENSES = ("color", "depth", "T_color_depth", "color_sigma_px", "depth_error", "point_errors")
 _FIELD_BY_FIELD = ("wheels", "gyro", "depth_noise", "nominal")
-# Of these parts a file may also hold what was known when the rest was found: it stands where nothing else tells it.
+# Parts of which a file may hold nominal values too; they apply if no other file gives that part.
 NOMINAL, NOMINAL_PARTS = "nominal", ("wheels", "gyro")
-# What was measured when: of a file, not of a calibration.
+# Field of past calibrations, of the file rather than of the calibration.
 HISTORY = "history"
 
 
 def laid_over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of `below` with those of `above` in their place.
+    """The fields of `below` updated by those of `above`.
 
-    Wheels, gyro and depth noise are laid over field by field, so that the delay may come from one calibration and the
-    radii from another; with `color` goes all that is told of lenses.
+    Wheels, gyro and depth noise are merged field by field, so that the delay may come from one calibration and the
+    radii from another. `color` replaces all fields of lenses.
     """
     kept = {name: value for name, value in below.items() if "color" not in above or name not in _LENSES}
     merged = {**kept, **above}
@@ -132,40 +126,37 @@ def laid_over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, A
         parts = (below.get(name), above.get(name))
         if all(isinstance(part, Mapping) for part in parts) and not _are_of_other_kinds(*parts):
             merged[name] = {**parts[0], **parts[1]}  # type: ignore[dict-item]
-    told = [entry for part in (below, above) for entry in part.get(HISTORY) or ()]
-    if told:
-        merged[HISTORY] = [entry for index, entry in enumerate(told) if entry not in told[:index]]
+    entries = [entry for part in (below, above) for entry in part.get(HISTORY) or ()]
+    if entries:
+        merged[HISTORY] = [entry for index, entry in enumerate(entries) if entry not in entries[:index]]
     source = _both_sources(below.get("source"), above.get("source"))
     return merged if source is None else {**merged, "source": source}
 
 
 def _are_of_other_kinds(below: Any, above: Any) -> bool:
-    """Whether the upper of two parts names a kind or layout of wheels that the lower one does not have."""
+    """Whether the upper part has another kind or layout of wheels than the lower one."""
     usual = {"kind": "differential", "layout": None}
     return any(name in above and above[name] != below.get(name, usual[name]) for name in usual)
 
 
 def _both_sources(below: Any, above: Any) -> Any:
-    """Where the numbers come from; what is laid over twice is told once."""
+    """The joined source of both; a source that occurs twice is listed once."""
     if below is None or above is None or below == above:
         return below if above is None else above
-    earlier = [told for told in str(below).split(_UPDATED) if told != above]
+    earlier = [source for source in str(below).split(_UPDATED) if source != above]
     return _UPDATED.join([*earlier, str(above)])
 
 
 _UPDATED = ", updated by: "
 
 
-# How the robot is built: its cameras, its wheels, their noise, and where the camera sits. YAML in and out.
-
-
 FORMAT = "wheelsight-calibration-1"
 _LATEST_S = 0.2
 _SLOWEST_SHUTTER_S = 0.2
-# How far the camera may sit from the base, and the depth camera from the colour camera beside it.
+# Largest distance of the camera from the base, and of the depth camera from the colour camera.
 _MOST_APART_M = {"T_base_camera": 10.0, "T_color_depth": 1.0}
-# Lenses sit within a tenth of an image's sides off its middle. Half the size is 0.25 or 1, two thirds 0.33 or 0.75;
-# where both sides are off by the same share, no crop is likely.
+# Principal points lie within a tenth of the image's sides from its middle. Half the size is 0.25 or 1, two thirds 0.33
+# or 0.75; an equal offset of both sides is unlikely for a crop.
 _OFF_MIDDLE, _NEAR_MIDDLE, _ALIKE, _MOST_SCALE = 0.1, (0.36, 0.68), 0.1, 10.0
 
 
@@ -173,32 +164,31 @@ _OFF_MIDDLE, _NEAR_MIDDLE, _ALIKE, _MOST_SCALE = 0.1, (0.36, 0.68), 0.1, 10.0
 class Calibration:
     """The sensors of one robot: a depth camera, wheels, or both.
 
-    The frame `camera` is the optical frame in which depth is measured. Where `T_color_depth` is None,
-    depth was registered to colour: both images share one pixel grid and `camera` is the colour camera's
-    frame too. Else depth pixel and colour pixel of a point differ, and `T_color_depth` joins them.
+    The frame `camera` is the optical frame of depth. If `T_color_depth` is None, depth is registered to colour: both
+    images share one pixel grid, and `camera` is the colour camera's frame too. Else the depth pixel and the colour
+    pixel of a point differ, and `T_color_depth` relates them.
 
     Attributes:
-        color: the colour camera, or None where there is no depth camera.
-        depth: the depth camera; alike when registered.
+        color: the colour camera, or None without depth camera.
+        depth: the depth camera; equal to `color` if registered.
         T_color_depth: (4, 4) that maps points of the depth camera into the colour camera, or None.
         depth_noise: of the depth camera.
         rolling_shutter_s: time from the exposure of the images' first row to that of the last; 0 for a global shutter.
             A frame's stamp is the time of its middle row.
-        color_sigma_px: how far off the colour camera's numbers may be, as a standard deviation in the image; 0 for a
-            camera calibrated well enough for it not to matter, more for nominal values.
-        T_base_camera: (4, 4), or None where the recording has no base. May stand without a camera, in a calibration
-            that is to update another.
-        wheels: of a differential drive, or None where no wheel is read.
-        holonomic: the wheels of a base that also moves sideways, or None; a file has them as `wheels` of `kind:
-            holonomic`. A robot has one of both.
-        gyro: what a yaw rate is worth, where there is one.
-        source: where the numbers come from, for reports.
-        depth_late_s: how much later than colour depth is measured, beyond what stamps say; negative where earlier.
-        frame_sigma_m, frame_sigma_rad: how far off a frame's place and turn are by what all its pixels share and noise
-            does not tell: bent depth, registration, the shutter's timing. See docs/decisions/0049.
-        depth_error: what depth images are off by; recordings free them of it as they are read.
-        point_errors: how far off points may be with all of that, as a calibration by a board tells; None where nobody
-            says, as of nominal values.
+        color_sigma_px: standard deviation in the image by errors of the colour camera's parameters; 0 if negligible,
+            more for nominal values.
+        T_base_camera: (4, 4), or None without base. A calibration that updates another may have it without a camera.
+        wheels: of a differential drive, or None.
+        holonomic: the wheels of a base that also moves sideways, or None; in a file they are `wheels` of `kind:
+            holonomic`. A robot has only one of both.
+        gyro: the noise of the yaw rate.
+        source: origin of the numbers, for reports.
+        depth_late_s: delay of depth behind colour beyond their stamps; negative if depth is earlier.
+        frame_sigma_m, frame_sigma_rad: standard deviations of a frame's pose by errors common to all pixels: bent
+            depth, registration, timing of the shutter. See docs/decisions/0049.
+        depth_error: systematic error of depth images; recordings correct it.
+        point_errors: errors of points after that correction, by a calibration with a board; None if unknown, as for
+            nominal values.
     """
 
     color: PinholeCamera | None = None
@@ -231,14 +221,6 @@ class Calibration:
         for name in _MOST_APART_M:
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _motion(name, getattr(self, name)))
-        self._check_numbers()
-        if self.T_color_depth is None and self.color != self.depth:
-            raise CalibrationError(
-                "colour and depth cameras differ, but no T_color_depth says how they are joined",
-                fix="give T_color_depth, or register depth to colour",
-            )
-
-    def _check_numbers(self) -> None:
         need_numbers(self, _NUMBERS)
         check_range("depth_late_s", self.depth_late_s, Range(-_LATEST_S, _LATEST_S, "s"))
         check_range("frame_sigma_m", self.frame_sigma_m, Range(0, 1, "m"))
@@ -247,6 +229,11 @@ class Calibration:
             raise CalibrationError(f"rolling_shutter_s is {self.rolling_shutter_s}, not 0 to {_SLOWEST_SHUTTER_S} s")
         if self.color is not None and not 0 <= self.color_sigma_px < self.color.width:
             raise CalibrationError(f"color_sigma_px is {self.color_sigma_px}, not 0 to an image's width")
+        if self.T_color_depth is None and self.color != self.depth:
+            raise CalibrationError(
+                "colour and depth cameras differ, but no T_color_depth says how they are joined",
+                fix="give T_color_depth, or register depth to colour",
+            )
 
     def _check_presence(self) -> None:
         if (self.color is None) != (self.depth is None):
@@ -453,10 +440,10 @@ def _wheel_fields(wheels: Wheels | HolonomicWheels) -> dict[str, Any]:
     needed, optional = HOLONOMIC_LAYOUTS[wheels.layout]
     numbers = [name for name in (*needed, *optional, *HOLONOMIC_FIELDS) if name not in ("angles_rad", "counter_bits")]
     stated = {name: float(getattr(wheels, name)) for name in numbers}
-    told: dict[str, Any] = {_KIND: _HOLONOMIC, "layout": wheels.layout}
-    told |= {name: value for name, value in stated.items() if value or name not in WHEEL_SIGMAS}
-    told |= {"angles_rad": [float(angle) for angle in wheels.angles_rad]} if wheels.angles_rad else {}
-    return told | ({"counter_bits": int(wheels.counter_bits)} if wheels.counter_bits else {})
+    fields: dict[str, Any] = {_KIND: _HOLONOMIC, "layout": wheels.layout}
+    fields |= {name: value for name, value in stated.items() if value or name not in WHEEL_SIGMAS}
+    fields |= {"angles_rad": [float(angle) for angle in wheels.angles_rad]} if wheels.angles_rad else {}
+    return fields | ({"counter_bits": int(wheels.counter_bits)} if wheels.counter_bits else {})
 
 
 def _from_document(document: Any) -> Calibration:
@@ -508,18 +495,18 @@ def _motion(name: str, value: Any) -> FloatArray:
     return T
 
 
+@lru_cache(maxsize=64)  # a calibration is made again for each change of one of its parts
+def _lens_fault(camera: PinholeCamera) -> str | None:
+    return camera.lens_fault()
+
+
 def _check_lens(name: str, camera: PinholeCamera) -> None:
-    """Raise CalibrationError, with its numbers, for a distortion that is no lens's."""
+    """Raise CalibrationError for a distortion that no lens has."""
     fault = _lens_fault(camera)
     if fault is not None:
         numbers = ", ".join(f"{k:.5g}" for k in camera.distortion)
         fix = "calibrate it: wheelsight calibrate camera; of images that are rectified leave the distortion out"
         raise CalibrationError(f"the distortion ({numbers}) of {name} {fault}", fix=fix)
-
-
-@lru_cache(maxsize=64)  # a calibration is made again for each change of one of its parts
-def _lens_fault(camera: PinholeCamera) -> str | None:
-    return camera.lens_fault()
 
 
 def _check_middle(name: str, camera: PinholeCamera) -> None:

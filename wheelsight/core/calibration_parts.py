@@ -221,11 +221,6 @@ class Wheels:
                 raise CalibrationError(f"{name} is {value}, not a number")
             if value <= 0 and name not in (*_COUNTER_FIELDS, *WHEEL_SIGMAS, "delay_s"):
                 raise CalibrationError(f"{name} is {value}, not positive")
-        self._check_counter()
-        for name, allowed in _OF_WHEELS.items():
-            check_range(name, getattr(self, name), allowed)
-
-    def _check_counter(self) -> None:
         if self.counter_bits != int(self.counter_bits) or not 0 <= self.counter_bits <= _WIDEST_COUNTER_BITS:
             raise CalibrationError(f"counter_bits is {self.counter_bits}", fix="1 to 64, or 0: never rolls over")
         if self.counter_modulus != int(self.counter_modulus) or not (
@@ -234,6 +229,8 @@ class Wheels:
             raise CalibrationError(f"counter_modulus is {self.counter_modulus}", fix="9000 for a counter of 0 … 8999")
         if self.counter_bits and self.counter_modulus:
             raise CalibrationError("counter_bits and counter_modulus are both given", fix="leave one out")
+        for name, allowed in _OF_WHEELS.items():
+            check_range(name, getattr(self, name), allowed)
 
     @property
     def counter_span(self) -> int:

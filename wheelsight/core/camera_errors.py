@@ -10,40 +10,37 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.depth_errors import NOMINAL_ERRORS, PointErrors
 from wheelsight.core.geometry import FloatArray, se2, se3, so3
 
-# What errors of a camera's points, which no residual shows, make of the motions that its images tell.
-
-
 _STEP = 1e-4
 _PLANAR = (0, 1, 5)  # of (v, ω): along x, along y, about z
-# Points of what a robot drives past, where no image is at hand: all over the image, one to four metres away.
+# Assumed points without an image: all over the image, one to four metres away.
 _ACROSS, _DOWN, _DISTANCES_M = 9, 7, (1.0, 1.5, 2.0, 3.0, 4.0)
 
 
 def errors_of(calibration: Calibration) -> PointErrors:
-    """Of its camera: what a board left open, or where nobody says, what is likely of nominal values."""
+    """The point errors of a camera by its calibration, or likely ones for nominal values."""
     return NOMINAL_ERRORS if calibration.point_errors is None else calibration.point_errors
 
 
 def moved_in_camera_m(calibration: Calibration, points_m: FloatArray) -> FloatArray:
-    """How far each of these errors moves points (N, 3) of the camera frame, metres in it: (K, N, 3)."""
+    """The displacement (K, N, 3), metres, of points (N, 3) in the camera frame by each of these errors."""
     T_color_camera = calibration.T_color_camera
     moved_m = errors_of(calibration).moved_m(se3.apply(T_color_camera, points_m))
     return np.asarray(moved_m @ T_color_camera[:3, :3])
 
 
 def motion_errors(calibration: Calibration, T_body_camera: FloatArray, points_m: FloatArray) -> FloatArray:
-    """(K, 3, 3): by what matrix of the true one each error changes a small motion (x, y, yaw) of a body on a floor.
+    """(K, 3, 3) matrices that map a small motion (x, y, yaw) of a body on a floor to its error, for each point error.
 
-    A camera moves by the twist (v, ω), and points p of a world that stands still by -(v + ω × p). Seen are p + δ(p),
-    and the motion is that of a rigid world which fits them best: to first order it is off by a least squares of
-    D(v + ω × p) - ω × δ, with D the derivatives of δ. That is a scale for a δ that grows with p, and another place and
-    direction of the camera for one that shifts and turns all. Points count by 1/z, between what pixels tell (1/z²) and
-    all alike: so it comes nearest to what dense odometry did on simulated drives (docs/decisions/0108).
+    A camera moves by the twist (v, ω), and points p of a static world by -(v + ω × p). The camera observes p + δ(p),
+    and the estimated motion is the rigid one that fits best. To first order its error is the least-squares solution for
+    D(v + ω × p) - ω × δ, with D the derivatives of δ. A δ proportional to p is a scale; a shift or rotation of all
+    points is another mount. Points have the weight 1/z, between that of pixels (1/z²) and a uniform one. This agrees
+    best with dense odometry on simulated drives (docs/decisions/0108).
 
     Args:
         calibration: of the camera.
-        T_body_camera: (4, 4), body being whose motion is told: x and y in the plane of the floor.
-        points_m: (N, 3) what the camera sees, of its own frame.
+        T_body_camera: (4, 4); x and y of the body lie in the plane of the floor.
+        points_m: (N, 3) points in view, in the camera frame.
     """
     twists = np.eye(6)[list(_PLANAR)] @ se3.adjoint(se3.invert(T_body_camera)).T
     here = moved_in_camera_m(calibration, points_m)
@@ -56,16 +53,16 @@ def motion_errors(calibration: Calibration, T_body_camera: FloatArray, points_m:
 
 
 def place_errors(calibration: Calibration, T_first_second: FloatArray, points_m: FloatArray) -> FloatArray:
-    """(K, 6): by what left perturbation (v, ω) each error moves a pose (4, 4) that is told by what two views both show.
+    """(K, 6) left perturbations (v, ω) by each point error of a relative pose (4, 4) estimated from two views.
 
-    A point p of the first view is seen at p + δ(p), and by the second at q + δ(q), where T q = p. Where both views are
-    one, that cancels; from elsewhere the point has another distance and lies in another part of the image, where δ is
-    another. The pose is that of the rigid motion that fits best, by the same weights as in `motion_errors`.
+    The first view observes a point p at p + δ(p), the second one at q + δ(q), where T q = p. For equal views δ cancels;
+    else the distance of the point and its pixel differ, and so does δ. The pose is the rigid motion that fits best,
+    with the weights of `motion_errors`.
 
     Args:
-        calibration: of the camera that saw both.
+        calibration: of the camera of both views.
         T_first_second: (4, 4).
-        points_m: (N, 3) that both show, of the first view's frame; three and more, not in a row.
+        points_m: (N, 3) points in both views, in the first view's frame; at least three, not collinear.
     """
     seen_m = se3.apply(se3.invert(T_first_second), points_m)
     moved_m = moved_in_camera_m(calibration, seen_m) @ T_first_second[:3, :3].T
@@ -73,7 +70,7 @@ def place_errors(calibration: Calibration, T_first_second: FloatArray, points_m:
 
 
 def _best_twists(points_m: FloatArray, moved_m: FloatArray) -> FloatArray:
-    """(K, 6) twists (v, ω) that come nearest to moving points (N, 3) by (K, N, 3), each weighed by 1/z."""
+    """(K, 6) twists (v, ω) that fit displacements (K, N, 3) of points (N, 3) best, with weights 1/z."""
     of_points = np.concatenate([np.tile(np.eye(3), (len(points_m), 1, 1)), -so3.hat(points_m)], axis=-1)
     weighted = of_points / points_m[:, 2, None, None]
     H = np.einsum("nij,nik->jk", weighted, of_points)
@@ -92,20 +89,17 @@ def typical_motion_errors(calibration: Calibration) -> FloatArray:
 
 
 def with_error(motions: FloatArray, error: FloatArray) -> FloatArray:
-    """Motions (M, 3), x, y in metres and yaw in radians, as a camera with a `motion_errors` (3, 3) tells them."""
+    """Motions (M, 3), x, y in metres and yaw in radians, as a camera with a `motion_errors` (3, 3) estimates them."""
     twists = se2.log(se2.from_parts(*motions.T))
     return np.stack(se2.to_parts(se2.exp(twists + twists @ error.T)), axis=-1)
 
 
-# What a frame's pose is off by beyond the noise of its pixels: what all of them share does not average out.
-
-
 def frame_covariance(calibration: Calibration) -> FloatArray:
-    """Covariance (6, 6) of (v, ω) in the camera's own frame, of what all pixels of a frame share."""
+    """Covariance (6, 6) of (v, ω) in the camera's own frame by errors common to all pixels of a frame."""
     return np.diag(np.square([*[calibration.frame_sigma_m] * 3, *[calibration.frame_sigma_rad] * 3]))
 
 
 def with_frame_error(covariance: FloatArray, T_reference_frame: FloatArray, of_frame: FloatArray) -> FloatArray:
-    """Covariance (6, 6) of a pose's (4, 4) left perturbation, with what is off about the frame (6, 6) itself."""
+    """Covariance (6, 6) of a pose's (4, 4) left perturbation, plus the error `of_frame` (6, 6) in the frame's axes."""
     Ad = se3.adjoint(T_reference_frame)
     return np.asarray(covariance + Ad @ of_frame @ Ad.T)

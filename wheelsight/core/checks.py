@@ -316,7 +316,12 @@ class Repeats:
     def lasting_s(self, frame: RgbdFrame) -> float:
         """How long before this frame its image came first; 0 for a new one. To be asked once of each frame."""
         color, depth_m = frame.color[_SOME], frame.depth_m[_SOME]
-        if _are_the_same(color, self._color) and _are_the_same(depth_m, self._depth_m) and _shows(color, depth_m):
+        if (
+            _are_the_same(color, self._color)
+            and _are_the_same(depth_m, self._depth_m)
+            and depth_m.any()
+            and (np.ptp(color) > 0 or np.ptp(depth_m) > 0)
+        ):
             return frame.stamp_s - self._first_s
         self._first_s, self._color, self._depth_m = frame.stamp_s, color.copy(), depth_m.copy()
         return 0.0
@@ -324,8 +329,3 @@ class Repeats:
 
 def _are_the_same(a: np.ndarray, b: np.ndarray) -> bool:
     return a.shape == b.shape and len(a) > 0 and np.array_equal(a[0], b[0]) and np.array_equal(a, b)
-
-
-def _shows(color: np.ndarray, depth_m: np.ndarray) -> bool:
-    """Whether there is depth at all, and any contrast."""
-    return bool(depth_m.any() and (np.ptp(color) > 0 or np.ptp(depth_m) > 0))

@@ -1,4 +1,4 @@
-"""Estimates: where the robot is by one odometry, and by all sensors joined, with status and covariance."""
+"""Estimates of motion and pose, by one odometry or by all sensors, with status and covariance."""
 
 from __future__ import annotations
 
@@ -11,17 +11,14 @@ import numpy as np
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import KeyframeId, KeyframeStore
 
-# What odometry and localization answer: a motion or a pose with its covariance, or why there is none.
-
-
-# Of (v, ω) in `MotionEstimate.degenerate`: turns count as the way of a point 2 m off, to be compared with ways.
+# Scale of (v, ω) in `MotionEstimate.degenerate`: a rotation counts as the displacement of a point at 2 m.
 DEGENERATE_SCALE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
 _IDENTITY = np.eye(4)
 _IDENTITY.setflags(write=False)
 
 
 class Reason(StrEnum):
-    """Why a frame or a wheel reading gave no motion, or no pose."""
+    """Why a frame or a wheel reading yields no motion or no pose."""
 
     FRAME_UNUSABLE = "frame unusable"
     REPEATED = "the same image as before"
@@ -47,14 +44,14 @@ class Reason(StrEnum):
 
 
 class Status(StrEnum):
-    """What the estimate at a frame can be used for.
+    """The state of an estimate.
 
-    initializing: no pose yet; in a map of before there may be one in odom, while none is known in the map.
-    tracking: pose known.
-    coasting: pose by wheels alone, or by a camera that was lost and sees again, while it is not known yet where in the
-    map that is; ever less certain.
-    failing: this frame gave no pose, the next may.
-    lost: so many frames failed in a row, or all sensors were silent so long, that only recognising a known place helps.
+    initializing: no pose yet. In a loaded map there may be a pose in odom, but none in the map.
+    tracking: the pose is known.
+    coasting: the pose comes from wheels alone, or from a camera after relocalization in odom only; its covariance
+    grows.
+    failing: this frame yields no pose, the next one may.
+    lost: too many frames failed in a row, or all sensors were silent too long. Only place recognition helps.
     """
 
     INITIALIZING = "initializing"
@@ -66,17 +63,16 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionEstimate:
-    """The camera's motion against a reference frame, or the reason why there is none.
+    """The camera's motion against a reference frame, or the reason of the failure.
 
     Attributes:
         T_reference_current: (4, 4), or None on failure.
         covariance: (6, 6) of the left perturbation (v, ω) of `T_reference_current`, or None on failure.
         reason: None on success.
-        matches: how many point pairs were proposed.
-        inliers: how many of them agree with the motion.
-        degenerate: (K, 6) unit vectors of (v, ω · 2 m) that the images do not show; there the prior stands. Or None.
-        fitting: share of the regions of the view that lie at this motion where they are known, each with one vote,
-            however much of it matches; None where that is not told.
+        matches: number of proposed point pairs.
+        inliers: number of pairs that agree with the motion.
+        degenerate: (K, 6) unit vectors of (v, ω · 2 m) that the images do not constrain; the prior fills them. Or None.
+        fitting: share of the regions of the view that agree with known surfaces at this motion; None if unknown.
     """
 
     T_reference_current: FloatArray | None
@@ -89,7 +85,7 @@ class MotionEstimate:
 
     @classmethod
     def failed(cls, reason: Reason, matches: int = 0, inliers: int = 0) -> MotionEstimate:
-        """An estimate that says only why there is none."""
+        """An estimate with a reason and no motion."""
         return cls(None, None, reason, matches, inliers)
 
     @property
@@ -100,27 +96,25 @@ class MotionEstimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """Where the body is at one stamp, and how far to trust it.
+    """The pose of the body at one stamp, with status and covariance.
 
     Attributes:
-        stamp_s: time of the event answered, seconds.
-        status: what the pose can be used for.
-        T_odom_body: (4, 4) in the frame that never jumps, or None while it is not known. `body` is "camera" or "base".
-            Where a wheel reading was refused it is the pose before, and the covariance has grown by what may have
-            happened since. A localizer's moves only as the body does; a filter's own leaps where it thinks better of
-            the past.
+        stamp_s: time of the event, seconds.
+        status: state of the estimate.
+        T_odom_body: (4, 4) in the frame odom, or None if unknown. `body` is "camera" or "base". After a rejected wheel
+            reading it is the previous pose with a larger covariance. A localizer's pose in odom is continuous; that of
+            a filter may jump when it corrects the past.
         covariance: (6, 6) of the left perturbation (v, ω) of `T_odom_body`, or None.
-        reason: why the event gave no pose of its own, or None.
-        matches: of this frame's alignment.
-        inliers: likewise.
-        T_map_odom: (4, 4) where the frame odom lies in the map (ROS REP 105); it moves where the map or the filter
-            knows better.
-        covariance_map: (6, 6) of the left perturbation (v, ω) of `T_map_body`, where loops tell how surely it is known.
-        T_filter_odom: (4, 4) where odom lies in the frame in which the filter has its poses: in the plane, for height
-            and tilt are the same in both. The identity where nothing leaps.
-        keyframe: by which this pose is remembered, or None; see `wheelsight.core.keyframes`.
-        T_keyframe_body: (4, 4) where the body is relative to that keyframe, or None. When keyframes move,
-            `T_map_keyframe @ T_keyframe_body` is where the body has been.
+        reason: why the event yields no pose of its own, or None.
+        matches: number of matches of this frame's alignment.
+        inliers: number of inliers of this frame's alignment.
+        T_map_odom: (4, 4) pose of the frame odom in the map (ROS REP 105); corrections of map and filter change it.
+        covariance_map: (6, 6) of the left perturbation (v, ω) of `T_map_body`, or None without loop closures.
+        T_filter_odom: (4, 4) pose of odom in the filter's frame, planar because height and tilt are the same in both.
+            The identity if nothing jumps.
+        keyframe: the keyframe that the pose refers to, or None; see `wheelsight.core.keyframes`.
+        T_keyframe_body: (4, 4) pose of the body relative to that keyframe, or None. After keyframes move,
+            `T_map_keyframe @ T_keyframe_body` is the corrected pose.
     """
 
     stamp_s: float
@@ -139,14 +133,14 @@ class Estimate:
 
     @property
     def T_map_body(self) -> FloatArray | None:
-        """(4, 4) in the map, or None while it is not known: what was seen lies there, and poses may jump."""
+        """(4, 4) pose in the map, or None if unknown; it may jump."""
         if self.T_odom_body is None or self.status is Status.INITIALIZING:
             return None
         return self.T_map_odom @ self.T_odom_body
 
     @property
     def T_filter_body(self) -> FloatArray | None:
-        """(4, 4) by all that was known at the stamp but loops, or None: a run's trajectory holds it, and it leaps."""
+        """(4, 4) pose in the filter's frame, without loop closures, or None; it may jump. A trajectory holds it."""
         if self.T_odom_body is None or self.T_filter_odom is _IDENTITY:
             return self.T_odom_body
         return self.T_filter_odom @ self.T_odom_body
@@ -160,9 +154,9 @@ class Estimate:
         return np.asarray(Ad @ self.covariance @ Ad.T)
 
     def remembered_in(self, store: KeyframeStore) -> FloatArray | None:
-        """T_map_body (4, 4) by where its keyframe is by now; None where no keyframe remembers it.
+        """T_map_body (4, 4) by the present pose of its keyframe, for instance after a loop closure.
 
-        Where keyframes have moved since, as by a loop closure, this is where the body has been.
+        None if the estimate refers to no keyframe.
         """
         if self.keyframe is None or self.T_keyframe_body is None:
             return None
@@ -185,7 +179,7 @@ class Step:
     covariance: FloatArray
 
     def then(self, later: Step) -> Step:
-        """Both, one after the other; errors are taken for independent."""
+        """The composition with a later step, for independent errors."""
         Ad = se3.adjoint(self.T_before_now)
         C = self.covariance + Ad @ later.covariance @ Ad.T
         return Step(self.begin_s, later.end_s, self.T_before_now @ later.T_before_now, C)
@@ -193,27 +187,27 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class WheelEstimate(Estimate):
-    """What wheel odometry answers at a reading: the pose, and the step that led there.
+    """The estimate of wheel odometry at a reading, with the step that led there.
 
     Attributes:
-        before: stamp, T_odom_body (4, 4) and covariance (6, 6) at the reading before; None where the first one, or one
-            whose stamp runs backwards, tells no step.
+        before: stamp, T_odom_body (4, 4) and covariance (6, 6) at the previous reading; None at the first reading, and
+            at one whose stamp runs backwards.
     """
 
     before: tuple[float, FloatArray, FloatArray] | None = field(default=None, kw_only=True)
 
     @cached_property
     def step(self) -> Step | None:
-        """From the reading before; of one that was refused no way, but as uncertain as all that may have been.
+        """The motion since the previous reading; for a rejected reading the identity with a large covariance.
 
-        None where there was no reading before, or numbers are not finite.
+        None without a previous reading, or if numbers are not finite.
         """
         from wheelsight.core.geometry import motion_kernels as motions
 
         if self.before is None or self.T_odom_body is None or self.covariance is None:
             return None
         begin_s, T_before, C_before = self.before
-        if not all(np.isfinite(told).all() for told in (T_before, C_before, self.T_odom_body, self.covariance)):
+        if not all(np.isfinite(numbers).all() for numbers in (T_before, C_before, self.T_odom_body, self.covariance)):
             return None
         T_before_now, _ = motions.between(T_before, C_before, self.T_odom_body, self.covariance)
         _, covariance = motions.step_between(T_before, C_before, self.T_odom_body, self.covariance)
@@ -225,23 +219,20 @@ _NO_MOTION = MotionEstimate.failed(Reason.FRAME_UNUSABLE)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraEstimate(Estimate):
-    """What an odometry by a camera answers at a frame: its pose, and the motion that it was found by.
+    """The estimate of a visual odometry at a frame: its pose, and the motion against a reference.
 
     The camera has no other frame than the map, so `T_odom_body` is T_map_camera, and `T_map_odom` the identity.
 
     Attributes:
-        motion: of this frame against its reference, or why there is none.
-        shows_all: whether the last frames showed every direction of motion; else part of the pose is what was expected.
+        motion: of this frame against its reference, or the reason of the failure.
+        shows_all: whether the last frames constrained every direction of motion; else part of the pose is predicted.
     """
 
     motion: MotionEstimate = field(default=_NO_MOTION, kw_only=True)
     shows_all: bool = field(default=True, kw_only=True)
 
 
-# FusedEstimate: what the default filter answers.
-
-
-# Name of the remembered pose since which motions in `odom` are told. Nothing may be measured against it.
+# Name of the cloned pose at the begin of a step in `odom`. No measurement may refer to it.
 STEP_BEGIN = "step begin"
 
 
@@ -249,19 +240,19 @@ STEP_BEGIN = "step begin"
 class FusedEstimate(Estimate):
     """The base's pose by all sensors.
 
-    Status: initializing, before any event. tracking: vision was believed within `coast_after_s`. coasting: the wheels
-    alone lead, and the covariance grows. lost: nothing was heard for `lost_after_s`, and no measurement against a
-    remembered pose has told where the base is since (a position does not tell the heading); there is no pose.
+    Status: initializing, before any event. tracking: the filter accepted vision within `coast_after_s`. coasting: the
+    pose comes from wheels alone, and the covariance grows. lost: all sensors were silent for `lost_after_s`, and no
+    measurement against a cloned pose has followed (a position does not give the heading); there is no pose.
 
     Attributes:
-        slip: the wheels are not believed, because camera or gyroscope contradict them.
-        degenerate: the last measurement of the camera did not show all directions.
-        doubtful: camera and wheels contradict each other and who is right is not settled; the covariance covers both.
+        slip: the filter ignores the wheels, because camera or gyroscope contradict them.
+        degenerate: the last measurement of the camera did not constrain all directions.
+        doubtful: camera and wheels contradict each other without a decision; the covariance covers both.
         twist: (3,) vx, vy, ωz of the base in its own frame, m/s and rad/s. Or None.
         twist_covariance: (3, 3), or None.
-        nis: normalised innovation squared of the measurement that is answered, and its degrees of freedom; or None.
-        wheel_errors: (3,) what is thought to be wrong with the wheels: the ratio by which ways are too short, the turn
-            a metre that is missing in rad/m, the ratio by which turns are too small. Or None.
+        nis: normalised innovation squared of the measurement, and its degrees of freedom; or None.
+        wheel_errors: (3,) estimated errors of the wheels: the ratio by which distances are too short, the missing
+            rotation in rad/m, the ratio by which rotations are too small. Or None.
     """
 
     slip: bool = False
@@ -275,12 +266,12 @@ class FusedEstimate(Estimate):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameUpdate:
-    """What came of a frame.
+    """The result of a frame in the filter.
 
     Attributes:
-        answer: to it.
-        T_odom_base: (4, 4) when its image was taken, by all that is known; None where nothing is remembered.
-        is_reference: whether the camera's next motions are told against it.
+        answer: the estimate.
+        T_odom_base: (4, 4) pose at the time of the image; None without a cloned pose.
+        is_reference: whether the camera's next motions refer to this frame.
     """
 
     answer: FusedEstimate
@@ -289,5 +280,5 @@ class FrameUpdate:
 
     @property
     def is_believed(self) -> bool:
-        """Whether wheels and camera agree on it."""
+        """Whether wheels and camera agree on the estimate."""
         return self.answer.reason is None and not self.answer.doubtful

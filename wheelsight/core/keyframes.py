@@ -1,5 +1,5 @@
 """`KeyframeStore` holds the keyframes and their poses; everything else refers to a keyframe by its `KeyframeId`.
-`ReferenceModel` is the interface by which odometry asks a map for a `PredictedView`.
+`ReferenceModel` is the interface of a map that predicts a `PredictedView` for odometry.
 """
 
 from __future__ import annotations
@@ -19,26 +19,24 @@ from wheelsight.core.errors import ArgumentError, MapError
 from wheelsight.core.geometry import Float32Array, FloatArray, IntArray, se3
 from wheelsight.core.threads import OneCaller, one_at_a_time
 
-# Keyframes have an identity and no pose: one table, the store, holds where they are.
-#
-# All that remembers a place remembers a keyframe and where it is relative to it. Who holds positions in the map
-# follows the store: it asks how keyframes have moved since it asked last, and moves what hangs on them.
-
+# A keyframe has an identity and no pose: the store is the only table of poses. A remembered place is a keyframe and a
+# pose relative to it. An object that holds positions in the map follows the store: it asks for the motion of keyframes
+# since its last call, and moves the positions that refer to them.
 
 KeyframeId = NewType("KeyframeId", int)
-"""Names a keyframe: its number in the store, for good."""
+"""The permanent number of a keyframe in the store."""
 
-# Depth in files of the field: 16 bits, a fifth of a millimetre each; up to 13 m.
+# Depth in files of the TUM format: 16 bits, a fifth of a millimetre each; up to 13 m.
 _DEPTH_UNITS_PER_M = 5000.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyframeFeatures:
-    """Keypoints of a keyframe, by which it is recognised and verified.
+    """Keypoints of a keyframe, for recognition and verification.
 
     Attributes:
-        px: (N, 2) where they were detected, pixels of the colour camera.
-        points: (N, 3) in the keyframe's frame, metres; 0 where there is no depth.
+        px: (N, 2) detected pixels of the colour camera.
+        points: (N, 3) in the keyframe's frame, metres; 0 without depth.
         descriptors: (N, 4) uint64, the 256 bits of ORB.
     """
 
@@ -49,14 +47,14 @@ class KeyframeFeatures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Keyframe:
-    """A camera frame that is kept: what was seen, not where.
+    """The images and features of a camera frame, without its pose.
 
     Attributes:
-        stamp_s: of the frame, seconds.
-        intrinsics: (4,) fx, fy, cx, cy of the ideal camera that its images are of.
-        depth_png, grey_png: its images, compressed; see `depth_m` and `grey`.
+        stamp_s: time of the frame, seconds.
+        intrinsics: (4,) fx, fy, cx, cy of the ideal camera of its images.
+        depth_png, grey_png: compressed images; see `depth_m` and `grey`.
         features: keypoints, or None.
-        code: (D,) for recognition, or None.
+        code: (D,) descriptor for recognition, or None.
     """
 
     stamp_s: float
@@ -91,21 +89,20 @@ class Keyframe:
 
 
 class KeyframeStore(OneCaller):
-    """All keyframes, and the only table of where they are.
+    """All keyframes, and the only table of their poses.
 
-    To compress a keyframe's images takes as long as to track a frame: a thread of the store does it beside the next.
-    One keyframe at a time is in the making. An error in it is raised where the next one is added, where the store is
-    closed, and wherever that keyframe is asked for.
+    Compression of a keyframe's images takes as long as tracking a frame, so a thread of the store does it, one keyframe
+    at a time. `add`, `close` and access to that keyframe raise its error.
 
-    Who has written keyframes to disk may let them rest there, see `hold` and `rest`; else all stay in memory.
+    Keyframes on disk may be released from memory, see `hold` and `rest`; else all stay in memory.
 
     Attributes:
-        revision: grows each time keyframes are moved; adding one moves none.
-        is_written: whether somebody writes all its keyframes to a map, where they rest.
+        revision: number of calls that moved keyframes; adding one moves none.
+        is_written: whether a map on disk receives all keyframes.
     """
 
     def __init__(self) -> None:
-        self._keyframes: list[Keyframe | Future[Keyframe] | None] = []  # None where it rests on disk
+        self._keyframes: list[Keyframe | Future[Keyframe] | None] = []  # None for one on disk
         self._T_map_keyframe = np.zeros((16, 4, 4))
         self._followers: list[Follower] = []
         self._thread: ThreadPoolExecutor | None = None
@@ -125,7 +122,7 @@ class KeyframeStore(OneCaller):
         return (KeyframeId(number) for number in range(len(self)))
 
     def __getitem__(self, number: KeyframeId) -> Keyframe:
-        """Raises ArgumentError for a keyframe that it does not hold, and MapError where it cannot be read."""
+        """Raises ArgumentError for an unknown keyframe, and MapError if it cannot be read."""
         self._check([number])
         keyframe = self._keyframes[number]
         if isinstance(keyframe, Future):
@@ -133,10 +130,10 @@ class KeyframeStore(OneCaller):
         return self._from_disk(number) if keyframe is None else keyframe
 
     def recalled(self, number: KeyframeId, at: KeyframeId) -> Keyframe:
-        """A keyframe as it is remembered once another one is the newest: as it rests, if by then it may.
+        """A keyframe as it is in the store when keyframe `at` is the newest: from disk if it is old enough.
 
-        That goes by both numbers, and not by how far another thread is: the same drive recalls the same each time.
-        Raises as asking for it does.
+        Only the numbers decide, not the progress of another thread, so the result is reproducible. Raises as
+        `__getitem__` does.
         """
         self._check([number])
         if self._most is not None and at - number >= self._most and number in self._readers:
@@ -144,14 +141,14 @@ class KeyframeStore(OneCaller):
         return self[number]
 
     def hold(self, keyframes: int) -> None:
-        """Let keyframes rest that so many newer ones follow; of those that rest so many are held that were read last.
+        """Read keyframes from disk once `keyframes` newer ones follow, with a cache of as many recently used ones.
 
-        One is given up after twice as many, so that threads that lag behind recall what they would have in time.
+        Memory is released after twice as many, so that threads that lag behind read the same images.
         """
         self._most = keyframes
 
     def rest(self, number: KeyframeId, read: Callable[[], Keyframe]) -> None:
-        """A keyframe that is made may rest: `read` gives it again, somewhat coarser, from any thread."""
+        """Register the reader of a keyframe on disk: `read` returns it, somewhat coarser, from any thread."""
         with self._lock:
             self._readers[number] = read
             self._unreleased.append(number)
@@ -159,21 +156,21 @@ class KeyframeStore(OneCaller):
 
     @property
     def T_map_keyframe(self) -> FloatArray:
-        """Poses (N, 4, 4) of all keyframes, by number; not to be written to."""
+        """Poses (N, 4, 4) of all keyframes, by number; read only."""
         view = self._T_map_keyframe[: len(self)]
         view.setflags(write=False)
         return view
 
     def pose(self, number: KeyframeId) -> FloatArray:
-        """T_map_keyframe (4, 4), a copy. Raises ArgumentError for a keyframe that it does not hold."""
+        """T_map_keyframe (4, 4), a copy. Raises ArgumentError for an unknown keyframe."""
         self._check([number])
         return np.array(self._T_map_keyframe[number])
 
     @one_at_a_time
     def add(self, keyframe: Keyframe | Callable[[], Keyframe], T_map_keyframe: ArrayLike) -> KeyframeId:
-        """Keep a keyframe, or one that is yet to be made, at a pose (4, 4) by what is known now.
+        """Add a keyframe, or a function that makes it in the background, at a pose (4, 4), and return its number.
 
-        What it is made of may not be written to any more. Raises what went wrong with the one before.
+        The inputs of the function must not change later. Raises the error of the previous keyframe's function.
         """
         kept, number = self._made(keyframe), len(self)
         if number == len(self._T_map_keyframe):
@@ -185,17 +182,17 @@ class KeyframeStore(OneCaller):
 
     @one_at_a_time
     def replace(self, number: KeyframeId, keyframe: Keyframe | Callable[[], Keyframe]) -> None:
-        """Keep better images of the same frame in a keyframe's place.
+        """Replace a keyframe by better images of the same frame.
 
-        Raises as `add` does, and ArgumentError where it holds none.
+        Raises as `add` does, and ArgumentError for an unknown keyframe.
         """
         self._check([number])
         self._keyframes[number] = self._made(keyframe)
 
     def close(self) -> None:
-        """Wait until all are made, and end the thread; all stay, and who adds more starts another thread.
+        """Wait until all keyframes are made, and end the thread; a later `add` starts another one.
 
-        Raises what went wrong with the last one.
+        Raises the error of the last keyframe's function.
         """
         thread, self._thread = self._thread, None
         if thread is not None:
@@ -204,7 +201,7 @@ class KeyframeStore(OneCaller):
 
     @one_at_a_time
     def move(self, numbers: Sequence[KeyframeId], T_map_keyframe: ArrayLike) -> None:
-        """Put keyframes to new poses (K, 4, 4); all that follows them is told. Raises ArgumentError."""
+        """Set new poses (K, 4, 4) of keyframes, and notify all followers. Raises ArgumentError."""
         self._check(numbers)
         rows, T = np.asarray(numbers, np.int64), np.asarray(T_map_keyframe, float).reshape(-1, 4, 4)
         if len(T) != len(rows) or len(np.unique(rows)) != len(rows):
@@ -218,25 +215,25 @@ class KeyframeStore(OneCaller):
         self._T_map_keyframe[rows] = T
         self.revision += 1
         for follower in self._followers:
-            follower.hear(rows, T_new_old, len(self))
+            follower.add(rows, T_new_old, len(self))
 
     def tie(self, first: KeyframeId, second: KeyframeId) -> None:
-        """A loop that is kept ties two keyframes."""
+        """Record a loop closure between two keyframes."""
         for number in (first, second):
             self._tied[number] = max(self._tied.get(number, 0), abs(second - first))
 
     def tied_over(self, number: KeyframeId) -> int:
-        """Over how many keyframes loops tie one, at most; 0 where none does."""
+        """The largest number of keyframes that a loop closure of this one spans; 0 without loop closure."""
         return self._tied.get(number, 0)
 
     def follow(self) -> Follower:
-        """For someone who holds positions in the map that hang on keyframes."""
+        """A new follower, for an object that holds positions relative to keyframes."""
         follower = Follower()
         self._followers.append(follower)
         return follower
 
     def _release(self) -> None:
-        """Give up the images of those that have rested long enough."""
+        """Release the images of keyframes on disk that are old enough."""
         with self._lock:
             while self._most is not None and self._unreleased:
                 if len(self) - 1 - self._unreleased[0] < 2 * self._most:
@@ -244,7 +241,7 @@ class KeyframeStore(OneCaller):
                 self._keyframes[self._unreleased.popleft()] = None
 
     def _from_disk(self, number: KeyframeId) -> Keyframe:
-        """One that rests; those asked for last are still at hand."""
+        """A keyframe on disk, through a cache of recently used ones."""
         with self._lock:
             held = self._read.get(number)
             if held is not None:
@@ -267,7 +264,7 @@ class KeyframeStore(OneCaller):
         return self._making
 
     def _finish(self) -> None:
-        """Wait for the one in the making, and raise what went wrong with it, once."""
+        """Wait for the keyframe in the background, and raise its error once."""
         making, self._making = self._making, None
         if making is not None:
             making.result()
@@ -279,13 +276,13 @@ class KeyframeStore(OneCaller):
 
 
 class Follower:
-    """How keyframes have moved since it was asked last."""
+    """Accumulates the motion of keyframes between two calls of `moves`."""
 
     def __init__(self) -> None:
         self._T_new_old: FloatArray | None = None
 
-    def hear(self, rows: IntArray, T_new_old: FloatArray, count: int) -> None:
-        """Keyframes (K,) of `count` have moved by (K, 4, 4), from the left, in the map."""
+    def add(self, rows: IntArray, T_new_old: FloatArray, count: int) -> None:
+        """Add the motion (K, 4, 4), from the left in the map, of keyframes (K,) out of `count`."""
         known = np.zeros((0, 4, 4)) if self._T_new_old is None else self._T_new_old
         if len(known) < count:
             known = np.concatenate([known, np.tile(np.eye(4), (count - len(known), 1, 1))])
@@ -293,13 +290,13 @@ class Follower:
         self._T_new_old = known
 
     def moves(self) -> FloatArray | None:
-        """T_new_old (N, 4, 4) by keyframe, of those held by then, since it was asked last; None if none has moved."""
+        """T_new_old (N, 4, 4) by keyframe number since the last call; None if none has moved."""
         moved, self._T_new_old = self._T_new_old, None
         return moved
 
 
 def _png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
-    # Noise has hardly any strings that come again: by Huffman codes alone it is as small, in half of the time.
+    # Noise has few repeated strings: Huffman codes alone compress it as well in half of the time.
     written, code = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY])
     assert written
     return code.tobytes()
@@ -308,19 +305,16 @@ def _png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
 def _image(code: bytes) -> NDArray[Any]:
     image = cv2.imdecode(np.frombuffer(code, np.uint8), cv2.IMREAD_UNCHANGED) if code else None
     if image is None:
-        raise MapError("an image of a keyframe cannot be decoded", fix="build the map anew")
+        raise MapError("an image of a keyframe cannot be decoded", fix="build the map again")
     return np.asarray(image)
-
-
-# What odometry and a map tell each other without knowing each other: a view from a pose, and a surface to add.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictedView:
-    """What a model looks like from a pose, on the ideal grid at the finest level.
+    """The view of a model from a pose, on the ideal grid at the finest level.
 
     Attributes:
-        depth_m: (h, w) float32, 0 where the model has nothing.
+        depth_m: (h, w) float32, 0 where the model is empty.
         normal: (h, w, 3) float32 in the camera frame, towards the camera; 0 where unknown.
         grey: (h, w) float32, -1 where unknown.
     """
@@ -332,11 +326,11 @@ class PredictedView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """What a tracked frame adds to a map, on the ideal grid at the finest level.
+    """The surface that a tracked frame adds to a map, on the ideal grid at the finest level.
 
     Attributes:
         depth_m: (h, w) float32, 0 where unknown.
-        normal: (h, w, 3) float32 in the camera frame, towards the camera; 0 where unknown: such pixels add nothing.
+        normal: (h, w, 3) float32 in the camera frame, towards the camera; 0 where unknown; such pixels are ignored.
         grey: (h, w) float32 from 0 to 255, -1 where unknown.
         color: (h, w, 3) float32 red, green, blue from 0 to 255, -1 where unknown; or None.
     """
@@ -348,7 +342,7 @@ class Surface:
 
 
 class ReferenceModel(Protocol):
-    """Predicts what the camera sees from a pose: a surfel map, for instance."""
+    """Predicts the view from a pose, as a surfel map does."""
 
     def predict(self, T_map_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int]) -> PredictedView:
         """The view (h, w) = `shape` of a camera with `intrinsics` (4,) fx, fy, cx, cy at a pose (4, 4)."""

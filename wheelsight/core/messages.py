@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray
 
-# What sensors say: the events that every source yields in order of time.
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RgbdFrame:
@@ -21,9 +19,8 @@ class RgbdFrame:
         stamp_s: time of the colour image, seconds.
         color: (H, W, 3) uint8, red green blue.
         depth_m: (H, W) float32, metres along the depth camera's z axis; 0 where nothing was measured.
-        index: how many frames the source listed before this one, skipped ones included.
-        depth_late_s: how much later than the colour image the depth image was taken, as its own stamp says; negative
-            where it is the older one.
+        index: number of frames that the source listed before this one, skipped ones included.
+        depth_late_s: delay of the depth image behind the colour image, by their stamps; negative if it is older.
     """
 
     stamp_s: float
@@ -44,9 +41,9 @@ class WheelTicks:
 
 @dataclass(frozen=True, slots=True)
 class WheelSpeeds:
-    """How fast the left and right driven wheel turn, rad/s forward, from `stamp_s` seconds until the next reading.
+    """Angular speeds of the left and right driven wheel, rad/s forward, from `stamp_s` seconds to the next reading.
 
-    What is recorded as a robot's v and ω comes down to this by the track and radii it was computed with.
+    A recorded v and ω of a robot is converted to this by the track width and radii of its driver.
     """
 
     stamp_s: float
@@ -68,10 +65,9 @@ class WheelCounts:
 
 @dataclass(frozen=True, slots=True)
 class OdometryReading:
-    """Where a holonomic base's own odometry has it at `stamp_s` seconds, in a frame of that odometry.
+    """The pose of a holonomic base by its own odometry at `stamp_s` seconds, in the frame of that odometry.
 
-    Increments between readings count; where the frame lies does not. What happened between two readings that arrive is
-    not lost with those that do not.
+    Only increments between readings count, so a missing reading loses no motion.
 
     Attributes:
         x_m, y_m, yaw_rad: of the base, metres and radians; yaw may wrap anywhere.
@@ -93,9 +89,9 @@ class YawRate:
 
 @dataclass(frozen=True, slots=True)
 class AngularVelocity:
-    """What the gyroscope in a camera tells at `stamp_s` seconds: rad/s about the camera's x, y and z.
+    """A reading of a camera's gyroscope at `stamp_s` seconds: rad/s about the camera's x, y and z.
 
-    No event of a run: how the camera sits on its robot makes a `YawRate` of it.
+    It is no event of a run: the mount of the camera converts it to a `YawRate`.
     """
 
     stamp_s: float
@@ -104,7 +100,7 @@ class AngularVelocity:
     z_rad_s: float
 
     def yaw_rate(self, T_base_camera: FloatArray) -> YawRate:
-        """Its part about the base's z."""
+        """The component about the base's z axis."""
         x, y, z = T_base_camera[2, :3].tolist()
         return YawRate(self.stamp_s, x * self.x_rad_s + y * self.y_rad_s + z * self.z_rad_s)
 
@@ -114,7 +110,7 @@ NOTHING_MEASURED = "depth image measured nothing: no pixel is valid"
 
 @dataclass(frozen=True, slots=True)
 class SkippedFrame:
-    """A frame that was listed but could not be used, and why; the stream goes on after it."""
+    """A listed frame that is unusable, with the reason; the stream continues after it."""
 
     stamp_s: float
     reason: str
@@ -122,7 +118,7 @@ class SkippedFrame:
 
     @property
     def is_blind(self) -> bool:
-        """Whether the image itself is sound, and shows nothing: as of a covered camera."""
+        """Whether the image is valid and shows nothing, as that of a covered camera."""
         return self.reason == NOTHING_MEASURED
 
 
@@ -135,15 +131,12 @@ WHEEL_READINGS = (WheelTicks, WheelSpeeds, WheelCounts, OdometryReading)
 """Its types."""
 
 Event = RgbdFrame | WheelTicks | WheelSpeeds | WheelCounts | OdometryReading | YawRate | SkippedFrame
-"""What a sensor says at one stamp."""
-
-
-# VelocityCommand: what a robot is told to do.
+"""A message of a sensor at one stamp."""
 
 
 @dataclass(frozen=True, slots=True)
 class VelocityCommand:
-    """Speeds that a base is to have, in its own frame.
+    """The commanded velocity of a base, in its own frame.
 
     Attributes:
         forward_m_s: forward; negative backward.
@@ -164,26 +157,23 @@ class VelocityCommand:
 
     @property
     def is_stop(self) -> bool:
-        """Whether it tells the base to stand."""
+        """Whether it commands a standstill."""
         return self.forward_m_s == 0.0 and self.turn_rad_s == 0.0
 
 
 STOP = VelocityCommand()
-"""Stand."""
-
-
-# Match: two instants of one drive at which somebody took a place for the same.
+"""A standstill."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
-    """What place recognition from outside says; it may well be wrong.
+    """Two times of one drive at the same place, by external place recognition; it may be wrong.
 
     Attributes:
-        stamp_a_s, stamp_b_s: the instants, seconds.
-        T_a_b: (4, 4) where the body is at b, seen from where it is at a; None where only the place is the same.
-        covariance: (6, 6) of the left perturbation (v, ω) of `T_a_b`; None where nobody says.
-        score: how probable it is that the places are the same, 0 to 1; None where nobody says.
+        stamp_a_s, stamp_b_s: the times, seconds.
+        T_a_b: (4, 4) pose of the body at b relative to that at a; None if only the place is known.
+        covariance: (6, 6) of the left perturbation (v, ω) of `T_a_b`; None if unknown.
+        score: probability that the places are the same, 0 to 1; None if unknown.
     """
 
     stamp_a_s: float
@@ -195,11 +185,11 @@ class Match:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeedVariances:
-    """What a recording states of the errors of its own odometry, reading by reading.
+    """Variances of a recording's own odometry, as the recording states them.
 
     Attributes:
-        stamps_s: (N,) from when on each holds, until the next.
-        variances: (N, 3) of the speed ahead and to the left, (m/s)², and of the yaw rate, (rad/s)².
+        stamps_s: (N,) start time of each variance, which holds until the next one.
+        variances: (N, 3) of forward and left speed, (m/s)², and of the yaw rate, (rad/s)².
     """
 
     stamps_s: FloatArray

@@ -16,50 +16,44 @@ from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.messages import STOP, Event, VelocityCommand, WheelTicks
 from wheelsight.core.settings import CHOSEN, ON_SIMULATOR, Settings, setting
 
-# Robot: what a program that drives needs of a robot, be it real or simulated.
-
-
 STOPPED = "it was stopped"
 """The `stop_reason` after `stop`."""
 
 
 @runtime_checkable
 class Robot(Protocol):
-    """Commands in, events out; use it in a `with` block, which stops it however it ends.
-
-    `simulation.Simulator` and `devices.LinkRobot` are such.
-    """
+    """A real or simulated robot that takes commands and yields events; a `with` block stops it at its end."""
 
     @property
     def calibration(self) -> Calibration:
-        """Of its sensors, as its owner has it."""
+        """The calibration of its sensors."""
 
     @property
     def stop_reason(self) -> str:
-        """Why it stands whatever it is told, in words; empty while it obeys.
+        """The reason why the robot ignores commands and stands; empty while it obeys.
 
-        A robot that has stopped by itself stays so until the reason is gone and it is commanded to stand (STOP), so
-        that it does not set off again by itself.
+        A robot that has stopped by itself stays stopped until the cause is gone and it receives STOP, so that it never
+        restarts by itself.
         """
 
     @property
     def now_s(self) -> float:
-        """Now, by the clock of the events' stamps."""
+        """The present time by the clock of the events' stamps."""
 
     def step(self, command: VelocityCommand) -> list[Event]:
-        """Obey a command for one control period; what the sensors said meanwhile, in the order of stamps.
+        """Execute a command for one control period, and return the events of that period in the order of stamps.
 
-        A robot that is not stepped on stops by itself.
+        A robot without further steps stops by itself.
         """
 
     def stop(self) -> None:
-        """Stop at once, without the gentleness of commands; then it stands until it is commanded to stand.
+        """Stop at once, without limits on deceleration, until the robot receives STOP.
 
-        May be called by another thread, while a step goes on.
+        Another thread may call it during a step.
         """
 
     def close(self) -> None:
-        """Stop, and give up what it is driven by; may be called twice."""
+        """Stop, and release the device; may be called twice."""
 
     def __enter__(self) -> Self: ...
 
@@ -68,42 +62,35 @@ class Robot(Protocol):
     ) -> None: ...
 
 
-# EventSource: what a run needs of where events come from.
-
-
 @runtime_checkable
 class EventSource(Protocol):
-    """Events in order of time, and the calibration of the sensors that they are from.
+    """Events in order of time, with the calibration of their sensors.
 
-    A live one has no end, and nobody knows how many frames it will give. A recording (`recordings.Recording`) is one
-    that knows both, and more.
+    A live source has no end and an unknown number of frames. A recording (`recordings.Recording`) knows both.
     """
 
     @property
     def name(self) -> str:
-        """For titles and file names."""
+        """The name for titles and files."""
 
     @property
     def calibration(self) -> Calibration:
-        """Of the sensors."""
+        """The calibration of the sensors."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a user should know before trusting results, one sentence each; more may come with the events."""
+        """Warnings for the user, one sentence each; events may add further ones."""
 
     def events(self, *, images: bool = True) -> Iterator[Event]:
         """The events in order of time. Without `images` frames are left out, and none is decoded.
 
-        `run` asks for `images=False` where it follows wheels alone: an implementation takes the argument by this name.
+        `run` passes `images=False` for odometry by wheels alone, so the argument must have this name.
         docs/api/own-parts.md has an example.
         """
 
 
-# RobotLimits: how fast a robot may go, and how fast that may change.
-
-
 class RobotLimits(Settings):
-    """Limits that every command keeps; a limit of zero means that the robot does not do that at all."""
+    """Limits on every command; a limit of zero disables that motion."""
 
     forward_m_s: float = setting(1.0, "fastest forward; a person walks at 1.4 m/s", CHOSEN, ge=0, le=3)
     backward_m_s: float = setting(0.2, "fastest backward, where no camera looks", CHOSEN, ge=0, le=1)
@@ -116,11 +103,8 @@ class RobotLimits(Settings):
     jerk_m_s3: float = setting(2.0, "at which acceleration changes, but for stops", CHOSEN, gt=0, le=50)
 
 
-# From velocity commands to the motors' duties: limits, then a loop on each wheel's speed, closed by its encoder.
-
-
 class WheelControlSettings(Settings):
-    """How wheels are held at their speeds, and when that is given up."""
+    """Settings of the speed control of wheels, and of its fault detection."""
 
     full_speed_m_s: float = setting(
         2.6,
@@ -142,7 +126,7 @@ class WheelControlSettings(Settings):
     answer_s: float = setting(
         0.13,
         "time constant with which a wheel answers and its speed is known; feedback compares with what should be by now",
-        "reckoned from the simulator's motors, 0.1 s, and half of the window; no real motor was measured",
+        "computed from the simulator's motors, 0.1 s, and half of the window; no real motor was measured",
         gt=0,
         le=2,
     )
@@ -176,16 +160,15 @@ class WheelControlSettings(Settings):
     )
     hold_s: float = setting(
         0.2,
-        "for which motors keep a duty without a new one, less than the firmware's 0.25; then they stand, and so does "
-        "what they are told next: 20 cm at 1 m/s",
+        "for which motors keep a duty without a new one, less than the firmware's 0.25; then they stand until STOP: "
+        "20 cm at 1 m/s",
         CHOSEN,
         gt=0.02,
         le=0.25,
     )
     doubt_m_s: float = setting(
         0.15,
-        "by which a rim is slower, faster or turned otherwise than told before it counts as blocked, running away, or "
-        "wrongly wired",
+        "difference of a rim's speed from the command at which it counts as blocked, running away, or wrongly wired",
         "found on the simulator alone: 0.04 m/s under commands by chance (floor4, real, five seeds, 37 s)",
         gt=0,
         le=2,
@@ -199,16 +182,16 @@ class WheelControlSettings(Settings):
     )
 
 
-# After a stop the motors stay without a voltage until the wheels stand; a robot that rolls on for longer, down a slope,
-# is braked by its motors again.
+# After a stop the motors have no voltage until the wheels stand. A robot that rolls longer than this, down a slope, is
+# braked by its motors again.
 _ROLLS_S = 1.0
-# They stand once their speed was below `standing_m_s` for so long: by single pulses it is that between two of them.
+# Time for which the speed must stay below `standing_m_s`; between single pulses it does so for less.
 _STOOD_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class Duties:
-    """What both motors are to get, -1 (full speed back) to 1; or a reason why they must stop, and zeros."""
+    """Duties of both motors, -1 (full speed back) to 1; zeros and a reason if they must stop."""
 
     left: float = 0.0
     right: float = 0.0
@@ -216,10 +199,10 @@ class Duties:
 
 
 class LimitedVelocity:
-    """Follows commands as fast as a robot's limits allow.
+    """Follows commands within the limits of a robot.
 
-    Speed grows with limited jerk and acceleration, and falls with limited braking; turns change with limited
-    acceleration. Whoever is to go the other way stands first.
+    Speed grows with limited jerk and acceleration, and falls with limited braking; angular speed changes with limited
+    acceleration. A reversal passes through a standstill.
     """
 
     def __init__(self, limits: RobotLimits) -> None:
@@ -228,11 +211,11 @@ class LimitedVelocity:
         self.now = STOP
 
     def reset(self) -> None:
-        """Stand, as after a stop that kept no limits."""
+        """Reset to a standstill, as after a stop without limits."""
         self.now, self._acceleration_m_s2 = STOP, 0.0
 
     def towards(self, command: VelocityCommand, seconds: float) -> VelocityCommand:
-        """The velocity to have after so many seconds more."""
+        """The velocity after the next `seconds`."""
         limits = self._limits
         wanted_m_s = min(max(command.forward_m_s, -limits.backward_m_s), limits.forward_m_s)
         wanted_rad_s = min(max(command.turn_rad_s, -limits.turn_rad_s), limits.turn_rad_s)
@@ -251,7 +234,7 @@ class LimitedVelocity:
             size_m_s = max(abs(wanted_m_s), abs(now_m_s) - limits.braking_m_s2 * seconds)
             return math.copysign(size_m_s, now_m_s)
         grown = self._acceleration_m_s2 + limits.jerk_m_s3 * seconds
-        # From this acceleration it falls to none just when the speed is reached.
+        # The acceleration from which limited jerk reaches zero just at the wanted speed.
         ending = math.sqrt(2 * limits.jerk_m_s3 * left_m_s)
         self._acceleration_m_s2 = min(grown, limits.acceleration_m_s2, ending)
         size_m_s = min(abs(now_m_s) + self._acceleration_m_s2 * seconds, abs(wanted_m_s))
@@ -259,16 +242,15 @@ class LimitedVelocity:
 
 
 class VelocityControl:
-    """Turns commands and ticks into duties; call `update` with each reading of the wheels, and when one fails to come.
+    """Converts commands and ticks into motor duties; call `update` with each wheel reading, and if one is missing.
 
-    Every wheel gets the duty that its speed should take, and what a proportional and an integral term make of the
-    difference between that speed and what its encoder counts. Where wheels do not do what they are told, the reason is
-    answered with duties of zero, until the cause is gone and the command is to stand.
+    The duty of a wheel is a feed-forward term plus a proportional and an integral term of its speed error. If a wheel
+    does not follow, the duties are zero with a reason, until the cause is gone and the command is STOP.
 
     Args:
-        wheels: as calibrated.
-        limits: which the commands are held to.
-        settings: of the loop.
+        wheels: calibrated wheels.
+        limits: limits on commands.
+        settings: of the control loop.
     """
 
     def __init__(
@@ -282,7 +264,7 @@ class VelocityControl:
             _WheelLoop(name, m, self._settings) for name, m in zip(("left", "right"), m_per_tick, strict=True)
         ]
         self._last_s: float | None = None
-        self._heard_s: float | None = None
+        self._last_ticks_s: float | None = None
         self._has_ticks = self._is_driven = False
         self._stopped_s: float | None = None
         self._rolled_s = -math.inf
@@ -290,18 +272,18 @@ class VelocityControl:
 
     @property
     def settings(self) -> WheelControlSettings:
-        """Of the loop."""
+        """Settings of the control loop."""
         return self._settings
 
     @property
     def velocity(self) -> VelocityCommand:
-        """What the wheels are told to have now, after limits."""
+        """The present velocity command after limits."""
         return self._velocity.now
 
     def stop(self, reason: str = "") -> None:
-        """Begin anew from a stand; with a reason, stand until the command is to stand.
+        """Reset to a standstill; with a reason, stay there until the command is STOP.
 
-        May be called by another thread than `update` is.
+        Another thread than that of `update` may call it.
         """
         self.reason = reason or self.reason
         self._stopped_s = None
@@ -310,27 +292,27 @@ class VelocityControl:
             loop.rest()
 
     def update(self, now_s: float, ticks: WheelTicks | None, command: VelocityCommand) -> Duties:
-        """The duties from now on.
+        """The duties until the next update.
 
         Args:
-            now_s: by any clock that runs as that of the ticks' stamps.
-            ticks: those that came now, or None.
-            command: what the robot is to do.
+            now_s: by any clock with the rate of the ticks' stamps.
+            ticks: a new reading, or None.
+            command: the velocity command.
         """
         since_s = 0.0 if self._last_s is None else max(now_s - self._last_s, 0.0)
         self._last_s = now_s
         if since_s > self._settings.hold_s:
-            # The link has stopped the motors meanwhile; what was asked before the gap is not done after it.
+            # The link has stopped the motors meanwhile; a command before the gap does not count after it.
             self.stop(f"the program stood still for {since_s:.1f} s" if self._is_driven else "")
             for loop in self._loops:
                 loop.forget()
             since_s = 0.0
-        self._heard_s = now_s if ticks is not None or self._heard_s is None else self._heard_s
+        self._last_ticks_s = now_s if ticks is not None or self._last_ticks_s is None else self._last_ticks_s
         if ticks is not None:
             self._has_ticks = True
             for loop, count in zip(self._loops, (ticks.left, ticks.right), strict=True):
                 loop.count(ticks.stamp_s, count)
-        if now_s - self._heard_s > self._settings.silence_s:
+        if now_s - self._last_ticks_s > self._settings.silence_s:
             self.stop("no wheel readings come")
         elif self._stood_still(now_s) and self.reason and command.is_stop:
             self.reason = ""
@@ -342,7 +324,7 @@ class VelocityControl:
         return duties
 
     def _stood_still(self, now_s: float) -> bool:
-        """Whether the wheels stand, or roll on though their motors have long had no voltage."""
+        """Whether the wheels stand, or still roll after a long time without voltage."""
         self._stopped_s = now_s if self._stopped_s is None else self._stopped_s
         if any(abs(loop.speed_m_s) >= self._settings.standing_m_s for loop in self._loops):
             self._rolled_s = now_s
@@ -352,7 +334,7 @@ class VelocityControl:
         velocity = self._velocity.towards(command, since_s)
         across_m_s = velocity.turn_rad_s * self._half_track_m
         rims_m_s = velocity.forward_m_s - across_m_s, velocity.forward_m_s + across_m_s
-        # Both wheels are slowed alike where one cannot be so fast, so that the robot stays on its way.
+        # If one wheel saturates, both are slowed by the same factor, so that the robot keeps its path.
         share = min(1.0, self._settings.most_duty * self._settings.full_speed_m_s / max(*map(abs, rims_m_s), 1e-9))
         left, right = (loop.duty(share * rim_m_s, since_s) for loop, rim_m_s in zip(self._loops, rims_m_s, strict=True))
         for loop in self._loops:
@@ -363,7 +345,7 @@ class VelocityControl:
 
 
 class _WheelLoop:
-    """One wheel: its speed by its encoder, and the duty that brings it to the speed wanted."""
+    """The control loop of one wheel: its speed by its encoder, and its duty."""
 
     def __init__(self, name: str, m_per_tick: float, settings: WheelControlSettings) -> None:
         self._name, self._m_per_tick, self._settings = name, m_per_tick, settings
@@ -371,11 +353,11 @@ class _WheelLoop:
         self.rest()
 
     def rest(self) -> None:
-        self._sum = self._doubted_s = self._expected_m_s = 0.0
+        self._sum = self._fault_s = self._expected_m_s = 0.0
         self.reason = ""
 
     def forget(self) -> None:
-        """Drop the readings so far: a speed over a gap in the readings is no speed of now."""
+        """Drop the readings so far, because a mean speed over a gap is not the present speed."""
         self._counts.clear()
 
     def count(self, stamp_s: float, count: int) -> None:
@@ -393,16 +375,16 @@ class _WheelLoop:
         return self._m_per_tick * (end - begin) / (end_s - begin_s)
 
     def duty(self, wanted_m_s: float, since_s: float) -> float:
-        """From -1 to 1; sets `reason` where the wheel has not obeyed for too long."""
+        """The duty from -1 to 1; sets `reason` if the wheel has not followed for too long."""
         settings, speed_m_s = self._settings, self.speed_m_s
         answered = 1 - math.exp(-since_s / settings.answer_s)
         self._expected_m_s += answered * (wanted_m_s - self._expected_m_s)
-        doubt = self._doubt(self._expected_m_s, speed_m_s)
-        # A dead encoder shows a speed that no wheel can have come to so soon: the more, the less time is given.
+        fault = self._fault(self._expected_m_s, speed_m_s)
+        # A dead encoder shows a large error at once: the larger the error, the shorter the time to the fault.
         weight = max(abs(self._expected_m_s - speed_m_s) / settings.doubt_m_s, 1.0)
-        self._doubted_s = self._doubted_s + weight * since_s if doubt else 0.0
-        if self._doubted_s > settings.doubt_s:
-            self.reason = f"the {self._name} wheel {doubt}: told {wanted_m_s:.2f} m/s, its encoder {speed_m_s:.2f}"
+        self._fault_s = self._fault_s + weight * since_s if fault else 0.0
+        if self._fault_s > settings.doubt_s:
+            self.reason = f"the {self._name} wheel {fault}: command {wanted_m_s:.2f} m/s, encoder {speed_m_s:.2f}"
         if wanted_m_s == 0 and abs(speed_m_s) < settings.standing_m_s:
             self._sum = self._expected_m_s = 0.0
             return 0.0
@@ -414,13 +396,13 @@ class _WheelLoop:
         known += math.copysign(settings.dead_duty, wanted_m_s) if wanted_m_s else 0.0
         return min(max(known + correction, -settings.most_duty), settings.most_duty)
 
-    def _doubt(self, wanted_m_s: float, speed_m_s: float) -> str:
-        """What the wheel seems to do that it was not told, or nothing."""
+    def _fault(self, wanted_m_s: float, speed_m_s: float) -> str:
+        """The fault of the wheel, or an empty string."""
         much = self._settings.doubt_m_s
         if wanted_m_s * speed_m_s < 0 and abs(speed_m_s) > much:
             return "turns the wrong way"
         if abs(speed_m_s) > abs(wanted_m_s) + much:
             return "runs away"
-        # Slow wheels are never slower by much: those must turn at all.
+        # A slow wheel cannot be slower by that much; it must turn at all.
         is_blocked = abs(speed_m_s) < abs(wanted_m_s) - min(much, 0.8 * abs(wanted_m_s))
         return "is blocked" if is_blocked and abs(wanted_m_s) > 2 * self._settings.standing_m_s else ""

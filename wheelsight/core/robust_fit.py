@@ -16,7 +16,7 @@ from wheelsight.core.settings import CHOSEN, Settings, bounds, setting
 
 UNKNOWN_SIGMA = 1e3
 
-_STEP = 0.01  # of a value's bound, by which the solver scales it
+_STEP = 0.01  # share of a parameter's bound, the scale of the solver
 
 
 class RobustFitSettings(Settings):
@@ -34,10 +34,10 @@ class RobustFitSettings(Settings):
         max_length=100,
     )
     outlier_chi2: float = setting(
-        16.0, "three normal residuals exceed it once in a thousand", "reckoned: χ² of 3", gt=0, le=1e4
+        16.0, "three normal residuals exceed it once in a thousand", "computed: χ² of 3", gt=0, le=1e4
     )
     most_clusters: int = setting(
-        25, "runs of neighbouring pieces, by whose spread the covariance is told", CHOSEN, gt=0, le=10_000
+        25, "number of runs of neighbouring pieces, whose spread gives the covariance", CHOSEN, gt=0, le=10_000
     )
 
 
@@ -45,18 +45,17 @@ DEFAULTS = RobustFitSettings()
 
 
 class Problem(Protocol):
-    """What is fitted: M pieces of a drive, explained by P values.
-
-    Attributes:
-        bounds: (P,) largest size of each value.
-        prior_sigmas: (P,) how far each may well be from 0, as a standard deviation; `UNKNOWN_SIGMA` for no idea.
-    """
+    """A least-squares problem of P parameters with residuals of M pieces of a drive."""
 
     @property
-    def bounds(self) -> FloatArray: ...
+    def bounds(self) -> FloatArray:
+        """(P,) largest absolute value of each parameter."""
+        ...
 
     @property
-    def prior_sigmas(self) -> FloatArray: ...
+    def prior_sigmas(self) -> FloatArray:
+        """(P,) standard deviation of each parameter's prior, which is 0; `UNKNOWN_SIGMA` for no prior."""
+        ...
 
     def residuals(self, values: FloatArray) -> FloatArray:
         """(M, 3) along and across each piece in metres, and in yaw in radians."""
@@ -151,14 +150,9 @@ def _covariances(
     gradients = np.add.reduceat(w[:, None] * along, np.arange(0, len(r), size))
     groups = len(gradients)
     scatter = gradients.T @ gradients * groups / (groups - len(values))
-    floor = _floor(J, scales / settings.least_scale, known)
+    whole = J * (scales / settings.least_scale)[None, :, None]
+    floor = np.asarray(np.linalg.inv(np.einsum("mip,miq->pq", whole, whole) + known))
     return inverse @ scatter @ inverse + floor, inverse + floor
-
-
-def _floor(J: FloatArray, times: FloatArray, known: FloatArray) -> FloatArray:
-    """The covariance (P, P) that residuals of the least credible size would leave; scales are so many `times` that."""
-    whole = J * times[None, :, None]
-    return np.asarray(np.linalg.inv(np.einsum("mip,miq->pq", whole, whole) + known))
 
 
 def _jacobian(problem: Problem, values: FloatArray) -> FloatArray:

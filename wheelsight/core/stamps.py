@@ -144,7 +144,11 @@ def associate(stamps_a_s: ArrayLike, stamps_b_s: ArrayLike, max_gap_s: float) ->
         raise InputError(f"the largest gap is {max_gap_s}, not a number of seconds from 0 up")
     if not len(a) or not len(b):
         return np.empty((0, 2), np.int64)
-    stretch_a, stretch_b = _stretches(a, b, max_gap_s)
+    merged = np.concatenate([a, b])
+    order = np.argsort(merged, kind="stable")
+    number = np.empty(len(merged), np.int64)
+    number[order] = np.concatenate([[0], np.cumsum(np.diff(merged[order]) > max_gap_s)])
+    stretch_a, stretch_b = number[: len(a)], number[len(a) :]
     pairs_a, torn_a = _nearest_pairs(a, b, max_gap_s, stretch_a)
     pairs_b, torn_b = _nearest_pairs(b, a, max_gap_s, stretch_b)
     torn_both = torn_a & torn_b
@@ -166,15 +170,6 @@ def _sorted_stamps(stamps_s: ArrayLike, which: str) -> FloatArray:
     if (np.diff(stamps_s) < 0).any():
         raise InputError(f"the {which} stamps are not sorted", fix="sort them first")
     return stamps_s
-
-
-def _stretches(a: FloatArray, b: FloatArray, max_gap_s: float) -> tuple[IntArray, IntArray]:
-    """Numbers (N,), (K,) of the stretch each stamp lies in; no pair joins two stretches."""
-    merged = np.concatenate([a, b])
-    order = np.argsort(merged, kind="stable")
-    number = np.empty(len(merged), np.int64)
-    number[order] = np.concatenate([[0], np.cumsum(np.diff(merged[order]) > max_gap_s)])
-    return number[: len(a)], number[len(a) :]
 
 
 def _nearest_pairs(a: FloatArray, b: FloatArray, max_gap_s: float, stretch_a: IntArray) -> tuple[IntArray, BoolArray]:
@@ -216,11 +211,7 @@ def _best_pairs(a: FloatArray, b: FloatArray, max_gap_s: float) -> IntArray:
         last_taking = np.maximum.accumulate(np.where(taking == value, np.arange(start, end), -1))
         sources.append(np.where(value > without, last_taking, -1))
         best[start + 1 : end + 1] = value
-    return _trace_back(sources, starts, len(b))
-
-
-def _trace_back(sources: list[IntArray], starts: IntArray, left: int) -> IntArray:
-    """The pairs (M, 2) behind the best value: `sources[i][j]` is what a_i takes when b_j is the last one free."""
+    left = len(b)
     pairs = []
     for i in range(len(sources) - 1, -1, -1):
         last = min(left - starts[i], len(sources[i])) - 1

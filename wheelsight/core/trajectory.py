@@ -35,12 +35,12 @@ _COLUMN_NAMES = (
 )
 _UNIT_APART = re.compile(r"\s+(?=[\[(])")  # of "timestamp [ns]", one name
 _FILE = Kind("a trajectory", most_mb=192)
-_LARGEST_STAMP, _LARGEST = 1e20, 1e12  # of which squares are summed up; stamps may be of a wrong unit
+_LARGEST_STAMP, _LARGEST = 1e20, 1e12  # squares of these are summed; stamps may have a wrong unit
 _FRAMES_LINE = re.compile(r"^#\s*frames:\s*T_(?P<frame>[a-z0-9]+)_(?P<body>[a-z0-9]+)\b")
 
 
 def _unchanging(given: ArrayLike) -> FloatArray:
-    """A copy that nobody can write to, or an array that is such already: an hour's covariances are 57 MB."""
+    """A read-only copy, or the array itself if it is read-only: covariances of an hour take 57 MB."""
     values = np.asarray(given, float)
     if values.flags.writeable or not values.flags.owndata:
         values = values.copy()
@@ -143,8 +143,8 @@ def read_tum(path: StrPath, body: str = "camera", warn: Callable[[str], None] = 
     may then stand in any order among others.
 
     A line "# frames: T_frame_base" (wheelsight writes it) names the frames; else `body` does.
-    Quaternions are brought to unit length when they are within 1 % of it. Of lines that repeat the stamp
-    before them the first is kept, and `warn` is told in one sentence, as long as they are under 1 % of all.
+    Quaternions within 1 % of unit length are normalised. Of lines with the same stamp the first is kept, and `warn`
+    gets one sentence, if they are under 1 % of all.
 
     Raises:
         TrajectoryError: naming file and line, for text that is no such line, values that are not finite,
@@ -237,14 +237,19 @@ def _read_rows(path: Path, columns: int) -> tuple[IntArray, FloatArray, tuple[st
     first_line = text[begin : text.find("\n", begin)]
     found = plain_rows(text[begin:], [False] * columns, "," if "," in first_line else None)
     if found is not None:
-        numbers, told = np.arange(first, first + len(found[0]), dtype=np.int64), np.column_stack(found)
+        numbers, values = np.arange(first, first + len(found[0]), dtype=np.int64), np.column_stack(found)
     else:
-        numbers, told, frames, named = _read_lines(text, columns, path)
+        numbers, values, frames, named = _read_lines(text, columns, path)
         unit = named or unit
     if columns == _TUM_COLUMNS and unit is not None and unit.per_second is not None:
-        told[:, 0] /= unit.per_second
-    _refuse_impossible(told, numbers, path)
-    return numbers, told, frames
+        values[:, 0] /= unit.per_second
+    largest = np.abs(values)
+    for bad in np.flatnonzero(~(largest.max(axis=1) <= _LARGEST_STAMP) | (largest[:, 1:].max(axis=1) > _LARGEST)):
+        problem = f"a value of {largest[bad].max():g} is no stamp in seconds and no metres"
+        if not np.isfinite(values[bad]).all():
+            problem = "a value is not finite"
+        raise TrajectoryError(problem, path=path, line=int(numbers[int(bad)]), fix="remove the line")
+    return numbers, values, frames
 
 
 def _comments_above(text: str) -> tuple[int, int, tuple[str, str] | None, StampUnit | None]:
@@ -286,7 +291,11 @@ def _read_lines(
             order, unit = _order(split_words(_UNIT_APART.sub("", bare)), path, number)
             continue
         if order is not None:
-            words = _picked(words, order, path, number)
+            *places, width = order
+            if len(words) != width:
+                problem = f"{len(words)} values where the first line names {width}"
+                raise TrajectoryError(problem, path=path, line=number, fix="correct or remove the line")
+            words = [words[place] for place in places]
         values.extend(_numbers(words, columns, path, number))
         numbers.append(number)
     if not numbers:
@@ -294,17 +303,8 @@ def _read_lines(
     return np.array(numbers, np.int64), np.array(values, np.float64).reshape(-1, columns), frames, unit
 
 
-def _refuse_impossible(values: FloatArray, numbers: IntArray, path: Path) -> None:
-    """Raises TrajectoryError naming the first line (N,) of which a value is not finite, or beyond all sense."""
-    largest = np.abs(values)
-    for bad in np.flatnonzero(~(largest.max(axis=1) <= _LARGEST_STAMP) | (largest[:, 1:].max(axis=1) > _LARGEST)):
-        problem = f"a value of {largest[bad].max():g} is no stamp in seconds and no metres"
-        if not np.isfinite(values[bad]).all():
-            problem = "a value is not finite"
-        raise TrajectoryError(problem, path=path, line=int(numbers[int(bad)]), fix="remove the line")
-
-
 def _is_header(words: list[str]) -> bool:
+    """Whether the words of a first line are names of columns rather than numbers."""
     return len(words) > 1 and all(math.isnan(as_number(word)) and word.lower() != "nan" for word in words)
 
 
@@ -324,14 +324,6 @@ def _order(words: list[str], path: Path, line: int) -> tuple[list[int], StampUni
             raise TrajectoryError(problem, path=path, line=line, fix=f"name the columns {_LINE_OF[8]}")
         places.append(found[0])
     return [*places, len(names)], stamps[places[0]]
-
-
-def _picked(words: list[str], order: list[int], path: Path, line: int) -> list[str]:
-    *places, width = order
-    if len(words) != width:
-        problem = f"{len(words)} values where the first line names {width}"
-        raise TrajectoryError(problem, path=path, line=line, fix="correct or remove the line")
-    return [words[place] for place in places]
 
 
 def _numbers(words: list[str], columns: int, path: Path, line: int) -> list[float]:

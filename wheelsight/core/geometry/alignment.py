@@ -68,8 +68,13 @@ def align_points_with_scale(
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
     if _in_one_place(p_a, q_a, w) or _in_one_place(p_b, q_b, w):
         raise DegenerateGeometryError("matched points lie in one place, so the rotation is free")
-    _refuse_free_rotation(singular, is_mirrored=signs[2] < 0)
-    if like is not None and _is_flat(singular):
+    smallest_allowed = _SINGULAR_SHARE * singular[0]
+    if singular[1] <= smallest_allowed:
+        raise DegenerateGeometryError("matched points lie on one line, so the rotation about it is free")
+    if signs[2] < 0 and singular[1] - singular[2] <= smallest_allowed:
+        raise DegenerateGeometryError("matched points are mirrored, and several rotations fit them equally well")
+    is_flat = singular[2] <= _FLAT_SHARE * singular[1] or singular[1] <= _FLAT_SHARE**2 * singular[0]
+    if like is not None and is_flat:
         up_a, up_b = U[:, 2] * signs[2], Vt[2]
         heights_agree = _correlation(q_a @ up_a, q_b @ up_b, w) > _CLEARLY
         if not heights_agree and up_a @ np.asarray(like, float) @ up_b < -_CLEARLY:
@@ -98,23 +103,10 @@ def _in_one_place(p: FloatArray, q: FloatArray, w: FloatArray) -> bool:
     return bool(np.sqrt(w @ (q**2).sum(axis=1)) <= _ROUNDING_SHARE * np.abs(p[w > 0]).max())
 
 
-def _is_flat(singular: FloatArray) -> bool:
-    """Whether points lie near one plane, or near one line."""
-    return bool(singular[2] <= _FLAT_SHARE * singular[1] or singular[1] <= _FLAT_SHARE**2 * singular[0])
-
-
 def _correlation(a: FloatArray, b: FloatArray, w: FloatArray) -> float:
     """Of (N,) numbers whose means are 0, with weights (N,); 0 where one of them does not vary."""
     spread = float(np.sqrt((w @ a**2) * (w @ b**2)))
     return float(w @ (a * b)) / spread if spread > 0 else 0.0
-
-
-def _refuse_free_rotation(singular: FloatArray, is_mirrored: bool) -> None:
-    smallest_allowed = _SINGULAR_SHARE * singular[0]
-    if singular[1] <= smallest_allowed:
-        raise DegenerateGeometryError("matched points lie on one line, so the rotation about it is free")
-    if is_mirrored and singular[1] - singular[2] <= smallest_allowed:
-        raise DegenerateGeometryError("matched points are mirrored, and several rotations fit them equally well")
 
 
 # Poses between the stamps at which they are known.

@@ -154,7 +154,12 @@ class PinholeCamera:
         with np.errstate(all="ignore"):
             seen = self._distort(xy)
             reach = np.linalg.norm(seen, axis=2)
-            inside, border = self._borders(seen)
+            px = seen * (self.fx, self.fy) + (self.cx, self.cy)
+            inside = (px >= -0.5).all(axis=-1) & (px <= np.array([self.width, self.height]) - 0.5).all(axis=-1)
+            to_end = np.where(seen > 0, [self.width - 0.5 - self.cx, self.height - 0.5 - self.cy], [self.cx, self.cy])
+            shares = np.abs(seen) * (self.fx, self.fy) / np.maximum(to_end, 1e-9)
+            far = np.linalg.norm(seen, axis=-1) / np.maximum(shares.max(axis=-1), 1e-9)
+            inside, border = np.asarray(inside), np.asarray(far, float)
             sees = np.logical_and.accumulate(inside, axis=1)
             folds = sees & ~(self._growth(xy) > 0)
             first = folds.argmax(axis=1)
@@ -166,15 +171,6 @@ class PinholeCamera:
         if stretch > _MOST_STRETCH:
             return f"stretches the image {stretch:.2g}-fold within its border"
         return None
-
-    def _borders(self, seen: FloatArray) -> tuple[BoolArray, FloatArray]:
-        """(...) whether points (..., 2) on the plane z = 1, distorted, are in the image, and how far its border is."""
-        px = seen * (self.fx, self.fy) + (self.cx, self.cy)
-        inside = (px >= -0.5).all(axis=-1) & (px <= np.array([self.width, self.height]) - 0.5).all(axis=-1)
-        to_end = np.where(seen > 0, [self.width - 0.5 - self.cx, self.height - 0.5 - self.cy], [self.cx, self.cy])
-        shares = np.abs(seen) * (self.fx, self.fy) / np.maximum(to_end, 1e-9)
-        far = np.linalg.norm(seen, axis=-1) / np.maximum(shares.max(axis=-1), 1e-9)
-        return np.asarray(inside), np.asarray(far, float)
 
     def _growth(self, xy: FloatArray) -> FloatArray:
         """The determinant (...) of the distortion's derivative: where it is not positive, the lens folds."""

@@ -54,11 +54,11 @@ class ErrorStateSettings(Settings):
         le=1,
     )
     drift_sigma_rad_per_m: float = setting(
-        0.02, "rad of turn a metre too much: of wheels 1 % unequal, 0.5 m apart", "reckoned", ge=0, le=1
+        0.02, "rad of rotation a metre too much: of wheels 1 % unequal, 0.5 m apart", "computed", ge=0, le=1
     )
     turn_sigma: float = setting(
         0.03,
-        "ratio by which turns are wrong: of a track's width, told by where tyres touch the floor",
+        "ratio by which turns are wrong: of a track's width, which depends on where tyres touch the floor",
         CHOSEN,
         ge=0,
         le=1,
@@ -109,12 +109,12 @@ class ErrorStateSettings(Settings):
     lag_chi2: float = setting(
         30.0,
         "χ² of a change of twist, of which a lag is learned: noise alone has three, so nine tenths are motion",
-        "reckoned",
+        "computed",
         gt=0,
         le=1e6,
     )
 
-    # Noise of the wheels, and of what they do not tell.
+    # Noise of the wheels, and of motion that they do not measure.
     wheel_noise_memory_m: float = setting(
         10.0,
         "m of way along which it fades how noisy the wheels were: floors change from room to room",
@@ -133,10 +133,14 @@ class ErrorStateSettings(Settings):
         4.0, "most of it: a calibration may be wrong by a factor of two in σ", CHOSEN, ge=1, le=1e4
     )
     wheel_noise_cap_nats: float = setting(
-        4.0, "most that one stretch of way tells of it: one that the camera saw wrong is one", CHOSEN, gt=0, le=1000
+        4.0,
+        "largest weight of one stretch, so that a single wrong measurement of the camera has little effect",
+        CHOSEN,
+        gt=0,
+        le=1000,
     )
     wheel_noise_heard_share: float = setting(
-        0.95, "of the time since a pose, what the wheels must have told of to be compared with it", CHOSEN, ge=0, le=1
+        0.95, "share of the time since a pose that wheel readings must cover for a comparison", CHOSEN, ge=0, le=1
     )
     side_m_per_sqrt_m: float = setting(0.005, "sideways", ON_SIMULATOR, ge=0, le=10)
     rise_m_per_sqrt_m: float = setting(0.003, "up", ON_SIMULATOR, ge=0, le=10)
@@ -144,14 +148,14 @@ class ErrorStateSettings(Settings):
     lever_m: float = setting(
         0.25,
         "m beside the base of the point whose way these are told by: turns on the spot count, by about half a track",
-        "reckoned, of wheels 0.5 m apart",
+        "computed, of wheels 0.5 m apart",
         ge=0,
         le=10,
     )
     level_sigma_rad: float | None = setting(
         0.005,
         "floors are level up to this, 25 mm in 5 m, twice what DIN 18202 allows; null: never level",
-        "reckoned; DIN 18202",
+        "computed; DIN 18202",
         gt=0,
         le=1,
     )
@@ -163,8 +167,8 @@ class ErrorStateSettings(Settings):
     )
     ramp_chi2: float = setting(
         9.21,
-        "of two tilts, 0.99: what is tilted more is a ramp, of which nothing is believed",
-        "reckoned: χ² of 2",
+        "of two tilts, 0.99: a larger tilt is a ramp, and is ignored",
+        "computed: χ² of 2",
         gt=0,
         le=1e6,
     )
@@ -176,7 +180,7 @@ class ErrorStateSettings(Settings):
         le=60,
     )
 
-    # Motion while no wheel tells, and stamps.
+    # Motion without wheel readings, and stamps.
     clock_sigma_s: float = setting(
         0.01, "s by which stamps of camera and wheels are apart; at speed, that is a way", CHOSEN, ge=0, le=10
     )
@@ -193,14 +197,14 @@ class ErrorStateSettings(Settings):
     acceleration_rad_s2: float = setting(3.0, "likewise how yaw rates do", CHOSEN, ge=0, le=1000)
     window_s: float = setting(
         0.5,
-        "how late an event may come: longer than hosts stall, short enough to be reckoned again",
+        "how late an event may come: longer than hosts stall, short enough to be recomputed",
         CHOSEN,
         ge=0,
         le=60,
     )
     rate_readings: int = setting(
         16,
-        "readings over which their rate is told: longer than a busy host stalls, shorter than rates change",
+        "readings over which their rate is averaged: longer than a busy host stalls, shorter than rates change",
         CHOSEN,
         ge=2,
         le=100_000,
@@ -218,9 +222,7 @@ class ErrorStateSettings(Settings):
     coast_after_s: float = setting(
         0.3, "since vision was last believed: some frames at any usual rate", CHOSEN, ge=0, le=600
     )
-    lost_after_s: float = setting(
-        2.0, "since anything was heard: a speed of longer ago says nothing", CHOSEN, ge=0, le=3600
-    )
+    lost_after_s: float = setting(2.0, "since the last event: an older speed says nothing", CHOSEN, ge=0, le=3600)
     lost_sigma_m: float = setting(30.0, "how far away a lost base may be: some rooms", CHOSEN, gt=0, le=1e5)
     lost_rise_m: float = setting(1.0, "how far up or down", CHOSEN, gt=0, le=1e4)
     lost_tilt_rad: float = setting(0.3, "how far tilted", CHOSEN, gt=0, le=3.2)
@@ -230,7 +232,7 @@ class ErrorStateSettings(Settings):
     largest_sigma_rad: float = setting(
         6.283185307179586,
         "likewise: any heading. Wheels alone come to 1 rad in some hundred metres",
-        "reckoned: 2 π",
+        "computed: 2 π",
         gt=0,
         le=100,
     )
@@ -246,7 +248,7 @@ class ErrorStateSettings(Settings):
     # The gyroscope; what it is worth, its calibration says.
     gyro_mean_s: float = setting(
         0.05,
-        "s; where no wheel tells, the mean over so long is one measurement: as a step of the wheels takes",
+        "s; without wheel readings, the mean over this time is one measurement, as long as a step of the wheels",
         CHOSEN,
         gt=0,
         le=10,
@@ -256,7 +258,7 @@ class ErrorStateSettings(Settings):
     )
     gyro_test_s: float = setting(
         0.3,
-        "s of readings of which `1 - confidence` are refused though good: each tells of slip for `coast_after_s`",
+        "s of readings of which `1 - confidence` are refused though good: each reports slip for `coast_after_s`",
         CHOSEN,
         gt=0,
         le=60,
@@ -362,12 +364,12 @@ class FilterParameters(ErrorStateSettings):
         return cls(**{name: getattr(settings, name) for name in ErrorStateSettings.model_fields}, gyro=gyro)
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Others, checked, of which nothing is reckoned yet."""
+        """Other parameters, validated, without derived values."""
         return type(self)(**{name: getattr(self, name) for name in type(self).model_fields} | dict(update or {}))
 
     @cached_property
     def unseen_a_metre(self) -> FloatArray:
-        """Covariance (6, 6) of what wheels do not tell of a metre: sideways, up, roll and pitch."""
+        """Covariance (6, 6) per metre of motion that wheels do not measure: sideways, up, roll and pitch."""
         sigmas = [0.0, self.side_m_per_sqrt_m, self.rise_m_per_sqrt_m, *[self.tilt_rad_per_sqrt_m] * 2, 0.0]
         return np.diag(np.square(sigmas))
 
@@ -447,7 +449,7 @@ class AreaRectifierSettings(Settings):
         0.01, "ratio by which ways are wrong, of wheels that were calibrated", CHOSEN, ge=0, le=1
     )
     drift_sigma_rad_per_m: float = setting(
-        0.015, "rad of turn a metre too much; wheels 1 % unequal, 0.5 m apart, drift by 0.02", "reckoned", ge=0, le=1
+        0.015, "rad of turn a metre too much; wheels 1 % unequal, 0.5 m apart, drift by 0.02", "computed", ge=0, le=1
     )
     turn_sigma: float = setting(0.03, "ratio by which turns are wrong: of a track's width", CHOSEN, ge=0, le=1)
     scale_walk: float = setting(0.0002, "of the ratio of ways, per √m", ON_SIMULATOR, ge=0, le=1)
@@ -499,7 +501,7 @@ class Weights:
     """Eq. 5's weights in both cases, the same for x and y.
 
     Attributes:
-        told: where the area tells the axis' coordinate.
+        told: where the area determines the axis' coordinate.
         untold: where it does not, or no area is named; gamma is 0.
 
     Raises:
@@ -525,7 +527,7 @@ class JoiningSettings(Settings):
 
     anchor_way_m: float = setting(
         0.3,
-        "way from the frame that the camera's motions are told against to the next such one, a turn by 1 rad as "
+        "distance from the reference frame of the camera's motions to the next one, a turn by 1 rad as "
         "1.5 m: against one that is held for a while, errors of single frames do not add up",
         CHOSEN,
         gt=0,

@@ -14,12 +14,12 @@ from wheelsight.core.settings.base import ASKED, CHOSEN, ON_SIMULATOR, Settings,
 
 
 class BaseCheckSettings(Settings):
-    """Whether wheels and camera tell of one drive, over its first metres; see `BaseCheck`."""
+    """Whether wheels and camera agree over the first metres of a drive; see `BaseCheck`."""
 
     enough_m: float = setting(
         3.0,
-        "way, metres, that must have been compared before both are known to tell of one drive; what comes later is "
-        "slip, and is the filter's to tell",
+        "distance, metres, that is compared before both are known to agree; later disagreements are slip, which the "
+        "filter detects",
         ON_SIMULATOR,
         gt=0,
         le=1000,
@@ -29,14 +29,14 @@ class BaseCheckSettings(Settings):
     )
     likely_m: float = setting(
         0.05,
-        "by how many metres both must be apart before a factor is likely: whoever looks or turns elsewhere shows it in "
+        "difference of both in metres before a factor is likely: a rotated mount or a wrong sign shows in "
         "any piece, but a factor may be the work of clocks that are apart, by 0.1 s at half a metre a second",
-        "reckoned from clocks and speeds",
+        "computed from clocks and speeds",
         ge=0,
         le=100,
     )
     likely_rad: float = setting(
-        0.1, "likewise in radians, at a radian a second", "reckoned from clocks and speeds", ge=0, le=10
+        0.1, "likewise in radians, at a radian a second", "computed from clocks and speeds", ge=0, le=10
     )
     sure_pieces: int = setting(
         8, "pieces of some centimetres or degrees after which what was found may be sure", ON_SIMULATOR, ge=1, le=10_000
@@ -65,7 +65,7 @@ class BaseCheckSettings(Settings):
     )
     agreed_m: float = setting(
         0.3,
-        "way, metres, after which a floor that is not where the mount has it is held against nobody",
+        "distance, metres, after which a floor at another height than the mount's is ignored",
         ON_SIMULATOR,
         ge=0,
         le=1000,
@@ -84,8 +84,8 @@ class BaseCheckSettings(Settings):
     )
     again_ways: float = setting(
         3.0,
-        "a camera that was left out is compared anew after so many times `enough_m` without a verdict: what was wrong "
-        "long ago counts no more",
+        "a camera that was left out is compared again after this multiple of `enough_m` without a decision: an old "
+        "fault counts no more",
         CHOSEN,
         gt=1,
         le=1000,
@@ -97,7 +97,7 @@ class BaseCheckSettings(Settings):
         3.0, "how long poses by the wheels are kept for frames that come late, seconds", CHOSEN, gt=0, le=600
     )
     waiting_frames: int = setting(
-        100, "frames, at most, that wait for wheels which are not heard: 3 s of most cameras", CHOSEN, ge=1, le=100_000
+        100, "largest number of frames that wait for silent wheels: 3 s of most cameras", CHOSEN, ge=1, le=100_000
     )
     silent_s: float = setting(
         0.5,
@@ -124,7 +124,7 @@ class ColorCheckSettings(Settings):
         12,
         "shift between two frames that is looked for, in the reduced image's pixels: 70° a second at 10 frames a "
         "second",
-        "reckoned",
+        "computed",
         ge=1,
         le=1000,
     )
@@ -143,24 +143,22 @@ class ColorCheckSettings(Settings):
     )
     first_lag_s: float = setting(-0.2, "earliest lag that is looked for, seconds", CHOSEN, ge=-10, le=0)
     last_lag_s: float = setting(
-        0.4, "latest one, seconds: three frames of 10 a second, and 0.1 s of clocks", "reckoned", ge=0, le=10
+        0.4, "latest one, seconds: three frames of 10 a second, and 0.1 s of clocks", "computed", ge=0, le=10
     )
-    lag_step_s: float = setting(0.02, "from one to the next, seconds: finer than a frame", "reckoned", gt=0, le=1)
+    lag_step_s: float = setting(0.02, "from one to the next, seconds: finer than a frame", "computed", gt=0, le=1)
     latest_frames: int = setting(3, "frames by which colour may be late that are looked for", CHOSEN, ge=1, le=100)
     least_lag_s: float = setting(
         0.05, "a lag that is worth a word, seconds; a frame of 30 a second is less", ON_SIMULATOR, ge=0, le=10
     )
-    fewest_shifts: int = setting(
-        20, "shifts that must be known before anything is told", ON_SIMULATOR, ge=3, le=100_000
-    )
+    fewest_shifts: int = setting(20, "shifts that must be known before a result", ON_SIMULATOR, ge=3, le=100_000)
     most_shifts: int = setting(
-        600, "shifts that are kept: the last minute of turning at 10 frames a second", "reckoned", ge=3, le=1_000_000
+        600, "shifts that are kept: the last minute of turning at 10 frames a second", "computed", ge=3, le=1_000_000
     )
     most_readings: int = setting(
         20_000, "headings by the wheels that are kept beside them", CHOSEN, ge=2, le=10_000_000
     )
     least_turn_rad: float = setting(
-        0.5, "turns that must have been seen before anything is told, radians", ON_SIMULATOR, gt=0, le=100
+        0.5, "rotations that must have been observed before a result, radians", ON_SIMULATOR, gt=0, le=100
     )
     likely: float = setting(
         6.0, "twice the logarithm of how much likelier late colour must be to be likely", ON_SIMULATOR, ge=0, le=1e6
@@ -211,7 +209,7 @@ class FrameGateSettings(Settings):
         1.0,
         "an image that repeats for longer is of a camera that hangs, seconds; cameras are logged at some times their "
         "rate",
-        "reckoned from cameras of 1 Hz and more",
+        "computed from cameras of 1 Hz and more",
         ge=0,
         le=3600,
     )
@@ -219,11 +217,11 @@ class FrameGateSettings(Settings):
         0.0005,
         "by the wheels, metres from frame to frame: less than a robot that creeps at 2 cm/s, while one that stands "
         "turns no wheel at all",
-        "reckoned",
+        "computed",
         ge=0,
         le=10,
     )
-    moved_rad: float = setting(0.0005, "likewise in radians", "reckoned", ge=0, le=10)
+    moved_rad: float = setting(0.0005, "likewise in radians", "computed", ge=0, le=10)
 
 
 class LocalizerSettings(Settings):
@@ -327,14 +325,14 @@ class PlaceVerificationSettings(Settings):
     keypoint_px: float = setting(
         1.0,
         "standard deviation of a keypoint's pixel at a middle scale, by `features.sigma_px` and `sigma_growth`",
-        "reckoned from `features`",
+        "computed from `features`",
         gt=0,
         le=10,
     )
     iterations: int = setting(
         4000,
         "of RANSAC at most: of views from far apart one match in ten is right, and three must be",
-        "reckoned: 0.1³ of 4000 is 4, so one is found in 98 %",
+        "computed: 0.1³ of 4000 is 4, so one is found in 98 %",
         ge=1,
         le=1_000_000,
     )
@@ -392,7 +390,7 @@ class PlaceVerificationSettings(Settings):
     free_share: float = setting(
         0.03, "and so much of its depth: depth of real cameras is bent by 1 or 2 %", CHOSEN, ge=0, le=1
     )
-    free_sigmas: float = setting(3.0, "and so many standard deviations of depth", CHOSEN, ge=0, le=100)
+    free_sigmas: float = setting(3.0, "and at least this many standard deviations of depth", CHOSEN, ge=0, le=100)
     free_px: int = setting(
         1, "pixels about, of the coarsest level, of which the nearest depth is the surface", CHOSEN, ge=0, le=20
     )
@@ -407,7 +405,7 @@ class PlaceVerificationSettings(Settings):
         0.5,
         "and so much of it may be of things that stand free of what is about them, such as somebody close by; then the"
         " rest is judged by that",
-        "reckoned: as much must speak for the place",
+        "computed: as much must speak for the place",
         ge=0,
         le=1,
     )
@@ -428,14 +426,14 @@ class PlaceVerificationSettings(Settings):
     most_unseen: int = setting(
         2,
         "directions of six that may be unknown: a corridor leaves one; a single plane leaves three, and is no place",
-        "reckoned",
+        "computed",
         ge=0,
         le=5,
     )
     agree_chi2: float = setting(
         22.5,
         "up to which two answers about one stretch say the same: χ² of 6, 99.9 %",
-        "reckoned: χ² of 6",
+        "computed: χ² of 6",
         gt=0,
         le=1e6,
     )
@@ -493,21 +491,21 @@ class LiveCameraSettings(Settings):
     )
     kept_frames: int = setting(
         4,
-        "newest frames that are kept for whoever asks; a recorder keeps more, to bridge a slow disk",
+        "number of newest frames in memory; a recorder keeps more, to bridge a slow disk",
         CHOSEN,
         ge=1,
         le=1000,
     )
     oldest_s: float = setting(
         1.0,
-        "a frame that is older than so many seconds when it is fetched is not handed out: the robot has driven on",
+        "a frame older than this many seconds is not returned, because the robot has moved on",
         CHOSEN,
         gt=0,
         le=60,
     )
     stall_s: float = setting(
         0.5,
-        "without a frame for so many seconds, 15 of most cameras' periods, it counts as stalled",
+        "seconds without a frame, 15 periods of most cameras, after which it counts as stalled",
         CHOSEN,
         gt=0,
         le=60,
@@ -527,7 +525,7 @@ class LiveCameraSettings(Settings):
         0.02,
         "largest distance in time between colour and depth of one frame, seconds: over half of a period at 30 Hz, "
         "under one",
-        "reckoned from the period",
+        "computed from the period",
         gt=0,
         le=1,
     )
@@ -554,7 +552,7 @@ class LiveCameraSettings(Settings):
         le=0.01,
     )
     clock_watch_s: float = setting(
-        2.0, "over so many seconds: a host that was busy has caught up by then", CHOSEN, gt=0, le=60
+        2.0, "seconds of that comparison: a busy host has caught up by then", CHOSEN, gt=0, le=60
     )
 
 
@@ -575,7 +573,7 @@ class RecorderSettings(Settings):
     most_waiting: int = setting(
         60,
         "frames that wait at most, whatever their rate: 130 MB of 640×480",
-        "reckoned from 7 bytes a pixel",
+        "computed from 7 bytes a pixel",
         ge=1,
         le=10_000,
     )
@@ -612,7 +610,7 @@ class RecorderSettings(Settings):
     watch_s: float = setting(
         0.5, "seconds between two looks at the camera, the disk and the rates", CHOSEN, gt=0, le=60
     )
-    rate_span_s: float = setting(3.0, "seconds over which rates are told", CHOSEN, gt=0, le=3600)
+    rate_span_s: float = setting(3.0, "seconds over which rates are averaged", CHOSEN, gt=0, le=3600)
 
 
 # RealTimeSettings: how a recording is played in real time, and what is said of how that went.
@@ -639,7 +637,7 @@ class RealTimeSettings(Settings):
         0.1, "share of dropped frames beyond which the run says what to do about it", CHOSEN, ge=0, le=1
     )
     recent_frames: int = setting(
-        30, "frames over which progress tells rate and latency: one second of most cameras", CHOSEN, ge=2, le=100_000
+        30, "frames over which progress averages rate and latency: one second of most cameras", CHOSEN, ge=2, le=100_000
     )
     rehearsed_frames: int = setting(
         3,
@@ -668,9 +666,7 @@ class LivePageSettings(Settings):
     old_s: float = setting(
         1.0, "a page without an update for so long says so, and shows its plan in grey", "issue 34", ge=0.2, le=10
     )
-    stops_without_driver: bool = setting(
-        True, "whether the robot stops where the page of whoever drives it is gone while it drives", CHOSEN
-    )
+    stops_without_driver: bool = setting(True, "whether the robot stops if the page that drives it disconnects", CHOSEN)
     driver_silent_s: float = setting(
         2.0,
         "a driver's page that says nothing for so long is gone: it says so twice a second, once where a browser has it "

@@ -99,7 +99,13 @@ def board_from(text: str) -> Board:
         raise ConfigError(f"--board {text!r}: a marker must be smaller than its square, and no speck in it", fix=_SAY)
     dictionary = parts[3].upper().removeprefix("DICT_") if len(parts) == 4 else _dictionary(columns * rows)
     board = Board(columns - 1, rows - 1, side_m, marker_m, dictionary, parts[1] != "?")
-    _check_dictionary(board, columns * rows // 2, text)
+    markers = columns * rows // 2
+    if not hasattr(cv2.aruco, f"DICT_{board.dictionary}"):
+        raise ConfigError(f"--board {text!r}: OpenCV has no dictionary {board.dictionary}", fix="5X5_100, for one")
+    known = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{board.dictionary}")).bytesList)
+    if markers > known:
+        problem = f"--board {text!r} has {markers} markers, its dictionary {board.dictionary} {known}"
+        raise ConfigError(problem, fix=f"take {_dictionary(2 * markers)}")
     return board
 
 
@@ -133,15 +139,6 @@ def _marker_m(parts: list[str], side_m: float, whole: str) -> float:
 
 def _dictionary(squares: int) -> str:
     return f"5X5_{next(size for size in _DICTIONARY_SIZES if 2 * size >= squares or size == _DICTIONARY_SIZES[-1])}"
-
-
-def _check_dictionary(board: Board, markers: int, text: str) -> None:
-    if not hasattr(cv2.aruco, f"DICT_{board.dictionary}"):
-        raise ConfigError(f"--board {text!r}: OpenCV has no dictionary {board.dictionary}", fix="5X5_100, for one")
-    known = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{board.dictionary}")).bytesList)
-    if markers > known:
-        problem = f"--board {text!r} has {markers} markers, its dictionary {board.dictionary} {known}"
-        raise ConfigError(problem, fix=f"take {_dictionary(2 * markers)}")
 
 
 # A board on paper, in true size: drawn as rectangles and words, written as PDF or SVG.
@@ -261,10 +258,6 @@ def as_pdf(sheet: Drawing) -> bytes:
         b"<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica >>",
         f"<< /Title ({_escaped(sheet.title)}) >>".encode("latin-1"),
     ]
-    return _pdf_file(objects)
-
-
-def _pdf_file(objects: list[bytes]) -> bytes:
     data, starts = b"%PDF-1.4\n", []
     for number, body in enumerate(objects, start=1):
         starts.append(len(data))

@@ -151,8 +151,19 @@ def advise(
     T[:, :3, 3] *= board.square_m
     cover = covered_share([corners.px for corners in seen], size)
     nearest_m, farthest_m = distances(T)
-    tilts = _tilts_deg(T)
-    missing = [*_tilts_missing(tilts, settings), *_places_missing(seen, size, settings)]
+    n = T[:, :3, 2]
+    across, down = np.degrees(np.arctan2(n[:, 0], n[:, 2])), np.degrees(np.arctan2(n[:, 1], n[:, 2]))
+    # A normal that points away and to the right is of a board whose right side is nearer.
+    greatest = ((-across).max(), across.max(), (-down).max(), down.max())
+    left, right, top, bottom = (max(float(value), 0.0) for value in greatest)
+    tilts = left, right, top, bottom
+    sides = ("left side", "right side", "upper edge", "lower edge")
+    missing = [
+        f"the board's {side} nearer to the camera, by about {settings.tilt_deg:.0f}°"
+        for side, tilt in zip(sides, tilts, strict=True)
+        if tilt < 0.8 * settings.tilt_deg
+    ]
+    missing += _places_missing(seen, size, settings)
     if farthest_m < settings.near_far * nearest_m:
         word = "nearer" if cover < 0.5 else "farther away"
         missing.insert(0, f"{word}: boards are all {nearest_m:.2g} to {farthest_m:.2g} m away")
@@ -178,25 +189,6 @@ def distances(T_camera_board: FloatArray) -> tuple[float, float]:
     """Nearest and farthest board along the camera's axis."""
     z = T_camera_board[:, 2, 3]
     return float(z.min()), float(z.max())
-
-
-def _tilts_deg(T: FloatArray) -> tuple[float, float, float, float]:
-    """Greatest tilts towards each side, against the line of sight to the board."""
-    n = T[:, :3, 2]
-    across, down = np.degrees(np.arctan2(n[:, 0], n[:, 2])), np.degrees(np.arctan2(n[:, 1], n[:, 2]))
-    # A normal that points away and to the right is of a board whose right side is nearer.
-    greatest = ((-across).max(), across.max(), (-down).max(), down.max())
-    left, right, top, bottom = (max(float(value), 0.0) for value in greatest)
-    return left, right, top, bottom
-
-
-def _tilts_missing(tilts: tuple[float, float, float, float], settings: CoachSettings) -> list[str]:
-    sides = ("left side", "right side", "upper edge", "lower edge")
-    return [
-        f"the board's {side} nearer to the camera, by about {settings.tilt_deg:.0f}°"
-        for side, tilt in zip(sides, tilts, strict=True)
-        if tilt < 0.8 * settings.tilt_deg
-    ]
 
 
 def _places_missing(seen: Sequence[Corners], size: tuple[int, int], settings: CoachSettings) -> list[str]:

@@ -365,7 +365,11 @@ def model_of(
 ) -> Model:
     """The model of what counts, about lenses of colour and depth and T_color_depth."""
     sensor = RAW_DISPARITY if task.seen.is_disparity else task.setup.sensor
-    cells = _joined_cells(counted.cells)
+    view = np.concatenate([np.full(len(c.reading), k) for k, c in enumerate(counted.cells)]).astype(np.int64)
+    px, reading, scatter = (
+        np.concatenate([getattr(c, name) for c in counted.cells]) for name in ("px", "reading", "scatter")
+    )
+    cells = Cells(view, px, reading, scatter)
     return Model(
         color=_joined(counted.color, task.squares),
         infrared=_joined(counted.infrared, task.squares),
@@ -460,12 +464,6 @@ def _joined(corners: Sequence[Corners | None], squares: FloatArray) -> Points:
         return Points(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 2)))
     view = np.concatenate([np.full(len(c.ids), k) for k, c in seen])
     return Points(view, np.concatenate([squares[c.ids] for _, c in seen]), np.concatenate([c.px for _, c in seen]))
-
-
-def _joined_cells(cells: Sequence[DepthCells]) -> Cells:
-    view = np.concatenate([np.full(len(c.reading), k) for k, c in enumerate(cells)]).astype(np.int64)
-    px, reading, scatter = (np.concatenate([getattr(c, name) for c in cells]) for name in ("px", "reading", "scatter"))
-    return Cells(view, px, reading, scatter)
 
 
 # Where the joint least squares begin: lenses from corners alone, poses, and where the cameras are to each other.

@@ -32,7 +32,7 @@ class DetectionSettings(Settings):
     fewest_corners: int = setting(8, "of a board half out of view: fewer hold no pose", CHOSEN, ge=4, le=1000)
     sigma_px: float = setting(
         0.15,
-        "of a corner, until residuals tell",
+        "of a corner, as an initial value",
         "OpenCV's sector-based detector on real boards has 0.1 to 0.2",
         gt=0,
         le=10,
@@ -51,7 +51,7 @@ class DepthSampleSettings(Settings):
         le=100,
     )
     fewest_cells: int = setting(12, "of a view: fewer hold no plane beside the board's pose", CHOSEN, ge=3, le=10000)
-    most_cells: int = setting(400, "of a view: more tell nothing new, as views do", CHOSEN, ge=10, le=100000)
+    most_cells: int = setting(400, "of a view: more add no information, as views do", CHOSEN, ge=10, le=100000)
     rim_px: int = setting(
         5,
         "of the plane's edge that is left out: flying pixels and ragged edges",
@@ -67,10 +67,10 @@ class DepthSampleSettings(Settings):
         le=0.5,
     )
     sigma_disparity: float = setting(
-        0.8, "of a raw disparity's cell, until residuals tell", "Herrera et al. 2012, section 5", gt=0, le=100
+        0.8, "of a raw disparity's cell, as an initial value", "Herrera et al. 2012, section 5", gt=0, le=100
     )
     sigma_share: float = setting(
-        0.5, "noise of a cell's mean, as a share of a pixel's, until residuals tell", CHOSEN, gt=0, le=10
+        0.5, "noise of a cell's mean, as a share of a pixel's, as an initial value", CHOSEN, gt=0, le=10
     )
 
 
@@ -107,7 +107,7 @@ class PriorSettings(Settings):
         0.002,
         "of time of flight's scale about 1: its clock is a quartz, good to 1e-4, and boards' sizes are good to 0.2 % "
         "by a ruler; without it scale, offset and curve are one another's: any line can be moved between them",
-        "reckoned",
+        "computed",
         gt=0,
         le=1,
     )
@@ -156,7 +156,7 @@ class DepthModelSettings(Settings):
     )
     baseline_m: float = setting(
         0.075,
-        "Kinect v1's, for raw disparities until boards tell, and where the squares' size is not known",
+        "Kinect v1's, as an initial value for raw disparities, and where the squares' size is not known",
         "Khoshelham & Elberink 2012",
         gt=0,
         le=1,
@@ -174,7 +174,7 @@ class RobustSettings(Settings):
     """What is left out."""
 
     corner_sigmas: float = setting(
-        4.5, "a corner farther off than so many σ: one in 10⁵ by noise", "reckoned", gt=2, le=100
+        4.5, "a corner farther off than so many σ: one in 10⁵ by noise", "computed", gt=2, le=100
     )
     view_factor: float = setting(
         2.5,
@@ -183,7 +183,7 @@ class RobustSettings(Settings):
         gt=1,
         le=100,
     )
-    cell_sigmas: float = setting(4.0, "a cell of depth farther off the plane than so many σ", "reckoned", gt=2, le=100)
+    cell_sigmas: float = setting(4.0, "a cell of depth farther off the plane than so many σ", "computed", gt=2, le=100)
     depth_view_factor: float = setting(
         4.0,
         "a view whose depth is so many times the median view's off: it moved between the images",
@@ -232,8 +232,8 @@ class RefusalSettings(Settings):
     )
     beyond_factor: float = setting(
         2.0,
-        "σ of depth at the end of what is told, over that at the farthest board, from which on it is said that boards "
-        "are missing",
+        "σ of depth at the end of the reported range, over that at the farthest board, beyond which a warning says "
+        "that boards are missing",
         CHOSEN,
         ge=1,
         le=1000,

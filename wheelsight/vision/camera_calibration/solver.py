@@ -93,7 +93,13 @@ def solve(residuals: Residuals, start: FloatArray, small_gain: float = _SMALL_GA
         normal, cost, gain, first = _normal(residuals, linear), float(linear.r @ linear.r), None, damping
         while gain is None and damping < _MOST_DAMPING:
             moved = x + _step(normal, damping)
-            r = _all(residuals, moved)
+            blocks = (
+                residuals.color(moved),
+                residuals.infrared(moved),
+                residuals.depth(moved),
+                residuals.priors(moved),
+            )
+            r = np.concatenate([block.ravel() for block in blocks])
             if np.isfinite(r).all() and r @ r <= cost:
                 gain, x, damping = 1 - float(r @ r) / max(cost, 1e-30), moved, max(damping / 10, _LEAST_DAMPING)
             else:
@@ -103,12 +109,6 @@ def solve(residuals: Residuals, start: FloatArray, small_gain: float = _SMALL_GA
             break
         damping = _LEAST_DAMPING if gain < small_gain else damping
     return Solution(x, *_covariances(residuals, linear), float(linear.r @ linear.r) / 2)
-
-
-def _all(residuals: Residuals, x: FloatArray) -> FloatArray:
-    """All residuals (m,), in the order of `_linearised`."""
-    blocks = (residuals.color(x), residuals.infrared(x), residuals.depth(x), residuals.priors(x))
-    return np.concatenate([block.ravel() for block in blocks])
 
 
 def _linearised(residuals: Residuals, x: FloatArray) -> _Linear:
@@ -377,7 +377,8 @@ def prior_rows(model: Model) -> tuple[FloatArray, FloatArray]:
     priors = _Priors(model.slices()["poses"].stop)
     at = model.slices()
     if model.keeps_color:
-        _held(priors, at["color"], model.color_start)
+        for index, value in enumerate(lens_parameters(model.color_start, model.color_start)):
+            priors.add([at["color"].start + index], [1], float(value), _HELD)
     else:
         _of_lens(priors, model, at["color"], model.color_start)
     _of_lens(priors, model, at["depth"], model.depth_start, is_nominal=not len(model.infrared.px))
@@ -402,12 +403,6 @@ class _Priors:
         row[columns] = np.array(weights) / sigma
         self.rows.append(row)
         self.values.append(value / sigma)
-
-
-def _held(priors: _Priors, place: slice, start: PinholeCamera) -> None:
-    """A lens that stays as it is."""
-    for k, value in enumerate(lens_parameters(start, start)):
-        priors.add([place.start + k], [1], float(value), _HELD)
 
 
 def _of_lens(priors: _Priors, model: Model, place: slice, start: PinholeCamera, *, is_nominal: bool = False) -> None:

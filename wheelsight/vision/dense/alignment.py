@@ -382,22 +382,15 @@ def judge(found: DenseAlignment, prior: Prior, settings: DenseSettings) -> Judge
     T = found.T_reference_frame
     if weak.any():
         seen = directions[:, ~weak]
-        T_prior, shift = _nearest_prior(T, prior, seen, settings)
+        priors = (prior.T_reference_frame, *prior.others)
+        shifts = [seen.T @ (DEGENERATE_SCALE * se3.log(T @ se3.invert(T_prior))) for T_prior in priors]
+        off_m = np.array([np.linalg.norm(shift) for shift in shifts])
+        best = int(np.argmin(off_m))
+        if off_m[0] < settings.degenerate_sigma_m or off_m[best] > settings.other_prior_share * off_m[0]:
+            best = 0
+        T_prior, shift = priors[best], shifts[best]
         T = se3.exp(seen @ shift / DEGENERATE_SCALE) @ T_prior
     return Judgement(T, covariance, directions[:, weak].T, _reason(found, int(weak.sum()), settings))
-
-
-def _nearest_prior(
-    T: FloatArray, prior: Prior, seen: FloatArray, settings: DenseSettings
-) -> tuple[FloatArray, FloatArray]:
-    """The prior (4, 4) that agrees best with T along the constrained directions `seen` (6, K), and the shift (K,)."""
-    priors = (prior.T_reference_frame, *prior.others)
-    shifts = [seen.T @ (DEGENERATE_SCALE * se3.log(T @ se3.invert(T_prior))) for T_prior in priors]
-    off_m = np.array([np.linalg.norm(shift) for shift in shifts])
-    best = int(np.argmin(off_m))
-    if off_m[0] < settings.degenerate_sigma_m or off_m[best] > settings.other_prior_share * off_m[0]:
-        best = 0
-    return priors[best], shifts[best]
 
 
 def _reason(found: DenseAlignment, unseen: int, settings: DenseSettings) -> Reason | None:

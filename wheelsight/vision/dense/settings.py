@@ -6,9 +6,6 @@ from typing import Annotated, Literal
 
 from wheelsight.core.settings import ASKED, CHOSEN, ON_SIMULATOR, Settings, bounds, setting
 
-# Parts of DenseSettings, one for each decision of dense odometry: units, reasons, and where a default was found.
-
-
 _FROM_0024 = f"{ON_SIMULATOR}: docs/decisions/0024"
 _FROM_0025 = f"{ON_SIMULATOR}: docs/decisions/0025"
 _FROM_0032 = f"{ON_SIMULATOR}: docs/decisions/0032"
@@ -17,22 +14,22 @@ _FROM_0048 = "two real recordings of one Kinect: docs/decisions/0048"
 
 
 class StartSettings(Settings):
-    """From which of several guesses alignment begins, and which of its outcomes is taken."""
+    """The choice of initial guesses of alignment, and of its results."""
 
     turn_misfit: float = setting(
         3.0,
-        "a turn by grey is dropped where points then lie so many times as far from planes; depth and colour of a "
-        "frame are seldom of one instant, so grey may be right where planes are worse",
+        "a rotation by grey is rejected if points then lie this many times as far from planes; depth and colour of a "
+        "frame are rarely simultaneous, so grey may be right where planes fit worse",
         "real recordings",
         ge=1,
         le=100,
     )
     unpaired_sigmas: float = setting(
-        5.0, "standard deviations that a point counts as off which has no plane near it", CHOSEN, gt=0, le=100
+        5.0, "distance in standard deviations of a point without a plane nearby", CHOSEN, gt=0, le=100
     )
     clearly_nearer: float = setting(
         1.5,
-        "another guess than the first is begun with where points lie so many times as near to planes",
+        "another initial guess than the first is used if points lie this many times nearer to planes",
         _FROM_0034,
         ge=1,
         le=100,
@@ -45,15 +42,15 @@ class StartSettings(Settings):
         le=1,
     )
     as_near_planes: float = setting(
-        1.1, "and so many times the first one's residual it may have", _FROM_0034, ge=1, le=100
+        1.1, "the largest residual of the other, as a multiple of the first one's", _FROM_0034, ge=1, le=100
     )
     clearer_grey: float = setting(
-        0.85, "it is taken where grey spreads by less than this share", _FROM_0034, gt=0, le=1
+        0.85, "the other is taken if its grey residuals spread by less than this share", _FROM_0034, gt=0, le=1
     )
 
 
 class FaultSettings(Settings):
-    """Which poses by surfaces are suspected, so that keypoints must verify them."""
+    """Which poses by surfaces need verification by keypoints."""
 
     leap_m_s: float = setting(
         0.5, "metres a second that the camera may gain at once; more is a leap", CHOSEN, gt=0, le=100
@@ -89,7 +86,7 @@ class FaultSettings(Settings):
     bridged_off_rad: float = setting(0.03, "and radians", _FROM_0025, gt=0, le=3.2)
     poor_fit: float = setting(
         2.0,
-        "planes that lie so many times as far off as usual are suspected, if no motion is handed in; wrong poses "
+        "residuals this many times the usual one need verification, if there is no prior; wrong poses "
         "had 4 to 5 times (eight simulated flats); on a real hand-held recording that much is usual, and learned",
         "eight simulated flats, and one real hand-held recording: docs/decisions/0024",
         ge=1,
@@ -101,7 +98,7 @@ class FaultSettings(Settings):
 
 
 class VerificationSettings(Settings):
-    """When a pose by keypoints says the same as one by surfaces, and which of both counts."""
+    """When poses by keypoints and by surfaces agree, and which of both counts."""
 
     keypoints: int = setting(
         1000,
@@ -118,7 +115,7 @@ class VerificationSettings(Settings):
     agree_chi2: float = setting(
         16.8,
         "how sure they may be then at most: chi² of 6, 99 %, by their own covariance",
-        "reckoned: χ² of 6",
+        "computed: χ² of 6",
         gt=0,
         le=1e6,
     )
@@ -154,7 +151,7 @@ class VerificationSettings(Settings):
 
 
 class JointSettings(Settings):
-    """How much surfaces count beside keypoints."""
+    """The weight of surfaces relative to keypoints."""
 
     first_factor: float = setting(
         1.0,
@@ -170,7 +167,7 @@ class JointSettings(Settings):
         22.5,
         "beyond which keypoints and surfaces of a frame differ by more than is known by then, so that the frame's own "
         "factor counts: chi² of 6, 99.9 %; a quick turn parts colour and depth that are not of one instant",
-        "reckoned: χ² of 6",
+        "computed: χ² of 6",
         gt=0,
         le=1e6,
     )
@@ -185,7 +182,7 @@ class JointSettings(Settings):
 
 
 class RegionSettings(Settings):
-    """Which regions of a view move by themselves and are left out."""
+    """Which regions of a view move and are excluded."""
 
     columns: int = setting(8, "regions across the view; 0 asks for none", CHOSEN, ge=0, le=64)
     rows: int = setting(6, "and down", CHOSEN, ge=1, le=64)
@@ -196,7 +193,7 @@ class RegionSettings(Settings):
         ge=1,
         le=100,
     )
-    odd_sigmas: float = setting(3.0, "and at least so many standard deviations of depth", CHOSEN, gt=0, le=100)
+    odd_sigmas: float = setting(3.0, "and at least this many standard deviations of depth", CHOSEN, gt=0, le=100)
     most_sigmas: float = setting(8.0, "more of one point counts as no more than that", CHOSEN, gt=0, le=100)
     gate: float = setting(
         0.03, "metres a metre of depth beyond which a point is on another surface", CHOSEN, ge=0, le=1
@@ -209,25 +206,29 @@ class RegionSettings(Settings):
 
 
 class DelaySettings(Settings):
-    """How the time between colour and depth is learned, beyond what their stamps say."""
+    """The estimation of the delay between colour and depth, beyond their stamps."""
 
     sigma_s: float = setting(
         0.015, "how far off the calibration's delay may be, a Kinect's; 0 learns nothing", _FROM_0048, ge=0, le=1
     )
     walk_s: float = setting(0.0002, "by which the delay may change from frame to frame", CHOSEN, ge=0, le=1)
     turn_sigma_rad: float = setting(
-        0.02, "by which keypoints and surfaces differ about a frame's turn for other reasons", CHOSEN, gt=0, le=3
+        0.02,
+        "standard deviation of the difference between both rotations of a frame for other reasons",
+        CHOSEN,
+        gt=0,
+        le=3,
     )
     clear_sigmas: float = setting(
-        1.0, "standard deviations by which a delay must differ to be put in use", CHOSEN, gt=0, le=100
+        1.0, "standard deviations that a delay must differ by to be used", CHOSEN, gt=0, le=100
     )
-    least_rad_s: float = setting(0.2, "a slower turn tells no delay", CHOSEN, gt=0, le=10)
+    least_rad_s: float = setting(0.2, "a slower rotation gives no measurement of the delay", CHOSEN, gt=0, le=10)
     most_rad: float = setting(0.15, "a larger difference is no delay", CHOSEN, gt=0, le=3)
     most_s: float = setting(0.05, "a longer delay is none: one frame and a half", CHOSEN, gt=0, le=1)
 
 
 class KeyframeSettings(Settings):
-    """Where a keyframe is put, and how straight its rows must be."""
+    """Poses of keyframes, and the tolerance of their rolling-shutter correction."""
 
     fineness: float = setting(
         0.8,
@@ -250,12 +251,12 @@ class KeyframeSettings(Settings):
         le=100,
     )
     joined_chi2: float = setting(
-        22.5, "how far apart both may be to say the same: chi² of 6, 99.9 %", "reckoned: χ² of 6", gt=0, le=1e6
+        22.5, "how far apart both may be to say the same: chi² of 6, 99.9 %", "computed: χ² of 6", gt=0, le=1e6
     )
     tied_views: int = setting(
         5,
-        "so many keyframes that the camera went by last, of which loops must tie one to another time for older ones to "
-        "come back: the newest is not judged yet, and not each one is recognised",
+        "number of recent keyframes; older keyframes return if a loop closure ties one of these to another visit. The "
+        "newest is not verified yet, and not every one is recognised",
         CHOSEN,
         ge=1,
         le=1000,
@@ -263,7 +264,7 @@ class KeyframeSettings(Settings):
 
 
 class VignettingSettings(Settings):
-    """What is known of lenses before anything is seen, and which pixels tell more."""
+    """The prior of vignetting, and the pixels that update it."""
 
     sigma: float = setting(
         0.3,
@@ -274,16 +275,11 @@ class VignettingSettings(Settings):
         le=10,
     )
     max_exponent: float = setting(1.0, "beyond which no lens goes: cos⁴ itself", "cos⁴, the law of lenses", ge=0, le=10)
-    uneven: float = setting(
-        0.01, "logarithm of grey by which a place's light differs from view to view", CHOSEN, gt=0, le=10
-    )
+    uneven: float = setting(0.01, "standard deviation of log grey of a place from view to view", CHOSEN, gt=0, le=10)
     correlation: float = setting(20.0, "how many neighbouring pixels err as one", CHOSEN, gt=0, le=1e6)
     min_pixels: int = setting(300, "compared pixels below which nothing is learned", CHOSEN, gt=0, le=1_000_000)
     darkest: float = setting(20.0, "grey below this is noise", CHOSEN, ge=0, le=255)
     brightest: float = setting(235.0, "grey above this may be cut off", CHOSEN, gt=0, le=255)
-
-
-# DenseSettings: what can be set about dense odometry, with the reasons for the defaults.
 
 
 _FROM_0028 = f"{ON_SIMULATOR}: docs/decisions/0028"
@@ -301,7 +297,7 @@ class DenseSettings(Settings):
     iterations: tuple[Annotated[int, bounds(gt=0, le=1000)], ...] = setting(
         (4, 6, 8), "at most, from the finest level to the coarsest", CHOSEN, min_length=1, max_length=10
     )
-    row_stride: int = setting(2, "of the finest level's rows only every so many are aligned", CHOSEN, gt=0, le=64)
+    row_stride: int = setting(2, "stride of the aligned rows at the finest level", CHOSEN, gt=0, le=64)
     color_weight: float = setting(0.7, "of grey values against depth; 0 aligns depth alone", CHOSEN, ge=0, le=100)
     min_gradient: float = setting(
         3.0,
@@ -312,12 +308,12 @@ class DenseSettings(Settings):
     )
     gate: float = setting(0.06, "metres, and a metre of depth, beyond which points are no pair", CHOSEN, gt=0, le=10)
     huber: float = setting(1.5, "standard deviations beyond which a residual counts linearly", CHOSEN, gt=0, le=100)
-    depth_jump: float = setting(0.03, "share of a depth that tells two surfaces apart", CHOSEN, gt=0, le=1)
+    depth_jump: float = setting(0.03, "share of depth that separates two surfaces", CHOSEN, gt=0, le=1)
     depth_jump_sigmas: float = setting(
         4.2,
         "standard deviations of depth by which neighbours on one surface differ, beside that share: √2 times "
         "three; a limit that noise reaches picks neighbours that err alike",
-        "reckoned; docs/decisions/0027",
+        "computed; docs/decisions/0027",
         ge=0,
         le=100,
     )
@@ -338,7 +334,11 @@ class DenseSettings(Settings):
         le=1,
     )
     occlusion_sigmas: float = setting(
-        3.0, "and so many standard deviations of depth, which would pick pixels by chance", CHOSEN, ge=0, le=100
+        3.0,
+        "and at least this many standard deviations of depth, because noise selects pixels by chance",
+        CHOSEN,
+        ge=0,
+        le=100,
     )
     normal_radius_px: int = setting(2, "half width of the window a normal is fitted to", CHOSEN, ge=1, le=6)
     keyframe_overlap: float = setting(0.75, "of a keyframe; with less in sight a new one is made", CHOSEN, gt=0, lt=1)
@@ -357,7 +357,7 @@ class DenseSettings(Settings):
         le=100,
     )
     predicted_frames: int = setting(
-        3, "at most so many frames that one prediction serves", "docs/decisions/0039", gt=0, le=1000
+        3, "largest number of frames that use one prediction", "docs/decisions/0039", gt=0, le=1000
     )
     min_overlap: float = setting(0.25, "share of a frame's points that must find a partner", CHOSEN, gt=0, lt=1)
     max_residual: float = setting(
@@ -418,7 +418,7 @@ class DenseSettings(Settings):
     )
     max_unseen_s: float = setting(
         0.5,
-        "how long a direction of motion may stay unseen where nothing but the camera tells it",
+        "how long a direction of motion may stay unconstrained without another sensor",
         CHOSEN,
         gt=0,
         le=3600,

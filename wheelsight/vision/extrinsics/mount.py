@@ -19,37 +19,34 @@ from wheelsight.vision.extrinsics.settings import DEFAULTS, FloorSettings, Mount
 from wheelsight.wheels.calibration import covariance_by
 from wheelsight.wheels.drive import Drive, Segments, cut, yaw_at_readings
 
-# fit_mount: where a camera sits on its robot, seen from above, by the motions of wheels and camera.
-#
-# For each piece of a drive A·X = X·B holds, with A the base's motion by the wheels, B the camera's, and X the mount.
-# On a floor, with the camera levelled, it is (R(θ) - 1) t + p = R(ψ) c: turns θ show where the camera sits (t),
-# straight ways where it looks (ψ). That is linear in t and R(ψ); from there, wheel sizes and the clocks' delay are
-# fitted along with the mount, robustly, so that a wheel 2 % too small does not spoil it. So is how far the robot
-# slides outwards in bends, for which it would look as if the camera sat further back.
+# Hand-eye calibration in the plane. For each piece of a drive A·X = X·B holds, with A the base's motion by the wheels,
+# B the camera's, and X the mount. On a floor, with a levelled camera, it is (R(θ) - 1) t + p = R(ψ) c: rotations θ
+# determine the position t, straight motion the yaw ψ. The closed form is linear in t and R(ψ). From there a robust fit
+# estimates mount, wheel sizes, clock delay and outward slide in bends together, because wrong sizes and slide bias t.
 
 
 ComplexArray = NDArray[np.complex128]
 
-# Odometry by images is biased by as much, which no residual shows: found on simulated drives.
+# Bias of visual odometry that residuals do not show; measured on simulated drives.
 _LEAST_SIGMAS = np.array([1e-3, 1e-3, 1e-3, 5e-3, 2e-3, 2e-3, 1e-3, 1e-4])
-# Of all that is fitted, but for the delay, which no robot exceeds.
+# Limits of all parameters but the delay; no robot exceeds them.
 _BOUNDS = np.array([np.log(2.0)] * 3 + [3.0, 3.0, 1.0, np.nan, 0.2])
 
 
 @dataclass(frozen=True, eq=False)
 class MountFit:
-    """A camera's place seen from above, and what was fitted along with it.
+    """The planar mount of a camera, and the parameters fitted with it.
 
     Attributes:
         mount: (3,) x, y in metres and yaw in radians of T_base_level (see `levelled`).
-        wheels: with the sizes and delay found; sizes only as this drive and the camera's own scale tell them.
-        slide_s: speed outwards in a bend over its acceleration inwards: of tyres that creep, a few milliseconds.
+        wheels: with the estimated sizes and delay; sizes relative to the scale of the camera.
+        slide_s: outward speed in a bend divided by the inward acceleration; a few milliseconds for creeping tyres.
         covariance: (8, 8) of the logarithms of left and right radius and track width, of x, y, yaw, delay and slide,
-            as far as the drive tells them.
-        by_camera: (8, 8) the same by what the camera's calibration leaves open.
-        segments: pieces of the camera's way.
-        residuals: (M, 3) of wheels and mount, along and across each in metres, yaw in radians.
-        is_slip: (M,) pieces whose residual is beyond what one in a thousand would show without a slip.
+            by the scatter of this drive.
+        by_camera: (8, 8) the same by errors of the camera's calibration.
+        segments: pieces of the camera's trajectory.
+        residuals: (M, 3) of wheels and mount, along and across each piece in metres, yaw in radians.
+        is_slip: (M,) pieces whose residual exceeds that of one in a thousand without slip.
     """
 
     mount: FloatArray
@@ -63,7 +60,7 @@ class MountFit:
 
     @property
     def sigmas(self) -> FloatArray:
-        """Standard deviations (4,) of x, y, yaw and delay, as far as the drive tells them."""
+        """Standard deviations (4,) of x, y, yaw and delay, by the scatter of this drive."""
         return np.sqrt(np.diag(self.covariance)[3:7])
 
     @property
@@ -73,7 +70,7 @@ class MountFit:
 
 
 def level_rotation(up_camera: FloatArray) -> FloatArray:
-    """R_camera_level (3, 3) of a frame with z up, x as the camera looks; looking straight down, as its image's top."""
+    """R_camera_level (3, 3) of a frame with z up and x along the optical axis; along the image's top if vertical."""
     ahead = np.array([0.0, 0.0, 1.0]) if abs(up_camera[2]) < 0.98 else np.array([0.0, np.sign(up_camera[2]), 0.0])
     x = ahead - (ahead @ up_camera) * up_camera
     x /= np.linalg.norm(x)
@@ -81,13 +78,13 @@ def level_rotation(up_camera: FloatArray) -> FloatArray:
 
 
 def levelled(camera: Trajectory, up_camera: FloatArray) -> Trajectory:
-    """T_map_level of a frame that sits where the camera does, from T_map_camera."""
+    """The trajectory T_map_level of the levelled camera, from T_map_camera."""
     T_camera_level = se3.from_parts(level_rotation(up_camera), np.zeros(3))
     return Trajectory(camera.stamps_s, camera.T_frame_body @ T_camera_level, body="base")
 
 
 def cut_level(drive: Drive, wheels: Wheels, level: Trajectory, settings: MountSettings = DEFAULTS.mount) -> Segments:
-    """The pieces to be explained. Raises CalibrationError where readings and frames share no time."""
+    """The pieces of a drive. Raises CalibrationError if readings and frames do not overlap in time."""
     longest_s = settings.largest_delay_s + abs(wheels.delay_s)
     return cut(drive, level, wheels, settings.segment_m, longest_s, settings.segment_rad)
 
@@ -101,15 +98,15 @@ def fit_mount(
     fit: RobustFitSettings = DEFAULTS.fit,
     camera_errors: FloatArray | None = None,
 ) -> MountFit:
-    """The mount for which the wheels explain most pieces of the camera's way.
+    """Fit the planar mount robustly to the motions of wheels and camera.
 
     Args:
         drive: the wheels' readings.
-        wheels: nominal ones, right to a few hundredths or so.
-        segments: from `cut_level`, with turns and straight ways.
-        delay_s: of the wheels' stamps, right to a few hundredths of a second.
+        wheels: nominal wheels, correct to a few percent.
+        segments: from `cut_level`, with turns and straight motion.
+        delay_s: initial delay of the wheels' stamps, correct to a few hundredths of a second.
         settings: of the mount.
-        fit: what counts as a disagreement.
+        fit: settings of the robust fit.
         camera_errors: (K, 3, 3) of the levelled camera, see `camera_errors.motion_errors`; None for none.
     """
     problem = _Problem(drive, wheels, segments, delay_s, settings)
@@ -132,7 +129,7 @@ def fit_mount(
 def closed_form(base: FloatArray, level: FloatArray) -> FloatArray:
     """x, y, yaw (3,) of T_base_level from motions (M, 3) of the base and of the levelled camera, by least squares.
 
-    The rotation's size is left free: it takes up what the wheels' scale is wrong by.
+    The size of the rotation is free and absorbs the scale error of the wheels.
     """
     p, c = base[:, :2] @ np.array([1, 1j]), level[:, :2] @ np.array([1, 1j])
     turn = np.exp(1j * level[:, 2]) - 1
@@ -143,9 +140,9 @@ def closed_form(base: FloatArray, level: FloatArray) -> FloatArray:
 
 
 def _larger(a: FloatArray, b: FloatArray) -> FloatArray:
-    """The covariance (P, P) that is in no direction smaller than either of two.
+    """The covariance (P, P) that is in no direction smaller than `a` or `b`.
 
-    The scatter of a few turns may by chance be small; by chance it is not believed to be so.
+    The scatter of a few turns may be small by chance, so the covariance for independent residuals is a lower bound.
     """
     L = np.linalg.cholesky(b)
     inverse = np.linalg.inv(L)
@@ -155,7 +152,7 @@ def _larger(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 class _Problem:
-    """Residuals as a function of what is sought: logarithms of sizes over nominal, mount and delay over their start."""
+    """Residuals by log sizes over nominal, mount and delay relative to the initial values, and slide."""
 
     def __init__(
         self, drive: Drive, wheels: Wheels, segments: Segments, delay_s: float, settings: MountSettings
@@ -191,19 +188,13 @@ class _Problem:
         return self.segments.residuals(motions)
 
 
-# common_turning: which way is up for the camera, and how late the wheels' clock is, by turns that both have seen.
-#
-# A robot on a floor turns about the floor's normal only. Seen from the camera, all its turns therefore have one axis,
-# and their sizes are those of the wheels: the axis and the delay for which they agree best are found together.
-
-
 @dataclass(frozen=True, eq=False)
 class Turning:
-    """What the turns say.
+    """The vertical axis and the clock delay by the rotations of wheels and camera.
 
     Attributes:
-        up_camera: (3,) the axis about which left turns go, of length 1, in the camera frame.
-        delay_s: of the wheels' stamps against the camera's, to 20 ms, within ±`largest_offset_s` of the nominal one.
+        up_camera: (3,) unit axis of left turns in the camera frame.
+        delay_s: of the wheels' stamps behind the camera's, to 20 ms, within ±`largest_offset_s` of the nominal one.
         agreement: 0 to 1, the correlation of the camera's turns about that axis with the wheels'.
     """
 
@@ -215,10 +206,11 @@ class Turning:
 def common_turning(
     drive: Drive, wheels: Wheels, camera: Trajectory, settings: TurningSettings = DEFAULTS.turning
 ) -> Turning:
-    """The axis and delay for which the turns of `camera` (T_map_camera) and of the wheels agree best.
+    """The axis and delay for which the rotations of `camera` (T_map_camera) and of the wheels agree best.
 
-    Turns that share no time with the readings, at a delay, have no say in it; where fewer than half do, the delay is
-    not considered. Without turns the agreement is 0.
+    A robot on a floor rotates about the floor's normal only, so all rotations of the camera have one axis, and their
+    angles are those of the wheels. Rotations outside the time of the readings are ignored; a delay is skipped if too
+    few remain. Without rotations the agreement is 0.
     """
     marks = (
         np.floor((camera.stamps_s - camera.stamps_s[:1]) / settings.interval_s) if len(camera.stamps_s) else np.zeros(0)
@@ -246,16 +238,13 @@ def common_turning(
     return best
 
 
-# fit_floor: the plane that a camera on a driving robot sees at the same place in all its depth images.
-#
-# A plane is linear in inverse depth: with q = -n/h of a plane whose upward normal is n, at h below the camera, each
-# ray r (with z = 1) meets it at 1/z = q·r. So depth noise stands on one side only, and for cameras that measure
-# disparity it is the same for near and far. Walls pass by and have other normals; tables and seats lie above the
-# floor and come and go; of planes across the robot's axis of turning, the floor is the lowest.
+# The floor is the lowest plane across the robot's rotation axis that all depth images show at the same place. A plane
+# is linear in inverse depth: with q = -n/h for upward normal n and distance h below the camera, a ray r (with z = 1)
+# meets it at 1/z = q·r. Noise then enters on one side only, and is uniform for cameras that measure disparity.
 
 
-_WORST_CONDITION = 1e6  # of equations that tell a plane
-_MOST_CLUSTERS = 25  # of views in a row, by whose spread the covariance is told
+_WORST_CONDITION = 1e6  # of the normal equations of a plane
+_MOST_CLUSTERS = 25  # of consecutive views, whose spread gives the covariance
 _FLOOR_LEAST_SIGMAS = np.array(
     [2e-4, 2e-4, 5e-4]
 )  # no depth camera is better than a hundredth of a degree and half a mm
@@ -264,11 +253,11 @@ _ADVICE = "tilt the camera down, or drive where more floor lies free before it"
 
 @dataclass(frozen=True, eq=False)
 class FloorViews:
-    """Thinned depth images.
+    """Subsampled depth images.
 
     Attributes:
         stamps_s: (V,) seconds.
-        rays: (N, 3) through the pixels kept, with z = 1.
+        rays: (N, 3) through the sampled pixels, with z = 1.
         depth_m: (V, N), 0 where nothing was measured.
     """
 
@@ -286,10 +275,10 @@ class Floor:
         height_m: of the camera over it.
         covariance: (3, 3) of roll and pitch in radians (see `tilt_of`) and height in metres, as depth scatters.
         points_m: (N, 3) of it, in the camera frame, one for each pixel that shows it.
-        weights: (N,) of these, 1/m²: what all views tell of it there, in inverse depth.
-        stamps_s: (K,) of the views that show enough of it to tell the plane alone.
-        tilts: (K, 3) roll, pitch and height by each of them.
-        view_count: of all views.
+        weights: (N,) of these points in the fit, summed over all views, for inverse depth.
+        stamps_s: (K,) of the views that determine the plane alone.
+        tilts: (K, 3) roll, pitch and height by each of these views.
+        view_count: number of all views.
     """
 
     up_camera: FloatArray
@@ -302,9 +291,9 @@ class Floor:
     view_count: int
 
     def by_camera(self, moved_m: FloatArray) -> FloatArray:
-        """Covariance (3, 3) as `covariance`, of errors of the camera that move its points by `moved_m` (K, N, 3).
+        """Covariance (3, 3), as `covariance`, by errors of the camera that move its points by `moved_m` (K, N, 3).
 
-        Each moves the plane as far as it moves inverse depths off it: by -q · δ / z, with q = -n/h.
+        An error δ changes inverse depth relative to the plane by -q · δ / z, with q = -n/h.
         """
         q, z = -self.up_camera / self.height_m, self.points_m[:, 2]
         rays = self.points_m / z[:, None]
@@ -315,7 +304,7 @@ class Floor:
 
 
 def tilt_of(up_camera: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Roll and pitch (...) in radians of a camera that sees up (..., 3) there: leaning right, and looking down."""
+    """Roll (positive right) and pitch (positive down) (...) in radians of a camera from its upward axis (..., 3)."""
     x, y, z = np.moveaxis(np.asarray(up_camera, float), -1, 0)
     return np.arctan2(-x, -y), np.arctan2(-z, np.hypot(x, y))
 
@@ -323,10 +312,10 @@ def tilt_of(up_camera: FloatArray) -> tuple[FloatArray, FloatArray]:
 def fit_floor(
     views: FloorViews, up_camera: FloatArray, noise: DepthNoise, settings: FloorSettings = DEFAULTS.floor
 ) -> Floor:
-    """The floor, from where `up_camera` (3,), the axis of the robot's turns, is right to a few degrees.
+    """Fit the floor to all views; `up_camera` (3,), the axis of the robot's turns, is correct to a few degrees.
 
     Raises:
-        CalibrationError: no view shows a floor, too few do, or what is taken for it lies above much else or sways.
+        CalibrationError: too few views show a floor, the plane is not the lowest, or it varies between views.
     """
     points = _Points.of(views, noise, settings)
     q = -up_camera / _coarse_height_m(points, up_camera)
@@ -353,16 +342,16 @@ def height_below(
     expected_m: float,
     settings: FloorSettings = DEFAULTS.floor,
 ) -> float | None:
-    """How high over the floor a camera is, roughly, by one view and where up is said to be; None where it sees none.
+    """The approximate height of a camera over the floor by one view; None if no floor is in view.
 
-    Rays that are steep tell it even where up is some degrees off. A wall that fills the view has a lowest row, too, but
-    does not lie level there.
+    Steep rays give the height even if `up_camera` is some degrees off. The plane must be level, which excludes a wall
+    that fills the view.
 
     Args:
         rays: (N, 3) with z = 1.
         depth_m: (N,), 0 where nothing was measured; its unit may be wrong.
         up_camera: (3,) by the mount.
-        expected_m: the height by the mount; searched is from a tenth of that to ten times it.
+        expected_m: the height by the mount; the search covers a tenth of it to ten times it.
         settings: of one view.
     """
     down = -(rays @ up_camera)
@@ -382,10 +371,7 @@ def height_below(
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """Depth readings of all views: view, pixel and inverse depth (P,), its standard deviation (P,) and rays (P, 3).
-
-    `settings` say which of them count.
-    """
+    """Depth readings of all views: view, pixel and inverse depth (P,), its standard deviation (P,) and rays (P, 3)."""
 
     view: IntArray
     pixel: IntArray
@@ -402,19 +388,19 @@ class _Points:
         return cls(view, pixel, views.rays[pixel], 1 / depth_m, noise.sigma_m(depth_m) / depth_m**2, settings)
 
     def off_m(self, q: FloatArray) -> FloatArray:
-        """How far (P,) each point lies above the plane."""
+        """Height (P,) of each point above the plane."""
         return np.asarray((self.inverse - self.rays @ q) / self.inverse / np.linalg.norm(q))
 
     def plane(self, agreement: FloatArray | BoolArray) -> FloatArray:
-        """The plane (3,) by least squares, points weighted by their noise and by `agreement` (P,)."""
+        """The plane (3,) by least squares, with points weighted by noise and by `agreement` (P,)."""
         weighted = (agreement / self.sigma**2)[:, None] * self.rays
         H, g = weighted.T @ self.rays, weighted.T @ self.inverse
         if np.linalg.matrix_rank(H) < 3 or np.linalg.cond(H) > _WORST_CONDITION:
-            raise CalibrationError("what lies below the camera is no plane: no floor is in view", fix=_ADVICE)
+            raise CalibrationError("the points below the camera form no plane: no floor is in view", fix=_ADVICE)
         return np.asarray(np.linalg.solve(H, g))
 
     def agreement(self, q: FloatArray) -> FloatArray:
-        """Geman and McClure's weights (P,), as narrow as the spread of what is near the plane; 0 for all else."""
+        """Geman–McClure weights (P,), scaled by the spread of points near the plane; 0 for all others."""
         near = np.abs(self.off_m(q)) < 2 * self.settings.bands_m[-1]
         r = (self.inverse - self.rays @ q) / self.sigma
         scale = 1.4826 * float(np.median(np.abs(r[near]))) if near.any() else 1.0
@@ -432,7 +418,7 @@ class _Points:
 
 
 def _coarse_height_m(points: _Points, up_camera: FloatArray) -> float:
-    """Of the heights below the camera at which many points lie, the lowest."""
+    """The lowest peak of the histogram of heights below the camera."""
     below_m = -(points.rays @ up_camera) / points.inverse
     settings = points.settings
     edges = np.arange(settings.least_height_m, settings.highest_m, settings.bin_m)
@@ -440,7 +426,7 @@ def _coarse_height_m(points: _Points, up_camera: FloatArray) -> float:
     pairs = counts[:-1] + counts[1:]
     many = np.flatnonzero(pairs >= max(settings.peak_share * pairs.max(), settings.fewest_points))
     if not len(many):
-        raise CalibrationError("next to no depth lies below the camera: no floor is in view", fix=_ADVICE)
+        raise CalibrationError("hardly any depth lies below the camera: no floor is in view", fix=_ADVICE)
     lowest = (below_m >= edges[many[-1]]) & (below_m < edges[many[-1] + 2])
     return float(np.median(below_m[lowest]))
 
@@ -448,7 +434,7 @@ def _coarse_height_m(points: _Points, up_camera: FloatArray) -> float:
 def _view_by_view(
     points: _Points, q: FloatArray, agreement: FloatArray, view_count: int
 ) -> tuple[IntArray, FloatArray]:
-    """Indices (K,) of the views that tell the plane alone, and roll, pitch and height (K, 3) by each."""
+    """Indices (K,) of the views that determine the plane alone, and roll, pitch and height (K, 3) by each."""
     weights = agreement / points.sigma**2
     H = np.zeros((view_count, 3, 3))
     np.add.at(H, points.view, weights[:, None, None] * points.rays[:, :, None] * points.rays[:, None, :])
@@ -468,15 +454,15 @@ def _tilts(q: FloatArray) -> FloatArray:
 
 
 def _derivatives(q: FloatArray) -> FloatArray:
-    """Of roll, pitch and height by the plane: (3, 3)."""
+    """Derivatives (3, 3) of roll, pitch and height with respect to the plane."""
     steps = 1e-6 * np.linalg.norm(q) * np.eye(3)
     return np.stack([(_tilts(q + h) - _tilts(q - h)) / (2 * h.max()) for h in steps], axis=-1)
 
 
 def _covariance(points: _Points, q: FloatArray, agreement: FloatArray) -> FloatArray:
-    """Covariance (3, 3) of roll, pitch and height: the inverse Hessian on both sides of the gradient's spread.
+    """Covariance (3, 3) of roll, pitch and height by the sandwich estimator.
 
-    The gradient is summed over runs of neighbouring views, which share how the robot sways and what stands about.
+    The gradient is summed over runs of neighbouring views, whose errors correlate.
     """
     weights = agreement / points.sigma**2
     H = (weights[:, None] * points.rays).T @ points.rays
@@ -503,7 +489,7 @@ def _refuse_if_not_lowest(points: _Points, q: FloatArray) -> None:
 
 def _refuse_if_unsteady(tilts: FloatArray, view_count: int, settings: FloorSettings) -> None:
     if len(tilts) < max(settings.fewest_views, settings.fewest_share * view_count):
-        raise CalibrationError(f"only {len(tilts)} of {view_count} views show enough floor to tell it", fix=_ADVICE)
+        raise CalibrationError(f"only {len(tilts)} of {view_count} views show enough floor", fix=_ADVICE)
     sway = 1.4826 * np.median(np.abs(tilts - np.median(tilts, axis=0)), axis=0)
     if max(sway[:2]) > np.radians(settings.most_sway_deg) or sway[2] > settings.most_sway_m:
         raise CalibrationError(

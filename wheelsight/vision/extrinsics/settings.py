@@ -14,12 +14,12 @@ _DOES = "chosen; that it does was found on the simulator alone"
 
 
 class AgreementSettings(Settings):
-    """When wheels and camera tell of one drive, and what explains it where they do not."""
+    """When the motions of wheels and camera agree, and what explains a disagreement."""
 
     piece_m: float = setting(
         0.06,
         "a piece of the drive is over when either has gone so far: a camera errs by a millimetre or two, and a "
-        "robot of half a metre a second is told of after its first three frames",
+        "robot of half a metre a second is reported after its first three frames",
         _DOES,
         gt=0,
         le=10,
@@ -29,24 +29,22 @@ class AgreementSettings(Settings):
         0.01, "wheels and camera differ by it in any piece, as clocks are milliseconds apart", _DOES, gt=0, le=1
     )
     usual_rad: float = setting(0.01, "likewise in turns", _DOES, gt=0, le=1)
-    slips: float = setting(
-        2.0, "of turns that nobody has to explain: times what the calibration's slip makes", _DOES, ge=0, le=100
-    )
+    slips: float = setting(2.0, "tolerance of rotations, as a multiple of the calibration's slip", _DOES, ge=0, le=100)
     drift_rad_per_m: float = setting(
         0.04,
         "and what radii that are unequal by 2 % do in a metre, as filters allow for",
-        "reckoned, of wheels 0.5 m apart",
+        "computed, of wheels 0.5 m apart",
         ge=0,
         le=1,
     )
     largest_factor: float = setting(
-        100.0, "of sizes: a gear left out; beyond, one tells of motion, the other not", _DOES, gt=1, le=1e6
+        100.0, "of sizes: a missing gear; beyond, only one sensor reports motion", _DOES, gt=1, le=1e6
     )
     disagrees: float = setting(
         0.03,
         "share of the squared motion that is left: a scale 20 % or a direction 10° off, which no data sheet, tape "
         "measure or protractor is",
-        "reckoned from these",
+        "computed from these",
         gt=0,
         le=1,
     )
@@ -65,9 +63,9 @@ class AgreementSettings(Settings):
 
 
 class FloorSettings(Settings):
-    """Which plane is the floor, and when it is told well enough."""
+    """Which plane is the floor, and when it is well determined."""
 
-    farthest_m: float = setting(5.0, "depth beyond tells less than it may mislead", _DOES, gt=0, le=100)
+    farthest_m: float = setting(5.0, "largest depth; beyond, errors outweigh the information", _DOES, gt=0, le=100)
     least_height_m: float = setting(0.05, "of a camera over the floor", _DOES, gt=0, le=10)
     highest_m: float = setting(3.0, "likewise at most", _DOES, gt=0, le=100)
     bin_m: float = setting(0.04, "steps of heights in which points are counted", _DOES, gt=0, le=1)
@@ -76,7 +74,7 @@ class FloorSettings(Settings):
         (0.15, 0.10, 0.06, 0.04, 0.04), "about the plane, narrowed step by step", _DOES, min_length=1, max_length=100
     )
     robust_steps: int = setting(8, "of reweighting, after that", _DOES, gt=0, le=1000)
-    outlier_chi2: float = setting(9.0, "three standard deviations off the plane", "reckoned: χ² of 1", gt=0, le=1e4)
+    outlier_chi2: float = setting(9.0, "three standard deviations off the plane", "computed: χ² of 1", gt=0, le=1e4)
     fewest_points: int = setting(40, "that show the plane in a view", _DOES, gt=0, le=10**6)
     fewest_views: int = setting(10, "that show it, and at least", _DOES, gt=0, le=10**6)
     fewest_share: float = setting(0.25, "of all views", _DOES, ge=0, le=1)
@@ -85,14 +83,14 @@ class FloorSettings(Settings):
     most_sway_deg: float = setting(0.6, "from view to view; more is a loose camera", _DOES, gt=0, le=90)
     most_sway_m: float = setting(0.02, "likewise in height", _DOES, gt=0, le=10)
     steep: float = setting(
-        0.2, "of one view: the sine by which a ray points down that tells the height", _DOES, gt=0, lt=1
+        0.2, "of one view: least sine of the angle of a ray below the horizon that gives the height", _DOES, gt=0, lt=1
     )
     bin_log: float = setting(0.08, "of one view: steps of the height's logarithm, 8 %", _DOES, gt=0, le=1)
     range_log: float = setting(2.3, "of one view: ten times as high or as low at most", _DOES, gt=0, le=10)
     steepest_deg: float = setting(
         45.0,
         "of one view: slope, degrees, from which on the lowest that is seen is a wall and no floor",
-        "reckoned: halfway from one to the other",
+        "computed: halfway from one to the other",
         gt=0,
         lt=90,
     )
@@ -133,7 +131,7 @@ class DriveSettings(Settings):
     sample_s: float = setting(0.5, "at which the wheels' turns are added up", _DOES, gt=0, le=10)
     least_way_m: float = setting(2.0, "without it, where it looks stays unseen", _DOES, gt=0, le=1000)
     least_turn_rad: float = setting(1.0, "in all; without it, x and y stay unseen", _DOES, gt=0, le=1000)
-    least_shared_s: float = setting(5.0, "for which readings and frames tell both", _DOES, gt=0, le=1e4)
+    least_shared_s: float = setting(5.0, "for which readings and frames overlap", _DOES, gt=0, le=1e4)
     least_tracked_share: float = setting(0.5, "of the frames that are tracked", _DOES, ge=0, le=1)
     fewest_tracked: int = setting(50, "frames that are tracked", _DOES, gt=0, le=10**6)
     least_agreement: float = setting(0.6, "correlation of the turns of wheels and camera", _DOES, ge=0, le=1)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.errors import CalibrationError
-from wheelsight.core.geometry import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, se3
+from wheelsight.core.geometry import BoolArray, FloatArray, IntArray, se3
 from wheelsight.core.geometry.arrays import UInt64Array
 from wheelsight.core.keyframes import Keyframe, KeyframeFeatures
 from wheelsight.core.messages import RgbdFrame
@@ -192,7 +192,9 @@ class KeyframeMaker:
         """The keyframe of a frame and its features; compression takes as long as tracking a frame."""
         depth_m, grey = frame.depth_m, np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY), np.uint8)
         if self._rays is not None:
-            grey = self._seen_from_depth(grey, depth_m, self._rays)
+            px, is_inside = self._color.project(se3.apply(self._T_color_camera, (self._rays * depth_m[..., None])))
+            px = np.where((is_inside & (depth_m > 0))[..., None], px, -2.0).astype(np.float32)
+            grey = np.asarray(cv2.remap(grey, px[..., 0], px[..., 1], cv2.INTER_LINEAR), np.uint8)
         elif self._maps is not None:
             depth_m = np.asarray(cv2.remap(depth_m, *self._maps, cv2.INTER_NEAREST), np.float32)
             grey = np.asarray(cv2.remap(grey, *self._maps, cv2.INTER_LINEAR), np.uint8)
@@ -207,12 +209,6 @@ class KeyframeMaker:
             grey.astype(np.float32),
             KeyframeFeatures(features.px, points, features.descriptors),
         )
-
-    def _seen_from_depth(self, grey: ByteArray, depth_m: Float32Array, rays: FloatArray) -> ByteArray:
-        """Grey (h, w) of the colour camera at the points of the depth camera's pixels; 0 where unknown."""
-        px, is_inside = self._color.project(se3.apply(self._T_color_camera, (rays * depth_m[..., None])))
-        px = np.where((is_inside & (depth_m > 0))[..., None], px, -2.0).astype(np.float32)
-        return np.asarray(cv2.remap(grey, px[..., 0], px[..., 1], cv2.INTER_LINEAR), np.uint8)
 
 
 class FeatureSettings(Settings):
@@ -239,7 +235,7 @@ class FeatureSettings(Settings):
     )
     pyramid_levels: int = setting(8, "image scales", "Rublee et al. 2011 (ORB), as OpenCV has it", ge=1, le=12)
     pyramid_scale: float = setting(
-        1.2, "each level is so many times smaller", "Rublee et al. 2011 (ORB), as OpenCV has it", gt=1, le=2
+        1.2, "scale factor from level to level", "Rublee et al. 2011 (ORB), as OpenCV has it", gt=1, le=2
     )
     sigma_px: float = setting(
         0.65,
@@ -250,7 +246,7 @@ class FeatureSettings(Settings):
     )
     sigma_growth: float = setting(
         1.12,
-        "by which it grows a level: more slowly than the level's pixels do",
+        "factor per level: less than that of the level's pixels",
         "measured by python -m benchmarks.sensor on two Kinect recordings",
         ge=1,
         le=2,
@@ -309,7 +305,11 @@ class FeatureSettings(Settings):
         le=1e4,
     )
     triangle_m: float = setting(
-        0.05, "least side of the three points of a hypothesis; smaller ones tell no rotation", CHOSEN, gt=0, le=10
+        0.05,
+        "least side of the three points of a hypothesis; smaller ones do not determine a rotation",
+        CHOSEN,
+        gt=0,
+        le=10,
     )
     triangle_change_m: float = setting(
         0.05, "by which a side may differ between both frames, and by", CHOSEN, ge=0, le=10
@@ -320,7 +320,7 @@ class FeatureSettings(Settings):
     inlier_chi2: float = setting(
         16.3,
         "χ² of a pair that agrees with a motion: of three numbers, 99.9 % lie below",
-        "reckoned: χ² of 3",
+        "computed: χ² of 3",
         gt=0,
         le=1e4,
     )
