@@ -220,7 +220,11 @@ class AreaFilter:
     ) -> None:
         self.settings = settings or AreaFilterSettings()
         self._appearances = _appearances_of(areas, self.settings)
-        self._moves = _moves_of(areas)
+        # (A + 1, A + 1) transitions on leaving a place: to a neighbour or outside; from outside, to any area.
+        n = len(areas)
+        moves = np.ones((n + 1, n + 1)) - np.eye(n + 1)
+        moves[:n, :n] = areas.adjacency().astype(float) - np.eye(n)
+        self._moves = np.asarray(moves / moves.sum(axis=1, keepdims=True))
         start = np.append(np.full(len(areas), 1 / len(areas)), 0.0) if places is None else np.asarray(places, float)
         n_right, n_failing = len(self.settings.accuracies), len(self.settings.failing_appearances_m)
         levels = np.append(np.full(n_right, 1 / n_right), np.zeros(n_failing))
@@ -323,14 +327,6 @@ def _appearances_of(areas: AreaMap, settings: AreaFilterSettings) -> FloatArray:
     for level, accuracy in enumerate(settings.accuracies):
         appearances[level, :n] = accuracy * own + (1 - accuracy) * wrong if n > 1 else 1.0
     return appearances
-
-
-def _moves_of(areas: AreaMap) -> FloatArray:
-    """Return transitions (A + 1, A + 1) on leaving a place: to a neighbour or outside; from outside, to any area."""
-    n = len(areas)
-    moves = np.ones((n + 1, n + 1)) - np.eye(n + 1)
-    moves[:n, :n] = areas.adjacency().astype(float) - np.eye(n)
-    return np.asarray(moves / moves.sum(axis=1, keepdims=True))
 
 
 _OPEN = 1e6  # variance of an unmeasured direction, relative to the predicted one

@@ -13,7 +13,7 @@ from itertools import takewhile
 import cv2
 import numpy as np
 
-from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray
+from wheelsight.core.geometry import Float32Array, FloatArray
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.settings import ColorCheckSettings
 
@@ -67,7 +67,13 @@ class ColorCheck:
         if self.is_sound or self.is_sure:
             return
         of = self.settings
-        grey, near = _small(frame.color, of.width_px), _inverse_depth(frame, of)
+        whole = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY))
+        size = (of.width_px, max(1, round(of.width_px * whole.shape[0] / whole.shape[1])))
+        grey = np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_AREA), np.float32)
+        height_px, width_px = frame.depth_m.shape
+        size = (of.width_px, max(1, round(of.width_px * height_px / width_px)))
+        thin = np.asarray(cv2.resize(frame.depth_m, size, interpolation=cv2.INTER_NEAREST))
+        near = np.where(thin > 0, 1 / np.maximum(thin, np.float32(of.nearest_m)), np.float32(0)).astype(np.float32)
         last, self._last = self._last, (frame.stamp_s, grey, near)
         if not self._turns or last is None or last[1].shape != grey.shape or last[2].shape != near.shape:
             return
@@ -111,19 +117,6 @@ class ColorCheck:
         self.is_sound = likeliest == 0 and min(best[1:]) - best[0] > of.sure
         is_late = likeliest * period_s > of.least_lag_s and more > (0.0 if self.late else of.likely)
         self.late, self.is_sure = (likeliest, more > of.sure) if is_late else (0, False)
-
-
-def _small(color: ByteArray, width_px: int) -> Float32Array:
-    grey = np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY))
-    size = (width_px, max(1, round(width_px * grey.shape[0] / grey.shape[1])))
-    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.float32)
-
-
-def _inverse_depth(frame: RgbdFrame, of: ColorCheckSettings) -> Float32Array:
-    depth_m = frame.depth_m
-    size = (of.width_px, max(1, round(of.width_px * depth_m.shape[0] / depth_m.shape[1])))
-    thin = np.asarray(cv2.resize(depth_m, size, interpolation=cv2.INTER_NEAREST))
-    return np.where(thin > 0, 1 / np.maximum(thin, np.float32(of.nearest_m)), np.float32(0)).astype(np.float32)
 
 
 def _shift_of(before: Float32Array, now: Float32Array, of: ColorCheckSettings) -> float:

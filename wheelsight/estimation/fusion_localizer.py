@@ -91,14 +91,17 @@ class ByFusion:
     def process(self, event: Event) -> tuple[Estimate | None, str]:
         """Return the estimate after a wheel reading or frame, None for any other event, and a note on the event."""
         self._camera.forget_frame()
-        if isinstance(event, YawRate):
-            self._update_yaw_rate(event)
+        if isinstance(event, YawRate):  # it counts once the gyroscope agrees with the wheels
+            counts = self._base.add_yaw_rate(event)
+            if self._base.uses_gyro:
+                self._check.add_yaw_rate(event.stamp_s, event.yaw_rate_rad_s)
+            if counts and not self._is_early(event.stamp_s):
+                self._base.update_filter(event, self.filter)
+            return None, ""
         if isinstance(event, WheelReading):
             answer, note = self._update_wheels(event)
-        elif isinstance(event, RgbdFrame | SkippedFrame):
-            answer, note = self._update_frame(event)
         else:
-            return None, ""
+            answer, note = self._update_frame(event)
         if isinstance(answer, FusedEstimate):
             answer = self._map.framed(answer)
         if answer is None:
@@ -121,14 +124,6 @@ class ByFusion:
         if isinstance(event, RgbdFrame | SkippedFrame) and reason is not Reason.CLOCKS_APART:
             reason = Reason.FRAME_UNUSABLE
         return replace(known, reason=reason), why.note
-
-    def _update_yaw_rate(self, rate: YawRate) -> None:
-        """Use the gyroscope once it agrees with the wheels, and with the bias that was found."""
-        counts = self._base.add_yaw_rate(rate)
-        if self._base.uses_gyro:
-            self._check.add_yaw_rate(rate.stamp_s, rate.yaw_rate_rad_s)
-        if counts and not self._is_early(rate.stamp_s):
-            self._base.update_filter(rate, self.filter)
 
     def _update_wheels(self, reading: WheelReading) -> tuple[Estimate | None, str]:
         wheels, note = self._base.process(reading)

@@ -193,7 +193,9 @@ class LigockiFilter:
         if dt_s <= 0:
             return self._estimate(Status.FAILING, None, Reason.CLOCK_BACKWARDS)
         H, A = measurement_matrix(self.settings.weight, dt_s), process_matrix(self.settings.weight)
-        turned = _rotation((self._x @ H[0])[2] - self._wheels[2])
+        yaw_rad = (self._x @ H[0])[2] - self._wheels[2]
+        c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+        turned = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         wheel_step = turned @ _unwrapped(wheels - self._wheels)
         visual_step = wheel_step if visual is None else _unwrapped(visual - self._x[:, 1])
         self._x = self._x @ A.T
@@ -230,8 +232,3 @@ def _planar(T: ArrayLike) -> FloatArray:
 
 def _unwrapped(step: FloatArray) -> FloatArray:
     return np.array([step[0], step[1], float(se2.wrap_angle(step[2]))])
-
-
-def _rotation(yaw_rad: float) -> FloatArray:
-    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -351,19 +351,16 @@ def _answer(connection: Connection, localizer: Answering, tells_keyframes: bool)
     store = localizer.keyframes if tells_keyframes else None
     watch = None if store is None else _StoreWatch(store)
     connection.send(Answer(None, localizer.recognised))
-    while (event := _next(connection)) is not None:
+    while True:
+        try:
+            event: Event | None = connection.recv()
+        except (EOFError, ConnectionError):  # the other process has died
+            return
+        if event is None:
+            return
         estimate = localizer.process(event)
         news = watch.news() if watch is not None and isinstance(event, RgbdFrame) else None
         connection.send(Answer(estimate, localizer.recognised, news))
-
-
-def _next(connection: Connection) -> Event | None:
-    """Return the next event; None at the end, and if the other process has died."""
-    try:
-        event: Event | None = connection.recv()
-    except (EOFError, ConnectionError):
-        return None
-    return event
 
 
 def _send_error(connection: Connection, error: BaseException) -> None:

@@ -1,4 +1,10 @@
-"""Calibration of wheels against a reference trajectory: `fit_wheels` estimates radii, track width and clock offset.
+"""Calibration of wheels against a reference trajectory: both radii, track width and clock delay by least squares.
+
+The reference, ground truth or visual odometry, is cut into short segments. `fit_wheels` seeks the sizes and the delay
+for which the motions of the wheels differ least from those of the reference, along, across, and in yaw. The reference's
+body, a marker or a camera, may sit off the middle of the axle, so its mount is fitted as well. Segments with slip or a
+jump of the reference lose their weight (`core.robust_fit`).
+
 `try_calibration` fits on the first part of a recording and evaluates on the rest.
 """
 
@@ -10,7 +16,6 @@ from typing import Protocol
 
 import numpy as np
 
-from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.camera_errors import typical_motion_errors, with_error
 from wheelsight.core.errors import CalibrationError, EvaluationError
@@ -31,21 +36,12 @@ from wheelsight.io.recordings import Recording
 from wheelsight.io.recordings.recording import express_for
 from wheelsight.wheels.drive import Drive, Segments, cut, drive_of, drive_path
 
-# fit_wheels: both radii, track width and clock delay by least squares against a reference trajectory.
-#
-# The reference, ground truth or visual odometry, is cut into short pieces. What the wheels make of each is compared
-# with what the reference says, along and across the way and in yaw, and wheel sizes and delay are sought for which
-# the differences are least. The body that the reference follows, a marker or a camera, may sit off the middle of the
-# axle and look a little aside: its mount is fitted along with the rest. Pieces where a wheel slipped or the reference
-# jumped lose their weight (see `odometry._robust_fit`).
-
-
 PARAMETERS = ("left_radius_m", "right_radius_m", "track_width_m", "delay_s")
 LARGEST_DELAY_S = 0.5
 
 _FEWEST_SEGMENTS = 12
 _COARSE_STEP_S = 0.02
-_MOUNT_SIGMAS = np.array([0.5, 0.5, 0.3])  # how far off a mount may well be; holds what a straight drive leaves open
+_MOUNT_SIGMAS = np.array([0.5, 0.5, 0.3])  # prior of the mount, for drives that do not determine it
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,13 +50,13 @@ class WheelFit:
 
     Attributes:
         nominal, wheels: before and after.
-        sigmas: standard deviation of each of PARAMETERS that was fitted, by name, in its unit.
-        ratio_sigma: standard deviation of right radius over left, far smaller than what each radius alone allows.
-        mount: (3,) x, y in metres and yaw in radians of T_axle_body: how the reference's body was found to sit.
-        segments: what the wheels had to explain.
+        sigmas: standard deviation of each fitted parameter of PARAMETERS, by name, in its unit.
+        ratio_sigma: standard deviation of right radius over left, far smaller than that of a single radius.
+        mount: (3,) x, y in metres and yaw in radians of T_axle_body, the fitted pose of the reference's body.
+        segments: of the reference.
         residuals: (M, 3) of the fitted wheels, along and across each segment in metres, yaw in radians.
-        weights: (M,) 0 to 1 of the segments; a slip has about 0.
-        is_slip: (M,) segments whose residual is beyond what one in a thousand would show without a slip.
+        weights: (M,) 0 to 1 of the segments; about 0 for slip.
+        is_slip: (M,) whether the residual exceeds that of one in a thousand segments without slip.
     """
 
     nominal: Wheels
@@ -89,19 +85,19 @@ def fit_wheels(
     on_step: Callable[[str], None] = lambda _: None,
     camera_errors: FloatArray | None = None,
 ) -> WheelFit:
-    """Wheels that explain `reference`, with standard deviations, or a refusal that says what drive would do.
+    """Return the wheels that explain `reference`, with standard deviations. An error states a suitable drive.
 
     Args:
-        wheels: nominal ones: radii and track width right to a factor of two, delay to half a second.
-        drive: the readings of both wheels.
-        reference: T_odom_base, right to decimetres and degrees (of the camera: `recordings.bodies.express_for`).
-        segment_m: way between two poses that are compared: long for a noisy reference, short for frequent slips.
-        with_delay: also fit `delay_s`; else the nominal one is kept.
-        on_step: told in a word what is being done.
-        camera_errors: (K, 3, 3) of the base, of a reference by a camera (`camera_errors.motion_errors`); σ holds them.
+        wheels: nominal ones: radii and track width within a factor of two, delay within half a second.
+        drive: readings of both wheels.
+        reference: T_odom_base, accurate to decimetres and degrees (of the camera: `recordings.bodies.express_for`).
+        segment_m: length of a segment: long for a noisy reference, short for frequent slip.
+        with_delay: whether to fit `delay_s`; else the nominal one stays.
+        on_step: called with the name of each step.
+        camera_errors: (K, 3, 3) of the base, for a reference by a camera (`camera_errors.motion_errors`); added to σ.
 
     Raises:
-        CalibrationError: too short a drive, one that determines not all, a reference of another body, time or drive.
+        CalibrationError: a drive that is too short or does not determine all, or a reference of another drive or body.
     """
     segments = _segments(wheels, drive, reference, segment_m)
     problem = _Problem(drive, segments, wheels, with_delay)
@@ -114,19 +110,18 @@ def fit_wheels(
     refuse_if_unobservable(problem.sigmas(values, found.covariance), fitted, segments)
     refuse_if_impossible(wheels, fitted, LARGEST_DELAY_S)
     covariance = found.covariance + (0 if camera_errors is None else covariance_by(problem, found, camera_errors))
-    sigmas, ratio_sigma = problem.sigmas(values, covariance), _ratio_sigma(fitted, covariance)
-    known = stated(fitted, ratio_sigma, sigmas["track_width_m"] / fitted.track_width_m, _scale_sigma(covariance))
+    sigmas = problem.sigmas(values, covariance)
+    difference = np.array([-1, 1]) @ covariance[:2, :2] @ np.array([-1, 1])
+    ratio_sigma = float(fitted.right_radius_m / fitted.left_radius_m * np.sqrt(difference))
+    # Of the mean of both radii' logarithms, in which common errors add up.
+    scale_sigma = float(np.sqrt(covariance[:2, :2].sum()) / 2)
+    known = stated(fitted, ratio_sigma, sigmas["track_width_m"] / fitted.track_width_m, scale_sigma)
     explained = (found.residuals, found.weights, found.is_outlier)
     return WheelFit(wheels, known, sigmas, ratio_sigma, problem.mount(values), segments, *explained)
 
 
-def _scale_sigma(covariance: FloatArray) -> float:
-    """Of half the sum of both radii's logarithms: as a share, what both have in common adds up."""
-    return float(np.sqrt(covariance[:2, :2].sum()) / 2)
-
-
 def _segments(wheels: Wheels, drive: Drive, reference: Trajectory, segment_m: float) -> Segments:
-    """What the wheels have to explain, if there is enough of it."""
+    """Return the segments of the reference. Raises CalibrationError if there are too few."""
     if reference.body != "base":
         raise CalibrationError(
             f"the reference is of the {reference.body}, but wheels move the base", fix="give T_base_camera to join them"
@@ -141,14 +136,8 @@ def _segments(wheels: Wheels, drive: Drive, reference: Trajectory, segment_m: fl
     return segments
 
 
-def _ratio_sigma(fitted: Wheels, covariance: FloatArray) -> float:
-    """Standard deviation of right radius over left, from the covariance (P, P) of what was sought."""
-    difference = np.array([-1, 1]) @ covariance[:2, :2] @ np.array([-1, 1])
-    return float(fitted.right_radius_m / fitted.left_radius_m * np.sqrt(difference))
-
-
 class _Problem:
-    """Residuals as a function of what is sought: logarithms of sizes over nominal, mount, change of delay."""
+    """Residuals by the unknowns: logarithms of sizes over nominal ones, mount, change of delay."""
 
     def __init__(self, drive: Drive, segments: Segments, nominal: Wheels, with_delay: bool) -> None:
         self.drive, self.segments, self.nominal = drive, segments, nominal
@@ -168,12 +157,12 @@ class _Problem:
         return self.nominal.delay_s + (float(values[6]) if self.with_delay else 0.0)
 
     def residuals(self, values: FloatArray) -> FloatArray:
-        """(M, 3) in metres, metres, radians."""
+        """Return (M, 3) in metres, metres, radians."""
         robot = (self.sizes(values), self.delay_s(values), self.mount(values))
         return self.segments.residuals(self.segments.predicted(self.drive, *robot))
 
     def coarse(self) -> FloatArray:
-        """Nominal sizes with the delay for which wheel angles best go along with the reference, linearly."""
+        """Return nominal sizes with the delay for which wheel angles fit the reference best, in a linear model."""
         values = np.zeros(len(self.bounds))
         if self.with_delay:
             steps = round(LARGEST_DELAY_S / _COARSE_STEP_S)
@@ -182,13 +171,18 @@ class _Problem:
         return values
 
     def _linear_misfit(self, delay_s: float) -> float:
-        """How badly any radii and track width explain chords and turns with this change of delay."""
+        """Return the misfit of the best radii and track width to chords and turns at a change of delay."""
         clock_s = self.nominal.delay_s + delay_s
         start, end = (self.drive.angles_at(s + clock_s) for s in (self.segments.start_s, self.segments.end_s))
         turned = np.stack([end[0] - start[0], end[1] - start[1]], axis=-1)
         yaw_rad = self.segments.motions[:, 2]
         along_m = chords_m(self.segments) / np.sinc(yaw_rad / (2 * np.pi))
-        return sum(_misfit(turned, wanted) for wanted in (along_m, yaw_rad))
+        misfits = []  # logarithms of the mean squared residuals of linear fits, with residuals limited to three spreads
+        for wanted in (along_m, yaw_rad):
+            off = wanted - turned @ np.linalg.lstsq(turned, wanted)[0]
+            limit = 3 * max(float(spread(off[:, None])[0]), 1e-9)
+            misfits.append(float(np.log(np.mean(np.minimum(off**2, limit**2)) + 1e-12)))
+        return sum(misfits)
 
     def fitted(self, values: FloatArray) -> Wheels:
         left_m, right_m, track_m = (float(size) for size in self.sizes(values))
@@ -206,24 +200,14 @@ class _Problem:
         return found | ({"delay_s": float(deviations[6])} if self.with_delay else {})
 
 
-def _misfit(regressors: FloatArray, wanted: FloatArray) -> float:
-    """Logarithm of the mean squared residual of a linear fit, with slips cut off at three spreads."""
-    off = wanted - regressors @ np.linalg.lstsq(regressors, wanted)[0]
-    limit = 3 * max(float(spread(off[:, None])[0]), 1e-9)
-    return float(np.log(np.mean(np.minimum(off**2, limit**2)) + 1e-12))
-
-
-# WheelTrial: wheels calibrated on the first part of a recording and tried on the rest.
-
-
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """What some wheels make of the part of a recording that they were not fitted to.
+    """Dead reckoning of the part of a recording that was not used for the fit.
 
     Attributes:
-        path: dead-reckoned T_odom_base at the reference's stamps, begun at the reference's first pose there.
-        evaluation: of it.
-        end_error_m: how far from the reference it ends.
+        path: T_odom_base at the reference's stamps, from the reference's first pose there.
+        evaluation: of the path.
+        end_error_m: distance of its end from the reference.
     """
 
     path: Trajectory
@@ -233,13 +217,13 @@ class Attempt:
 
 @dataclass(frozen=True, eq=False)
 class WheelTrial:
-    """A calibration and its proof.
+    """A calibration and its evaluation.
 
     Attributes:
         recording: its name.
         fit: to the part before `split_s`, a stamp in seconds.
         reference: of the whole recording, T_odom_base.
-        held_out: the part of the reference after `split_s`, of the axle's middle: `fit.mount` taken off.
+        held_out: the part of the reference after `split_s`, of the middle of the axle (by `fit.mount`).
         before, after: nominal and fitted wheels on that part.
         warnings: of the recording, one sentence each.
     """
@@ -264,67 +248,50 @@ def try_calibration(
     by_camera: bool = False,
     on_step: Callable[[str], None] = lambda _: None,
 ) -> WheelTrial:
-    """Fit a recording's wheels to the first `train_share` of the time it shares with `reference`; try them on the rest.
+    """Fit a recording's wheels to the first `train_share` of the time of `reference`; evaluate on the rest.
 
     Args:
         recording: with wheel readings, and nominal wheels in its calibration.
         reference: of the base or the camera; None for the recording's ground truth.
-        train_share: 0 to 1, both left out.
-        by_camera: whether the reference is by its own camera: σ then holds what that one's calibration leaves open.
+        train_share: between 0 and 1.
+        by_camera: whether the reference is by the robot's camera: σ then has the errors of its calibration.
         segment_m, with_delay, on_step: see `fit_wheels`.
 
     Raises:
         CalibrationError: no wheels, no reference, a camera's reference without T_base_camera, a drive that does not
-            determine the wheels (see `fit_wheels`), or a rest too short to try them on.
+            determine the wheels (see `fit_wheels`), or too short a rest.
     """
     if not 0 < train_share < 1:
         raise CalibrationError(f"the share to calibrate on is {train_share:g}, not between 0 and 1")
-    nominal = _nominal(recording)
-    on_step("reading")
-    reference = _reference(recording, reference)
-    drive = drive_of(recording, nominal)
-    common = reference.between(*(drive.stamps_s[[0, -1]] - nominal.delay_s))
-    split_s = float(common.stamps_s[0] + train_share * common.duration_s) if len(common) else reference.stamps_s[0]
-    seen = reference.between(-np.inf, split_s) if len(common) else reference
-    errors = _camera_errors(recording.calibration) if by_camera else None
-    fit = fit_wheels(
-        nominal, drive, seen, segment_m=segment_m, with_delay=with_delay, on_step=on_step, camera_errors=errors
-    )
-    held_out = _at_axle(common.between(split_s, np.inf), fit.mount)
-    on_step("trying on the rest")
-    before, after = (_attempt(drive, wheels, held_out) for wheels in (nominal, fit.wheels))
-    return WheelTrial(recording.name, fit, reference, split_s, held_out, before, after, recording.warnings)
-
-
-def _camera_errors(calibration: Calibration) -> FloatArray | None:
-    is_known = calibration.color is not None and calibration.T_base_camera is not None
-    return typical_motion_errors(calibration) if is_known else None
-
-
-def _nominal(recording: Recording) -> Wheels:
-    wheels = recording.calibration.wheels
-    if wheels is None:
+    nominal = recording.calibration.wheels
+    if nominal is None:
         raise CalibrationError(
             f"the calibration of {recording.name} ({recording.calibration.source}) has no wheels",
             fix="give nominal ones in a calibration.yaml by --calibration: radii, track width, ticks a turn",
         )
-    return wheels
-
-
-def _reference(recording: Recording, given: Trajectory | None) -> Trajectory:
-    reference = given or recording.ground_truth
+    on_step("reading")
+    reference = reference or recording.ground_truth
     if reference is None:
         raise CalibrationError(
             f"{recording.name} has no ground truth to calibrate against",
             fix="give a trajectory with --reference, such as visual odometry's of this very recording",
         )
-    return express_for("base", reference, recording.calibration)
-
-
-def _at_axle(reference: Trajectory, mount: FloatArray) -> Trajectory:
-    """T_odom_axle from the trajectory of a body that sits there by x, y, yaw (3,) of T_axle_body."""
-    T_body_axle = se3.invert(se3.from_plane(*mount))
-    return Trajectory(reference.stamps_s, reference.T_frame_body @ T_body_axle, body="base", frame=reference.frame)
+    reference = express_for("base", reference, recording.calibration)
+    drive = drive_of(recording, nominal)
+    common = reference.between(*(drive.stamps_s[[0, -1]] - nominal.delay_s))
+    split_s = float(common.stamps_s[0] + train_share * common.duration_s) if len(common) else reference.stamps_s[0]
+    seen = reference.between(-np.inf, split_s) if len(common) else reference
+    known = recording.calibration
+    is_known = by_camera and known.color is not None and known.T_base_camera is not None
+    errors = typical_motion_errors(known) if is_known else None
+    fit = fit_wheels(
+        nominal, drive, seen, segment_m=segment_m, with_delay=with_delay, on_step=on_step, camera_errors=errors
+    )
+    rest, T_body_axle = common.between(split_s, np.inf), se3.invert(se3.from_plane(*fit.mount))
+    held_out = Trajectory(rest.stamps_s, rest.T_frame_body @ T_body_axle, body="base", frame=rest.frame)
+    on_step("trying on the rest")
+    before, after = (_attempt(drive, wheels, held_out) for wheels in (nominal, fit.wheels))
+    return WheelTrial(recording.name, fit, reference, split_s, held_out, before, after, recording.warnings)
 
 
 def _attempt(drive: Drive, wheels: Wheels, held_out: Trajectory) -> Attempt:
@@ -342,11 +309,8 @@ def _attempt(drive: Drive, wheels: Wheels, held_out: Trajectory) -> Attempt:
     return Attempt(path, evaluation, end_error_m)
 
 
-# What errors of the motions that wheels are held against make of what is fitted to them.
-
-
 class SegmentsProblem(Problem, Protocol):
-    """A fit to pieces of a reference; `segments` are those."""
+    """A fit to segments of a reference."""
 
     segments: Segments
 
@@ -354,9 +318,9 @@ class SegmentsProblem(Problem, Protocol):
 def covariance_by(
     problem: SegmentsProblem, found: RobustFit, errors: FloatArray, settings: RobustFitSettings = DEFAULTS
 ) -> FloatArray:
-    """Covariance (P, P) of what independent errors (K, 3, 3) of the motions, of one σ each, make of the values found.
+    """Return the covariance (P, P) of the fitted values by independent errors (K, 3, 3) of the motions, of one σ each.
 
-    Errors are as `camera_errors.motion_errors` tells them.
+    Errors are as in `camera_errors.motion_errors`.
     """
     segments, moved = problem.segments, []
     for error in errors:
@@ -367,10 +331,7 @@ def covariance_by(
     return np.asarray(shifts.T @ shifts)
 
 
-# When a drive does not determine the wheels, or is not the reference's: said, with what would help.
-
-
-_MOST_UNCERTAIN_SHARE = 0.03  # a tape measure does as well
+_MOST_UNCERTAIN_SHARE = 0.03  # that of a tape measure
 _MOST_UNCERTAIN_DELAY_S = 0.1
 _LARGEST_FACTOR = 2.5
 _LEAST_EXPLAINED = 0.5
@@ -384,11 +345,13 @@ _NAMES = {
 
 
 def refuse_if_unlike(segments: Segments, residuals: FloatArray, drive: Drive, delay_s: float) -> None:
-    """Raise CalibrationError where even the best wheels leave most of the reference's motion unexplained.
+    """Raise CalibrationError if the best wheels leave most of the reference's motion unexplained.
 
     Args:
-        segments, residuals: M of them, and (M, 3) what the fitted wheels leave.
-        drive, delay_s: to tell wheels that are swapped from those that are another drive's.
+        segments: M of the reference.
+        residuals: (M, 3) of the fitted wheels.
+        drive: readings of both wheels, which show swapped wheels.
+        delay_s: of the readings.
     """
     along_m, turn_rad = chords_m(segments), segments.motions[:, 2]
     way_m, way_left_m = _typical(along_m, residuals[:, 0])
@@ -412,15 +375,17 @@ def refuse_if_unlike(segments: Segments, residuals: FloatArray, drive: Drive, de
 
 
 def refuse_if_unobservable(sigmas: dict[str, float], wheels: Wheels, segments: Segments) -> None:
-    """Raise CalibrationError where a standard deviation is so large that a tape measure would do as well."""
-    vague = [name for name, sigma in sigmas.items() if not sigma <= _allowed(name, wheels)]
+    """Raise CalibrationError if a standard deviation exceeds that of a tape measure."""
+    allowed = {name: _MOST_UNCERTAIN_SHARE * float(getattr(wheels, name)) for name in PARAMETERS[:3]}
+    allowed["delay_s"] = _MOST_UNCERTAIN_DELAY_S
+    vague = [name for name, sigma in sigmas.items() if not sigma <= allowed[name]]
     if vague:
-        told = ", ".join(f"{_NAMES[name]} (σ {_uncertainty(name, sigmas[name], wheels)})" for name in vague)
-        raise CalibrationError(f"the drive does not determine: {told}", fix=_advice(vague, segments))
+        names = ", ".join(f"{_NAMES[name]} (σ {_uncertainty(name, sigmas[name], wheels)})" for name in vague)
+        raise CalibrationError(f"the drive does not determine: {names}", fix=_advice(vague, segments))
 
 
 def refuse_if_impossible(nominal: Wheels, fitted: Wheels, largest_delay_s: float) -> None:
-    """Raise CalibrationError for a fit so far from nominal that something else must be wrong."""
+    """Raise CalibrationError for a fit that is too far from nominal."""
     for name in ("left_radius_m", "right_radius_m", "track_width_m"):
         factor = getattr(fitted, name) / getattr(nominal, name)
         if not 1 / _LARGEST_FACTOR < factor < _LARGEST_FACTOR:
@@ -437,19 +402,15 @@ def refuse_if_impossible(nominal: Wheels, fitted: Wheels, largest_delay_s: float
 
 
 def chords_m(segments: Segments) -> FloatArray:
-    """Way (M,) along each segment's chord, negative backwards."""
+    """Return the distance (M,) along each segment's chord, negative backwards."""
     x, y, yaw_rad = segments.motions.T
     return np.asarray(x * np.cos(yaw_rad / 2) + y * np.sin(yaw_rad / 2))
 
 
 def _typical(motion: FloatArray, residual: FloatArray) -> tuple[float, float]:
-    """Medians of the sizes of motion (M,) and residual (M,) over the segments that move as such drives do."""
+    """Return the medians of absolute motion (M,) and residual (M,) over the moving segments."""
     moving = np.abs(motion) >= 0.5 * np.sqrt(np.mean(motion**2))
     return float(np.median(np.abs(motion[moving]))), float(np.median(np.abs(residual[moving])))
-
-
-def _allowed(name: str, wheels: Wheels) -> float:
-    return _MOST_UNCERTAIN_DELAY_S if name == "delay_s" else _MOST_UNCERTAIN_SHARE * float(getattr(wheels, name))
 
 
 def _uncertainty(name: str, sigma: float, wheels: Wheels) -> str:
@@ -460,7 +421,7 @@ def _uncertainty(name: str, sigma: float, wheels: Wheels) -> str:
 
 
 def _advice(vague: list[str], segments: Segments) -> str:
-    """What to drive so that the parameters become known."""
+    """Return a drive that determines the parameters."""
     turn_rad = segments.motions[:, 2]
     turned_left, turned_right = turn_rad[turn_rad > 0].sum(), -turn_rad[turn_rad < 0].sum()
     if vague == ["delay_s"]:
@@ -475,20 +436,18 @@ def _advice(vague: list[str], segments: Segments) -> str:
 
 
 def _agreement(a: FloatArray, b: FloatArray) -> float:
-    """Cosine between (M,) and (M,), -1 to 1."""
+    """Return the cosine between (M,) and (M,), -1 to 1."""
     size = float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
     return float(np.sum(a * b)) / size if size > 0 else 0.0
 
 
-# How sure the sizes of calibrated wheels are: what a fit says, and what no fit knows of tomorrow.
-
-
 @dataclass(frozen=True, slots=True)
 class FromDayToDay:
-    """What tyres change, which no fit knows of: standard deviations as a calibration states them.
+    """Changes of tyres between drives, which a fit does not show: standard deviations in a calibration's units.
 
-    Reckoned: two kilograms more on one side press that tyre in by 0.06 % of its radius, on wheels half a metre apart a
-    milliradian a metre; air and warmth do the like to both; where in its width a tyre touches the floor is the track's.
+    Estimated: two kilograms more on one side compress its tyre by 0.06 % of the radius. That is a milliradian per metre
+    for wheels half a metre apart. Air pressure and temperature have similar effects on both. The point of contact
+    within the width of a tyre changes the track width.
     """
 
     scale: float = 0.003
@@ -503,14 +462,14 @@ def stated(
     scale_share: float | None = None,
     daily: FromDayToDay | None = None,
 ) -> Wheels:
-    """Wheels that say how sure they are.
+    """Return wheels with standard deviations.
 
     Args:
         wheels: as fitted.
         ratio_sigma: standard deviation of right radius over left.
-        track_share: of the track width, as a share of it.
-        scale_share: of the mean radius, likewise; None where nothing was learned of it.
-        daily: or the default.
+        track_share: of the track width, relative.
+        scale_share: of the mean radius, relative; None to keep that of `wheels`.
+        daily: None for the default.
     """
     daily = daily or FromDayToDay()
     scale = wheels.scale_sigma if scale_share is None else float(np.hypot(scale_share, daily.scale))

@@ -1,5 +1,6 @@
-"""`Drive` holds the wheel angles of a recorded drive and integrates them for given wheels. `Segments` pairs its
-pieces with a reference trajectory.
+"""`Drive` holds the wheel angles of a recorded drive and integrates them for given wheels.
+
+`Segments` cuts a reference trajectory into pieces, whose motions the wheels must explain.
 """
 
 from __future__ import annotations
@@ -18,16 +19,14 @@ from wheelsight.core.messages import WheelSpeeds, WheelTicks
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.io.recordings import Recording
 
-# Drive: how far both wheels had turned at each reading, and where that takes a robot of given size.
-
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """The angles of both wheels over time, free of radii and track width: what a calibration starts from.
+    """Angles of both wheels over time, independent of radii and track width. Input of a calibration.
 
     Attributes:
         stamps_s: (N,) strictly growing, as recorded.
-        left_rad, right_rad: (N,) turned since the first reading, roll-over undone.
+        left_rad, right_rad: (N,) angles since the first reading, without roll-over.
     """
 
     stamps_s: FloatArray
@@ -35,21 +34,21 @@ class Drive:
     right_rad: FloatArray
 
     def angles_at(self, stamps_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Left and right angle (M,) at stamps (M,), in proportion between readings."""
+        """Return left and right angle (M,) at stamps (M,), interpolated between readings."""
         wanted_s = np.asarray(stamps_s, float)
         return np.interp(wanted_s, self.stamps_s, self.left_rad), np.interp(wanted_s, self.stamps_s, self.right_rad)
 
     def between(self, start_s: float, end_s: float) -> Drive:
-        """The readings with start ≤ stamp ≤ end."""
+        """Return the readings with start ≤ stamp ≤ end."""
         which = (self.stamps_s >= start_s) & (self.stamps_s <= end_s)
         return Drive(self.stamps_s[which], self.left_rad[which], self.right_rad[which])
 
 
 def drive_of(recording: Recording, wheels: Wheels) -> Drive:
-    """The drive that a recording's wheel readings tell of.
+    """Return the drive of a recording's wheel readings.
 
     Raises:
-        CalibrationError: it has fewer than two.
+        CalibrationError: fewer than two readings.
     """
     readings = [event for event in recording.events(images=False) if isinstance(event, WheelTicks | WheelSpeeds)]
     stamps_s = [reading.stamp_s for reading in readings]
@@ -57,7 +56,14 @@ def drive_of(recording: Recording, wheels: Wheels) -> Drive:
         raise CalibrationError(f"{recording.name} has {len(readings)} wheel readings", fix="give a recording of wheels")
     if all(isinstance(reading, WheelTicks) for reading in readings):
         counts = [(reading.left, reading.right) for reading in readings if isinstance(reading, WheelTicks)]
-        sides = [_narrowed(side, wheels.counter_span) for side in zip(*counts, strict=True)]
+        sides: list[Sequence[int]] = []
+        for side in zip(*counts, strict=True):
+            if max(wheels.counter_span, *(abs(count) for count in side)) <= 2**53:
+                sides.append(side)
+                continue
+            # Floats do not represent such counts exactly, but those since the first one.
+            steps = (least_step(int(now) - int(before), wheels.counter_span) for before, now in pairwise(side))
+            sides.append(list(accumulate(steps, initial=0)))
         return drive_from_ticks(wheels, stamps_s, *sides)
     speeds = [(reading.left_rad_s, reading.right_rad_s) for reading in readings if isinstance(reading, WheelSpeeds)]
     turned = np.array(speeds)[:-1] * np.diff(stamps_s)[:, None]
@@ -66,7 +72,7 @@ def drive_of(recording: Recording, wheels: Wheels) -> Drive:
 
 
 def drive_from_ticks(wheels: Wheels, stamps_s: ArrayLike, left: ArrayLike, right: ArrayLike) -> Drive:
-    """The drive that cumulative ticks (N,) of both wheels, whole or not, at stamps (N,) tell of.
+    """Return the drive of cumulative ticks (N,) of both wheels, whole or not, at stamps (N,).
 
     Raises:
         CalibrationError: fewer than two readings, arrays that do not fit, or stamps that do not grow.
@@ -77,27 +83,32 @@ def drive_from_ticks(wheels: Wheels, stamps_s: ArrayLike, left: ArrayLike, right
         raise CalibrationError(f"{stamps_s.size} stamps with {ticks[0].size} and {ticks[1].size} ticks are no drive")
     if not np.isfinite(stamps_s).all() or (np.diff(stamps_s) <= 0).any():
         raise CalibrationError("stamps of wheel readings must be finite and strictly growing")
-    angles = [2 * np.pi / wheels.ticks_per_turn * _unrolled(counts, wheels.counter_span) for counts in ticks]
+    angles, span = [], wheels.counter_span
+    for counts in ticks:
+        steps = np.diff(counts)
+        if span:  # remove roll-overs; exact for small steps of wide counters
+            steps = steps - span * np.floor(steps / span + 0.5)
+        angles.append(2 * np.pi / wheels.ticks_per_turn * np.concatenate([[0.0], np.cumsum(steps)]))
     return Drive(stamps_s, *angles)
 
 
 def drive_path(drive: Drive, wheels: Wheels, stamps_s: ArrayLike) -> Trajectory:
-    """T_odom_base at stamps (M,) of the robot's clock (not the readings'), with circular arcs between readings."""
+    """Return T_odom_base at stamps (M,) of the robot's clock (not the readings'), by arcs between readings."""
     sizes = np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
     x, y, yaw_rad = poses_at(drive, sizes, np.asarray(stamps_s, float) + wheels.delay_s).T
     return Trajectory(np.asarray(stamps_s, float), se3.from_plane(x, y, yaw_rad), body="base", frame="odom")
 
 
 def yaw_at_readings(drive: Drive, wheels: Wheels) -> FloatArray:
-    """Yaw (N,), from 0 at the first reading on beyond a turn; between readings it is linear in time."""
+    """Return the unwrapped yaw (N,), 0 at the first reading; between readings it is linear in time."""
     sizes_m = np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
     return np.concatenate([[0.0], np.cumsum(_arcs(np.diff(drive.left_rad), np.diff(drive.right_rad), sizes_m)[1])])
 
 
 def poses_at(drive: Drive, sizes_m: FloatArray, stamps_s: FloatArray) -> FloatArray:
-    """x, y, yaw (M, 3) at stamps (M,) of the readings' clock; `sizes_m` is left radius, right radius, track width.
+    """Return x, y, yaw (M, 3) at stamps (M,) of the readings' clock.
 
-    Yaw counts on beyond a turn; it starts at 0, as the position does, with the first reading.
+    `sizes_m` is left radius, right radius, track width. Yaw is unwrapped. All start at 0 with the first reading.
     """
     arc_m, turn_rad = _arcs(np.diff(drive.left_rad), np.diff(drive.right_rad), sizes_m)
     yaw_rad = np.concatenate([[0.0], np.cumsum(turn_rad)])
@@ -111,41 +122,22 @@ def poses_at(drive: Drive, sizes_m: FloatArray, stamps_s: FloatArray) -> FloatAr
 
 
 def _arcs(left_rad: FloatArray, right_rad: FloatArray, sizes_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Length and turn of each step (N,)."""
+    """Return length and turn of each step (N,)."""
     left_m, right_m = sizes_m[0] * left_rad, sizes_m[1] * right_rad
     return (left_m + right_m) / 2, (right_m - left_m) / sizes_m[2]
 
 
 def _chords(arc_m: FloatArray, turn_rad: FloatArray, yaw_rad: FloatArray) -> FloatArray:
-    """The straight steps (N,) across arcs that begin at yaw, as complex numbers x + iy."""
+    """Return the chords (N,) of arcs that begin at yaw, as complex numbers x + iy."""
     return np.asarray(arc_m * np.sinc(turn_rad / (2 * np.pi)) * np.exp(1j * (yaw_rad + turn_rad / 2)))
 
 
-def _narrowed(counts: Sequence[int], span: int) -> Sequence[int]:
-    """Counts since the first, where counters are so wide that floats would not tell them apart."""
-    if max(span, *(abs(count) for count in counts)) <= 2**53:
-        return counts
-    steps = (least_step(int(now) - int(before), span) for before, now in pairwise(counts))
-    return list(accumulate(steps, initial=0))
-
-
-def _unrolled(ticks: FloatArray, span: int) -> FloatArray:
-    """Ticks (N,) since the first reading, over roll-overs of a counter of so many values; 0 for none."""
-    steps = np.diff(ticks)
-    if span:
-        steps = steps - span * np.floor(steps / span + 0.5)  # which keeps small steps of wide counters
-    return np.concatenate([[0.0], np.cumsum(steps)])
-
-
-# Segments: a reference trajectory cut into pieces of like way, each a motion that the wheels must explain.
-
-
-_LONGEST = 3.0
+_LONGEST = 3.0  # length of a segment that a gap in the reference may make, relative to the usual one
 
 
 @dataclass(frozen=True, eq=False)
 class Segments:
-    """M pieces of a reference trajectory; neighbours may share a pose.
+    """M segments of a reference trajectory of similar length; neighbours may share a pose.
 
     Attributes:
         start_s, end_s: (M,) on the reference's clock.
@@ -160,12 +152,12 @@ class Segments:
         return len(self.start_s)
 
     def predicted(self, drive: Drive, sizes_m: FloatArray, delay_s: float, mount: FloatArray) -> FloatArray:
-        """The same motions (M, 3) by the wheels.
+        """Return the same motions (M, 3) by the wheels.
 
-        `sizes_m` is left radius, right radius, track width; `mount` (3,) is x, y and yaw of T_axle_body: where the
-        body that the reference follows sits, seen from the middle of the axle.
+        `sizes_m` is left radius, right radius, track width. `mount` (3,) is x, y and yaw of T_axle_body: the pose of
+        the reference's body relative to the middle of the axle.
         """
-        # Both at once: the whole drive is integrated for each call.
+        # Both in one call, since each call integrates the whole drive.
         both = poses_at(drive, sizes_m, np.concatenate([self.start_s, self.end_s]) + delay_s)
         start, end = both[: len(self)], both[len(self) :]
         step = (end - start)[:, :2] @ np.array([1, 1j])
@@ -175,7 +167,7 @@ class Segments:
         return np.stack([moved.real, moved.imag, turn_rad], axis=-1)
 
     def residuals(self, motions: FloatArray) -> FloatArray:
-        """Predicted `motions` (M, 3) minus the reference's: along and across its chord in metres, yaw in radians."""
+        """Return `motions` (M, 3) minus the reference's: along and across its chord in metres, yaw in radians."""
         off = motions - self.motions
         along = (off[:, 0] + 1j * off[:, 1]) * np.exp(-0.5j * self.motions[:, 2])
         return np.stack([along.real, along.imag, se2.wrap_angle(off[:, 2])], axis=-1)
@@ -184,12 +176,11 @@ class Segments:
 def cut(
     drive: Drive, reference: Trajectory, wheels: Wheels, length_m: float, margin_s: float, turn_rad: float = 1.0
 ) -> Segments:
-    """Cut `reference` where the wheels, by nominal size, have gone on by `length_m` or `turn_rad` since the last cut.
+    """Cut `reference` where the wheels, by nominal size, have moved by `length_m` or `turn_rad` since the last cut.
 
-    Cuts lie on poses of the reference, at least `margin_s` inside the readings. Time at rest makes no pieces, in which
-    a reference would only show its noise. Left out are pieces in which readings are missing for longer than
-    `wheels.max_gap_s` or need more than `wheels.max_speed_m_s`, and those that a gap in the reference makes over three
-    times too long.
+    Cuts lie on poses of the reference, at least `margin_s` inside the readings. There are no segments at rest, which
+    would only contain noise. Segments are left out if readings are missing for longer than `wheels.max_gap_s` or exceed
+    `wheels.max_speed_m_s`, or if a gap in the reference makes them over three times too long.
 
     Raises:
         CalibrationError: readings and reference share no time.
@@ -215,19 +206,19 @@ def cut(
 
 
 def _progress(drive: Drive, wheels: Wheels, length_m: float, turn_rad: float, stamps_s: FloatArray) -> FloatArray:
-    """How many segments lie before each stamp (N,), by nominal wheels."""
+    """Return the number of segments before each stamp (N,), with fractions, by nominal wheels."""
     left_m, right_m = wheels.left_radius_m * drive.left_rad, wheels.right_radius_m * drive.right_rad
     gone = np.maximum(
         np.abs(np.diff(left_m + right_m)) / 2 / length_m,
         np.abs(np.diff(right_m - left_m)) / wheels.track_width_m / turn_rad,
     )
-    total = np.concatenate([[0.0], np.cumsum(np.minimum(gone, 1.0))])  # a counter that jumps is no long way
+    total = np.concatenate([[0.0], np.cumsum(np.minimum(gone, 1.0))])  # a jump of a counter is no distance
     along: FloatArray = np.interp(stamps_s + wheels.delay_s, drive.stamps_s, total)
     return np.asarray(along - along[0])
 
 
 def _has_fault(drive: Drive, wheels: Wheels, start_s: FloatArray, end_s: FloatArray) -> BoolArray:
-    """Whether readings are missing for long, or jump, anywhere between each start (M,) and end (M,)."""
+    """Return whether readings are missing for long, or jump, between each start (M,) and end (M,)."""
     step_s = np.diff(drive.stamps_s)
     rolled_m = np.maximum(
         wheels.left_radius_m * np.abs(np.diff(drive.left_rad)), wheels.right_radius_m * np.abs(np.diff(drive.right_rad))

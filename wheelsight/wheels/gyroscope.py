@@ -1,5 +1,12 @@
-"""Yaw rates of a gyroscope at the times of wheel readings, and `GyroCheck`, which compares them with the turns of
-the wheels.
+"""Yaw rates of a gyroscope at the times of wheel readings, and `GyroCheck`, which compares them with the wheels' turns.
+
+The check splits both into blocks of a quarter of a second. Over the blocks of the last turns, the gyroscope's rate is a
+line over that of the wheels, with slope 1 and the bias at rate 0. The fit gives the scale between both with its
+uncertainty, the remaining scatter, and the lag of the best fit. Blocks with spinning wheels are outliers, and count
+little (Huber 1964).
+
+Wheels that slip in every turn, as those of a skid-steered robot, turn it less than they measure, and never twice alike.
+A constant scale is not slip: then the scale of one sensor is wrong, and the data do not show which.
 """
 
 from __future__ import annotations
@@ -17,29 +24,26 @@ from wheelsight.io.recordings import Recording
 from wheelsight.wheels.holonomic import odometry_of
 from wheelsight.wheels.odometry import GyroCheckSettings, WheelSettings
 
-# Yaw rates of a gyroscope, brought to the times of wheel readings, which are others.
-
-
 _GAP_S = WheelSettings().gyro_gap_s
 
 
 class YawRateMeter:
-    """The mean yaw rate from one wheel reading to the next, as the readings of both sensors come in.
+    """Mean yaw rate from one wheel reading to the next.
 
-    Between readings the rate is taken to change evenly, after the newest to stay. What that guessed wrong is made good
-    in the next mean, so that the yaw of many steps has no error from it.
+    The rate is interpolated linearly between readings, and constant after the newest one. The next mean corrects the
+    error of that, so that the yaw over many steps is exact.
 
     Args:
-        gap_s: a gyroscope that is silent for longer tells no mean.
+        gap_s: over a longer gap of the gyroscope there is no mean.
     """
 
     def __init__(self, gap_s: float = _GAP_S) -> None:
         self.gap_s = gap_s
-        self._angles: deque[tuple[float, float, float]] = deque()  # stamp, yaw turned until then, rate
+        self._angles: deque[tuple[float, float, float]] = deque()  # stamps, yaw angles and rates
         self._before: tuple[float, float] | None = None
 
     def add(self, stamp_s: float, yaw_rate_rad_s: float) -> None:
-        """Take a reading of the gyroscope; one that does not come after the last, or is no number, is left out."""
+        """Add a reading of the gyroscope; ignored if it is not newer than the last one, or not finite."""
         if not (math.isfinite(stamp_s) and math.isfinite(yaw_rate_rad_s)):
             return
         if not self._angles:
@@ -51,7 +55,7 @@ class YawRateMeter:
             self._angles.append((stamp_s, angle_rad, yaw_rate_rad_s))
 
     def mean_until(self, stamp_s: float) -> float | None:
-        """rad/s since the last call's stamp; None where the gyroscope was silent about there."""
+        """Return the mean rate since the stamp of the last call, rad/s; None in a gap of the gyroscope."""
         before, now_rad = self._before, self._angle_at(stamp_s)
         self._before = None if now_rad is None else (stamp_s, now_rad)
         if before is None or now_rad is None or not stamp_s > before[0]:
@@ -59,6 +63,7 @@ class YawRateMeter:
         return (now_rad - before[1]) / (stamp_s - before[0])
 
     def _angle_at(self, stamp_s: float) -> float | None:
+        """Return the yaw angle at a stamp; None in a gap. Older readings are dropped."""
         angles = self._angles
         while len(angles) > 1 and angles[1][0] <= stamp_s:
             angles.popleft()
@@ -76,9 +81,9 @@ class YawRateMeter:
 def mean_yaw_rates(
     stamps_s: ArrayLike, gyro_stamps_s: ArrayLike, yaw_rates_rad_s: ArrayLike, gap_s: float = _GAP_S
 ) -> FloatArray:
-    """Mean yaw rate (N,) from each wheel stamp (N,) to the next, at the later one; NaN where the gyroscope was silent.
+    """Return the mean yaw rate (N,) from each wheel stamp (N,) to the next, at the later one; NaN in a gap.
 
-    `yaw_rates_rad_s` (M,) were read at growing stamps (M,); it was silent where these are farther apart than `gap_s`.
+    `yaw_rates_rad_s` (M,) have growing stamps (M,). A gap is an interval of these over `gap_s`.
     """
     stamps, at, rates = (np.asarray(values, float) for values in (stamps_s, gyro_stamps_s, yaw_rates_rad_s))
     means = np.full(len(stamps), np.nan)
@@ -94,26 +99,20 @@ def mean_yaw_rates(
     return means
 
 
-# GyroCheck: whether a gyroscope tells of the turns that the wheels tell of, before it is believed and while it is.
-#
-# Both are cut into blocks of a quarter of a second. Over those of the last turns the gyroscope's rate is a line over
-# the wheels', whose slope is 1 and which crosses 0 at the bias; so it is told by which factor they differ, how
-# surely, how much is left, and by which lag they fit best. Blocks in which wheels spun lie off it and count little
-# (Huber 1964).
-#
-# Wheels that slip in every turn, as those of a skid-steered robot, turn it less than they say and never twice alike.
-# A factor that is always the same is none of slip: then a sensor's scale is wrong, and nobody knows whose.
-
-
 _DEGREES = 180 / math.pi
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """The gyroscope's rate over the wheels': slope with its standard deviation, rate at 0.
+    """A line of the gyroscope's rate over the wheels'.
 
-    `left`: variance of what is off it; `share`: of the rates' variance that it explains; `scatter`: how far rates are
-    off it, as a share of its own, by medians.
+    Attributes:
+        slope: of the line.
+        sigma: standard deviation of the slope.
+        bias_rad_s: rate of the gyroscope at rest.
+        left: variance of the residuals, (rad/s)².
+        share: share of the rates' variance that the line explains.
+        scatter: median residual relative to the median rate of the line.
     """
 
     slope: float
@@ -125,7 +124,7 @@ class Line:
 
     @classmethod
     def through(cls, wheels_rad_s: FloatArray, gyro_rad_s: FloatArray, turning_rad_s: float) -> Line:
-        """Of blocks (N,), at least three; those far off count little. Slower than `turning_rad_s` nothing turns."""
+        """Fit a line to blocks (N,), at least three, robustly. Only rates over `turning_rad_s` count as turns."""
         x, y = wheels_rad_s, gyro_rad_s
         weights, slope, bias = np.ones(len(x)), 0.0, 0.0
         for _ in range(6):
@@ -140,13 +139,13 @@ class Line:
         left = float(weights @ off**2 / weights.sum())
         variance = float(weights @ (y - mean_y) ** 2 / weights.sum())
         turning = np.abs(x) > turning_rad_s
-        told = abs(slope) * np.median(np.abs(x[turning])) if turning.any() else 0.0
-        scatter = float(np.median(off[turning]) / told) if told > 0 else math.inf
+        typical = abs(slope) * np.median(np.abs(x[turning])) if turning.any() else 0.0
+        scatter = float(np.median(off[turning]) / typical) if typical > 0 else math.inf
         sigma = math.sqrt(left / max(spread, 1e-12))
         return cls(slope, sigma, bias, left, 1 - left / variance if variance > 0 else 0.0, scatter)
 
     def lies_within(self, settings: GyroCheckSettings, sigmas: float = 0.0) -> bool:
-        """Whether such a factor is within what both are good to, or of wheels that slip; give or take some sigmas."""
+        """Whether the slope is within the limits for wheels that grip or slip, with a margin in sigmas."""
         of, room = settings, sigmas * self.sigma
         if self.scatter > of.slipping_scatter:
             return of.lowest_slipping_scale - room <= self.slope <= of.highest_slipping_scale + room
@@ -154,16 +153,16 @@ class Line:
 
 
 class GyroCheck:
-    """What the readings of both come to, as they come in.
+    """Compares a gyroscope with the turns of the wheels; see the module.
 
     Args:
-        settings: of None, the defaults.
+        settings: None for the defaults.
 
     Attributes:
-        is_trusted: whether the gyroscope has agreed, and not contradicted the wheels since.
-        agrees_now: whether it does so in the last second, too.
-        problem: how it contradicts them, in one line without an end; empty where it does not. It stays.
-        readings: of the gyroscope.
+        is_trusted: whether the gyroscope has agreed with the wheels, and not contradicted them since.
+        agrees_now: whether it also agrees in the last second.
+        problem: how it contradicts the wheels, without a full stop; empty if it does not. It stays once set.
+        readings: number of readings of the gyroscope.
     """
 
     def __init__(self, settings: GyroCheckSettings | None = None) -> None:
@@ -172,24 +171,23 @@ class GyroCheck:
         self.is_trusted = self.agrees_now = False
         self.problem = ""
         self.readings = 0
-        self._gyro: deque[tuple[float, float]] = deque()  # stamp, angle turned until then
+        self._gyro: deque[tuple[float, float]] = deque()  # stamps and angles
         self._rate = self._angle_rad = 0.0
-        self._same: deque[tuple[float, float]] = deque(
-            maxlen=of.stuck_blocks
-        )  # of the wheels, while it told one number
+        # Stamps and turns of the wheels while the gyroscope's rate has not changed.
+        self._same: deque[tuple[float, float]] = deque(maxlen=of.stuck_blocks)
         self._spans_s: dict[str, tuple[float, float]] = {}
-        self._begin: tuple[float, float] | None = None  # of a block: stamp, and the wheels' turn until then
+        self._begin: tuple[float, float] | None = None  # stamp and turn of the wheels at the begin of a block
         self._turn_rad = self._moved_s = 0.0
-        self._waiting: deque[tuple[float, float, float]] = deque()  # blocks: begin, end, the wheels' rate
-        self._wheels: deque[float] = deque(maxlen=of.last_blocks)  # rates of blocks
-        self._rates: deque[FloatArray] = deque(maxlen=of.last_blocks)  # the gyroscope's, at each lag
+        self._waiting: deque[tuple[float, float, float]] = deque()  # blocks: begin, end, rate of the wheels
+        self._wheels: deque[float] = deque(maxlen=of.last_blocks)  # rates of the blocks
+        self._rates: deque[FloatArray] = deque(maxlen=of.last_blocks)  # rates of the gyroscope at each lag
 
     def add_rate(self, stamp_s: float, yaw_rate_rad_s: float) -> None:
-        """Take a reading of the gyroscope; one that is no number, or does not come after the last, is left out."""
+        """Add a reading of the gyroscope; ignored if it is not finite, or not newer than the last one."""
         if not (math.isfinite(stamp_s) and math.isfinite(yaw_rate_rad_s)):
             return
         self.readings += 1
-        self._spread("gyroscope", stamp_s)
+        self._extend_span("gyroscope", stamp_s)
         if self._gyro and not stamp_s > self._gyro[-1][0]:
             return
         if self._gyro:
@@ -202,8 +200,8 @@ class GyroCheck:
             self._gyro.popleft()
 
     def add_turn(self, stamp_s: float, turn_rad: float, is_sound: bool = True) -> None:
-        """Take a step of the wheels that ends at a stamp, or one that was refused."""
-        self._spread("wheels", stamp_s)
+        """Add a step of the wheels that ends at a stamp; `is_sound` is False for a refused one."""
+        self._extend_span("wheels", stamp_s)
         if not is_sound or (self._begin is not None and not stamp_s > self._begin[0]):
             self._begin = None
         if self._begin is None:
@@ -217,11 +215,11 @@ class GyroCheck:
             self._waiting.append((begin_s, stamp_s, (self._turn_rad - begin_rad) / (stamp_s - begin_s)))
         self._begin = (stamp_s, self._turn_rad)
         self._same.append(self._begin)
-        self._take_blocks(stamp_s)
+        self._compare_blocks(stamp_s)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What there is to say once all has come in, one sentence each."""
+        """One sentence for each problem, after all readings."""
         if self.problem:
             return (f"The gyroscope is left out: {self.problem}.",)
         if not self.readings or self._rates or "wheels" not in self._spans_s:
@@ -234,32 +232,29 @@ class GyroCheck:
             f"wheels, {begin_s:.10g} to {end_s:.10g} s.",
         )
 
-    def _spread(self, whose: str, stamp_s: float) -> None:
+    def _extend_span(self, whose: str, stamp_s: float) -> None:
         if math.isfinite(stamp_s):
             first_s, last_s = self._spans_s.get(whose, (stamp_s, stamp_s))
             self._spans_s[whose] = (min(first_s, stamp_s), max(last_s, stamp_s))
 
-    def _take_blocks(self, now_s: float) -> None:
-        """Those that the gyroscope has told of by now, at all lags; of the others those that it may still."""
-        taken, latest_s = False, self.settings.most_lag_s
+    def _compare_blocks(self, now_s: float) -> None:
+        """Compare the blocks that the gyroscope covers at all lags; drop blocks after the longest wait for it."""
+        is_new, latest_s = False, self.settings.most_lag_s
         while self._waiting and not self.problem:
             begin_s, end_s, rate_rad_s = self._waiting[0]
-            is_told = bool(self._gyro) and self._gyro[-1][0] >= end_s + latest_s
-            if not is_told and now_s < end_s + self.settings.unheard_s:
+            is_covered = bool(self._gyro) and self._gyro[-1][0] >= end_s + latest_s
+            if not is_covered and now_s < end_s + self.settings.unheard_s:
                 break
             self._waiting.popleft()
-            if is_told and self._gyro[0][0] <= begin_s - latest_s:
-                self._add_block(begin_s, end_s, rate_rad_s)
-                taken = True
-        if taken:
+            if is_covered and self._gyro[0][0] <= begin_s - latest_s:
+                stamps_s, angles_rad = np.array(self._gyro).T
+                ends_s, begins_s = end_s + self._lags_s, begin_s + self._lags_s
+                turned = np.interp(ends_s, stamps_s, angles_rad) - np.interp(begins_s, stamps_s, angles_rad)
+                self._wheels.append(rate_rad_s)
+                self._rates.append(turned / (end_s - begin_s))
+                is_new = True
+        if is_new:
             self._judge()
-
-    def _add_block(self, begin_s: float, end_s: float, rate_rad_s: float) -> None:
-        stamps_s, angles_rad = np.array(self._gyro).T
-        ends_s, begins_s = end_s + self._lags_s, begin_s + self._lags_s
-        turned = np.interp(ends_s, stamps_s, angles_rad) - np.interp(begins_s, stamps_s, angles_rad)
-        self._wheels.append(rate_rad_s)
-        self._rates.append(turned / (end_s - begin_s))
 
     def _judge(self) -> None:
         of = self.settings
@@ -271,12 +266,12 @@ class GyroCheck:
         if len(turning) < of.trust_after:
             return
         first = turning[max(0, len(turning) - of.last_turns)]
-        # What comes before a turn tells the bias apart from the slope.
+        # Blocks before the turns separate the bias from the slope.
         begin = max(0, min(first, len(wheels) - 2 * of.last_turns))
         self._compare(wheels[begin:], rates[begin:], len(turning))
 
     def _compare(self, wheels: FloatArray, rates: FloatArray, turns: int) -> None:
-        """What rates (N,), and those of the gyroscope at all lags (N, L), tell of it."""
+        """Update trust and problem by rates of the wheels (N,) and of the gyroscope at all lags (N, L)."""
         of, no_lag = self.settings, len(self._lags_s) // 2
         lines = [Line.through(wheels, at_lag, of.turning_rad_s) for at_lag in rates.T]
         best = int(np.argmax([line.share for line in lines]))
@@ -293,7 +288,7 @@ class GyroCheck:
         self.agrees_now = self.is_trusted and bool((off < usual).all())
 
     def _is_stuck(self) -> bool:
-        """Whether it tells of one rate while the wheels changed theirs: by how far they are off an even turn."""
+        """Whether the gyroscope's rate stays while the wheels deviate from a constant rate."""
         if len(self._same) < 2 or not self._same[-1][0] - self._same[0][0] > self.settings.stuck_s:
             return False
         stamps_s, turned_rad = np.array(self._same).T
@@ -306,9 +301,9 @@ class GyroCheck:
 
 
 def gyro_warnings(recording: Recording, settings: GyroCheckSettings | None = None) -> tuple[str, ...]:
-    """What is wrong with a recording's gyroscope against its wheels, one sentence each; no image is decoded.
+    """Return the problems of a recording's gyroscope, one sentence each. Decodes no images.
 
-    Raises RecordingError when it cannot be read on.
+    Raises RecordingError if the recording cannot be read.
     """
     check = GyroCheck(settings)
     if recording.calibration.any_wheels is None:
@@ -324,7 +319,7 @@ def gyro_warnings(recording: Recording, settings: GyroCheckSettings | None = Non
 
 
 def _contradiction(line: Line, late_s: float, of: GyroCheckSettings) -> str:
-    """How it contradicts the wheels, or nothing."""
+    """Return how the gyroscope contradicts the wheels, or ""."""
     if line.share < of.deaf_share and abs(line.slope) < of.sigmas * line.sigma + 0.3:
         return "it does not tell of the turns that the wheels tell of"
     if line.slope < 0 and line.share > of.deaf_share:

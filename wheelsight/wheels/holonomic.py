@@ -1,14 +1,13 @@
-"""HolonomicOdometry: dead reckoning of a base that moves ahead, sideways and turns at once.
+"""HolonomicOdometry: dead reckoning of a base that moves forward, sideways and turns at once.
 
-Of counts, the base's motion is the least-squares solution of the wheels' ways (`HolonomicWheels.jacobian`), and its
-covariance that of the ways carried through the pseudo-inverse. Four wheels say one thing too many: by what they
-contradict each other beyond their noise, a wheel slips, and the covariance is scaled by as much (the a-posteriori
-variance of unit weight of least squares). Three wheels cannot say so. A base whose own odometry is read gives the
-motion ready.
+The motion by counts is the least-squares solution of the wheels' distances (`HolonomicWheels.jacobian`). Its covariance
+is that of the distances, propagated by the pseudo-inverse. Four wheels are redundant: contradictions beyond their noise
+indicate slip, and scale the covariance (the a-posteriori variance of unit weight of least squares). Three wheels are
+not redundant. A base with its own odometry gives the motion directly.
 
-The pose goes on by the exponential of the motion, exact where the base's velocities in its own frame are constant
-between two readings. A gyroscope's mean rate is a measurement of each step's turn, and its bias is estimated beside the
-pose: at rest the wheels show it.
+The pose is integrated by the exponential of the motion, exact for constant velocities in the base's frame between two
+readings. The mean rate of a gyroscope is a measurement of each step's turn. Its bias is estimated with the pose: at
+rest the wheels show it.
 """
 
 from __future__ import annotations
@@ -34,18 +33,26 @@ from wheelsight.wheels.odometry import Integration, WheelOdometry
 
 _PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
 _IN_PLANE = np.ix_(_PLANE, _PLANE)
-# s, by which readings may arrive late: a step may take as much longer than its stamps say.
+# Delay of readings, s: a step may last longer than its stamps by as much.
 _STAMP_JITTER_S = 0.05
-# s, over which contradictions of the wheels are summed up: one step shows less than the floor's roughness.
+# Time over which contradictions of the wheels accumulate, s: a single step is dominated by the floor's roughness.
 _SLIP_MEMORY_S = 0.5
-# Contradictions that happen once in so many by the wheels' noise alone are slip.
+# Contradictions beyond this quantile of the wheels' noise are slip.
 _SLIP_CONFIDENCE = 0.9999
-# Of a count, which is rounded down at both ends of a step: variance of the difference, counts².
+# Variance of a difference of counts, which are rounded down at both ends of a step, counts².
 _COUNT_VARIANCE = 1 / 6
 
 
 class _Motion(NamedTuple):
-    """A step of the base: (3,) ahead, left and turn; covariance (3, 3); farthest a wheel went; and contradictions."""
+    """A step of the base.
+
+    Attributes:
+        xi: (3,) forward, left and turn.
+        covariance: (3, 3).
+        farthest_m: largest distance of a wheel.
+        off_m: contradictions of the wheels.
+        off_m2: covariance of these.
+    """
 
     xi: FloatArray
     covariance: FloatArray
@@ -55,22 +62,22 @@ class _Motion(NamedTuple):
 
 
 class HolonomicOdometry(OneCaller):
-    """Where the base is in the frame `odom`, which is where it was at the first reading.
+    """Pose of the base in the frame `odom`, which starts at the first reading.
 
-    A reading is refused as by `WheelOdometry`: it does not come after the last one, comes too late (`max_gap_s`),
-    counters may have rolled over unseen, or a wheel would have gone faster than `max_speed_m_s`. Then the pose keeps
-    and the covariance grows by all that the base could have done meanwhile.
+    A reading is refused as in `WheelOdometry`: if it is not newer, comes too late (`max_gap_s`), counters may have
+    rolled over, or a wheel exceeds `max_speed_m_s`. Then the pose stays, and the covariance grows by any possible
+    motion.
 
     Args:
         wheels: of the robot.
-        gyro: what the yaw rates given are worth; None for the defaults of `Gyro`.
+        gyro: noise of the yaw rates; None for the defaults of `Gyro`.
     """
 
     def __init__(self, wheels: HolonomicWheels, gyro: Gyro | None = None) -> None:
         self._wheels = need_kind("wheels", wheels, HolonomicWheels, "calibration.holonomic")
         self._gyro = gyro or Gyro()
         self._T, self._moved = np.eye(4), np.eye(4)
-        # Of the pose's left perturbation (vx, vy, ω), and of the gyroscope's bias.
+        # Covariance of the pose's left perturbation (vx, vy, ω), and of the gyroscope's bias.
         self._P = np.zeros((4, 4))
         self._P[3, 3] = self._gyro.bias_sigma_rad_s**2
         self._bias_rad_s = self._gyro.bias_rad_s
@@ -83,7 +90,7 @@ class HolonomicOdometry(OneCaller):
 
     @property
     def T_odom_base(self) -> FloatArray:
-        """The pose (4, 4) after the last reading."""
+        """Pose (4, 4) after the last reading."""
         return self._T.copy()
 
     @property
@@ -95,37 +102,37 @@ class HolonomicOdometry(OneCaller):
 
     @property
     def twist(self) -> tuple[float, float, float]:
-        """Speed ahead and to the left, m/s, and yaw rate, rad/s, in the last step; zero after one that was refused."""
+        """Velocity forward and to the left, m/s, and yaw rate, rad/s, in the last step; zero after a refused one."""
         ahead, left, turn = self._twist.tolist()
         return ahead, left, turn
 
     def motion_in(self, seconds: float) -> FloatArray:
-        """T_now_then (4, 4) after so many seconds more at this twist."""
+        """Return T_now_then (4, 4), the motion at the current twist over a time."""
         return np.asarray(motions.exp(_in_space(self._twist * seconds)))
 
     @property
     def moved(self) -> FloatArray:
-        """T_before_now (4, 4) of the last step alone, whatever it says of the way before."""
+        """T_before_now (4, 4) of the last step alone, without its correction of the path before."""
         return self._moved.copy()
 
     @property
     def turned_rad(self) -> float:
-        """By how much the wheels alone turned the base in the last step that was not refused."""
+        """Turn of the base in the last accepted step by the wheels alone, radians."""
         return self._turned_rad
 
     @property
     def gyro_bias_rad_s(self) -> float:
-        """What the gyroscope shows at rest, as far as it is known by now."""
+        """Current estimate of the gyroscope's bias."""
         return self._bias_rad_s
 
     @property
     def gyro_bias_sigma_rad_s(self) -> float:
-        """Standard deviation of that."""
+        """Standard deviation of the bias."""
         return math.sqrt(self._P[3, 3])
 
     @property
     def slip_chi2(self) -> float:
-        """χ² of what the wheels contradict each other by of late; 0 where they cannot (three wheels, increments)."""
+        """χ² of recent contradictions between wheels; 0 without redundancy (three wheels, the base's own odometry)."""
         if not len(self._off_m) or not self._off_m.any():
             return 0.0
         return float(motions.chi_squared(self._off_m, self._off_m2))
@@ -136,7 +143,7 @@ class HolonomicOdometry(OneCaller):
         return len(self._off_m) > 0 and self.slip_chi2 > quantile(_SLIP_CONFIDENCE, len(self._off_m))
 
     def copy(self) -> HolonomicOdometry:
-        """Another that goes on from here by itself."""
+        """Return an independent copy."""
         other = HolonomicOdometry(self._wheels, self._gyro)
         for name in ("_T", "_moved", "_P", "_bias_rad_s", "_twist", "_off_m", "_off_m2", "_last", "_answered"):
             setattr(other, name, copy.copy(getattr(self, name)))
@@ -146,25 +153,32 @@ class HolonomicOdometry(OneCaller):
 
     @one_at_a_time
     def pause(self, seconds: float) -> None:
-        """Before the next reading, so long may have passed, whatever stamps say: as while a host slept."""
+        """Note that a time may have passed before the next reading, whatever its stamp, as after a suspended host."""
         self._paused_s = seconds
 
     @one_at_a_time
     def process(self, reading: WheelReading, yaw_rate_rad_s: float | None = None) -> WheelEstimate:
-        """The pose at a reading, and the step there from the one before.
+        """Return the pose at a reading, and the step from the previous one.
 
         Args:
             reading: cumulative counts of all wheels, or the pose by the base's own odometry.
-            yaw_rate_rad_s: the gyroscope's mean since the reading before, or None.
+            yaw_rate_rad_s: the gyroscope's mean since the previous reading, or None.
 
         Returns:
             As `WheelOdometry.process`.
 
         Raises:
-            ArgumentError: no reading of such wheels, or stamps that are no seconds.
+            ArgumentError: no reading of such wheels, or stamps that are not seconds.
         """
         check_event(reading)
-        reading = self._checked(reading)
+        if not isinstance(reading, HolonomicReading):
+            problem = f"a {type(reading).__name__} is no reading of a holonomic base"
+            raise ArgumentError(problem, fix="WheelCounts or OdometryReading")
+        names = self._wheels.wheel_names
+        if isinstance(reading, WheelCounts) and len(reading.counts) != len(names):
+            problem = f"{len(reading.counts)} counts are given, and the calibration has {len(names)} wheels"
+            fix = f"one each of {', '.join(names)}" if names else "OdometryReading, as layout increments says"
+            raise ArgumentError(problem, fix=fix)
         self._stamps.check(reading)
         if yaw_rate_rad_s is not None:
             need_number("yaw_rate_rad_s", yaw_rate_rad_s)
@@ -177,19 +191,8 @@ class HolonomicOdometry(OneCaller):
         status = Status.TRACKING if why is None else Status.FAILING
         return WheelEstimate(stamp_s, status, T, C, why, "base", before=before)
 
-    def _checked(self, reading: WheelReading) -> HolonomicReading:
-        names = self._wheels.wheel_names
-        if not isinstance(reading, HolonomicReading):
-            problem = f"a {type(reading).__name__} is no reading of a holonomic base"
-            raise ArgumentError(problem, fix="WheelCounts or OdometryReading")
-        if isinstance(reading, WheelCounts) and len(reading.counts) != len(names):
-            problem = f"{len(reading.counts)} counts are given, and the calibration has {len(names)} wheels"
-            fix = f"one each of {', '.join(names)}" if names else "OdometryReading, as layout increments says"
-            raise ArgumentError(problem, fix=fix)
-        return reading
-
     def _advance(self, reading: HolonomicReading, rate_rad_s: float | None) -> Reason | None:
-        """Why a reading is refused; None where it moved the pose."""
+        """Integrate a reading; return why it is refused, or None."""
         last = self._last
         if last is None or type(last) is not type(reading):
             self._last = reading
@@ -211,7 +214,7 @@ class HolonomicOdometry(OneCaller):
         return None
 
     def _motion(self, last: HolonomicReading, now: HolonomicReading) -> _Motion:
-        """What two readings of one kind say of the base between them."""
+        """Return the motion of the base between two readings of one kind."""
         of, none = self._wheels, self._no_slip()
         if isinstance(last, WheelCounts) and isinstance(now, WheelCounts):
             span = 1 << of.counter_bits if of.counter_bits else 0
@@ -226,7 +229,11 @@ class HolonomicOdometry(OneCaller):
         assert isinstance(now, OdometryReading)
         c, s = math.cos(last.yaw_rad), math.sin(last.yaw_rad)
         x, y = now.x_m - last.x_m, now.y_m - last.y_m
-        T = _planar(c * x + s * y, c * y - s * x, now.yaw_rad - last.yaw_rad)
+        turn_rad = now.yaw_rad - last.yaw_rad
+        c_now, s_now = math.cos(turn_rad), math.sin(turn_rad)
+        T = np.array(
+            [[c_now, -s_now, 0, c * x + s * y], [s_now, c_now, 0, c * y - s * x], [0, 0, 1, 0], [0, 0, 0, 1.0]]
+        )
         xi = motions.log(T)[_PLANE]
         way_m = math.hypot(xi[0], xi[1]) + of.lever_m * abs(xi[2])
         variance = of.slip_m_per_sqrt_m**2 * way_m
@@ -237,6 +244,7 @@ class HolonomicOdometry(OneCaller):
         return np.zeros(count), np.zeros((count, count))
 
     def _fault(self, motion: _Motion, dt_s: float, while_s: float) -> Reason | None:
+        """Return why a motion is refused, or None. `while_s` is the longer time of a pause."""
         of = self._wheels
         if not np.isfinite(motion.xi).all():
             return Reason.INVALID
@@ -249,7 +257,7 @@ class HolonomicOdometry(OneCaller):
         return None
 
     def _slip_factor(self, motion: _Motion, dt_s: float) -> float:
-        """By how much more a step varies than the wheels' noise says: 1 where they go together."""
+        """Return the factor of a step's variance by contradictions of the wheels; 1 without slip."""
         if not len(self._off_m):
             return 1.0
         kept = math.exp(-dt_s / _SLIP_MEMORY_S)
@@ -258,12 +266,16 @@ class HolonomicOdometry(OneCaller):
         return max(self.slip_chi2 / len(self._off_m), 1.0) if self.is_slipping else 1.0
 
     def _move(self, xi: FloatArray, spread: FloatArray, gyro_rad: float | None, dt_s: float) -> None:
-        """Go on by a step ξ (3,) with its covariance (3, 3), of which the gyroscope shows the turn, or None."""
+        """Integrate a step ξ (3,) with its covariance (3, 3), and the turn of the gyroscope, or None."""
         P = np.zeros((7, 7))  # of pose, bias and step
         P[:4, :4], P[4:, 4:] = self._P, spread
         T_before = self._T
         if gyro_rad is not None:
-            noise = self._gyro.noise_rad_per_sqrt_s**2 * dt_s + self._counted_rad2
+            counted_rad2 = 0.0  # variance of a turn by the rounding of counts
+            if self._wheels.wheel_names:
+                row = self._wheels.to_base[2]
+                counted_rad2 = float(_COUNT_VARIANCE * self._wheels.m_per_tick**2 * (row @ row))
+            noise = self._gyro.noise_rad_per_sqrt_s**2 * dt_s + counted_rad2
             PHt = P[:, 6] + dt_s * P[:, 3]
             S = PHt[6] + dt_s * PHt[3] + noise
             x = PHt * ((gyro_rad - xi[2] - dt_s * self._bias_rad_s) / S)
@@ -279,16 +291,8 @@ class HolonomicOdometry(OneCaller):
         self._P, self._moved = (P + P.T) / 2, motions.exp(tangent)
         self._T = motions.mended(motions.times(T_before, self._moved))
 
-    @property
-    def _counted_rad2(self) -> float:
-        """Variance of a turn by counts being whole."""
-        if not self._wheels.wheel_names:
-            return 0.0
-        row = self._wheels.to_base[2]
-        return float(_COUNT_VARIANCE * self._wheels.m_per_tick**2 * (row @ row))
-
     def _widen(self, while_s: float) -> None:
-        """In so long the base may have gone anywhere its wheels could take it, evenly so."""
+        """Add the covariance of any motion that the wheels allow over a time, uniformly distributed."""
         of = self._wheels
         reach_m = of.max_speed_m_s * (while_s + _STAMP_JITTER_S)
         anywhere = np.diag([reach_m, reach_m, min(reach_m / of.lever_m, math.pi)]) ** 2 / 3
@@ -303,7 +307,7 @@ AnyWheelOdometry = WheelOdometry | HolonomicOdometry
 
 
 def odometry_of(calibration: Calibration, integration: Integration = "arc") -> AnyWheelOdometry:
-    """Dead reckoning of the wheels that the robot has. Raises CalibrationError where it has none."""
+    """Return the odometry of the robot's wheels. Raises CalibrationError if it has none."""
     if calibration.holonomic is not None:
         return HolonomicOdometry(calibration.holonomic, calibration.gyro)
     if calibration.wheels is None:
@@ -313,12 +317,7 @@ def odometry_of(calibration: Calibration, integration: Integration = "arc") -> A
 
 
 def _in_space(xi: FloatArray) -> FloatArray:
-    """(6,) of a planar tangent (3,)."""
+    """Return the tangent (6,) of a planar one (3,)."""
     found = np.zeros(6)
     found[_PLANE] = xi
     return found
-
-
-def _planar(x_m: float, y_m: float, yaw_rad: float) -> FloatArray:
-    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    return np.array([[c, -s, 0, x_m], [s, c, 0, y_m], [0, 0, 1, 0], [0, 0, 0, 1.0]])

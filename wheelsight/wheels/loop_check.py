@@ -1,4 +1,4 @@
-"""A drive that ends where it began: how far its wheels' path does not close, against what is known of the wheels."""
+"""Check of wheels by a drive that ends where it started: the error of its path at the end, and possible causes."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class LoopCheckSettings(Settings):
 
 
 class LoopCause(StrEnum):
-    """What of the wheels' sizes may be wrong; a loop does not tell the mean radius, by which it closes all the same."""
+    """Possible errors of the wheels' sizes. A loop does not depend on the mean radius."""
 
     DRIFT = "one radius against the other"
     TURN = "track width against radii"
@@ -58,18 +58,18 @@ class LoopCause(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LoopCheck:
-    """By how much a loop does not close.
+    """Error of a loop at its end.
 
     Attributes:
-        way_m: driven, backwards counted too, turns on the spot not.
-        turns: whole turns between start and end, counter-clockwise positive; 0 of a figure of eight.
-        off_m, off_rad: at the end, by the wheels; the heading counter-clockwise.
-        off_sigma_m, off_sigma_rad: what the wheels' stated σ, their slip and the mark make likely.
-        sizes_sigma_m, sizes_sigma_rad: the part of the wheels' stated σ alone.
-        is_as_stated: whether it is off by no more than that, all three numbers together.
-        is_good: whether it is off by little, whatever is stated.
-        causes: what alone explains it, the likeliest first, and how much of it: radians that are turned too far to the
-            left a metre, or the share by which turns are too large; none where it is as stated.
+        way_m: distance, with that of driving backwards, without turns on the spot.
+        turns: whole turns between start and end, counter-clockwise positive; 0 for a figure of eight.
+        off_m, off_rad: error at the end, by the wheels; the heading counter-clockwise.
+        off_sigma_m, off_sigma_rad: σ of the error by the stated σ of the wheels, their slip, and the mark.
+        sizes_sigma_m, sizes_sigma_rad: the part of the stated σ of the wheels.
+        is_as_stated: whether the error is consistent with these, in all three numbers.
+        is_good: whether the error is small, whatever is stated.
+        causes: single causes that explain the error, the likeliest first, with their amounts: radians per metre to the
+            left, or the relative error of turns. Empty if it is as stated.
     """
 
     way_m: float
@@ -86,10 +86,10 @@ class LoopCheck:
 
 
 def check_loop(drive: Drive, wheels: Wheels, settings: LoopCheckSettings | None = None) -> LoopCheck:
-    """What a drive whose end is its start, heading and all, tells of wheels.
+    """Check wheels by a drive whose final pose is its initial one, heading included.
 
     Raises:
-        CalibrationError: a drive that is too short.
+        CalibrationError: the drive is too short.
     """
     settings = settings or LoopCheckSettings()
     poses = poses_at(drive, _sizes(wheels), drive.stamps_s)
@@ -101,10 +101,13 @@ def check_loop(drive: Drive, wheels: Wheels, settings: LoopCheckSettings | None 
     off = poses[-1].copy()
     turns = round(off[2] / (2 * np.pi))
     off[2] -= 2 * np.pi * turns
-    J = _by_sizes(drive, wheels)
+    # Derivatives (3, 3) of the end by scale, drift and turn, as a calibration states their σ.
+    here = _end(drive, wheels)
+    J = np.stack([(_end(drive, wheels, *change) - here) / _STEP for change in _STEP * np.eye(3)], axis=-1)
     stated = np.array([wheels.scale_sigma, wheels.drift_sigma_rad_per_m, wheels.turn_sigma])
     of_sizes = (J * stated**2) @ J.T
-    of_drive = _by_slip(poses, np.abs(steps_m), wheels) + _of_mark(settings)
+    of_mark = np.diag(np.square([settings.mark_m, settings.mark_m, np.radians(settings.mark_deg)]))
+    of_drive = _by_slip(poses, np.abs(steps_m), wheels) + of_mark
     sigmas, of_sizes_alone = _sigmas(of_sizes + of_drive), _sigmas(of_sizes)
     most = chi_square.quantile(settings.confidence, 3)
     is_as_stated = float(off @ np.linalg.solve(of_sizes + of_drive, off)) <= most
@@ -121,23 +124,17 @@ def _sizes(wheels: Wheels) -> FloatArray:
 
 
 def _end(drive: Drive, wheels: Wheels, scale: float = 0.0, drift: float = 0.0, turn: float = 0.0) -> FloatArray:
-    """x, y, yaw (3,) of the end, with wheels that make ways longer, turn so much more a metre, and turn more."""
+    """Return x, y, yaw (3,) of the end for wheels with errors of scale, drift per metre and turn."""
     half = drift * wheels.track_width_m / 2
     sizes = _sizes(wheels) * (1 + scale) * np.array([1 - half, 1 + half, 1 / (1 + turn)])
     return np.asarray(poses_at(drive, sizes, drive.stamps_s[-1:])[0], float)
 
 
-def _by_sizes(drive: Drive, wheels: Wheels) -> FloatArray:
-    """Derivatives (3, 3) of the end by scale, drift and turn, as a calibration states their σ."""
-    here = _end(drive, wheels)
-    return np.stack([(_end(drive, wheels, *change) - here) / _STEP for change in _STEP * np.eye(3)], axis=-1)
-
-
 def _by_slip(poses: FloatArray, steps_m: FloatArray, wheels: Wheels) -> FloatArray:
-    """Covariance (3, 3) of the end by each wheel's random slip, step by step.
+    """Return the covariance (3, 3) of the end by each wheel's random slip, step by step.
 
-    A wheel that went δ too far moved the base by δ/2 ahead and turned it by ±δ over the track width, and with it all of
-    the way from there to the end.
+    An excess δ of a wheel moves the base forward by δ/2 and turns it by ±δ over the track width, with all of the path
+    from there to the end.
     """
     rest = poses[-1, :2] - poses[1:, :2]
     ahead = np.stack([np.cos(poses[:-1, 2]), np.sin(poses[:-1, 2])], axis=-1) / 2
@@ -149,19 +146,15 @@ def _by_slip(poses: FloatArray, steps_m: FloatArray, wheels: Wheels) -> FloatArr
     return covariance
 
 
-def _of_mark(settings: LoopCheckSettings) -> FloatArray:
-    return np.diag(np.square([settings.mark_m, settings.mark_m, np.radians(settings.mark_deg)]))
-
-
 def _sigmas(covariance: FloatArray) -> tuple[float, float]:
-    """Of the position, both axes together, and of the heading."""
+    """Return σ of the position, both axes together, and of the heading."""
     return float(np.sqrt(covariance[0, 0] + covariance[1, 1])), float(np.sqrt(covariance[2, 2]))
 
 
 def _causes(
     drive: Drive, wheels: Wheels, closed: FloatArray, of_drive: FloatArray, most: float
 ) -> tuple[tuple[LoopCause, float], ...]:
-    """What alone explains an end that is not `closed` (3,), and by how much it is wrong; the likeliest first."""
+    """Return single causes of an end other than `closed` (3,), and their amounts; the likeliest first."""
     found = []
     for cause, unit in ((LoopCause.DRIFT, np.eye(3)[1]), (LoopCause.TURN, np.eye(3)[2])):
         amount = _amount(drive, wheels, unit, closed, of_drive)
@@ -171,23 +164,23 @@ def _causes(
 
 
 def _amount(drive: Drive, wheels: Wheels, unit: FloatArray, closed: FloatArray, of_drive: FloatArray) -> float:
-    """How much too large one error (of `_end`, by its unit) makes the end `closed`, nearest in σ.
+    """Return the amount of one error (of `_end`, by its unit) whose removal brings the end nearest to `closed`, in σ.
 
-    By the heading first, which is linear in it however far it is off; then Gauss-Newton.
+    The first step uses the heading, which is linear in the amount. Then Gauss-Newton.
     """
     amount, weights = 0.0, np.diag([0.0, 0.0, 1.0])
     for _ in range(_ROUNDS):
         left = _end(drive, wheels, *(-amount * unit)) - closed
         column = (_end(drive, wheels, *(-(amount + _STEP) * unit)) - closed - left) / _STEP
         information = float(column @ weights @ column)
-        # The track's width tells nothing at the end of a figure of eight.
+        # The track width has no effect at the end of a figure of eight.
         amount -= float(column @ weights @ left) / information if information > _NOTHING else 0.0
         weights = np.linalg.inv(of_drive)
     return amount
 
 
 def with_sigmas(wheels: Wheels, scale: float, drift_rad_per_m: float, turn: float) -> Wheels:
-    """Wheels of which nobody says how sure they are, with these σ; others as they are."""
+    """Return wheels without stated σ with these ones; other wheels unchanged."""
     if wheels.scale_sigma or wheels.drift_sigma_rad_per_m or wheels.turn_sigma:
         return wheels
     return replace(wheels, scale_sigma=scale, drift_sigma_rad_per_m=drift_rad_per_m, turn_sigma=turn)

@@ -1,5 +1,12 @@
-"""`WheelOdometry` integrates the readings of a differential drive into a pose with covariance. Also its settings,
-the correction of reading times, and the encoder model.
+"""`WheelOdometry` integrates the readings of a differential drive into a pose with covariance.
+
+The travel of both wheels gives distance and turn (Trinh et al., eq. 2), and these give the next pose by one of three
+integrations: "euler", along the previous heading (Trinh et al., eq. 3); "midpoint", along the mean heading (Ligocki,
+eq. 1); "arc", along the arc, exact for constant wheel speeds. The variance of a wheel's travel grows with its distance,
+independently of the other wheel. The yaw rate of a gyroscope, if there is one, is fused with the turn of the wheels
+five times a second. It is used as given; `GyroCheck` decides whether it contradicts the wheels.
+
+The module also has the settings, the correction of reading times (`ReadingTimes`), and the model of an `Encoder`.
 """
 
 from __future__ import annotations
@@ -50,36 +57,25 @@ from wheelsight.wheels.odometry_kernels import (
     update,
 )
 
-# WheelOdometry: dead reckoning from the counts of two wheels, reading by reading or a whole log at once.
-#
-# The robot drives differentially: from the travel of both wheels follow way and turn (Trinh et al., eq. 2), from
-# these the next pose by one of three integrations: "euler", along the old heading (Trinh et al., eq. 3); "midpoint",
-# along the heading halfway (Ligocki, eq. 1); "arc", along the arc itself, exact for wheels that turn evenly. The
-# variance of a wheel's travel grows with its way, independently of the other wheel's. A gyroscope's yaw rate, where
-# there is one, is joined with the turn that the wheels tell of, five times a second (`_gyro_kernels`). It is believed
-# as it is given: whether it contradicts the wheels says `GyroCheck`.
-
-
 Integration = Literal["arc", "midpoint", "euler"]
 
 _INTEGRATIONS = {"euler": EULER, "midpoint": MIDPOINT, "arc": ARC}
 _REASONS = (None, Reason.CLOCK_BACKWARDS, Reason.GAP, Reason.COUNTER_AMBIGUOUS, Reason.IMPLAUSIBLE_MOTION)
-_WIDE = 2**53  # beyond, a roll-over as a float has lost counts
+_WIDE = 2**53  # beyond, floats do not represent a roll-over exactly
 _PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
 
 
 class WheelOdometry(OneCaller):
-    """Where the base is in the frame `odom`, which is where it was at the first reading.
+    """Pose of the base in the frame `odom`, which starts at the first reading.
 
-    A reading is refused when its stamp does not come after the last one's, when it comes too late (`max_gap_s`), when
-    counters may have rolled over more than half their range since, or when a wheel would have had to roll faster than
-    `max_speed_m_s`. Then the pose keeps, the covariance grows by all that the wheels could have done meanwhile, and the
-    way goes on from there with the next reading; one whose stamp runs backwards changes nothing at all.
+    A reading is refused if its stamp is not newer, if it comes too late (`max_gap_s`), if counters may have rolled over
+    by more than half their range, or if a wheel exceeds `max_speed_m_s`. Then the pose stays, the covariance grows by
+    any possible motion, and the next reading continues from there. A stamp that runs backwards changes nothing.
 
     Args:
-        wheels: of the robot. Estimates are stamped with the time the wheels stood so: `stamp_s - delay_s`.
+        wheels: of the robot. Estimates have the time of the motion as their stamp: `stamp_s - delay_s`.
         integration: "arc", "midpoint" or "euler".
-        gyro: what the yaw rates given are worth; None for the defaults of `Gyro`.
+        gyro: noise of the yaw rates; None for the defaults of `Gyro`.
     """
 
     def __init__(self, wheels: Wheels, integration: Integration = "arc", gyro: Gyro | None = None) -> None:
@@ -99,7 +95,7 @@ class WheelOdometry(OneCaller):
 
     @property
     def T_odom_base(self) -> FloatArray:
-        """The pose (4, 4) after the last reading."""
+        """Pose (4, 4) after the last reading."""
         return self._T_odom_base.copy()
 
     @property
@@ -115,33 +111,33 @@ class WheelOdometry(OneCaller):
 
     @property
     def twist(self) -> tuple[float, float]:
-        """Forward speed in m/s and yaw rate in rad/s over the last step; zero after a reading that was refused."""
+        """Forward speed in m/s and yaw rate in rad/s over the last step; zero after a refused reading."""
         return float(self._state[at.SPEED]), float(self._state[at.YAW_RATE])
 
     def motion_in(self, seconds: float) -> FloatArray:
-        """T_now_then (4, 4) after so many seconds more at this twist."""
+        """Return T_now_then (4, 4), the motion at the current twist over a time."""
         speed, yaw_rate = self.twist
         half = yaw_rate * seconds / 2
-        # Along the arc's chord, as the exponential of this twist: in closed form, as it is asked for at each reading.
+        # The exponential of the twist in closed form, along the chord of the arc, since each reading needs it.
         chord_m = speed * seconds * (math.sin(half) / half if half else 1.0)
         return se3.from_plane(chord_m * math.cos(half), chord_m * math.sin(half), 2 * half)
 
     @property
     def moved(self) -> FloatArray:
-        """T_before_now (4, 4) of the last step alone: with nothing of what it has told of the way before.
+        """T_before_now (4, 4) of the last step alone, without its correction of the path before.
 
-        `T_odom_base` leaps where the gyroscope's bias, or how wheels are off, turns out to be another than was thought.
+        `T_odom_base` jumps when the estimate of the gyroscope's bias or of the wheels' errors changes.
         """
         step, turn = self.motion_in(self._step_s), self._state[at.TOLD] if self._step_s else 0.0
         return step @ se3.from_plane(0.0, 0.0, turn)
 
     @property
     def turned_rad(self) -> float:
-        """By how much the wheels alone, by their calibration, turned the base in the last step that was not refused."""
+        """Turn of the base in the last accepted step, by the wheels and their calibration alone, radians."""
         return float(self._state[at.TURNED])
 
     def copy(self) -> WheelOdometry:
-        """Another that goes on from here by itself."""
+        """Return an independent copy."""
         other = WheelOdometry.__new__(WheelOdometry)
         other.__dict__.update({name: value for name, value in vars(self).items() if name not in vars(other)})
         other._parameters, other._states = self._parameters.copy(), self._states.copy()
@@ -150,45 +146,45 @@ class WheelOdometry(OneCaller):
 
     @property
     def gyro_bias_rad_s(self) -> float:
-        """What the gyroscope is thought to show at rest, as far as it is known by now."""
+        """Current estimate of the gyroscope's bias."""
         return float(self._state[at.BIAS])
 
     @property
     def gyro_bias_sigma_rad_s(self) -> float:
-        """How far off that may be, as a standard deviation."""
+        """Standard deviation of the bias."""
         return math.sqrt(self._state[at.BIAS_VARIANCE])
 
     @one_at_a_time
     def pause(self, seconds: float) -> None:
-        """Before the next reading, so long may have passed, whatever stamps say: as while a host slept, or a bus hung.
+        """Note that a time may have passed before the next reading, whatever its stamp, as after a suspended host.
 
-        Counts tell the way all the same; one that is too long for its stamps is then believed.
+        Counts still give the distance. One that is too long for its stamps is then accepted.
         """
         self._paused_s = seconds
 
     @one_at_a_time
     def process(self, reading: WheelReading, yaw_rate_rad_s: float | None = None) -> WheelEstimate:
-        """The pose at a reading, and the step there from the one before.
+        """Return the pose at a reading, and the step from the previous one.
 
         Args:
             reading: cumulative ticks, or speeds that hold until the next reading.
-            yaw_rate_rad_s: the gyroscope's mean since the reading before, or None.
+            yaw_rate_rad_s: the gyroscope's mean since the previous reading, or None.
 
         Returns:
-            `Status.TRACKING` with the pose; or, of a reading that was refused, `Status.FAILING` with the reason, the
-            pose as it was before and the covariance grown. Its `step` is the motion since the reading before, as
+            `Status.TRACKING` with the pose. For a refused reading, `Status.FAILING` with the reason, the previous pose
+            and a larger covariance. Its `step` is the motion since the previous reading, as
             `ErrorStateFilter.predict` takes it.
 
         Raises:
-            ArgumentError: no reading, numbers that are none, counts with a fraction, or stamps that are no seconds.
+            ArgumentError: no reading, invalid numbers, counts with a fraction, or stamps that are not seconds.
         """
         check_event(reading)
         if not isinstance(reading, WheelTicks | WheelSpeeds):
-            fix = "WheelTicks or WheelSpeeds; of a holonomic base, HolonomicOdometry takes others"
+            fix = "WheelTicks or WheelSpeeds; HolonomicOdometry takes those of a holonomic base"
             raise ArgumentError(f"a {type(reading).__name__} is no reading of two wheels", fix=fix)
         self._stamps.check(reading)
         rate_rad_s = math.nan if yaw_rate_rad_s is None else need_number("yaw_rate_rad_s", yaw_rate_rad_s)
-        why = self._advance(reading, rate_rad_s)
+        why = self._integrate(reading, rate_rad_s)
         stamp_s, before = reading.stamp_s - self._wheels.delay_s, self._answered
         T, C = self._T_odom_base.copy(), self._covariance.copy()
         if why == BACKWARDS:
@@ -198,7 +194,8 @@ class WheelOdometry(OneCaller):
         status = Status.FAILING if why else Status.TRACKING
         return WheelEstimate(stamp_s, status, T, C, _REASONS[why], "base", before=before)
 
-    def _advance(self, reading: WheelTicks | WheelSpeeds, rate_rad_s: float) -> int:
+    def _integrate(self, reading: WheelTicks | WheelSpeeds, rate_rad_s: float) -> int:
+        """Integrate a reading; return the code of why it is refused, or OK."""
         last, self._step_s = self._last, 0.0
         if last is None:
             self._last = reading
@@ -214,7 +211,7 @@ class WheelOdometry(OneCaller):
         return why
 
     def _update(self, ticks: tuple[float, float], dt_s: float, rate_rad_s: float, paused_s: float) -> int:
-        """Why a step is refused, or OK; of a reading after a pause, by the longer of both times where it needs that."""
+        """Return why a step is refused, or OK. After a pause, the speed limit may use the longer of both times."""
         before = self.copy() if paused_s > dt_s > 0 else None
         filled = (self._T_odom_base, self._covariance)
         self._states[:, at.TOLD] = 0.0
@@ -233,7 +230,7 @@ class WheelTrack:
     """A whole log, dead-reckoned.
 
     Attributes:
-        stamps_s: (N,) as given, less `delay_s`; not growing where the clock ran backwards.
+        stamps_s: (N,) as given, minus `delay_s`; not growing where the clock ran backwards.
         poses: (N, 3), x, y in metres and yaw in [-π, π] radians of T_odom_base.
         covariance_parts: (N, 6), xx, xy, xω, yy, yω, ωω of the left perturbation (vx, vy, ω).
         reason_codes: (N,) 0, or why a reading was refused; see `reason`.
@@ -249,11 +246,11 @@ class WheelTrack:
 
     @property
     def is_refused(self) -> BoolArray:
-        """(N,) which readings were refused."""
+        """(N,) whether each reading was refused."""
         return np.not_equal(self.reason_codes, OK)
 
     def reason(self, index: int) -> Reason | None:
-        """Why a reading was refused, or None."""
+        """Return why a reading was refused, or None."""
         return _REASONS[self.reason_codes[index]]
 
     @property
@@ -262,7 +259,7 @@ class WheelTrack:
         return self.covariance_parts[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
 
     def trajectory(self) -> Trajectory:
-        """T_odom_base, without the readings that were refused."""
+        """Return T_odom_base, without refused readings."""
         kept = ~self.is_refused
         poses = self.poses[kept]
         covariances = np.zeros((len(poses), 6, 6))
@@ -280,16 +277,16 @@ def integrate_log(
     yaw_rates_rad_s: ArrayLike | None = None,
     gyro: Gyro | None = None,
 ) -> WheelTrack:
-    """Dead reckoning of a whole log; the same as `WheelOdometry`, reading by reading, in one go.
+    """Return the dead reckoning of a whole log, as `WheelOdometry` gives it reading by reading.
 
     Args:
         wheels: of the robot.
         stamps_s: (N,) seconds.
         left, right: (N,) cumulative ticks, up to 2⁵³; they may be fractions (see `ticks_from_speeds`).
         integration: "arc", "midpoint" or "euler".
-        yaw_rates_rad_s: (N,) the gyroscope's mean since the reading before (see `mean_yaw_rates`), NaN
+        yaw_rates_rad_s: (N,) the gyroscope's mean since the previous reading (see `mean_yaw_rates`), NaN
             for none; or None.
-        gyro: what these are worth; None for the defaults of `Gyro`.
+        gyro: noise of these; None for the defaults of `Gyro`.
     """
     stamps = np.ascontiguousarray(stamps_s, np.float64)
     left, right = (np.ascontiguousarray(side, np.float64) for side in (left, right))
@@ -308,7 +305,7 @@ def integrate_log(
 def ticks_from_speeds(
     wheels: Wheels, stamps_s: ArrayLike, left_rad_s: ArrayLike, right_rad_s: ArrayLike
 ) -> tuple[FloatArray, FloatArray]:
-    """Cumulative ticks (N,), with fractions, of wheels that turn at speeds (N,), each until the next stamp (N,)."""
+    """Return cumulative ticks (N,), with fractions, of wheels at speeds (N,), each until the next stamp (N,)."""
     steps_s = np.diff(np.asarray(stamps_s, float))
 
     def turned(speeds_rad_s: ArrayLike) -> FloatArray:
@@ -321,7 +318,7 @@ def ticks_from_speeds(
 def sides_of_four(
     front_left: ArrayLike, rear_left: ArrayLike, front_right: ArrayLike, rear_right: ArrayLike
 ) -> tuple[FloatArray, FloatArray]:
-    """Ticks (N,) of the left and right side of a skid-steered robot: means of front and rear wheels, each (N,)."""
+    """Return ticks (N,) of both sides of a skid-steered robot: means of front and rear wheels, each (N,)."""
     pairs = ((front_left, rear_left), (front_right, rear_right))
     left, right = (np.mean([np.asarray(wheel, float) for wheel in pair], axis=0) for pair in pairs)
     return left, right
@@ -336,16 +333,16 @@ def _ticks_between(
         return float(left), float(right)
     if isinstance(last, WheelSpeeds) and isinstance(now, WheelSpeeds):
         return last.left_rad_s * ticks_per_speed, last.right_rad_s * ticks_per_speed
-    raise TypeError("a robot's wheels tell either ticks or speeds, not both")
+    raise TypeError("a robot's wheels give either ticks or speeds, not both")
 
 
 def _count_variance(wheels: Wheels) -> float:
-    """rad² of a turn between two readings: each count may stand for any angle within it, at both ends."""
+    """Return the variance of a turn between two readings, rad², by the rounding of counts at both ends."""
     return (wheels.left_m_per_tick**2 + wheels.right_m_per_tick**2) / 6 / wheels.track_width_m**2
 
 
 def _prepare(wheels: Wheels, integration: Integration, gyro: Gyro) -> tuple[FloatArray, FloatArray]:
-    """Parameters and first states (2, STATE_SIZE) as the kernels take them."""
+    """Return parameters and initial states (2, STATE_SIZE) of the kernels."""
     if integration not in _INTEGRATIONS:
         raise ArgumentError(f"integration is {integration!r}", fix=f"one of {', '.join(_INTEGRATIONS)}")
     parameters, state = np.zeros(PARAMETERS_SIZE), np.zeros(at.STATE_SIZE)
@@ -362,9 +359,6 @@ def _prepare(wheels: Wheels, integration: Integration, gyro: Gyro) -> tuple[Floa
     state[at.BIAS], state[at.BIAS_VARIANCE] = gyro.bias_rad_s, gyro.bias_sigma_rad_s**2
     state[at.RATIO] = 1.0
     return parameters, np.stack([state, state])
-
-
-# WheelSettings: what can be set about wheels and the gyroscope beside them, with the reasons for the defaults.
 
 
 _FROM_0002 = "docs/decisions/0002: three simulated flats, and the log of a real skid-steered robot"
@@ -532,28 +526,24 @@ class WheelSettings(Settings):
     gyro_check: GyroCheckSettings = GyroCheckSettings()
 
 
-# ReadingTimes: when wheel readings were taken, though they are stamped when they arrive.
-#
-# Wheels tell ways, and a count is right whenever it arrives; its stamp is off by what host and wire were busy with. A
-# step took about as long as its way takes at the speed there was. By how much steps last more or less than their ways
-# take tells how far off stamps are, beyond what slip and a change of speed would make of it; the time of a reading
-# lies between both, the nearer to its stamp the better stamps are. One that comes late, after a gap in which those
-# behind it waited too, was taken when its way says.
-
-
 Timed = WheelTicks | WheelCounts | OdometryReading
-"""Readings whose ways say how long they took; speeds have none of their own."""
+"""Readings with distances, which indicate their durations. Speeds have none."""
 
 
 class ReadingTimes:
-    """Tells when a robot's readings were taken, one after another.
+    """Estimates when readings were taken that are stamped when they arrive.
+
+    A count is right whenever it arrives, but its stamp is off by delays of host and wire. A step lasts about as long
+    as its distance takes at the current speed. The differences give the noise of the stamps, beyond that of slip and
+    changes of speed. The time of a reading lies between its stamp and the time by its distance, nearer to the stamp for
+    exact stamps. A reading that waited behind a gap has the time by its distance.
 
     Args:
         wheels: of the robot.
-        settings: of None, the defaults.
+        settings: None for the defaults.
 
     Attributes:
-        late: how many readings were taken well before their stamp says.
+        late: number of readings that were taken well before their stamp.
     """
 
     def __init__(self, wheels: Wheels | HolonomicWheels, settings: ReadingTimesSettings | None = None) -> None:
@@ -561,17 +551,17 @@ class ReadingTimes:
         self._wheels, self._slip_m_per_sqrt_m = wheels, wheels.slip_m_per_sqrt_m
         self._last: Timed | None = None
         self._time_s = -math.inf
-        self._steps: deque[tuple[float, float]] = deque(maxlen=self.settings.speed_steps)  # seconds, and way in metres
+        self._steps: deque[tuple[float, float]] = deque(maxlen=self.settings.speed_steps)  # durations and distances
         self._variance_s2 = self.settings.least_noise_s**2
         self._patience = self.late = 0
 
     @property
     def noise_s(self) -> float:
-        """Standard deviation of the stamps, beyond what may be a change of speed; 0 where they are exact."""
+        """Standard deviation of the stamps, beyond changes of speed; 0 for exact stamps."""
         return math.sqrt(self._variance_s2) if self._variance_s2 > self.settings.exact_s**2 else 0.0
 
     def time_of(self, reading: Timed) -> float:
-        """When a reading was taken, in seconds; times grow where stamps do."""
+        """Return when a reading was taken, in seconds. Times grow if stamps do."""
         last, self._last = self._last, reading
         step_s = math.inf if last is None else reading.stamp_s - last.stamp_s
         if last is None or not 0 < step_s < self.settings.latest_s:
@@ -579,14 +569,17 @@ class ReadingTimes:
             self._time_s, self._patience = reading.stamp_s, 0
             return reading.stamp_s
         way_m, before_s = self._way_between(last, reading), self._time_s
-        self._time_s = max(self._told(reading.stamp_s, step_s, way_m), before_s + 1e-6)
+        self._time_s = max(self._estimated_s(reading.stamp_s, step_s, way_m), before_s + 1e-6)
         self._steps.append((self._time_s - before_s, way_m))
         return self._time_s
 
-    def _told(self, stamp_s: float, step_s: float, way_m: float) -> float:
-        """The time of a reading: by its stamp and its way, or by that alone where it waited."""
-        of = self.settings
-        speed_m_s, period_s = self._speed_m_s, sum(seconds for seconds, _ in self._steps) / of.speed_steps
+    def _estimated_s(self, stamp_s: float, step_s: float, way_m: float) -> float:
+        """Return the time of a reading by its stamp and its distance, or by its distance alone if it waited."""
+        of, steps = self.settings, self._steps
+        total_s, speed_m_s = sum(seconds for seconds, _ in steps), 0.0  # for too few steps
+        if len(steps) >= of.speed_steps:
+            speed_m_s = sum(way_m for _, way_m in steps) / total_s
+        period_s = total_s / of.speed_steps
         if speed_m_s < of.slowest_m_s or way_m < of.stopping_share * period_s * speed_m_s:
             self._patience = 0
             return stamp_s
@@ -596,14 +589,18 @@ class ReadingTimes:
         due_s = self._time_s + took_s
         if self._waited(stamp_s - due_s, step_s, took_s, (unsure_s, period_s)):
             return due_s
-        self._learn(((step_s - took_s) ** 2 - unsure_s**2) / 2)  # both ends of a step are off
+        found_s2 = ((step_s - took_s) ** 2 - unsure_s**2) / 2  # of one end of the step
+        # Limited to three times the current noise: a sudden change of speed is no noise of the stamps.
+        counted_s2 = min(max(found_s2, of.least_noise_s**2), 9 * self._variance_s2)
+        self._variance_s2 += (counted_s2 - self._variance_s2) / of.memory_steps
         noise_s = self.noise_s
         if noise_s == 0:
             return stamp_s
-        told_s = due_s + unsure_s / (unsure_s + noise_s / 2) * (stamp_s - due_s)
-        return told_s if abs(stamp_s - told_s) < of.latest_s else stamp_s
+        time_s = due_s + unsure_s / (unsure_s + noise_s / 2) * (stamp_s - due_s)
+        return time_s if abs(stamp_s - time_s) < of.latest_s else stamp_s
 
     def _waited(self, late_s: float, step_s: float, took_s: float, usual: tuple[float, float]) -> bool:
+        """Whether a reading waited behind a gap. `usual` is the uncertainty and the period of steps."""
         of, (unsure_s, period_s) = self.settings, usual
         off_s = of.gap_sigmas * math.hypot(math.sqrt(2) * self.noise_s, unsure_s)
         begins = step_s > of.gap_factor * period_s and step_s - took_s > off_s
@@ -616,27 +613,15 @@ class ReadingTimes:
         self.late += self._patience > 0
         return self._patience > 0
 
-    def _learn(self, found_s2: float) -> None:
-        # None counts as more than three times what was known: a speed that changes at once is no noise.
-        counted_s2 = min(max(found_s2, self.settings.least_noise_s**2), 9 * self._variance_s2)
-        self._variance_s2 += (counted_s2 - self._variance_s2) / self.settings.memory_steps
-
-    @property
-    def _speed_m_s(self) -> float:
-        """The mean over the last steps; 0 where too few are known."""
-        if len(self._steps) < self.settings.speed_steps:
-            return 0.0
-        return sum(way_m for _, way_m in self._steps) / sum(seconds for seconds, _ in self._steps)
-
     def _way_between(self, before: Timed, now: Timed) -> float:
-        """Mean of all wheels' ways, in metres; of a base's own odometry, that of a wheel, about."""
+        """Return the mean distance of all wheels in metres; for a base's own odometry, about that of a wheel."""
         of = self._wheels
         if isinstance(of, Wheels) and isinstance(before, WheelTicks) and isinstance(now, WheelTicks):
             steps = (now.left - before.left, now.right - before.right)
             sizes_m = (of.left_m_per_tick, of.right_m_per_tick)
             return sum(abs(least_step(n, of.counter_span) * m) for n, m in zip(steps, sizes_m, strict=True)) / 2
         if not isinstance(of, HolonomicWheels):
-            return 0.0  # no reading of these wheels, as odometry says
+            return 0.0  # not a reading of these wheels; odometry refuses it
         if isinstance(before, OdometryReading) and isinstance(now, OdometryReading):
             turn_rad = abs(math.remainder(now.yaw_rad - before.yaw_rad, 2 * math.pi))
             return math.hypot(now.x_m - before.x_m, now.y_m - before.y_m) + of.lever_m * turn_rad
@@ -647,19 +632,16 @@ class ReadingTimes:
         return of.m_per_tick * sum(counts) / max(len(counts), 1)
 
 
-# Encoder: what a quadrature encoder on a geared motor can tell of a wheel (Trinh et al., eq. 4).
-
-
 _SECONDS_A_MINUTE = 60
 
 
 @dataclass(frozen=True, slots=True)
 class Encoder:
-    """An incremental encoder on a motor's shaft, whose pulses on channel A are counted.
+    """An incremental encoder on a motor's shaft, with counted pulses of channel A (Trinh et al., eq. 4).
 
     Attributes:
-        counts_per_turn: pulses of one channel in a turn of the shaft (CPR).
-        gear_ratio: turns of the shaft a turn of the wheel.
+        counts_per_turn: pulses of one channel per turn of the shaft (CPR).
+        gear_ratio: turns of the shaft per turn of the wheel.
         wheel_radius_m: of the driven wheel.
 
     Raises:
@@ -678,22 +660,22 @@ class Encoder:
 
     @property
     def ticks_per_turn(self) -> float:
-        """Pulses a turn of the wheel, as `Wheels.ticks_per_turn` takes them."""
+        """Pulses per turn of the wheel, as in `Wheels.ticks_per_turn`."""
         return self.counts_per_turn * self.gear_ratio
 
     @property
     def m_per_pulse(self) -> float:
-        """How far the wheel rolls from one pulse to the next (DistanceResolution)."""
+        """Distance of the wheel between two pulses (DistanceResolution)."""
         return 2 * math.pi * self.wheel_radius_m / self.ticks_per_turn
 
     def pulses_per_s(self, motor_rpm: float) -> float:
-        """Pulses a second at a speed of the motor (MaxGeneratedPulse at its highest)."""
+        """Return pulses per second at a speed of the motor (MaxGeneratedPulse at the highest)."""
         return motor_rpm / _SECONDS_A_MINUTE * self.counts_per_turn
 
     def interrupts_per_s(self, motor_rpm: float) -> float:
-        """Two a pulse (MaxExternalInterrupts): both edges of this encoder, or one edge of two such encoders."""
+        """Return two per pulse (MaxExternalInterrupts): both edges of this encoder, or one edge of two encoders."""
         return 2 * self.pulses_per_s(motor_rpm)
 
     def wheel_speed_m_s(self, motor_rpm: float) -> float:
-        """How fast the wheel rolls at a speed of the motor."""
+        """Return the speed of the wheel at a speed of the motor."""
         return self.pulses_per_s(motor_rpm) * self.m_per_pulse

@@ -1,5 +1,9 @@
-"""UMBmark: wheel ratio and track width from the return errors of square runs in both directions. Runs come from
-recordings or from a table.
+"""UMBmark: wheel ratio and track width from the return errors of square runs in both directions.
+
+After Borenstein & Feng, "Measurement and correction of systematic odometry errors in mobile robots", IEEE Trans.
+Robotics and Automation 12 (1996). A wrong track width and unequal wheels bend a square alike in one direction and
+oppositely in the other one, so that both directions together separate them. The mean radius stays, because a square
+does not depend on size. Return errors come from recordings or from a table measured by tape.
 """
 
 from __future__ import annotations
@@ -21,30 +25,22 @@ from wheelsight.io.recordings.recording import express_for
 from wheelsight.wheels.calibration import stated
 from wheelsight.wheels.drive import Drive, drive_of, poses_at
 
-# UMBmark: wheel ratio and track width from squares driven clockwise and counter-clockwise, with a tape measure.
-#
-# After Borenstein & Feng, "Measurement and correction of systematic odometry errors in mobile robots", IEEE Trans.
-# Robotics and Automation 12 (1996). A track width that is wrong and wheels that differ bend a square alike in one
-# direction and against each other in the other one, so that both directions together tell them apart. The mean radius
-# stays as it was: a square says nothing of size.
-
-
 _LARGEST_FACTOR = 1.5
-_LONGEST_SIDE_M = 1000.0  # of a square that is driven; more is another unit
+_LONGEST_SIDE_M = 1000.0  # a longer side is probably in another unit
 _DERIVATIVE_STEP = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Umbmark:
-    """What n squares in each direction came to.
+    """Result of square runs in both directions.
 
     Attributes:
-        nominal: the wheels that the squares were driven with.
+        nominal: wheels of the runs.
         side_m: length of the squares' sides.
         clockwise_m, counter_clockwise_m: (n, 2), (m, 2) return position errors, true minus computed.
         diameter_ratio: E_d, right wheel over left wheel.
         track_factor: E_b, actual track width over nominal.
-        diameter_ratio_sigma, track_factor_sigma: from the scatter of the runs; None where a direction has but one.
+        diameter_ratio_sigma, track_factor_sigma: from the scatter of the runs; None for a single run in a direction.
     """
 
     nominal: Wheels
@@ -58,9 +54,9 @@ class Umbmark:
 
     @property
     def wheels(self) -> Wheels:
-        """The corrected wheels: the mean of both radii stays, its halves and the track width change.
+        """Corrected wheels: the mean of both radii stays, their ratio and the track width change.
 
-        They say how sure that is where several squares do.
+        They have σ if there are several runs in each direction.
         """
         found = corrected(self.nominal, self.diameter_ratio, self.track_factor)
         if self.diameter_ratio_sigma is None or self.track_factor_sigma is None:
@@ -69,35 +65,35 @@ class Umbmark:
 
     @property
     def largest_error_m(self) -> float:
-        """E_max,syst: how far the centre of gravity of the worse direction lies from the start."""
+        """E_max,syst: distance of the centre of gravity from the start, in the worse direction."""
         return max(float(np.hypot(*runs.mean(axis=0))) for runs in (self.clockwise_m, self.counter_clockwise_m))
 
     @property
     def errors_after_m(self) -> tuple[FloatArray, FloatArray]:
-        """The errors (n, 2), (m, 2) that the correction leaves of each run, by the model of the square."""
+        """Errors (n, 2), (m, 2) of each run after the correction, by the model of the square."""
         explained = _square_errors(self.nominal, self.side_m, np.array([self.diameter_ratio, self.track_factor]))
         return self.clockwise_m - explained[:2], self.counter_clockwise_m - explained[2:]
 
     @property
     def largest_error_after_m(self) -> float:
-        """E_max,syst of these."""
+        """E_max,syst after the correction."""
         return max(float(np.hypot(*runs.mean(axis=0))) for runs in self.errors_after_m)
 
 
 def umbmark(wheels: Wheels, clockwise_m: ArrayLike, counter_clockwise_m: ArrayLike, side_m: float) -> Umbmark:
-    """Wheel ratio E_d and track factor E_b from the return position errors of square runs.
+    """Return wheel ratio E_d and track factor E_b from the return position errors of square runs.
 
-    The closed form of the paper (see `closed_form`) starts it; then the eight arcs of both squares are followed
-    exactly, since the paper's small angles cost some per cent of the correction.
+    The closed form of the paper (see `closed_form`) is the initial value. The solution uses the exact eight arcs of
+    both squares, because the paper's small-angle approximation costs some per cent of the correction.
 
     Args:
-        wheels: those the robot drove with.
+        wheels: of the runs.
         clockwise_m, counter_clockwise_m: (n, 2) and (m, 2), true minus computed end position of each run, metres, in
             the frame of its start: x along the first side, y to the left.
         side_m: length of the squares' sides.
 
     Raises:
-        CalibrationError: no run in one direction, values that are not finite, or errors that no such robot makes.
+        CalibrationError: no run in one direction, values that are not finite, or impossible errors.
     """
     from scipy.optimize import least_squares
 
@@ -115,7 +111,7 @@ def umbmark(wheels: Wheels, clockwise_m: ArrayLike, counter_clockwise_m: ArrayLi
 
 
 def _means(runs: tuple[FloatArray, FloatArray], side_m: float) -> FloatArray:
-    """Mean errors (4,) of both directions, if they may be those of such squares."""
+    """Return the mean errors (4,) of both directions. Raises CalibrationError if they are impossible."""
     if not 0 < side_m <= _LONGEST_SIDE_M:
         raise CalibrationError(f"the squares' side is {side_m} m", fix="give its length, 4 m in the paper")
     means = np.concatenate([errors.mean(axis=0) for errors in runs])
@@ -128,7 +124,7 @@ def _means(runs: tuple[FloatArray, FloatArray], side_m: float) -> FloatArray:
 
 
 def closed_form(wheels: Wheels, clockwise_m: ArrayLike, counter_clockwise_m: ArrayLike, side_m: float) -> FloatArray:
-    """E_d and E_b (2,) by the paper's formulas; each angle is the mean of what x and what y give.
+    """Return E_d and E_b (2,) by the paper's formulas; each angle is the mean of those by x and by y.
 
     α, the error of a turn at a corner, and β, the turning along a side, follow from the centres of gravity of the
     errors. A side that turns by β has a radius R = (L/2) / sin(β/2); E_d = (R + b/2) / (R - b/2), and
@@ -145,7 +141,7 @@ def closed_form(wheels: Wheels, clockwise_m: ArrayLike, counter_clockwise_m: Arr
 
 
 def corrected(wheels: Wheels, diameter_ratio: float, track_factor: float) -> Wheels:
-    """Wheels whose radii have `diameter_ratio` (right over left, times what they had) and the mean they had before."""
+    """Return wheels with radii that change by `diameter_ratio` (right over left) at the same mean."""
     left, right = _radius_factors(wheels, diameter_ratio)
     return replace(
         wheels,
@@ -156,16 +152,16 @@ def corrected(wheels: Wheels, diameter_ratio: float, track_factor: float) -> Whe
 
 
 def _radius_factors(wheels: Wheels, diameter_ratio: float) -> tuple[float, float]:
-    """By what left and right radius change: c_l and c_r of the paper, which begins with equal wheels."""
+    """Return the factors of left and right radius, c_l and c_r of the paper, which starts with equal wheels."""
     total = wheels.left_radius_m + wheels.right_radius_m
     left = total / (wheels.left_radius_m + diameter_ratio * wheels.right_radius_m)
     return left, diameter_ratio * left
 
 
 def _square_errors(wheels: Wheels, side_m: float, factors: FloatArray) -> FloatArray:
-    """Where a clockwise and a counter-clockwise square end (4,), if the wheels are off by E_d and E_b (2,).
+    """Return the ends (4,) of a clockwise and a counter-clockwise square, for wheel errors E_d and E_b (2,).
 
-    The robot believes that each side is straight and `side_m` long, and each corner a right angle on the spot.
+    By its odometry, each side is straight and `side_m` long, and each corner a right angle on the spot.
     """
     left, right = _radius_factors(wheels, float(factors[0]))
     track_width_m = float(factors[1]) * wheels.track_width_m
@@ -187,7 +183,7 @@ def _square_errors(wheels: Wheels, side_m: float, factors: FloatArray) -> FloatA
 def _sigmas(
     wheels: Wheels, side_m: float, factors: FloatArray, runs: tuple[FloatArray, FloatArray]
 ) -> tuple[float, float] | tuple[None, None]:
-    """Standard deviations of E_d and E_b, propagated from those of the mean errors."""
+    """Return the standard deviations of E_d and E_b, propagated from the mean errors."""
     if min(len(errors) for errors in runs) < 2:
         return None, None
     steps = _DERIVATIVE_STEP * np.eye(2)
@@ -212,9 +208,6 @@ def _checked(errors_m: ArrayLike, name: str) -> FloatArray:
     return errors
 
 
-# Return position errors of square runs: from recordings of them, or from a table measured by tape.
-
-
 _COLUMNS = ("direction", "x_m", "y_m")
 _FILE = Kind("a table of return errors", most_mb=16)
 _LARGEST_M = 1e3  # of a return error
@@ -223,13 +216,13 @@ _LEAST_TURN_RAD, _MOST_TURN_RAD = 1.5 * np.pi, 2.5 * np.pi
 
 @dataclass(frozen=True, eq=False)
 class SquareRun:
-    """One square that was driven and recorded.
+    """One recorded square.
 
     Attributes:
         name: of the recording.
         drive: its readings.
-        start_s, end_s: when the true poses at its start and end were taken.
-        true_end_m: (2,) where it truly ended, in the frame of its start.
+        start_s, end_s: stamps of the true poses at its start and end.
+        true_end_m: (2,) true end, in the frame of its start.
     """
 
     name: str
@@ -239,7 +232,7 @@ class SquareRun:
     true_end_m: FloatArray
 
     def path(self, wheels: Wheels) -> FloatArray:
-        """x, y, yaw (N, 3) that `wheels` make of it, from the start."""
+        """Return x, y, yaw (N, 3) by `wheels`, from the start."""
         sizes = np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
         inside = self.drive.stamps_s[(self.drive.stamps_s > self.start_s) & (self.drive.stamps_s < self.end_s)]
         poses = poses_at(self.drive, sizes, np.concatenate([[self.start_s], inside, [self.end_s]]) + wheels.delay_s)
@@ -247,22 +240,22 @@ class SquareRun:
         return np.column_stack([steps.real, steps.imag, poses[:, 2] - poses[0, 2]])
 
     def way_m(self, wheels: Wheels) -> float:
-        """How far it went; back and forth on the spot comes to nothing."""
+        """Return its signed length: moving back and forth cancels."""
         x, y, yaw_rad = self.path(wheels).T
         middle_rad = (yaw_rad[1:] + yaw_rad[:-1]) / 2
         return float(np.sum(np.diff(x) * np.cos(middle_rad) + np.diff(y) * np.sin(middle_rad)))
 
     def turns_left(self, wheels: Wheels) -> bool:
-        """Whether it went counter-clockwise."""
+        """Whether it is counter-clockwise."""
         return bool(self.path(wheels)[-1, 2] > 0)
 
     def error_m(self, wheels: Wheels) -> FloatArray:
-        """Return position error (2,), true minus computed."""
+        """Return the return position error (2,), true minus computed."""
         return np.asarray(self.true_end_m - self.path(wheels)[-1, :2])
 
 
 def square_run(recording: Recording, wheels: Wheels) -> SquareRun:
-    """A recording of one square whose ground truth has, at least, a pose at the start and one at the end.
+    """Return the run of a recording of one square, with ground truth at least at its start and end.
 
     Raises:
         CalibrationError: no two true poses, too few readings, or no turn of about 360° in all.
@@ -286,7 +279,7 @@ def square_run(recording: Recording, wheels: Wheels) -> SquareRun:
 
 
 def umbmark_from_runs(wheels: Wheels, runs: Sequence[SquareRun], side_m: float | None = None) -> Umbmark:
-    """UMBmark of recorded squares; which way each went is seen from its turning, the side from its length.
+    """Return the UMBmark of recorded squares; direction and side come from their turns and lengths.
 
     Raises:
         CalibrationError: see `umbmark`.
@@ -299,7 +292,7 @@ def umbmark_from_runs(wheels: Wheels, runs: Sequence[SquareRun], side_m: float |
 
 
 def errors_on_unused_runs_m(wheels: Wheels, runs: Sequence[SquareRun]) -> FloatArray | None:
-    """Distance (N,) by which each run misses its true end with wheels corrected by all others; None for too few."""
+    """Return the end error (N,) of each run by wheels corrected by all others; None for too few runs."""
     directions = [run.turns_left(wheels) for run in runs]
     if min(directions.count(True), directions.count(False)) < 2:
         return None
@@ -309,7 +302,7 @@ def errors_on_unused_runs_m(wheels: Wheels, runs: Sequence[SquareRun]) -> FloatA
 
 
 def read_return_errors(path: StrPath) -> tuple[FloatArray, FloatArray]:
-    """Clockwise (n, 2) and counter-clockwise (m, 2) errors of a table with columns direction, x_m, y_m.
+    """Read clockwise (n, 2) and counter-clockwise (m, 2) errors of a table with columns direction, x_m, y_m.
 
     Direction is cw or ccw; x and y are true minus computed, in the frame of the run's start.
 
@@ -324,16 +317,11 @@ def read_return_errors(path: StrPath) -> tuple[FloatArray, FloatArray]:
         raise CalibrationError(problem, path=path, line=1, fix=fix)
     errors: dict[str, list[tuple[float, float]]] = {"cw": [], "ccw": []}
     for line, row in rows[1:]:
-        direction, error_m = _parse(row, path, line)
-        errors[direction].append(error_m)
+        direction, error_m = row[0].lower(), [as_number(word) for word in row[1:]]
+        is_valid = direction in errors and len(error_m) == 2 and all(abs(metres) <= _LARGEST_M for metres in error_m)
+        if not is_valid:
+            problem = f"cw or ccw and two numbers are expected, not {','.join(row)!r}"
+            raise CalibrationError(problem, path=path, line=line, fix="such as cw,0.12,-0.03, in metres")
+        errors[direction].append((error_m[0], error_m[1]))
     clockwise, counter_clockwise = (np.array(errors[name]).reshape(-1, 2) for name in ("cw", "ccw"))
     return clockwise, counter_clockwise
-
-
-def _parse(row: list[str], path: Path, line: int) -> tuple[str, tuple[float, float]]:
-    direction = row[0].lower()
-    error_m = [as_number(word) for word in row[1:]]
-    if direction not in ("cw", "ccw") or len(error_m) != 2 or not all(abs(metres) <= _LARGEST_M for metres in error_m):
-        problem = f"cw or ccw and two numbers are expected, not {','.join(row)!r}"
-        raise CalibrationError(problem, path=path, line=line, fix="such as cw,0.12,-0.03, in metres")
-    return direction, (error_m[0], error_m[1])
