@@ -121,7 +121,7 @@ def test_a_cameras_gyroscope_tells_how_the_base_turns_once_it_is_known_how_it_si
     (turning,) = on_topic(tmp_path / "a.mcap", "/imu/data")
     assert turning.angular_velocity.z == pytest.approx(0.4)
     blind = LiveBag(tmp_path / "b.mcap", Calibration(wheels=ROBOT), "png", flush_s=10.0)
-    with pytest.raises(RecordingError, match="nobody knows where the camera sits"):
+    with pytest.raises(RecordingError, match="the camera's mount is unknown"):
         blind.add_angular_velocity(AngularVelocity(100.0, 0.1, -0.4, 0.2))
     blind.close()
 
@@ -167,7 +167,7 @@ def test_what_a_bag_cannot_be_is_refused_before_a_sensor_is_touched(refusal: Ref
     assert "--out or --bag is needed" in refusal("record", *camera)
     both = refusal("record", *camera, "--out", tmp_path / "a", "--bag", tmp_path / "a.mcap")
     assert "--out and --bag are two recordings" in both
-    assert "a ROS 1 bag is none without its index" in refusal("record", *camera, "--bag", tmp_path / "a.bag")
+    assert "a ROS 1 bag is not readable without its index" in refusal("record", *camera, "--bag", tmp_path / "a.bag")
     assert "a bag cannot be resumed" in refusal("record", *camera, "--bag", tmp_path / "a.mcap", "--resume")
     assert "--infrared is not kept" in refusal("record", *camera, "--bag", tmp_path / "a.mcap", "--infrared")
     (tmp_path / "a.mcap").write_text("mine")

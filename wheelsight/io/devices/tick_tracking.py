@@ -12,9 +12,6 @@ from wheelsight.core.messages import WheelTicks
 from wheelsight.io.devices.host_clock import ClockMap, slope_beneath
 from wheelsight.io.devices.wire_formats import FULL_PULSES, Counts, PlainReading, PlainTextSettings, Pulses
 
-# From raw counters and a raw clock to ticks that never jump: across roll-over, lost frames, replugs and restarts.
-
-
 _FEWEST_PULSES = 10
 _EARLIEST_S = 0.1
 _LATEST_AFTER_REPLUG_S = 1.0
@@ -24,7 +21,7 @@ _WORD = 1 << 32
 
 @dataclass(frozen=True, slots=True)
 class _Reading:
-    """A frame of counts, its clock unwrapped in microseconds, and when it arrived."""
+    """A frame of counts, with its unwrapped clock in microseconds and its time of arrival."""
 
     counts: Counts
     clock_us: int
@@ -38,15 +35,15 @@ class _Reading:
 class TickTracker:
     """Unwraps counts and stamps them in host time.
 
-    A frame that does not follow from the one before it, because its clock runs backwards, it arrives before it was
-    sent, or a wheel turns impossibly fast, is held back until the next frame tells: if that follows from the frame
-    held back, the controller has begun anew (`restarts`), else the frame was damaged (`refused`). When a controller
-    restarts, its counters begin at zero: what they show then is added, and nothing else.
+    A frame is inconsistent where its clock runs backwards, it arrives before it was sent, or a wheel turns impossibly
+    fast. It is then held until the next frame. If that one is consistent with the held frame, the controller restarted
+    (`restarts`); else the held frame was damaged (`refused`). After a restart the counters begin at zero, so their
+    values are added.
 
     Attributes:
-        clock: the controller's clock against the host's, as frames tell it.
-        restarts: how often the controller, or its counters, began anew.
-        refused: frames taken for damaged although their checksum was right, and lines of text that have none.
+        clock: the mapping from the controller's clock to the host's.
+        restarts: the number of restarts of the controller or its counters.
+        refused: the number of damaged frames with a valid checksum, and of damaged lines of text, which have none.
     """
 
     def __init__(self) -> None:
@@ -63,13 +60,13 @@ class TickTracker:
 
     @property
     def drift_ppm(self) -> float:
-        """How much faster than the host's the controller's clock runs; 0 where its lines have no time."""
+        """The drift of the controller's clock in millionths, positive where it runs faster; 0 without a clock."""
         return (self._plain.clock if self._is_plain else self.clock).drift_ppm
 
     def follow(self, counts: Counts, arrival_s: float) -> list[WheelTicks]:
-        """The ticks that a frame, arrived at `arrival_s` seconds, makes certain: none, one, or two after a restart."""
+        """Add a frame that arrived at `arrival_s`. Returns the confirmed ticks: none, one, or two after a restart."""
         last, held = self._last, self._held
-        self._pairs.restart()  # pairs between which there are frames were not counted
+        self._pairs.restart()  # the number of pairs is unknown across frames
         self._plain.forget()
         self._is_plain = False
         if last is None:
@@ -86,14 +83,14 @@ class TickTracker:
         if not _is_possible(held, after):
             self.refused += 1
             return []
-        began = self._begin_anew(last, held)
+        began = self._restart(last, held)
         return [began, self._accept(after, _steps(held.counts, counts))]
 
     def add(self, pulses: Pulses) -> WheelTicks:
-        """The ticks after a pair of the paper's format, stamped by the number of pairs: the format has no clock."""
+        """Add a pair of the paper's format. Returns its ticks, stamped by the number of pairs, as it has no clock."""
         self._has_begun = True
         self._plain.forget()
-        if self._last is not None:  # the controller's counters, should they come again, hold these pulses too
+        if self._last is not None:  # later frames of counts include these pulses
             self._last = _advanced(self._last, pulses)
         self._left += pulses.left
         self._right += pulses.right
@@ -103,9 +100,9 @@ class TickTracker:
         return WheelTicks(self._stamp_s, self._left, self._right)
 
     def read(self, reading: PlainReading) -> list[WheelTicks]:
-        """The ticks that a line of plain text makes certain: none, one, or two."""
+        """Add a line of plain text. Returns the confirmed ticks: none, one, or two."""
         plain = self._plain
-        if self._last is not None:  # what comes in frames later is of another program
+        if self._last is not None:  # later frames are of another program
             self._last = self._held = None
             self.clock.restart()
         self._pairs.restart()
@@ -119,17 +116,17 @@ class TickTracker:
         return [self._moved(step) for step in steps]
 
     def expect_reset(self, is_due: bool) -> None:
-        """Whether the controller was told to set its counters to zero, which is no motion."""
+        """Set whether a reset of the controller's counters is due, which is not motion."""
         self._reset_is_due = is_due
 
     def reset_done(self) -> None:
-        """The controller says that its counters are zero now, if no frame has told it before."""
+        """Apply a confirmed reset of the counters, unless a frame showed it before."""
         if self._reset_is_due and self._last is not None:
             self._last = _from_zero(self._last)
         self._reset_is_due = False
 
     def replugged(self) -> None:
-        """The port was opened anew: what comes is fresh, so a clock that lags shows a restart."""
+        """Note that the port was reopened. Frames are then recent, so a clock that lags shows a restart."""
         self._was_replugged = True
         self._plain.replugged()
         self._pairs.restart()
@@ -148,14 +145,14 @@ class TickTracker:
         return last
 
     def _unwrap(self, last: _Reading, counts: Counts, arrival_s: float) -> _Reading:
-        """The reading with as many roll-overs of its clock since `last` as host time says."""
+        """The reading with its clock unwrapped; host time gives the number of roll-overs since `last`."""
         step_us = (counts.clock_us - last.counts.clock_us) % _WORD
         passed_us = 1e6 * (arrival_s - last.arrival_s)
         step_us += _WORD * max(0, round((passed_us - step_us) / _WORD))
         return _Reading(counts, last.clock_us + step_us, arrival_s)
 
     def _follows(self, last: _Reading, reading: _Reading) -> bool:
-        """Whether one controller, running on, may have sent both."""
+        """Whether a controller without a restart may have sent both."""
         passed_s = reading.arrival_s - last.arrival_s
         delay_s = reading.arrival_s - self.clock.host_s(reading.clock_s)
         slack_s = _DRIFT * passed_s
@@ -172,12 +169,12 @@ class TickTracker:
         return WheelTicks(self._stamp_s, self._left, self._right)
 
     def _begin(self, first: _Reading) -> WheelTicks:
-        """The first ticks of all are what the controller says; after the paper's format they change nothing."""
+        """The ticks of the first frame: its counts, or after the paper's format the current ones."""
         if not self._has_begun:
             self._has_begun, self._left, self._right = True, first.counts.left, first.counts.right
         return self._accept(first, (0, 0))
 
-    def _begin_anew(self, last: _Reading, first: _Reading) -> WheelTicks:
+    def _restart(self, last: _Reading, first: _Reading) -> WheelTicks:
         """The ticks of a confirmed first frame of a controller that restarted, or whose clock or counters jumped."""
         self.restarts += 1
         self.clock.restart()
@@ -185,7 +182,7 @@ class TickTracker:
 
 
 def _pulses_since(last: _Reading, first: _Reading) -> tuple[int, int]:
-    """Pulses that surely are motion although `first` does not follow from `last`: counted from zero after a boot."""
+    """Pulses that are motion across a restart: all counts since a boot, or the step of counters that continued."""
     passed_s = first.arrival_s - last.arrival_s
     if first.clock_s <= passed_s + _LATEST_AFTER_REPLUG_S:
         pulses, seconds = (first.counts.left, first.counts.right), first.clock_s
@@ -213,32 +210,31 @@ def _signed(difference: int) -> int:
 
 
 def _advanced(reading: _Reading, pulses: Pulses) -> _Reading:
-    """The same moment, had the counters been as far as after `pulses`."""
+    """The reading with counters advanced by `pulses`."""
     counts = reading.counts
     counts = counts._replace(left=counts.left + pulses.left, right=counts.right + pulses.right)
     return _Reading(counts, reading.clock_us, reading.arrival_s)
 
 
 def _from_zero(reading: _Reading) -> _Reading:
-    """The same moment, had the counters been zero."""
+    """The reading with counters of zero."""
     return _Reading(reading.counts._replace(left=0, right=0), reading.clock_us, reading.arrival_s)
 
 
-# From counts printed as text to motion that never jumps: there is no checksum, so neighbours judge each reading.
-
+# Plain text. It has no checksum, so each reading is checked against its neighbours.
 
 _SIGNED, _UNSIGNED = (-(1 << 15), (1 << 15) - 1), (0, (1 << 16) - 1)
-_PLAIN_CONTINUITY_EARLIEST_S = 0.03
+_PLAIN_EARLIEST_S = 0.03
 _LONGEST_DELAY_S = 1.0
 _EARLY_WINDOW_S, _EARLY_LINES = 1.0, 3  # found on damaged lines alone
-_PLAIN_CONTINUITY_DRIFT = 0.02
+_PLAIN_DRIFT = 0.02
 FASTEST_COUNTS_PER_S = 500_000  # an encoder of 5000 lines at 20 turns a second makes 400 000
 
 Pair = tuple[int, int]
 
 
 class PlainStep(NamedTuple):
-    """Counts of both wheels since the step before, and the host time at which they were taken."""
+    """Counts of both wheels since the last step, and their host time."""
 
     stamp_s: float
     left: int
@@ -246,45 +242,45 @@ class PlainStep(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class _PlainContinuityReading:
-    """A reading, its clock unwrapped in microseconds, or None where the line has no time."""
+class _PlainReading:
+    """A reading with its unwrapped clock in microseconds, or None where the line has no time."""
 
     counts: Pair
     shown_us: int | None
     clock_us: int | None
     arrival_s: float
 
-    def since(self, before: _PlainContinuityReading) -> float:
-        """Seconds since another, by the controller's clock where there is one."""
+    def since(self, before: _PlainReading) -> float:
+        """Seconds since another reading, by the controller's clock if there is one."""
         if self.clock_us is None or before.clock_us is None:
             return self.arrival_s - before.arrival_s
         return 1e-6 * (self.clock_us - before.clock_us)
 
-    def booted_since(self, before: _PlainContinuityReading) -> bool:
-        """Whether the clock shows so little that it may have begun at zero after another reading."""
+    def booted_since(self, before: _PlainReading) -> bool:
+        """Whether the clock may have started at zero after another reading."""
         passed_s = self.arrival_s - before.arrival_s
         return self.shown_us is not None and 1e-6 * self.shown_us <= passed_s + _LONGEST_DELAY_S
 
 
 class PlainTracker:
-    """Tells motion from damage, roll-over and restarts.
+    """Separates motion from damaged lines, roll-over and restarts.
 
-    A reading is believed at once where both wheels moved on about as they did before. Else it waits. Where it is about
-    what wheels can gain in speed, the next one tells: moving on from the one that waits confirms it. Where it is not,
-    more that follow from each other must, and are motion, or a restart (`restarts`) if counters came back near zero or
-    the clock began anew. What is disproved is `refused`; counts are cumulative, so that loses no motion.
+    A reading is accepted at once where both wheels moved about as before. Else it waits. Where wheels can gain the
+    speed that it shows, the next reading confirms it by continuing the motion. Otherwise several consistent readings
+    are needed. They are motion, or a restart (`restarts`) if the counters returned to near zero or the clock restarted.
+    Other waiting readings are `refused`. Counts are cumulative, so that this loses no motion.
 
     Attributes:
-        clock: the controller's clock against the host's.
+        clock: the mapping from the controller's clock to the host's.
         restarts, refused: as `TickTracker` counts them.
     """
 
     def __init__(self, settings: PlainTextSettings | None = None) -> None:
-        self.clock = ClockMap(_PLAIN_CONTINUITY_DRIFT)
+        self.clock = ClockMap(_PLAIN_DRIFT)
         self.restarts = self.refused = 0
         self._settings = settings or PlainTextSettings()
-        self._last: _PlainContinuityReading | None = None
-        self._waiting: list[_PlainContinuityReading] = []  # each follows from the one before
+        self._last: _PlainReading | None = None
+        self._waiting: list[_PlainReading] = []  # each follows from the one before
         self._speeds = (0.0, 0.0)
         self._range: list[Pair] = [(0, 0), (0, 0)]  # the smallest and largest count of each wheel
         self._was_replugged = False
@@ -295,9 +291,9 @@ class PlainTracker:
         self._stamp_s = -float("inf")
 
     def follow(self, told: PlainReading) -> list[PlainStep]:
-        """The motion that a reading makes certain: none or more steps. The first of all is a step of zero."""
+        """Add a reading. Returns the confirmed steps; the first one is zero."""
         if told.clock is None and told.following:
-            return []  # nobody knows when it came: of lines in one read, the last is the one that did not wait
+            return []  # its arrival is unknown: of lines in one read, only the last one did not wait
         if self._last is None:
             return [self._begin(_first(told))]
         now = _after(self._last, told)
@@ -310,12 +306,12 @@ class PlainTracker:
         return self._decide(self._last, _after(self._waiting[-1], told))
 
     def replugged(self) -> None:
-        """The port was opened anew, which makes most boards begin anew."""
+        """Note that the port was reopened, which restarts most boards."""
         self._was_replugged = True
         self._waiting.clear()
 
     def forget(self) -> None:
-        """Other formats came between: what was counted meanwhile is in them."""
+        """Reset after messages of another format, which include the counts meanwhile."""
         if self._last is not None:
             self.clock.restart()
             self._has_map = False
@@ -323,8 +319,8 @@ class PlainTracker:
         self._last = None
         self._waiting.clear()
 
-    def _decide(self, last: _PlainContinuityReading, now: _PlainContinuityReading) -> list[PlainStep]:
-        """What becomes of the readings that wait, now that there is another."""
+    def _decide(self, last: _PlainReading, now: _PlainReading) -> list[PlainStep]:
+        """Accept, refuse or keep the waiting readings, given another one."""
         held = self._waiting[-1]
         follows = self._follows(last, held, now)
         if len(self._waiting) == 1 and self._is_gain(last, held) and (follows or self._is_between(last, held, now)):
@@ -336,27 +332,27 @@ class PlainTracker:
         self._waiting.append(now)
         return self._confirm(last) if len(self._waiting) >= self._settings.confirming_lines else []
 
-    def _confirm(self, last: _PlainContinuityReading) -> list[PlainStep]:
-        """Take the readings that wait: as motion where that may be, else as of a board that began anew."""
+    def _confirm(self, last: _PlainReading) -> list[PlainStep]:
+        """Accept the waiting readings, as motion where possible, else as those of a board that restarted."""
         waiting, later = self._waiting, [reading for reading in self._waiting if self._is_later(last, reading)]
         if later and self._can_count(last, later[0]) and not self._is_reset(last, waiting[0]):
             self.refused += len(waiting) - len(later)
             return [self._accept(reading) for reading in later]
-        return [self._begin_anew(last, waiting[0]), *(self._accept(reading) for reading in waiting[1:])]
+        return [self._restart(last, waiting[0]), *(self._accept(reading) for reading in waiting[1:])]
 
-    def _is_later(self, last: _PlainContinuityReading, now: _PlainContinuityReading) -> bool:
+    def _is_later(self, last: _PlainReading, now: _PlainReading) -> bool:
         """Whether its time is after another's, and not far ahead of the host's: a digit of it may have been lost."""
         passed_s = now.arrival_s - last.arrival_s
-        return 0 < now.since(last) <= (1 + _PLAIN_CONTINUITY_DRIFT) * passed_s + _LONGEST_DELAY_S
+        return 0 < now.since(last) <= (1 + _PLAIN_DRIFT) * passed_s + _LONGEST_DELAY_S
 
-    def _is_expected(self, last: _PlainContinuityReading, now: _PlainContinuityReading) -> bool:
-        """Whether it may be believed at once."""
+    def _is_expected(self, last: _PlainReading, now: _PlainReading) -> bool:
+        """Whether a reading is accepted at once."""
         if self._was_replugged or not self._is_in_time(last, now):
             return False
         return self._agrees(self._step(last, now), self._due(now.since(last)))
 
-    def _is_gain(self, last: _PlainContinuityReading, held: _PlainContinuityReading) -> bool:
-        """Whether both wheels may have gained so much speed, or lost it."""
+    def _is_gain(self, last: _PlainReading, held: _PlainReading) -> bool:
+        """Whether both wheels may have changed their speed by this much."""
         passed_s = held.since(last)
         if self._was_replugged or not self._is_in_time(last, held) or passed_s > self._settings.longest_gap_s:
             return False
@@ -367,16 +363,10 @@ class PlainTracker:
         gain = settings.gain_counts + settings.gain_counts_per_s2 * passed_s**2
         return all(abs(a - b) <= gain + settings.gain_share * abs(b) for a, b in zip(steps, due, strict=True))
 
-    def _follows(
-        self, last: _PlainContinuityReading, held: _PlainContinuityReading, now: _PlainContinuityReading
-    ) -> bool:
-        """Whether both wheels moved on from the held reading as they had moved to it, or before it."""
+    def _follows(self, last: _PlainReading, held: _PlainReading, now: _PlainReading) -> bool:
+        """Whether both wheels continued after the held reading as they moved to it, or before it."""
         passed_s = now.since(held)
-        if (
-            not 0
-            < passed_s
-            <= (1 + _PLAIN_CONTINUITY_DRIFT) * (now.arrival_s - held.arrival_s) + _PLAIN_CONTINUITY_EARLIEST_S
-        ):
+        if not 0 < passed_s <= (1 + _PLAIN_DRIFT) * (now.arrival_s - held.arrival_s) + _PLAIN_EARLIEST_S:
             return False
         before = self._waiting[-2] if len(self._waiting) > 1 else last
         steps, took_s = self._step(before, held), held.since(before)
@@ -385,10 +375,8 @@ class PlainTracker:
             return True
         return len(self._waiting) == 1 and (self._agrees(step, self._due(passed_s)) or self._agrees(step, (0, 0)))
 
-    def _is_between(
-        self, last: _PlainContinuityReading, held: _PlainContinuityReading, now: _PlainContinuityReading
-    ) -> bool:
-        """Whether both wheels went on in one direction, as wheels that gain speed or brake do."""
+    def _is_between(self, last: _PlainReading, held: _PlainReading, now: _PlainReading) -> bool:
+        """Whether both wheels continued in one direction, as when they accelerate or brake."""
         first, second, passed_s = self._step(last, held), self._step(held, now), now.since(held)
         if not 0 < passed_s <= self._settings.longest_gap_s or any(
             a * b < 0 for a, b in zip(first, second, strict=True)
@@ -397,12 +385,12 @@ class PlainTracker:
         share = passed_s / held.since(last)
         return self._may_gain(second, (share * first[0], share * first[1]), passed_s)
 
-    def _is_zero_again(self, last: _PlainContinuityReading, first: _PlainContinuityReading) -> bool:
-        """Whether counters are nearer to zero than to where they were."""
+    def _is_zero_again(self, last: _PlainReading, first: _PlainReading) -> bool:
+        """Whether counters are nearer to zero than to their last values."""
         return sum(map(abs, first.counts)) < sum(map(abs, self._step(last, first)))
 
-    def _is_reset(self, last: _PlainContinuityReading, first: _PlainContinuityReading) -> bool:
-        """Whether the readings that wait are of a board that began anew, though no clock says so."""
+    def _is_reset(self, last: _PlainReading, first: _PlainReading) -> bool:
+        """Whether the waiting readings are of a board that restarted, judged without its clock."""
         if not self._is_zero_again(last, first):
             return False
         if self._was_replugged:
@@ -412,16 +400,14 @@ class PlainTracker:
         slack = self._settings.slack_counts
         return all(abs(count) <= slack + 2 * share * abs(step) for count, step in zip(first.counts, steps, strict=True))
 
-    def _is_in_time(self, last: _PlainContinuityReading, now: _PlainContinuityReading) -> bool:
-        """Whether one clock, running on, may have told both, and it arrived after it was sent."""
+    def _is_in_time(self, last: _PlainReading, now: _PlainReading) -> bool:
+        """Whether one clock without a restart gives both, and the reading arrived after it was sent."""
         if now.clock_us is None:
             return now.arrival_s > last.arrival_s
         early_s = self.clock.host_s(1e-6 * now.clock_us) - now.arrival_s
-        return now.since(last) > 0 and early_s <= _PLAIN_CONTINUITY_EARLIEST_S + _PLAIN_CONTINUITY_DRIFT * (
-            now.arrival_s - last.arrival_s
-        )
+        return now.since(last) > 0 and early_s <= _PLAIN_EARLIEST_S + _PLAIN_DRIFT * (now.arrival_s - last.arrival_s)
 
-    def _can_count(self, last: _PlainContinuityReading, now: _PlainContinuityReading) -> bool:
+    def _can_count(self, last: _PlainReading, now: _PlainReading) -> bool:
         most = self._settings.slack_counts + FASTEST_COUNTS_PER_S * now.since(last)
         return max(map(abs, self._step(last, now))) <= most
 
@@ -430,17 +416,17 @@ class PlainTracker:
         return all(abs(a - b) <= slack + share * abs(b) for a, b in zip(steps, due, strict=True))
 
     def _due(self, passed_s: float) -> tuple[float, float]:
-        """The step that both wheels make in so long, at the speed they had."""
+        """The step of both wheels in a time at their last speed."""
         return self._speeds[0] * passed_s, self._speeds[1] * passed_s
 
-    def _step(self, last: _PlainContinuityReading, now: _PlainContinuityReading) -> Pair:
-        """Counts of both wheels from one reading to another, across a roll-over where that is what was expected."""
+    def _step(self, last: _PlainReading, now: _PlainReading) -> Pair:
+        """Counts of both wheels between two readings, across a roll-over where that agrees with the expected step."""
         due = self._due(max(now.since(last), 0.0))
         left, right = (_shortest(last.counts[i], now.counts[i], self._range[i], due[i]) for i in (0, 1))
         return left, right
 
-    def _accept(self, now: _PlainContinuityReading, keeps: bool = False) -> PlainStep:
-        """The step to a reading; those that wait are forgotten unless they are to be kept."""
+    def _accept(self, now: _PlainReading, keeps: bool = False) -> PlainStep:
+        """The step to an accepted reading. Drops waiting readings unless `keeps`."""
         assert self._last is not None
         steps, passed_s = self._step(self._last, now), max(now.since(self._last), 1e-6)
         if not keeps:
@@ -448,12 +434,12 @@ class PlainTracker:
         self._speeds = (steps[0] / passed_s, steps[1] / passed_s)
         return self._take(now, steps)
 
-    def _begin(self, first: _PlainContinuityReading) -> PlainStep:
+    def _begin(self, first: _PlainReading) -> PlainStep:
         self._speeds, self._range = (0.0, 0.0), [(0, 0), (0, 0)]
         return self._take(first, (0, 0))
 
-    def _begin_anew(self, last: _PlainContinuityReading, first: _PlainContinuityReading) -> PlainStep:
-        """The step to the first reading after a restart: what was counted from zero, where that may be."""
+    def _restart(self, last: _PlainReading, first: _PlainReading) -> PlainStep:
+        """The step to the first reading after a restart: its counts from zero, where they are plausible."""
         self._waiting.clear()
         self.restarts += 1
         self.clock.restart()
@@ -470,7 +456,7 @@ class PlainTracker:
         is_motion = max(map(abs, counts)) <= most
         return step._replace(left=counts[0], right=counts[1]) if is_motion else step
 
-    def _take(self, now: _PlainContinuityReading, steps: Pair) -> PlainStep:
+    def _take(self, now: _PlainReading, steps: Pair) -> PlainStep:
         self._last, self._was_replugged = now, False
         stamp_s = self._stamp_of(now)
         for i, (least, most) in enumerate(self._range):
@@ -478,17 +464,18 @@ class PlainTracker:
         self._stamp_s = max(stamp_s, self._stamp_s + 1e-6)
         return PlainStep(self._stamp_s, *steps)
 
-    def _stamp_of(self, now: _PlainContinuityReading) -> float:
+    def _stamp_of(self, now: _PlainReading) -> float:
         if now.clock_us is None:
             return now.arrival_s
-        self.clock.update(1e-6 * now.clock_us, self._believed_arrival_s(now.clock_us, now.arrival_s))
+        self.clock.update(1e-6 * now.clock_us, self._robust_arrival_s(now.clock_us, now.arrival_s))
         self._has_map = True
         return self.clock.stamp_s(1e-6 * now.clock_us)
 
-    def _believed_arrival_s(self, clock_us: int, arrival_s: float) -> float:
-        """The arrival, or later where too few lines of the last second came as early: a digit of the time may be wrong.
+    def _robust_arrival_s(self, clock_us: int, arrival_s: float) -> float:
+        """The arrival, or a later time where too few lines of the last second came as early.
 
-        The map goes by the earliest line of a minute, so that one wrong time would shift all stamps for as long.
+        The map uses the earliest line of a minute. One damaged digit of a time would otherwise shift all stamps for a
+        minute.
         """
         early_s = self.clock.host_s(1e-6 * clock_us) - arrival_s
         self._early.append((arrival_s, early_s))
@@ -499,13 +486,13 @@ class PlainTracker:
         return arrival_s + max(early_s - allowed_s, 0.0) if self._has_map else arrival_s
 
 
-def _first(told: PlainReading) -> _PlainContinuityReading:
+def _first(told: PlainReading) -> _PlainReading:
     shown_us = None if told.clock is None else told.clock * told.us_per_tick
-    return _PlainContinuityReading((told.left, told.right), shown_us, shown_us, told.arrival_s)
+    return _PlainReading((told.left, told.right), shown_us, shown_us, told.arrival_s)
 
 
-def _after(last: _PlainContinuityReading, told: PlainReading) -> _PlainContinuityReading:
-    """The reading, its clock rolled over since `last` where host time is nearer to that."""
+def _after(last: _PlainReading, told: PlainReading) -> _PlainReading:
+    """The reading, with a roll-over of its clock since `last` where that is nearer to host time."""
     now = _first(told)
     if now.shown_us is None or last.shown_us is None or last.clock_us is None:
         return now
@@ -514,11 +501,11 @@ def _after(last: _PlainContinuityReading, told: PlainReading) -> _PlainContinuit
     rolled_us = step_us + _WORD * told.us_per_tick
     if abs(rolled_us - passed_us) < abs(step_us - passed_us):
         step_us = rolled_us
-    return _PlainContinuityReading(now.counts, now.shown_us, last.clock_us + step_us, now.arrival_s)
+    return _PlainReading(now.counts, now.shown_us, last.clock_us + step_us, now.arrival_s)
 
 
 def _shortest(before: int, now: int, range_seen: Pair, expected: float) -> int:
-    """The step from one count to the next that is nearest to what was expected, of those that a roll-over can make."""
+    """The step between two counts that is nearest to the expected one, with or without a roll-over."""
     step, rolls = now - before, [_WORD]
     seen = (min(*range_seen, before, now), max(*range_seen, before, now))
     if any(least <= seen[0] and seen[1] <= most for least, most in (_SIGNED, _UNSIGNED)):
@@ -527,21 +514,15 @@ def _shortest(before: int, now: int, range_seen: Pair, expected: float) -> int:
     return min(steps, key=lambda candidate: abs(candidate - expected))
 
 
-# When pairs of the paper's format were sent: they come at a fixed period, so that their number is a clock.
-#
-# Arrivals over the number of a pair lie on or above a line, as those of frames do over the controller's clock: its
-# slope is the period, and the line beneath them tells the stamps (`ClockMap`). What breaks the count is found by the
-# line, too: after a lost pair all arrivals stay a period above it. A pair sent early, since a count was full, tells
-# no time.
+# The paper's format
 
-
-# Long enough that a jitter of milliseconds leaves a period's slope right to a part in a thousand.
+# Long enough that a jitter of milliseconds changes the period by at most a part in a thousand.
 _LEARN_S = 4.0
-# Crystals differ by far less; the line over four seconds may be off by some parts in a thousand.
+# Crystals differ by far less, but the line over four seconds may be wrong by some parts in a thousand.
 _LARGEST_DRIFT = 0.02
-# A transport holds pairs back for shorter; beyond, the controller was silent.
-_PAIR_CLOCK_LONGEST_DELAY_S = 0.5
-# Arrivals that stay late for so long are those of pairs whose number is wrong.
+# Longest delay of a transport; a longer one means that the controller sent nothing.
+_LONGEST_PAIR_DELAY_S = 0.5
+# Arrivals that stay late for this long show that the number of pairs is wrong.
 _STAYS_S = 1.0
 _TICK_S = 1e-6
 _LONGEST_PERIOD_S, _SHORTEST_PERIOD_S = 0.2, 0.003
@@ -550,12 +531,14 @@ _LONGEST_PERIOD_S, _SHORTEST_PERIOD_S = 0.2, 0.003
 class PairClock:
     """Stamps of pairs in host time, from their number and arrivals.
 
-    Stamps grow strictly, and lie behind arrivals only where those run backwards. Until the period is known, and
-    while pairs are sent early, a pair is stamped with its arrival.
+    Pairs are sent at a fixed period, so that their number is a clock. Arrivals over it lie on or above a line with the
+    period as slope (`ClockMap`). After a lost pair all arrivals stay a period above the line. Pairs are stamped with
+    their arrival until the period is known, and where they are sent early because a count was full. Stamps increase
+    strictly, and are later than arrivals only where those run backwards.
 
     Attributes:
-        period_s: as learned, or None.
-        lost: pairs found to be missing.
+        period_s: the estimated period, or None.
+        lost: the number of missing pairs.
     """
 
     def __init__(self) -> None:
@@ -572,8 +555,8 @@ class PairClock:
 
         Args:
             arrival_s: when it was read.
-            following: how many pairs came behind it in the same read; each was sent a period later.
-            is_early: whether a count was full, so that it may have been sent before its time.
+            following: the number of pairs after it in the same read; each was sent a period later.
+            is_early: whether a count was full, so that the pair may have been sent early.
         """
         if is_early:
             self.restart()
@@ -590,15 +573,15 @@ class PairClock:
         return self._growing(self._map.host_s(clock_s), arrival_s)
 
     def restart(self) -> None:
-        """The count of pairs broke off: the port vanished, or pairs were sent early. The period stays."""
+        """Reset the count after the port vanished or pairs were sent early. The period is kept."""
         self._map.restart()
         self._arrivals.clear()
         self._late.clear()
         self._begun = False
 
     def _learn(self, arrival_s: float, following: int) -> None:
-        """The period, once pairs have come for long enough."""
-        if not following:  # of pairs in one read, the last is the one that waited least
+        """Estimate the period, once pairs have come for long enough."""
+        if not following:  # of pairs in one read, the last one waited least
             self._arrivals.append((float(self._number), arrival_s))
         if len(self._arrivals) < 3 or self._arrivals[-1][1] - self._arrivals[0][1] < _LEARN_S:
             return
@@ -611,9 +594,9 @@ class PairClock:
         self._arrivals.clear()
 
     def _stays_s(self, late_s: float, arrival_s: float, following: int) -> float:
-        """How late pairs have been at least for a second by now; 0 where that is not known."""
+        """The smallest lateness of pairs over the last second; 0 where it is unknown."""
         assert self.period_s is not None
-        if following:  # what comes in one read is late together, and once
+        if following:  # pairs of one read are late together, once
             return 0.0
         self._late.append((arrival_s, late_s))
         while arrival_s - self._late[0][0] > _STAYS_S:
@@ -622,13 +605,13 @@ class PairClock:
         return min(late for _, late in self._late) if is_known else 0.0
 
     def _count_lost(self, arrival_s: float, following: int) -> None:
-        """Put the number right after pairs were lost, or not sent."""
+        """Correct the number after pairs were lost or not sent."""
         assert self.period_s is not None
         if not self._begun:
             return
         latest_s = arrival_s - following * self.period_s
         late_s = latest_s - self._map.host_s(self._number * self.period_s)
-        missing_s = late_s if late_s > _PAIR_CLOCK_LONGEST_DELAY_S else self._stays_s(late_s, arrival_s, following)
+        missing_s = late_s if late_s > _LONGEST_PAIR_DELAY_S else self._stays_s(late_s, arrival_s, following)
         missing = round(missing_s / self.period_s)
         if missing > 0:
             self._number += missing

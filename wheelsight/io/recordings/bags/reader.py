@@ -28,7 +28,7 @@ from wheelsight.io.recordings.bags.recording import BagPlan, BagRecording
 from wheelsight.io.recordings.bags.stamps import TopicClock, clocks_of
 from wheelsight.io.recordings.bags.storage import Message, OpenBag, TransformTopic, open_bag, parts_of
 from wheelsight.io.recordings.bags.topics import CALIBRATION, TEXT, Choices, ImageTopic, Roles, lacks, roles_of
-from wheelsight.io.recordings.bags.wheel_readings import JointSpeeds, JointTicks, SpeedReader, told_by_twist
+from wheelsight.io.recordings.bags.wheel_readings import JointSpeeds, JointTicks, SpeedReader, poses_stay_zero
 from wheelsight.io.recordings.bags.wheel_topics import WheelSource
 from wheelsight.io.recordings.clock_checks import FRAMES, WHEELS, MotionClock, stamp_warnings
 from wheelsight.io.recordings.recording import BagSettings, Layout, OpenOptions, RecordedTopic, load_camera
@@ -430,7 +430,7 @@ def _wheels(
         truth = "" if source.needs_sizes else "; it is the robot's own estimate, no truth"
         return source.reader(wheels, nominal, False), [f"{topic}: wheels are known by {source.tells}{truth}."], None
     sampled = [bag.decode(message) for message in (*bag.first(topic, _FIRST_MESSAGES), bag.last(topic))]
-    by_twist = told_by_twist(sampled)
+    by_twist = poses_stay_zero(sampled)
     how = "speeds, since its poses stay at zero" if by_twist else source.tells
     warnings = [f"{topic}: wheels are known by {how}; it is the robot's own estimate, no truth."]
     stated = np.asarray(sampled[0].twist.covariance, float).reshape(6, 6).diagonal()[[0, 1, 5]]
@@ -460,7 +460,7 @@ def _holonomic_wheels(
         raise CalibrationError(problem, path=bag.path, fix="say `kind: holonomic` of its wheels")
     is_posed = source.kind == "odometry"
     messages = (*bag.first(topic, _FIRST_MESSAGES), bag.last(topic)) if is_posed else ()
-    by_twist = is_posed and told_by_twist([bag.decode(message) for message in messages])
+    by_twist = is_posed and poses_stay_zero([bag.decode(message) for message in messages])
     how = "speeds, since its poses stay at zero" if by_twist else source.tells
     estimate = "" if source.needs_sizes else "; it is the robot's own estimate, no truth"
     warning = f"{topic}: a holonomic base is known by {how}{estimate}."

@@ -1,4 +1,4 @@
-"""Speeds of wheels from what a robot's own odometry or joints tell: each holds until the next message."""
+"""`SpeedReader`s make wheel readings of the messages of a topic: odometry, joints, counts, speeds or transforms."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from wheelsight.io.recordings.wheel_recording import speeds_of_wheels
 
 _WHEEL = re.compile(r"wheel|drive|whl", re.IGNORECASE)
 _CASTER = re.compile(r"cast[eo]r|steer|swivel|arm|gripper", re.IGNORECASE)
-# left, or l, fl, rl, lf, … as a word of its own
+# left, or l, fl, rl, lf, … as a separate word
 _SIDES = tuple(
     re.compile(rf"{side}|(?:^|[_\-/.])[fbr]?{side[0]}[fbr]?(?:$|[_\-/.\d])", re.IGNORECASE)
     for side in ("left", "right")
 )
 _WRAP_SLACK = 0.01
 _MOST_COLUMNS = 64  # of an array of encoders
-_Told = TypeVar("_Told")
+_Content = TypeVar("_Content")
 _PoseAndTwist = tuple[tuple[float, float, float], tuple[float, float]]
 _AnglesAndSpeeds = tuple[list[float], list[float]]
 
@@ -38,22 +38,22 @@ class Joints:
 
 
 class SpeedReader(Protocol):
-    """Makes speeds of one topic's messages, in order of time."""
+    """Makes wheel readings of one topic's messages, in order of time."""
 
     unusable: int
 
     def add(self, stamp_s: float, message: Any) -> WheelReading | None:
-        """The speeds from the message before until this one, or the counts of this one; None where there are none."""
+        """The speeds between the last message and this one, or the counts of this one; None without any."""
 
     def end(self) -> WheelSpeeds | None:
-        """The speeds of the last message, which hold until nobody knows when."""
+        """The speeds after the last message, or None."""
 
 
 class JointTicks:
-    """Counts of encoders, of joints whose angles are known to be made of them.
+    """Counts of encoders, from joint angles that were computed from counts.
 
     Attributes:
-        unusable: messages that lack one of the joints, or whose numbers are none.
+        unusable: the number of messages that lack one of the joints, or have invalid numbers.
     """
 
     def __init__(self, joints: Joints, ticks_per_turn: float) -> None:
@@ -63,71 +63,71 @@ class JointTicks:
     def add(self, stamp_s: float, message: Any) -> WheelTicks | None:
         """See `SpeedReader`."""
         angles = dict(zip(message.name, message.position, strict=False))
-        told = [float(angles.get(name, math.nan)) for name in self._names]
-        if not are_measured(told):
+        angles_rad = [float(angles.get(name, math.nan)) for name in self._names]
+        if not are_measured(angles_rad):
             self.unusable += 1
             return None
-        left, right = (round(angle_rad * self._per_rad) for angle_rad in told)
+        left, right = (round(angle_rad * self._per_rad) for angle_rad in angles_rad)
         return WheelTicks(stamp_s, left, right)
 
     def end(self) -> None:
         """See `SpeedReader`."""
 
 
-class _HeldSpeeds(ABC, Generic[_Told]):
-    """Speeds from each message until the next, by what both tell.
+class _HeldSpeeds(ABC, Generic[_Content]):
+    """Speeds between consecutive messages, from the contents of both.
 
     Attributes:
-        unusable: messages that tell nothing.
+        unusable: the number of messages without valid numbers.
     """
 
     def __init__(self) -> None:
         self.unusable = 0
-        self._last: tuple[float, _Told] | None = None
+        self._last: tuple[float, _Content] | None = None
 
     def add(self, stamp_s: float, message: Any) -> WheelSpeeds | None:
-        """See `SpeedReader`; a message that is no newer than the one before is left out."""
-        told = self._told(message)
-        if told is None or (self._last is not None and stamp_s <= self._last[0]):
-            self.unusable += told is None
+        """See `SpeedReader`; a message that is not newer than the last one is ignored."""
+        content = self._content(message)
+        if content is None or (self._last is not None and stamp_s <= self._last[0]):
+            self.unusable += content is None
             return None
-        last, self._last = self._last, (stamp_s, told)
-        return None if last is None else self._between(*last, told, stamp_s - last[0])
+        last, self._last = self._last, (stamp_s, content)
+        return None if last is None else self._between(*last, content, stamp_s - last[0])
 
     def end(self) -> WheelSpeeds | None:
         """See `SpeedReader`."""
         return None if self._last is None else self._after(*self._last)
 
     @abstractmethod
-    def _told(self, message: Any) -> _Told | None:
-        """What a message tells; None where that is nothing."""
+    def _content(self, message: Any) -> _Content | None:
+        """The content of a message; None where its numbers are invalid."""
 
     @abstractmethod
-    def _between(self, stamp_s: float, before: _Told, now: _Told, lasted_s: float) -> WheelSpeeds:
-        """The speeds that held from the message at a stamp for so long."""
+    def _between(self, stamp_s: float, before: _Content, now: _Content, lasted_s: float) -> WheelSpeeds:
+        """The speeds between two messages, given the stamp of the first and the time between."""
 
     @abstractmethod
-    def _after(self, stamp_s: float, last: _Told) -> WheelSpeeds:
+    def _after(self, stamp_s: float, last: _Content) -> WheelSpeeds:
         """The speeds after the last message."""
 
 
 class PoseSpeeds(_HeldSpeeds[_PoseAndTwist]):
-    """Speeds of nominal wheels that make the increments between poses, or by twists.
+    """Speeds of nominal wheels, from the increments between poses, or from twists.
 
-    Increments rather than twists: they lose nothing where messages are far apart or were dropped.
+    Increments are preferred: they lose no motion where messages are far apart or were dropped.
 
     Args:
-        wheels: nominal ones.
-        told_of: pose x, y, yaw and twist v, ω of a message, or None where its numbers are none.
-        by_twist: whether poses say nothing: each twist then holds from its message on.
+        wheels: nominal wheels.
+        pose_of: gives pose x, y, yaw and twist v, ω of a message, or None where its numbers are invalid.
+        by_twist: whether to use twists, since poses stay at zero; each holds from its message on.
     """
 
-    def __init__(self, wheels: Wheels, told_of: Callable[[Any], _PoseAndTwist | None], by_twist: bool) -> None:
+    def __init__(self, wheels: Wheels, pose_of: Callable[[Any], _PoseAndTwist | None], by_twist: bool) -> None:
         super().__init__()
-        self._wheels, self._told_of, self._by_twist = wheels, told_of, by_twist
+        self._wheels, self._pose_of, self._by_twist = wheels, pose_of, by_twist
 
-    def _told(self, message: Any) -> _PoseAndTwist | None:
-        return self._told_of(message)
+    def _content(self, message: Any) -> _PoseAndTwist | None:
+        return self._pose_of(message)
 
     def _between(self, stamp_s: float, before: _PoseAndTwist, now: _PoseAndTwist, lasted_s: float) -> WheelSpeeds:
         if self._by_twist:
@@ -140,16 +140,16 @@ class PoseSpeeds(_HeldSpeeds[_PoseAndTwist]):
 
 
 class CountedTicks:
-    """Counts of encoders that messages hold as whole numbers, by field or by place in an array.
+    """Counts of encoders, from integers in fields or an array.
 
     Args:
-        numbers_of: the numbers of a message by name.
-        sides: which of them are the left and the right wheels'; of several of a side the mean is taken.
-        bits: after how many bits the numbers begin anew, which is undone; 0 for never.
-        per_number: counts of the calibration's encoder that one of these numbers is.
+        numbers_of: gives the numbers of a message by name.
+        sides: names of the left and the right wheels' numbers; those of a side are averaged.
+        bits: of the counters, whose wrap-around is removed; 0 without wrap-around.
+        per_number: the calibration's encoder counts per unit of these numbers.
 
     Attributes:
-        unusable: messages that lack one of the numbers.
+        unusable: the number of messages that lack one of the numbers.
     """
 
     def __init__(
@@ -163,14 +163,14 @@ class CountedTicks:
     def add(self, stamp_s: float, message: Any) -> WheelTicks | None:
         """See `SpeedReader`."""
         numbers = self._numbers_of(message)
-        told = {name: numbers.get(name, math.nan) for name in self._unrolled}
-        if not all(math.isfinite(number) for number in told.values()):
+        wanted = {name: numbers.get(name, math.nan) for name in self._unrolled}
+        if not all(math.isfinite(number) for number in wanted.values()):
             self.unusable += 1
             return None
         if stamp_s <= self._last_s:
             return None
         self._last_s = stamp_s
-        counts = {name: self._unrolled[name](number) for name, number in told.items()}
+        counts = {name: self._unrolled[name](number) for name, number in wanted.items()}
         left, right = (
             round(self._per_number * sum(counts[name] for name in side) / len(side))
             for side in (self._sides.left, self._sides.right)
@@ -183,7 +183,7 @@ class CountedTicks:
 
 
 class CountsApart:
-    """Counts of encoders of which each wheel has a topic of its own; the right ones are interpolated at the left ones.
+    """Counts of encoders with a topic for each wheel. Right counts are interpolated at the stamps of left ones.
 
     Attributes:
         unusable: always 0.
@@ -201,7 +201,7 @@ class CountsApart:
         return self._both()
 
     def add_right(self, stamp_s: float, message: Any) -> WheelTicks | None:
-        """A message of the right wheel: the counts of the last message of the left one, where it was not newer."""
+        """Add a message of the right wheel. Returns the counts at the last left message, if that is not newer."""
         self._right = (*self._right[-1:], (stamp_s, self._unrolled[1](int(message.data))))
         return self._both()
 
@@ -210,6 +210,7 @@ class CountsApart:
         return None
 
     def _both(self) -> WheelTicks | None:
+        """The counts of both wheels at the last left message, once right messages enclose it; else None."""
         if self._left is None or not self._right or not self._right[0][0] <= self._left[0] <= self._right[-1][0]:
             return None
         (stamp_s, left), self._left = self._left, None
@@ -219,7 +220,7 @@ class CountsApart:
 
 
 class _Unrolled:
-    """Undoes that numbers of so many bits begin anew."""
+    """Removes the wrap-around of counters with `bits` bits."""
 
     def __init__(self, bits: int) -> None:
         self._span = 1 << bits if bits else 0
@@ -234,23 +235,23 @@ class _Unrolled:
         return number + self._added
 
 
-class ToldSpeeds(_HeldSpeeds[tuple[float, ...]]):
-    """Speeds of the robot's own wheels that messages hold as fields, rad/s.
+class FieldSpeeds(_HeldSpeeds[tuple[float, ...]]):
+    """Speeds of the robot's own wheels, from fields in rad/s.
 
     Args:
-        numbers_of: the numbers of a message by name.
-        sides: which of them are the left and the right wheels'.
+        numbers_of: gives the numbers of a message by name.
+        sides: names of the left and the right wheels' numbers.
     """
 
     def __init__(self, numbers_of: Callable[[Any], Mapping[str, float]], sides: Joints) -> None:
         super().__init__()
         self._numbers_of, self._sides = numbers_of, sides
 
-    def _told(self, message: Any) -> tuple[float, ...] | None:
+    def _content(self, message: Any) -> tuple[float, ...] | None:
         numbers = self._numbers_of(message)
         sides = [[numbers.get(name, math.nan) for name in side] for side in (self._sides.left, self._sides.right)]
-        told = tuple(sum(side) / len(side) for side in sides)
-        return told if are_measured(told) else None
+        speeds = tuple(sum(side) / len(side) for side in sides)
+        return speeds if are_measured(speeds) else None
 
     def _between(
         self, stamp_s: float, before: tuple[float, ...], now: tuple[float, ...], lasted_s: float
@@ -262,15 +263,15 @@ class ToldSpeeds(_HeldSpeeds[tuple[float, ...]]):
 
 
 class TwistSpeeds(_HeldSpeeds[tuple[float, float]]):
-    """Speeds of nominal wheels that make measured velocities: between two messages, their mean."""
+    """Speeds of nominal wheels, from measured velocities: the mean of two consecutive messages."""
 
     def __init__(self, wheels: Wheels) -> None:
         super().__init__()
         self._wheels = wheels
 
-    def _told(self, message: Any) -> tuple[float, float] | None:
-        told = twist_of(message)
-        return None if told is None else (told[0], told[2])
+    def _content(self, message: Any) -> tuple[float, float] | None:
+        twist = twist_of(message)
+        return None if twist is None else (twist[0], twist[2])
 
     def _between(
         self, stamp_s: float, before: tuple[float, float], now: tuple[float, float], lasted_s: float
@@ -282,7 +283,7 @@ class TwistSpeeds(_HeldSpeeds[tuple[float, float]]):
 
 
 class JointSpeeds(_HeldSpeeds[_AnglesAndSpeeds]):
-    """Speeds of the robot's own wheels from the angles of their joints, or from their speeds where no angle is told."""
+    """Speeds of the robot's own wheels, from the angles of their joints, or from their speeds without angles."""
 
     def __init__(self, joints: Joints) -> None:
         super().__init__()
@@ -297,11 +298,11 @@ class JointSpeeds(_HeldSpeeds[_AnglesAndSpeeds]):
     def _after(self, stamp_s: float, last: _AnglesAndSpeeds) -> WheelSpeeds:
         return self._speeds(stamp_s, last[1] or [0.0] * len(self._joints.left + self._joints.right))
 
-    def _told(self, message: Any) -> _AnglesAndSpeeds | None:
+    def _content(self, message: Any) -> _AnglesAndSpeeds | None:
         return self.read(message)
 
     def read(self, message: Any) -> _AnglesAndSpeeds | None:
-        """Angles and speeds of the joints, left ones first, each empty where the message has none."""
+        """Angles and speeds of the joints, left ones first; each may be empty. None where both are, or are invalid."""
         places = {name: place for place, name in enumerate(message.name)}
         wanted = [places.get(name) for name in (*self._joints.left, *self._joints.right)]
         if None in wanted:
@@ -316,13 +317,14 @@ class JointSpeeds(_HeldSpeeds[_AnglesAndSpeeds]):
         return angles, speeds
 
     def turned(self, before_rad: float, after_rad: float) -> float:
-        """How far a joint turned; angles that never leave one turn start anew at its end."""
+        """How far a joint turned. Angles that never exceed one turn are taken to wrap around."""
         turned_rad = after_rad - before_rad
         if abs(turned_rad) > math.pi and self._farthest_rad <= 2 * math.pi + _WRAP_SLACK:
             return math.remainder(turned_rad, 2 * math.pi)
         return turned_rad
 
     def _speeds(self, stamp_s: float, of_joints: Sequence[float]) -> WheelSpeeds:
+        """The mean speed of each side's joints."""
         count = len(self._joints.left)
         left, right = of_joints[:count], of_joints[count:]
         return WheelSpeeds(stamp_s, sum(left) / len(left), sum(right) / len(right))
@@ -332,34 +334,34 @@ class BasePoses:
     """The pose of a holonomic base by its own odometry.
 
     Args:
-        told_of: pose x, y, yaw and twist of a message, or None where its numbers are none; without it, the speeds
-            ahead, to the left and turning of messages are summed up, each pair of messages by their mean.
+        pose_of: gives pose x, y, yaw and twist of a message, or None where its numbers are invalid. Without it, the
+            mean twists of consecutive messages are integrated.
 
     Attributes:
-        unusable: messages that hold no numbers.
+        unusable: the number of messages without valid numbers.
     """
 
-    def __init__(self, told_of: Callable[[Any], _PoseAndTwist | None] | None) -> None:
-        self.unusable, self._told_of = 0, told_of
+    def __init__(self, pose_of: Callable[[Any], _PoseAndTwist | None] | None) -> None:
+        self.unusable, self._pose_of = 0, pose_of
         self._T = se2.from_parts(0.0, 0.0, 0.0)
         self._last: tuple[float, tuple[float, float, float]] | None = None
 
     def add(self, stamp_s: float, message: Any) -> OdometryReading | None:
-        """See `SpeedReader`; a message that is no newer than the one before is left out."""
-        known = self._told_of(message) if self._told_of is not None else None
-        told = twist_of(message) if self._told_of is None else None if known is None else known[0]
-        if told is None or (self._last is not None and stamp_s <= self._last[0]):
-            self.unusable += told is None
+        """See `SpeedReader`; a message that is not newer than the last one is ignored."""
+        known = self._pose_of(message) if self._pose_of is not None else None
+        content = twist_of(message) if self._pose_of is None else None if known is None else known[0]
+        if content is None or (self._last is not None and stamp_s <= self._last[0]):
+            self.unusable += content is None
             return None
-        if self._told_of is None:
+        if self._pose_of is None:
             if self._last is not None:
                 before_s, before = self._last
-                step = [(a + b) / 2 * (stamp_s - before_s) for a, b in zip(before, told, strict=True)]
+                step = [(a + b) / 2 * (stamp_s - before_s) for a, b in zip(before, content, strict=True)]
                 self._T = se2.compose(self._T, se2.exp(step))
             x_m, y_m, yaw_rad = (float(part) for part in se2.to_parts(self._T))
         else:
-            x_m, y_m, yaw_rad = told
-        self._last = stamp_s, told
+            x_m, y_m, yaw_rad = content
+        self._last = stamp_s, content
         return OdometryReading(stamp_s, x_m, y_m, yaw_rad)
 
     def end(self) -> None:
@@ -367,15 +369,15 @@ class BasePoses:
 
 
 class AllCounts:
-    """Counts of all wheels of a holonomic base, of an array, or of the angles or speeds of joints.
+    """Counts of all wheels of a holonomic base, from an array, or from angles or speeds of joints.
 
     Args:
-        places: names of joints, or places in an array, in the order of the calibration's wheels.
-        bits: of an array, after how many bits its numbers begin anew, which is undone; 0 for never.
-        ticks_per_turn: counts a turn, of joints; None of an array.
+        places: names of joints, or indices of an array, in the order of the calibration's wheels.
+        bits: of an array's counters, whose wrap-around is removed; 0 without wrap-around.
+        ticks_per_turn: counts per turn for joints; None for an array.
 
     Attributes:
-        unusable: messages that lack one of them.
+        unusable: the number of messages that lack one of them.
     """
 
     def __init__(self, places: tuple[str, ...], bits: int = 0, ticks_per_turn: float | None = None) -> None:
@@ -388,10 +390,17 @@ class AllCounts:
         self._last_s = -math.inf
 
     def add(self, stamp_s: float, message: Any) -> WheelCounts | None:
-        """See `SpeedReader`; a message that is no newer than the one before is left out."""
+        """See `SpeedReader`; a message that is not newer than the last one is ignored."""
         if stamp_s <= self._last_s:
             return None
-        counts = self._of_array(message) if self._joints is None else self._of_joints(self._joints, stamp_s, message)
+        if self._joints is None:
+            numbers = columns_of(message)
+            wanted = [numbers.get(place, math.nan) for place in self._places]
+            counts = None
+            if all(math.isfinite(number) for number in wanted):
+                counts = tuple(round(unrolled(n)) for unrolled, n in zip(self._unrolled, wanted, strict=True))
+        else:
+            counts = self._of_joints(self._joints, stamp_s, message)
         if counts is None:
             self.unusable += 1
             return None
@@ -401,18 +410,12 @@ class AllCounts:
     def end(self) -> None:
         """See `SpeedReader`."""
 
-    def _of_array(self, message: Any) -> tuple[int, ...] | None:
-        numbers = columns_of(message)
-        told = [numbers.get(place, math.nan) for place in self._places]
-        if not all(math.isfinite(number) for number in told):
-            return None
-        return tuple(round(unrolled(number)) for unrolled, number in zip(self._unrolled, told, strict=True))
-
     def _of_joints(self, joints: JointSpeeds, stamp_s: float, message: Any) -> tuple[int, ...] | None:
-        told = joints.read(message)
-        if told is None:
+        """Counts from the integrated motion of joints; None where the message is invalid."""
+        content = joints.read(message)
+        if content is None:
             return None
-        angles, speeds = told
+        angles, speeds = content
         if self._last is None:
             self._angles_rad = list(angles) or self._angles_rad
         else:
@@ -423,11 +426,11 @@ class AllCounts:
                 pairs = zip(speeds_before or speeds, speeds or speeds_before, strict=True)
                 turned = [(a + b) / 2 * (stamp_s - before_s) for a, b in pairs]
             self._angles_rad = [angle + more for angle, more in zip(self._angles_rad, turned, strict=True)]
-        self._last = stamp_s, told
+        self._last = stamp_s, content
         return tuple(round(angle * self._per_rad) for angle in self._angles_rad)
 
 
-# Front and rear, left and right, as words of a joint's name, or by their letters: fl, rear_left, wheel_lf_joint.
+# Front and rear, left and right in a joint's name, as words or letters: fl, rear_left, wheel_lf_joint.
 _CORNERS = tuple(
     re.compile(
         rf"({end})[_\-.]?{side}|{side}[_\-.]?({end})|(?:^|[_\-/.])(?:[{letters}]{side[0]}|{side[0]}[{letters}])(?:$|[_\-/.\d])",
@@ -439,7 +442,7 @@ _CORNERS = tuple(
 
 
 def corner_joints(names: Sequence[str]) -> tuple[str, ...] | None:
-    """Of four wheels at the corners of a base: front left, front right, rear left, rear right; None where unknown."""
+    """The joints of four wheels: front left, front right, rear left, rear right; None where not found by name."""
     wheels = [name for name in names if not _CASTER.search(name)]
     found = [[name for name in wheels if corner.search(name)] for corner in _CORNERS]
     if any(len(one) != 1 for one in found):
@@ -449,7 +452,7 @@ def corner_joints(names: Sequence[str]) -> tuple[str, ...] | None:
 
 
 def wheel_joints(names: Sequence[str]) -> Joints | None:
-    """The joints that are wheels, by their names; None where they do not tell a left and a right one."""
+    """The joints of left and right wheels, by their names; None where they are not found."""
     wheels = [name for name in names if _WHEEL.search(name) and not _CASTER.search(name)]
     left, right = (tuple(name for name in wheels if side.search(name)) for side in _SIDES)
     if not left or len(left) != len(right) or set(left) & set(right):
@@ -457,35 +460,35 @@ def wheel_joints(names: Sequence[str]) -> Joints | None:
     return Joints(left, right)
 
 
-def told_by_twist(messages: Sequence[Any]) -> bool:
+def poses_stay_zero(messages: Sequence[Any]) -> bool:
     """Whether poses of an Odometry stay at zero while its twists do not."""
-    told = [found for found in map(planar_of, messages) if found is not None]
-    return bool(told) and not any(any(pose) for pose, _ in told) and any(any(twist) for _, twist in told)
+    valid = [found for found in map(planar_of, messages) if found is not None]
+    return bool(valid) and not any(any(pose) for pose, _ in valid) and any(any(twist) for _, twist in valid)
 
 
 def increment(before: _PoseAndTwist, now: _PoseAndTwist) -> tuple[float, float, float]:
-    """Way ahead and across, metres, and turn, radians, between two poses."""
+    """The motion ahead and to the left, metres, and the turn, radians, between two poses."""
     T_before_now = se2.compose(se2.invert(se2.from_parts(*before[0])), se2.from_parts(*now[0]))
     ahead_m, across_m, turn_rad = se2.log(T_before_now).tolist()
     return ahead_m, across_m, turn_rad
 
 
 def planar_of(message: Any) -> _PoseAndTwist | None:
-    """Pose x, y, yaw and twist v, ω of an Odometry; None where they are no numbers, or no rotation."""
+    """Pose x, y, yaw and twist v, ω of an Odometry; None where they are invalid."""
     pose, twist = message.pose.pose, message.twist.twist
     return _planar(pose.position, pose.orientation, (twist.linear.x, twist.angular.z))
 
 
 def planar_of_transform(stamped: Any) -> _PoseAndTwist | None:
-    """Pose x, y, yaw of a TransformStamped, at rest after the last one; None where they are no numbers."""
+    """Pose x, y, yaw of a TransformStamped, with a twist of zero; None where they are invalid."""
     return _planar(stamped.transform.translation, stamped.transform.rotation, (0.0, 0.0))
 
 
 def twist_of(message: Any) -> tuple[float, float, float] | None:
-    """Speeds ahead and to the left, m/s, and turning, rad/s, of an Odometry, TwistStamped or one with covariance."""
+    """Speeds ahead and to the left, m/s, and yaw rate, rad/s, of an Odometry or TwistStamped; None where invalid."""
     twist = getattr(message.twist, "twist", message.twist)
-    told = (twist.linear.x, twist.linear.y, twist.angular.z)
-    return told if are_measured(told) else None
+    speeds = (twist.linear.x, twist.linear.y, twist.angular.z)
+    return speeds if are_measured(speeds) else None
 
 
 def _planar(position: Any, q: Any, speeds: tuple[float, float]) -> _PoseAndTwist | None:
@@ -496,11 +499,11 @@ def _planar(position: Any, q: Any, speeds: tuple[float, float]) -> _PoseAndTwist
 
 
 def columns_of(message: Any) -> dict[str, float]:
-    """The numbers of an array by their places, "0" first."""
+    """The numbers of an array by index, "0" first."""
     return {str(place): float(number) for place, number in enumerate(message.data[:_MOST_COLUMNS])}
 
 
 def fields_of(message: Any) -> dict[str, float]:
-    """The plain numbers of a message by their fields."""
+    """The scalar numbers of a message by field."""
     plain = {name: getattr(message, name) for name in message.__dataclass_fields__}
     return {name: float(value) for name, value in plain.items() if isinstance(value, int | float)}

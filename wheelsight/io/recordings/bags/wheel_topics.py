@@ -23,10 +23,10 @@ from wheelsight.io.recordings.bags.wheel_readings import (
     BasePoses,
     CountedTicks,
     CountsApart,
+    FieldSpeeds,
     Joints,
     PoseSpeeds,
     SpeedReader,
-    ToldSpeeds,
     TwistSpeeds,
     columns_of,
     corner_joints,
@@ -154,7 +154,7 @@ class WheelSource:
         if self.kind == "columns":
             return partial(CountedTicks, columns_of, sides, self.bits)
         if self.unit == "rad/s":
-            return partial(ToldSpeeds, fields_of, sides)
+            return partial(FieldSpeeds, fields_of, sides)
         per_number = 1e-3 / wheels.left_m_per_tick if self.unit == "mm" else 1.0
         return partial(CountedTicks, fields_of, sides, self.bits, per_number)
 

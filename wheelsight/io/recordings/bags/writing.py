@@ -45,20 +45,17 @@ from wheelsight.io.recordings.bags.topics import CALIBRATION, WHEEL_ODOMETRY
 from wheelsight.io.recordings.images import FAST_PNG, JPEG_QUALITY
 from wheelsight.io.recordings.native import FrameClock
 
-# LiveBag: what live sensors say, into an MCAP file that a kill cuts off but does not spoil.
-
-
 THREAD = "wheelsight-bag"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EncodedFrame:
-    """A frame as messages that are not in the bag yet.
+    """The messages of a frame, before they are written.
 
     Attributes:
         stamp_s: of the frame.
-        messages: topic, type and bytes.
-        size_bytes: of all.
+        messages: topic, type and bytes of each.
+        size_bytes: of all messages.
     """
 
     stamp_s: float
@@ -67,24 +64,24 @@ class EncodedFrame:
 
 
 class LiveBag:
-    """Writes events into an MCAP file as they come. What is older than `flush_s` outlives the program.
+    """Writes events of live sensors into an MCAP file. Where the program dies, at most `flush_s` seconds are lost.
 
-    Several threads may `write_frame` at once; another may `add` readings meanwhile.
+    Several threads may call `write_frame` at once, and another one `add`.
 
     Args:
-        path: of the file, which must not be there.
-        calibration: of the robot; it is kept in the bag.
-        images: how images are kept; see `RobotTopics`.
-        flush_s: seconds between two times that all is handed to the system.
+        path: of the file, which must not exist.
+        calibration: of the robot; the bag stores it.
+        images: the encoding of images; see `RobotTopics`.
+        flush_s: seconds between flushes to the system.
 
     Attributes:
-        folder: where the file lies.
-        frames, readings: how many it has by now.
+        folder: of the file.
+        frames, readings: the numbers so far.
 
     Raises:
-        CalibrationError: there is none: of ticks alone no reader knows what a turn is.
+        CalibrationError: there is none; readers of ticks need it.
         ConfigError: rosbags is not installed, or the name does not end in .mcap.
-        OutputError: the file cannot be made.
+        OutputError: the file cannot be created.
     """
 
     def __init__(self, path: StrPath, calibration: Calibration | None, images: ImageForm, flush_s: float) -> None:
@@ -111,7 +108,7 @@ class LiveBag:
         return max(self._last_stamp_s.values(), default=-np.inf)
 
     def check(self, event: Event) -> None:
-        """Refuse what cannot be read again. Raises ArgumentError, RecordingError."""
+        """Raise ArgumentError or RecordingError where the event cannot be stored without loss."""
         check_event(event, finite=True)
         if isinstance(event, RgbdFrame):
             check_images(event, self._calibration)
@@ -123,7 +120,7 @@ class LiveBag:
         self._last_stamp_s[name] = event.stamp_s
 
     def add(self, event: Event) -> None:
-        """Write one event; skipped frames leave no trace. Raises as `check`, and OutputError."""
+        """Write one event. Skipped frames are ignored. Raises as `check`, and OutputError."""
         if isinstance(event, SkippedFrame):
             return
         self.check(event)
@@ -134,40 +131,40 @@ class LiveBag:
         self.readings += isinstance(event, WheelTicks)
 
     def add_angular_velocity(self, turn: AngularVelocity) -> None:
-        """Write what the camera's gyroscope tells of the base, as its yaw rate. Raises as `add`."""
+        """Write a reading of the camera's gyroscope as the base's yaw rate. Raises as `add`."""
         T_base_camera = self._calibration.T_base_camera
         if T_base_camera is None:
-            problem = "its gyroscope tells nothing of the base while nobody knows where the camera sits"
+            problem = "its gyroscope does not give the base's yaw rate: the camera's mount is unknown"
             raise RecordingError(problem, path=self._path, fix="wheelsight calibrate base finds T_base_camera")
         self.add(turn.yaw_rate(np.asarray(T_base_camera)))
 
     def write_frame(self, frame: RgbdFrame, infrared: UInt16Array | None = None) -> EncodedFrame:
-        """Encode the images of a frame that was checked; infrared is left out."""
+        """Encode the images of a checked frame, without infrared."""
         messages = tuple(self._encoded(sent) for sent in self._robot.of_frame(frame))
         return EncodedFrame(frame.stamp_s, messages, sum(len(data) for _, _, data in messages))
 
     def list_frame(self, written: EncodedFrame, clock: FrameClock | None = None) -> None:
-        """Append the images of a frame; a bag has no room for its clock. Raises OutputError."""
+        """Append the images of a frame. Its clock is not stored. Raises OutputError."""
         self._write(written.messages, written.stamp_s)
         self.frames += 1
 
     def close(self) -> None:
-        """Add the index; without it the file is read all the same, only slower. Raises OutputError."""
+        """Add the index, without which reading is slower, and close the file. Raises OutputError."""
         self._is_over.set()
         self._thread.join()
         opened, cause = self._opened.pop_all(), None if self._problem is None else self._problem.__cause__
         if cause is None:
             opened.close()
             return
-        with suppress(OutputError):  # it was told when it happened
+        with suppress(OutputError):  # raised when it happened
             opened.__exit__(type(cause), cause, cause.__traceback__)
 
     def _encoded(self, sent: Sent) -> tuple[str, str, bytes]:
         return sent.topic, sent.message.__msgtype__, self._bag.make.bytes_of(sent.message)
 
     def _write(self, messages: Iterable[tuple[str, str, bytes]], stamp_s: float) -> None:
-        """Append messages, received in the order of writing: a file without an index is read in that alone."""
-        with self._lock, self._told():
+        """Append messages. Their receipt follows the order of writing, in which a file without an index is read."""
+        with self._lock, self._guarded():
             if self._received_s == -np.inf:
                 self._received_s = stamp_s
                 for sent in self._robot.mounts(stamp_s):
@@ -177,14 +174,14 @@ class LiveBag:
                 self._bag.add_bytes(topic, type_, data, self._received_s)
 
     def _flush(self) -> None:
-        """The thread: hand all to the system now and again."""
+        """The thread: flush at intervals."""
         while not self._is_over.wait(self._flush_s):
-            with suppress(OutputError), self._lock, self._told():
+            with suppress(OutputError), self._lock, self._guarded():
                 self._bag.flush()
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
-        """Once the disk is full nothing more is written: half a record would spoil what comes after."""
+    def _guarded(self) -> Iterator[None]:
+        """Raise an OSError of the block as OutputError, also in all later blocks: the file may end in half a record."""
         if self._problem is not None:
             raise self._problem
         try:
@@ -196,8 +193,7 @@ class LiveBag:
             raise problem from error
 
 
-# Bags written by rosbags' writers: whole or not at all, or message by message as a robot drives.
-
+# Bag files
 
 WRITTEN = (".mcap", ".bag")
 _FOREVER = (9223372036, 854775807)  # rmw's "infinite", in seconds and nanoseconds
@@ -207,9 +203,9 @@ class BagFile:
     """A bag that is open to be written.
 
     Attributes:
-        make: what makes its messages.
-        count: messages written by now.
-        size_bytes: of these.
+        make: makes its messages.
+        count: the number of messages so far.
+        size_bytes: of these messages.
     """
 
     def __init__(self, writer: Any, make: Messages) -> None:
@@ -218,14 +214,14 @@ class BagFile:
         self._connections: dict[str, Any] = {}
 
     def add(self, topic: str, message: Any, stamp_s: float, *, is_latched: bool = False) -> None:
-        """Append a message, received at `stamp_s`; a latched one is kept for those who listen later.
+        """Append a message, received at `stamp_s`. Later subscribers get a latched message too.
 
         Raises OSError where it cannot be written.
         """
         self.add_bytes(topic, message.__msgtype__, self.make.bytes_of(message), stamp_s, is_latched=is_latched)
 
     def add_bytes(self, topic: str, type_: str, data: bytes, stamp_s: float, *, is_latched: bool = False) -> None:
-        """The same of a message's bytes."""
+        """Like `add`, for a serialized message."""
         connection = self._connections.get(topic)
         if connection is None:
             connection = self._connections[topic] = self._connected(topic, type_, is_latched)
@@ -234,9 +230,9 @@ class BagFile:
         self.size_bytes += len(data)
 
     def flush(self) -> None:
-        """Hand what was added to the system, so that a kill of this program loses none of it; of MCAP alone.
+        """Write all added messages to the system, so that they survive the end of this program. MCAP only.
 
-        A reader finds it without the index that the end of the file would have.
+        Readers find them without the index at the end of the file.
         """
         storage = self._writer.storage
         if storage.chunk.msgs:
@@ -254,12 +250,12 @@ class BagFile:
 
 @contextmanager
 def new_bag(path: StrPath) -> Iterator[BagFile]:
-    """A bag to be filled by the block: MCAP of ROS 2, or a .bag of ROS 1, by its name.
+    """A new bag for the block: MCAP of ROS 2, or a .bag of ROS 1, by its suffix.
 
-    It is there once the block ends well; else nothing is left of it.
+    The file exists once the block ends without an error; otherwise nothing remains.
 
     Raises:
-        ConfigError: another ending, or rosbags is not installed.
+        ConfigError: the suffix is unknown, or rosbags is not installed.
         OutputError: it cannot be written, or the disk is full.
     """
     path = Path(path)
@@ -279,9 +275,9 @@ def new_bag(path: StrPath) -> Iterator[BagFile]:
 
 @contextmanager
 def growing_bag(path: StrPath) -> Iterator[BagFile]:
-    """An MCAP file of ROS 2 that is there from the beginning and grows; see `BagFile.flush`.
+    """A new MCAP file of ROS 2 that exists from the beginning; see `BagFile.flush`.
 
-    Whatever ends the program leaves what was flushed; the block's end adds the index. Raises as `new_bag`.
+    Flushed messages survive any end of the program. The end of the block adds the index. Raises as `new_bag`.
     """
     path = Path(path)
     check_growing_name(path)
@@ -290,17 +286,17 @@ def growing_bag(path: StrPath) -> Iterator[BagFile]:
             writer = _writer(folder / "bag.mcap", folder)
             writer.open()
             written = folder / "bag" / "bag.mcap"
-            with suppress(PermissionError):  # of Windows, where it moves once it is closed
+            with suppress(PermissionError):  # Windows moves closed files only
                 written.replace(path)
-                shutil.rmtree(folder)  # lest a kill leave it
+                shutil.rmtree(folder)  # so that it does not remain where the program is killed
             try:
                 yield BagFile(writer, Messages(is_ros1=False))
-            except OSError:  # what comes after half a record is lost to every reader: nothing more is written
+            except OSError:  # no reader gets past half a record: write nothing after it
                 with suppress(Exception):
                     writer.abort()
                 raise
             finally:
-                written.parent.mkdir(parents=True, exist_ok=True)  # for metadata.yaml, which a file alone needs not
+                written.parent.mkdir(parents=True, exist_ok=True)  # for metadata.yaml, which is discarded
                 if writer.storage is not None:
                     writer.close()
                 if written.is_file():
@@ -310,7 +306,7 @@ def growing_bag(path: StrPath) -> Iterator[BagFile]:
 
 
 def check_bag_name(path: Path) -> None:
-    """Raises ConfigError, OutputError for a name that no bag can have."""
+    """Raise ConfigError or OutputError for a name that is not valid for a bag."""
     if path.suffix.lower() not in WRITTEN:
         raise ConfigError(
             f"{str(path)!r} does not end in .mcap or .bag", fix="MCAP for ROS 2 and Foxglove, .bag for ROS 1"
@@ -319,20 +315,22 @@ def check_bag_name(path: Path) -> None:
 
 
 def check_growing_name(path: Path) -> None:
-    """Likewise, for a bag that is to be one while it grows."""
+    """Raise as `check_bag_name`, and ConfigError for a format that needs its index."""
     check_bag_name(path)
     if path.suffix.lower() != ".mcap":
-        raise ConfigError(f"{str(path)!r} cannot grow: a ROS 1 bag is none without its index", fix="name it .mcap")
+        raise ConfigError(
+            f"{str(path)!r} cannot grow: a ROS 1 bag is not readable without its index", fix="name it .mcap"
+        )
 
 
 def check_library() -> None:
-    """Raises ConfigError where rosbags is not installed."""
+    """Raise ConfigError where rosbags is not installed."""
     needed("rosbags")
 
 
 @contextmanager
 def _temporary(path: Path) -> Iterator[Path]:
-    """A folder beside a file, on its disk, for the block; its name tells whose it is."""
+    """A temporary folder beside a file, on the same disk, for the block."""
     folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
     try:
         yield folder
@@ -341,7 +339,7 @@ def _temporary(path: Path) -> Iterator[Path]:
 
 
 def _writer(made: Path, folder: Path) -> Any:
-    """One of rosbags' writers, not open yet."""
+    """The rosbags writer for a suffix, not open yet."""
     if made.suffix == ".bag":
         return needed("rosbags.rosbag1").Writer(made)
     rosbag2 = needed("rosbags.rosbag2")
@@ -349,7 +347,7 @@ def _writer(made: Path, folder: Path) -> Any:
 
 
 def _latched() -> Any:
-    """The quality of service of a topic whose last message is kept, as /map and /tf_static have it."""
+    """The quality of service of a latched topic, such as /map and /tf_static."""
     ros = needed("rosbags.interfaces")
     forever = ros.QosTime(*_FOREVER)
     return ros.Qos(
@@ -365,8 +363,7 @@ def _latched() -> Any:
     )
 
 
-# What a robot's sensors say, as topics of a bag: images, CameraInfo, wheels, gyroscope, and where they are mounted.
-
+# Topics of a robot
 
 ImageForm = Literal["raw", "png", "jpeg"]
 BASE, LINK = "base_link", "camera_link"
@@ -374,23 +371,23 @@ COLOR_FRAME, DEPTH_FRAME = "camera_color_optical_frame", "camera_depth_optical_f
 JOINTS = ("left_wheel_joint", "right_wheel_joint")
 TF_STATIC, JOINT_STATES, IMU = "/tf_static", "/joint_states", "/imu/data"
 _COLOR, _DEPTH, _REGISTERED = "/camera/color", "/camera/depth", "/camera/aligned_depth_to_color"
-# REP 103: x forward, y left, z up of what an optical frame (x right, y down, z forward) looks ahead of.
+# From an optical frame (x right, y down, z forward) to a link frame of REP 103 (x forward, y left, z up).
 T_LINK_OPTICAL: FloatArray = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 T_LINK_OPTICAL.setflags(write=False)
-# compressed_depth_image_transport: which way, 1 for its only one, and two numbers that whole numbers need not.
+# Header of compressed_depth_image_transport: the format, always 1, and two parameters that integer depth ignores.
 _COMPRESSED_DEPTH = struct.pack("<iff", 1, 0.0, 0.0)
 _MILLIMETRES, _DEEPEST = 1000.0, np.iinfo(np.uint16).max
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sent:
-    """A message on its way into a bag.
+    """A message with its topic and time of receipt.
 
     Attributes:
-        stamp_s: when it was received, seconds.
+        stamp_s: time of receipt, seconds.
         topic: its name.
-        message: itself.
-        is_latched: whether who listens later gets it too.
+        message: the message.
+        is_latched: whether later subscribers get it too.
     """
 
     stamp_s: float
@@ -403,10 +400,10 @@ class RobotTopics:
     """Messages of one robot's sensors.
 
     Args:
-        make: what makes messages.
-        calibration: of the robot, or None where it is not known: then there are no images and no joints.
-        images: how images are written; None for none. "raw" keeps colour and depth exactly, "png" keeps colour exactly
-            and depth in millimetres, "jpeg" likewise with colour of quality 95.
+        make: makes messages.
+        calibration: of the robot; None where it is unknown, without images and joints.
+        images: the encoding of images; None for no images. "raw" stores colour and depth without loss; "png" stores
+            colour without loss and depth in millimetres; "jpeg" stores colour with quality 95 and depth in millimetres.
     """
 
     def __init__(self, make: Messages, calibration: Calibration | None, images: ImageForm | None) -> None:
@@ -415,7 +412,7 @@ class RobotTopics:
         self._last: WheelSpeeds | None = None
 
     def mounts(self, stamp_s: float) -> Iterator[Sent]:
-        """/tf_static, and the calibration as text: messages of ROS have no room for wheels and noise."""
+        """/tf_static, and the calibration as text, since no ROS message has fields for wheels and noise."""
         calibration = self._calibration
         if calibration is None:
             return
