@@ -67,7 +67,7 @@ def test_what_is_no_name_is_refused(name: Any) -> None:
 
 @pytest.mark.parametrize("pose", [[1.0], [1.0, np.nan, 0.0], [1e9, 0.0, 0.0], [0.0, 0.0, np.inf], np.zeros((4, 4))])
 def test_what_is_no_pose_is_refused(pose: Any) -> None:
-    with pytest.raises(MapError, match="is at no place on earth"):
+    with pytest.raises(MapError, match="is beyond 1000 km"):
         NamedPose("desk", pose)
 
 
@@ -96,7 +96,7 @@ def test_of_two_maps_both_keep_their_names() -> None:
         ({"format": "else"}, "is not of format"),
         ({"version": 2}, "its version is 2"),
         ({"places": {}}, "its places are no list"),
-        ({"places": [{"name": "a", "pose": [1, 2], "color": 3}]}, "a place is none"),
+        ({"places": [{"name": "a", "pose": [1, 2], "color": 3}]}, "a place has wrong fields"),
         ({"places": [{"name": "a", "pose": [1, "x"]}]}, "is no pose"),
         ({"places": [{"pose": [1, 2]}]}, "is no name for a place"),
         ({"places": [{"name": "a", "pose": [1, 2], "keyframe": -1}]}, "is -1"),

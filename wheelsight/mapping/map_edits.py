@@ -278,7 +278,7 @@ def _numbers(value: Any, name: str, shape: Sequence[int]) -> FloatArray:
     except (TypeError, ValueError):
         is_right = False
     if not is_right:
-        raise MapError(f"{name} is no table of numbers", fix=f"{shape[1]} numbers a row")
+        raise MapError(f"{name} is not a table of numbers", fix=f"{shape[1]} numbers a row")
     return found
 
 
@@ -288,7 +288,7 @@ def checked_corners(polygon: ArrayLike) -> FloatArray:
     if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
         raise MapError("a polygon has fewer than three corners", fix="[[x, y], [x, y], [x, y], …] in metres")
     if not (np.abs(corners) < _FARTHEST_M).all():
-        raise MapError("a polygon has corners that are no place on earth", fix="metres in the frame map")
+        raise MapError("a polygon has corners beyond 1000 km", fix="metres in the frame map")
     shape = shapely.Polygon(corners)
     if not shape.is_valid or shape.area < _SMALLEST_AREA_M2:
         raise MapError("a polygon crosses itself or has no surface", fix="give its corners in the order of its outline")

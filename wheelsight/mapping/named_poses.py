@@ -54,7 +54,7 @@ class NamedPose:
         at = np.array(self.pose, float).ravel()
         at = np.array([*at, np.nan]) if len(at) == 2 else at
         if len(at) != 3 or not (np.abs(at[:2]) < _FARTHEST_M).all() or np.isinf(at[2]):
-            problem = f"{self.name} is at no place on earth"
+            problem = f"{self.name} is beyond 1000 km"
             raise MapError(problem, fix="x and y in metres in the frame map, and a heading")
         at.setflags(write=False)
         object.__setattr__(self, "pose", at)
@@ -187,7 +187,7 @@ class NamedPoses:
 def _pose(fields: Any) -> NamedPose:
     """Return the pose of JSON fields. Raises MapError."""
     if not isinstance(fields, dict) or not set(fields) <= set(_FIELDS):
-        raise MapError("a place is none", fix=f"its fields are {', '.join(_FIELDS)}")
+        raise MapError("a place has wrong fields", fix=f"its fields are {', '.join(_FIELDS)}")
     name, pose, keyframe, T = (fields.get(field) for field in _FIELDS)
     if keyframe is not None and (type(keyframe) is not int or keyframe < 0):
         raise MapError(f"keyframe of {name!r} is {keyframe!r}", fix="the number of a keyframe")

@@ -151,7 +151,7 @@ def load_map(path: StrPath) -> SurfelMap:
     except MapError as error:
         raise MapError(error.problem, path=path, fix=error.fix) from error
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise MapError(f"its header is not one: {type(error).__name__}", path=path, fix=_DAMAGED) from error
+        raise MapError(f"its header is invalid: {type(error).__name__}", path=path, fix=_DAMAGED) from error
 
 
 def _split(data: bytes) -> tuple[str, dict[str, Any], memoryview]:
@@ -168,9 +168,9 @@ def _split(data: bytes) -> tuple[str, dict[str, Any], memoryview]:
     try:
         header = parse_json(text)
     except ValueError as error:
-        raise MapError(f"its header is not one: {error}", fix=_DAMAGED) from error
+        raise MapError(f"its header is invalid: {error}", fix=_DAMAGED) from error
     if not isinstance(header, dict):
-        raise MapError("its header is no object", fix=_DAMAGED)
+        raise MapError("its header is not a JSON object", fix=_DAMAGED)
     if version == FORMAT:
         is_known = header["columns"] == [list(column) for column in COLUMNS]
     else:

@@ -132,7 +132,7 @@ def _check_training(features: Float32Array, labels: IntArray, names: Sequence[st
         raise PlaceError(f"{len(names)} areas cannot be told apart", fix="give at least two, each with its own name")
     if len(labels) and not -1 <= labels.min() <= labels.max() < len(names):
         wrong = int(labels.min() if labels.min() < -1 else labels.max())
-        raise PlaceError(f"label {wrong} is no area's", fix=f"0 to {len(names) - 1}, or -1 for none")
+        raise PlaceError(f"label {wrong} is not an area index", fix=f"0 to {len(names) - 1}, or -1 for none")
     missing = [name for index, name in enumerate(names) if not (labels == index).any()]
     if missing:
         raise PlaceError(f"area {missing[0]!r} has no training frames", fix="drive through it, or leave the area out")

@@ -57,7 +57,7 @@ def test_depth_that_is_none_is_refused() -> None:
     told = np.zeros((4, 4, 3), np.uint8)
     told[..., 1] = 2
     code = cv2.imencode(".webp", told, [cv2.IMWRITE_WEBP_QUALITY, 101])[1].tobytes()
-    with pytest.raises(MapError, match="its depth is none"):
+    with pytest.raises(MapError, match="its depth is out of range"):
         images.unpacked_depth(code)
 
 

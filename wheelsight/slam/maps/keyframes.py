@@ -264,7 +264,7 @@ def unpacked_depth(code: bytes, most_px: Size = LARGEST_PX) -> NDArray[np.uint16
     steps = codes[is_known] - 1
     depth = np.cumsum(steps >> 1 ^ -(steps & 1), dtype=np.int64)
     if len(depth) and not 0 < depth.min() <= depth.max() <= np.iinfo(np.uint16).max:
-        raise MapError("its depth is none", fix=_DAMAGED)
+        raise MapError("its depth is out of range", fix=_DAMAGED)
     numbers = np.zeros(codes.shape, np.uint16)
     numbers[is_known] = depth
     return numbers
@@ -378,7 +378,7 @@ def unpack_old_keyframe(content: bytes, most_px: Size = LARGEST_PX) -> Keyframe:
     if count >= 0:
         rows = np.frombuffer(inflated(parts[3], count * _KEYPOINT_BYTES), "<f4").reshape(5, count).T.astype(float)
         if not np.isfinite(rows).all():
-            raise MapError("its keypoints are nowhere", fix=_DAMAGED)
+            raise MapError("its keypoints are not finite", fix=_DAMAGED)
         features = KeyframeFeatures(rows[:, :2].copy(), rows[:, 2:].copy(), _descriptors(parts[4]))
     straight = DepthSteps(step_m, growth).depth_m(depth), grey_of(grey, content[_KEYFRAME.size])
     made = Keyframe.of_images(stamp_s, np.array([fx, fy, cx, cy]), *straight, features)

@@ -91,7 +91,7 @@ def unpack_edges(content: bytes) -> tuple[RelativePose, ...]:
         C = np.array(row["C"], float).reshape(6, 6)
         is_sound = first != second and min(first, second) >= 0 and bool((np.abs(C) < _LARGEST_VARIANCE).all())
         if not is_sound or not is_definite(C):
-            raise MapError("holds an edge that is none", fix=_DAMAGED)
+            raise MapError("holds an invalid edge", fix=_DAMAGED)
         edges.append(RelativePose(first, second, T_first_second, C, bool(row["is_loop"])))
     return tuple(edges)
 
