@@ -109,7 +109,7 @@ class CameraMap:
         by_map = motions.times(self.T_odom_map, T_map_camera)
         return bool(motions.view_shift_m(motions.times(motions.inverse(by_map), T_odom_camera)) > _LEFT_MAP_M)
 
-    def believe(self, stamp_s: float, T_map_camera: FloatArray, T_odom_base: FloatArray | None) -> None:
+    def accept(self, stamp_s: float, T_map_camera: FloatArray, T_odom_base: FloatArray | None) -> None:
         """Accept the camera's pose of a frame in the map; `T_odom_base` is the base's pose when its image was taken."""
         self._T_map_camera, self.seen_s = T_map_camera, stamp_s
         self._tracked_s, self._is_contradicted = stamp_s, False

@@ -233,7 +233,7 @@ class ByFusion:
             again = self._camera.restart(frame, self._map.camera_at(update.T_odom_base), answer.covariance)
             return answer if again.T_odom_body is None else self._begin(frame, again)
         if is_believed:
-            self._map.believe(frame.stamp_s, seen.T_odom_body, update.T_odom_base)
+            self._map.accept(frame.stamp_s, seen.T_odom_body, update.T_odom_base)
             self._map.refer(seen)
             if self.loops is not None and answer.covariance is not None:
                 against = strayed(seen.motion, self._of_frame, self._settings.frame_walk_per_m)
@@ -250,7 +250,7 @@ class ByFusion:
         assert seen.T_odom_body is not None
         self._map.anchor = Anchor.at(seen.T_odom_body, seen.motion)
         update = self.filter.begin_frame(frame.stamp_s, self._map.anchor.covariance)
-        self._map.believe(frame.stamp_s, seen.T_odom_body, update.T_odom_base)
+        self._map.accept(frame.stamp_s, seen.T_odom_body, update.T_odom_base)
         self._map.refer(seen)
         self._kidnap.add_known_view(frame.stamp_s)
         self._check.begin(frame, seen, self._map.T_odom_map)

@@ -411,7 +411,7 @@ class RestingKeyframes:
             number, self._next = KeyframeId(self._next), self._next + 1
             try:
                 keyframe = self._store[number]
-            except Exception:  # it could not be made: the store raises that for whoever reads it
+            except Exception:  # it could not be made: the store raises that again at each access
                 continue
             try:
                 self._put(number, keyframe)

@@ -368,7 +368,7 @@ def refuse_if_unlike(segments: Segments, residuals: FloatArray, drive: Drive, de
     if turned < -0.5:
         fix = "both wheels count backwards" if forward < -0.5 else "left and right are swapped"
     raise CalibrationError(
-        f"wheels and reference do not tell of one drive: where a segment goes {way_m:.2g} m, {way_left_m:.2g} m stay "
+        f"wheels and reference are not of one drive: where a segment goes {way_m:.2g} m, {way_left_m:.2g} m stay "
         f"unexplained, and {np.degrees(turning_left_rad):.2g}° where it turns by {np.degrees(turning_rad):.2g}°",
         fix=fix,
     )

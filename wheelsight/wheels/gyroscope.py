@@ -321,13 +321,13 @@ def gyro_warnings(recording: Recording, settings: GyroCheckSettings | None = Non
 def _contradiction(line: Line, late_s: float, of: GyroCheckSettings) -> str:
     """Return how the gyroscope contradicts the wheels, or ""."""
     if line.share < of.deaf_share and abs(line.slope) < of.sigmas * line.sigma + 0.3:
-        return "it does not tell of the turns that the wheels tell of"
+        return "it does not measure the turns of the wheels"
     if line.slope < 0 and line.share > of.deaf_share:
         return "it turns the other way than the wheels (counter-clockwise from above is positive: mounted upside down?)"
     if line.share > of.deaf_share and not line.lies_within(of, of.sigmas):
         in_degrees = abs(line.slope / _DEGREES - 1) < 0.3
         why = "degrees instead of radians?" if in_degrees else "the scale of one of both is wrong"
-        return f"it tells of turns {line.slope:.3g} times as fast as the wheels ({why})"
+        return f"it measures turns {line.slope:.3g} times as fast as the wheels ({why})"
     if late_s:
         return f"its stamps are {abs(late_s):.2g} s {'late' if late_s > 0 else 'early'} against those of the wheels"
     return ""

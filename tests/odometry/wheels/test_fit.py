@@ -200,7 +200,7 @@ def test_swapped_and_backward_wheels_are_named() -> None:
 def test_a_reference_of_another_drive_is_refused() -> None:
     simulated = simulate(TRUE)
     other = simulate(TRUE, MIXED[::-1] * 4).truth
-    with pytest.raises(CalibrationError, match="do not tell of one drive"):
+    with pytest.raises(CalibrationError, match="are not of one drive"):
         fit_wheels(NOMINAL, drive_of(simulated), other)
 
 

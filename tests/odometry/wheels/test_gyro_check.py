@@ -80,7 +80,7 @@ def test_one_that_was_never_put_to_the_test_is_not() -> None:
         (lambda stamps, rates: (stamps, 0 * rates + 0.031), "stays at 0.031 rad/s"),
         (lambda stamps, rates: (stamps + 0.2, rates), "0.2 s late"),
         (lambda stamps, rates: (stamps - 0.2, rates), "0.2 s early"),
-        (lambda stamps, rates: (stamps, np.random.default_rng(1).permutation(rates)), "does not tell of the turns"),
+        (lambda stamps, rates: (stamps, np.random.default_rng(1).permutation(rates)), "does not measure the turns"),
         (lambda stamps, rates: (stamps + 1.6e9, rates), "do not overlap"),
         (lambda stamps, rates: (stamps - 5000, rates), "do not overlap"),
     ],
