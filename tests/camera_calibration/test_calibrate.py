@@ -281,7 +281,7 @@ def test_setups_that_fit_no_images_are_refused() -> None:
             calibrate_camera(seen, BOARD, setup)
         assert told in str(refusal.value)
     bare = replace(seen, views=tuple(replace(view, reading=None) for view in seen.views))
-    with pytest.raises(ConfigError, match="nothing tells the size"):
+    with pytest.raises(ConfigError, match="size of the squares is unknown"):
         calibrate_camera(bare, replace(BOARD, is_size_known=False), CameraSetup("tof"))
 
 

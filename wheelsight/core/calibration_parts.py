@@ -27,7 +27,7 @@ class Range(NamedTuple):
     """What a number may be, ends included.
 
     Attributes:
-        unit: for messages; in m and s it is told what a number in mm and ms would be.
+        unit: for messages; for m and s an error suggests the value in mm and ms.
         fix: what to do about a number outside.
     """
 
@@ -185,15 +185,15 @@ class Wheels:
             effective one is wider than the robot.
         ticks_per_turn: counts of the encoder a turn of the wheel: counts a turn of the encoder × gear ratio.
         counter_bits: width of the counters the ticks come from, 1 to 64; 0 for ticks that never roll over.
-        delay_s: how late stamps are: a reading stamped t tells of the wheels at t - delay_s. May be negative.
+        delay_s: delay of stamps: a reading stamped t describes the wheels at t - delay_s. May be negative.
         slip_m_per_sqrt_m: standard deviation of a wheel's travel over one metre; its square grows with the way.
         max_speed_m_s: fastest a wheel can roll; a step that needs more is a fault, no motion.
         max_gap_s: longest time between readings that can be bridged.
         scale_sigma, drift_sigma_rad_per_m, turn_sigma: how sure these sizes are, as standard deviations: the share by
             which ways are wrong, the turn a metre that wheels of unequal size make, the share by which turns are
-            wrong. 0 where nobody says; then `fusion.error_state` has what is likely of a data sheet's.
+            wrong. 0 if unknown; then `fusion.error_state` has typical values for a data sheet.
         counter_modulus: how many values the counters count through before they roll over, where that is no power of
-            two, such as 9000 for 0 … 8999; 0 where `counter_bits` tells.
+            two, such as 9000 for 0 … 8999; 0 if `counter_bits` gives it.
 
     Raises:
         CalibrationError: a value that no robot can have.

@@ -24,11 +24,9 @@ from wheelsight.core.messages import (
     YawRate,
 )
 
-# What is handed in by Python code, looked at before it reaches OpenCV or a kernel: types, shapes, numbers.
-#
-# A stamp or a count that is not finite is a fault of a sensor, hence a value of a `Localizer`: it is answered with a
-# reason, and not here. What is no frame, no depth in metres, or no motion, is a mistake of whoever calls: it is told
-# with what to do about it.
+# Checks of arguments from Python code, before they reach OpenCV or a kernel: types, shapes, numbers. A stamp or a count
+# that is not finite is a fault of a sensor, so a `Localizer` returns a reason instead. An invalid frame, depth that is
+# not in metres, or an invalid motion is an error of the caller, and raises with a fix.
 
 
 Kind = TypeVar("Kind")
@@ -132,7 +130,7 @@ def why_no_depth(depth_m: Float32Array, far_m: float) -> tuple[str, str] | None:
 
 
 def why_not_metres(depth_m: Float32Array, far_m: float, most: float | None = None) -> tuple[str, str] | None:
-    """Why depth (H, W), of which only what is above 0 counts, seems to be in other units, and what to do; or None.
+    """The problem and its fix if depth (H, W) seems to be in other units, by its values above 0; else None.
 
     Args:
         far_m: as far as the camera is trusted.

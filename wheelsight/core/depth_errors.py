@@ -336,14 +336,14 @@ def _inverse_terms(rays: FloatArray, inverse: FloatArray) -> FloatArray:
 
 
 def _nominal() -> PointErrors:
-    """What cameras are off by that nobody has calibrated: one mode each, and chosen where no source is named.
+    """Errors of uncalibrated cameras: one mode each, chosen if no source is named.
 
     Focal length 1.5 %: the maker's 525 px is off freiburg1's 517 by as much. Centre 8 px of 586: published Kinects have
     313 to 340 px across and 229 to 247 down, and registration is off by 3 px beside. A bend k1 of 0.1: what Brown's
     numbers of TUM's Kinects make of rays up to 0.5. The cameras' places 2 mm. Depth 2 %: freiburg1's and freiburg2's
     had to be scaled by 1.035 and 1.031 (Sturm et al. 2012). Half a step of a Kinect v1's disparity, 0.0014 1/m, is what
     readings are off by alike all over the image, aslant, and as a bowl: planes before the one of Herrera et al. have 1
-    to 1.5 steps RMS, of which most is rough or fades with distance. 1 cm of all depth (Lachat et al. 2015: time of
+    to 1.5 steps RMS; most of it is rough or fades with distance. 1 cm of all depth (Lachat et al. 2015: time of
     flight).
     """
     half_step = 0.0014
@@ -365,7 +365,7 @@ def _nominal() -> PointErrors:
 
 
 def point_errors_fields(errors: PointErrors) -> list[list[float]]:
-    """As a calibration file has them; four digits tell a standard deviation."""
+    """The fields of a calibration file; four digits suffice for a standard deviation."""
     return [[float(f"{c:.4g}") for c in mode] for mode in errors.modes]
 
 

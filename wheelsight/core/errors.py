@@ -1,4 +1,4 @@
-"""What can go wrong, as types a caller can tell apart.
+"""Exceptions, one type for each kind of error that a caller may handle.
 
     WheelsightError
     ├── InputError               what was handed in is wrong: names the file, the place and the fix
@@ -84,7 +84,7 @@ class TrajectoryError(InputError):
 
 
 class AreaError(InputError):
-    """Areas overlap, cross themselves, tell no coordinate, or a label names none of them."""
+    """Areas overlap, cross themselves, have no coordinate, or a label names none of them."""
 
 
 class PlaceError(InputError):

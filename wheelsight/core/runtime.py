@@ -123,7 +123,7 @@ def was_asked() -> bool:
 
 @contextmanager
 def until_stopped(seconds: float | None = None) -> Iterator[Callable[[], bool]]:
-    """A question, "is it over?": yes after one of the signals, or after so many seconds.
+    """A function that returns whether a signal has arrived, or `seconds` have passed.
 
     A second signal raises KeyboardInterrupt. A SIGHUP that is ignored stays so.
     """

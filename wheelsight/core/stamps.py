@@ -30,11 +30,11 @@ _LONGEST_STEP_S = 100.0
 
 @dataclass(frozen=True, slots=True)
 class StampUnit:
-    """What stamps count that are no seconds.
+    """The unit of stamps.
 
     Attributes:
-        name: "milliseconds", "microseconds", "nanoseconds" or "numbers".
-        per_second: how many there are in a second; None for numbers, whose rate they do not tell.
+        name: "seconds", "milliseconds", "microseconds", "nanoseconds" or "numbers".
+        per_second: units per second; None for numbers, whose rate is unknown.
     """
 
     name: str
@@ -47,10 +47,10 @@ UNITS = (StampUnit("milliseconds", 1e3), StampUnit("microseconds", 1e6), StampUn
 
 
 def unit_of(stamps: ArrayLike) -> StampUnit | None:
-    """The unit that stamps (N,) of one sensor seem to count, or None where they may be seconds.
+    """The likely unit of stamps (N,) of one sensor, or None if they may be seconds.
 
-    Stamps that are times since 1970 in one unit alone are told by that, others by the step between two: 0.1 s may be
-    100 or 100 000, but no robot's sensor is silent for 100 s. Whole numbers, one after another, number what they stamp.
+    Times since 1970 fit one unit only. For others the step decides: 0.1 s may be 100 or 100 000, but no sensor of a
+    robot is silent for 100 s. Consecutive whole numbers are sequence numbers.
     """
     known = np.asarray(stamps, float)
     known = known[np.isfinite(known)]
@@ -69,11 +69,10 @@ def unit_of(stamps: ArrayLike) -> StampUnit | None:
 
 
 class StampCheck:
-    """Refuses stamps of sensors that count milli-, micro- or nanoseconds, each by its first stamps.
+    """Rejects sensors with stamps in milli-, micro- or nanoseconds, by their first stamps.
 
-    No clock tells of 150 years in seconds: such a first stamp is refused at once. Others are known by the steps between
-    the first four. Whole numbers that step by one to four may be seconds, and pass; so does all that comes later, where
-    a leap is a clock's.
+    A first stamp above 150 years in seconds is rejected at once, others by the steps between the first four. Whole
+    numbers with steps of one to four may be seconds, and pass. Later stamps pass too: a leap is one of the clock.
     """
 
     def __init__(self) -> None:
@@ -111,9 +110,9 @@ _UNIT_NAMES = (
 
 
 def column_unit(text: str) -> StampUnit | None:
-    """The unit that a line or a name tells that begins with that of a column of stamps, such as `time [ms]`.
+    """The unit in a line or a name that begins with that of a column of stamps, such as `time [ms]`.
 
-    None where it begins otherwise, or tells no unit: `timestamp` may be in any.
+    None if it begins otherwise, or names no unit: `timestamp` may have any.
     """
     found = _COLUMN.match(text.strip())
     if found is None:

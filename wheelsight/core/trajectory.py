@@ -54,7 +54,7 @@ class Trajectory:
 
     Attributes:
         stamps_s: (N,) seconds.
-        T_frame_body: (N, 4, 4); `body` says of which frame, "camera" or "base".
+        T_frame_body: (N, 4, 4); of the frame `body`, "camera" or "base".
         covariances: (N, 6, 6) of the left perturbation (v, ω), or None.
         body: name of the frame whose poses these are.
         frame: name of the fixed frame they are in: "map" or "odom".
@@ -268,7 +268,7 @@ def _comments_above(text: str) -> tuple[int, int, tuple[str, str] | None, StampU
 
 
 def _frames_of(named: re.Match[str]) -> tuple[str, str]:
-    """Names of the frame and the body; files of before 2026-12 call the map frame "world"."""
+    """Names of the frame and the body; files before 2026-12 call the map frame "world"."""
     return "map" if named["frame"] == "world" else named["frame"], named["body"]
 
 

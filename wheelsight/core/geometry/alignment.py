@@ -52,8 +52,8 @@ def align_points_with_scale(
 ) -> tuple[FloatArray, float]:
     """`T_a_b` (4, 4) and scale s that minimise Σ wᵢ ‖p_aᵢ − (s R p_bᵢ + t)‖² (Umeyama, eqs. 40–42).
 
-    Points near one plane fit well by either of two rotations, one of which turns the plane over to lay it on its mirror
-    image, where what lies off the plane does not tell which.
+    Points near one plane fit well by two rotations: one of them flips the plane onto its mirror image, and the points
+    off the plane do not decide between them.
 
     Args:
         p_a, p_b, weights: as for `align_points`, and so are the errors.
@@ -130,7 +130,7 @@ def interpolate_at(stamps_s: ArrayLike, T: ArrayLike, wanted_s: ArrayLike, max_g
     between = ~exact & (stamps_s[before] < wanted_s) & (wanted_s < stamps_s[after]) & (gap_s <= max_gap_s)
     i, j = before[between], after[between]
     if len(i) == 1:
-        # Single motions are reckoned in plain numbers: as a batch of one they take four times as long.
+        # Single motions use plain numbers, because a batch of one takes four times as long.
         i, j = i[0], j[0]
     if np.size(i):
         result[between] = se3.interpolate(T[i], T[j], np.squeeze((wanted_s[between] - stamps_s[i]) / gap_s[between]))

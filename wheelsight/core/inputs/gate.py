@@ -33,7 +33,7 @@ from wheelsight.core.runtime import needed
 # The one gate that every input file passes: a regular file, no larger than its kind ever is, looked at before opened.
 #
 # Opening a pipe waits for a writer, a device may do something when opened, and files of /proc have no size: what is
-# no regular file is therefore told by its directory entry, and never opened.
+# no regular file is therefore recognised by its directory entry, and never opened.
 
 
 _MEGABYTE = 1 << 20
@@ -386,7 +386,7 @@ class ArrayFile:
         return self._headers
 
     def read(self, name: str, most_bytes: int) -> NDArray[Any]:
-        """An array, of so many bytes at most.
+        """An array of limited size in bytes.
 
         Raises:
             ValueError: it states more, which is then not unpacked, or holds another number than it states.
@@ -413,8 +413,8 @@ def _header(stream: IO[bytes], entry: zipfile.ZipInfo) -> ArrayHeader:
     """
     magic = stream.read(len(_MAGIC) + 2)
     length = _LENGTHS.get(magic[len(_MAGIC) :]) if magic.startswith(_MAGIC) else None
-    told = b"" if length is None else stream.read(length.size)
-    size = length.unpack(told)[0] if length is not None and len(told) == length.size else 0
+    prefix = b"" if length is None else stream.read(length.size)
+    size = length.unpack(prefix)[0] if length is not None and len(prefix) == length.size else 0
     match = _HEADER.fullmatch(stream.read(size)) if size <= _LONGEST_HEADER else None
     if match is None:
         raise ValueError(f"holds {entry.filename!r}, which is no array of numbers")

@@ -166,7 +166,7 @@ YAML_FILE = Kind("a YAML file", most_mb=1, most_lines=100_000, longest_line=1 <<
 _YAML_FILES_DEEPEST = 32
 # With every alias counted as what it stands for. A map of a thousand areas with twenty corners each has 60 000.
 _YAML_FILES_MOST_VALUES = 100_000
-_LARGEST = 1e15  # metres, seconds or pixels: beyond, squares and sums of squares are no longer told apart
+_LARGEST = 1e15  # metres, seconds or pixels: beyond, squares and sums of squares lose their differences
 _EXPONENT = re.compile(r"[+-]?[\d.]+[eE][+-]?\d+")
 _TAG = "tag:yaml.org,2002:"
 _PLAIN = ("null", "bool", "int", "float", "seq", "map", "str")

@@ -18,7 +18,7 @@ from wheelsight.core.errors import InputError
 # Settings: what all settings classes share, and `setting`, a field that says where its default comes from.
 
 
-# Sources of defaults: one that no real drive has confirmed, and one of which no measurement is recorded.
+# Sources of defaults: one that no real drive has confirmed, and one without a recorded measurement.
 ON_SIMULATOR = "found on the simulator alone"
 CHOSEN = "chosen; no measurement"
 # Of what only a user knows.
@@ -35,9 +35,9 @@ def setting(default: Any, why: str, source: str, **bounds: Any) -> Any:
     """A field of a settings class.
 
     Args:
-        default: its value where nobody says otherwise; `...` where somebody must.
+        default: its default value; `...` if it is required.
         why: what it does and why it is so large; with its unit, where its name has none.
-        source: of the default: what it was reckoned from, or which drives showed it.
+        source: of the default: its computation, or the drives that showed it.
         bounds: as pydantic's `Field` takes them: gt, ge, lt, le, and min_length, max_length of several.
     """
     return Field(default=default, description=why, json_schema_extra={"source": source}, **bounds)
@@ -49,7 +49,7 @@ def bounds(**limits: Any) -> Any:
 
 
 def conflict(name: str, problem: str, fix: str) -> PydanticCustomError:
-    """Of settings each of which is sound; for a validator to raise where they meet.
+    """An error of settings that are valid alone but conflict; a validator raises it.
 
     Args:
         name: the setting at fault, dotted, seen from the class that refuses it.
@@ -61,9 +61,6 @@ def conflict(name: str, problem: str, fix: str) -> PydanticCustomError:
     )
 
 
-# Settings from strangers: checked by their model, and what is wrong with the first told in a line.
-
-
 _CONFLICT = "conflict"
 _Settings = TypeVar("_Settings", bound=BaseModel)
 
@@ -73,8 +70,8 @@ class Fault:
     """The first wrong setting of a model.
 
     Attributes:
-        location: names of the sections it lies in, and its own; empty where settings do not fit each other.
-        known: names of the settings that there are beside it.
+        location: names of its sections, and its own; empty for a conflict between settings.
+        known: names of the settings in the same section.
         details: pydantic's.
     """
 
@@ -84,7 +81,7 @@ class Fault:
 
     @classmethod
     def of(cls, invalid: ValidationError, model: type[BaseModel]) -> Fault:
-        """What `model` found."""
+        """The first fault of a validation by `model`."""
         details: dict[str, Any] = dict(invalid.errors(include_url=False)[0])
         location = tuple(part for part in details["loc"] if isinstance(part, str))  # a setting, not its place in a list
         if details["type"] == _CONFLICT:
@@ -92,7 +89,7 @@ class Fault:
         return cls(location, tuple(_known_settings(model, location[:-1])), details)
 
     def told(self, name: str | None = None) -> tuple[str, str | None]:
-        """What is wrong with the setting, which the user knows by `name`, and what would be right."""
+        """The problem of the setting, called `name` in the message, and its fix or None."""
         details, name = self.details, ".".join(self.location) if name is None else name
         if details["type"] == _CONFLICT:
             return f"{name} {details['ctx']['problem']}", details["ctx"]["fix"]
@@ -110,14 +107,14 @@ class Fault:
 def checked_settings(
     model: type[_Settings], values: Any, error: type[InputError], whose: str, fix: str | None = None
 ) -> _Settings:
-    """Settings of a file.
+    """The validated settings of a file.
 
     Args:
-        model: what they are of.
-        values: names and values, as the file has them.
-        error: raised where they are wrong.
-        whose: begins the message, such as "settings: ".
-        fix: what to do; None: what would be right, where that can be said.
+        model: the type of the settings.
+        values: names and values in the file.
+        error: raised if they are invalid.
+        whose: begin of the message, such as "settings: ".
+        fix: replaces the fix of the fault.
     """
     try:
         return model.model_validate(values)
@@ -158,7 +155,7 @@ class ProfileSetting:
 
 
 _MEASURED = "three real recordings on one core: docs/decisions/0087"
-_RECKONED = "reckoned; no recording here is long enough to show it"
+_COMPUTED = "computed; no recording here is long enough to show it"
 
 PI: Mapping[str, ProfileSetting] = MappingProxyType(
     {
@@ -181,7 +178,7 @@ PI: Mapping[str, ProfileSetting] = MappingProxyType(
         ),
         "surfels.fused_after_s": ProfileSetting(0.2, "and twice as long, seconds", _MEASURED),
         "surfels.max_surfels": ProfileSetting(
-            500_000, "36 MB; a quarter of the pixels lays about a quarter of the surfels", _RECKONED
+            500_000, "36 MB; a quarter of the pixels lays about a quarter of the surfels", _COMPUTED
         ),
         "navigation.mppi.rollouts": ProfileSetting(500, "a command in a quarter of the time", _MEASURED),
     }
@@ -203,13 +200,13 @@ def over_profile(profile: object, given: Mapping[str, Any]) -> dict[str, Any]:
 
 def differing(settings: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
     """Of nested settings those that are not the same in others, which have the same names."""
-    told: dict[str, Any] = {}
+    changed: dict[str, Any] = {}
     for name, value in settings.items():
         if isinstance(value, Mapping) and isinstance(others[name], Mapping):
-            told |= {name: inner} if (inner := differing(value, others[name])) else {}
+            changed |= {name: inner} if (inner := differing(value, others[name])) else {}
         elif value != others[name]:
-            told[name] = value
-    return told
+            changed[name] = value
+    return changed
 
 
 def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:

@@ -30,7 +30,7 @@ class Board:
 
     Attributes:
         columns, rows: of inner corners, where four squares meet.
-        square_m: side of a square, metres; where nobody knows it, 1.0.
+        square_m: side of a square, metres; 1.0 if unknown.
         marker_m: side of the markers in a ChArUco board's white squares; 0 for a checkerboard.
         dictionary: of those markers, OpenCV's name without DICT_, such as 5X5_100.
         is_size_known: whether `square_m` is.
@@ -45,7 +45,7 @@ class Board:
 
     @property
     def is_charuco(self) -> bool:
-        """Whether its corners are told apart by markers, so that a part of the board will do."""
+        """Whether markers identify its corners, so that a part of the board suffices."""
         return bool(self.marker_m)
 
     @property
@@ -249,7 +249,7 @@ def as_pdf(sheet: Drawing) -> bytes:
     stream = "\n".join(content).encode("latin-1")
     box = f"[0 0 {sheet.width_mm * k:.4f} {sheet.height_mm * k:.4f}]"
     objects = [
-        # Viewers scale to the paper unless they are told not to.
+        # Viewers scale to the paper by default.
         b"<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>",
         b"<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
         f"<< /Type /Page /Parent 2 0 R /MediaBox {box} /Contents 4 0 R "

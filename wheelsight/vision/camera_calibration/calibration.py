@@ -39,12 +39,9 @@ from wheelsight.vision.camera_calibration.settings import CameraCalibrationSetti
 from wheelsight.vision.camera_calibration.solver import Residuals, Solution, agreeing, sigmas_of, solve
 from wheelsight.vision.camera_calibration.views import RAW_DISPARITY, Corners, ViewSet
 
-# Calibrating an RGB-D camera by views of a board: fit, leave out what disagrees, and refuse what is not sure.
-
-
-# Of the board's outline: what surely is board before the cameras' places are known, and after.
+# Share of the board's outline whose depth cells count, before and after the first estimate of the poses.
 _SEED_SHARE, _BOARD_SHARE = 0.55, 0.95
-_ROUGHLY = 1e-3  # of the cost: fits between which something is left out need no more
+_ROUGHLY = 1e-3  # relative tolerance of the cost for fits before outliers are removed
 _AROUND_PX = 8
 
 
@@ -55,11 +52,13 @@ def calibrate_camera(
     settings: CameraCalibrationSettings | None = None,
     on_step: Callable[[str], None] = lambda _: None,
 ) -> CameraCalibration:
-    """Lenses, where the cameras are to each other, and what depth is off by, from views of one board.
+    """Calibrate lenses, relative pose and depth error of an RGB-D camera by views of one board.
+
+    It alternates fits and the removal of outliers, and rejects results that are too uncertain.
 
     Raises:
-        CalibrationError: the views do not determine it; says what is missing.
-        ConfigError: a setup that fits no images.
+        CalibrationError: the views do not determine the calibration; the fix names the missing views.
+        ConfigError: the setup does not fit the images.
     """
     task = Task(seen, board, setup or CameraSetup(), settings or CameraCalibrationSettings())
     task.check()
@@ -111,7 +110,7 @@ def _begin(task: Task, counted: Counted) -> tuple[Counted, Model, FloatArray]:
 
 
 def _depth_start(task: Task, counted: Counted, color: LensStart) -> tuple[Counted, PinholeCamera, FloatArray]:
-    """A depth lens and T_color_depth to begin with, and infrared corners numbered as colour's are."""
+    """Initial depth lens and T_color_depth, and infrared corners in the numbering of colour."""
     seen, nominal = task.seen, task.setup.known_cameras
     if seen.depth_size is None or task.setup.is_registered:
         return counted, color.camera, np.eye(4)
@@ -124,7 +123,7 @@ def _depth_start(task: Task, counted: Counted, color: LensStart) -> tuple[Counte
     lens = lens_from_corners(corners, task.board, seen.depth_size)
     T_color, T_depth, infrared = color.T_camera_board[both], lens.T_camera_board.copy(), list(counted.infrared)
     for index, k in enumerate(both):
-        # A board that looks the same upside down may be numbered from its other end in the other image.
+        # A symmetric board may be numbered from its other end in the other image.
         if so3.angle(T_color[index, :3, :3] @ T_depth[index, :3, :3].T) > np.pi / 2:
             turned = corners[index].turned(task.board.count)
             infrared[k] = turned
@@ -139,7 +138,7 @@ def _scaled(T: FloatArray, square_m: float) -> FloatArray:
 
 
 def _square_by_depth(task: Task, counted: Counted, depth: PinholeCamera, T_color_board: FloatArray) -> float:
-    """Side of a square as depth in the middle of the boards tells it, the median over views."""
+    """Side of a square by depth in the middle of the boards, the median over views."""
     found = []
     for view, T in zip(counted.views, T_color_board, strict=True):
         if view.reading is None:
@@ -159,7 +158,7 @@ def _square_by_depth(task: Task, counted: Counted, depth: PinholeCamera, T_color
 def _again(
     task: Task, before: Counted, counted: Counted, model: Model, solution: Solution, *, is_first: bool
 ) -> tuple[Counted, Model, FloatArray]:
-    """The model of what is left, and the parameters as they were found; depth cells anew after the first round."""
+    """The model of the remaining views with the present parameters; the first round recomputes depth cells."""
     x, fewest = solution.x, task.settings.refusal.fewest_views
     if len(counted.views) < fewest:
         names = ", ".join(f"{name}: {reason}" for name, reason in counted.left_out[-2:])
@@ -182,13 +181,10 @@ def _again(
     return counted, new, filled(new, y, lenses, square_m, T)
 
 
-# Views that do not determine a calibration, before and after the fit: what is missing is said.
-
-
 def check_lens_views(
     model: Model, x: FloatArray, corners: Sequence[Corners], keeps_color: bool, settings: RefusalSettings
 ) -> None:
-    """Refuse views whose geometry leaves something open. Raises CalibrationError, naming all of it."""
+    """Raise CalibrationError if the geometry of the views leaves parameters undetermined; it names all causes."""
     T = se3.from_parts(*model.poses_of(x))
     problems, fixes = [], []
     if not keeps_color:
@@ -211,7 +207,7 @@ def check_lens_views(
 
 
 def refuse_unsure(found: CameraCalibration, model: Model, keeps_color: bool, settings: RefusalSettings) -> None:
-    """Refuse a result that is not sure enough. Raises CalibrationError, naming each number and its σ."""
+    """Raise CalibrationError if a result is too uncertain; it names each parameter and its σ."""
     if found.color_residuals.rms_px > settings.largest_rms_px:
         problem = f"corners are {found.color_residuals.rms_px:.1f} px off what any lens explains"
         raise CalibrationError(problem, fix="check the counts of --board, that it is flat, and that nothing moved")
@@ -236,7 +232,7 @@ def refuse_unsure(found: CameraCalibration, model: Model, keeps_color: bool, set
 
 
 def doubts_beyond(found: CameraCalibration, settings: RefusalSettings) -> tuple[str, ...]:
-    """A warning where depth's σ is told beyond the farthest board, and is much larger there."""
+    """A warning if σ of depth beyond the farthest board is much larger than at that board."""
     if not len(found.depth_sigma_m):
         return ()
     farthest_m = _farthest_m(found)
@@ -244,21 +240,18 @@ def doubts_beyond(found: CameraCalibration, settings: RefusalSettings) -> tuple[
     end_m, at_end_m = found.depth_sigma_m[-1].tolist()
     if at_end_m <= settings.beyond_factor * at_board_m:
         return ()
-    told = f"Depth is known to {1e3 * at_board_m:.0f} mm where boards end, at {farthest_m:.1f} m,"
-    return (f"{told} and to {1e3 * at_end_m:.0f} mm at {end_m:.1f} m: add boards that far if depth is used there.",)
+    known = f"Depth is known to {1e3 * at_board_m:.0f} mm where boards end, at {farthest_m:.1f} m,"
+    return (f"{known} and to {1e3 * at_end_m:.0f} mm at {end_m:.1f} m: add boards that far if depth is used there.",)
 
 
 def _farthest_m(found: CameraCalibration) -> float:
-    """To where boards were, but for single cells."""
+    """Distance of the farthest board, without single outlying cells."""
     return float(np.percentile(found.depth_residuals.depth_m, 99))
-
-
-# What a calibration by a board found: the calibration itself, how sure it is, and what it leaves unexplained.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CornerResiduals:
-    """Of one camera's corners: view (N,), pixel (N, 2), and predicted less seen (N, 2), pixels."""
+    """Residuals of one camera's corners: view (N,), pixel (N, 2), and predicted minus detected (N, 2), pixels."""
 
     view: IntArray
     px: FloatArray
@@ -266,20 +259,21 @@ class CornerResiduals:
 
     @property
     def rms_px(self) -> float:
-        """Root mean square distance of a corner; NaN of none."""
+        """Root mean square distance of a corner; NaN without corners."""
         return float(np.sqrt((self.off_px**2).sum(axis=1).mean())) if len(self.px) else float("nan")
 
     def of_views(self, count: int) -> FloatArray:
-        """The same of each of `count` views (count,)."""
+        """Root mean square distance (count,) for each of `count` views."""
         total = np.bincount(self.view, (self.off_px**2).sum(axis=1), count)
         return np.asarray(np.sqrt(total / np.maximum(np.bincount(self.view, minlength=count), 1)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class DepthResiduals:
-    """Of depth cells: view (N,), pixel (N, 2), distance of the plane (N,), and corrected reading less it (N,), metres.
+    """Residuals of depth cells: view (N,), pixel (N, 2), distance of the plane (N,), and residual (N,), metres.
 
-    `before_m` (N,) is the same of readings as they came, by the nominal disparity where they are raw.
+    `off_m` is the corrected reading minus the distance. `before_m` (N,) is the same for uncorrected readings, with the
+    nominal disparity model for raw disparities.
     """
 
     view: IntArray
@@ -290,13 +284,13 @@ class DepthResiduals:
 
     @property
     def rms_m(self) -> float:
-        """Root mean square; NaN of none."""
+        """Root mean square residual; NaN without cells."""
         return float(np.sqrt((self.off_m**2).mean())) if len(self.off_m) else float("nan")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class UsedView:
-    """A view that counts: its name, corners in colour, and its board's pose in the colour camera (4, 4), metres."""
+    """A used view: its name, corners in colour, and the board's pose in the colour camera (4, 4), metres."""
 
     name: str
     corners: Corners
@@ -304,30 +298,30 @@ class UsedView:
 
     @property
     def distance_m(self) -> float:
-        """Of the board's origin along the axis."""
+        """Distance of the board's origin along the optical axis."""
         return float(self.T_color_board[2, 3])
 
 
 @dataclass(frozen=True, eq=False)
 class CameraCalibration:
-    """Two cameras calibrated by a board.
+    """The result of `calibrate_camera`.
 
     Attributes:
-        board: with the side of its squares as it was found, where nobody knew it.
-        color, depth: the lenses; alike where depth is registered, and `depth` None where no view has any.
-        T_color_depth: (4, 4), or None where depth is registered or there is none.
-        depth_error: to free readings of.
-        sensor: how depth is measured: one of `views.SENSORS`, or `RAW_DISPARITY`.
+        board: the board, with the estimated side of its squares if that was unknown.
+        color, depth: the lenses; equal if depth is registered, and `depth` is None without depth.
+        T_color_depth: (4, 4), or None if depth is registered or missing.
+        depth_error: correction of depth readings.
+        sensor: type of depth sensor, one of `views.SENSORS`, or `RAW_DISPARITY`.
         sigmas: standard deviations by name: color.fx, depth.cx, T.x, T.roll_deg, …
-        depth_sigma_m: pairs of distance and standard deviation of corrected depth there, (K, 2).
-        point_errors: how far off points may be with all of that, in the colour camera's frame; None without depth.
-        color_sigma_px: how far off the colour pixel of a depth pixel may be, root mean square over the image.
-        noise: (constant_m, quadratic_per_m) of a pixel, as planes scatter; None without depth.
-        views: those that count.
-        left_out: names of others, and why.
-        color_residuals, infrared_residuals, depth_residuals: what is left.
-        dropped_corners, dropped_cells: how many disagreed with their view.
-        warnings: what to know.
+        depth_sigma_m: (K, 2) pairs of distance and standard deviation of corrected depth there.
+        point_errors: errors of points in the colour camera's frame after calibration; None without depth.
+        color_sigma_px: standard deviation of the colour pixel of a depth pixel, root mean square over the image.
+        noise: (constant_m, quadratic_per_m) of a depth pixel, by the scatter on planes; None without depth.
+        views: the used views.
+        left_out: names of the other views, with reasons.
+        color_residuals, infrared_residuals, depth_residuals: residuals.
+        dropped_corners, dropped_cells: numbers of removed outliers.
+        warnings: sentences for the user.
     """
 
     board: Board

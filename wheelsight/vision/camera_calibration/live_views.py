@@ -60,11 +60,11 @@ class ViewTaker:
         return len(self.seen) >= self._more and not self.advice.missing
 
     def ask_more(self) -> None:
-        """The views did not determine it: some more, before it is tried again."""
+        """Ask for more views after a calibration that was undetermined."""
         self._more = len(self.seen) + self._settings.coach.more_views
 
     def look(self, frame: RgbdFrame) -> str:
-        """Why a frame is no view; "" where it is one, and counts from now on."""
+        """The reason why a frame is no new view, or "" after it is added."""
         found = find_corners(as_grey(frame.color[..., ::-1]), self._board, self._settings.detection)
         if isinstance(found, str):
             self._still = None
@@ -81,7 +81,7 @@ class ViewTaker:
 
 
 def _apart_px(one: Corners, other: Corners) -> FloatArray:
-    """By how far each corner that both show lies from itself; one that is infinite where they share none."""
+    """The displacement of each corner that both show; one infinite value if they share none."""
     _, first, second = np.intersect1d(one.ids, other.ids, return_indices=True)
     if not len(first):
         return np.array([np.inf])
@@ -104,9 +104,6 @@ def save_view(folder: Path, frame: RgbdFrame, infrared: UInt16Array | None = Non
         write_units(folder / f"{name}-ir.png", infrared)
     write_color(folder / f"{name}-color.png", frame.color, "png")
     return name
-
-
-# Which views of a board are still missing, from those seen so far: for live views and for folders.
 
 
 _ACROSS, _DOWN = 8, 6

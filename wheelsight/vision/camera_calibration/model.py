@@ -20,23 +20,20 @@ from wheelsight.vision.camera_calibration.board import Board
 from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings, DepthSampleSettings
 from wheelsight.vision.camera_calibration.views import RAW_DISPARITY, SENSORS, Corners, DepthCells, View, ViewSet
 
-# What is to be calibrated by what: the images' views, what is known before, and what of the views still counts.
-
-
-_USUAL_SQUARE_M = 0.05  # until depth tells
+_USUAL_SQUARE_M = 0.05  # initial value without known size
 _KINECT_FOCAL_PX, _STEPS_PER_PX = 586.0, 8
 
 
 @dataclass(frozen=True, slots=True)
 class CameraSetup:
-    """What is known of the cameras before.
+    """Prior knowledge of the cameras.
 
     Attributes:
-        sensor: how depth is measured, one of `views.SENSORS`; raw disparities are recognised by themselves.
-        is_registered: whether depth has colour's pixels.
+        sensor: type of depth sensor, one of `views.SENSORS`; raw disparities are recognised automatically.
+        is_registered: whether depth has the pixel grid of colour.
         on_plate: whether the board is a part of a larger flat plate, whose depth counts too.
-        nominal: cameras to begin with: their lenses and T_color_depth.
-        keeps_color: whether the nominal colour lens is right and stays.
+        nominal: initial lenses and T_color_depth.
+        keeps_color: whether the nominal colour lens is kept.
     """
 
     sensor: str = "structured-light"
@@ -47,13 +44,13 @@ class CameraSetup:
 
     @property
     def known_cameras(self) -> Calibration | None:
-        """The nominal calibration where it has cameras."""
+        """The nominal calibration if it has cameras, else None."""
         return self.nominal if self.nominal is not None and self.nominal.color is not None else None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Task:
-    """Views of a board by cameras of which something is known, and how to go about it."""
+    """A calibration problem: views of a board, prior knowledge of the cameras, and settings."""
 
     seen: ViewSet
     board: Board
@@ -67,16 +64,16 @@ class Task:
 
     @property
     def first_square_m(self) -> float:
-        """The side of a square, or what is taken for it until depth tells."""
+        """The side of a square, or an initial value if it is unknown."""
         return self.board.square_m if self.board.is_size_known else _USUAL_SQUARE_M
 
     @property
     def nominal_step(self) -> float:
-        """Inverse depth, 1/m, by which one raw disparity more is farther away, as Kinect v1's maker has it."""
+        """Inverse depth, 1/m, of one raw disparity; see `nominal_step`."""
         return nominal_step(self.settings)
 
     def nominal_m(self, reading: FloatArray) -> FloatArray:
-        """Readings as metres; raw disparities as the maker has them."""
+        """Readings in metres; raw disparities by the nominal model."""
         if not self.seen.is_disparity:
             return reading
         return np.asarray(
@@ -89,11 +86,11 @@ class Task:
         if setup.sensor not in SENSORS:
             raise ConfigError(f"--sensor {setup.sensor!r} is not known", fix=f"choose from {', '.join(SENSORS)}")
         if setup.is_registered and seen.depth_size not in (None, seen.color_size):
-            sizes = " and ".join(told_size(size) for size in (seen.color_size, seen.depth_size) if size)
+            sizes = " and ".join(size_text(size) for size in (seen.color_size, seen.depth_size) if size)
             raise ConfigError(f"--registered, but colour and depth images are {sizes}", fix="leave --registered out")
         if not self.board.is_size_known and not seen.has_depth:
             fix = "measure them: --board 9x6:25mm"
-            raise ConfigError("without depth nothing tells the size of the squares", fix=fix)
+            raise ConfigError("without depth the size of the squares is unknown", fix=fix)
         if nominal is None:
             if setup.keeps_color:
                 problem = "--keep-color keeps the lens of a calibration, and none is given"
@@ -106,11 +103,11 @@ class Task:
 
 
 def nominal_step(settings: CameraCalibrationSettings) -> float:
-    """Inverse depth, 1/m, of one raw disparity, as Kinect v1's maker has it: an eighth of a pixel."""
+    """Inverse depth, 1/m, of one raw disparity: nominally an eighth of a pixel for Kinect v1."""
     return -1 / (_STEPS_PER_PX * _KINECT_FOCAL_PX * settings.model.baseline_m)
 
 
-def told_size(size: tuple[int, int]) -> str:
+def size_text(size: tuple[int, int]) -> str:
     """Width × height, for messages."""
     return f"{size[0]}×{size[1]}"
 
@@ -118,19 +115,19 @@ def told_size(size: tuple[int, int]) -> str:
 def _check_size(name: str, size: tuple[int, int], camera: PinholeCamera) -> None:
     known = int(camera.width), int(camera.height)
     if size != known:
-        problem = f"{name} images are {told_size(size)}, those of --calibration {told_size(known)}"
+        problem = f"{name} images are {size_text(size)}, those of --calibration {size_text(known)}"
         raise ConfigError(problem, fix="give the calibration of this camera, or leave it out")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Counted:
-    """What of the views counts: of each view its corners and depth cells; and what does not.
+    """The views in use, with their corners and depth cells, and the removed ones.
 
     Attributes:
-        views: of the task, those that count.
-        color, infrared, cells: of each of them.
-        left_out: names of the others, and why.
-        dropped_corners, dropped_cells: how many disagreed with their view.
+        views: the views in use.
+        color, infrared, cells: corners and depth cells of each of these.
+        left_out: names of removed views, with reasons.
+        dropped_corners, dropped_cells: numbers of removed outliers.
     """
 
     views: tuple[View, ...]
@@ -149,7 +146,7 @@ class Counted:
         return cls(views, color, infrared, tuple(DepthCells.none() for _ in views), seen.left_out)
 
     def without(self, gone: dict[int, str]) -> Counted:
-        """The same without views, by their place and why."""
+        """The same without some views, given by index with the reason."""
         kept = [k for k in range(len(self.views)) if k not in gone]
         return Counted(
             tuple(self.views[k] for k in kept),
@@ -162,11 +159,9 @@ class Counted:
         )
 
 
-# The parameters of two cameras, their depth error and the boards' poses.
-#
 # The cost is that of Herrera, Kannala & Heikkilä, "Joint depth and color camera calibration with distortion
 # correction", TPAMI 34 (2012): corners in pixels and depth on the boards' planes, each over its standard deviation,
-# with what is known beforehand as further residuals.
+# and priors as further residuals.
 
 
 _LENS, BARE_LENS, _POSE, BEFORE_KNOTS = 9, 4, 6, 3
@@ -190,7 +185,7 @@ class Cells(NamedTuple):
 
 
 class Sigmas(NamedTuple):
-    """Of corners in colour and infrared, pixels, and of depth: a factor on what its noise model says."""
+    """Standard deviations of corners in colour and infrared, pixels; of depth a factor on its noise model."""
 
     color_px: float
     infrared_px: float
@@ -199,19 +194,18 @@ class Sigmas(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """What is sought and what it is sought from.
+    """The parameters of a calibration and its measurements.
 
     Attributes:
-        color, infrared, cells: what was measured.
-        color_start, depth_start: lenses to begin with; their sizes, and of the depth lens without infrared images the
-            prior.
+        color, infrared, cells: measurements.
+        color_start, depth_start: initial lenses; without infrared images the latter is a prior too.
         sensor: one of `SENSORS`, or `RAW_DISPARITY`.
-        is_registered: whether depth has colour's pixels.
-        square_m: side of a square, or None where it is sought.
+        is_registered: whether depth has the pixel grid of colour.
+        square_m: side of a square, or None if it is a parameter.
         noise: (constant_m, quadratic_per_m) of a cell, before `Sigmas.depth`.
-        knots_m: distances (K,) of the curve's knots, two or more, where there is one.
-        T_color_depth: (4, 4) to begin with.
-        count: of views.
+        knots_m: distances (K,) of the knots of the depth curve, if there is one.
+        T_color_depth: (4, 4) initial value.
+        count: number of views.
         settings: priors and grids.
         keeps_color: whether the colour lens is known and stays.
     """
@@ -255,7 +249,7 @@ class Model:
 
     @property
     def seeks_depth_distortion(self) -> bool:
-        """Whether boards must tell how the depth lens bends; stereo's images are straightened in the camera.
+        """Whether the distortion of the depth lens is a parameter; stereo's images are straightened in the camera.
 
         Tilted planes tell it without infrared images too: a pixel that looks aside of where it is believed to meets a
         tilted plane nearer or farther. No lens is straight, nor is depth that a driver registers to a colour image.
@@ -322,7 +316,7 @@ class Model:
 
     @property
     def nominal_step(self) -> float:
-        """Inverse depth, 1/m, of one raw disparity, as Kinect v1's maker has it: an eighth of a pixel."""
+        """Inverse depth, 1/m, of one raw disparity: nominally an eighth of a pixel for Kinect v1."""
         return nominal_step(self.settings)
 
     @property
@@ -476,7 +470,7 @@ _FLAGS = (
     | cv2.CALIB_FIX_K2
     | cv2.CALIB_FIX_K3
 )
-# Of depth cameras whose numbers nobody gives, focal length by width: Kinect v1's and v2's; others see about 60°.
+# Focal length by width of depth cameras without calibration: Kinect v1's and v2's; others see about 60°.
 _KNOWN_FOCAL = {(640, 480): 586.0, (512, 424): 365.5}
 _USUAL_FOCAL = 0.87
 _USUAL_COLOR_FOCAL = 0.85
@@ -529,7 +523,7 @@ def poses_in(camera: PinholeCamera, corners: Sequence[Corners], board: Board) ->
 
 
 def usual_lens(size: tuple[int, int]) -> PinholeCamera:
-    """A depth lens of which nothing is known but its size."""
+    """A typical depth lens for an image size."""
     focal = _KNOWN_FOCAL.get(size, _USUAL_FOCAL * size[0])
     return PinholeCamera(*size, focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2)
 
@@ -545,7 +539,7 @@ def apart_by_planes(
 ) -> FloatArray:
     """T_color_depth from poses (V, 4, 4) of boards, metres, and planes (V, 4), n · p = h, in the depth camera.
 
-    Turns by Kabsch over normals; ways by least squares, held near `T_color_depth`'s where normals tell little.
+    Rotation by Kabsch over normals. Translation by least squares, with that of `T_color_depth` as prior.
     """
     known = np.isfinite(planes).all(axis=1)
     if np.count_nonzero(known) < 3:

@@ -273,7 +273,7 @@ def read_views(
         board: that they show.
         settings: of its detection.
         depth_factor: units of depth images a metre; of raw disparities without meaning.
-        on_view: is told after each.
+        on_view: called after each view.
 
     Raises:
         RecordingError: no view shows the board; says which board the first ones show, where they show another.
