@@ -54,14 +54,6 @@ class ColorCheck:
         while self._headings[0][0] < first_s - self.settings.turning_s:
             self._headings.popleft()
 
-    @property
-    def _turns(self) -> bool:
-        """Whether the robot turned recently, so that a late image shows it."""
-        now_s = self._headings[-1][0] if self._headings else 0.0
-        newest_first = takewhile(lambda heading: heading[0] > now_s - self.settings.turning_s, reversed(self._headings))
-        recent = [rad for _, rad in newest_first]
-        return bool(recent) and max(recent) - min(recent) > self.settings.turning_rad
-
     def add_frame(self, frame: RgbdFrame) -> None:
         """Add a frame, in order of time."""
         if self.is_sound or self.is_sure:
@@ -75,7 +67,11 @@ class ColorCheck:
         thin = np.asarray(cv2.resize(frame.depth_m, size, interpolation=cv2.INTER_NEAREST))
         near = np.where(thin > 0, 1 / np.maximum(thin, np.float32(of.nearest_m)), np.float32(0)).astype(np.float32)
         last, self._last = self._last, (frame.stamp_s, grey, near)
-        if not self._turns or last is None or last[1].shape != grey.shape or last[2].shape != near.shape:
+        now_s = self._headings[-1][0] if self._headings else 0.0
+        newest_first = takewhile(lambda heading: heading[0] > now_s - of.turning_s, reversed(self._headings))
+        recent = [rad for _, rad in newest_first]
+        is_turning = bool(recent) and max(recent) - min(recent) > of.turning_rad
+        if not is_turning or last is None or last[1].shape != grey.shape or last[2].shape != near.shape:
             return
         if self._hanning is None or self._hanning.shape != grey.shape:
             self._hanning = np.asarray(cv2.createHanningWindow(grey.shape[::-1], cv2.CV_32F), np.float32)

@@ -186,7 +186,12 @@ def updated(
     if detection.fault is Fault.UNDECIDED:
         return _update_undecided(now, stamp_s, measurement, log_ratio, agrees, settings)
     if detection.fault is Fault.WHEEL_SLIP:
-        return _update_slipping(now, stamp_s, measurement, most, settings)
+        by = now.primary.innovation(measurement, settings)
+        if by.nis > most or not _is_healthy(now, measurement, settings):
+            return now, Reason.CONTRADICTION
+        if now.agreed >= settings.agreements:
+            now = _with_fault(now, Fault.NONE, stamp_s)
+        return changed(now, primary=now.primary.corrected(by).vision_accepted()), None
     seconds = 0.0 if detection.last is None else stamp_s - detection.last.stamp_s
     if agreed == 0 and _shows_all(measurement):
         log_ratio += min(seconds, settings.compared_s) * settings.contradiction_nats_per_s
@@ -221,11 +226,13 @@ def _update_sound(
     most: float,
     settings: FilterParameters,
 ) -> tuple[FaultDetection, Reason | None]:
+    """Accept a measurement within the gate; else split the belief into both hypotheses, if slip explains it."""
     if usual.nis <= most:
-        return changed(
-            _with_inliers(detection, measurement, settings),
-            primary=detection.primary.corrected(usual).vision_accepted(),
-        ), None
+        share, usual_share = measurement.inlier_share, detection.usual_share
+        if share is not None:
+            usual_share = share if usual_share is None else usual_share + settings.inlier_memory * (share - usual_share)
+        primary = detection.primary.corrected(usual).vision_accepted()
+        return changed(detection, usual_share=usual_share, primary=primary), None
     alternative = _slip_hypothesis(detection.primary, stamp_s, measurement, settings)
     if alternative is None:
         return detection, Reason.CONTRADICTION
@@ -245,6 +252,7 @@ def _update_undecided(
     agrees: bool,
     settings: FilterParameters,
 ) -> tuple[FaultDetection, Reason | None]:
+    """Update both hypotheses and their log-likelihood ratio; decide if that is enough."""
     assert detection.alternative is not None
     by = detection.alternative.innovation(measurement, settings)
     fits = by.nis <= gate(settings, len(measurement.covariance))
@@ -260,20 +268,10 @@ def _update_undecided(
     return _verdict(_settled(detection, stamp_s, settings))
 
 
-def _update_slipping(
-    detection: FaultDetection, stamp_s: float, measurement: RelativePose, most: float, settings: FilterParameters
-) -> tuple[FaultDetection, Reason | None]:
-    by = detection.primary.innovation(measurement, settings)
-    if by.nis > most or not _is_healthy(detection, measurement, settings):
-        return detection, Reason.CONTRADICTION
-    if detection.agreed >= settings.agreements:
-        detection = _with_fault(detection, Fault.NONE, stamp_s)
-    return changed(detection, primary=detection.primary.corrected(by).vision_accepted()), None
-
-
 def _update_failing(
     detection: FaultDetection, stamp_s: float, measurement: RelativePose, log_ratio: float, settings: FilterParameters
 ) -> tuple[FaultDetection, Reason | None]:
+    """Follow the wheels while vision fails; end that after enough measurements that agree, or decide for slip."""
     if detection.agreed >= settings.agreements:
         belief = detection.answer(settings).vision_accepted()
         belief = belief.corrected(belief.innovation(measurement, settings)).vision_accepted()
@@ -386,15 +384,6 @@ def _is_healthy(detection: FaultDetection, measurement: RelativePose, settings: 
     if measurement.inlier_share is None or detection.usual_share is None:
         return True
     return measurement.inlier_share >= settings.inlier_share * detection.usual_share
-
-
-def _with_inliers(detection: FaultDetection, measurement: RelativePose, settings: FilterParameters) -> FaultDetection:
-    if measurement.inlier_share is None:
-        return detection
-    if detection.usual_share is None:
-        return changed(detection, usual_share=measurement.inlier_share)
-    change = settings.inlier_memory * (measurement.inlier_share - detection.usual_share)
-    return changed(detection, usual_share=detection.usual_share + change)
 
 
 def mixed(one: PoseBelief, other: PoseBelief, share: float) -> PoseBelief:

@@ -342,7 +342,12 @@ def serve(connection: Connection, make: Make, arguments: tuple[Any, ...], tells_
             raise
         except BaseException as error:
             error.add_note("".join(traceback.format_exception(error)))
-            _send_error(connection, error)
+            try:
+                connection.send(error)
+            except OSError:
+                raise
+            except Exception:  # not every exception can be pickled
+                connection.send(WheelsightError(f"{type(error).__name__}: {error}"))
         else:
             connection.send(Answer())
 
@@ -361,15 +366,6 @@ def _answer(connection: Connection, localizer: Answering, tells_keyframes: bool)
         estimate = localizer.process(event)
         news = watch.news() if watch is not None and isinstance(event, RgbdFrame) else None
         connection.send(Answer(estimate, localizer.recognised, news))
-
-
-def _send_error(connection: Connection, error: BaseException) -> None:
-    try:
-        connection.send(error)
-    except OSError:
-        raise
-    except Exception:  # not every exception can be pickled
-        connection.send(WheelsightError(f"{type(error).__name__}: {error}"))
 
 
 class _StoreWatch:
