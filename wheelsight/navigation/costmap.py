@@ -398,7 +398,13 @@ class LiveLayer:
             raise ArgumentError(f"pose {at} at {stamp_s} s", fix="give x, y and yaw of the base, and when, finite")
         self._move_to(at)
         is_own = self._is_own(at)
-        view = View(depth, self._slopes, self._matrix(at))
+        # From the camera to column and row in cells, and height.
+        c, s = np.cos(at[2]), np.sin(at[2])
+        T_frame_base = np.array([[c, -s, 0, at[0]], [s, c, 0, at[1]], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+        M = np.asarray((T_frame_base @ self._T_base_camera)[:3])
+        M[:2] /= self.settings.resolution_m
+        M[:2, 3] -= self._low[::-1]
+        view = View(depth, self._slopes, np.ascontiguousarray(M))
         noise = Noise(self._noise.constant_m, self._noise.quadratic_per_m, self.settings.margin_sigmas)
         mark_met(view, self._heights, is_own, self._seen)
         mark_passed(view, self._heights, noise, self._seen)
@@ -506,15 +512,6 @@ class LiveLayer:
         # The robot is in the middle of the layer, which is larger.
         is_own[bottom:top, left:right] = inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:]
         return is_own
-
-    def _matrix(self, pose: FloatArray) -> FloatArray:
-        """Return (3, 4), the transform from the camera to column and row in cells, and height."""
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        T_frame_base = np.array([[c, -s, 0, pose[0]], [s, c, 0, pose[1]], [0, 0, 1, 0], [0, 0, 0, 1.0]])
-        M = np.asarray((T_frame_base @ self._T_base_camera)[:3])
-        M[:2] /= self.settings.resolution_m
-        M[:2, 3] -= self._low[::-1]
-        return np.ascontiguousarray(M)
 
 
 _NOWHERE: FloatArray = np.empty((0, 2))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -105,18 +105,15 @@ class WhereNow:
         self._track.append((answer.stamp_s, T_now))
         while len(self._track) > 2 and self._track[1][0] < answer.stamp_s - _TRACK_S:
             self._track.popleft()
-        self._speed = replace(self._speed_now(), rolled=(float(way[0]), float(way[2])))
-        return self._speed
-
-    def _speed_now(self) -> WheelSpeed:
-        """Return the mean speed over a short time, as stamps jitter, and two may be 0.1 ms apart."""
-        stamp_s, T_now = self._track[-1]
-        before = [(then_s, T) for then_s, T in self._track if then_s <= stamp_s - _SPEED_S]
+        # A mean over a short time, as stamps jitter, and two may be 0.1 ms apart.
+        before = [(then_s, T) for then_s, T in self._track if then_s <= answer.stamp_s - _SPEED_S]
         then_s, T_then = before[-1] if before else self._track[0]
-        if stamp_s - then_s < _LEAST_S:
-            return WheelSpeed(stamp_s, 0.0, 0.0)
-        forward, _, turn = se2.log(np.linalg.inv(T_then) @ T_now) / (stamp_s - then_s)
-        return WheelSpeed(stamp_s, float(forward), float(turn))
+        forward = turn = 0.0
+        if answer.stamp_s - then_s >= _LEAST_S:
+            speeds = se2.log(np.linalg.inv(T_then) @ T_now) / (answer.stamp_s - then_s)
+            forward, turn = float(speeds[0]), float(speeds[2])
+        self._speed = WheelSpeed(answer.stamp_s, forward, turn, rolled=(float(way[0]), float(way[2])))
+        return self._speed
 
     def ask(self, stamp_s: float) -> None:
         """Record that the localization got an event with this stamp."""

@@ -270,8 +270,16 @@ class PathFollower:
     def _drive(self, situation: Situation) -> ControlResult | None:
         """Return a command along a segment; None at its end."""
         s, state = self._settings, situation.state
-        situation = self._advanced(situation)
-        point = situation.segment.points[situation.point]
+        points, direction = situation.segment.points, situation.segment.direction
+        # The point of the segment that the robot has reached.
+        while self._point < len(points) - 1:
+            x, y, cos, sin, along = points[self._point]
+            ahead_m = direction * ((state.pose[0] - x) * cos + (state.pose[1] - y) * sin)
+            if ahead_m <= (points[self._point + 1, 4] - along) / 2:
+                break
+            self._point += 1
+        situation = replace(situation, point=self._point)
+        point = points[self._point]
         if np.hypot(*(state.pose[:2] - point[:2])) > s.off_path_m:
             return self._stand(ControlReason.OFF_PATH)
         stands = abs(state.forward_m_s) <= s.standing_m_s
@@ -286,17 +294,6 @@ class PathFollower:
             if turning is not None:
                 return turning
         return self._unless_stuck(situation.rest_m, self._steering.steer(situation))
-
-    def _advanced(self, situation: Situation) -> Situation:
-        """Return the situation at the point of the segment that the robot has reached."""
-        points, direction = situation.segment.points, situation.segment.direction
-        xy = situation.state.pose[:2]
-        while self._point < len(points) - 1:
-            x, y, c, s, along = points[self._point]
-            if direction * ((xy[0] - x) * c + (xy[1] - y) * s) <= (points[self._point + 1, 4] - along) / 2:
-                break
-            self._point += 1
-        return replace(situation, point=self._point)
 
     def _turn_to(self, situation: Situation, yaw: float) -> ControlResult | None:
         """Return a turn in place; None once it is complete."""

@@ -269,9 +269,19 @@ def _stamp(found: BoolArray, static: StaticLayer, pose: FloatArray, footprint: F
     """Mark the cells under an outline at a pose, with the margin beside it."""
     # All cells that the outline touches: a cell's corners are half a diagonal off its middle.
     outline = footprint.padded(_BESIDE_M + np.sqrt(0.5) * static.resolution_m)
-    cut, away = _about(static, pose[:2], outline.circumscribed_m)
+    xy, reach_m = pose[:2], outline.circumscribed_m
+    low = np.maximum(np.floor((xy - reach_m - static.origin) / static.resolution_m).astype(int), 0)
+    high = np.ceil((xy + reach_m - static.origin) / static.resolution_m).astype(int)
+    right, top = np.minimum(high, static.state.shape[::-1]).tolist()
+    left, bottom = low.tolist()
+    # Centres of the cells near the pose, relative to it.
+    x, y = (
+        (np.arange(a, b) + 0.5) * static.resolution_m + origin - at
+        for a, b, origin, at in zip((left, bottom), (right, top), static.origin, xy, strict=True)
+    )
+    away = np.stack(np.meshgrid(x, y), axis=-1)
     c, s = np.cos(pose[2]), np.sin(pose[2])
-    found[cut] |= outline.contains(away @ np.array([[c, -s], [s, c]]))
+    found[bottom:top, left:right] |= outline.contains(away @ np.array([[c, -s], [s, c]]))
 
 
 def _in_sight(static: StaticLayer, xy: FloatArray, reach_m: float) -> BoolArray:
@@ -280,16 +290,3 @@ def _in_sight(static: StaticLayer, xy: FloatArray, reach_m: float) -> BoolArray:
     cells, reach = (xy - np.array(static.origin)) / static.resolution_m, reach_m / static.resolution_m
     mark_in_sight(static.state, cells, reach, (int(CellState.UNKNOWN), int(CellState.OCCUPIED)), found)
     return found
-
-
-def _about(static: StaticLayer, xy: FloatArray, reach_m: float) -> tuple[tuple[slice, slice], FloatArray]:
-    """Return the slices of the cells around a place, and their centres relative to it (h, w, 2)."""
-    low = np.maximum(np.floor((xy - reach_m - static.origin) / static.resolution_m).astype(int), 0)
-    high = np.ceil((xy + reach_m - static.origin) / static.resolution_m).astype(int)
-    right, top = np.minimum(high, static.state.shape[::-1]).tolist()
-    left, bottom = low.tolist()
-    x, y = (
-        (np.arange(a, b) + 0.5) * static.resolution_m + origin - at
-        for a, b, origin, at in zip((left, bottom), (right, top), static.origin, xy, strict=True)
-    )
-    return (slice(bottom, top), slice(left, right)), np.stack(np.meshgrid(x, y), axis=-1)
