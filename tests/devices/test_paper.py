@@ -8,17 +8,17 @@ import pytest
 from wheelsight.io.devices.wire_formats import (
     Ack,
     Counts,
+    Decoded,
     Format,
     LineDecoder,
     Message,
     PaperDecoder,
     Pulses,
-    Told,
     encode_message,
 )
 
 PERIOD_S = 0.02
-Got = list[Told]
+Got = list[Decoded]
 
 
 def pair(left: int, right: int) -> bytes:
@@ -146,7 +146,7 @@ def test_a_host_held_up_within_a_pair_still_takes_it_for_one(counts: np.ndarray)
     for n, (left, right) in enumerate(counts.tolist()):
         first, second = pair(left, right)
         got += decoder.feed(bytes([first]), PERIOD_S * n)
-        got += decoder.feed(bytes([second]), PERIOD_S * n + 0.009, lay_waiting=True)
+        got += decoder.feed(bytes([second]), PERIOD_S * n + 0.009, was_waiting=True)
     got += decoder.feed(b"", PERIOD_S * len(counts))
     assert pulses_of(got) == counts.tolist()
 

@@ -14,10 +14,10 @@ from wheelsight.core.messages import WheelTicks
 from wheelsight.io.devices.tick_tracking import TickTracker
 from wheelsight.io.devices.wire_formats import (
     Counts,
+    Decoded,
     Format,
     LineDecoder,
     PlainReading,
-    Told,
     Version,
     encode_message,
     is_plain_line,
@@ -374,7 +374,7 @@ def test_lines_that_come_no_more_are_given_up() -> None:
 
 
 def test_lines_are_no_pairs_of_the_papers_format() -> None:
-    decoder, told = LineDecoder(), list[Told]()
+    decoder, told = LineDecoder(), list[Decoded]()
     for n in range(100):
         told += decoder.feed(bytes([5, 6]), PERIOD_S * n)
     assert decoder.format is Format.PAPER

@@ -78,7 +78,7 @@ def test_else_the_images_tell(tum_folder: Path, expected: list, names: dict[str,
 def test_what_nothing_tells_is_refused_with_the_fix(tum_folder: Path) -> None:
     color, _ = renamed(tum_folder, {"rgb": "a", "depth": "b"})
     write(tum_folder, color, color, "# two images a line\n")
-    told = "associations.txt:2: neither names nor images tell which of the two is depth (put depth images"
+    told = "associations.txt:2: neither names nor images show which of the two is depth (put depth images"
     with pytest.raises(RecordingError, match=re.escape(told)):
         open_recording(tum_folder)
 

@@ -40,5 +40,5 @@ def test_poses_of_markers_become_the_cameras(tmp_path: Path) -> None:
 
 def test_a_folder_of_another_name_is_not_taken_for_it(tmp_path: Path) -> None:
     make_bonn(tmp_path / "balloon")
-    with pytest.raises(CalibrationError, match="nothing says which camera took it"):
+    with pytest.raises(CalibrationError, match="its camera is unknown"):
         open_recording(tmp_path / "balloon")

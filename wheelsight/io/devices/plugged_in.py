@@ -1,4 +1,4 @@
-"""Cameras and serial ports that are plugged in: which can be used, how, and what the others lack."""
+"""`plugged_in` lists connected depth cameras and serial ports, how to use each, and what prevents its use."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ _KINECT_V1_MOTOR = (_MICROSOFT, 0x02B0)
 
 @dataclass(frozen=True, slots=True)
 class PluggedIn:
-    """Something that is plugged in.
+    """A connected device.
 
     Attributes:
         kind: "camera" or "port".
-        name: for people.
-        use: what to give to a command, such as "--camera realsense:123" or "--wheels /dev/ttyUSB0"; "" where it cannot
-            be used at all.
-        problem: why it cannot be used now; "" where it can.
-        fix: what to do about that.
-        opener: which of `cameras.LIVE_CAMERAS` opens it; "" for none.
+        name: for display.
+        use: the option of a command, such as "--camera realsense:123" or "--wheels /dev/ttyUSB0"; "" where it cannot be
+            used at all.
+        problem: what prevents its use; "" without a problem.
+        fix: of the problem.
+        opener: its name in `cameras.LIVE_CAMERAS`; "" without one.
     """
 
     kind: str
@@ -39,17 +39,17 @@ class PluggedIn:
 
     @property
     def is_ready(self) -> bool:
-        """Whether it can be used as it is."""
+        """Whether it can be used now."""
         return not self.problem
 
 
 @dataclass(frozen=True, slots=True)
 class _Model:
-    """A kind of camera, by its numbers.
+    """A camera model, by its USB ids.
 
     Attributes:
-        products: of the vendor; empty for all of them.
-        lacks: what it needs that is not here, and the fix; None where all is here.
+        products: ids of the vendor's products; empty for all products.
+        lacks: gives a missing requirement and its fix, or None.
     """
 
     vendor: int
@@ -64,7 +64,7 @@ def plugged_in(devices: Sequence[UsbDevice] | None = None) -> list[PluggedIn]:
     """Depth cameras, then serial ports. Nothing is opened.
 
     Args:
-        devices: on USB; None for those that the kernel tells of.
+        devices: on USB; None for those that the kernel lists.
     """
     return [*cameras_plugged_in(devices), *_ports()]
 
@@ -95,7 +95,7 @@ def _camera(device: UsbDevice, model: _Model) -> PluggedIn:
 
 
 def _problem(device: UsbDevice, model: _Model) -> tuple[str, str] | None:
-    """What stands in the way first; None where nothing does."""
+    """The first problem of a device, with its fix; None without one."""
     if (missing := model.lacks()) is not None:
         return missing
     if not device.is_usable:
@@ -159,7 +159,7 @@ _MODELS = (
 
 
 def _ports() -> list[PluggedIn]:
-    """Serial ports on USB or with a name; not the eight that a PC lists whether they are there or not."""
+    """Serial ports on USB or with a name, without the eight that a PC always lists."""
     return [_port(port.device, port.description or "") for port in sorted(comports()) if port.hwid not in ("", "n/a")]
 
 
@@ -175,11 +175,13 @@ def _port(path: str, description: str) -> PluggedIn:
 
 
 def why_not(opener: str | None) -> DeviceError | None:
-    """Why no camera of a kind, or none at all, can be opened, as far as what is plugged in tells."""
+    """The reason why no camera of a kind, or none at all, can be opened, by the connected devices; None if unknown."""
     found = [camera for camera in cameras_plugged_in() if opener in (None, camera.opener)]
     lacking = [camera for camera in found if not camera.is_ready]
     if lacking:
         return DeviceError(f"{lacking[0].name}: {lacking[0].problem}", fix=lacking[0].fix)
     if not found and opener is None:
-        return DeviceError("no depth camera is plugged in", fix="plug one in; wheelsight devices tells what is seen")
+        return DeviceError(
+            "no depth camera is plugged in", fix="plug one in; wheelsight devices lists what is connected"
+        )
     return None

@@ -17,12 +17,11 @@ from cobs import cobs
 
 from wheelsight.core.settings import CHOSEN, Settings, setting
 
-# The wheel controller's framed wire format: messages to bytes and back, with no input or output of its own.
+# Framed format
 #
-# A frame is `type, sequence, body, CRC` in little-endian order, COBS-encoded (Cheshire & Baker, *Consistent overhead
-# byte stuffing*, 1999) so that it holds no zero, and ended by one zero. Whoever loses the thread therefore finds it
-# again at the next zero. The CRC is CRC-16/CCITT-FALSE. docs/serial-link.md tells every byte.
-
+# A frame is `type, sequence, body, CRC` in little-endian order. COBS encoding (Cheshire & Baker, *Consistent overhead
+# byte stuffing*, 1999) removes all zeros from it, and one zero ends it, so that a reader resynchronizes at the next
+# zero. The CRC is CRC-16/CCITT-FALSE. See docs/serial-link.md.
 
 FULL_DUTY = 1000
 LONGEST_FRAME = 64
@@ -31,7 +30,7 @@ _REPEATS_KNOWN = 8
 
 
 class Command(IntEnum):
-    """What the host asks of the controller: the type byte of its frames."""
+    """Commands of the host: the type byte of its frames."""
 
     DRIVE = 0x81
     STOP = 0x82
@@ -50,7 +49,7 @@ class Counts(NamedTuple):
 
 
 class Version(NamedTuple):
-    """What the controller's program calls itself."""
+    """The version of the controller's firmware."""
 
     sequence: int
     protocol: int
@@ -60,7 +59,7 @@ class Version(NamedTuple):
 
 
 class Ack(NamedTuple):
-    """The controller's answer to a command: its type, its sequence, and 0 where it was done."""
+    """The controller's answer to a command: its type, its sequence, and a status, 0 for success."""
 
     sequence: int
     command: int
@@ -75,7 +74,7 @@ ACK_PROBLEMS = {1: "does not know the command", 2: "got the command with a wrong
 _ENDS = Struct("<BB")
 _CRC = Struct("<H")
 _DRIVE = Struct("<hh")
-# Of what follows the type byte; the two bytes of the CRC are skipped.
+# Layouts of the frame after the type byte, without the two bytes of the CRC.
 _LAYOUTS: dict[int, tuple[type[Message], Struct]] = {
     0x01: (Counts, Struct("<xBIiixx")),
     0x02: (Version, Struct("<xBBBBBxx")),
@@ -85,42 +84,42 @@ _TYPES: dict[type[Message], int] = {kind: number for number, (kind, _) in _LAYOU
 
 
 def encode_frame(kind: int, sequence: int, body: bytes = b"") -> bytes:
-    """A whole frame with its closing zero. `sequence` counts modulo 256."""
+    """A frame with its closing zero. `sequence` counts modulo 256."""
     inside = _ENDS.pack(kind, sequence & 0xFF) + body
     encoded: bytes = cobs.encode(inside + _CRC.pack(crc_hqx(inside, _CRC_START)))
     return encoded + b"\0"
 
 
 def encode_message(message: Message) -> bytes:
-    """The frame a controller sends; for simulated controllers and tests."""
+    """The frame of a controller's message, for simulated controllers and tests."""
     kind = _TYPES[type(message)]
     unsealed = _LAYOUTS[kind][1].pack(*message)
     return encode_frame(kind, message.sequence, unsealed[2:-2])
 
 
 def encode_command(command: Command, sequence: int, body: bytes = b"") -> bytes:
-    """A command's frame, after a zero that ends whatever noise the controller heard before."""
+    """A command's frame, after a zero that ends any noise before it."""
     return b"\0" + encode_frame(command, sequence, body)
 
 
 def drive_body(left: float, right: float) -> bytes:
-    """The body of DRIVE for duties from -1 (full speed back) to 1, in whole permille."""
+    """The body of DRIVE for duty cycles from -1 (full speed backwards) to 1, in permille."""
     return _DRIVE.pack(round(left * FULL_DUTY), round(right * FULL_DUTY))
 
 
 @dataclass(slots=True)
 class LineStatistics:
-    """What came over the line, and what of it was no good.
+    """Counts of bytes, frames and errors of a line.
 
     Attributes:
-        bytes: all that were fed.
-        frames: good ones, repeats included.
-        crc_errors: pieces between two zeros whose checksum is wrong.
-        malformed: pieces that are no COBS, too short, too long, or of the wrong length for their type.
-        resyncs: how often a good frame came after bad pieces.
-        lost: frames missing by the sequence; a multiple of 256 lost in one go does not show.
-        duplicates: frames that came again, and were not handed on.
-        unknown: good frames of a type that this version does not know.
+        bytes: all bytes.
+        frames: valid frames, repeats included.
+        crc_errors: pieces between two zeros with a wrong checksum.
+        malformed: pieces that are not valid COBS, or have a wrong length.
+        resyncs: valid frames after invalid pieces.
+        lost: frames missing by their sequence; a loss of a multiple of 256 is not detected.
+        duplicates: repeated frames, which are dropped.
+        unknown: valid frames of an unknown type.
     """
 
     bytes: int = 0
@@ -134,14 +133,13 @@ class LineStatistics:
 
 
 class FrameDecoder:
-    """Finds the messages in a stream of bytes, however it is cut, and counts what was lost.
+    """Decodes the messages in a stream of bytes, and counts errors and losses.
 
-    A damaged frame costs itself, and the next one where the zero between them was hit. What comes before the first zero
-    may be the end of a frame that began before anybody listened, so it is no error. Memory stays below
-    `LONGEST_FRAME` bytes between two calls, whatever comes.
+    A damaged frame is lost, and the next one too where the zero between them is damaged. Bytes before the first zero
+    may be the end of a frame, so they are not errors. At most `LONGEST_FRAME` + 1 bytes are kept between calls.
 
     Attributes:
-        statistics: what came, and what was lost.
+        statistics: of the line.
         begun, ended: bytes from the first byte of the last call's first message, and from the end of its last message,
             to the end of what was fed.
     """
@@ -157,17 +155,17 @@ class FrameDecoder:
         self._gaps: dict[int, int] = {}  # frames missing before the last frame of each sequence number
 
     def feed(self, data: bytes) -> list[Message]:
-        """The messages that `data` completes, in their order; damage never raises, it is counted."""
+        """The messages that `data` completes, in order. Damage is counted and does not raise."""
         self.statistics.bytes += len(data)
         *pieces, rest = (self._rest + data).split(b"\0")
         left = len(self._rest) + len(data)
-        self._rest = rest[: LONGEST_FRAME + 1]  # one byte too long is enough to know that it is no frame
+        self._rest = rest[: LONGEST_FRAME + 1]  # one byte too many shows that it is not a frame
         messages: list[Message] = []
         for piece in pieces:
             left -= len(piece) + 1
             may_be_cut, self._may_be_cut = self._may_be_cut, False
             if may_be_cut and self._checked(piece, LineStatistics()) is None:
-                continue  # the rest of a frame that began before anybody listened
+                continue  # the rest of a frame that began before the first call
             if piece and (message := self._message(piece)) is not None:
                 self.begun = self.begun if messages else left + len(piece) + 1
                 self.ended = left
@@ -175,6 +173,7 @@ class FrameDecoder:
         return messages
 
     def _message(self, piece: bytes) -> Message | None:
+        """The message of a piece, or None where it is damaged, repeated or unknown."""
         frame = self._checked(piece, self.statistics)
         if frame is None:
             self._is_in_step = False
@@ -196,7 +195,7 @@ class FrameDecoder:
 
     @staticmethod
     def _checked(piece: bytes, statistics: LineStatistics) -> bytes | None:
-        """The frame inside a piece, or None where it is damaged, which is counted."""
+        """The frame in a piece, or None where it is damaged, which is counted."""
         if len(piece) > LONGEST_FRAME:
             statistics.malformed += 1
             return None
@@ -218,7 +217,7 @@ class FrameDecoder:
         return bytes(frame)
 
     def _is_new(self, frame: bytes) -> bool:
-        """Whether the frame is no repeat of a recent one; counts the frames missing before it."""
+        """Whether the frame is not a repeat of a recent one. Counts the frames missing before it."""
         sequence, last = frame[1], self._sequence
         if last is not None and (step := (sequence - last) & 0xFF) != 1:
             if frame in self._recent:
@@ -232,9 +231,9 @@ class FrameDecoder:
         return True
 
     def forgive_gap(self, sequence: int) -> None:
-        """Take back a loss counted at this frame, or at the one before it: the controller had begun anew.
+        """Remove a loss that was counted at this frame, or at the one before it: the controller restarted.
 
-        By its number, since a host that is late is handed frames that came after it together with it.
+        The frame is given by its number, since a late host gets later frames together with it.
         """
         for number in (sequence, (sequence - 1) & 0xFF):
             if gap := self._gaps.pop(number, 0):
@@ -242,30 +241,29 @@ class FrameDecoder:
                 return
 
     def forget_sequence(self) -> None:
-        """Count no loss before the next frame: the port was opened anew."""
+        """Do not count a loss before the next frame, after the port was reopened."""
         self._sequence = None
         self._rest = b""
         self._may_be_cut = True
 
 
-# The paper's wire format: two bytes every 20 ms, the right and left wheel's signed pulse counts (Trinh et al., II.C).
+# The paper's format: two bytes every 20 ms, the right and left wheel's signed pulse counts (Trinh et al., II.C)
 #
-# A byte holds 127 pulses; at 0.3338 mm a pulse and 20 ms that is 2.1 m/s, and at the paper's top speed there are 157.
-# So the controller sends early, as soon as a count reaches 100, and no pulse is lost. Nothing in the bytes says which
-# of a pair comes first: only the silence between the pairs does.
-
+# A byte holds 127 pulses, which at 0.3338 mm per pulse and 20 ms is 2.1 m/s; at the paper's top speed there are 157.
+# The controller therefore sends early once a count reaches 100, and no pulse is lost. The bytes do not show which one
+# of a pair comes first; only the silence between pairs does.
 
 SILENCE_S = 0.005
-FULL_PULSES = 100  # from here on a pair is sent at once, before its time
+FULL_PULSES = 100  # at this count a pair is sent early
 _LATEST_PARTNER_S = 1.0
 
 
 class Pulses(NamedTuple):
-    """Pulses of both wheels since the pair before, and when the host had them.
+    """Pulses of both wheels since the last pair, and their arrival.
 
     Attributes:
-        follows_silence: whether the line was quiet before the pair.
-        following: how many pairs came behind it in the same run of bytes.
+        follows_silence: whether the line was silent before the pair.
+        following: the number of pairs after it in the same run of bytes.
     """
 
     arrival_s: float
@@ -278,14 +276,14 @@ class Pulses(NamedTuple):
 class PaperDecoder:
     """Pairs bytes by the silence between pairs.
 
-    A byte left over waits for the next run of bytes: where that is odd too, it holds the partner, held up on its way;
-    else the partner was lost, and the byte is dropped and counted. Where the host was away and several pairs come at
-    once, they are taken in twos. In `statistics`, `frames` are pairs and `malformed` are bytes without a partner. A
-    lost pair cannot be noticed: the format has no sequence.
+    A single byte at the end of a run waits for the next run. Where that is odd too, it begins with the delayed partner;
+    else the partner was lost, and the byte is dropped and counted. Several pairs in one run, after a delay of the host,
+    are split in order. In `statistics`, `frames` are pairs and `malformed` are bytes without a partner. The format has
+    no sequence, so lost pairs are not detected.
 
     Attributes:
-        statistics: what came.
-        torn: pairs whose second byte was held up.
+        statistics: of the line.
+        torn: the number of pairs with a delayed second byte.
     """
 
     def __init__(self) -> None:
@@ -295,11 +293,11 @@ class PaperDecoder:
         self._arrival_s = -float("inf")
 
     def feed(self, run: bytes, arrival_s: float) -> list[Pulses]:
-        """The pairs that a run of bytes completes, with a silence before and behind it. Raises nothing.
+        """The pairs that a run of bytes completes, with a silence before and after it. Does not raise.
 
         Args:
             run: at least one byte.
-            arrival_s: when the last of them was read, seconds.
+            arrival_s: when the last byte was read, seconds.
         """
         is_torn = bool(self._first) and len(run) % 2 == 1 and arrival_s - self._arrival_s < _LATEST_PARTNER_S
         self.torn += is_torn
@@ -317,7 +315,7 @@ class PaperDecoder:
         ]
 
     def forget(self) -> None:
-        """Drop a byte that waits for its partner: what follows is another stream."""
+        """Drop a byte that waits for its partner, before another stream."""
         self._first = b""
 
 
@@ -325,13 +323,11 @@ def _signed(byte: int) -> int:
     return byte - 256 if byte > 127 else byte
 
 
-# The plain line that anybody's sketch prints: `left,right` or `time,left,right`, one line a reading, in whole
-# numbers.
+# Plain text: lines `left,right` or `time,left,right` of integers
 #
-# Fields are separated by commas, semicolons, spaces or tabs; lines end with CR, LF or both. Counts are cumulative and
-# signed or not; time is in milliseconds or microseconds, which the host's clock tells. There is no checksum, so that
-# a line is recognised by many like it, and readings are doubted by `PlainTracker`.
-
+# Fields are separated by commas, semicolons, spaces or tabs; lines end with CR, LF or both. Counts are cumulative,
+# signed or not. Time is in milliseconds or microseconds; the host's clock shows which. There is no checksum: the format
+# is recognised from several lines, and `PlainTracker` validates readings.
 
 US_PER_MS = 1000
 _LONGEST_LINE = 64
@@ -345,7 +341,7 @@ _SMALLEST, _LARGEST = -(1 << 31), (1 << 32) - 1
 
 
 class PlainTextSettings(Settings):
-    """When lines of text are taken for counts, and which of them are doubted."""
+    """When lines of text count as readings, and which readings need confirmation."""
 
     evidence_s: float = setting(0.5, "for which lines must have come before they are counts, seconds", CHOSEN, gt=0)
     longest_evidence_s: float = setting(5.0, "within which they must have come, seconds", CHOSEN, gt=0)
@@ -401,8 +397,8 @@ class PlainReading(NamedTuple):
     Attributes:
         arrival_s: when its end was read, seconds.
         clock: as printed, or None where the line has no time.
-        us_per_tick: what one of `clock` is, microseconds; 0 until that is known.
-        following: how many lines of counts came behind it in the same read.
+        us_per_tick: the unit of `clock` in microseconds; 0 where it is unknown.
+        following: the number of lines of counts after it in the same read.
     """
 
     arrival_s: float
@@ -414,7 +410,7 @@ class PlainReading(NamedTuple):
 
 
 def parse_line(line: bytes, arrival_s: float) -> PlainReading | None:
-    """The counts of a line without its end, or None where it is none."""
+    """The counts of a line, given without its end, or None where it has none."""
     match = _LINE.fullmatch(line) if len(line) <= _LONGEST_LINE else None
     if match is None:
         return None
@@ -425,20 +421,20 @@ def parse_line(line: bytes, arrival_s: float) -> PlainReading | None:
 
 
 def is_plain_line(run: bytes) -> bool:
-    """Whether bytes between two silences are whole lines of counts, and hence no pairs."""
+    """Whether bytes between two silences are whole lines of counts, and therefore not pairs."""
     lines = [line for line in _PLAIN_TEXT_ENDS.split(run) if line]
     return run.endswith((b"\r", b"\n")) and bool(lines) and all(parse_line(line, 0.0) for line in lines)
 
 
 class PlainText:
-    """Recognises lines of counts in a stream of bytes, and reads them; what is before the first line's end is torn.
+    """Recognises and parses lines of counts in a stream of bytes. The first line is incomplete and ignored.
 
     In `statistics`, `frames` are lines of counts and `malformed` are all others.
 
     Attributes:
-        statistics: what came, from the first line of the evidence on.
-        is_recognised: whether lines are taken for counts.
-        other: the last line that was none, to be shown.
+        statistics: of the line, since the first recognised reading.
+        is_recognised: whether the format is recognised.
+        other: the last line without counts, for display.
     """
 
     def __init__(self, settings: PlainTextSettings | None = None) -> None:
@@ -456,11 +452,11 @@ class PlainText:
 
     @property
     def is_text(self) -> bool:
-        """Whether what came lately is text, though no counts."""
+        """Whether recent lines are text without counts."""
         return not self.is_recognised and self._texts >= self._settings.fewest_lines
 
     def feed(self, data: bytes, arrival_s: float) -> list[PlainReading]:
-        """The readings that `data` completes: none before they are recognised, then those of the evidence too."""
+        """The readings that `data` completes; none before recognition, which then returns earlier ones too."""
         self.statistics.bytes += len(data)
         readings: list[PlainReading] = []
         for line in self._lines(data):
@@ -474,13 +470,13 @@ class PlainText:
         ]
 
     def restart(self) -> None:
-        """Forget what is half-read and what was recognised: the port was opened anew, or speaks otherwise."""
+        """Reset all state, after the port was reopened or the format changed."""
         self._rest, self._is_torn, self.is_recognised, self.other = b"", True, False, ""
         self._others = self._texts = 0
         self._evidence.clear()
 
     def _lines(self, data: bytes) -> list[bytes]:
-        """The whole lines, without those that are empty."""
+        """The complete lines, without empty ones."""
         *lines, rest = _PLAIN_TEXT_ENDS.split(self._rest + data)
         if lines and self._is_torn:
             lines[0], self._is_torn = b"", False
@@ -489,6 +485,7 @@ class PlainText:
         return [line for line in lines if line]
 
     def _read(self, line: bytes, arrival_s: float) -> list[PlainReading]:
+        """The readings that a line completes. Counts other lines."""
         reading = parse_line(line, arrival_s)
         if self.is_recognised and reading is not None and (reading.clock is not None) is self._has_time:
             self.statistics.frames += 1
@@ -500,10 +497,10 @@ class PlainText:
         self._texts = self._texts + 1 if is_text else 0
         if is_text and (reading is None or self.is_recognised):
             self.other = line[:_LONGEST_QUOTE].decode("ascii")
-        return [] if self.is_recognised else self._weigh(reading, arrival_s)
+        return [] if self.is_recognised else self._recognise(reading, arrival_s)
 
-    def _weigh(self, reading: PlainReading | None, arrival_s: float) -> list[PlainReading]:
-        """The readings so far, if with this line they are enough to be taken for counts."""
+    def _recognise(self, reading: PlainReading | None, arrival_s: float) -> list[PlainReading]:
+        """The readings so far, once they suffice to recognise the format; else an empty list."""
         settings = self._settings
         self._evidence.append((arrival_s, reading))
         while self._evidence[0][0] < arrival_s - settings.longest_evidence_s:
@@ -511,7 +508,7 @@ class PlainText:
         if reading is None:
             return []
         has_time = reading.clock is not None
-        alike = [told for _, told in self._evidence if told is not None and (told.clock is not None) is has_time]
+        alike = [one for _, one in self._evidence if one is not None and (one.clock is not None) is has_time]
         if len(alike) < max(settings.fewest_lines, settings.fewest_share * len(self._evidence)):
             return []
         if alike[-1].arrival_s - alike[0].arrival_s < settings.evidence_s:
@@ -526,7 +523,7 @@ class PlainText:
         return alike
 
     def _unit_of(self, readings: list[PlainReading]) -> int:
-        """Microseconds of a tick of the lines' time: 1000 or 1; 0 where neither fits the host's clock."""
+        """The unit of the lines' time in microseconds, 1000 or 1; 0 where neither agrees with the host's clock."""
         first, last = readings[0], readings[-1]
         assert first.clock is not None
         assert last.clock is not None
@@ -538,21 +535,20 @@ class PlainText:
 
 
 def _behind(readings: list[PlainReading], at: int) -> int:
-    """How many of the readings behind one came with it."""
+    """The number of readings after one that arrived with it."""
     return sum(reading.arrival_s == readings[at].arrival_s for reading in readings[at + 1 :])
 
 
-# Which of the three wire formats a controller speaks, found out by listening.
-
+# Recognition of the format
 
 EVIDENCE_S = 0.5
 _LONGEST_EVIDENCE_S = 3.0
 _FEWEST_PAIRS = 15
 _MOST_A_SECOND = 300
-_MOST_AT_ONCE = 2048  # a system's buffer holds so many, for a host that was away
+_MOST_AT_ONCE = 2048  # the size of a system's buffer, for a host that was delayed
 _MOST_PULSES = 110
 _SHARE_ALONE = 0.6
-_SHARE_BELIEVABLE = 0.9
+_SHARE_PLAUSIBLE = 0.9
 _SHARE_TORN = 0.2
 _FEWEST_DOUBTED = 10
 _MOST_KEPT = 400
@@ -560,32 +556,31 @@ _MOST_HELD_BYTES = 1024
 
 
 class Format(StrEnum):
-    """How counts come over the line."""
+    """The wire formats."""
 
     FRAMED = "framed"
     PAPER = "paper"
     PLAIN = "plain text"
 
 
-Told = Message | Pulses | PlainReading
+Decoded = Message | Pulses | PlainReading
 
 
 class LineDecoder:
-    """Decodes any of the formats, and changes over when the controller does.
+    """Recognises the format, decodes it, and follows a change of it.
 
-    One frame with a right checksum means framed. Half a second of bytes in pairs (three, where there are few), each
-    after a silence and with no more pulses than make a controller send early, means paper; those pulses are handed on
-    with it, so none is lost. Lines of text with two or three whole numbers, for as long, mean plain text (`PlainText`).
-    Everything else is noise, and framed stays framed.
+    - Framed: one frame with a valid checksum. It stays framed.
+    - Paper: half a second of pairs (three seconds for few pairs), each after a silence, with no more pulses than make a
+      controller send early. The pulses of this time are returned, so that none is lost.
+    - Plain text: lines with two or three integers for half a second or more (`PlainText`).
 
-    Bytes are read as pairs only after the silence behind them, since they might be the beginning of a frame: of what
-    came without a silence, pairs are what lies before the first frame. Once recognised, the paper's format is given up
-    for a frame, or for what delays cannot make of pairs (pulses beyond belief, or too many pairs): after a busy host or
-    a slow line they only come later, and together. Plain text is given up for a frame, or where lines are no counts for
-    seconds.
+    Everything else is noise. Bytes are read as pairs only after the silence that follows them, since they might begin
+    a frame. Without a silence, the bytes before the first frame are pairs. The paper's format ends with a frame, or
+    with data that delayed pairs cannot explain: too many pulses or pairs. Plain text ends with a frame, or after a few
+    seconds without lines of counts.
 
     Args:
-        plain: when lines of text are counts.
+        plain: settings of the recognition of plain text.
     """
 
     def __init__(self, plain: PlainTextSettings | None = None) -> None:
@@ -594,7 +589,7 @@ class LineDecoder:
         self._paper = PaperDecoder()
         self._text = PlainText(plain)
         self._held: list[tuple[bytes, float]] = []  # runs of bytes between silences, and when the last of each came
-        self._heard_s = -float("inf")
+        self._received_s = -float("inf")
         self._expects_frames = False
         self._evidence: deque[Pulses] = deque(maxlen=_MOST_KEPT)
         self._torn: deque[float] = deque(maxlen=_MOST_KEPT)
@@ -602,35 +597,35 @@ class LineDecoder:
 
     @property
     def statistics(self) -> LineStatistics:
-        """Of the format that was recognised; of frames as long as none was."""
+        """The statistics of the recognised format; of frames before that."""
         if self.format is Format.PLAIN:
             return self._text.statistics
         return self._paper.statistics if self.format is Format.PAPER else self._frames.statistics
 
     @property
     def is_text(self) -> bool:
-        """Whether nothing was recognised, and what comes is lines of text that are no counts."""
+        """Whether no format is recognised, and the line has text without counts."""
         return self._text.is_text
 
     @property
     def other_line(self) -> str:
-        """The last line of text that was no counts; empty where there was none."""
+        """The last line of text without counts; may be empty."""
         return self._text.other if self.format in (None, Format.PLAIN) else ""
 
-    def feed(self, data: bytes, arrival_s: float, lay_waiting: bool = False) -> Sequence[Told]:
-        """What `data` completes: messages, pulses or readings. Raises nothing, whatever comes.
+    def feed(self, data: bytes, arrival_s: float, was_waiting: bool = False) -> Sequence[Decoded]:
+        """The messages, pulses or readings that `data` completes. Does not raise.
 
         Args:
-            data: empty where nothing came for `SILENCE_S`, so that a pair need not wait for the next.
+            data: empty after a silence of `SILENCE_S`, which completes a pair.
             arrival_s: when it was read, seconds.
-            lay_waiting: the host was late and found the data there, so that nothing is known of a silence before.
+            was_waiting: whether the data had arrived before the host read, so that a silence before it is unknown.
         """
         pulses: Sequence[Pulses] = ()
-        if self._held and not lay_waiting and self._is_whole(arrival_s):
-            pulses = self._judged(self._take_pairs(0))
+        if self._held and not was_waiting and self._is_whole(arrival_s):
+            pulses = self._filtered(self._take_pairs(0))
         if not data:
             return pulses
-        self._hold(data, arrival_s, lay_waiting)
+        self._hold(data, arrival_s, was_waiting)
         messages = self._frames.feed(data)
         if messages:
             return [*pulses, *self._before_frames(data), *messages]
@@ -644,11 +639,11 @@ class LineDecoder:
         return [*pulses, *readings] if readings else pulses
 
     def expect_frames(self, is_so: bool) -> None:
-        """Whether the controller was told to change to frames: then nothing is read as pairs until they come."""
+        """Set whether a change to frames was commanded. Then no pairs are read before a frame comes."""
         self._expects_frames = is_so
 
     def restart(self) -> None:
-        """Forget what is half-read, and the format if it was another than frames: the port was opened anew."""
+        """Reset after the port was reopened. The format stays if it is framed."""
         self._frames.forget_sequence()
         self._text.restart()
         self._held.clear()
@@ -656,38 +651,39 @@ class LineDecoder:
         self.format = Format.FRAMED if self.format is Format.FRAMED else None
 
     def forgive_gap(self, sequence: int) -> None:
-        """Take back a loss counted at this frame, or at the one before it: the controller had begun anew."""
+        """As `FrameDecoder.forgive_gap`."""
         self._frames.forgive_gap(sequence)
 
     def _is_whole(self, now_s: float) -> bool:
-        """Whether what is held can be no frame's beginning any more."""
+        """Whether the held bytes cannot begin a frame any more."""
         if self._expects_frames:
             return False
-        return now_s - self._heard_s > SILENCE_S or sum(len(run) for run, _ in self._held) > _MOST_HELD_BYTES
+        return now_s - self._received_s > SILENCE_S or sum(len(run) for run, _ in self._held) > _MOST_HELD_BYTES
 
     def _before_frames(self, data: bytes) -> list[Pulses]:
-        """Change to frames, or stay with them; the pairs that came before the first of them, if they were pairs."""
+        """Set the format to framed. Returns the pairs before the first frame, after the paper's format."""
         pairs: list[Pulses] = []
         if self.format is Format.PAPER:
-            pairs = self._take_pairs(self._frames.begun + 1)  # and the zero that parts frames from pairs
+            pairs = self._take_pairs(self._frames.begun + 1)  # and the zero between pairs and frames
         if self.format in (Format.PAPER, Format.PLAIN):
             self._frames.statistics = LineStatistics(self._frames.begun, 1)
         self._text.restart()
         self.format, self._expects_frames = Format.FRAMED, False
         self._held.clear()
         if self._frames.ended:
-            self._held.append((data[-self._frames.ended :], self._heard_s))  # pairs, where the format changed
+            self._held.append((data[-self._frames.ended :], self._received_s))  # pairs, where the format changed
         self._forget_pairs()
         return pairs
 
-    def _hold(self, data: bytes, arrival_s: float, lay_waiting: bool) -> None:
-        if self._held and (lay_waiting or arrival_s - self._heard_s <= SILENCE_S):
+    def _hold(self, data: bytes, arrival_s: float, was_waiting: bool) -> None:
+        """Keep bytes that may be pairs, as a run of their own after a silence."""
+        if self._held and (was_waiting or arrival_s - self._received_s <= SILENCE_S):
             data = self._held.pop()[0] + data
         self._held.append((data, arrival_s))
-        self._heard_s = arrival_s
+        self._received_s = arrival_s
 
     def _take_pairs(self, but_last: int) -> list[Pulses]:
-        """Read the held bytes, but the last so many, as pairs."""
+        """The held bytes without the last `but_last`, as pairs."""
         held, self._held = self._held, []
         pairs: list[Pulses] = []
         count = sum(len(run) for run, _ in held) - but_last
@@ -700,8 +696,8 @@ class LineDecoder:
             count -= len(run)
         return pairs
 
-    def _judged(self, pairs: list[Pulses]) -> Sequence[Pulses]:
-        """What to hand on of pairs just read, by what has come in the last half second."""
+    def _filtered(self, pairs: list[Pulses]) -> Sequence[Pulses]:
+        """The pairs to return, given new ones: those of the paper's format, or of its evidence at recognition."""
         self._evidence += pairs
         if self.format is Format.PAPER:
             if self._may_be_pairs(len(pairs)):
@@ -709,34 +705,35 @@ class LineDecoder:
             self.format = None
             self._evidence.clear()
             return ()
-        if not self._evidence or self._heard_s - self._evidence[0].arrival_s < EVIDENCE_S:
+        if not self._evidence or self._received_s - self._evidence[0].arrival_s < EVIDENCE_S:
             return ()
         found = list(self._evidence) if self._is_paired() else []
         if found:
             self.format = Format.PAPER
             self._paper.statistics = LineStatistics(2 * len(found), len(found))
-            self._credit, self._judged_s = _MOST_AT_ONCE, self._heard_s
-        self._drop_before(self._heard_s - EVIDENCE_S, keep=_FEWEST_PAIRS)
-        self._drop_before(self._heard_s - _LONGEST_EVIDENCE_S)
+            self._credit, self._judged_s = _MOST_AT_ONCE, self._received_s
+        self._drop_before(self._received_s - EVIDENCE_S, keep=_FEWEST_PAIRS)
+        self._drop_before(self._received_s - _LONGEST_EVIDENCE_S)
         return found
 
     def _is_paired(self) -> bool:
-        """Whether the evidence is pairs as a controller sends them."""
+        """Whether the evidence suffices to recognise the paper's format."""
         pairs = len(self._evidence)
         alone = sum(pair.follows_silence for pair in self._evidence)
         regular = pairs >= _FEWEST_PAIRS and alone >= _SHARE_ALONE * pairs
-        return self._is_believable() and regular and len(self._torn) <= _SHARE_TORN * pairs
+        return self._is_plausible() and regular and len(self._torn) <= _SHARE_TORN * pairs
 
     def _may_be_pairs(self, count: int) -> bool:
-        """Whether `count` more may be pairs too, held up on their way perhaps, or by a busy host."""
-        passed_s, self._judged_s = self._heard_s - self._judged_s, self._heard_s
+        """Whether `count` more pairs are plausible, allowing for delays of the transport and the host."""
+        passed_s, self._judged_s = self._received_s - self._judged_s, self._received_s
         self._credit = min(self._credit + _MOST_A_SECOND * passed_s, _MOST_AT_ONCE) - count
-        self._drop_before(self._heard_s - EVIDENCE_S)
-        return self._credit >= 0 and (len(self._evidence) < _FEWEST_DOUBTED or self._is_believable())
+        self._drop_before(self._received_s - EVIDENCE_S)
+        return self._credit >= 0 and (len(self._evidence) < _FEWEST_DOUBTED or self._is_plausible())
 
-    def _is_believable(self) -> bool:
-        believable = sum(max(abs(pair.left), abs(pair.right)) <= _MOST_PULSES for pair in self._evidence)
-        return believable >= _SHARE_BELIEVABLE * len(self._evidence)
+    def _is_plausible(self) -> bool:
+        """Whether nearly all pairs of the evidence have plausible pulses."""
+        plausible = sum(max(abs(pair.left), abs(pair.right)) <= _MOST_PULSES for pair in self._evidence)
+        return plausible >= _SHARE_PLAUSIBLE * len(self._evidence)
 
     def _drop_before(self, stamp_s: float, keep: int = 0) -> None:
         while len(self._evidence) > keep and self._evidence[0].arrival_s < stamp_s:

@@ -21,41 +21,40 @@ from wheelsight.io.recordings.clock_checks import MotionClock, MotionOffset
 from wheelsight.io.recordings.native import FrameClock, read_frame_clocks
 from wheelsight.io.recordings.recording import AssociationReport, ListsTopics, RecordedTopic, Recording, left_out_of
 
-# Where colour images show what depth images show, as their edges tell: near shared pixels, or far from them.
+# Offset between colour and depth, by their edges
 
-
-# How far colour and depth are searched for each other, in pixels of images of about this width.
+# Range of shifts in the near search, in pixels of images of about this width.
 _SEARCH_WIDTH = 320
 _SEARCH_PX = (20, 8)
 _SEARCH_SCALES = np.round(np.arange(0.84, 1.161, 0.02), 2)
 _WIDEST_SHADOW_PX = 30
 _DEPTH_STEP = 0.08
-# Farther off, of another lens or mirrored, they are searched for coarsely, in images of about this width, over half to
-# twice the size and a seventh of the width, in some of the frames.
+# The far search, for another lens or mirrored images, is coarse: in images of about this width, over half to twice the
+# size and a seventh of the width, in some of the frames.
 _FAR_WIDTH = 160
 _FAR_PX = (24, 16)
 _FAR_SCALES = np.exp(0.04 * np.arange(-18, 19))
 _FAR_FRAMES = 8
 _AS_IS = len(_FAR_SCALES) // 2
-# A fit stands out where it is so many standard deviations of all shifts, and so much above those at the same size. Real
-# recordings and simulated ones have 9 to 24 where they fit, and up to 8 by chance of what repeats.
+# Least fit in standard deviations over all shifts, and least ratio to the fit of unmoved images. Real and simulated
+# recordings have 9 to 24 where images fit, and up to 8 by chance, from repetitive structure.
 _FAR_STANDS_OUT, _FAR_FACTOR = 8.5, 1.5
 _FLIPS = ((False, False), (True, False), (False, True), (True, True))
 _FLIP_WORDS = {(True, False): "mirrored left to right", (False, True): "upside down", (True, True): "turned by 180°"}
-# Where images lie by a calibration and where they do, as a share of the width, median over the image.
+# Largest median distance between measured and calibrated positions, as a share of the image width.
 FAR_FROM_CALIBRATED = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class RegistrationOffset:
-    """Where the colour image shows what the depth image shows, as their edges tell.
+    """The offset of the colour image against the depth image, by their edges.
 
     Attributes:
-        shift_px: (right, down) that the colour image's things lie from the depth image's in the image's middle.
-        scale: how many times as large they are.
-        strength: mean contrast of colour edges at depth edges moved by shift and scale (all contrast: 1, by chance: 0).
-        strength_as_is: the same where depth edges lie.
-        flips: whether colour shows things mirrored left to right, and upside down.
+        shift_px: shift (right, down) of colour against depth in the middle of the image.
+        scale: size of objects in colour divided by that in depth.
+        strength: mean contrast of colour at depth edges moved by shift and scale (average contrast: 1, by chance: 0).
+        strength_as_is: the same at unmoved depth edges.
+        flips: whether colour is mirrored left to right, and upside down.
     """
 
     shift_px: tuple[float, float]
@@ -66,11 +65,11 @@ class RegistrationOffset:
 
     @property
     def is_clear(self) -> bool:
-        """Whether the images fit clearly better when moved."""
+        """Whether moved images fit clearly better."""
         return self.strength > 1.5 * max(self.strength_as_is, 0.0)
 
     def __str__(self) -> str:
-        """In words, for a user."""
+        """The offset in words."""
         right, down = self.shift_px
         across = f"{abs(right):.0f} px {'left' if right < 0 else 'right'}"
         along = f"{abs(down):.0f} px {'up' if down < 0 else 'down'}"
@@ -81,7 +80,7 @@ class RegistrationOffset:
 
 
 class OffsetMeter:
-    """Sums, over frames, how well depth edges fall on colour edges for each scale and shift (cross-correlation)."""
+    """Estimates the offset by cross-correlation of depth edges with colour edges, summed over frames."""
 
     def __init__(self) -> None:
         self._fit: FloatArray = np.zeros((len(_SEARCH_SCALES), 2 * _SEARCH_PX[1] + 1, 2 * _SEARCH_PX[0] + 1))
@@ -90,7 +89,7 @@ class OffsetMeter:
         self._far = _FarSearch()
 
     def add(self, color: ByteArray, depth_m: Float32Array) -> None:
-        """Count in one frame; both images (H, W)."""
+        """Add a frame; both images have (H, W) pixels."""
         height, width = depth_m.shape
         self._reduction = max(1, round(width / _SEARCH_WIDTH))
         size = (width // self._reduction, height // self._reduction)
@@ -98,7 +97,7 @@ class OffsetMeter:
         contrasts, borders = _color_contrast(color), _depth_borders(depth_m)
         self._far.keep(contrasts, borders)
         if size[0] <= 2 * right or size[1] <= 2 * down:
-            return  # smaller than the shifts that are tried
+            return  # smaller than the searched shifts
         spectra = [cv2.dft(cv2.resize(contrast, size, interpolation=cv2.INTER_AREA)) for contrast in contrasts]
         for index, scale in enumerate(_SEARCH_SCALES):
             about = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), 0.0, float(scale))
@@ -111,10 +110,10 @@ class OffsetMeter:
         self._edges += sum(float(border.sum()) for border in borders) / self._reduction**2
 
     def offset(self) -> RegistrationOffset | None:
-        """The best fit, or None where none stands out; first among those far off, which seem near by chance at best."""
-        return self._far.offset() or self._near()
-
-    def _near(self) -> RegistrationOffset | None:
+        """The best offset, or None without a significant one. The far search has precedence over the near one."""
+        far = self._far.offset()
+        if far is not None:
+            return far
         if not self._edges or self._fit.max() < 5 * self._fit.std():
             return None
         scale, down, right = np.unravel_index(self._fit.argmax(), self._fit.shape)
@@ -126,9 +125,9 @@ class OffsetMeter:
 
 
 class _FarSearch:
-    """The same over sizes and shifts that are far apart, and over mirror images, on the edges of a few frames.
+    """A search over large scales, large shifts and mirrored images, on the edges of a few frames.
 
-    Only what is found far off counts: a size that the near search does not reach, or a mirror image.
+    It returns only offsets beyond the near search: another scale, or a mirrored image.
     """
 
     def __init__(self) -> None:
@@ -136,13 +135,13 @@ class _FarSearch:
         self._shape = (0, 0)
 
     def keep(self, contrasts: list[Float32Array], borders: list[Float32Array]) -> None:
-        """Keep a frame's colour contrast, made small, and the pixels of its depth edges."""
+        """Keep the reduced colour contrast of a frame, and the pixels of its depth edges."""
         height, width = self._shape = (int(borders[0].shape[0]), int(borders[0].shape[1]))
         small = (cv2.resize(c, _far_size(width, height), interpolation=cv2.INTER_AREA) for c in contrasts)
         self._kept.append([(c, np.argwhere(b > 0)[:, ::-1]) for c, b in zip(small, borders, strict=True)])
 
     def offset(self) -> RegistrationOffset | None:
-        """What is found far off, or None."""
+        """The significant offset beyond the near search, or None."""
         every = -(-len(self._kept) // _FAR_FRAMES) if self._kept else 1
         edges = [(cv2.dft(contrast), px) for kept in self._kept[::every] for contrast, px in kept]
         if not any(len(px) for _, px in edges):
@@ -161,12 +160,12 @@ class _FarSearch:
         return replace(best.offset, flips=flips, strength_as_is=as_is.offset.strength_as_is)
 
     def _fit(self, edges: list[tuple[Any, IntArray]], flips: tuple[bool, bool], scale: float) -> _FarFit:
-        """How well edges that are flipped and scaled about the middle fall on contrast, best over all shifts."""
+        """The best fit over all shifts of edges that are flipped and scaled about the middle."""
         (height, width), (right, down) = self._shape, _FAR_PX
         columns, rows = _far_size(width, height)
         middle, step = np.array([(width - 1) / 2, (height - 1) / 2]), np.array([width / columns, height / rows])
         signs, count = np.where(flips, -scale, scale), 0
-        # The transform is linear: it is inverted once, of the sum.
+        # The transform is linear, so the sum is inverted once.
         product = np.zeros_like(edges[0][0])
         for spectrum, px in edges:
             x, y = np.floor((signs * (px - middle) + middle + 0.5) / step).astype(np.int64).T
@@ -185,26 +184,33 @@ class _FarSearch:
 
 @dataclass(frozen=True, slots=True)
 class _FarFit:
-    """The best shift of one size and flip; `deviations` of all shifts, standard ones, by which it stands out."""
+    """The best shift for a scale and flip, and its fit in standard deviations over all shifts."""
 
     deviations: float
     offset: RegistrationOffset
 
 
 def _correlation(spectrum: Any, moved: Any) -> Any:
-    """The spectrum of how well an image falls on one of that spectrum, over all shifts; as OpenCV packs it."""
+    """The packed spectrum of the cross-correlation of an image with one of that spectrum."""
     return cv2.mulSpectrums(spectrum, cv2.dft(moved), 0, conjB=True)
 
 
 def _far_size(width: int, height: int) -> tuple[int, int]:
+    """Width and height of the reduced image of the far search."""
     reduction = max(1, round(width / _FAR_WIDTH))
     return width // reduction, height // reduction
 
 
 def off_calibrated(offset: RegistrationOffset, calibration: Calibration, depth_m: float) -> float:
-    """How far colour lies from where a calibration with T_color_depth has it, as a share of the width.
+    """The distance between measured and calibrated positions of colour, as a share of the image width.
 
-    The median over the image of what is `depth_m` away; NaN where little of it is in both images.
+    Args:
+        offset: as measured.
+        calibration: with T_color_depth.
+        depth_m: depth of the scene, metres.
+
+    Returns:
+        The median over the image; NaN where the images hardly overlap.
     """
     color, depth = calibration.cameras
     assert calibration.T_color_depth is not None
@@ -222,7 +228,7 @@ def off_calibrated(offset: RegistrationOffset, calibration: Calibration, depth_m
 
 
 def _color_contrast(color: ByteArray) -> list[Float32Array]:
-    """Brightness steps along x and along y (H, W): 1 on average, then less their neighbourhood's mean."""
+    """Gradients along x and along y (H, W), with mean 1, minus the mean of their neighbourhood."""
     grey = cv2.GaussianBlur(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1.5)
     images = []
     for along_x in (1, 0):
@@ -234,7 +240,7 @@ def _color_contrast(color: ByteArray) -> list[Float32Array]:
 
 
 def _depth_borders(depth_m: Float32Array) -> list[Float32Array]:
-    """1 at the near side of depth steps along x and along y (H, W), else 0; the shadow beside it is crossed."""
+    """1 at the near side of depth steps along x and along y (H, W), also across shadows; else 0."""
     return [_borders_along_rows(depth_m), np.ascontiguousarray(_borders_along_rows(depth_m.T).T)]
 
 
@@ -251,20 +257,20 @@ def _borders_along_rows(depth_m: Float32Array) -> Float32Array:
     return borders
 
 
-# What camera_clock.csv tells of a recording as a whole: how the camera's clock was mapped, and how surely.
+# Clock of a live camera
 
 
 @dataclass(frozen=True, slots=True)
 class ClockMapping:
-    """Of a live camera's clock to the host's, over a recording.
+    """The mapping of a live camera's clock to the host's, over a recording.
 
     Attributes:
-        frames: how many tell of it.
-        offset_s: host time less the camera's, at the first frame that has a stamp of the camera; None where none has.
-        drift_ppm: how much faster than the host's the camera's clock ran, millionths; None for fewer than two frames.
+        frames: the number of frames.
+        offset_s: host time minus camera time, at the first frame with a stamp of the camera; None without any.
+        drift_ppm: drift of the camera's clock in millionths, positive where it ran faster; None for fewer than two.
         sigma_median_s, sigma_largest_s: standard deviation of the mapping.
-        arrival_median_s, arrival_p95_s: from a frame's stamp until the host was handed it.
-        missing: numbers that the camera gave and that never came.
+        arrival_median_s, arrival_p95_s: delay from a frame's stamp to its arrival.
+        missing: the number of frames missing in the camera's frame numbers.
     """
 
     frames: int
@@ -278,7 +284,7 @@ class ClockMapping:
 
 
 def clock_mapping(clocks: Sequence[FrameClock]) -> ClockMapping | None:
-    """In figures; None where there is no frame."""
+    """The statistics of a recording's clock; None without frames."""
     if not clocks:
         return None
     sigmas_s = np.array([clock.stamp_sigma_s for clock in clocks])
@@ -286,7 +292,7 @@ def clock_mapping(clocks: Sequence[FrameClock]) -> ClockMapping | None:
     paired = [(clock.device_s, clock.stamp_s) for clock in clocks if clock.device_s is not None]
     numbers = [clock.sequence for clock in clocks if clock.sequence is not None]
     steps = np.diff(np.array(numbers, float))
-    # A camera that was plugged in again numbers its frames anew: such a step tells of no missing ones.
+    # After a reconnection frame numbers start again: decreasing steps do not count.
     missing = int((steps[steps > 0] - 1).sum()) if len(steps) else 0
     return ClockMapping(
         frames=len(clocks),
@@ -301,27 +307,26 @@ def clock_mapping(clocks: Sequence[FrameClock]) -> ClockMapping | None:
 
 
 def _drift_ppm(paired_s: np.ndarray) -> float | None:
-    """By the median of the slopes over a quarter of the stamps: a leap of the clock is in a third of them at most."""
+    """The median of slopes over a quarter of the stamps, which is robust to one jump of the clock."""
     quarter = max(len(paired_s) // 4, 1)
     steps = paired_s[quarter:] - paired_s[:-quarter]
     steps = steps[steps[:, 1] > 0]
     return float(1e6 * np.median(steps[:, 0] / steps[:, 1] - 1)) if len(steps) else None
 
 
-# What is in a recording, and what a user should know before trusting results made from it.
-
+# Inspection
 
 _GAP_PERIODS = 3.0
 _DEPTH_STRIDE = 4
 _PLAUSIBLE_SHARE = 0.5
-_NEAR_SHARE = 0.2  # nearer than a sensor measures, some depth is wrong always; so much of it is a wrong scale
+_NEAR_SHARE = 0.2  # some depth below the sensor's range is normal; more shows a wrong scale
 _OFFSET_FRAMES = 16
 _DEPTH_EDGES_M = np.geomspace(1e-3, 1e3, 6001)
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A stretch without frames: after `start_s`, for `length_s` seconds."""
+    """A time without frames: from `start_s`, for `length_s` seconds."""
 
     start_s: float
     length_s: float
@@ -329,33 +334,33 @@ class Gap:
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """A recording in figures.
+    """The contents of a recording.
 
     Attributes:
         name: the recording's.
         format: its reader's name.
         body: the frame its trajectory describes.
-        camera: colour camera: image size, focal lengths, where the numbers come from; None without one.
-        wheels: radii, track width, where the numbers come from; None where the calibration has no wheels.
+        camera: image size, focal lengths and source of the colour camera; None without one.
+        wheels: radii, track width and source of the wheels; None where the calibration has none.
         is_registered: whether, by its calibration, depth and colour share one pixel grid; None without cameras.
-        frames: how many are listed.
-        skipped: (why, how many) of those that cannot be used.
-        wheel_readings: how many there are of the wheels.
-        yaw_readings: how many there are of a gyroscope.
-        duration_s: from the first frame to the last, or where there are none of the wheel readings.
-        rate_hz: of the same, at their median period; NaN with fewer than two.
-        gaps: stretches without one of these longer than three periods.
-        valid_depth_share: share of depth pixels that measured something; NaN without a usable frame.
-        depth_m: depth in metres at the 5th, 50th and 95th percentile; NaN where nothing was measured.
-        offset: how far colour lies from depth, as seen in the images; None where too little is seen to say.
+        frames: the number of frames.
+        skipped: (reason, number) of unusable frames.
+        wheel_readings: the number of wheel readings.
+        yaw_readings: the number of gyroscope readings.
+        duration_s: from the first frame to the last, or of wheel readings without frames.
+        rate_hz: of the same, from their median period; NaN with fewer than two.
+        gaps: times without any of these, longer than three periods.
+        valid_depth_share: share of depth pixels with a measurement; NaN without a usable frame.
+        depth_m: depth in metres at the 5th, 50th and 95th percentile; NaN without measurements.
+        offset: the offset between colour and depth, by the images; None where it is not significant.
         association: how colour and depth were paired.
         ground_truth: Zhang's Table 2 statistics of it, or None.
         warnings: one sentence each.
-        topics: of a bag, all of them and what each is used as; else none.
-        clock: how the clock of the live camera that it is from was mapped; None where that is not known.
-        repeated: how many frames show the image of the frame before.
-        left_out: (why, how many, of how many) lines or messages of readings and truth that were not used.
-        motion: how far the camera's stamps are ahead of the wheels', by the turns of both; None without either.
+        topics: all topics of a bag with their use; empty for other formats.
+        clock: the mapping of a live camera's clock; None where it is unknown.
+        repeated: the number of frames with the image of the frame before.
+        left_out: (reason, number, number of all) of lines or messages that were not used.
+        motion: the offset between the clocks of camera and wheels, by their turns; None without both.
     """
 
     name: str
@@ -384,15 +389,19 @@ class Inspection:
     left_out: tuple[tuple[str, int, int], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """All of it as plain nested values; may hold NaN."""
+        """The fields as nested plain values; may contain NaN."""
         return asdict(self)
 
 
 def inspect_recording(recording: Recording, on_event: Callable[[], None] | None = None) -> Inspection:
-    """Read a whole recording once, every image of it, and say what is in it.
+    """The contents of a recording, from one pass over all its events and images.
 
-    `on_event` is called after each frame, or where there are none each wheel reading, for a progress bar.
-    Raises RecordingError when it cannot be read on.
+    Args:
+        recording: to read.
+        on_event: called after each frame, or each wheel reading without frames, for a progress bar.
+
+    Raises:
+        RecordingError: the recording cannot be read to its end.
     """
     tally = _Tally(recording)
     for event in recording.events():
@@ -423,7 +432,13 @@ def inspect_recording(recording: Recording, on_event: Callable[[], None] | None 
         offset=offset,
         association=recording.association,
         ground_truth=sequence_statistics(truth) if truth is not None and len(truth) > 1 else None,
-        warnings=(*recording.warnings, *_warnings(tally, offset, recording), *_clock_warnings(motion, recording)),
+        warnings=(
+            *recording.warnings,
+            *_repeat_warnings(tally),
+            *_depth_warnings(tally, recording),
+            *_offset_warnings(offset, tally, recording),
+            *_clock_warnings(motion, recording),
+        ),
         topics=tuple(recording.topics) if isinstance(recording, ListsTopics) else (),
         clock=clock_mapping(read_frame_clocks(recording.path)) if recording.path.is_dir() else None,
         repeated=tally.repeated,
@@ -433,7 +448,7 @@ def inspect_recording(recording: Recording, on_event: Callable[[], None] | None 
 
 
 def _clock_warnings(motion: MotionOffset | None, recording: Recording) -> list[str]:
-    """That the clocks of camera and wheels are apart, by the turns of both."""
+    """A warning where the clocks of camera and wheels differ, by the turns of both."""
     if motion is None or motion.offset_s is None or not motion.is_apart:
         return []
     wheels = recording.calibration.any_wheels
@@ -442,12 +457,6 @@ def _clock_warnings(motion: MotionOffset | None, recording: Recording) -> list[s
         f"By the turns of both, the camera's stamps are {motion} of the wheels': the clocks are apart. "
         f"Say `delay_s: {delay_s:.3f}` of the calibration's wheels."
     ]
-
-
-def _warnings(tally: _Tally, offset: RegistrationOffset | None, recording: Recording) -> list[str]:
-    """What images tell."""
-    of_depth = [*_depth_warnings(tally, recording), *_offset_warnings(offset, tally, recording)]
-    return [*_repeat_warnings(tally), *of_depth]
 
 
 def _camera(calibration: Calibration) -> str | None:
@@ -471,7 +480,7 @@ def _wheels(calibration: Calibration) -> str | None:
 
 @dataclass
 class _Tally:
-    """Counts over the events of a recording, in little memory however long it is."""
+    """Counts over the events of a recording, in constant memory but for stamps."""
 
     recording: Recording
     stamps_s: list[float] = field(default_factory=list)
@@ -489,7 +498,7 @@ class _Tally:
 
     @property
     def counted(self) -> tuple[type, ...]:
-        """The events whose times are told of: frames, or where there are none the wheels' readings."""
+        """The events whose times are analysed: frames, or wheel readings without frames."""
         return (RgbdFrame, SkippedFrame) if self.recording.frame_count else WHEEL_READINGS
 
     def add(self, event: Event) -> None:
@@ -500,26 +509,22 @@ class _Tally:
         self.yaw_readings += isinstance(event, YawRate)
         if isinstance(event, SkippedFrame):
             self.skipped[event.reason] += 1
-        if isinstance(event, RgbdFrame):
-            self._add_frame(event)
-
-    def _add_frame(self, event: RgbdFrame) -> None:
+        if not isinstance(event, RgbdFrame):
+            return
         self.repeated += self.repeats.lasting_s(event) > 0
-        self._add_depth(event.depth_m[::_DEPTH_STRIDE, ::_DEPTH_STRIDE])
+        depth_m = event.depth_m[::_DEPTH_STRIDE, ::_DEPTH_STRIDE]
+        self.pixels += depth_m.size
+        self.histogram += np.histogram(depth_m[depth_m > 0], _DEPTH_EDGES_M)[0]
         every = max(1, self.recording.frame_count // _OFFSET_FRAMES)
         if event.index % every == every // 2 and event.color.shape[:2] == event.depth_m.shape:
             self.offset_meter.add(event.color, event.depth_m)
-
-    def _add_depth(self, depth_m: Float32Array) -> None:
-        self.pixels += depth_m.size
-        self.histogram += np.histogram(depth_m[depth_m > 0], _DEPTH_EDGES_M)[0]
 
     @property
     def valid_share(self) -> float:
         return float(self.histogram.sum() / self.pixels) if self.pixels else float("nan")
 
     def depth_percentiles_m(self) -> dict[str, float]:
-        """Depth at three percentiles, to a quarter of a percent."""
+        """Depth at three percentiles, with a resolution of a quarter of a percent."""
         total = self.histogram.cumsum()
         places = {name: np.searchsorted(total, share * total[-1]) for name, share in _PERCENTILES.items()}
         return {name: float(_DEPTH_EDGES_M[place]) if total[-1] else float("nan") for name, place in places.items()}
@@ -541,8 +546,8 @@ def _gaps(stamps_s: FloatArray, period_s: float) -> tuple[Gap, ...]:
 def _repeat_warnings(tally: _Tally) -> list[str]:
     if not tally.repeated:
         return []
-    told = f"{tally.repeated} of {tally.recording.frame_count} frames show the same image as the frame before"
-    return [f"{told}: fewer images a second were taken than recorded, or the camera hung. They are skipped."]
+    repeated = f"{tally.repeated} of {tally.recording.frame_count} frames show the same image as the frame before"
+    return [f"{repeated}: fewer images a second were taken than recorded, or the camera hung. They are skipped."]
 
 
 def _depth_warnings(tally: _Tally, recording: Recording) -> list[str]:

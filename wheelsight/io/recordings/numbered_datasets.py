@@ -24,16 +24,13 @@ from wheelsight.io.recordings.recording import Layout, LeftOut, OpenOptions, Rea
 from wheelsight.io.recordings.tables import Line, ListedFile, read_lines
 from wheelsight.io.recordings.tum_datasets import DEPTH_FACTOR
 
-# Frames that are numbered and have no stamps, and poses that are matrices: what several formats share.
-
-
-_ASSUMED_RATE_HZ = 30.0  # of the Kinects, Xtions and renderings that these formats come from
+_ASSUMED_RATE_HZ = 30.0  # of the Kinects, Xtions and renderings of these datasets
 _ORTHONORMAL_TOLERANCE = 1e-2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WrittenPose:
-    """A pose as a file holds it: its time, the matrix (4, 4), and where it stands."""
+    """A pose in a file: its time, its matrix (4, 4), and its file and line."""
 
     stamp_s: float
     T: FloatArray
@@ -42,7 +39,7 @@ class WrittenPose:
 
 
 def rate_of(options: OpenOptions, warnings: list[str]) -> float:
-    """How many frames a second are counted, the one given or 30; what is assumed is added to the warnings."""
+    """The frame rate, given or 30 Hz. Appends a warning about the assumption."""
     rate_hz = options.rate_hz or _ASSUMED_RATE_HZ
     assumed = "" if options.rate_hz else "; others by --rate-hz"
     warnings.append(f"The format has no time stamps; {rate_hz:g} frames a second are assumed{assumed}.")
@@ -50,20 +47,20 @@ def rate_of(options: OpenOptions, warnings: list[str]) -> float:
 
 
 def numbered_files(paths: Iterable[Path], pattern: re.Pattern[str], rate_hz: float) -> list[ListedFile]:
-    """The files whose whole names match, in order of the number in the pattern's first group, stamped by it."""
+    """The files whose names match, in order of the number in the pattern's first group, with stamps from it."""
     matches = ((pattern.fullmatch(path.name), path) for path in paths)
     found = {int(match[1]): path for match, path in sorted(matches, key=lambda item: item[1]) if match}
     return [ListedFile(number / rate_hz, found[number]) for number in sorted(found)]
 
 
 def need_files(files: Sequence[ListedFile], what: str, folder: Path, needs: str) -> None:
-    """Raise RecordingError where there are none."""
+    """Raise RecordingError where there are no files."""
     if not files:
         raise RecordingError(f"holds no {what}", path=folder, fix=f"it needs {needs}")
 
 
 def read_matrix(path: Path, size: int) -> FloatArray:
-    """The (size, size) numbers in a text file. Raises RecordingError naming it."""
+    """The matrix (size, size) in a text file. Raises RecordingError naming the file."""
     try:
         rows = [[float(word) for word in line.text.split()] for line in read_lines(path)]
         matrix = np.array(rows, np.float64)
@@ -83,15 +80,16 @@ def intrinsic_numbers(path: Path) -> tuple[float, float, float, float]:
 
 
 def true_poses(poses: Sequence[WrittenPose], warnings: list[str]) -> Trajectory | None:
-    """T_frame_camera; poses that are not finite, where tracking was lost, are left out, and told of in the warnings.
+    """T_frame_camera with the nearest orthonormal rotations, or None without valid poses.
 
-    Rotations are brought to the nearest orthonormal one. Raises TrajectoryError for what is none.
+    Poses that are not finite, where tracking was lost, are left out with a warning. Raises TrajectoryError where a
+    matrix is not a rotation.
     """
     known = [pose for pose in poses if np.isfinite(pose.T).all()]
     if len(known) < len(poses):
         gone = len(poses) - len(known)
-        told = f"{gone} of {len(poses)} true poses are not finite and were left out."
-        warnings.append(LeftOut(told, gone, len(poses), "true poses are not finite"))
+        warning = f"{gone} of {len(poses)} true poses are not finite and were left out."
+        warnings.append(LeftOut(warning, gone, len(poses), "true poses are not finite"))
     if not known:
         return None
     T = np.stack([pose.T for pose in known])
@@ -104,8 +102,7 @@ def true_poses(poses: Sequence[WrittenPose], warnings: list[str]) -> Trajectory 
     return Trajectory(np.array([pose.stamp_s for pose in known]), se3.from_parts(R, T[:, :3, 3]))
 
 
-# ICL-NUIM, rendered rooms, as published for TUM's tools and as rendered (Handa et al., ICRA 2014).
-
+# ICL-NUIM
 
 _TRUTH = "*.gt.freiburg"
 _FRAME = re.compile(r"(\d{1,9})\.png")
@@ -115,14 +112,17 @@ _UP_DOWN = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 class IclNuimReader:
-    """Colour and registered depth: 16-bit PNG at 5000 units a metre, or text of distances along the pixels' rays."""
+    """Reads ICL-NUIM, rendered rooms, as published for TUM's tools or as rendered (Handa et al., ICRA 2014).
+
+    Depth is registered to colour: 16-bit PNG with 5000 units per metre, or text of distances along the pixels' rays.
+    """
 
     name = "icl_nuim"
     layout = Layout.NUMBERED
     needs = "*.gt.freiburg, rgb/ and depth/, or scene_*.png and .depth"
 
     def recognises(self, folder: Path) -> bool:
-        """Whether true poses called as theirs, or distances as rendered, are there."""
+        """Whether the folder has true poses with their suffix, or rendered distances."""
         return any(True for _ in folder.glob(_TRUTH)) or any(True for _ in folder.glob("scene_*.depth"))
 
     def open(self, folder: Path, options: OpenOptions) -> ImageRecording:
@@ -146,7 +146,7 @@ class IclNuimReader:
 
 
 def _list_files(folder: Path, rate_hz: float) -> tuple[list[ListedFile], list[ListedFile]]:
-    """Colour and depth files, as published for TUM's tools, else as rendered."""
+    """Colour and depth files as published for TUM's tools, else those as rendered."""
     published = [numbered_files((folder / name).glob("*.png"), _FRAME, rate_hz) for name in ("rgb", "depth")]
     if any(published):
         return published[0], published[1]
@@ -161,7 +161,7 @@ def _encoding(depth: list[ListedFile], calibration: Calibration, options: OpenOp
 
 
 def _read_truth(folder: Path, rate_hz: float, warnings: list[str]) -> Trajectory | None:
-    """T_frame_camera in the optical frame; the file's y axes, the camera's and the room's, point up.
+    """T_frame_camera of the optical frame. In the file the y axes of camera and room point up.
 
     Raises TrajectoryError naming file and line, and RecordingError for several files.
     """
@@ -177,8 +177,7 @@ def _read_truth(folder: Path, rate_hz: float, warnings: list[str]) -> Trajectory
     return replace(truth, stamps_s=truth.stamps_s / rate_hz, T_frame_body=T)
 
 
-# Microsoft's 7-Scenes: frame-NNNNNN.color.png, .depth.png, .pose.txt (Shotton et al., CVPR 2013).
-
+# 7-Scenes
 
 _DEPTH = DepthEncoding(factor=1000.0, invalid=65535)
 _FILE = re.compile(r"frame-(\d{6})\.(?:(color)\.(?:png|jpe?g)|(depth)\.png|(pose)\.txt)")
@@ -187,10 +186,11 @@ _OF_TRUTH = "True poses come from the tracker of a Kinect, not from motion captu
 
 
 class SevenScenesReader:
-    """Colour and depth that are not registered; depth in millimetres, 65535 where nothing was measured.
+    """Reads Microsoft's 7-Scenes: frame-NNNNNN.color.png, .depth.png, .pose.txt (Shotton et al., CVPR 2013).
 
-    The colour camera sits 25 mm beside the depth camera and shows things 0.90 times as large. At 2 m, colour lies about
-    25 px right of depth at the image's left edge, 7 px left of it in the middle, and 40 px left at the right edge.
+    Depth is in millimetres, 65535 without a measurement, and not registered. The colour camera is 25 mm beside the
+    depth camera and shows objects 0.90 times as large. At 2 m, colour lies about 25 px right of depth at the image's
+    left edge, 7 px left of it in the middle, and 40 px left at the right edge.
     """
 
     name = "seven_scenes"
@@ -219,9 +219,17 @@ def open_frames(
     of_truth: str,
     calibration_of: Callable[[tuple[FramePaths, ...]], Calibration],
 ) -> ImageRecording:
-    """The recording of the frames in `folder`, as `reader`'s; `of_truth` says what its poses are. Raises InputError."""
+    """The recording of frames in the layout of 7-Scenes. Raises InputError.
+
+    Args:
+        folder: of the recording.
+        options: of the user.
+        reader: of the format.
+        of_truth: a warning about the origin of the true poses.
+        calibration_of: gives the calibration for the frames.
+    """
     warnings: list[str] = []
-    files = _seven_scenes_list_files(folder, rate_of(options, warnings))
+    files = _seven_scenes_files(folder, rate_of(options, warnings))
     for kind in ("color", "depth"):
         need_files(files[kind], f"frame-NNNNNN.{kind} image", folder, reader.needs)
     images = pair_images(files["color"], files["depth"], 0.0, folder)
@@ -237,12 +245,12 @@ def open_frames(
         calibration,
         images,
         replace(_DEPTH, factor=options.depth_factor or _DEPTH.factor),
-        _seven_scenes_read_truth(files["pose"], of_truth, warnings),
+        _seven_scenes_truth(files["pose"], of_truth, warnings),
         warnings,
     )
 
 
-def _seven_scenes_list_files(folder: Path, rate_hz: float) -> dict[str, list[ListedFile]]:
+def _seven_scenes_files(folder: Path, rate_hz: float) -> dict[str, list[ListedFile]]:
     """Colour, depth and pose files in order of their numbers."""
     found: dict[str, dict[int, Path]] = {"color": {}, "depth": {}, "pose": {}}
     for path in sorted(folder.glob("frame-*")):
@@ -254,7 +262,7 @@ def _seven_scenes_list_files(folder: Path, rate_hz: float) -> dict[str, list[Lis
 
 
 def _calibration(folder: Path) -> Calibration:
-    """The shipped calibration, its depth camera replaced by camera-intrinsics.txt where that is there."""
+    """The shipped calibration, with the depth camera of camera-intrinsics.txt if it exists."""
     shipped = load_camera("seven_scenes")
     path = folder / "camera-intrinsics.txt"
     if not is_there(path):
@@ -267,16 +275,15 @@ def _calibration(folder: Path) -> Calibration:
     return replace(shipped, depth=depth)
 
 
-def _seven_scenes_read_truth(poses: list[ListedFile], of_truth: str, warnings: list[str]) -> Trajectory | None:
-    """T_frame_camera of the depth camera; the files' rotations are 4e-4 off orthonormal."""
+def _seven_scenes_truth(poses: list[ListedFile], of_truth: str, warnings: list[str]) -> Trajectory | None:
+    """T_frame_camera of the depth camera. The files' rotations deviate from orthonormal by 4e-4."""
     truth = true_poses([WrittenPose(pose.stamp_s, read_matrix(pose.path, 4), pose.path) for pose in poses], warnings)
     if truth is not None:
         warnings.append(of_truth)
     return truth
 
 
-# 3DMatch's RGB-D reconstructions: frames as in 7-Scenes, one camera for all sequences (Zeng et al., CVPR 2017).
-
+# 3DMatch
 
 _INTRINSICS = "camera-intrinsics.txt"
 _UNREGISTERED = "7-scenes"
@@ -284,14 +291,17 @@ _THREE_D_MATCH_OF_TRUTH = "True poses are those of the reconstructions that 3DMa
 
 
 class ThreeDMatchReader:
-    """Colour and depth registered to it; depth in millimetres, 0 or 65535 where nothing was measured."""
+    """Reads 3DMatch's RGB-D reconstructions: frames as in 7-Scenes, one camera for all (Zeng et al., CVPR 2017).
+
+    Depth is registered to colour and in millimetres, 0 or 65535 without a measurement.
+    """
 
     name = "three_d_match"
     layout = Layout.NUMBERED
     needs = "as seven_scenes, and camera-intrinsics.txt above"
 
     def recognises(self, folder: Path) -> bool:
-        """Whether a camera lies above frames; those taken over from 7-Scenes are not registered, and left to that."""
+        """Whether there are frames, and a camera in the folder above, other than the unregistered ones of 7-Scenes."""
         above = folder.resolve().parent
         is_alone = is_there(above / _INTRINSICS) and not is_there(folder / _INTRINSICS)
         return is_alone and not above.name.startswith(_UNREGISTERED) and has_frames(folder)
@@ -315,8 +325,7 @@ def _three_d_match_calibration(path: Path, frames: tuple[FramePaths, ...]) -> Ca
         raise CalibrationError(error.problem, path=path, fix="correct it, or give --camera") from error
 
 
-# Redwood's indoor recordings: folders of images and a trajectory in .log (Choi, Zhou, Koltun, CVPR 2015).
-
+# Redwood
 
 _COLOR_FOLDERS = ("rgb", "image", "color")
 _IMAGE = re.compile(r"(\d{1,9})(?:-\d+)?\.(?:png|jpe?g)", re.IGNORECASE)
@@ -326,7 +335,10 @@ _FIX = "a pose is a line of three whole numbers and four lines of four"
 
 
 class RedwoodReader:
-    """Colour and registered depth in millimetres; poses in the log map the camera into the room."""
+    """Reads Redwood's indoor recordings: folders of images and a trajectory (Choi, Zhou & Koltun, CVPR 2015).
+
+    Depth is registered to colour and in millimetres. Poses of the log map the camera into the room.
+    """
 
     name = "redwood"
     layout = Layout.NUMBERED

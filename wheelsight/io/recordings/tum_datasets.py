@@ -38,30 +38,31 @@ from wheelsight.io.recordings.tables import (
     read_lines,
 )
 
-# The TUM RGB-D benchmark's layout: rgb.txt, depth.txt, groundtruth.txt (Sturm et al., IROS 2012).
-
-
 DEPTH_FACTOR = 5000.0
 _ASSOCIATIONS = ("associations.txt", "association.txt", "associated.txt", "associate.txt", "assoc.txt")
 _FREIBURG = re.compile(r"(?<![a-z])(?:freiburg|fr)([123])(?![0-9])", re.IGNORECASE)
 
 
 class TumReader:
-    """Colour and registered depth in PNG or JPEG files; 5000 depth units a metre."""
+    """Reads rgb.txt, depth.txt and groundtruth.txt of the TUM RGB-D benchmark (Sturm et al., IROS 2012).
+
+    Colour and registered depth are PNG or JPEG files, depth with 5000 units per metre.
+    """
 
     name = "tum"
     layout = Layout.LISTS
     needs = "rgb.txt and depth.txt"
 
     def recognises(self, folder: Path) -> bool:
-        """Whether one of the two list files is there."""
+        """Whether one of the two list files exists."""
         return any(is_there(folder / name) for name in ("rgb.txt", "depth.txt"))
 
     def open(self, folder: Path, options: OpenOptions) -> ImageRecording:
-        """The recording in `folder`; a ready associations file in it is used as it is.
+        """The recording in `folder`. An associations file in it determines the pairs.
 
         Raises:
-            InputError: naming file and line; also for a camera that neither folder name, file nor option tells.
+            InputError: a file is invalid, or the camera is unknown from folder name, files and options; names file and
+                line.
         """
         calibration = choose_calibration(folder, options, lambda: _camera_by_name(folder))
         return open_lists(folder, options, self.name, lambda _: calibration)
@@ -74,9 +75,14 @@ def open_lists(
     calibration_of: Callable[[tuple[FramePaths, ...]], Calibration],
     truth_of: Callable[[Path, list[str]], Trajectory | None] | None = None,
 ) -> ImageRecording:
-    """The recording of rgb.txt, depth.txt and groundtruth.txt, of the format `name`. Raises InputError.
+    """The recording of rgb.txt, depth.txt and groundtruth.txt. Raises InputError.
 
-    `truth_of` reads groundtruth.txt, if it is not of the camera as it stands.
+    Args:
+        folder: of the recording.
+        options: of the user.
+        name: of the format.
+        calibration_of: gives the calibration for the frames.
+        truth_of: reads groundtruth.txt; None where it has poses of the camera.
     """
     images, warnings = read_frames(folder, options)
     return recording_of(
@@ -109,9 +115,10 @@ def read_frames(folder: Path, options: OpenOptions) -> tuple[PairedImages, list[
 
 
 def beside(truth: Trajectory | None, frames: tuple[FramePaths, ...], options: OpenOptions) -> Trajectory | None:
-    """The true poses by the frames' clock: where that counts `rate_hz` a second, theirs may, or be in seconds already.
+    """The true poses by the frames' clock.
 
-    They are taken as what shares more time with the frames.
+    Where the frames' stamps count `rate_hz` per second, those of the poses may do so too, or be in seconds. The unit is
+    used that shares more time with the frames.
     """
     if truth is None or options.rate_hz is None or not len(truth) or not frames:
         return truth
@@ -121,14 +128,14 @@ def beside(truth: Trajectory | None, frames: tuple[FramePaths, ...], options: Op
 
 
 def _common_share(stamps_s: FloatArray, span_s: tuple[float, float]) -> float:
-    """The time that stamps (N,) share with a span, as a share of both together."""
+    """The time that stamps (N,) and a span share, divided by the time of both together."""
     common_s = min(stamps_s[-1], span_s[1]) - max(stamps_s[0], span_s[0])
     both_s = max(stamps_s[-1], span_s[1]) - min(stamps_s[0], span_s[0])
     return float(common_s / both_s) if both_s > 0 else 0.0
 
 
 def read_truth(path: Path, warnings: list[str], body: str = "camera") -> Trajectory | None:
-    """The trajectory in `path`, or None where there is no such file; warnings are added to the list.
+    """The trajectory in `path`, or None where the file does not exist. Appends to `warnings`.
 
     Raises TrajectoryError naming file and line.
     """
@@ -136,18 +143,18 @@ def read_truth(path: Path, warnings: list[str], body: str = "camera") -> Traject
 
 
 def _camera_by_name(folder: Path) -> Calibration:
+    """The calibration of freiburg1, 2 or 3 in the folder's name. Raises CalibrationError."""
     name = folder.resolve().name
     found = set(_FREIBURG.findall(name))
     if len(found) != 1:
-        problem = f"nothing says which camera took it: the folder's name {name!r} names no freiburg1, 2 or 3"
+        problem = f"its camera is unknown: the folder's name {name!r} names no freiburg1, 2 or 3"
         raise CalibrationError(problem, path=folder, fix=camera_choices())
     return load_camera(f"freiburg{found.pop()}")
 
 
-# Ready lists of pairs, `stamp color stamp depth` a line or depth first; names or images tell which is which.
+# Associations files, with lines `stamp color stamp depth`, or depth first
 
-
-# The last such word in a path counts: depth/rgb_17.png is colour's.
+# The last such word of a path counts: depth/rgb_17.png is a colour image.
 _WORD = re.compile(r"(?P<depth>depth)|(?:rgb|colou?r)(?!-?d(?![a-z]))", re.IGNORECASE)
 _PAIRS_TRIED = 8
 
@@ -164,26 +171,30 @@ class Pair:
 
 
 def read_associations(path: Path, rate_hz: float | None) -> tuple[list[Pair], list[str]]:
-    """Pairs of `stamp color stamp depth`, or depth first; stamps count `rate_hz` a second, else as the file names it.
+    """The pairs of an associations file, and warnings.
+
+    Args:
+        path: of the file.
+        rate_hz: units per second of the stamps; None for the unit that the file names, else seconds.
 
     Raises:
-        RecordingError: naming file and line; also where neither names nor images tell colour from depth.
+        RecordingError: a line is invalid, or neither names nor images distinguish colour from depth.
     """
     lines, per_second = listed_lines(path)
     rate = rate_hz or per_second
     if not lines:
         raise RecordingError("pairs no images", path=path, fix="remove the file to have them paired by stamp")
     numbers = [line.number for line in lines]
-    told = _color_first([pair_of_files(line, path) for line in lines], numbers, path)
-    color, warnings = find_files([first[1] for first, _ in told], path, "rgb")
-    depth, more = find_files([second[1] for _, second in told], path, "depth")
+    entries = _color_first([pair_of_files(line, path) for line in lines], numbers, path)
+    color, warnings = find_files([first[1] for first, _ in entries], path, "rgb")
+    depth, more = find_files([second[1] for _, second in entries], path, "depth")
     pairs = [
         Pair(
             first[0] / rate,
             FramePaths(first[0] / rate, color_path, depth_path, (second[0] - first[0]) / rate),
             abs(first[0] - second[0]) / rate,
         )
-        for (first, second), color_path, depth_path in zip(told, color, depth, strict=True)
+        for (first, second), color_path, depth_path in zip(entries, color, depth, strict=True)
     ]
     growing, left_out = keep_growing(pairs, numbers, path)
     return growing, warnings + more + left_out
@@ -192,11 +203,12 @@ def read_associations(path: Path, rate_hz: float | None) -> tuple[list[Pair], li
 def _color_first(
     pairs: list[tuple[_Stamped, _Stamped]], numbers: Sequence[int], path: Path
 ) -> list[tuple[_Stamped, _Stamped]]:
-    """The pairs with colour first: by their names; where these do not tell, by the type of some of their images."""
-    depth_first = [_is_depth_first(first[1], second[1]) for first, second in pairs]
-    untold = [i for i, known in enumerate(depth_first) if known is None]
-    if untold:
-        by_images = _by_images([pairs[i] for i in untold], path, numbers[untold[0]])
+    """The pairs with colour first, judged by file names, or by the types of some images where names are ambiguous."""
+    kinds = [(_kind(first[1]), _kind(second[1])) for first, second in pairs]
+    depth_first = [None if a == b else a == "depth" or b == "color" for a, b in kinds]
+    ambiguous = [i for i, known in enumerate(depth_first) if known is None]
+    if ambiguous:
+        by_images = _by_images([pairs[i] for i in ambiguous], path, numbers[ambiguous[0]])
         depth_first = [by_images if known is None else known for known in depth_first]
     return [
         (second, first) if turned else (first, second)
@@ -204,21 +216,14 @@ def _color_first(
     ]
 
 
-def _is_depth_first(first: str, second: str) -> bool | None:
-    """Whether names say that the first of two is the depth image; None where they say nothing, or both the same."""
-    kinds = [_kind(first), _kind(second)]
-    if kinds[0] == kinds[1]:
-        return None
-    return kinds[0] == "depth" or kinds[1] == "color"
-
-
 def _kind(name: str) -> str | None:
+    """Either "depth" or "color", by a file's path, or None."""
     words = list(_WORD.finditer(name))
     return None if not words else "depth" if words[-1]["depth"] else "color"
 
 
 def _by_images(pairs: Sequence[tuple[_Stamped, _Stamped]], path: Path, line: int) -> bool:
-    """Whether the first images are of 16 bits and grey, the second ones not; colour first where none can be read."""
+    """Whether the first image of pairs is depth, of 16 bits and grey. False where no image can be read."""
     tried = pairs[:: max(len(pairs) // _PAIRS_TRIED, 1)]
     columns = [find_files([pair[k][1] for pair in tried], path, folder)[0] for k, folder in ((0, "rgb"), (1, "depth"))]
     kinds = {(is_depth_image(first), is_depth_image(second)) for first, second in zip(*columns, strict=True)}
@@ -227,16 +232,15 @@ def _by_images(pairs: Sequence[tuple[_Stamped, _Stamped]], path: Path, line: int
         return True
     if known in (set(), {(False, True)}):
         return False
-    problem = "neither names nor images tell which of the two is depth"
+    problem = "neither names nor images show which of the two is depth"
     raise RecordingError(problem, path=path, line=line, fix="put depth images, of 16 bits, into a folder called depth")
 
 
-# The Bonn RGB-D Dynamic dataset: TUM's layout, true poses of markers (Palazzolo et al., IROS 2019).
-
+# Bonn RGB-D Dynamic
 
 _PREFIX = "rgbd_bonn_"
-# Published with the data: axes of the motion capture, and the markers' frame seen from the camera. The latter's columns
-# are 1.06 long; a pose has no scale, so the nearest rigid motion is taken.
+# Published with the data: axes of the motion capture, and the markers' frame seen from the camera. The columns of the
+# latter have length 1.06; the nearest rigid motion is used.
 _AXES = np.array([[-1.0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 _MARKERS = np.array(
     [
@@ -249,61 +253,63 @@ _MARKERS = np.array(
 
 
 class BonnReader:
-    """Colour and registered depth in PNG files; 5000 depth units a metre."""
+    """Reads the Bonn RGB-D Dynamic dataset: TUM's layout with true poses of markers (Palazzolo et al., IROS 2019)."""
 
     name = "bonn"
     layout = Layout.LISTS
     needs = f"as tum, in {_PREFIX}*"
 
     def recognises(self, folder: Path) -> bool:
-        """Whether a folder called as theirs holds a list of images."""
+        """Whether the folder has their prefix and a list of images."""
         is_called = folder.resolve().name.startswith(_PREFIX)
         return is_called and any(is_there(folder / name) for name in ("rgb.txt", "depth.txt"))
 
     def open(self, folder: Path, options: OpenOptions) -> ImageRecording:
         """The recording in `folder`. Raises InputError naming file and line."""
         calibration = choose_calibration(folder, options, lambda: load_camera(self.name))
-        return open_lists(folder, options, self.name, lambda _: calibration, _read_truth)
+        return open_lists(folder, options, self.name, lambda _: calibration, _bonn_truth)
 
 
-def _read_truth(path: Path, warnings: list[str]) -> Trajectory | None:
-    """T_frame_camera; the file's poses are of markers, in axes of motion capture. Raises TrajectoryError."""
+def _bonn_truth(path: Path, warnings: list[str]) -> Trajectory | None:
+    """T_frame_camera, from poses of markers in the axes of motion capture. Raises TrajectoryError."""
     truth = read_truth(path, warnings)
     if truth is None:
         return None
-    warnings.append("True poses are of markers; the camera among them is where the data set's authors say.")
+    warnings.append("True poses are of markers; the camera's pose among them is that of the data set's authors.")
     return replace(truth, T_frame_body=_AXES @ truth.T_frame_body @ _AXES @ se3.nearest(_MARKERS))
 
 
-# The ETH3D SLAM benchmark's RGB-D layout: TUM's lists, and calibration.txt (Schöps, Sattler, Pollefeys, CVPR 2019).
-
+# ETH3D
 
 _INTRINSICS = "calibration.txt"
 _FIX = "write fx fy cx cy in pixels, or remove the file to have the folder read as TUM's"
 
 
 class Eth3dReader:
-    """Undistorted colour and depth registered to it, both of a global shutter; 5000 depth units a metre."""
+    """Reads the ETH3D SLAM benchmark: TUM's lists, and calibration.txt (Schöps, Sattler, Pollefeys, CVPR 2019).
+
+    Colour is undistorted and depth registered to it, with 5000 units per metre. Both have a global shutter.
+    """
 
     name = "eth3d"
     layout = Layout.LISTS
     needs = "as tum, and calibration.txt"
 
     def recognises(self, folder: Path) -> bool:
-        """Whether intrinsics lie beside a list of images."""
+        """Whether the folder has intrinsics and a list of images."""
         return is_there(folder / _INTRINSICS) and any(is_there(folder / name) for name in ("rgb.txt", "depth.txt"))
 
     def open(self, folder: Path, options: OpenOptions) -> ImageRecording:
         """The recording in `folder`. Raises InputError naming file and line."""
 
         def calibration_of(frames: tuple[FramePaths, ...]) -> Calibration:
-            return choose_calibration(folder, options, lambda: _calibration(folder / _INTRINSICS, frames))
+            return choose_calibration(folder, options, lambda: _eth3d_calibration(folder / _INTRINSICS, frames))
 
         return open_lists(folder, options, self.name, calibration_of)
 
 
-def _calibration(path: Path, frames: tuple[FramePaths, ...]) -> Calibration:
-    """Of four numbers; the size of images, which the file does not tell, is that of the first."""
+def _eth3d_calibration(path: Path, frames: tuple[FramePaths, ...]) -> Calibration:
+    """The camera of four numbers, with the size of the first image. Raises CalibrationError."""
     lines = read_lines(path)
     try:
         numbers = [float(word) for line in lines for word in line.text.split()]
@@ -321,28 +327,31 @@ def _calibration(path: Path, frames: tuple[FramePaths, ...]) -> Calibration:
         raise CalibrationError(error.problem, path=path, fix=_FIX) from error
 
 
-# OpenLORIS-Scene, a sequence of its package format: colour and depth aligned to it (Shi et al., ICRA 2020).
-
+# OpenLORIS-Scene
 
 _CAMERA = "d400_color_optical_frame"
 _BASE = "base_link"
 _DEPTH_FACTOR = 1000.0
-_RIGID_TOLERANCE = 1e-2  # files round to four digits and more
-_FARTHEST_M = 1000.0  # of one part of a robot from another
+_RIGID_TOLERANCE = 1e-2  # files have four digits or more
+_FARTHEST_M = 1000.0  # between parts of a robot
 _OPENLORIS_FIX = "correct it, or give a calibration.yaml with --camera"
 _D435_NOISE = DepthNoise(quadratic_per_m=3.9e-3, near_m=0.3, far_m=10.0)
 """Intel's rule for stereo depth, σ = z² · subpixel / (f · baseline), with 0.08 px, 415 px and 0.05 m for the D435."""
 
 
 class OpenLorisReader:
-    """Colour and depth aligned to it, both of a RealSense D435i; 1000 depth units a metre; truth of base_link."""
+    """Reads a sequence of OpenLORIS-Scene in its package format (Shi et al., ICRA 2020).
+
+    Colour and depth registered to it are of a RealSense D435i, depth with 1000 units per metre. The ground truth is
+    that of base_link.
+    """
 
     name = "openloris"
     layout = Layout.LISTS
     needs = "color.txt, aligned_depth.txt and sensors.yaml"
 
     def recognises(self, folder: Path) -> bool:
-        """Whether the list of aligned depth, or that of colour beside the sensors' description, is there."""
+        """Whether the folder has the list of aligned depth, or that of colour and sensors.yaml."""
         has_color = is_there(folder / "color.txt") and is_there(folder / "sensors.yaml")
         return has_color or is_there(folder / "aligned_depth.txt")
 
@@ -373,7 +382,7 @@ class OpenLorisReader:
 
 
 def _openloris_calibration(folder: Path) -> Calibration:
-    """Intrinsics from sensors.yaml, T_base_camera from trans_matrix.yaml where that is there."""
+    """Intrinsics from sensors.yaml, and T_base_camera from trans_matrix.yaml if it exists. Raises CalibrationError."""
     path = folder / "sensors.yaml"
     try:
         sensor = read_yaml(path, CalibrationError)[_CAMERA]
@@ -385,17 +394,20 @@ def _openloris_calibration(folder: Path) -> Calibration:
         raise CalibrationError(problem, path=path, fix=_OPENLORIS_FIX) from error
     except CalibrationError as error:
         raise CalibrationError(error.problem, path=path, fix=error.fix or _OPENLORIS_FIX) from error
-    T_base_camera = _chain(folder / "trans_matrix.yaml")
+    T_base_camera = _read_mount(folder / "trans_matrix.yaml")
     source = f"{path.name} of {folder.resolve().name}"
     return Calibration.registered_camera(camera, depth_noise=_D435_NOISE, T_base_camera=T_base_camera, source=source)
 
 
-def _chain(path: Path) -> FloatArray | None:
-    """T_base_camera, composed over the frames that the file joins; None where there is no such file."""
+def _read_mount(path: Path) -> FloatArray | None:
+    """T_base_camera, composed along the frames of the file; None where it does not exist. Raises CalibrationError."""
     if not is_there(path):
         return None
     try:
-        links = [_link(link) for link in read_yaml(path, CalibrationError)["trans_matrix"]]
+        links: list[tuple[str, str, FloatArray]] = []
+        for link in read_yaml(path, CalibrationError)["trans_matrix"]:
+            parent, child = str(link["parent_frame"]), str(link["child_frame"])
+            links.append((parent, child, np.reshape(_numbers(link["matrix"], 16), (4, 4))))
     except (KeyError, TypeError, ValueError) as error:
         problem = f"is not a list of parent_frame, child_frame, matrix: {error}"
         raise CalibrationError(problem, path=path, fix="each with four times four numbers in matrix.data") from error
@@ -417,12 +429,6 @@ def _chain(path: Path) -> FloatArray | None:
         raise CalibrationError(f"no chain of frames leads from {_BASE} to {_CAMERA}", path=path, fix=fix)
     T = T_base[_CAMERA]
     return se3.from_parts(so3.nearest(T[:3, :3]), T[:3, 3])
-
-
-def _link(link: Any) -> tuple[str, str, FloatArray]:
-    """Parent, child and T_parent_child of an entry; KeyError, TypeError or ValueError where it is none."""
-    parent, child = link["parent_frame"], link["child_frame"]
-    return str(parent), str(child), np.reshape(_numbers(link["matrix"], 16), (4, 4))
 
 
 def _numbers(matrix: dict[str, Any], count: int | None = None) -> list[float]:

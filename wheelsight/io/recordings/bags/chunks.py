@@ -19,34 +19,31 @@ from wheelsight.core.errors import RecordingError
 from wheelsight.core.inputs import Kind, decompressed, open_binary
 from wheelsight.core.runtime import needed
 
-# Bags in chunks: what their readers share. One chunk is unpacked at a time, within limits, and messages come by time.
-#
-# The limits exist because two kilobytes of bz2 can hold six gigabytes, and because an index can say anything.
-
+# All sizes are bounded: two kilobytes of bz2 can expand to six gigabytes, and an index can have any numbers.
 
 BAG = Kind("a bag", 1 << 40)
 # Recorders close a chunk at 0.8 to 4 MB, or after one message that is larger. Three raw images of 4096×3072 fit.
 _MOST_UNPACKED = 128 << 20
-_MOST_PLAIN = 512 << 20  # takes its room in the file
+_MOST_PLAIN = 512 << 20  # uncompressed
 # An hour of a robot's chunks takes some 20 MB.
 MOST_INDEX = 256 << 20
 # One opening or pass unpacks _FREE_BYTES and _MOST_RATIO times the size of the file. Raw images of a simulated camera
 # without noise shrink to a hundredth. bz2 takes eight times as long as the others: 7 s a gigabyte.
 _FREE_BYTES, _MOST_RATIO, _COSTS = 512 << 20, 512, {"bz2": 4}
-# What one record costs beside its bytes, in time to walk over it and in memory.
+# Cost of one record besides its bytes, in time and memory.
 _RECORD_BYTES = 512
-# Messages of one pass: each takes more than 8 bytes of a file, however well it is packed.
+# Bounds the messages of a pass: each takes more than 8 bytes of a file, at any compression.
 _FREE_MESSAGES, _LEAST_MESSAGE_BYTES = 50_000, 8
-# Of messages that wait for older ones from chunks that overlap in time.
+# Memory for messages that wait for older ones, where chunks overlap in time.
 _MOST_WAITING = 256 << 20
 _DAMAGED = "check what wrote it, and copy it again"
 
 
 class Chunk(NamedTuple):
-    """Times of a chunk's first and last message, its place in the file, its connections, and how many messages of each.
+    """Times of a chunk's first and last message, its offset in the file, its connections, and their message counts.
 
-    A tuple of numbers is nothing that the garbage collector looks at, and there are some hundred thousand. Without
-    connections it is not known which there are.
+    The garbage collector ignores tuples of numbers; a bag may have a hundred thousand chunks. Empty connections mean
+    that they are unknown.
     """
 
     start_ns: int
@@ -57,7 +54,7 @@ class Chunk(NamedTuple):
 
 
 class Record(NamedTuple):
-    """A message's connection and time, and where its bytes begin and end in the chunk."""
+    """A message's connection, time, and the range of its bytes in the chunk."""
 
     connection: int
     time_ns: int
@@ -66,11 +63,11 @@ class Record(NamedTuple):
 
 
 class Allowance:
-    """How much of one file may be unpacked, and how many messages may be read.
+    """Bounds the decompressed size and the number of messages of a file.
 
     Attributes:
-        bytes_left: how many bytes may still be unpacked.
-        most_messages: of one pass.
+        bytes_left: the number of bytes that may still be decompressed.
+        most_messages: the largest number of messages of a pass.
     """
 
     def __init__(self, path: Path, size_bytes: int) -> None:
@@ -80,11 +77,11 @@ class Allowance:
 
     @property
     def most_records(self) -> int:
-        """How many records one chunk may have."""
+        """The largest number of records of a chunk."""
         return self.bytes_left // _RECORD_BYTES
 
     def unpacked(self, data: bytes, way: str, stated_bytes: int | None = None) -> bytes:
-        """The content of a message or a chunk. Raises ValueError, and RecordingError as `take`."""
+        """The decompressed content of a message or a chunk. Raises ValueError, and RecordingError as `take`."""
         if not way:
             if stated_bytes is not None and stated_bytes != len(data):
                 raise ValueError(f"states {stated_bytes} bytes and holds {len(data)}")
@@ -98,7 +95,7 @@ class Allowance:
         return content
 
     def take(self, size_bytes: int, records: int = 0) -> None:
-        """Count what was unpacked and walked over. Raises RecordingError where it is more than such a file holds."""
+        """Count decompressed bytes and records. Raises RecordingError beyond the bound."""
         self.bytes_left -= size_bytes + _RECORD_BYTES * records
         if self.bytes_left < 0:
             problem = f"holds more than {_FREE_BYTES >> 20} MB and {_MOST_RATIO} times its size once it is unpacked"
@@ -110,9 +107,9 @@ class ChunkedReader(ABC):
 
     Attributes:
         path: of the file.
-        connections: of topics, with the number of their messages.
-        warnings: one sentence each on what the file lacks.
-        allowance: how much may still be unpacked.
+        connections: of topics, with their message counts.
+        warnings: one sentence for each missing part of the file.
+        allowance: the bounds that are left.
     """
 
     def __init__(self, path: Path) -> None:
@@ -146,25 +143,25 @@ class ChunkedReader(ABC):
 
     @abstractmethod
     def _content(self, place: int) -> bytes:
-        """A chunk's content, unpacked. Raises as `_read_index`."""
+        """The decompressed content of a chunk. Raises as `_read_index`."""
 
     @abstractmethod
     def _walk(self, content: bytes, most: int) -> tuple[list[Record], int]:
-        """The messages in a chunk in the file's order, and the number of records; ValueError beyond `most` of them."""
+        """The messages of a chunk in file order, and the number of records. Raises ValueError beyond `most` of them."""
 
     @property
     def message_count(self) -> int:
-        """Of all connections."""
+        """The number of messages of all connections."""
         return sum(connection.msgcount for connection in self.connections)
 
     @property
     def start_time(self) -> int:
-        """Nanoseconds of the first message."""
+        """The time of the first message, nanoseconds."""
         return min((chunk.start_ns for chunk in self._chunks), default=0)
 
     @property
     def end_time(self) -> int:
-        """Just after the last."""
+        """The time just after the last message, nanoseconds."""
         return max((chunk.end_ns for chunk in self._chunks), default=-1) + 1
 
     def messages(
@@ -200,7 +197,7 @@ class ChunkedReader(ABC):
             yield wanted[connection], time_ns, data
 
     def _opened(self, place: int) -> tuple[bytes, list[Record]]:
-        """Content and messages of the chunk at a place; the last one is kept for the next call."""
+        """Content and messages of the chunk at an offset. The last chunk is cached."""
         if self._last is None or self._last[0] != place:
             self._last = None
             try:
@@ -213,7 +210,7 @@ class ChunkedReader(ABC):
         return self._last[1], self._last[2]
 
     def _exactly(self, size: int, most: int) -> bytes:
-        """The next bytes of the file. Raises ValueError where there are fewer, or where they are more than `most`."""
+        """The next bytes of the file. Raises ValueError where the file ends before, or beyond `most` bytes."""
         if size > most:
             raise ValueError(f"would have {size:,} bytes, more than {most >> 20} MB")
         if size > self._size - self._file.tell():
@@ -230,15 +227,11 @@ class ChunkedReader(ABC):
         return RecordingError(problem, path=self.path, fix=_DAMAGED)
 
 
-# What a bag says of its topics and the types of their messages, and programs that read these types.
-#
-# A definition is text from a stranger that becomes a program: its length, its fields and what they repeat are
-# bounded.
+# Message types. A definition is untrusted text that becomes a program: length, fields and repetitions are bounded.
 
-
-# The longest of those that are read, Odometry with all comments, has 8 kB as text and 20 kB as IDL.
+# The longest type in use, Odometry with all comments, has 8 kB as text and 20 kB as IDL.
 LONGEST_DEFINITION = 1 << 16
-# Fields of fields are counted: an Odometry has 90, 72 of them in covariances.
+# Includes fields of fields: an Odometry has 90, 72 of them in covariances.
 _MOST_FIELDS = 4096
 _IDL_RULE = "=" * 80 + "\n"
 TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
@@ -246,25 +239,25 @@ _TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
 MOST_CONNECTIONS = 10_000  # a robot's bag has some hundred
 
 
-# Metres, radians, their rates, or pixels: beyond, squares and products of damaged numbers overflow.
+# In metres, radians, their rates, or pixels. Squares and products of larger, damaged numbers overflow.
 _LARGEST = 1e9
 
 
 def are_measured(values: Iterable[float]) -> bool:
-    """Whether all of a message's numbers can have been measured: none is NaN, infinite or beyond 1e9."""
+    """Whether all numbers are plausible measurements: not NaN, infinite or beyond 1e9."""
     return all(abs(value) <= _LARGEST for value in values)
 
 
 class Connection(NamedTuple):
-    """A topic of a bag, as one writer wrote it.
+    """A topic of a bag, by one writer.
 
     Attributes:
-        id: in the file.
+        id: its number in the file.
         topic: its name.
         msgtype: such as "sensor_msgs/msg/Image".
         language: of the definition: "MSG", "IDL", or "NONE" where there is none.
         definition: of the type.
-        msgcount: messages, by the index.
+        msgcount: the number of messages, by the index.
     """
 
     id: int
@@ -275,10 +268,10 @@ class Connection(NamedTuple):
     msgcount: int
 
 
-# A store makes a program for each type: bags of one robot, which define theirs alike, share them.
+# A store compiles a program for each type; bags with the same definitions share them.
 @lru_cache(maxsize=128)
 def store_of(type_: str, language: str, definition: str, is_ros1: bool) -> Any:
-    """A store that knows a type: by the bag's definition, else by ROS's. Raises RecordingError, or as rosbags does."""
+    """A type store with a type, by the bag's definition, else ROS's. Raises RecordingError, or errors of rosbags."""
     typesys = needed("rosbags.typesys")
     if language == "NONE":
         return typesys.get_typestore(typesys.Stores.ROS1_NOETIC if is_ros1 else typesys.Stores.LATEST)
@@ -298,7 +291,7 @@ def store_of(type_: str, language: str, definition: str, is_ros1: bool) -> Any:
 
 
 def _defined(type_: str, language: str, definition: str, typesys: Any) -> dict[str, Any]:
-    """The types of a definition in ROS's own language, or in one or several of IDL."""
+    """The types of a definition in ROS's own language, or of one or several parts in IDL."""
     if language == "MSG":
         return dict(typesys.get_types_from_msg(definition, type_))
     parts = [part.partition("\n")[2] for part in definition.split(_IDL_RULE) if part.startswith("IDL: ")]
@@ -306,11 +299,11 @@ def _defined(type_: str, language: str, definition: str, typesys: Any) -> dict[s
 
 
 def _check(type_: str, types: Mapping[str, Any]) -> None:
-    """Raise RecordingError for a type that contains itself, has too many fields, or repeats one without any."""
+    """Raise RecordingError for a type that contains itself, has too many fields, or repeats a type without fields."""
     counts: dict[str, int | None] = {}
 
     def fields_of(name: str) -> int:
-        """How many plain values a message has where each sequence has one element."""
+        """The number of scalar values of a message whose sequences have one element."""
         if name not in types:  # rosbags refuses it by name
             return 1
         if name not in counts:
@@ -337,7 +330,7 @@ def _check(type_: str, types: Mapping[str, Any]) -> None:
 
 
 def _compare(type_: str, types: Mapping[str, Any], name: str, standard: Mapping[str, Any]) -> None:
-    """Raise RecordingError for a type that lacks a field of ROS's, or has it otherwise; it may have more fields."""
+    """Raise RecordingError for a type without a field of ROS's, or with another type of it. More fields are allowed."""
     found = dict(types[type_][1]) if type_ in types else {}
     for field, wanted in standard[name][1]:
         if field not in found or not _is_alike(found[field], wanted):
@@ -348,7 +341,7 @@ def _compare(type_: str, types: Mapping[str, Any], name: str, standard: Mapping[
 
 
 def _is_alike(found: Any, wanted: Any) -> bool:
-    """Whether both are numbers, text or messages, or as many of them."""
+    """Whether two fields are both numbers, text or messages, and arrays have equal lengths."""
     if found[0].name not in (wanted[0].name, *(("ARRAY",) if wanted[0].name == "SEQUENCE" else ())):
         return False
     if wanted[0].name == "ARRAY" and found[1][1] != wanted[1][1]:
