@@ -42,7 +42,7 @@ from wheelsight_sim.world import Surface, SurfaceKind
 
 
 _KINDS: tuple[str, ...] = get_args(SurfaceKind)
-# Textures of which a neighbouring geom of the same material shows the continuation; others begin anew on each geom.
+# Textures that continue on a neighbouring geom of the same material; others restart on each geom.
 _CONTINUED = ("plain", "plaster", "carpet", "tiles", "ceiling")
 
 
@@ -91,7 +91,7 @@ class Painter:
     def paint(self, view: View, geoms: Geoms | None = None, outlines: Outlines | None = None) -> Float32Array:
         """Linear radiance (H, W, 3) of a view: 1 is what white paper sends back in ordinary light; 0 where nothing is.
 
-        `geoms` tells where the geoms stand now, if any has moved since the painter was made. With `outlines` of the
+        `geoms` gives their present poses if any has moved since the painter was made. With `outlines` of the
         view, their pixels have the mean of all their rays; without, each pixel is what its middle shows.
         """
         geoms = geoms or self._geoms
@@ -125,7 +125,7 @@ def _surface_of(geom: str, material: str, surfaces: Mapping[str, Surface]) -> Su
     surface = surfaces.get(material)
     if surface is None:
         raise ConfigError(
-            f"geom {geom!r} has the material {material!r}, of which nothing tells the look",
+            f"geom {geom!r} has the material {material!r} without a surface",
             fix=f"give it one of {', '.join(sorted(surfaces))}, or add a Surface",
         )
     if surface.kind not in _KINDS:
@@ -204,7 +204,14 @@ class Lighting:
         lattice = np.array([_PANELS_TO_NEXT_LAMP * panel_m, half, half, _LAMP_GLOW, float(rng.integers(2**31))])
         low, high = _extent(geoms)
         ceiling_m = min(heights, default=_USUAL_CEILING_M)
-        lamps = np.concatenate([_glowing(geoms, looks), *(_in_ceiling(geoms, g, lattice, low, high) for g in ceilings)])
+        found = [
+            [*geoms.position_world[g], look.glow / _LAMP_GLOW * _area_m2(geoms, g) / 0.3, *_half_m(geoms, g)[:2]]
+            for g, look in enumerate(looks)
+            if look.glow > 0
+        ]
+        lamps = np.concatenate(
+            [np.array(found, float).reshape(-1, 6), *(_in_ceiling(geoms, g, lattice, low, high) for g in ceilings)]
+        )
         grid = np.array([*low, _FLUX_CELL_M, _CLEARANCE_CELL_M, ceiling_m / (_LAYERS - 1), ceiling_m])
         return cls(tints, sun, grid, _flux(lamps, grid, high), _clearance(geoms, grid, high), lattice, lamps)
 
@@ -233,16 +240,6 @@ def _extent(geoms: Geoms) -> tuple[FloatArray, FloatArray]:
     low, high = low.min(axis=0) - 0.5, high.max(axis=0) + 0.5
     middle = 0.5 * (low + high)
     return np.maximum(low, middle - _LARGEST_M / 2), np.minimum(high, middle + _LARGEST_M / 2)
-
-
-def _glowing(geoms: Geoms, looks: Sequence[Surface]) -> FloatArray:
-    """Position, power and half lengths (N, 6) of the geoms that glow, of power 1 where they are as a panel's lamp."""
-    found = [
-        [*geoms.position_world[g], look.glow / _LAMP_GLOW * _area_m2(geoms, g) / 0.3, *_half_m(geoms, g)[:2]]
-        for g, look in enumerate(looks)
-        if look.glow > 0
-    ]
-    return np.array(found, float).reshape(-1, 6)
 
 
 def _area_m2(geoms: Geoms, g: int) -> float:

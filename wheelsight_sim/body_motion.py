@@ -161,9 +161,6 @@ def trembling(
     return np.asarray(irfft(spectrum * gain, whole)[:count])
 
 
-# A wheelchair's body against its base, while nobody knows yet how the drive goes on.
-
-
 _TREMBLES_ANEW_S = 600.0  # its spectrum has no edges, so that the end goes on as the beginning
 _KEPT_S = 1.0
 

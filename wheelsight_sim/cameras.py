@@ -1,5 +1,5 @@
-"""Which depth cameras can be simulated. CameraUnit is one unit of a camera with its own errors; Carriage tells where
-it truly is.
+"""Models of simulated depth cameras. `CameraUnit` is one unit of a model with its own errors; `Carriage` gives its true
+pose.
 """
 
 from __future__ import annotations

@@ -111,7 +111,11 @@ def find_collision(
         half_width_m: of the robot, with whatever margin is wanted.
         is_loop: whether the way leads back to the first waypoint; None for as `world` has it.
     """
-    waypoints = _checked(route)
+    waypoints = np.asarray(route, float)
+    if waypoints.ndim != 2 or waypoints.shape[1] != 2 or len(waypoints) < 2:
+        raise ConfigError("a route needs two waypoints or more, each x and y")
+    if not np.isfinite(waypoints).all():
+        raise ConfigError("a waypoint is not a number")
     if is_loop if is_loop is not None else world.is_loop:
         waypoints = np.vstack([waypoints, waypoints[:1]])
     solid = [footprint for footprint in footprints(world) if footprint.is_in_the_way]
@@ -138,15 +142,6 @@ def check_route(world: World, route: ArrayLike, half_width_m: float, *, is_loop:
     collision = find_collision(world, route, half_width_m, is_loop=is_loop)
     if collision is not None:
         raise ConfigError(f"the route's {collision}", fix=f"keep {half_width_m:g} m away from what stands there")
-
-
-def _checked(route: ArrayLike) -> FloatArray:
-    waypoints = np.asarray(route, float)
-    if waypoints.ndim != 2 or waypoints.shape[1] != 2 or len(waypoints) < 2:
-        raise ConfigError("a route needs two waypoints or more, each x and y")
-    if not np.isfinite(waypoints).all():
-        raise ConfigError("a waypoint is not a number")
-    return waypoints
 
 
 def _first_touch(leg: shapely.LineString, shape: shapely.Geometry) -> float:
@@ -232,7 +227,9 @@ def draw_plan(
         axes.plot(*mark, "x", ms=9, mec=_MARK, mew=2.5, zorder=9)
         lines.append(Line2D([], [], color=_MARK, marker="x", mew=2, lw=0, label="runs into something"))
     _add_legend(figure, lines)
-    write_bytes(path, _png(figure))
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", metadata={"Software": None})
+    write_bytes(path, stream.getvalue())
 
 
 def _sheet(world: World) -> tuple[Figure, Axes]:
@@ -366,10 +363,3 @@ def _add_legend(figure: Figure, lines: Iterable[Line2D]) -> None:
     ]
     columns = 4 if len(handles) > 6 else 6
     figure.legend(handles=handles, loc="lower center", ncols=columns, frameon=False, fontsize=8.5, labelcolor=_INK)
-
-
-def _png(figure: Figure) -> bytes:
-    """The picture's bytes; without matplotlib's version in it, so that the same drawing gives the same file."""
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", metadata={"Software": None})
-    return stream.getvalue()

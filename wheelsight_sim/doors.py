@@ -1,4 +1,4 @@
-"""Doors that open and shut while the robot drives, and never where it or somebody else is about to pass."""
+"""`Doors` swing along a finished drive, `LiveDoors` during a commanded one; both stay clear of robot and people."""
 
 from __future__ import annotations
 
@@ -16,28 +16,24 @@ from wheelsight_sim.people import RADIUS_M, Passersby
 from wheelsight_sim.robot import Drive, Robot, outline_at
 from wheelsight_sim.world import Leaf, World
 
-# Doors that open and shut while the robot drives, and never where it or somebody else is about to pass.
-
-
 _STREAM = 0xD00
-_STEP_S = 0.1  # at which the robot's way is looked at; at 1.2 m/s it goes on by 12 cm
+_STEP_S = 0.1  # sampling period of the robot's path, 12 cm at 1.2 m/s
 _STEP_RAD = math.radians(5.0)
-# Beside the hinge a leaf is next to its wall by right, and at its free end next to the other jamb.
+# Parts of a leaf beside its hinge and its free end, where wall and jamb are close by design.
 _AT_HINGE_M, _AT_END_M = 0.15, 0.06
 _OVER_FLOOR_M = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class DoorSettings:
-    """How doors move.
+    """Motion of doors.
 
     Attributes:
         swing_s: (quickest, slowest) time that a leaf takes from one end to the other. Chosen; door closers are set to
             3 to 7 s (EN 1154), hands are quicker.
         rests_s: (shortest, longest) time between two swings of a leaf, in seconds. Chosen: short, so that a drive of a
             minute meets some.
-        clearance_m: how far from all places that a leaf sweeps the robot and people are while it is not at rest where
-            the world has it. Chosen.
+        clearance_m: distance of robot and people from the swept area of a leaf that is not at rest. Chosen.
     """
 
     swing_s: tuple[float, float] = (0.5, 2.0)
@@ -47,11 +43,11 @@ class DoorSettings:
 
 @dataclass(frozen=True, slots=True)
 class Swing:
-    """One movement of a leaf: from where the world has it (0) to its other end (1), or back.
+    """One swing of a leaf from its position in the world (0) to the other end (1), or back.
 
     Attributes:
-        begin_s, end_s: when.
-        to_share: where it ends, 0 or 1.
+        begin_s, end_s: times of its begin and end.
+        to_share: its final position, 0 or 1.
     """
 
     begin_s: float
@@ -60,7 +56,7 @@ class Swing:
 
 
 class Leaves:
-    """Leaves of doors that swing; whoever moves them says how far they are turned.
+    """Swinging leaves of doors; subclasses give their angles.
 
     Args:
         boards: the leaves.
@@ -71,7 +67,7 @@ class Leaves:
 
     @property
     def leaves(self) -> tuple[Leaf, ...]:
-        """Those that move."""
+        """The swinging leaves."""
         return tuple(board.leaf for board in self._boards)
 
     def turns_at(self, stamp_s: float) -> FloatArray:
@@ -84,9 +80,9 @@ class Leaves:
         return np.array([middle for middle, _ in turned]), np.array([yaw_rad for _, yaw_rad in turned])
 
     def add_to(self, spec: Any, *, is_solid: bool = False) -> None:
-        """Put them as mocap bodies into a MuJoCo MjSpec, in place of the geoms of the same names.
+        """Add the leaves to a MuJoCo MjSpec as mocap bodies that replace the geoms of the same names.
 
-        Solid ones touch what has a conaffinity of 2, which a wheelchair's hull has and walls do not.
+        Solid ones collide with a conaffinity of 2, which the hull of a wheelchair has and walls do not.
         """
         import mujoco
 
@@ -100,23 +96,22 @@ class Leaves:
 
 
 class Doors(Leaves):
-    """Some of a world's leaves, which swing at times of their own.
+    """Leaves that swing at random times along a finished drive.
 
-    The drive is known before they move. While robot or people are within reach of a leaf, it is at rest where the world
-    has it, which is in nobody's way: open where the route leads through. A swing is faster in its middle, as hands move
-    (minimum jerk; Flash & Hogan, J. Neuroscience 5, 1985).
+    While robot or people are within reach of a leaf, it rests at its position in the world, which is out of the way:
+    open where the route leads through. A swing has minimum jerk (Flash & Hogan, J. Neuroscience 5, 1985).
 
     Args:
-        world: whose leaves they are.
-        drive: finished.
-        count: how many move; the seed chooses.
-        seed: of which move and when.
-        robot: whose outline they keep away from.
-        passersby: whom, too, they keep away from.
-        settings: how they move.
+        world: has the leaves.
+        drive: the finished drive.
+        count: number of swinging leaves; the seed chooses them.
+        seed: of the choice and the times.
+        robot: gives the outline to avoid.
+        passersby: people to avoid.
+        settings: of the motion.
 
     Raises:
-        ConfigError: the world has fewer leaves that have room to swing.
+        ConfigError: the world has fewer leaves with room to swing.
     """
 
     def __init__(
@@ -148,11 +143,11 @@ class Doors(Leaves):
         return np.array([share * board.leaf.turn_rad for share, board in zip(shares, self._boards, strict=True)])
 
     def to_csv(self) -> str:
-        """When each leaf swings, and how far it is turned then from where truth/world.xml has it."""
+        """The swings of each leaf, with angles relative to truth/world.xml."""
         lines = ["leaf,begin_s,end_s,from_deg,to_deg"]
         for board, start, swings in zip(self._boards, self.starts, self.swings, strict=True):
             turn_deg, share = math.degrees(board.leaf.turn_rad), start
-            # A leaf that has been left the other way is told as one that has come there before the drive.
+            # A leaf that starts at its other end gets a swing before the drive.
             rows = [Swing(0.0, 0.0, start), *swings]
             for swing in rows:
                 turns = f"{share * turn_deg + 0.0:.2f},{swing.to_share * turn_deg + 0.0:.2f}"
@@ -163,7 +158,7 @@ class Doors(Leaves):
 
 @dataclass(frozen=True, eq=False)
 class Board:
-    """A leaf with its box: middle (3,), half lengths (3,), and yaw, where the world has it."""
+    """A leaf with its box at rest: middle (3,), half lengths (3,), and yaw."""
 
     leaf: Leaf
     middle_m: FloatArray
@@ -178,11 +173,11 @@ class Board:
         return np.array([hinge[0] + c * x - s * y, hinge[1] + s * x + c * y, self.middle_m[2]]), self.yaw_rad + turn_rad
 
     def covers(self, turn_rad: float) -> shapely.Polygon:
-        """What it covers of the floor once it is turned about its hinge."""
+        """The area that it covers at an angle about its hinge."""
         return self._footprint(*self.turned(turn_rad), 0.0, 0.0)
 
     def swept(self, at_hinge_m: float = 0.0, at_end_m: float = 0.0) -> shapely.Geometry:
-        """All that it covers of the floor as it swings, without so much of it at its hinge and its end."""
+        """The area that it sweeps, without a length at its hinge and at its end."""
         steps = max(math.ceil(abs(self.leaf.turn_rad) / _STEP_RAD), 1)
         turns = self.leaf.turn_rad * np.linspace(0, 1, steps + 1)
         places = [self._footprint(*self.turned(float(turn)), at_hinge_m, at_end_m) for turn in turns]
@@ -198,10 +193,10 @@ class Board:
 
 
 def swinging(world: World, count: int, seed: int) -> list[Board]:
-    """So many of a world's leaves with room to swing, by seed.
+    """`count` of a world's leaves with room to swing, chosen by seed.
 
     Raises:
-        ConfigError: there are not so many.
+        ConfigError: there are fewer.
     """
     boards = _boards(world) if count else []
     rng = np.random.default_rng([seed, _STREAM, 0])
@@ -260,7 +255,7 @@ def _people(passersby: Passersby | None, times_s: FloatArray) -> list[shapely.Ge
 def is_near(
     swept: shapely.Geometry, outlines: list[shapely.Polygon], people: list[shapely.Geometry], clearance_m: float
 ) -> BoolArray:
-    """(N,) when somebody is too near to where a leaf sweeps."""
+    """(N,) whether robot or people are too near to the swept area of a leaf."""
     shapely.prepare(swept)
     near_robot = shapely.dwithin(outlines, swept, clearance_m)
     return np.asarray(near_robot | shapely.dwithin(people, swept, RADIUS_M + clearance_m), bool)
@@ -269,7 +264,7 @@ def is_near(
 def _swings(
     times_s: FloatArray, is_busy: BoolArray, settings: DoorSettings, rng: np.random.Generator
 ) -> tuple[float, tuple[Swing, ...]]:
-    """Where a leaf begins, and how it moves: it comes back before its place is busy, and stays till nobody is there."""
+    """The initial position and the swings of a leaf: it returns before its area is busy, and rests until it is free."""
     edges = np.flatnonzero(np.diff(is_busy)) + 1
     parts = [part for part in np.split(np.arange(len(times_s)), edges) if not is_busy[part[0]]]
     start, swings = 0.0, list[Swing]()
@@ -278,13 +273,13 @@ def _swings(
         is_last = part[-1] == len(times_s) - 1
         share = 0.0
         if part[0] == 0:
-            # Some have been left the other way before the drive began.
+            # Some leaves start at their other end.
             is_away = bool(rng.random() < 0.5) and (is_last or until_s - now_s > settings.swing_s[1])
             start = share = float(is_away)
         while True:
             begin_s = now_s + float(rng.uniform(*settings.rests_s))
             takes_s = float(rng.uniform(*settings.swing_s))
-            # One that is away must come back in time, and one that goes away must have the time to.
+            # A leaf at its other end must return in time, and a leaf that leaves needs time to return.
             latest_s = until_s if is_last else until_s - (0.0 if share else settings.rests_s[0] + settings.swing_s[1])
             if share and not is_last:
                 begin_s = min(begin_s, until_s - settings.swing_s[1])
@@ -296,7 +291,7 @@ def _swings(
 
 
 def _share(start: float, swings: tuple[Swing, ...], stamp_s: float) -> float:
-    """How far from 0 to 1 a leaf has swung at a time."""
+    """Position of a leaf from 0 to 1 at a time."""
     share = start
     for swing in swings:
         if stamp_s < swing.begin_s:
@@ -306,16 +301,13 @@ def _share(start: float, swings: tuple[Swing, ...], stamp_s: float) -> float:
     return share
 
 
-# Doors that open and shut where a robot drives whose way nobody knows before.
-
-
 _LIVE_DOORS_STREAM = 0xD01
 _LOOKS_AGAIN_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class _Move:
-    """A leaf's last movement, from a share of its whole turn to another; held where it was stopped at `end_s`."""
+    """The last movement of a leaf between two positions, 0 to 1; it is held where it stopped at `end_s`."""
 
     begin_s: float
     takes_s: float
@@ -329,19 +321,19 @@ class _Move:
 
 
 class LiveDoors(Leaves):
-    """Some of a world's leaves, which swing at times of their own while nobody is within their reach.
+    """Leaves that swing at random times during a commanded drive, while robot and people are out of reach.
 
-    A leaf into whose reach somebody comes is held where it is, and goes on to where the world has it once it can.
+    A leaf stops when robot or people come within reach, and later returns to its position in the world.
 
     Args:
-        world: whose leaves they are.
-        outline: of the robot where it begins.
-        count: how many move; the seed chooses.
-        seed: of which move and when.
-        settings: how they move.
+        world: has the leaves.
+        outline: of the robot at its start.
+        count: number of swinging leaves; the seed chooses them.
+        seed: of the choice and the times.
+        settings: of the motion.
 
     Raises:
-        ConfigError: the world has fewer leaves that have room to swing.
+        ConfigError: the world has fewer leaves with room to swing.
     """
 
     def __init__(

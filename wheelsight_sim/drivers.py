@@ -45,7 +45,7 @@ class Command:
 
 
 class Driver(Protocol):
-    """Whoever holds the joystick; one drive each."""
+    """The driver of one drive."""
 
     @property
     def T_world_start(self) -> FloatArray | None:
@@ -167,7 +167,7 @@ class ManualVelocities:
         pairs = zip(np.asarray(v_m_s, float).tolist(), np.asarray(yaw_rates_rad_s, float).tolist(), strict=True)
         self._commands = [Command(v, omega) for v, omega in pairs]
         if len(self._commands) != len(self._stamps_s) or len(self._stamps_s) < 2:
-            raise ConfigError("manual velocities need at least two lines, the last of which ends the drive")
+            raise ConfigError("manual velocities need at least two lines; the last one ends the drive")
         if not all(a < b for a, b in zip(self._stamps_s, self._stamps_s[1:], strict=False)):
             raise ConfigError("the stamps of manual velocities must grow")
         for command in self._commands:

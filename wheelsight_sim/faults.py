@@ -1,6 +1,4 @@
-"""What goes wrong with cameras, stamps and surroundings: faults laid over any stream of events, where they act told
-with them.
-"""
+"""Faults of cameras, stamps and surroundings, applied to any stream of events within given times."""
 
 from __future__ import annotations
 
@@ -18,11 +16,9 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import BoolArray, ByteArray, Float32Array, FloatArray
 from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelReading, WheelTicks
 
-# What goes wrong with a camera: faults laid over any stream of events, where they act told with them.
-#
-# Each fault is a function from events to events: frames change, go missing or are stamped anew; wheel readings pass
-# untouched. What is random about a frame follows from the fault's seed and the frame's index alone, so that the same
-# fault does the same to a frame wherever a stream begins. `events_with` lays several over one another.
+# A fault maps events to events: it changes frames, drops them or changes their stamps; wheel readings pass unchanged.
+# Randomness depends on the fault's seed and the frame's index alone, so that a fault has the same effect on a frame
+# wherever a stream begins. `events_with` composes several faults.
 
 
 _STREAM = 0xCA3
@@ -31,25 +27,25 @@ _GAMMA = 2.2
 
 
 class CameraFault(Protocol):
-    """A fault, and when it acts."""
+    """A fault with the time in which it acts."""
 
     @property
     def begin_s(self) -> float:
-        """True time of the first moment at which it acts."""
+        """True time of its begin."""
         ...
 
     @property
     def end_s(self) -> float:
-        """True time from which on it no longer acts; infinite for a fault that stays."""
+        """True time of its end; infinite for a permanent fault."""
         ...
 
     def apply(self, events: Iterable[Event]) -> Iterator[Event]:
-        """The events in order of time, as they come with this fault."""
+        """The events with this fault, in order of time."""
         ...
 
 
 def events_with(faults: Iterable[CameraFault], events: Iterable[Event]) -> Iterator[Event]:
-    """Events with all faults, the first given acting first."""
+    """Events with all faults, applied in the given order."""
     for fault in faults:
         events = fault.apply(events)
     yield from events
@@ -153,7 +149,7 @@ class DepthHoles(_ImageFault):
 
 @dataclass(frozen=True, kw_only=True)
 class ExposureSteps(_ImageFault):
-    """The exposure jumps: light times a gain drawn anew every so often, clipped where it exceeds what a byte holds.
+    """The exposure jumps: light times a gain drawn at regular times, clipped where it exceeds what a byte holds.
 
     Attributes:
         period_s: between jumps.
@@ -164,7 +160,7 @@ class ExposureSteps(_ImageFault):
     stops: float = 1.5
 
     def gain_at(self, stamp_s: float) -> float:
-        """By which light is multiplied at a time."""
+        """The gain at a time."""
         if not self.acts_at(stamp_s):
             return 1.0
         step = math.floor((stamp_s - self.begin_s) / self.period_s)
@@ -253,14 +249,14 @@ class LateClock(_Interval):
     late_s: float = 0.03
 
     def apply(self, events: Iterable[Event]) -> Iterator[Event]:
-        """The events, frames stamped anew."""
+        """The events with changed stamps of frames."""
         waiting: list[tuple[float, int, Event]] = []
         order = count()
         for event in events:
-            true_s, told = event.stamp_s, event
+            true_s, stamped = event.stamp_s, event
             if isinstance(event, RgbdFrame | SkippedFrame) and self.acts_at(true_s):
-                told = replace(event, stamp_s=true_s + self.late_s)
-            heapq.heappush(waiting, (told.stamp_s, next(order), told))
+                stamped = replace(event, stamp_s=true_s + self.late_s)
+            heapq.heappush(waiting, (stamped.stamp_s, next(order), stamped))
             # Nothing that is still to come will be stamped earlier than this.
             while waiting and waiting[0][0] <= true_s + min(self.late_s, 0.0):
                 yield heapq.heappop(waiting)[2]
@@ -473,7 +469,7 @@ class ClockFault(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ReadingsTogether:
-    """So many readings arrive together, when the last of them is taken, and are stamped `apart_s` after each other."""
+    """Readings arrive in groups at the time of the last one, with stamps `apart_s` apart."""
 
     count: int = 2
     apart_s: float = 1e-4
@@ -546,7 +542,7 @@ class ClockLeaps:
 
 @dataclass(frozen=True, slots=True)
 class ColorLate:
-    """Each depth image comes with the colour image of so many frames before, and that one's stamp is the frame's."""
+    """Each depth image comes with an earlier colour image, whose stamp is that of the frame."""
 
     frames: int = 1
 

@@ -96,7 +96,9 @@ class FrameMaker:
         try:
             eye = self._idle_eyes.pop()
         except IndexError:
-            eye = self._new_eye()
+            seen, threads = self._surroundings, self._threads
+            scene = Scene(seen.world, seen.people, threads=threads, doors=seen.doors)
+            eye = _Eye(scene, self._settings, self.unit, self._duration_s, self._has_robot, threads)
         try:
             return self._frame(index, eye)
         finally:
@@ -151,11 +153,6 @@ class FrameMaker:
             color = np.minimum(radiance, _BRIGHTEST).mean(axis=(0, 1))
             self._metered[index] = self._sensor.meter(radiance).product_s, np.asarray(color, float)
         return self._metered[index]
-
-    def _new_eye(self) -> _Eye:
-        seen, threads = self._surroundings, self._threads
-        scene = Scene(seen.world, seen.people, threads=threads, doors=seen.doors)
-        return _Eye(scene, self._settings, self.unit, self._duration_s, self._has_robot, threads)
 
     def _T_world_base(self, stamp_s: float) -> FloatArray | None:
         return self.carriage.T_world_base(stamp_s) if self._has_robot else None
@@ -247,7 +244,7 @@ class Renderer:
         carriage: how the camera moves, or None for one on the robot.
 
     Raises:
-        ConfigError: the drive is too short for a single frame, or the world has not so many doors.
+        ConfigError: the drive is too short for a single frame, or the world has fewer doors.
     """
 
     def __init__(
@@ -331,7 +328,7 @@ def camera_calibration(unit: CameraUnit, lens: PinholeCamera) -> Calibration:
 
 
 def times_of(count: int, rate_hz: float, realism: Realism | None, seed: int) -> FrameTimes:
-    """When so many frames of a drive are taken, and when they are said to be."""
+    """True times and stamps of `count` frames of a drive."""
     if realism is None:
         return exact_times(count, rate_hz)
     return frame_times(count, rate_hz, realism.stamps, stream(seed, "camera stamps"))

@@ -1,5 +1,5 @@
-"""People who walk: the ground they walk on, how each chooses a step, and what they look like. They keep out of the
-way of the robot, also of one to command.
+"""Walking people. `Ground` is the grid they walk on, `Passersby` walk along a finished drive, and `LivePassersby` react
+to a commanded robot.
 """
 
 from __future__ import annotations
@@ -22,9 +22,6 @@ from wheelsight.core.geometry import BoolArray, ByteArray, FloatArray, IntArray
 from wheelsight_sim import walking_kernels as kernels
 from wheelsight_sim.robot import Drive, Robot, outline_m
 from wheelsight_sim.world import Surface, World
-
-# People who walk: the ground they walk on, how each chooses a step, and what they look like.
-
 
 RADIUS_M = 0.25
 HEIGHT_M = 1.70
@@ -50,10 +47,10 @@ class Ground:
 
     Attributes:
         corner_m: (2,) centre of the cell (0, 0); columns go along x, rows along y.
-        is_free: (R, C) uint8, whether somebody can stand there and walk there from the route.
-        along_m: (R, C) way along the route to its point nearest to the cell.
-        left_m: (R, C) how far left of it the cell is.
-        lap_m: after which way the route starts anew.
+        is_free: (R, C) uint8, whether a person can stand there and reach the route.
+        along_m: (R, C) distance along the route of its point nearest to the cell.
+        left_m: (R, C) distance of the cell to the left of the route.
+        lap_m: length of a lap.
     """
 
     def __init__(self, world: World) -> None:
@@ -100,7 +97,7 @@ def _line(points: FloatArray, is_loop: bool) -> tuple[FloatArray, FloatArray]:
 
 
 def _free(world: World, xy_m: FloatArray) -> BoolArray:
-    """(N,) whether somebody can stand at places (N, 2): nothing to bump into is nearer than 5 cm."""
+    """(N,) whether a person can stand at places (N, 2): no obstacle is nearer than 5 cm."""
     import mujoco
     import shapely
 
@@ -158,7 +155,11 @@ class Walkers:
             others = np.concatenate([after[:i], before[i + 1 :]])
             after[i] = self._step_of(i, choices, others)
             moved_m = CELL_M * float(np.hypot(*(after[i] - before[i])))
-            self._turn_back(i, is_stuck=moved_m < 0.3 * self._stride_m[i])
+            now_s = self._now * STEP_S
+            self._stuck_s[i] = self._stuck_s[i] + STEP_S if moved_m < 0.3 * self._stride_m[i] else 0.0
+            if self._stuck_s[i] > _PATIENCE_S or now_s > self._turns_at_s[i]:
+                self._heading[i], self._stuck_s[i] = -self._heading[i], 0.0
+                self._turns_at_s[i] = now_s + self._rng.uniform(*_TURNS_AFTER_S)
         self.cells = after
         return after
 
@@ -172,19 +173,12 @@ class Walkers:
                 return found
         return int(row), int(column)
 
-    def _turn_back(self, i: int, *, is_stuck: bool) -> None:
-        now_s = self._now * STEP_S
-        self._stuck_s[i] = self._stuck_s[i] + STEP_S if is_stuck else 0.0
-        if self._stuck_s[i] > _PATIENCE_S or now_s > self._turns_at_s[i]:
-            self._heading[i], self._stuck_s[i] = -self._heading[i], 0.0
-            self._turns_at_s[i] = now_s + self._rng.uniform(*_TURNS_AFTER_S)
-
 
 class Cylinders:
-    """Upright cylinders the size of people; whoever moves them says where they are.
+    """Upright cylinders the size of people; subclasses give their positions.
 
     Args:
-        xy_m: (N, 2) where they begin.
+        xy_m: (N, 2) initial positions.
     """
 
     def __init__(self, xy_m: FloatArray) -> None:
@@ -192,16 +186,16 @@ class Cylinders:
 
     @property
     def count(self) -> int:
-        """How many."""
+        """Number of people."""
         return len(self._begin_m)
 
     @property
     def surfaces(self) -> dict[str, Surface]:
-        """What they wear: a material each."""
+        """The material of each."""
         return {f"passerby{i}": _clothes(i) for i in range(self.count)}
 
     def add_to(self, spec: Any) -> None:
-        """Put them as mocap bodies into a MuJoCo MjSpec."""
+        """Add them to a MuJoCo MjSpec as mocap bodies."""
         import mujoco
 
         for i, (x, y) in enumerate(self._begin_m):
@@ -213,7 +207,7 @@ class Cylinders:
 
 
 def reach_cells() -> int:
-    """How many cells somebody gets on in a step, at most."""
+    """Largest number of cells in a step."""
     return int(_FASTEST_M_S * STEP_S / CELL_M + 1e-9)
 
 
@@ -227,7 +221,7 @@ def steps_within_reach() -> NDArray[np.int64]:
 def starts(
     ground: Ground, safe: ByteArray, xy_robot_m: FloatArray, count: int, rng: np.random.Generator
 ) -> NDArray[np.int64]:
-    """(count, 2) safe cells, some metres from the robot where there are such."""
+    """(count, 2) random safe cells, some metres from the robot if possible."""
     cells = np.argwhere(safe)
     away_m = np.hypot(*(ground.xy_of(cells) - xy_robot_m).T)
     far = cells[away_m > _START_AWAY_M]
@@ -238,12 +232,9 @@ def _clothes(index: int) -> Surface:
     return Surface("fabric", _CLOTHES[index % len(_CLOTHES)], scale_m=0.3, contrast=0.3, infrared=0.45)
 
 
-# People who walk to and fro along a route while the robot drives it, and keep out of the robot's way.
-
-
 CLEARANCE_M = 0.6
 
-# Between two steps both go on straight, which can bring them nearer than at either end.
+# Between two steps both move straight, and may be nearer than at either end.
 _MARGIN_M = 0.1
 _STREAM = 0x9A55
 
@@ -251,20 +242,20 @@ _STREAM = 0x9A55
 class Passersby(Cylinders):
     """Upright cylinders the size of people, walking to and fro along the world's route at 0.8 to 1.3 m/s.
 
-    The drive is known before they walk. Going back from its end, all places are found from which somebody can still
-    get out of the robot's way: those that are clear now, with one within a step that will be. Walkers choose among
-    these only, so that they step aside, wait or turn back in time. Their axes stay at least 0.6 m from the robot's
-    outline and 0.3 m from what stands in the world; from each other they keep away where they can.
+    The drive is finished before they walk. A backward pass finds all cells from which a person can still leave the
+    robot's path: those that are clear now, with a clear one within the next step. Walkers choose among these only, so
+    that they step aside, wait or turn back in time. Their axes stay at least 0.6 m from the robot's outline and 0.3 m
+    from obstacles, and they avoid each other if possible.
 
     Args:
-        world: whose route they walk and whose obstacles they go round.
-        drive: finished; they have walked since its first pose and stand still after its last.
-        count: how many.
-        seed: of where they begin, how fast they walk and when they turn back.
-        robot: whose outline they keep away from.
+        world: has the route and the obstacles.
+        drive: the finished drive; they walk from its first pose to its last.
+        count: number of people.
+        seed: of their starts, speeds and turns.
+        robot: gives the outline to avoid.
 
     Raises:
-        ConfigError: a negative count, or a world so narrow that there is nowhere to go.
+        ConfigError: a negative count, or a world without room for people.
     """
 
     def __init__(self, world: World, drive: Drive, count: int, seed: int, robot: Robot | None = None) -> None:
@@ -282,7 +273,7 @@ class Passersby(Cylinders):
         super().__init__(self._xy_m[0])
 
     def positions_at(self, stamp_s: float) -> FloatArray:
-        """(N, 2) where their axes stand at a time in seconds; before and after the drive, where they begin and end."""
+        """(N, 2) positions of their axes at a time in seconds, clamped to the drive."""
         step = min(max((stamp_s - self._start_s) / STEP_S, 0.0), len(self._xy_m) - 1.0)
         before = int(step)
         after = min(before + 1, len(self._xy_m) - 1)
@@ -290,7 +281,7 @@ class Passersby(Cylinders):
 
 
 class _SafeCells:
-    """Which cells (R, C) are safe at each step; kept as what differs from the free ones, which is little."""
+    """The safe cells (R, C) of each step, stored as the small difference to the free ones."""
 
     def __init__(self, is_free: ByteArray) -> None:
         self._is_free, self._packed = is_free, list[bytes]()
@@ -299,7 +290,7 @@ class _SafeCells:
         return len(self._packed)
 
     def put_before(self, safe: ByteArray) -> None:
-        """Add the step before those there are."""
+        """Add a step before the existing ones."""
         self._packed.append(zlib.compress(np.packbits(safe ^ self._is_free).tobytes(), 1))
 
     def at(self, step: int) -> ByteArray:
@@ -333,22 +324,18 @@ def _walk(ground: Ground, safe: _SafeCells, xy_robot_m: FloatArray, count: int, 
     return ground.xy_of(np.array(cells))
 
 
-# People who walk where a robot drives whose way nobody knows before: they see it, and most keep away from it.
-
-
 _LIVE_PASSERSBY_STREAM = 0x11FE
-_KEPT_STEPS = 8  # two seconds; frames are rendered of the last tenth
+_KEPT_STEPS = 8  # two seconds; frames need the last tenth
 
 
 @dataclass(frozen=True, slots=True)
 class LivePeopleSettings:
-    """How people mind a robot.
+    """Reaction of people to a robot.
 
     Attributes:
-        clearance_m: from its outline to their axes, which they keep while they can: as `Passersby` do. Chosen.
-        least_m: the same where there is no room for that. Chosen: a hand's breadth from skin to robot.
-        careless: share of them who look at their phones: they walk on as if there was no robot, until they bump into
-            it. Chosen.
+        clearance_m: distance from its outline to their axes that they keep if possible, as `Passersby` do. Chosen.
+        least_m: the distance without room for that. Chosen: a hand's breadth from skin to robot.
+        careless: share of people who ignore the robot until they bump into it. Chosen.
     """
 
     clearance_m: float = 0.6
@@ -357,21 +344,21 @@ class LivePeopleSettings:
 
 
 class LivePassersby(Cylinders):
-    """Upright cylinders the size of people, who walk to and fro along the world's route and choose each step anew.
+    """Upright cylinders the size of people that walk to and fro along the world's route and react to the robot.
 
-    They step where the robot is not, neither now nor, going on as it does, a step later. Nobody knows what it does
-    next, so a robot that drives at somebody who has no room hits them. Who is careless walks into it.
+    Each step avoids the robot's present pose and the one a step later at constant velocity. A robot may still hit
+    people without room to avoid it, and careless ones walk into it.
 
     Args:
-        world: whose route they walk and whose obstacles they go round.
-        T_world_base: (4, 4) where the robot begins.
-        count: how many.
-        seed: of who they are.
-        robot: whose outline they keep away from.
-        settings: how.
+        world: has the route and the obstacles.
+        T_world_base: (4, 4) initial pose of the robot.
+        count: number of people.
+        seed: of the people.
+        robot: gives the outline to avoid.
+        settings: their reaction to the robot.
 
     Raises:
-        ConfigError: a world so narrow that there is nowhere to go.
+        ConfigError: a world without room for people.
     """
 
     def __init__(
@@ -398,22 +385,22 @@ class LivePassersby(Cylinders):
         super().__init__(self._steps_m[0])
 
     def step(self, T_world_base: FloatArray, T_world_next: FloatArray) -> None:
-        """Choose where to be `STEP_S` after the last step, with the robot here, and there if it goes on as it does."""
+        """Choose positions for `STEP_S` later, with the robot's present pose and its pose then at constant velocity."""
         both = [T_world_base, T_world_next]
         minding = [self._clear_of(both, self._settings.clearance_m), self._clear_of(both, self._settings.least_m)]
-        # Half of a body overlaps the outline before a careless one has noticed.
+        # A careless person notices the robot when half of the body overlaps its outline.
         careless = [self._clear_of([T_world_base], RADIUS_M / 2)]
         cells = self._walkers.step([careless if is_careless else minding for is_careless in self._is_careless])
         self._steps_m.append(self._ground.xy_of(cells))
         self._newest += 1
 
     def positions_at(self, stamp_s: float) -> FloatArray:
-        """(N, 2) where their axes stand at a time up to the last step, metres; of times long ago, the oldest known."""
+        """(N, 2) positions of their axes at a time up to the last step, metres, clamped to the stored steps."""
         before, after, share = self._around(stamp_s)
         return np.asarray(before + share * (after - before))
 
     def velocities_at(self, stamp_s: float) -> FloatArray:
-        """(N, 2) how fast they walk, m/s."""
+        """(N, 2) velocities, m/s."""
         before, after, _ = self._around(stamp_s)
         return np.asarray((after - before) / STEP_S)
 

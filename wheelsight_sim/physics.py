@@ -112,7 +112,7 @@ class SteppedRobot:
 
     @property
     def counts(self) -> tuple[int, int]:
-        """Of the left and right encoder, as the wheel controller has them, whether it can tell them or not."""
+        """Counts of the left and right encoder in the wheel controller, even if no reading arrives."""
         return self._encoders.counts
 
     def read(self) -> Reading:
@@ -188,22 +188,18 @@ def simulate_drive(
         seed, floor_seed: of the rider, castors, encoders' phases and gyroscope; of the floor, or else by `seed`.
         realism: what tyres and floor do beside slipping, or None for nothing.
         time_limit_s: when a drive ends that has not arrived.
-        on_progress: told the simulated seconds, once for each.
+        on_progress: called with the simulated seconds, once for each.
 
     Raises:
         ConfigError: a time limit that is none, or a world MuJoCo does not take.
     """
-    _check_limit(time_limit_s)
+    if not (math.isfinite(time_limit_s) and time_limit_s > 0):
+        raise ConfigError(f"time_limit_s is {time_limit_s}", fix="give seconds above 0")
     start = driver.T_world_start if driver.T_world_start is not None else start_of(world)
     floor = floor_of(world, realism, seed if floor_seed is None else floor_seed)
     moving = SteppedRobot(world, robot, start, faults=faults, slip=slip, seed=seed, floor=floor)
     log = _Log(moving, Reckoning(robot.nominal, start))
     return log.drive(_drive(log, driver, time_limit_s, on_progress))
-
-
-def _check_limit(time_limit_s: float) -> None:
-    if not (math.isfinite(time_limit_s) and time_limit_s > 0):
-        raise ConfigError(f"time_limit_s is {time_limit_s}", fix="give seconds above 0")
 
 
 def _drive(log: _Log, driver: Driver, time_limit_s: float, on_progress: Callable[[float], None] | None) -> str:
@@ -246,7 +242,7 @@ class _Log:
         return self._reckoning.update(*self.robot.counts)
 
     def drive(self, reason: str) -> Drive:
-        """All of it."""
+        """The drive so far."""
         stamps_s = np.array([reading.stamp_s for reading in self._readings])
         T_world_base = poses_of(self._readings)
         ticks = tuple(reading.ticks for reading in self._readings if reading.ticks is not None)
@@ -256,7 +252,7 @@ class _Log:
 
 @dataclass(slots=True)
 class _Watch:
-    """Sees when a robot that is told to move no longer does."""
+    """Detects a robot that no longer follows commands to move."""
 
     since_s: float | None = None
     x_m: float = 0.0
@@ -264,7 +260,7 @@ class _Watch:
     yaw_rad: float = 0.0
 
     def trouble(self, stamp_s: float, chair: Chair, command: Command) -> str:
-        """What the matter is, or nothing."""
+        """The problem, or an empty string."""
         T = chair.T_world_base
         if T[2, 2] < 0.7:
             return f"the wheelchair fell over at {stamp_s:.1f} s"
@@ -279,10 +275,7 @@ class _Watch:
         return ""
 
 
-# The way a simulated robot is to go: along the world's route or by a file, refused where it leads into a wall.
-
-
-# A driver strays by so much from the legs; and what turns about its axle sweeps more than its width.
+# A driver strays by this distance from the legs, and a robot sweeps more than its width when it turns.
 _MARGIN_M = 0.1
 _UMBMARK_WORLD = "square"
 
@@ -295,7 +288,7 @@ def route_of(settings: SimulationSettings, world: World) -> FloatArray:
 
 
 def driver_of(settings: SimulationSettings, world: World) -> Driver:
-    """Who drives. Raises InputError for a file of velocities that cannot be driven."""
+    """The driver by the settings. Raises InputError for an invalid file of velocities."""
     if settings.velocities is not None:
         return read_manual_velocities(settings.velocities)
     route = route_of(settings, world)
@@ -308,7 +301,7 @@ def driver_of(settings: SimulationSettings, world: World) -> Driver:
 
 
 def refuse_walls(settings: SimulationSettings, world: World, driver: Driver, picture: Path | None) -> None:
-    """Raises ConfigError where the way ahead leads into something; leaves a picture of it if one is wanted."""
+    """Raise ConfigError if the path hits an obstacle, and draw it if `picture` is given."""
     from wheelsight_sim.clearance import draw_plan, find_collision
 
     way = route_of(settings, world) if settings.velocities is None else _foreseen_way(driver, world)
@@ -324,7 +317,7 @@ def refuse_walls(settings: SimulationSettings, world: World, driver: Driver, pic
 
 
 def _foreseen_way(driver: Driver, world: World) -> FloatArray:
-    """(N, 2) where given velocities lead a robot that obeys at once, in steps of 5 cm or more."""
+    """(N, 2) path of given velocities without lag, in steps of 5 cm or more."""
     (x, y), towards = world.route[0], world.route[1] - world.route[0]
     T = se2.from_parts(x, y, np.arctan2(towards[1], towards[0]))
     way = [world.route[0]]
@@ -338,7 +331,7 @@ def _foreseen_way(driver: Driver, world: World) -> FloatArray:
 
 
 def expected_s(settings: SimulationSettings, world: World) -> float | None:
-    """About how long the drive will take, or None where nothing tells."""
+    """The expected duration of the drive, or None if unknown."""
     if settings.velocities is not None:
         return settings.duration_s
     route = route_of(settings, world)
@@ -348,10 +341,8 @@ def expected_s(settings: SimulationSettings, world: World) -> float | None:
     return min(settings.laps * float(way_s + corners_s), settings.duration_s or np.inf)
 
 
-# A drive of a holonomic base: along the route, looking elsewhere than where it goes.
-#
-# The base keeps its path exactly: rollers are not simulated by physics. What its wheels roll follows by inverse
-# kinematics, and their slip is drawn: by each wheel's way, and a wheel that spins on a patch of ice.
+# A holonomic base follows its path exactly, because physics does not simulate rollers. Inverse kinematics gives the
+# rotation of its wheels. Their slip is random, by distance, and on a patch of ice a wheel spins.
 
 
 # Data sheets of small research bases (four mecanum wheels of 10 cm; three omni wheels of 10 cm).
@@ -376,7 +367,7 @@ _WHEELS = {
     ),
 }
 _INCREMENTS = HolonomicWheels("increments", distance_m=0.27)
-# The base looks to both sides of its way by so much, once in so many metres: at 0.8 m/s that turns it by 0.5 rad/s.
+# Largest yaw of the base to each side of its path, and the period: at 0.8 m/s it turns by 0.5 rad/s.
 _LOOKING_ASIDE_RAD, _LOOKING_EVERY_M = 0.8, 8.0
 # 1/s: how fast the base turns to where it is to look, within the yaw rate and its change of the other drivers.
 _TURNING_PER_S, _FASTEST_RAD_S, _FASTEST_RAD_S2 = 2.0, 0.8, 1.5
@@ -390,7 +381,7 @@ def nominal_wheels(settings: SimulationSettings) -> HolonomicWheels:
 
 
 def owned_wheels(settings: SimulationSettings, sizes: WheelSizeSettings, rng: np.random.Generator) -> HolonomicWheels:
-    """The wheels as a calibration has left them: not quite what they are, and it says so."""
+    """The wheels by a calibration, with its errors and standard deviations."""
     wheels, (scale, turn) = nominal_wheels(settings), rng.standard_normal(2) * (sizes.scale_sigma, sizes.turn_sigma)
     known: dict[str, Any] = {
         "scale_sigma": sizes.scale_sigma,
@@ -417,7 +408,8 @@ def simulate_holonomic_drive(
     poses, is_complete = _poses(smooth_path(route), settings)
     rng = np.random.default_rng([settings.day_seed, 7])
     stamps_s = TRUTH_PERIOD_S * np.arange(len(poses), dtype=float)
-    steps = _steps(poses)
+    T = se2.from_parts(*poses.T)
+    steps = se2.log(se2.compose(se2.invert(T[:-1]), T[1:]))
     counts = _counts(settings, steps, poses, rng)
     readings = tuple(_readings(settings, stamps_s, counts))
     if on_progress is not None:
@@ -454,12 +446,6 @@ def _poses(paths: list[Path2d], settings: SimulationSettings) -> tuple[FloatArra
             rate += min(max(asked - rate, -change), change)
             yaw += rate * TRUTH_PERIOD_S
     return np.array(found), True
-
-
-def _steps(poses: FloatArray) -> FloatArray:
-    """(N - 1, 3) tangents of the steps between poses, in the base's frame."""
-    T = se2.from_parts(*poses.T)
-    return se2.log(se2.compose(se2.invert(T[:-1]), T[1:]))
 
 
 def _counts(settings: SimulationSettings, steps: FloatArray, poses: FloatArray, rng: np.random.Generator) -> FloatArray:

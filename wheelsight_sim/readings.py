@@ -1,6 +1,4 @@
-"""What a wheel controller and a gyroscope tell of a drive. Says when readings and frames are taken, and when the
-host says that they were.
-"""
+"""Readings of wheel controller and gyroscope along a drive, with true times and stamps of readings and frames."""
 
 from __future__ import annotations
 
@@ -15,9 +13,6 @@ from wheelsight.core.calibration_parts import Gyro, Wheels
 from wheelsight.core.geometry import FloatArray, IntArray, se3
 from wheelsight.core.messages import WheelReading, WheelTicks, YawRate
 from wheelsight_sim.robot import Robot, WheelFaults
-
-# What a wheel controller and a gyroscope tell of a drive: whole counts every 20 ms, and a noisy yaw rate.
-
 
 GYRO_PERIOD_S = 0.01
 _SAME_MOMENT_S = 1e-6
@@ -156,7 +151,7 @@ def exact_times(count: int, rate_hz: float) -> FrameTimes:
 
 
 def frame_times(count: int, rate_hz: float, settings: StampSettings, rng: np.random.Generator) -> FrameTimes:
-    """Frames at their rate, of which some are lost, stamped late and not evenly. The first always arrives."""
+    """Frames at their rate, with losses, delays and jitter of stamps. The first one always arrives."""
     taken_s = exact_times(count, rate_hz).taken_s
     late_s = rng.uniform(*settings.camera_late_s) + settings.camera_jitter_s * rng.standard_normal(count)
     told_s = _growing(taken_s + late_s)
@@ -190,9 +185,6 @@ def _kept(count: int, settings: StampSettings, rng: np.random.Generator) -> IntA
         is_lost[begin : begin + lengths[begin]] = True
     is_lost[0] = False
     return np.flatnonzero(~is_lost)
-
-
-# Stamps of readings that are told while a robot drives.
 
 
 class Delays:

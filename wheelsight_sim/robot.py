@@ -1,5 +1,5 @@
-"""The simulated robot as it truly is, and as its owner believes it to be; its outline and motors. Drive is what
-physics leaves of a drive.
+"""`Robot` holds the true and the nominal dimensions of the simulated wheelchair. Its outline and motors follow, and
+`Drive`, the result of the physics.
 """
 
 from __future__ import annotations
@@ -16,9 +16,6 @@ from wheelsight.core.geometry import FloatArray, so3
 from wheelsight.core.messages import HolonomicReading, WheelReading, WheelTicks, YawRate
 from wheelsight.core.robots import Duties
 from wheelsight.core.trajectory import Trajectory
-
-# The simulated robot as it truly is, and as its owner believes it to be.
-
 
 TICK_PERIOD_S = 0.02
 NOMINAL_RADIUS_M, NOMINAL_TRACK_WIDTH_M = 0.17, 0.52
@@ -98,7 +95,7 @@ class Robot:
 
     @property
     def nominal(self) -> Wheels:
-        """The wheels as their owner believes them to be: the data sheet's size, and this encoder and gear."""
+        """The nominal wheels: sizes of the data sheet, with the true encoder and gear."""
         radius_m, track_width_m = NOMINAL_RADIUS_M, NOMINAL_TRACK_WIDTH_M
         return Wheels(radius_m, radius_m, track_width_m, self.gear_ratio * self.counts_per_turn)
 
@@ -154,9 +151,6 @@ class WheelFaults:
                     raise ConfigError(f"{name} has a time from {start_s} to {end_s} s", fix="from 0 on, growing")
 
 
-# What physics leaves of a drive: where the base truly was, and what its sensors of motion said.
-
-
 @dataclass(frozen=True, eq=False)
 class Drive:
     """A finished drive; the camera's images are rendered along `truth` afterwards, in any order.
@@ -188,9 +182,6 @@ class Drive:
         return self.truth.duration_s
 
 
-# The outline of the simulated robot from above.
-
-
 TAIL_M = 0.3  # how far a wheelchair reaches behind its axle
 
 
@@ -204,9 +195,6 @@ def outline_at(robot: Robot, T_world_base: FloatArray) -> shapely.Polygon:
     back_m, front_m, half_m = outline_m(robot)
     corners = np.array([(back_m, -half_m), (front_m, -half_m), (front_m, half_m), (back_m, half_m)])
     return shapely.Polygon(corners @ T_world_base[:2, :2].T + T_world_base[:2, 3])
-
-
-# The motors of a simulated wheelchair: a duty becomes a speed of the wheel's rim, late.
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +214,7 @@ class MotorSettings:
 
 
 class Motors:
-    """Of both driven wheels; how strong each is comes by chance, or not where `rng` is None."""
+    """Motors of both driven wheels, with random strengths, or nominal ones if `rng` is None."""
 
     def __init__(self, settings: MotorSettings | None = None, rng: np.random.Generator | None = None) -> None:
         self._settings = settings or MotorSettings()
@@ -235,7 +223,7 @@ class Motors:
         self._rims_m_s: FloatArray = np.zeros(2)
 
     def after(self, duties: Duties, seconds: float) -> tuple[float, float]:
-        """Speeds that the rims of the left and right wheel would have, were there nothing in their way."""
+        """Speeds of the left and right rim without load."""
         share = 1 - math.exp(-seconds / self._settings.lag_s)
         wanted = self._full_m_s * (duties.left, duties.right)
         self._rims_m_s = self._rims_m_s + share * (wanted - self._rims_m_s)
@@ -250,10 +238,10 @@ class WheelSizeSettings:
     """How far calibrated sizes are off; the calibration states the same.
 
     Attributes:
-        scale_sigma: of both radii, as a share: air and warmth. Reckoned.
+        scale_sigma: of both radii, as a share: air and warmth. Computed.
         drift_sigma_rad_per_m: turn a metre by radii that are not alike: two kilograms more on one side press that
-            tyre in by 0.06 %, a milliradian a metre on wheels half a metre apart. Reckoned.
-        turn_sigma: of the track width, as a share: where in its width a tyre touches the floor. Reckoned.
+            tyre in by 0.06 %, a milliradian a metre on wheels half a metre apart. Computed.
+        turn_sigma: of the track width, as a share: where in its width a tyre touches the floor. Computed.
     """
 
     scale_sigma: float = 0.003

@@ -25,7 +25,7 @@ _KINDS = {0: "plane", 2: "sphere", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 
 _TILE_ROWS = 16
 _TILE_COLUMNS = 80
 _NO_LIMIT = 1e10
-# MuJoCo's bounding volumes are those of compilation; told that there are none, it tries every target.
+# MuJoCo's bounding volumes are those of compilation; without them it tries every target.
 _NO_TREE = -1
 _FIRST_GROUP = np.array([1, 0, 0, 0, 0, 0], np.uint8)
 _FEWEST_TARGETS = 8

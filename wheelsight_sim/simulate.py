@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from wheelsight._version import __version__
+from wheelsight import __version__
 from wheelsight.core.areas import save_areas
 from wheelsight.core.calibration import save_calibration
 from wheelsight.core.errors import ConfigError
@@ -50,12 +50,12 @@ def simulate(
     *,
     refused: StrPath | None = None,
 ) -> SimulatedRecording:
-    """Drive through a world as the settings say; images are rendered when the recording's events are asked for.
+    """Simulate a drive through a world; reading the recording's events renders the images.
 
     Args:
-        settings: all there is to say.
-        on_progress: told about once a simulated second how many seconds are driven, and of about how many.
-        refused: where a picture goes that shows why a way cannot be driven; none is drawn otherwise.
+        settings: of the simulation.
+        on_progress: called about once a simulated second with the driven and the expected seconds.
+        refused: path for a picture of an impossible route; default none.
 
     Raises:
         ConfigError: an unknown world or camera, a value out of range, a way through a wall, a fault that begins after
@@ -84,9 +84,9 @@ def _driven(
     on_progress: Callable[[float, float | None], None] | None,
 ) -> Drive:
     total_s = expected_s(settings, world)
-    tell = None if on_progress is None else lambda driven_s: on_progress(driven_s, total_s)
+    report = None if on_progress is None else lambda driven_s: on_progress(driven_s, total_s)
     if settings.base != "differential":
-        return simulate_holonomic_drive(settings, world, tell)
+        return simulate_holonomic_drive(settings, world, report)
     return simulate_drive(
         world,
         settings.robot,
@@ -97,7 +97,7 @@ def _driven(
         floor_seed=settings.seed,
         realism=realism_of(settings.realism),
         time_limit_s=settings.duration_s or _LONGEST_DRIVE_S,
-        on_progress=tell,
+        on_progress=report,
     )
 
 

@@ -1,5 +1,5 @@
-"""Simulator: a robot to command, in a world that goes on while it is commanded: people walk, doors swing, and
-contacts are noted.
+"""`Simulator` is a simulated `Robot` in a world with people and doors. `LiveWorld` steps that world and lists contacts;
+`LiveCamera` renders frames as soon as they are exposed.
 """
 
 from __future__ import annotations
@@ -38,39 +38,36 @@ from wheelsight_sim.simulated_recording import as_owned
 from wheelsight_sim.wheelchair import Touch
 from wheelsight_sim.world import World
 
-# Simulator: a robot to command, in a world that goes on while it is commanded.
-
-
 PERIOD_S = 0.05
 LONGEST_S = 4 * 3600.0
 
-_FALLEN = 0.7  # cosine of the lean from which on a chair does not come back
+_FALLEN = 0.7  # cosine of the tilt beyond which a chair falls over
 
 
 class Simulator(OneCaller):
-    """A `Robot`: each step obeys a command for one control period, and answers what the sensors said in it.
+    """A simulated `Robot`: each step executes a command for one control period, and returns the events of that period.
 
-    Time stands still between steps. Wheels are held at their speeds by the loop that a real robot has, over encoders
-    as they are read; motors follow late. Frames are rendered in the step in which their last row is taken, with all
-    that recorded drives have. What is stamped later than a frame that is not there yet waits for it, so that events
-    come in the order of stamps. Equal arguments and commands, equal events, to the last bit.
+    Time stands still between steps. The control loop of a real robot holds the wheel speeds, with encoders as it reads
+    them and motors with a lag. Frames are rendered in the step of their last row, with all effects of recorded drives.
+    Events with a later stamp than a pending frame wait for it, so that events come in the order of stamps. Equal
+    arguments and commands give identical events.
 
-    Of the settings, those of a way or a driver mean nothing here: laps, speed, duration, direction, velocities. People
-    and doors see the robot as it drives. People are not solid: a robot drives through them, and `contacts` tells.
+    The simulator ignores settings of a route or driver: laps, speed, duration, direction, velocities. People and doors
+    react to the robot. People are not solid: a robot drives through them, and `contacts` lists it.
 
     Args:
         settings: world, camera, robot, faults, people, doors, realism, seed.
-        start: x, y in metres and yaw in radians in the frame `map` where the base begins; None for the world's own.
-        world: in place of the one the settings name.
-        people: how they mind the robot.
-        limits: which commands are held to.
-        control: of the wheels' loop.
-        period_s: of a step, a multiple of 5 ms.
+        start: x, y in metres and yaw in radians of the base in the frame `map`; default the world's own start.
+        world: replaces the world that the settings name.
+        people: how people react to the robot.
+        limits: limits on commands.
+        control: settings of the wheels' control loop.
+        period_s: duration of a step, a multiple of 5 ms.
         has_camera: whether frames are rendered.
-        threads: how many render a frame.
+        threads: number of threads that render a frame.
 
     Raises:
-        ConfigError: what `simulate` raises, a start where something stands, or a period that cannot be.
+        ConfigError: for the errors of `simulate`, an occupied start, or an invalid period.
     """
 
     def __init__(
@@ -87,10 +84,22 @@ class Simulator(OneCaller):
         threads: int = 1,
     ) -> None:
         needed("mujoco")
-        self._steps = _checked_steps(period_s)
+        steps = round(period_s / TRUTH_PERIOD_S) if np.isfinite(period_s) else 0
+        if not (1 <= steps <= 1000 and abs(steps * TRUTH_PERIOD_S - period_s) < 1e-9):
+            raise ConfigError(f"period_s is {period_s}", fix=f"a multiple of {TRUTH_PERIOD_S} s, up to 5 s")
+        self._steps = steps
         self.settings, self._has_camera = settings, has_camera
         self._live = LiveWorld(settings, start, world, people)
-        self._robot = _stepped(settings, self._live)
+        self._robot = SteppedRobot(
+            self._live.world,
+            settings.robot,
+            self._live.T_world_start,
+            faults=settings.faults,
+            slip=settings.has_slip,
+            seed=settings.day_seed,
+            floor=floor_of(self._live.world, realism_of(settings.realism), settings.seed),
+            doors=self._live.doors,
+        )
         self._camera = LiveCamera(self._live.surroundings, settings, LONGEST_S, threads)
         self._calibration = as_owned(settings, self._camera.calibration)
         self._drive = _WheelDrive(settings, self._calibration, limits, control)
@@ -104,12 +113,12 @@ class Simulator(OneCaller):
 
     @property
     def world(self) -> World:
-        """Without people."""
+        """The world without people."""
         return self._live.world
 
     @property
     def calibration(self) -> Calibration:
-        """What the robot's owner measured, as of recordings."""
+        """The calibration by the robot's owner, as in recordings."""
         return self._calibration
 
     @property
@@ -119,27 +128,27 @@ class Simulator(OneCaller):
 
     @property
     def now_s(self) -> float:
-        """As `Robot` has it: `time_s`."""
+        """`time_s`; see `Robot.now_s`."""
         return self.time_s
 
     @property
     def stop_reason(self) -> str:
-        """As `Robot` has it."""
+        """See `Robot.stop_reason`."""
         return self._broken or self._drive.control.reason
 
     @property
     def T_world_base(self) -> FloatArray:
-        """(4, 4) the truth of now, for judging."""
+        """(4, 4) true present pose, for evaluation."""
         return self._robot.chair.T_world_base
 
     @property
     def T_world_camera(self) -> FloatArray:
-        """(4, 4) the truth of the last 5 ms, for judging."""
+        """(4, 4) true pose of the last 5 ms, for evaluation."""
         return self._camera.T_world_camera
 
     @property
     def people_m(self) -> FloatArray:
-        """(N, 2) where people truly stand, metres, for judging."""
+        """(N, 2) true positions of people, metres, for evaluation."""
         return self._live.people_at(self.time_s)
 
     def clearance_m(self, T_world_base: FloatArray | None = None) -> float:
@@ -152,20 +161,20 @@ class Simulator(OneCaller):
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
-        """All that robot and others have come to touch so far, each once when it began, for judging."""
+        """All contacts of the robot so far, each at its begin, for evaluation."""
         return tuple(self._live.contacts)
 
     @property
     def contact(self) -> Contact | None:
-        """The last of them."""
+        """The last contact, or None."""
         return self._live.contacts[-1] if self._live.contacts else None
 
     @one_at_a_time
     def step(self, command: VelocityCommand) -> list[Event]:
-        """Obey a command for one control period; what the sensors said, in the order of stamps.
+        """Execute a command for one control period, and return its events in the order of stamps.
 
         Raises:
-            ArgumentError: it is closed, or has run for four hours.
+            ArgumentError: the simulator is closed, or has run for four hours.
         """
         if self._is_closed or self.time_s >= LONGEST_S:
             problem = "is closed" if self._is_closed else f"has run for {LONGEST_S:g} s"
@@ -176,11 +185,11 @@ class Simulator(OneCaller):
         return list(self._due())
 
     def stop(self) -> None:
-        """Take the motors' voltage; the chair brakes by itself in the steps to come, until it is commanded to stand."""
+        """Cut the motors' voltage; the chair brakes by itself in later steps, until it receives STOP."""
         self._drive.stop()
 
     def close(self) -> None:
-        """Stop; nothing more can be asked of it but the truth."""
+        """Stop; only the truth remains available."""
         self.stop()
         self._is_closed = True
 
@@ -196,7 +205,12 @@ class Simulator(OneCaller):
         robot, tick = self._robot, self._robot.tick
         reading = robot.read()
         self._camera.follow(reading)
-        self._take(reading)
+        if reading.ticks is not None:
+            self._put(self._wheel_delays.stamped(reading.ticks))
+        if reading.yaw_rate is not None:
+            self._put(self._gyro_delays.stamped(reading.yaw_rate))
+        for frame in self._camera.frames() if self._has_camera else ():
+            self._put(frame)
         if tick % ticks_of(COMMAND_PERIOD_S) == 0:
             robot.chair.turn_wheels(self._drive.rims_m_s(reading, command))
         self._live.step(tick, robot)
@@ -206,26 +220,18 @@ class Simulator(OneCaller):
         elif robot.chair.T_world_base[2, 2] < _FALLEN:
             self._broken = f"the wheelchair fell over at {self.time_s:.1f} s"
 
-    def _take(self, reading: Reading) -> None:
-        if reading.ticks is not None:
-            self._put(self._wheel_delays.stamped(reading.ticks))
-        if reading.yaw_rate is not None:
-            self._put(self._gyro_delays.stamped(reading.yaw_rate))
-        for frame in self._camera.frames() if self._has_camera else ():
-            self._put(frame)
-
     def _put(self, event: Event) -> None:
         heapq.heappush(self._waiting, (event.stamp_s, next(self._order), event))
 
     def _due(self) -> Iterator[Event]:
-        """What is stamped up to now, and before any frame that is still to come."""
+        """Events with stamps up to now, and before any pending frame."""
         until_s = min(self.time_s, self._camera.next_stamp_s if self._has_camera else np.inf)
         while self._waiting and self._waiting[0][0] < until_s:
             yield heapq.heappop(self._waiting)[2]
 
 
 class _WheelDrive:
-    """Wheel controller and motors: a command every 20 ms becomes speeds of the wheels' rims."""
+    """Wheel controller and motors: converts a command every 20 ms into speeds of the wheels' rims."""
 
     def __init__(
         self,
@@ -240,60 +246,37 @@ class _WheelDrive:
         self._motors = Motors(rng=None if is_exact else stream(settings.seed, "motors"))
 
     def rims_m_s(self, reading: Reading, command: VelocityCommand) -> tuple[float, float]:
-        """Of the left and right wheel, called every `COMMAND_PERIOD_S`."""
+        """Speeds of the left and right rim; call it every `COMMAND_PERIOD_S`."""
         duties = self.control.update(reading.stamp_s, reading.ticks, command)
         return self._motors.after(duties, COMMAND_PERIOD_S)
 
     def stop(self) -> None:
-        """Begin anew from a stand."""
+        """Reset to a standstill."""
         self.control.stop(STOPPED)
         self._motors.after(Duties(), np.inf)
 
 
-def _stepped(settings: SimulationSettings, live: LiveWorld) -> SteppedRobot:
-    return SteppedRobot(
-        live.world,
-        settings.robot,
-        live.T_world_start,
-        faults=settings.faults,
-        slip=settings.has_slip,
-        seed=settings.day_seed,
-        floor=floor_of(live.world, realism_of(settings.realism), settings.seed),
-        doors=live.doors,
-    )
-
-
-def _checked_steps(period_s: float) -> int:
-    steps = round(period_s / TRUTH_PERIOD_S) if np.isfinite(period_s) else 0
-    if not (1 <= steps <= 1000 and abs(steps * TRUTH_PERIOD_S - period_s) < 1e-9):
-        raise ConfigError(f"period_s is {period_s}", fix=f"a multiple of {TRUTH_PERIOD_S} s, up to 5 s")
-    return steps
-
-
-# A world that goes on while a robot is commanded: people walk, doors swing, and who touches the robot is noted.
-
-
 _LOOK_S = 0.02  # at 1.2 m/s, 24 mm
 _DOORS_S = 0.05
-_ANEW_S = 1.0  # what rests on something rings, and is one contact
+_SEPARATE_S = 1.0  # touches within this time are one contact, because resting objects bounce
 
 
 class LiveWorld:
-    """What is round a robot.
+    """The surroundings of a robot, stepped with it: people walk, doors swing, and contacts are recorded.
 
     Attributes:
         world: without people.
-        T_world_start: (4, 4) where the base begins.
-        contacts: all so far, each when it began.
+        T_world_start: (4, 4) initial pose of the base.
+        contacts: all so far, each at its begin.
 
     Args:
         settings: world, seed, day, robot, people, doors.
-        start: x, y, yaw of the base, or None for the world's own.
-        world: in place of the one the settings name.
-        people: how they mind the robot.
+        start: x, y, yaw of the base; default the world's own start.
+        world: replaces the world that the settings name.
+        people: how people react to the robot.
 
     Raises:
-        ConfigError: a world that cannot be, or a start that touches something.
+        ConfigError: for an invalid world, or a start in contact with something.
     """
 
     def __init__(
@@ -319,27 +302,31 @@ class LiveWorld:
 
     @property
     def surroundings(self) -> Surroundings:
-        """For whoever renders it."""
+        """The surroundings, for rendering."""
         return Surroundings(self.world, self._people, self.doors)
 
     def clearance_m(self, T_world_base: FloatArray, stamp_s: float) -> float:
-        """From a robot's outline to the nearest thing, doors included and people not."""
+        """Distance from a robot's outline to the nearest object, with doors and without people."""
         return self._bystanders.clearance_m(T_world_base, stamp_s)
 
     def people_clearance_m(self, T_world_base: FloatArray, stamp_s: float) -> float:
-        """From a robot's outline to the nearest person's."""
+        """Distance from a robot's outline to the nearest person's."""
         return self._bystanders.people_clearance_m(T_world_base, stamp_s)
 
     def people_at(self, stamp_s: float) -> FloatArray:
-        """(N, 2) where people stand at a time of the last second, metres."""
+        """(N, 2) positions of people at a time within the last second, metres."""
         return np.zeros((0, 2)) if self._people is None else self._people.positions_at(stamp_s)
 
     def step(self, tick: int, stepped: SteppedRobot) -> None:
-        """Go on by a tick of physics: whose turn it is looks at the robot and moves."""
+        """Advance by a tick of physics: people and doors move in their own periods."""
         chair, stamp_s = stepped.chair, stepped.time_s
         motion = Motion(chair.T_world_base, chair.velocity_m_s, chair.yaw_rate_rad_s)
         if self._people is not None and tick % ticks_of(STEP_S) == 0:
-            self._people.step(motion.T_world_base, _going_on(motion, STEP_S))
+            # The pose of the base after a step of people, at constant velocity.
+            T = motion.T_world_base
+            v_base = np.append(motion.velocity_m_s, 0.0) @ T[:3, :3]
+            twist = np.array([v_base[0], v_base[1], 0, 0, 0, motion.turn_rad_s])
+            self._people.step(motion.T_world_base, np.asarray(se3.compose(T, se3.exp(STEP_S * twist))))
         if self.doors is not None:
             if tick % ticks_of(_DOORS_S) == 0:
                 outline = outline_at(self._robot, motion.T_world_base)
@@ -350,9 +337,9 @@ class LiveWorld:
             self._note(self._bystanders.touching_people(motion, stamp_s))
 
     def _note(self, contacts: list[Contact]) -> None:
-        """Keep those that begin now."""
+        """Record the contacts that begin now."""
         for contact in contacts:
-            if contact.time_s - self._touched_s.get(contact.name, -np.inf) > _ANEW_S:
+            if contact.time_s - self._touched_s.get(contact.name, -np.inf) > _SEPARATE_S:
                 self.contacts.append(contact)
             self._touched_s[contact.name] = contact.time_s
 
@@ -366,30 +353,19 @@ def _start(world: World, start: tuple[float, float, float] | None) -> FloatArray
     return se3.from_plane(*start)
 
 
-def _going_on(motion: Motion, seconds: float) -> FloatArray:
-    """T_world_base (4, 4) after so long, if the base goes on as it does."""
-    T = motion.T_world_base
-    v_base = np.append(motion.velocity_m_s, 0.0) @ T[:3, :3]
-    twist = np.array([v_base[0], v_base[1], 0, 0, 0, motion.turn_rad_s])
-    return np.asarray(se3.compose(T, se3.exp(seconds * twist)))
-
-
-# The camera of a robot to command: each frame is rendered as soon as all of its rows are taken.
-
-
 _KEPT_S = 0.25
-# Motion blur and the depth camera's own moment ask for the camera's velocity about the middle row's time.
+# Motion blur and the depth camera's own exposure need the camera's velocity around the middle row's time.
 _AFTER_S = 0.005
 
 
 class LiveCamera:
-    """Frames along a drive that is not known yet.
+    """Renders the frames of a drive while it goes on, each as soon as all of its rows are exposed.
 
     Args:
-        surroundings: what there is to see.
-        settings: seed, day, robot, camera, images a second, motion blur, realism, times in which it is covered.
-        longest_s: of the drive.
-        threads: how many render a frame.
+        surroundings: the scene.
+        settings: seed, day, robot, camera, frame rate, motion blur, realism, times with a covered lens.
+        longest_s: longest duration of the drive.
+        threads: number of threads that render a frame.
     """
 
     def __init__(
@@ -416,12 +392,12 @@ class LiveCamera:
 
     @property
     def calibration(self) -> Calibration:
-        """Of the camera alone, as its owner has it."""
+        """The calibration of the camera alone, by its owner."""
         return camera_calibration(self._unit, self._unit.lens.nominal)
 
     @property
     def T_world_camera(self) -> FloatArray:
-        """(4, 4) of now."""
+        """(4, 4) present pose."""
         carriage = self._carriage()
         return np.asarray(carriage.T_world_camera(carriage.truth.stamps_s[-1])[0])
 
@@ -431,13 +407,13 @@ class LiveCamera:
         return float(self._times.told_s[self._next]) if self._next < len(self._times) else np.inf
 
     def follow(self, reading: Reading) -> None:
-        """The base moves on."""
+        """Add the next pose of the base."""
         self._truth.append(reading)
         if self._body is not None:
             self._body.step(se3.from_quaternion(reading.position_m, np.roll(reading.quaternion_wxyz, -1)))
 
     def frames(self) -> Iterator[RgbdFrame]:
-        """Those that are taken wholly by now, in order."""
+        """The frames that are completely exposed by now, in order."""
         after_s = max(self._unit.model.rolling_shutter_s / 2, _AFTER_S)
         while self._next < len(self._times) and self._times.taken_s[self._next] + after_s <= self._truth[-1].stamp_s:
             self._maker.carriage = self._carriage()
@@ -455,22 +431,19 @@ class LiveCamera:
         return Carriage(truth, self._T_base_camera, self._body)
 
 
-# How near a robot is to things and people, and what it touches: for judging, not for the robot.
-
-
-_STANDS_M_S = 0.02  # a rider who fidgets moves no point of a chair that stands by more than 0.0014
+_STANDS_M_S = 0.02  # a fidgeting rider moves a standing chair by at most 0.0014 m/s
 
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """The robot and something else came to touch.
+    """A contact of the robot with an object or a person.
 
     Attributes:
-        time_s: when.
-        name: what: a geom of the world, or `passerby` and a number.
-        place_m: (x, y) where.
-        robot_m_s: how fast the robot's outline moved towards it there.
-        other_m_s: how fast it moved towards the robot; 0 for what stands.
+        time_s: its begin.
+        name: a geom of the world, or `passerby` and a number.
+        place_m: (x, y) in the world.
+        robot_m_s: speed of the robot's outline towards the other at that place.
+        other_m_s: speed of the other towards the robot; 0 for static objects.
     """
 
     time_s: float
@@ -481,32 +454,32 @@ class Contact:
 
     @property
     def is_by_robot(self) -> bool:
-        """Whether the robot drove into it; what comes at a robot that stands or goes away has done it itself."""
+        """Whether the robot caused it, rather than something that moved towards a standing or retreating robot."""
         return self.robot_m_s > _STANDS_M_S or self.other_m_s < _STANDS_M_S
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """Of a base: T_world_base (4, 4), velocity (2,) in the world in m/s, and yaw rate in rad/s."""
+    """Motion of a base: T_world_base (4, 4), velocity (2,) in the world in m/s, and yaw rate in rad/s."""
 
     T_world_base: FloatArray
     velocity_m_s: FloatArray
     turn_rad_s: float
 
     def velocity_at(self, place_m: FloatArray) -> FloatArray:
-        """(2,) of the robot's body at a place (2,) of the world."""
+        """Velocity (2,) of the robot's body at a place (2,) in the world."""
         x, y = place_m - self.T_world_base[:2, 3]
         return np.asarray(self.velocity_m_s + self.turn_rad_s * np.array([-y, x]))
 
 
 class Bystanders:
-    """All that a robot can bump into.
+    """Distances and contacts of a robot with objects, doors and people.
 
     Args:
-        world: what stands, between what a wheelchair rolls over and what it passes under.
-        robot: whose outline it is.
-        people: who walks, or None.
-        doors: which swing, or None.
+        world: its objects count between the heights that a wheelchair rolls over and passes under.
+        robot: gives the outline.
+        people: walking people, or None.
+        doors: swinging doors, or None.
     """
 
     def __init__(
@@ -520,7 +493,7 @@ class Bystanders:
         self._tree = shapely.STRtree([thing.polygon for thing in things])
 
     def clearance_m(self, T_world_base: FloatArray, stamp_s: float) -> float:
-        """From the robot's outline to the nearest thing, doors included and people not; infinite where nothing is."""
+        """Distance from the robot's outline to the nearest object, with doors and without people; infinite if none."""
         outline = outline_at(self._robot, T_world_base)
         leaves = [] if self._doors is None else self._doors.places_at(stamp_s)
         distances = [float(outline.distance(leaf)) for leaf in leaves]
@@ -529,7 +502,7 @@ class Bystanders:
         return min(distances, default=np.inf)
 
     def people_clearance_m(self, T_world_base: FloatArray, stamp_s: float) -> float:
-        """From the robot's outline to the nearest person's; infinite where there is nobody."""
+        """Distance from the robot's outline to the nearest person's; infinite if there is none."""
         if self._people is None:
             return np.inf
         outline = outline_at(self._robot, T_world_base)
@@ -537,7 +510,7 @@ class Bystanders:
         return max(float(shapely.distance(outline, axes).min()) - RADIUS_M, 0.0)
 
     def touching_things(self, motion: Motion, touches: list[Touch], stamp_s: float) -> list[Contact]:
-        """Contacts with what physics says that the hull touches."""
+        """Contacts of the hull with objects, by the physics engine."""
         leaves = () if self._doors is None else self._doors.leaves
         index_of = {leaf.geom: index for index, leaf in enumerate(leaves)}
         found = []
@@ -549,7 +522,7 @@ class Bystanders:
         return found
 
     def touching_people(self, motion: Motion, stamp_s: float) -> list[Contact]:
-        """Contacts with people, of whom physics knows nothing."""
+        """Contacts with people, which the physics engine does not know."""
         if self._people is None:
             return []
         outline = outline_at(self._robot, motion.T_world_base)

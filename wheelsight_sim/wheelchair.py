@@ -241,9 +241,6 @@ class Chair:
         self._jack = self._model.geom(PREFIX + "jack").id
         self._lowest_m = float(self._model.geom_pos[self._jack, 2])
         self._jack_m = self._lowest_m + 2 * LIFT_M
-        self._place(T_world_base)
-
-    def _place(self, T_world_base: FloatArray) -> None:
         self._pose[:3] = T_world_base[:3, 3]
         self._pose[3:] = np.roll(so3.to_quaternion(T_world_base[:3, :3]), 1)
         for side in ("left", "right"):
@@ -308,7 +305,7 @@ class Chair:
 
     @property
     def is_broken(self) -> bool:
-        """Whether numbers run away; seen before MuJoCo itself does, which then starts anew and writes a log file."""
+        """Whether the physics diverges, checked before MuJoCo, which would reset and write a log file."""
         return bool(self._data.warning.number.any() or not np.abs(self._data.qvel).max() < _FASTEST)
 
     def obey(self, v_m_s: float, yaw_rate_rad_s: float) -> None:
@@ -327,7 +324,7 @@ class Chair:
             self._data.ctrl[i] += min(max(change, -step_rad_s), step_rad_s)
 
     def step(self, stamp_s: float, steps: int) -> None:
-        """Goes on by so many time steps with the floor, the rider and the faults of `stamp_s`."""
+        """Advance by some time steps with the floor, the rider and the faults at `stamp_s`."""
         if self._faults.lifted_s:
             self._lift(is_during(stamp_s, self._faults.lifted_s), steps * TIMESTEP_S)
         self._tyres.grip(self._data)

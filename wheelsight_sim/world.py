@@ -1,4 +1,4 @@
-"""A world to drive in: what stands there, how it looks, which areas it has, and a route through it."""
+"""`World` describes a simulated world: its objects, their look, its areas, and a route."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Leaf:
     """A door's leaf that can swing: it turns about a hinge between where the MJCF has it and its other end.
 
     Attributes:
-        geom: its upright box in the MJCF, at rest where it is in nobody's way.
+        geom: its upright box in the MJCF, at rest where it is out of the way.
         hinge_m: (x, y) of the upright axis it turns about.
         turn_rad: how far it turns from there, anticlockwise seen from above: from open to shut, or from shut to open.
     """

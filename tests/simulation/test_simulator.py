@@ -234,7 +234,7 @@ def test_an_encoder_that_is_out_is_found() -> None:
     run(simulator, AHEAD, 3.0)
     T_out = simulator.T_world_base
     run(simulator, AHEAD, 3.0)
-    assert "is blocked: told 0.50 m/s, its encoder 0.00" in simulator.stop_reason
+    assert "is blocked: command 0.50 m/s, encoder 0.00" in simulator.stop_reason
     assert moved(T_out, simulator.T_world_base)[0] < 0.4
 
 

@@ -365,7 +365,10 @@ class Building:
         ET.SubElement(root, "compiler", angle="radian")
         middle = _numbers(((x_min + x_max) / 2, (y_min + y_max) / 2, 1.0))
         ET.SubElement(root, "statistic", center=middle, extent=f"{extent:g}")
-        _add_view(root, extent)
+        visual = ET.SubElement(root, "visual")
+        ET.SubElement(visual, "headlight", ambient="0.55 0.55 0.55", diffuse="0.45 0.45 0.45", specular="0.1 0.1 0.1")
+        ET.SubElement(visual, "map", znear=f"{0.05 / extent:.6g}", zfar="10")
+        ET.SubElement(visual, "global", azimuth="90", elevation="-60", offwidth="1280", offheight="960")
         asset = ET.SubElement(root, "asset")
         for name, surface in sorted(self._surfaces.items()):
             colour, shine = _numbers((*surface.rgb, 1.0)), f"{surface.shine:g}"
@@ -377,14 +380,6 @@ class Building:
             ET.SubElement(ground, "geom", {"name": name, **attributes})
         ET.indent(root)
         return ET.tostring(root, encoding="unicode") + "\n"
-
-
-def _add_view(root: ET.Element, extent_m: float) -> None:
-    """Light from the viewer's head, and a near plane close enough for rooms; MuJoCo takes it in extents."""
-    visual = ET.SubElement(root, "visual")
-    ET.SubElement(visual, "headlight", ambient="0.55 0.55 0.55", diffuse="0.45 0.45 0.45", specular="0.1 0.1 0.1")
-    ET.SubElement(visual, "map", znear=f"{0.05 / extent_m:.6g}", zfar="10")
-    ET.SubElement(visual, "global", azimuth="90", elevation="-60", offwidth="1280", offheight="960")
 
 
 def _growth(

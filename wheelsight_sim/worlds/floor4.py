@@ -158,24 +158,24 @@ def _floors(building: Building) -> None:
 
 
 def _areas() -> list[Area]:
-    """Named as in the paper: 2, 4, 5 and 6 tell both coordinates, the corridors the one that they do not run along."""
+    """Areas as in the paper: 2, 4, 5 and 6 give both coordinates, corridors the one across."""
     return [
-        _area("1", 0.0, 0.0, 35.0, 2.8, tells="y"),
-        _area("2", 35.0, 0.0, 41.0, 6.0, tells="xy"),
-        _area("3", 38.4, 6.0, 41.0, 17.0, tells="x"),
-        _area("4", 35.0, 17.0, 41.0, 23.0, tells="xy"),
-        _area("5", 25.0, 16.0, 35.0, 25.0, tells="xy"),
-        _area("6", 18.5, 14.6, 25.0, 22.6, tells="xy"),
-        _area("7", 2.4, 14.6, 18.5, 17.2, tells="y"),
-        _area("8", 0.0, 2.8, 2.4, 17.2, tells="x"),
+        _area("1", 0.0, 0.0, 35.0, 2.8, axes="y"),
+        _area("2", 35.0, 0.0, 41.0, 6.0, axes="xy"),
+        _area("3", 38.4, 6.0, 41.0, 17.0, axes="x"),
+        _area("4", 35.0, 17.0, 41.0, 23.0, axes="xy"),
+        _area("5", 25.0, 16.0, 35.0, 25.0, axes="xy"),
+        _area("6", 18.5, 14.6, 25.0, 22.6, axes="xy"),
+        _area("7", 2.4, 14.6, 18.5, 17.2, axes="y"),
+        _area("8", 0.0, 2.8, 2.4, 17.2, axes="x"),
     ]
 
 
-def _area(name: str, x_min: float, y_min: float, x_max: float, y_max: float, tells: str) -> Area:
-    """A rectangle; the coordinates it tells are those of its centre."""
+def _area(name: str, x_min: float, y_min: float, x_max: float, y_max: float, axes: str) -> Area:
+    """A rectangle that gives some coordinates of its centre."""
     polygon: FloatArray = np.array([(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)])
     x_m, y_m = (x_min + x_max) / 2, (y_min + y_max) / 2
-    return Area(name, polygon, x_m if "x" in tells else None, y_m if "y" in tells else None)
+    return Area(name, polygon, x_m if "x" in axes else None, y_m if "y" in axes else None)
 
 
 # What stands and hangs on `floor4`, area by area.

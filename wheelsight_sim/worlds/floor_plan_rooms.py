@@ -393,7 +393,7 @@ _MOST_COLOURS = 500
 _LEAST_FREE = 0.7  # of a room; walls and the world outside have colours, too
 _AREAS_STRAIGHT_M = 0.1
 _CUT_M = 0.004  # polygons of areas have no holes: a cut leads into each
-_TELLS_WITHIN_M = 10.0  # an area that is longer tells nothing along its length, as corridors of Trinh et al., Fig. 7
+_LONGEST_KNOWN_M = 10.0  # a longer area gives no coordinate along its length, as corridors of Trinh et al., Fig. 7
 
 
 def read_room_areas(path: Path, plan: RosMap) -> list[Area]:
@@ -473,5 +473,5 @@ def _area(name: str, polygon: shapely.Polygon) -> Area:
     corners: FloatArray = shapely.get_coordinates(polygon)[:-1]
     low, high = corners.min(axis=0), corners.max(axis=0)
     middle, spans = (low + high) / 2, high - low
-    tells = spans <= max(_TELLS_WITHIN_M, float(spans.min()))
-    return Area(name, corners, *(float(m) if told else None for m, told in zip(middle, tells, strict=True)))
+    is_known = spans <= max(_LONGEST_KNOWN_M, float(spans.min()))
+    return Area(name, corners, *(float(m) if known else None for m, known in zip(middle, is_known, strict=True)))

@@ -47,7 +47,8 @@ def build_flat(seed: int, day: int = 0, *, has_leaves: bool = False) -> World:
     _kitchen(building)
     _hall(building)
     _bedroom(building)
-    _radiators(building)
+    for face, at in (("south", 4.4), ("west", NORTH_M - 2.4), ("west", NORTH_M - 6.0)):
+        building.hang(face, "radiator", "radiator", at, 1.4, 0.15, 0.75, 0.1, is_solid=True)
     if has_leaves:
         _leaves(building)
     areas = [
@@ -143,12 +144,6 @@ def _bedroom(building: Building) -> None:
     building.posters("bedroom_south_back", (2.4, 3.8), (4.0, 5.6))
     bin_beside(building, "west", 0.4, 1.2)
     building.lamps((3.2, 7.2))
-
-
-def _radiators(building: Building) -> None:
-    """Under the windows of living room and bedroom."""
-    for face, at in (("south", 4.4), ("west", NORTH_M - 2.4), ("west", NORTH_M - 6.0)):
-        building.hang(face, "radiator", "radiator", at, 1.4, 0.15, 0.75, 0.1, is_solid=True)
 
 
 def _leaves(building: Building) -> None:

@@ -60,9 +60,9 @@ class Solution:
 
 
 class _Linear(NamedTuple):
-    """Residuals (m,) and their derivatives: by the cameras' parameters (m, g), and by the pose (m, 6) of `view` (m,).
+    """Residuals (m,) and their derivatives by the cameras' parameters (m, g) and by the pose (m, 6) of `view` (m,).
 
-    `view` is -1 of priors, which see no pose.
+    `view` is -1 for priors, which depend on no pose.
     """
 
     r: FloatArray
@@ -82,10 +82,11 @@ class _Normal(NamedTuple):
 
 
 def solve(residuals: Residuals, start: FloatArray, small_gain: float = _SMALL_GAIN) -> Solution:
-    """The parameters of least cost, from a start near it, until an undamped step lowers it by less than `small_gain`.
+    """The parameters of least cost by Levenberg–Marquardt, from a start near the minimum.
 
-    That is a share of it. A damped step that gains little is no end: where parameters can stand in for each other, as
-    scale, offset and curve of time of flight, only what is known beforehand parts them, and damping hides that little.
+    It ends when an undamped step lowers the cost by less than the share `small_gain`. A damped step with little gain is
+    no criterion: scale, offset and curve of time of flight are nearly equivalent, and damping hides the small effect of
+    the priors that separate them.
     """
     x, damping = start.copy(), _DAMPING
     linear = _linearised(residuals, x)

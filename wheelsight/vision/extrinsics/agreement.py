@@ -283,7 +283,7 @@ def _way_and_turn(T: FloatArray) -> FloatArray:
 
 
 def _seen_of(M: FloatArray) -> FloatArray:
-    """(6, 2) of true way and turn that are M (2, 2) times those expected by the wheels, as a camera sees them."""
+    """(6, 2) motion of a camera if the true distance and rotation are M (2, 2) times those by the wheels."""
     expected = np.zeros((6, 2))
     expected[0], expected[5] = M
     return expected
