@@ -1,6 +1,6 @@
-"""Kinect v1 through Debian's libfreenect0.5, by ctypes: OpenNI2's own drivers do not know it.
+"""`FreenectDriver` of a Kinect v1, through Debian's libfreenect0.5 by ctypes; OpenNI2's own drivers do not support it.
 
-Its cameras are nominal until they are calibrated: the library tells nothing of lenses.
+Its calibration is nominal: the library has no lens parameters.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ _NAMES = ("libfreenect.so.0.5", "libfreenect.so")
 _SIZE = _WIDTH, _HEIGHT = 640, 480
 _VGA, _RGB, _REGISTERED, _MM = 1, 0, 4, 5
 _CAMERA, _FATAL = 0x02, 0
-# The camera's clock, of 32 bits, which begins anew every 72 s (libfreenect, pull request 465).
+# The camera's clock has 32 bits and wraps around every 72 s (libfreenect, pull request 465).
 _CLOCK_HZ, _CLOCK_SPAN = 60e6, 1 << 32
 _VENDOR = 0x045E
-# libusb's, which the library hands on: access denied, no such device, busy.
+# Error codes of libusb.
 _DENIED, _BUSY = -3, -6
 
 
@@ -70,11 +70,11 @@ def library() -> Any:
 
 
 class FreenectDriver:
-    """A `CameraDriver` of a Kinect v1, which gives 640×480 at 30 Hz and nothing else.
+    """A `CameraDriver` of a Kinect v1, which has 640×480 at 30 Hz only.
 
     Args:
-        where: a serial number; None for the first that is plugged in.
-        settings: registration is taken from it; the library does it by the device's own factory calibration.
+        where: a serial number; None for the first connected device.
+        settings: with registration, which the library computes by the device's factory calibration.
     """
 
     def __init__(self, where: str | None, settings: LiveCameraSettings) -> None:
@@ -130,9 +130,9 @@ class FreenectDriver:
             library().freenect_shutdown(context)
 
     def _opened_device(self, lib: Any) -> str:
-        """Open the device; its serial number."""
+        """Open the device. Returns its serial number."""
         lib.freenect_set_log_level(self._context, _FATAL)
-        # The motor and the microphones stay with whoever else wants them.
+        # Leave motor and microphones to other programs.
         lib.freenect_select_subdevices(self._context, _CAMERA)
         if lib.freenect_num_devices(self._context) < 1:
             raise DeviceError("no Kinect v1 is there", fix="plug it in, its power supply too; see: wheelsight devices")
@@ -152,7 +152,7 @@ class FreenectDriver:
         lib.freenect_set_video_mode(self._device, lib.freenect_find_video_mode(_VGA, _RGB))
         lib.freenect_set_depth_mode(self._device, lib.freenect_find_depth_mode(_VGA, depth))
         self._pairs, self._found, self._ticks = FramePairs(self._settings.pair_gap_s), [], None
-        # Kept for as long as the library may call them.
+        # Keep references while the library may call them.
         self._callbacks = [_Callback(self._take_color), _Callback(self._take_depth)]
         lib.freenect_set_video_callback(self._device, self._callbacks[0])
         lib.freenect_set_depth_callback(self._device, self._callbacks[1])
@@ -177,7 +177,7 @@ class FreenectDriver:
         self._found.append(DeviceImages(color.what, depth_m, color.stamp_s, depth.stamp_s, None))
 
     def _seconds(self, ticks: int) -> float:
-        """The device's clock, which both streams share, without its beginning anew."""
+        """The unwrapped time of the device's clock, which both streams share."""
         self._ticks = ticks if self._ticks is None else self._ticks + least_step(ticks - self._ticks, _CLOCK_SPAN)
         return self._ticks / _CLOCK_HZ
 
@@ -197,7 +197,7 @@ def _why_closed(error: int, where: str | None) -> DeviceError:
 
 
 def _first_serial(lib: Any, context: c.c_void_p) -> str:
-    """Of the first device, or "" where the library does not tell."""
+    """The serial number of the first device, or "" where it is unknown."""
     if not hasattr(lib, "freenect_list_device_attributes"):
         return ""
     first = c.POINTER(_Attributes)()

@@ -29,7 +29,7 @@ from wheelsight.io.devices.camera_driver import (
     udev_rule,
 )
 
-# RealSense cameras through pyrealsense2, and what its recorder wrote; the device tells its own calibration.
+# RealSense cameras through pyrealsense2, and files of its recorder, with the calibration of the device.
 
 
 _VENDOR = 0x8086
@@ -39,7 +39,7 @@ _QUEUED = 20
 # Disparities are good to this share of a pixel on textured walls: the maker's white paper on tuning D400 depth cameras.
 _SUBPIXEL = 0.08
 _NEAR_M, _FAR_M = 0.2, 10.0
-# Pixels between the device's lens model and ours beyond which a user is told.
+# Pixels between the device's lens model and ours beyond which a warning is given.
 _LENS_OFF_PX = 0.3
 
 
@@ -57,9 +57,9 @@ class RealSenseDriver:
     device's own extrinsics join the images.
 
     Args:
-        where: a serial number, or the file of a recording; None for the first device that is plugged in.
-        settings: size, rate and infrared are taken from it.
-        devices: tells what is plugged in; None for the library's.
+        where: a serial number, or the file of a recording; None for the first connected device.
+        settings: with size, rate and infrared.
+        devices: lists the connected devices; None to use the library.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class RealSenseDriver:
             return self._started()
         except RuntimeError as error:
             self.close()
-            raise _told(error, self._where) from error
+            raise _device_error(error, self._where) from error
         except DeviceError:
             self.close()
             raise
@@ -101,7 +101,7 @@ class RealSenseDriver:
                     return found
             self._check_presence()
         except RuntimeError as error:
-            raise _told(error, self._where) from error
+            raise _device_error(error, self._where) from error
         return None
 
     def take_angular_velocities(self) -> list[DeviceAngularVelocity]:
@@ -109,7 +109,7 @@ class RealSenseDriver:
         try:
             return [] if self._gyro is None else self._gyro.take()
         except RuntimeError as error:
-            raise _told(error, self._where) from error
+            raise _device_error(error, self._where) from error
 
     def close(self) -> None:
         """As `CameraDriver` has it."""
@@ -118,7 +118,7 @@ class RealSenseDriver:
             for end in (sensor.stop, sensor.close):
                 try:
                     end()
-                except RuntimeError:  # it is gone, or was not started
+                except RuntimeError:  # it was unplugged, or not started
                     continue
         self._device = None
 
@@ -133,7 +133,7 @@ class RealSenseDriver:
                 raise DeviceError("there is no such file", path=self._where, fix="check the path")
             playback = self._rs.context().load_device(self._where).as_playback()
             playback.set_real_time(True)
-            playback.pause()  # until all its streams have begun: the first would begin alone
+            playback.pause()  # until all its streams have started
             return playback
         devices = self._plugged_in()
         if not devices:
@@ -166,7 +166,7 @@ class RealSenseDriver:
         self._queue = self._rs.frame_queue(_QUEUED, True)
         self._start_gyro(chosen["depth"].profile)
         for sensor in self._sensors_of(chosen):
-            self._let_stamp(sensor)
+            self._use_device_clock(sensor)
             sensor.open([one.profile for one in chosen.values() if self._is_same(one.sensor, sensor)])
             self._running.append(sensor)
             sensor.start(self._queue)
@@ -178,17 +178,17 @@ class RealSenseDriver:
         return OpenedDevice(f"{self._info(self._device, 'name')} {name}".strip(), calibration, tuple(warnings))
 
     def _start_gyro(self, depth_profile: Any) -> None:
-        """Where there is one, and it is wanted."""
+        """Start the gyroscope, if there is one and the settings ask for it."""
         gyro = gyro_of(self._rs, self._device, depth_profile) if self._settings.gyro else None
         if gyro is None:
             return
-        self._let_stamp(gyro.sensor)
+        self._use_device_clock(gyro.sensor)
         self._running.append(gyro.sensor)
         gyro.start()
         self._gyro = gyro
 
-    def _let_stamp(self, sensor: Any) -> None:
-        """By the device's own clock: the library's mapping to the host's tells nothing of its uncertainty."""
+    def _use_device_clock(self, sensor: Any) -> None:
+        """Stamp frames by the device's clock: the uncertainty of the library's mapping to host time is unknown."""
         if sensor.supports(self._rs.option.global_time_enabled):
             sensor.set_option(self._rs.option.global_time_enabled, 0)
 
@@ -200,7 +200,7 @@ class RealSenseDriver:
         return list({one.sensor.get_info(self._rs.camera_info.name): one.sensor for one in chosen.values()}.values())
 
     def _choose(self, name: str, stream: Any, form: Any) -> _Chosen:
-        """The profile asked for; of a file, whichever it holds. Raises DeviceError naming what there is."""
+        """The requested profile, or that of a file. Raises DeviceError naming the available ones."""
         found = [
             _Chosen(sensor, profile.as_video_stream_profile())
             for sensor in self._device.query_sensors()
@@ -225,7 +225,7 @@ class RealSenseDriver:
         color, depth = (self._camera(chosen[name].profile, name, warnings) for name in ("color", "depth"))
         extrinsics = chosen["depth"].profile.get_extrinsics_to(chosen["color"].profile)
         T_color_depth: FloatArray = np.eye(4)
-        T_color_depth[:3, :3] = np.reshape(extrinsics.rotation, (3, 3)).T  # the library's are column by column
+        T_color_depth[:3, :3] = np.reshape(extrinsics.rotation, (3, 3)).T  # column-major in the library
         T_color_depth[:3, 3] = extrinsics.translation
         serial = self._serial(self._device)
         noise = self._depth_noise(chosen["depth"].sensor, depth)
@@ -233,24 +233,24 @@ class RealSenseDriver:
         return Calibration(color, depth, T_color_depth, noise, source=source), warnings
 
     def _camera(self, profile: Any, name: str, warnings: list[str]) -> PinholeCamera:
-        told = profile.intrinsics
-        camera = PinholeCamera(told.width, told.height, told.fx, told.fy, told.ppx, told.ppy)
+        own = profile.intrinsics
+        camera = PinholeCamera(own.width, own.height, own.fx, own.fy, own.ppx, own.ppy)
         models = self._rs.distortion
-        if not any(told.coeffs) or told.model == models.none:
+        if not any(own.coeffs) or own.model == models.none:
             return camera
-        if told.model == models.brown_conrady:
-            return _with_lens(camera, tuple(told.coeffs))
-        px = np.stack(np.meshgrid(np.linspace(0, told.width - 1, 17), np.linspace(0, told.height - 1, 13)), -1)
+        if own.model == models.brown_conrady:
+            return _with_lens(camera, tuple(own.coeffs))
+        px = np.stack(np.meshgrid(np.linspace(0, own.width - 1, 17), np.linspace(0, own.height - 1, 13)), -1)
         px = px.reshape(-1, 2)
-        rays = [self._rs.rs2_deproject_pixel_to_point(told, [float(u), float(v)], 1.0)[:2] for u, v in px]
+        rays = [self._rs.rs2_deproject_pixel_to_point(own, [float(u), float(v)], 1.0)[:2] for u, v in px]
         fit = fitted_lens(rays, camera.normalise(px))
-        if fit.worst * told.fx > _LENS_OFF_PX:
-            off = f"{fit.median * told.fx:.2f} px in the median, and by {fit.worst * told.fx:.1f} px at worst"
+        if fit.worst * own.fx > _LENS_OFF_PX:
+            off = f"{fit.median * own.fx:.2f} px in the median, and by {fit.worst * own.fx:.1f} px at worst"
             warnings.append(f"Five coefficients miss the {name} lens by {off}.")
         return _with_lens(camera, fit.distortion)
 
     def _depth_noise(self, sensor: Any, depth: PinholeCamera) -> DepthNoise:
-        """Of stereo by the baseline that the device tells; of what tells none, the default."""
+        """The noise of stereo by the device's baseline; the default where the baseline is unknown."""
         baseline = self._rs.option.stereo_baseline
         if not sensor.supports(baseline):
             return DepthNoise(near_m=_NEAR_M, far_m=_FAR_M)
@@ -280,7 +280,7 @@ class RealSenseDriver:
         )
 
     def _check_presence(self) -> None:
-        """Raises PlaybackEndedError for a file that is over, DeviceError for a device that is gone."""
+        """Raise PlaybackEndedError at the end of a file, DeviceError where the device was unplugged."""
         if self._is_file:
             if self._device.current_status() == self._rs.playback_status.stopped:
                 raise PlaybackEndedError("the file is over", path=self._where)
@@ -297,30 +297,31 @@ def _mode(chosen: _Chosen) -> tuple[int, int, int]:
 
 def _with_lens(camera: PinholeCamera, distortion: tuple[float, ...]) -> PinholeCamera:
     k1, k2, p1, p2, k3 = distortion
-    told = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
-    return PinholeCamera(*told, (k1, k2, p1, p2, k3) if all(map(math.isfinite, distortion)) else (0.0,) * 5)
+    intrinsics = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    return PinholeCamera(*intrinsics, (k1, k2, p1, p2, k3) if all(map(math.isfinite, distortion)) else (0.0,) * 5)
 
 
-def _told(error: RuntimeError, where: str | None) -> DeviceError:
-    """What the library says, with what to do about it."""
-    said = str(error)
-    low = said.lower()
+def _device_error(error: RuntimeError, where: str | None) -> DeviceError:
+    """The error of the library as DeviceError, with its fix."""
+    message = str(error)
+    low = message.lower()
     if "busy" in low:
         return DeviceError("the camera is in use by another program", path=where, fix="end that one first")
     if "access" in low or "permission" in low:
         return DeviceError("no permission to open the camera", path=where, fix=udev_rule(_VENDOR))
-    return DeviceError(f"RealSense: {said}", path=where, fix="unplug it and plug it in again; see: wheelsight devices")
+    return DeviceError(
+        f"RealSense: {message}", path=where, fix="unplug it and plug it in again; see: wheelsight devices"
+    )
 
 
-# The gyroscope in a RealSense camera (D435i, D455), where there is one: rates about the axes of the depth camera.
+# The gyroscope of a RealSense camera (D435i, D455)
 
-
-# Of readings that the library keeps while we are away: half a second of the fastest.
+# Readings that the library keeps: half a second of the fastest.
 _REALSENSE_GYRO_QUEUED = 200
 
 
 class RealSenseGyro:
-    """One that streams into a queue of its own, so that images and readings push each other out of none.
+    """A gyroscope with a queue of its own, so that images do not displace readings. Rates are about the camera's axes.
 
     Args:
         rs: the library.
@@ -334,12 +335,12 @@ class RealSenseGyro:
         self._R, self._queue = R_camera_gyro, rs.frame_queue(_REALSENSE_GYRO_QUEUED, True)
 
     def start(self) -> None:
-        """Stream. Raises RuntimeError, as the library does."""
+        """Start streaming. Raises RuntimeError of the library."""
         self.sensor.open([self.profile])
         self.sensor.start(self._queue)
 
     def take(self) -> list[DeviceAngularVelocity]:
-        """What came since the last call, in order; waits for none."""
+        """The readings since the last call, in order. Does not wait."""
         found = []
         while frame := self._queue.poll_for_frame():
             data = frame.as_motion_frame().get_motion_data()
@@ -349,9 +350,9 @@ class RealSenseGyro:
 
 
 def gyro_of(rs: Any, device: Any, depth_profile: Any) -> RealSenseGyro | None:
-    """The device's gyroscope at the slowest rate that it has, still many times a turn of a robot; None for none.
+    """The device's gyroscope at its slowest rate, which is fast enough for a robot; None without a gyroscope.
 
-    Raises RuntimeError, as the library does, of a device that does not tell how it is mounted.
+    Raises RuntimeError of the library where the gyroscope's extrinsics are unknown.
     """
     offered = [
         (profile.fps(), sensor, profile)
@@ -363,4 +364,4 @@ def gyro_of(rs: Any, device: Any, depth_profile: Any) -> RealSenseGyro | None:
         return None
     _, sensor, profile = min(offered, key=lambda one: one[0])
     rotation = profile.get_extrinsics_to(depth_profile).rotation
-    return RealSenseGyro(rs, sensor, profile, np.reshape(rotation, (3, 3)).T)  # column by column, as the library has it
+    return RealSenseGyro(rs, sensor, profile, np.reshape(rotation, (3, 3)).T)  # column-major

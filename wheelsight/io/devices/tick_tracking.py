@@ -290,20 +290,20 @@ class PlainTracker:
         self._has_map = False
         self._stamp_s = -float("inf")
 
-    def follow(self, told: PlainReading) -> list[PlainStep]:
+    def follow(self, line: PlainReading) -> list[PlainStep]:
         """Add a reading. Returns the confirmed steps; the first one is zero."""
-        if told.clock is None and told.following:
+        if line.clock is None and line.following:
             return []  # its arrival is unknown: of lines in one read, only the last one did not wait
         if self._last is None:
-            return [self._begin(_first(told))]
-        now = _after(self._last, told)
+            return [self._begin(_first(line))]
+        now = _after(self._last, line)
         if self._is_expected(self._last, now):
             self.refused += len(self._waiting)
             return [self._accept(now)]
         if not self._waiting:
             self._waiting = [now]
             return []
-        return self._decide(self._last, _after(self._waiting[-1], told))
+        return self._decide(self._last, _after(self._waiting[-1], line))
 
     def replugged(self) -> None:
         """Note that the port was reopened, which restarts most boards."""
@@ -486,19 +486,19 @@ class PlainTracker:
         return arrival_s + max(early_s - allowed_s, 0.0) if self._has_map else arrival_s
 
 
-def _first(told: PlainReading) -> _PlainReading:
-    shown_us = None if told.clock is None else told.clock * told.us_per_tick
-    return _PlainReading((told.left, told.right), shown_us, shown_us, told.arrival_s)
+def _first(line: PlainReading) -> _PlainReading:
+    shown_us = None if line.clock is None else line.clock * line.us_per_tick
+    return _PlainReading((line.left, line.right), shown_us, shown_us, line.arrival_s)
 
 
-def _after(last: _PlainReading, told: PlainReading) -> _PlainReading:
+def _after(last: _PlainReading, line: PlainReading) -> _PlainReading:
     """The reading, with a roll-over of its clock since `last` where that is nearer to host time."""
-    now = _first(told)
+    now = _first(line)
     if now.shown_us is None or last.shown_us is None or last.clock_us is None:
         return now
     passed_us = 1e6 * (now.arrival_s - last.arrival_s)
     step_us = now.shown_us - last.shown_us
-    rolled_us = step_us + _WORD * told.us_per_tick
+    rolled_us = step_us + _WORD * line.us_per_tick
     if abs(rolled_us - passed_us) < abs(step_us - passed_us):
         step_us = rolled_us
     return _PlainReading(now.counts, now.shown_us, last.clock_us + step_us, now.arrival_s)

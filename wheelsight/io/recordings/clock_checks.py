@@ -27,13 +27,10 @@ from wheelsight.core.messages import (
 from wheelsight.core.stamps import NUMBERS, StampUnit, unit_of
 from wheelsight.io.recordings.recording import ListedFrame, ListsFrames, Recording, TellsEnds
 
-# What a recording's stamps say of its clocks, before anything is decoded: their units, and whether they fit.
-
-
 FRAMES, WHEELS, TRUTH = "frames", "wheels", "ground truth"
-# Streams of one drive overlap nearly wholly; one that is found in less of the other was cut, or its clock is another.
+# Streams of one drive overlap nearly completely. A smaller share means that one was cut, or that clocks differ.
 _LEAST_SHARE = 0.5
-# A stream whose whole numbers span so much of what another's seconds do counts seconds too.
+# Integer stamps that span at least this share of another stream's seconds are seconds too.
 _SAME_SPAN = 0.8
 _SHOWN = 3
 # Longer than a stall of any sensor.
@@ -42,9 +39,9 @@ _FASTEST_CAMERA_HZ = 500.0
 
 
 def listed_stamps(recording: Recording) -> dict[str, FloatArray]:
-    """Stamps (N,) of FRAMES, WHEELS and TRUTH, in the recording's own order; of those it tells without decoding.
+    """Stamps (N,) of FRAMES, WHEELS and TRUTH in the recording's order, read without decoding images.
 
-    Of a recording that is too long to be listed, the first ones and the last.
+    For a recording that is too long to list, only the first few and the last.
     """
     if isinstance(recording, TellsEnds):
         return dict(recording.end_stamps())
@@ -61,7 +58,7 @@ def listed_stamps(recording: Recording) -> dict[str, FloatArray]:
 
 
 def stamp_warnings(stamps: Mapping[str, FloatArray]) -> list[str]:
-    """Sentences on FRAMES and WHEELS whose stamps are no seconds or leap, and one where they share little time."""
+    """Warnings about stamps of FRAMES and WHEELS that are not seconds, or jump, or hardly overlap."""
     units = _units(stamps)
     of_units = [_unit_sentence(name, units[name], stamps[name]) for name in units]
     leaps = [_leap_warning(name, stamps[name]) for name in _sensors(stamps) if name not in units]
@@ -69,27 +66,32 @@ def stamp_warnings(stamps: Mapping[str, FloatArray]) -> list[str]:
 
 
 def refuse_if_apart(recording: Recording, least_s: float = 0.0) -> None:
-    """Raise RecordingError where frames and wheel readings share no time, less than `least_s`, or not their unit."""
+    """Raise RecordingError where frames and wheel readings share less than `least_s`, or have different units."""
     stamps = listed_stamps(recording)
     if len(_sensors(stamps)) < 2:
         return
     units = _units(stamps)
     remedy = "; ".join(_remedy(name, unit) for name, unit in units.items())
     wheels_s, frames_s = ((float(stamps[name][0]), float(stamps[name][-1])) for name in (WHEELS, FRAMES))
-    told = apart(wheels_s, frames_s, least_s)
-    if told is not None:
+    gap = apart(wheels_s, frames_s, least_s)
+    if gap is not None:
         of_units = [_unit_sentence(name, unit, stamps[name]).rstrip(".") for name, unit in units.items()]
         fix = "; ".join(f"{text[0].lower()}{text[1:]}" for text in of_units)
-        raise RecordingError(told[0], path=recording.path, fix=fix or told[1])
+        raise RecordingError(gap[0], path=recording.path, fix=fix or gap[1])
     if units.get(WHEELS) != units.get(FRAMES):
         looks = " and ".join(f"the {name}' stamps like {_kind(name, unit)}" for name, unit in units.items())
         raise RecordingError(f"wheels and camera do not count one unit: {looks}", path=recording.path, fix=remedy)
 
 
 def refuse_other_units(recording: Recording, sensors: Collection[str]) -> None:
-    """Raise RecordingError where stamps of FRAMES or WHEELS, of those that are followed, plainly are no seconds.
+    """Raise RecordingError where stamps of FRAMES or WHEELS are not seconds.
 
-    Numbers of frames pass: a camera may give one a second. What lists no stamps is judged event by event, as it comes.
+    Frame numbers pass, since a camera may give one frame per second. Recordings that do not list stamps pass too; their
+    stamps are checked event by event.
+
+    Args:
+        recording: to check.
+        sensors: those of FRAMES and WHEELS that are used.
     """
     if not isinstance(recording, ListsFrames):
         return
@@ -105,7 +107,7 @@ def _sensors(stamps: Mapping[str, FloatArray]) -> list[str]:
 
 
 def _units(stamps: Mapping[str, FloatArray]) -> dict[str, StampUnit]:
-    """What FRAMES and WHEELS count that do not count seconds; whole seconds are told by what else lasts as long."""
+    """The units of FRAMES and WHEELS other than seconds. Integers that last as long as other stamps are seconds."""
     units = {name: unit_of(found) for name, found in stamps.items()}
     in_seconds = [stamps[name] for name, unit in units.items() if unit is None]
     return {
@@ -142,9 +144,9 @@ def _overlap_warning(stamps: Mapping[str, FloatArray]) -> list[str]:
     if len(_sensors(stamps)) < 2 or any(len(stamps[name]) < 2 for name in (WHEELS, FRAMES)):
         return []
     wheels_s, frames_s = ((float(stamps[name][0]), float(stamps[name][-1])) for name in (WHEELS, FRAMES))
-    told = apart(wheels_s, frames_s)
-    if told is not None:
-        return [f"{told[0][0].upper()}{told[0][1:]}; {told[1]}."]
+    gap = apart(wheels_s, frames_s)
+    if gap is not None:
+        return [f"{gap[0][0].upper()}{gap[0][1:]}; {gap[1]}."]
     shared_s, shorter_s = _shared_s(wheels_s, frames_s), min(wheels_s[1] - wheels_s[0], frames_s[1] - frames_s[0])
     if shared_s >= _LEAST_SHARE * shorter_s:
         return []
@@ -164,7 +166,7 @@ def _kind(name: str, unit: StampUnit) -> str:
 
 
 def _leap_warning(name: str, stamps_s: FloatArray) -> str | None:
-    """That stamps, seconds, go on much later all of a sudden; or that they are too near each other for seconds."""
+    """A warning about stamps, seconds, that jump forward, or are too dense for seconds; else None."""
     steps_s = np.diff(stamps_s)
     if len(steps_s) < 2:
         return None
@@ -186,19 +188,18 @@ def _remedy(name: str, unit: StampUnit) -> str:
     return "give the camera's rate, such as --rate-hz 30" if unit is NUMBERS else f"--rate-hz {unit.per_second:.0f}"
 
 
-# What a recording's wheel readings say of their counters: that they roll over unsaid, or faster than can be told.
-
+# Counters that roll over
 
 _FEWEST_READINGS = 10
-# A leap goes over so much of all values that a counter shows, all other steps over less than so much of them.
+# A jump covers at least the first share of a counter's range, all other steps at most the second one.
 _LEAST_REACH = 32
 _LEAP_SHARE, _STEP_SHARE = 0.5, 0.1
-# Leaps tell a modulus to so much: the step that went with each is known from those beside it.
+# Relative accuracy of the modulus from a jump: the motion during it is interpolated from the steps beside it.
 _SAME = 0.03
 
 
 def counter_warnings(wheels: Wheels | None, readings: Sequence[WheelReading]) -> list[str]:
-    """A sentence for counters that leap as if they rolled over unsaid, and one for such as roll over unseen."""
+    """Warnings about counters that roll over without a stated modulus, and those that may roll over undetected."""
     ticks = [reading for reading in readings if isinstance(reading, WheelTicks)]
     if wheels is None or len(ticks) < _FEWEST_READINGS:
         return []
@@ -206,18 +207,23 @@ def counter_warnings(wheels: Wheels | None, readings: Sequence[WheelReading]) ->
 
 
 def _leaps(wheels: Wheels, ticks: Sequence[WheelTicks]) -> list[str]:
+    """A warning about the first jump of a counter that looks like a roll-over."""
     first = ticks[0]
     sides = {
         "left": np.array([reading.left - first.left for reading in ticks], float),
         "right": np.array([reading.right - first.right for reading in ticks], float),
     }
-    found = {side: told for side, counts in sides.items() if (told := _leap(counts, wheels.counter_span)) is not None}
+    found = {side: jump for side, counts in sides.items() if (jump := _leap(counts, wheels.counter_span)) is not None}
     if not found:
         return []
     moduli = [modulus for _, modulus in found.values()]
     index, side = min((index, side) for side, (index, _) in found.items())
     before, after = (getattr(ticks[i], side) for i in (index, index + 1))
-    remedy = _counters_remedy(float(np.median(moduli)))
+    modulus = float(np.median(moduli))
+    bits = _bits(modulus)
+    remedy = f"about {modulus:.0f}: set wheels.counter_modulus in the calibration"
+    if bits is not None:
+        remedy = f"{2**bits}: set wheels.counter_bits to {bits} in the calibration"
     return [
         f"The {side} counter leaps from {before} to {after} at {ticks[index + 1].stamp_s:.3f} s: it seems to wrap at "
         f"{remedy}."
@@ -225,7 +231,7 @@ def _leaps(wheels: Wheels, ticks: Sequence[WheelTicks]) -> list[str]:
 
 
 def _leap(counts: FloatArray, span: int) -> tuple[int, float] | None:
-    """Where counts (N,) leap first, and the modulus that explains it; None where nothing does."""
+    """The index before the first jump of counts (N,), and the modulus that explains it; None without any."""
     reach = float(np.ptp(counts))
     steps = np.diff(counts)
     if span:
@@ -243,24 +249,18 @@ def _leap(counts: FloatArray, span: int) -> tuple[int, float] | None:
     moduli = np.abs(steps[is_leap] - usual)
     is_one = np.ptp(moduli) <= _SAME * moduli.max()
     if not is_one or (len(moduli) < 2 and _bits(float(moduli[0])) is None):
-        return None  # a counter that was reset leaps as well, once and from anywhere
+        return None  # a reset counter jumps too, once and from any value
     return int(np.flatnonzero(is_leap)[0]), float(np.median(moduli))
 
 
 def _bits(modulus: float) -> int | None:
+    """The number of bits of a modulus that is a power of two, or None."""
     bits = round(np.log2(modulus))
     return bits if abs(modulus / 2.0**bits - 1) < _SAME else None
 
 
-def _counters_remedy(modulus: float) -> str:
-    bits = _bits(modulus)
-    if bits is not None:
-        return f"{2**bits}: set wheels.counter_bits to {bits} in the calibration"
-    return f"about {modulus:.0f}: set wheels.counter_modulus in the calibration"
-
-
 def _unseen(wheels: Wheels, ticks: Sequence[WheelTicks]) -> list[str]:
-    """Where at the usual period a wheel at its top speed goes on by half of what its counter can count."""
+    """A warning where a wheel at top speed turns by half the counter's range or more in the usual period."""
     if not wheels.counter_span:
         return []
     period_s = float(np.median(np.diff([reading.stamp_s for reading in ticks])))
@@ -275,43 +275,39 @@ def _unseen(wheels: Wheels, ticks: Sequence[WheelTicks]) -> list[str]:
     ]
 
 
-# MotionClock: by how much the stamps of camera and wheels are apart, as the turns of both show.
-#
-# A robot that turns moves the image sideways. Where camera and wheels count from one moment, images move while the
-# wheels turn the robot; else they do so earlier or later, by the difference of the clocks.
+# Clock offsets from turns
 
-
-# The largest difference of clocks that is looked for, and its steps, seconds. Larger ones show in the receipts.
+# The largest offset of clocks that is searched, and the steps, seconds. Receipt times show larger ones.
 _MOST_S, _STEP_S, _FINE_S = 3.5, 0.02, 0.002
-# Images are compared this wide, and so long after each other at least: less shows no turn.
+# Width of the compared images, and the least time between them: less shows no turn.
 _WIDTH_PX, _APART_S = 160, 0.06
 # Peaks of phase correlation below this are of views that have little in common.
 _LEAST_RESPONSE = 0.1
-# How well turns agree at the best difference; and how much more of them any other leaves unexplained that is so far
-# from it, seconds. A robot that turns at one speed all along shows no difference.
+# Least correlation at the best offset, and least ratio of unexplained variance at offsets this far from it, seconds. A
+# robot that turns at a constant rate shows no offset.
 _LEAST_AGREEMENT, _LEAST_RATIO, _OTHER_S = 0.8, 1.5, 0.3
-# What must have been turned, radians, and be compared, pairs of frames.
+# Least turn in radians, and least number of compared pairs of frames.
 _LEAST_TURN_RAD, _FEWEST = 0.6, 20
 # A camera whose optical axis is within 30° of the vertical sees turns about it, not to the side.
 _LEAST_SIDEWAYS = 0.5
-# One reading does not turn a robot further: such a step is a counter's that rolled over.
+# Largest turn of one reading; a larger step is a counter that rolled over.
 _LARGEST_STEP_RAD = 1.0
-# Over a longer gap nothing is known of the rate, seconds.
+# Longest gap over which a rate is integrated, seconds.
 _LONGEST_STEP_S = 1.0
-# Stamps are of different clocks where they are further apart than a driver delays a message.
+# Smallest offset of different clocks: drivers delay messages by less.
 LEAST_OFFSET_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class MotionOffset:
-    """How the clocks of camera and another sensor lie to each other, by the turns that both have seen.
+    """The offset between the clocks of the camera and another sensor, from the turns that both measure.
 
     Attributes:
-        offset_s: how far the camera's stamps are ahead of the other's; None where the turns do not show it.
-        sigma_s: its standard deviation, by how well turns fit.
-        agreement: correlation of the turns at it, 0 to 1.
-        turned_rad: how far the other sensor turned in the time that was compared, both ways added.
-        why_not: why it is not known; empty where it is.
+        offset_s: by how much the camera's stamps are ahead; None where the turns do not determine it.
+        sigma_s: its standard deviation.
+        agreement: correlation of the turns at this offset, 0 to 1.
+        turned_rad: the sum of the absolute turns that were compared.
+        why_not: why it is unknown; empty where it is known.
     """
 
     offset_s: float | None
@@ -322,7 +318,7 @@ class MotionOffset:
 
     @property
     def is_apart(self) -> bool:
-        """Whether the clocks are apart by more than a driver delays a message, and surely so."""
+        """Whether the offset is significant, and larger than the delays of drivers."""
         return self.offset_s is not None and abs(self.offset_s) > max(LEAST_OFFSET_S, 3 * self.sigma_s)
 
     def __str__(self) -> str:
@@ -334,20 +330,23 @@ class MotionOffset:
 
 
 class MotionClock:
-    """Compares as events come, in any order of sensors.
+    """Estimates clock offsets between camera, wheels and gyroscope from the robot's turns.
+
+    A turn moves the image sideways. With one clock, the image moves while the wheels turn the robot; otherwise it moves
+    earlier or later, by the offset. Events may come in any order of sensors.
 
     Args:
-        calibration: of the cameras, and of two wheels where ticks or speeds tell of them.
+        calibration: of the cameras, and of two wheels for ticks or wheel speeds.
     """
 
     def __init__(self, calibration: Calibration) -> None:
         self._wheels = calibration.wheels
         color, T_base_camera = calibration.color, calibration.T_base_camera
         self._focal_px = None if color is None else (color.fx / color.width, color.fy / color.width)
-        up = np.array([0.0, -1.0, 0.0])  # of a camera that looks ahead
+        up = np.array([0.0, -1.0, 0.0])  # the camera looks ahead
         if T_base_camera is not None and color is not None:
             up = calibration.T_color_camera[:3, :3] @ T_base_camera[:3, :3].T[:, 2]
-        # How far the middle of the image moves, right and down, in a turn by a radian: in tangents.
+        # Motion of the image centre to the right and down per radian of turn, in tangents.
         self._moves = np.array([-up[1], up[0]])
         self._last: tuple[float, Float32Array] | None = None
         self._shifts: list[tuple[float, float, float]] = []
@@ -358,12 +357,12 @@ class MotionClock:
 
     @property
     def turned_rad(self) -> float:
-        """How far the wheels have turned the robot by now, both ways added."""
+        """The sum of absolute turns by the wheels so far."""
         turned = np.array([rad for _, rad in self._headings["wheels"]])
         return float(np.abs(np.diff(turned)).sum())
 
     def add(self, event: Event) -> None:
-        """Take a frame or a reading; frames sooner than shows a turn are passed over."""
+        """Add a frame or a reading. Frames too soon after the last one are ignored."""
         if isinstance(event, RgbdFrame):
             self.see(event.stamp_s, event.color)
         elif isinstance(event, YawRate):
@@ -376,7 +375,7 @@ class MotionClock:
         return self._last is None or stamp_s - self._last[0] >= _APART_S
 
     def see(self, stamp_s: float, color: ByteArray) -> None:
-        """Take a colour image (H, W, 3)."""
+        """Add a colour image (H, W, 3)."""
         if self._focal_px is None or not self.wants(stamp_s):
             return
         grey = np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY))
@@ -394,10 +393,10 @@ class MotionClock:
         self._shifts.append((last[0], stamp_s, float(self._moves @ moved)))
 
     def offset(self, sensor: str = "wheels") -> MotionOffset:
-        """Of the camera against the "wheels" or the "gyroscope", by all that came."""
+        """The offset of the camera against the "wheels" or the "gyroscope", from all events so far."""
         headings, shifts = np.array(self._headings[sensor]).reshape(-1, 2), np.array(self._shifts).reshape(-1, 3)
         if len(headings) < 2 or len(shifts) < _FEWEST:
-            return MotionOffset(None, why_not=f"{len(shifts)} pairs of images and {len(headings)} readings tell of it")
+            return MotionOffset(None, why_not=f"only {len(shifts)} pairs of images and {len(headings)} readings")
         if np.linalg.norm(self._moves) < _LEAST_SIDEWAYS:
             return MotionOffset(None, why_not="the camera looks along the axis of the turns")
         headings = headings[np.concatenate([[True], np.diff(headings[:, 0]) > 0])]
@@ -420,6 +419,7 @@ class MotionClock:
         return MotionOffset(offset_s, _sigma_s(headings, shifts, offset_s), *shown[1:])
 
     def _read(self, reading: WheelTicks | WheelSpeeds | OdometryReading) -> None:
+        """Integrate the turn of a wheel reading."""
         before, self._reading = self._reading, reading
         if isinstance(reading, OdometryReading):
             last = reading if not isinstance(before, OdometryReading) else before
@@ -446,7 +446,7 @@ class MotionClock:
         headings.append((stamp_s - delay_s, last_rad + (step_rad if abs(step_rad) < _LARGEST_STEP_RAD else 0.0)))
 
     def _turn(self, rate: YawRate) -> None:
-        """Take a gyroscope's reading; between two the rate is their mean."""
+        """Integrate a reading of the gyroscope, with the mean rate of two readings."""
         headings, before = self._headings["gyroscope"], self._rate or rate
         last_rad = headings[-1][1] if headings else 0.0
         step_s = min(max(rate.stamp_s - before.stamp_s, 0.0), _LONGEST_STEP_S)
@@ -456,7 +456,7 @@ class MotionClock:
 
 
 def _turned(headings: FloatArray, shifts: FloatArray, lag_s: float) -> tuple[FloatArray, FloatArray]:
-    """(M,) turns by the sensor between the images that lie within its readings, and (M,) those that images show."""
+    """Turns (M,) by the sensor between images within its readings, and turns (M,) by the images."""
     begin_s, end_s = shifts[:, 0] - lag_s, shifts[:, 1] - lag_s
     inside = (begin_s >= headings[0, 0]) & (end_s <= headings[-1, 0])
     ends = (np.interp(at_s[inside], headings[:, 0], headings[:, 1]) for at_s in (end_s, begin_s))
@@ -464,7 +464,7 @@ def _turned(headings: FloatArray, shifts: FloatArray, lag_s: float) -> tuple[Flo
 
 
 def _agreement(headings: FloatArray, shifts: FloatArray, lag_s: float) -> float:
-    """Correlation of the turns at a difference of clocks; 0 where fewer than half of the images are compared."""
+    """The correlation of turns at an offset of clocks; 0 where fewer than half of the images overlap."""
     turned, seen = _turned(headings, shifts, lag_s)
     if len(turned) < max(_FEWEST, len(shifts) / 2):
         return 0.0
@@ -473,7 +473,7 @@ def _agreement(headings: FloatArray, shifts: FloatArray, lag_s: float) -> float:
 
 
 def _sigma_s(headings: FloatArray, shifts: FloatArray, offset_s: float) -> float:
-    """Of a difference of clocks, by what turns leave unexplained there, over how fast they change with it."""
+    """The standard deviation of an offset: the residual of turns over their derivative by the offset."""
     turned, seen = _turned(headings, shifts, offset_s)
     gain = float(turned @ seen) / max(float(turned @ turned), 1e-12)
     ends = [_turned(headings, shifts, offset_s + side * _STEP_S)[0] for side in (-1, 1)]

@@ -20,9 +20,6 @@ from wheelsight.core.geometry.camera import fitted_lens
 from wheelsight.io.recordings.bags.chunks import are_measured
 from wheelsight.io.recordings.images import DepthEncoding, check_scale, decoded_color, decoded_units, depth_of_units
 
-# Images of ROS messages into arrays: colour as RGB bytes, depth as metres; whatever cannot be read is refused.
-
-
 _Pixels = NDArray[Any]
 _MILLIMETRES = 1000.0
 _DEPTH: dict[str, type[np.generic]] = {"16uc1": np.uint16, "mono16": np.uint16, "z16": np.uint16, "32fc1": np.float32}
@@ -30,7 +27,7 @@ _DEPTH: dict[str, type[np.generic]] = {"16uc1": np.uint16, "mono16": np.uint16, 
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """How the pixels of an encoding lie: type and channels, and what makes red, green and blue of them."""
+    """The pixel type and channels of an encoding, and its conversion to RGB."""
 
     dtype: type[np.generic]
     channels: int
@@ -52,7 +49,7 @@ _COLOR = {
     "rgba": (4, _by(cv2.COLOR_RGBA2RGB)),
     "bgra": (4, _by(cv2.COLOR_BGRA2RGB)),
     "mono": (1, _GREY),
-    # OpenCV names a Bayer pattern by its second row's second and third pixel, ROS by the first row and the second
+    # OpenCV names a Bayer pattern by the second and third pixel of its second row, ROS by its first two rows.
     "bayer_rggb": (1, _by(cv2.COLOR_BayerBG2RGB)),
     "bayer_bggr": (1, _by(cv2.COLOR_BayerRG2RGB)),
     "bayer_gbrg": (1, _by(cv2.COLOR_BayerGR2RGB)),
@@ -87,15 +84,15 @@ def color_of(message: Any, path: Path) -> ByteArray:
 
 
 def depth_of(message: Any, factor: float | None, path: Path) -> Float32Array:
-    """The depth image (H, W) in metres of an Image or CompressedImage, 0 where nothing was measured.
+    """The depth image (H, W) in metres of an Image or CompressedImage, 0 where there is no measurement.
 
     Args:
-        message: of whole numbers in millimetres, or of floats in metres.
-        factor: units a metre, where it differs from that.
+        message: of integers in millimetres, or floats in metres.
+        factor: units per metre, where it differs from that.
         path: of the bag.
 
     Raises:
-        RecordingError: another encoding, no depth at all, or depth on a scale that cannot be.
+        RecordingError: the encoding is unknown, there is no depth at all, or its scale is implausible.
     """
     if hasattr(message, "format"):
         raw = _compressed_depth(bytes(message.data), message.format, path)
@@ -107,7 +104,7 @@ def depth_of(message: Any, factor: float | None, path: Path) -> Float32Array:
         raw = _pixels(message, dtype, 1, path)
     if raw.dtype != np.float32:
         return depth_of_units(raw, DepthEncoding(factor or _MILLIMETRES), path)
-    with np.errstate(invalid="ignore", over="ignore"):  # damaged messages hold numbers that are none
+    with np.errstate(invalid="ignore", over="ignore"):  # damaged messages have NaN or infinite numbers
         scaled_m = raw / np.float32(factor or 1.0)
         depth_m = np.where((scaled_m > 0) & np.isfinite(scaled_m), scaled_m, np.float32(0))
     check_scale(depth_m, path)
@@ -115,7 +112,7 @@ def depth_of(message: Any, factor: float | None, path: Path) -> Float32Array:
 
 
 def is_depth(encoding: str, topic: str) -> bool:
-    """Whether images so encoded, on a topic so called, are depth; infrared is encoded likewise."""
+    """Whether images are depth, by encoding and topic name; infrared has the same encodings."""
     words = topic.lower()
     if "compresseddepth" in encoding.lower() or words.endswith("compresseddepth"):
         return True
@@ -126,7 +123,7 @@ def is_depth(encoding: str, topic: str) -> bool:
 
 
 def _pixels(message: Any, dtype: type[np.generic], channels: int, path: Path) -> _Pixels:
-    """(H, W) or (H, W, channels) of an Image, its rows without what fills them up."""
+    """The pixels (H, W) or (H, W, channels) of an Image, without padding of rows. Raises RecordingError."""
     height, width, step = int(message.height), int(message.width), int(message.step)
     row = width * channels * np.dtype(dtype).itemsize
     data = np.asarray(message.data, np.uint8)
@@ -142,10 +139,10 @@ def _pixels(message: Any, dtype: type[np.generic], channels: int, path: Path) ->
 
 
 def _compressed_depth(data: bytes, format_: str, path: Path) -> _Pixels:
-    """Millimetres or metres of compressedDepth, or of a PNG that is a plain depth image.
+    """Millimetres or metres of compressedDepth, or of a plain PNG. Raises RecordingError.
 
-    compressedDepth has 12 bytes before its PNG: which way, and two numbers a, b of how floats became whole numbers n:
-    z = a / (n - b), so that they are as fine as disparities are (image_transport_plugins).
+    compressedDepth has 12 bytes before its PNG: the format, and parameters a, b of the quantization of floats to
+    integers n, z = a / (n - b), which has the resolution of disparities (image_transport_plugins).
     """
     start = data.find(b"\x89PNG", 0, 64)
     if start < 0:
@@ -164,30 +161,29 @@ def _compressed_depth(data: bytes, format_: str, path: Path) -> _Pixels:
     return depth_m
 
 
-# The camera that a CameraInfo describes.
-
+# Cameras
 
 _BROWN = ("plumb_bob", "radtan", "")
 _RATIONAL = "rational_polynomial"
-# As the RealSense SDK names models of lenses.
+# Names of lens models in the RealSense SDK.
 _BROWN_OF_SDK, _INVERSE = ("brown conrady", "modified brown conrady"), "inverse brown conrady"
 _GRID = 25
-# A point was found that comes back to its pixel as near; so many steps from the middle to each, with Newton's at each.
+# Largest error of an inverted point, steps from the centre to each point, Newton's iterations and derivative step.
 _INVERSE_PX, _INVERSE_STEPS, _NEWTON_STEPS, _DERIVATIVE_STEP = 0.01, 20, 4, 1e-6
-_WIDEST = 2.0  # of a point on the plane z = 1: 63° off the axis; farther out no polynomial follows a wide lens
-_LEAST_SHOWN = 0.5  # share of the image that must show a point
+_WIDEST = 2.0  # distance on the plane z = 1, 63° off the axis; polynomials do not fit wider lenses
+_LEAST_SHOWN = 0.5  # share of the image that must map to a point
 
 
 def camera_of(info: Any, is_rectified: bool, lens_px: float) -> tuple[PinholeCamera, str | None]:
-    """Intrinsics and Brown's distortion of an image, and a sentence where these do not quite fit.
+    """The camera with Brown's distortion, and a warning where that does not fit the lens well.
 
     Args:
         info: the message, of ROS 1 or ROS 2.
-        is_rectified: whether the image was undistorted: then P tells, and there is no distortion.
-        lens_px: how far five coefficients may miss what eight describe.
+        is_rectified: whether the image is undistorted; P is then used, without distortion.
+        lens_px: largest error, in pixels, of five coefficients for a lens of eight without a warning.
 
     Raises:
-        CalibrationError: the camera was not calibrated, or its lens is of another kind.
+        CalibrationError: the camera is not calibrated, or has another lens model.
     """
     names = {name.lower(): name for name in ("D", "K", "P")} if hasattr(info, "K") else {n: n for n in "dkp"}
     D, K, P = (np.asarray(getattr(info, names[name]), float) for name in "dkp")
@@ -196,12 +192,12 @@ def camera_of(info: Any, is_rectified: bool, lens_px: float) -> tuple[PinholeCam
     known = P.reshape(3, 4)[:, :3] if is_rectified and P.any() else K.reshape(3, 3)
     if not known[0, 0] > 0:
         raise CalibrationError("its CameraInfo is all zero: it was not calibrated", fix="give one with --camera")
-    size, lens = _cameras_pixels(info, known)
+    size, lens = _image_intrinsics(info, known)
     if is_rectified or not D.any():
         return PinholeCamera(*size, *lens), None
     model = str(info.distortion_model)
     if model.lower() == _INVERSE and len(D) == 5:
-        return _of_inverse(PinholeCamera(*size, *lens, tuple(D.tolist())), lens_px)
+        return _from_inverse(PinholeCamera(*size, *lens, tuple(D.tolist())), lens_px)
     if (model in _BROWN or model.lower() in _BROWN_OF_SDK) and len(D) <= 5:
         k1, k2, p1, p2, k3 = (*D.tolist(), 0.0, 0.0, 0.0, 0.0, 0.0)[:5]
         return _checked(PinholeCamera(*size, *lens, (k1, k2, p1, p2, k3)), D), None
@@ -211,8 +207,8 @@ def camera_of(info: Any, is_rectified: bool, lens_px: float) -> tuple[PinholeCam
     return _nearest(PinholeCamera(*size, *lens), D, lens_px)
 
 
-def _cameras_pixels(info: Any, K: FloatArray) -> tuple[tuple[int, int], tuple[float, float, float, float]]:
-    """Size and fx, fy, cx, cy of the image as it was sent: a region of the sensor, of pixels joined to larger ones."""
+def _image_intrinsics(info: Any, K: FloatArray) -> tuple[tuple[int, int], tuple[float, float, float, float]]:
+    """Size and fx, fy, cx, cy of the image, which may be a region of the sensor with binned pixels."""
     across, down = max(int(info.binning_x), 1), max(int(info.binning_y), 1)
     region = info.roi
     width, height = int(region.width) or int(info.width), int(region.height) or int(info.height)
@@ -221,8 +217,8 @@ def _cameras_pixels(info: Any, K: FloatArray) -> tuple[tuple[int, int], tuple[fl
     return (width // across, height // down), (float(K[0, 0] / across), float(K[1, 1] / down), float(cx), float(cy))
 
 
-def _of_inverse(camera: PinholeCamera, lens_px: float) -> tuple[PinholeCamera, str | None]:
-    """Brown's coefficients nearest to those of a camera that lead from where points are shown to where they are."""
+def _from_inverse(camera: PinholeCamera, lens_px: float) -> tuple[PinholeCamera, str | None]:
+    """The camera with Brown's coefficients nearest to inverse ones, which map image to ray, and a warning or None."""
     u, v = np.meshgrid(*(np.linspace(0, side - 1, _GRID) for side in (camera.width, camera.height)))
     seen = (np.stack([u.ravel(), v.ravel()], axis=1) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
     xy = (camera.denormalise(seen) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
@@ -234,16 +230,16 @@ def _of_inverse(camera: PinholeCamera, lens_px: float) -> tuple[PinholeCamera, s
     return fitted, f"five coefficients miss the lens that is described from image to ray by {by}"
 
 
-@np.errstate(all="ignore")  # of numbers that describe no lens
+@np.errstate(all="ignore")  # invalid coefficients overflow
 def _nearest(camera: PinholeCamera, D: FloatArray, lens_px: float) -> tuple[PinholeCamera, str | None]:
-    """Brown's five coefficients nearest to OpenCV's eight over the pixels of the image that the lens can show."""
+    """The camera with Brown's five coefficients nearest to OpenCV's eight over valid pixels, and a warning or None."""
     D = np.pad(D, (0, max(0, 8 - len(D))))[:8]
     u, v = np.meshgrid(*(np.linspace(0, side - 1, _GRID) for side in (camera.width, camera.height)))
     px = np.stack([u.ravel(), v.ravel()], axis=1)
     seen = (px - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
-    xy = _undone(seen, D)
+    xy = _undistorted(seen, D)
     off_px = np.linalg.norm(_rational(xy, D) - seen, axis=1) * max(camera.fx, camera.fy)
-    # In the corners eight coefficients often have a pole, and show no point there.
+    # In the corners eight coefficients often have a pole, where no point maps to the pixel.
     shown = np.isfinite(off_px) & (off_px < _INVERSE_PX) & (np.linalg.norm(xy, axis=1) < _WIDEST)
     if shown.mean() < _LEAST_SHOWN:
         problem = f"its distortion {_numbers(D)} describes no lens"
@@ -260,10 +256,11 @@ def _nearest(camera: PinholeCamera, D: FloatArray, lens_px: float) -> tuple[Pinh
     return fitted, f"five coefficients miss the lens that CameraInfo describes by eight by {by} of the image"
 
 
-def _undone(seen: FloatArray, D: FloatArray) -> FloatArray:
-    """Points (N, 2) on the plane z = 1 that a lens shows at (N, 2): by Newton's steps, outwards from the middle.
+def _undistorted(seen: FloatArray, D: FloatArray) -> FloatArray:
+    """The undistorted points (N, 2) of distorted ones (N, 2) on the plane z = 1.
 
-    So the branch that begins in the middle is kept to, whatever lies beyond a fold or a pole.
+    Newton's method follows each point outwards from the centre. It therefore stays on the branch of the centre, inside
+    any fold or pole.
     """
     xy = np.zeros_like(seen)
     steps = np.eye(2) * _DERIVATIVE_STEP
@@ -277,7 +274,7 @@ def _undone(seen: FloatArray, D: FloatArray) -> FloatArray:
 
 
 def _rational(xy: FloatArray, D: FloatArray) -> FloatArray:
-    """Where (N, 2) OpenCV's eight coefficients show points (N, 2), both on the plane z = 1."""
+    """The distorted points (N, 2) of points (N, 2) by OpenCV's eight coefficients, both on the plane z = 1."""
     k1, k2, p1, p2, k3, k4, k5, k6 = D
     x, y = xy.T
     r2 = x**2 + y**2
@@ -291,7 +288,7 @@ def _numbers(D: FloatArray) -> str:
 
 
 def _checked(camera: PinholeCamera, D: FloatArray) -> PinholeCamera:
-    """The camera. Raises CalibrationError where its distortion is no lens's."""
+    """The camera itself. Raises CalibrationError where its distortion is not that of a lens."""
     fault = camera.lens_fault()
     if fault is not None:
         fix = "calibrate it: wheelsight calibrate camera, and give it by --camera; or record the rectified image"

@@ -367,7 +367,7 @@ def _mount(base: str | None, camera: str, transforms: Transforms, warnings: list
 
 def lacks_sizes(bag: OpenBag, roles: Roles) -> CalibrationError:
     """The error for wheels of unknown size."""
-    named = "" if roles.source is None else f"{roles.source.topic.name} ({roles.source.tells}): "
+    named = "" if roles.source is None else f"{roles.source.topic.name} ({roles.source.contents}): "
     problem = f"{named}these give how far wheels turn, but not how large they are"
     fix = "give a calibration.yaml with wheels (radii, track, ticks_per_turn) by --calibration"
     return CalibrationError(problem, path=bag.path, fix=fix)
@@ -428,10 +428,10 @@ def _wheels(
     if source.kind != "odometry":
         wheels = need_wheels(calibration) if source.needs_sizes else nominal
         truth = "" if source.needs_sizes else "; it is the robot's own estimate, no truth"
-        return source.reader(wheels, nominal, False), [f"{topic}: wheels are known by {source.tells}{truth}."], None
+        return source.reader(wheels, nominal, False), [f"{topic}: wheels are known by {source.contents}{truth}."], None
     sampled = [bag.decode(message) for message in (*bag.first(topic, _FIRST_MESSAGES), bag.last(topic))]
     by_twist = poses_stay_zero(sampled)
-    how = "speeds, since its poses stay at zero" if by_twist else source.tells
+    how = "speeds, since its poses stay at zero" if by_twist else source.contents
     warnings = [f"{topic}: wheels are known by {how}; it is the robot's own estimate, no truth."]
     stated = np.asarray(sampled[0].twist.covariance, float).reshape(6, 6).diagonal()[[0, 1, 5]]
     variances = None
@@ -461,7 +461,7 @@ def _holonomic_wheels(
     is_posed = source.kind == "odometry"
     messages = (*bag.first(topic, _FIRST_MESSAGES), bag.last(topic)) if is_posed else ()
     by_twist = is_posed and poses_stay_zero([bag.decode(message) for message in messages])
-    how = "speeds, since its poses stay at zero" if by_twist else source.tells
+    how = "speeds, since its poses stay at zero" if by_twist else source.contents
     estimate = "" if source.needs_sizes else "; it is the robot's own estimate, no truth"
     warning = f"{topic}: a holonomic base is known by {how}{estimate}."
     return source.holonomic_reader(wheels, by_twist), [warning], None

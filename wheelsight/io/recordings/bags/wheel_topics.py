@@ -114,7 +114,7 @@ class WheelSource:
         return self.kind in ("joints", "counts", "columns", "fields")
 
     @property
-    def tells(self) -> str:
+    def contents(self) -> str:
         """Its data in a few words, for messages."""
         sides = "" if self.sides is None else f"{'+'.join(self.sides.left)} and {'+'.join(self.sides.right)}"
         sides = ", ".join(self.places) or sides
@@ -131,8 +131,8 @@ class WheelSource:
     def why_not(self, knows_wheels: bool) -> str:
         """Why it is not used, for messages."""
         if self.needs_sizes and not knows_wheels:
-            return f"{self.tells}; their sizes are not known: give a calibration.yaml with wheels by --calibration"
-        return self.doubt or self.tells
+            return f"{self.contents}; their sizes are not known: give a calibration.yaml with wheels by --calibration"
+        return self.doubt or self.contents
 
     def reader(self, wheels: Wheels, nominal: Wheels, by_twist: bool) -> Callable[[], SpeedReader]:
         """A factory of readers.

@@ -425,7 +425,7 @@ class RobotTopics:
         yield Sent(stamp_s, CALIBRATION, self.make.text(text), is_latched=True)
 
     def of_event(self, event: Event) -> Iterator[Sent]:
-        """What one event comes to; nothing where the calibration does not tell what it needs."""
+        """The messages of an event; none where the calibration lacks what they need."""
         if isinstance(event, RgbdFrame):
             yield from self.of_frame(event)
         elif isinstance(event, YawRate):
@@ -483,8 +483,8 @@ class RobotTopics:
         wheels = None if self._calibration is None else self._calibration.holonomic
         if isinstance(event, OdometryReading):
             T = se3.from_plane(event.x_m, event.y_m, event.yaw_rad)
-            told = self.make.odometry(event.stamp_s, ("wheel_odom", BASE), T, np.zeros(6), None)
-            yield Sent(event.stamp_s, WHEEL_ODOMETRY, told)
+            message = self.make.odometry(event.stamp_s, ("wheel_odom", BASE), T, np.zeros(6), None)
+            yield Sent(event.stamp_s, WHEEL_ODOMETRY, message)
         elif wheels is not None and wheels.ticks_per_turn is not None:
             angles = [2 * math.pi / wheels.ticks_per_turn * count for count in event.counts]
             yield Sent(event.stamp_s, JOINT_STATES, self.make.joints(event.stamp_s, wheels.wheel_names, angles, []))
@@ -584,7 +584,7 @@ class Messages:
         ns = nanoseconds(stamp_s)
         if not 0 <= ns // 10**9 <= _LAST_S[self.is_ros1]:
             fix = "stamps are seconds since 1970, or since the recording began"
-            raise ArgumentError(f"{stamp_s:.3f} s is no time that ROS can tell", fix=fix)
+            raise ArgumentError(f"{stamp_s:.3f} s is not a time of ROS", fix=fix)
         return self._make("builtin_interfaces/msg/Time", ns // 10**9, ns % 10**9)
 
     def header(self, stamp_s: float, frame: str) -> Any:
