@@ -115,7 +115,7 @@ def test_a_real_robot_without_a_camera_is_refused(
     asked = ("drive", "--robot", "/dev/null", "--calibration", calibration, "--map", kept, "--to", "kitchen")
     for kind in tuple(LIVE_CAMERAS):
         monkeypatch.setitem(LIVE_CAMERAS, kind, unplugged)
-    assert refusal(*asked).startswith("no depth camera is plugged in (plug one in; wheelsight devices tells")
+    assert refusal(*asked).startswith("no depth camera is plugged in (plug one in; wheelsight devices lists")
 
 
 def of_robot(port: object, calibration: Path, kept: Path, *more: object) -> tuple[object, ...]:

@@ -188,7 +188,7 @@ def test_what_cannot_be_recorded_is_refused_in_a_line_and_leaves_nothing(
     assert "there is no such folder" in refusal("record", "--camera", f"recording:{tmp_path / 'none'}", *out)
     sensor = ("--camera", f"recording:{film}")
     assert refusal("record", *sensor, *out, "--color", "gif") == "--color is 'gif' (one of png, jpeg)"
-    assert refusal("record", *sensor, *out, "--force", "--resume").startswith("--force begins anew")
+    assert refusal("record", *sensor, *out, "--force", "--resume").startswith("--force starts over")
     assert refusal("record", "--wheels", "p", *out, "--infrared") == "--infrared is of a camera (add --camera NAME)"
     (tmp_path / "wheel.yaml").write_text("wheels: 3")
     assert "wheel.yaml" in refusal("record", *sensor, *out, "--calibration", tmp_path / "wheel.yaml")

@@ -318,5 +318,5 @@ def test_a_status_that_is_none_is_refused(line: str, way: Trajectory, tmp_path: 
 def test_a_recording_that_is_no_path_is_refused(path: object, way: Trajectory, tmp_path: Path) -> None:
     run = leave_run(tmp_path / "run", way)
     (run / "metrics.json").write_text(json.dumps({"recording": {"path": path}}))
-    with pytest.raises(OutputError, match="does not tell of a run's recording"):
+    with pytest.raises(OutputError, match="does not name the run's recording"):
         _ = exported_at(run).recording

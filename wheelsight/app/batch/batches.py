@@ -29,12 +29,12 @@ TABLE_FILE, PAGE_FILE = "table.csv", "table.md"
 
 
 class Done(NamedTuple):
-    """A step of a batch.
+    """Progress of a batch.
 
     Attributes:
-        jobs, of_jobs: how many are done, those of an earlier call among them, and of how many.
-        weight, of_weight: bytes of recordings that this call is done with, and has to do in all.
-        outcome, job: what was just done, or None at the beginning.
+        jobs, of_jobs: number of finished jobs, with those of earlier calls, and their total.
+        weight, of_weight: bytes of recordings that this call has finished, and their total.
+        outcome, job: the last finished job, or None at the beginning.
     """
 
     jobs: int
@@ -51,18 +51,18 @@ def run_batch(
     runner: Callable[[Sequence[Job]], Generator[Outcome]],
     on_done: Callable[[Done], None] = lambda done: None,
 ) -> tuple[Row, ...]:
-    """Run what is not done yet, keep each outcome at once, and write table.csv and table.md at the end.
+    """Run all jobs that are not finished, store each outcome at once, and write table.csv and table.md at the end.
 
-    Whatever ends it, what was done stays in `out`, and the next call goes on with the rest.
+    After an interruption, finished jobs stay in `out`, and the next call runs the others.
 
     Args:
         plan: rows and jobs.
-        out: folder of the batch; made if need be.
-        runner: gives outcomes of jobs as they come, such as `run_on_processes`.
+        out: folder of the batch; made if needed.
+        runner: yields outcomes of jobs, such as `run_on_processes`.
         on_done: called once before the first job, and after each job.
 
     Raises:
-        OutputError: `out` holds something else, or cannot be written.
+        OutputError: `out` holds other files, or cannot be written.
     """
     kept = KeptOutcomes(out)
     outcomes = kept.found(plan.jobs)
@@ -92,7 +92,7 @@ _FILE = Kind("the outcome of a job", most_mb=64)
 
 
 class KeptOutcomes:
-    """Outcomes in a folder: those that ended well, which are not run again, and no others."""
+    """Stored outcomes of successful jobs, which are not run again."""
 
     def __init__(self, folder: StrPath) -> None:
         """Of a batch's folder; made if need be. Raises OutputError: it holds something that is no batch's."""
@@ -102,19 +102,19 @@ class KeptOutcomes:
         make_output_folder(self._folder, force=True)
 
     def keep(self, outcome: Outcome, job: Job) -> None:
-        """Write it, whole or not at all. Raises OutputError."""
+        """Store an outcome atomically. Raises OutputError."""
         if outcome.problem is None:
             about = {"recording": job.recording, "seed": job.seed, "settings": job.settings}
             document = {"version": _VERSION, **about, "outcome": asdict(outcome)}
             write_text(self._path(job.id), json.dumps(document, indent=1) + "\n")
 
     def found(self, jobs: Iterable[str]) -> dict[str, Outcome]:
-        """Those of these jobs that are done; a file that cannot be read is none, and its job is run again."""
+        """Stored outcomes of these jobs. An unreadable file counts as missing, so that its job runs again."""
         found = dict[str, Outcome]()
         for job in jobs:
             try:
                 document = json.loads(read_text(self._path(job), _FILE, OutputError))
-                # One of a job that ended well
+                # The outcome of a successful job
                 outcome = Outcome(**document["outcome"])
                 figures, numbers = outcome.figures, (int, float, type(None))
                 is_sound = isinstance(figures, dict) and isinstance(outcome.metrics, dict) and outcome.problem is None
@@ -139,7 +139,7 @@ _FORGET_PEAK = "5"  # as Linux's proc(5) has it
 
 
 def run_job(job: Job) -> Outcome:
-    """Run a recording; what breaks is an outcome with a problem, never an exception."""
+    """Run a recording. An error becomes an outcome with a problem, never an exception."""
     began_s = time.perf_counter()
     try:
         return _found(job, began_s)
@@ -165,7 +165,7 @@ def _found(job: Job, began_s: float) -> Outcome:
 
 
 def figures_of(metrics: Mapping[str, Any], track: str) -> dict[str, float | None]:
-    """The figures of a table, of a metrics.json and the track in it that counts."""
+    """The figures of a table, from a metrics.json and its main track."""
     own = metrics["odometry"][track] if "odometry" in metrics else metrics
     counts = own["frames"] if "frames" in own else own["wheel_readings"]
     return {

@@ -40,15 +40,15 @@ _Answer = TypeVar("_Answer")
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What a process is handed.
+    """The input of one run.
 
     Attributes:
-        id: names it; the same recording, settings and code have the same.
-        recording: where it lies, absolute.
-        settings: all of them, as `Config.to_dict` gives them.
-        seed: how far the seeds are from those of the configuration.
-        code: of `code_digest`; another wheelsight must not run it.
-        weight: how many bytes the recording has, for what is left to do.
+        id: digest of recording, settings and code.
+        recording: absolute path.
+        settings: all of them, as of `Config.to_dict`.
+        seed: offset to the seeds of the configuration.
+        code: of `code_digest`; a worker with other code must not run the job.
+        weight: bytes of the recording, for the estimate of the time left.
     """
 
     id: str
@@ -61,15 +61,15 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A row of the table: a recording by one configuration.
+    """A row of the table: a recording with one configuration.
 
     Attributes:
         recording: its name, with as much of its path as makes it unique.
-        config: the configuration's.
-        odometry: whose figures count: "joined" where sensors are, else "rectified", else the first that is named.
-        jobs: identities, one a seed.
+        config: name of the configuration.
+        odometry: the main track: "joined", else "rectified", else the first one.
+        jobs: identifiers, one a seed.
         problem: why there are none, or None.
-        chosen: what is followed where the configuration names nothing, such as "wheels,dense"; else empty.
+        chosen: the automatic choice, such as "wheels,dense"; "" if the configuration names the odometry.
     """
 
     recording: str
@@ -81,7 +81,7 @@ class Case:
 
 
 class Plan(NamedTuple):
-    """All rows, and all jobs by their identity, the longest first: else one process is left with it at the end."""
+    """All rows, and all jobs by their identifier, longest first, so that no long job runs alone at the end."""
 
     cases: tuple[Case, ...]
     jobs: dict[str, Job]
@@ -90,23 +90,23 @@ class Plan(NamedTuple):
 def plan_of(
     recordings: Sequence[StrPath], configs: Sequence[StrPath], seeds: int, settings: BatchSettings | None = None
 ) -> Plan:
-    """Open each recording, resolve each configuration for it, and name what is to be run.
+    """Open each recording, resolve each configuration for it, and list the jobs.
 
-    A recording that cannot be opened, or not be run by a configuration, is a case with a problem.
+    A recording that cannot be opened or run becomes a case with a problem.
 
     Args:
-        recordings: as `named_recordings` gives them.
-        configs: files of settings; of none, the defaults.
-        seeds: how many a case; where nothing is random, one.
+        recordings: as of `named_recordings`.
+        configs: files of settings; without any, the defaults.
+        seeds: number of seeds a case; one if nothing is random.
         settings: how changed files are found.
 
     Raises:
-        ConfigError: a file of settings is wrong for any recording.
+        ConfigError: a file of settings is invalid for every recording.
     """
     paths, given = [Path(path) for path in recordings], [Path(path) for path in configs]
     files: tuple[Path | None, ...] = tuple(given) or (None,)
     for file in files:
-        # Raises ConfigError for what many runs must not do at once
+        # Parallel runs must not change a map.
         config = load_config(file)
         if config.known_map.extend:
             raise ConfigError(
@@ -115,7 +115,7 @@ def plan_of(
     config_names = [DEFAULTS] if not given else short_names([file.with_suffix("") for file in given])
     cases, jobs = [], dict[str, Job]()
     for path, name in zip(paths, short_names(paths), strict=True):
-        digest = _told(partial(digest_of, path, settings))
+        digest = _answer_of(partial(digest_of, path, settings))
         for file, config_name in zip(files, config_names, strict=True):
             case, made = _case(path, file, Case(name, config_name), digest, seeds)
             cases.append(case)
@@ -136,12 +136,12 @@ def short_names(paths: Sequence[Path]) -> list[str]:
 
 
 def is_random(config: Config) -> bool:
-    """Whether a seed changes anything: RANSAC of features and of recognised places, and the ferns of these."""
+    """Whether a seed changes results: RANSAC of features, and place recognition with its ferns."""
     return "features" in config.odometry or config.loops.source == FROM_KEYFRAMES
 
 
 def seeded(config: Config, seeds: int) -> Iterator[Config]:
-    """The configuration with its own seeds, and with those that follow; only once where nothing is random."""
+    """The configuration with its own seeds, then with the next ones; only once if nothing is random."""
     for more in range(seeds if is_random(config) else 1):
         features = config.features.model_copy(update={"seed": (config.features.seed + more) % _SEEDS})
         recognition = config.recognition.model_copy(update={"seed": (config.recognition.seed + more) % _SEEDS})
@@ -149,13 +149,13 @@ def seeded(config: Config, seeds: int) -> Iterator[Config]:
 
 
 class _Problem(NamedTuple):
-    """Why there is no answer."""
+    """The reason for a missing answer."""
 
     text: str
 
 
 def _case(path: Path, file: Path | None, case: Case, digest: Digest | _Problem, seeds: int) -> tuple[Case, list[Job]]:
-    found = digest if isinstance(digest, _Problem) else _told(lambda: _jobs(path, file, digest, seeds))
+    found = digest if isinstance(digest, _Problem) else _answer_of(lambda: _jobs(path, file, digest, seeds))
     if isinstance(found, _Problem):
         return replace(case, problem=found.text), []
     config, jobs = found
@@ -163,8 +163,8 @@ def _case(path: Path, file: Path | None, case: Case, digest: Digest | _Problem, 
     return replace(case, odometry=main_track(config), chosen=chosen, jobs=tuple(job.id for job in jobs)), jobs
 
 
-def _told(work: Callable[[], _Answer]) -> _Answer | _Problem:
-    """What it answers, or why it cannot."""
+def _answer_of(work: Callable[[], _Answer]) -> _Answer | _Problem:
+    """The answer, or the problem of an error."""
     try:
         return work()
     except Exception as error:  # one recording must not end the others
@@ -172,9 +172,9 @@ def _told(work: Callable[[], _Answer]) -> _Answer | _Problem:
 
 
 def _jobs(path: Path, file: Path | None, digest: Digest, seeds: int) -> tuple[Config, list[Job]]:
-    """The configuration for it, and a job a seed. Raises InputError where it cannot be run."""
+    """The resolved configuration, and a job for each seed. Raises InputError."""
     config = _resolved(path, file)
-    # Digests of all files that settings name
+    # Digests of all files in the settings
     found = list[str]()
     for section, names in _FILES.items():
         for name in names:
@@ -185,14 +185,14 @@ def _jobs(path: Path, file: Path | None, digest: Digest, seeds: int) -> tuple[Co
 
 
 def _resolved(path: Path, file: Path | None) -> Config:
-    """All settings for one recording, its odometry chosen where no file names one; one thread each."""
+    """All settings for one recording, with an odometry, and one thread each."""
     config = load_config(file, {"dense.threads": 1, "surfels.threads": 1})
     recording = open_recording(path, config.recording.open_options())
     return _absolute(resolved(recording, config))
 
 
 def _absolute(config: Config) -> Config:
-    """The same, files by their whole paths: another process may stand elsewhere."""
+    """The configuration with absolute paths, since another process may have another working folder."""
     changed = {}
     for section, names in _FILES.items():
         old = getattr(config, section)
@@ -219,7 +219,7 @@ def _job(path: Path, config: Config, seed: int, digest: Digest, files: tuple[str
 
 
 def main_track(config: Config) -> str:
-    """Whose figures count: joined sensors, else wheels that areas rectify, else the odometry that is named first."""
+    """The track whose figures count: joined sensors, else rectified wheels, else the first odometry."""
     tracks = config.tracks
     return next((track for track in (JOINED, "rectified") if track in tracks), tracks[0])
 
@@ -279,43 +279,38 @@ _ROOT = Path(__file__).resolve().parents[3]
 
 
 class Digest(NamedTuple):
-    """Of files: text that stands for their content, and how many bytes they have."""
+    """A digest of files: text that represents their content, and their size in bytes."""
 
     text: str
     size: int
 
 
 def named_recordings(names: Sequence[str]) -> tuple[Path, ...]:
-    """Recordings by what a user names: paths, patterns such as "data/2026-*", folders that hold recordings.
+    """Recordings by paths, by patterns such as "data/2026-*", or by folders of recordings.
 
-    In the order in which they were named, each once. A missing path stays, so that it is reported.
+    In the order of the names, each once. A missing path stays, so that it is reported.
 
     Raises:
-        ConfigError: a pattern that fits nothing.
+        ConfigError: a pattern without matches.
     """
     found: dict[Path, Path] = {}
     for name in names:
-        for path in _expanded(name):
+        paths = [Path(name)]
+        if glob.has_magic(name) and not paths[0].exists():
+            paths = sorted(Path(one) for one in glob.glob(name, recursive=True))  # noqa: PTH207 - absolute patterns, too
+            if not paths:
+                raise ConfigError(f"nothing fits {name}", fix="check the pattern")
+        for path in paths:
             for recording in (find_recordings(path) if path.is_dir() else []) or [path]:
                 found.setdefault(recording.resolve(), recording)
     return tuple(found.values())
 
 
-def _expanded(name: str) -> list[Path]:
-    path = Path(name)
-    if path.exists() or not glob.has_magic(name):
-        return [path]
-    fitting = sorted(Path(one) for one in glob.glob(name, recursive=True))  # noqa: PTH207 - absolute patterns, too
-    if not fitting:
-        raise ConfigError(f"nothing fits {name}", fix="check the pattern")
-    return fitting
-
-
 def digest_of(path: StrPath, settings: BatchSettings | None = None) -> Digest:
-    """Of a file, or of all files below a folder: their names, sizes and content; not where they lie.
+    """A digest of a file, or of all files in a folder: relative names, sizes and content.
 
     Raises:
-        OSError: something there cannot be read.
+        OSError: a file cannot be read.
     """
     root, limits = Path(path), settings or BatchSettings()
     whole, size = hashlib.sha256(), 0
@@ -342,7 +337,7 @@ def _pieces(file: Path, size: int, length: int) -> Iterator[bytes]:
 
 @cache
 def code_digest() -> str:
-    """Of wheelsight's own modules: what one version found is not taken for what another would find."""
+    """A digest of wheelsight's own modules: outcomes of one version are not used for another."""
     whole = hashlib.sha256()
     for path in sorted(
         path for package in ("wheelsight", "wheelsight_sim") for path in (_ROOT / package).rglob("*.py")
@@ -357,15 +352,15 @@ def code_digest() -> str:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Of one job.
+    """The result of one job.
 
     Attributes:
-        job: its identity.
-        problem: why it broke, one line, or None.
-        is_killed: whether its process ended without a word, rather than the recording being at fault.
-        figures: by their names in `table.FIGURES`; None where one cannot be had, as an ATE without ground truth.
-        metrics: what metrics.json of `wheelsight run` holds.
-        elapsed_s: how long it took.
+        job: its identifier.
+        problem: the error in one line, or None.
+        is_killed: whether its process was killed, so that the recording may not be the cause.
+        figures: by their names in `table.FIGURES`; None if unavailable, such as an ATE without ground truth.
+        metrics: metrics.json of the run.
+        elapsed_s: duration.
     """
 
     job: str
@@ -377,7 +372,7 @@ class Outcome:
 
 
 def problem_of(error: BaseException) -> str:
-    """One line for a table: what a user did wrong, what the system refused, or where a bug showed."""
+    """An error in one line: of the input, of the system, or the place of a bug."""
     if isinstance(error, WheelsightError):
         return str(error)
     if isinstance(error, MemoryError):

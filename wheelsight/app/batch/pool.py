@@ -29,15 +29,15 @@ _END_S = 10.0
 
 
 class Work(Protocol):
-    """A function of a module, which another process can import."""
+    """An importable function, so that another process can call it."""
 
     def __call__(self, job: Job, /) -> Outcome:
-        """Runs it."""
+        """Run a job."""
 
 
 @dataclass(slots=True)
 class _Worker:
-    """A process, the way to it, what it runs, and where its stderr goes."""
+    """A process with its connection, its job, and its stderr."""
 
     process: SpawnProcess
     connection: Connection
@@ -54,23 +54,23 @@ def run_on_processes(
     tries: int = 2,
     on_death: Callable[[Job, str], None] = lambda job, why: None,
 ) -> Generator[Outcome]:
-    """Outcomes as they come; however the iteration ends, no process is left.
+    """Yield outcomes in the order of their ends. No process remains after the iteration.
 
-    Ctrl-C and the end of a terminal reach this process alone, which ends the others.
+    Only this process gets Ctrl-C and the end of the terminal; it ends the others.
 
     Args:
         jobs: in this order.
-        processes: how many at once.
-        work: what each does with a job.
-        scratch: folder for what they write meanwhile.
-        tries: how often a job is run whose process dies, each time in another one.
+        processes: maximum number of processes.
+        work: called with each job.
+        scratch: folder for temporary files.
+        tries: number of runs of a job whose process dies, each in another process.
         on_death: called with each job whose process died and that is tried again, and the cause.
     """
     waiting, tried, workers = deque(jobs), Counter[str](), list[_Worker]()
     try:
         while waiting or any(worker.job is not None for worker in workers):
             _hand_out(waiting, workers, processes, lambda: _start(work, Path(scratch)))
-            # Waits until some of those that have a job have answered, or died
+            # Wait until busy workers have answered or died
             busy = [worker for worker in workers if worker.job is not None]
             ready = wait([worker.connection for worker in busy])
             answered = [worker for worker in busy if worker.connection in ready]
@@ -78,7 +78,7 @@ def run_on_processes(
                 job, outcome = _take(worker)
                 if outcome is None:
                     workers.remove(worker)
-                    # How a process ended that was to answer
+                    # The reason for the end of the process
                     worker.process.join(_END_S)
                     code = worker.process.exitcode
                     _end(worker)
@@ -110,7 +110,7 @@ def run_on_processes(
 
 
 def _hand_out(waiting: deque[Job], workers: list[_Worker], processes: int, start: Callable[[], _Worker]) -> None:
-    """A job to each worker that has none, and new workers as far as there are jobs and cores for them."""
+    """Give a job to each free worker, and start workers while there are jobs and cores."""
     for worker in [worker for worker in workers if worker.job is None]:
         if waiting and not _give(worker, waiting):
             workers.remove(worker)
@@ -123,7 +123,7 @@ def _hand_out(waiting: deque[Job], workers: list[_Worker], processes: int, start
 
 
 def _give(worker: _Worker, waiting: deque[Job]) -> bool:
-    """Hand a worker the next job; False where it has died meanwhile."""
+    """Give a worker the next job; False if the worker has died."""
     try:
         worker.connection.send(waiting[0])
     except OSError:
@@ -157,9 +157,9 @@ def _start(work: Work, scratch: Path) -> _Worker:
 
 @contextmanager
 def _quiet_and_single() -> Iterator[None]:
-    """A process started here gets no Ctrl-C and no SIGHUP from its first moment on; its libraries have one thread each.
+    """Processes that start in the block ignore Ctrl-C and SIGHUP, and their libraries use one thread.
 
-    What comes meanwhile comes here right after.
+    Signals during the block reach this process after it.
     """
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
@@ -193,21 +193,21 @@ def run_on_fleet(
     connect_s: float = 10.0,
     on_note: Callable[[str], None] = lambda note: None,
 ) -> Generator[Outcome]:
-    """Outcomes as they come; however the iteration ends, what is not done is taken back.
+    """Yield outcomes in the order of their ends. Unfinished jobs are cancelled after the iteration.
 
-    A worker that dies takes nothing with it: the scheduler hands its job to another one, as often as its
-    `distributed.scheduler.allowed-failures` says (3 unless set).
+    The scheduler gives the job of a dead worker to another one, up to its `distributed.scheduler.allowed-failures` (3
+    by default).
 
     Args:
         jobs: in this order; workers find recordings and files of settings at the same paths.
         address: of the scheduler, such as tcp://192.168.1.5:8786.
-        work: what each worker does with a job.
-        connect_s: how long the scheduler may take to answer, seconds.
+        work: called with each job.
+        connect_s: timeout for the scheduler, seconds.
         on_note: called with remarks about the workers.
 
     Raises:
         ConfigError: the extra `fleet` is missing.
-        DeviceError: no scheduler answers, or it went away.
+        DeviceError: no scheduler answers, or the connection is lost.
     """
     distributed = needed("distributed")
     with _client(distributed, address, connect_s) as client:

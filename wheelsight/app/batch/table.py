@@ -27,10 +27,10 @@ class Figure:
 
     Attributes:
         name: in files, with its unit.
-        title: for people.
+        title: in shown tables.
         scale: factor from the stored to the shown value.
-        digits: after the point, for people.
-        is_cost: whether it is a matter of the computer, too.
+        digits: shown digits after the point.
+        is_cost: whether it depends on the computer, too.
         grows_better: whether more is better.
     """
 
@@ -57,7 +57,7 @@ _HEAD = ("recording", "config", "odometry", "seeds", "status", "problem")
 
 
 class Spread(NamedTuple):
-    """A figure over the seeds of a row."""
+    """Statistics of a figure over the seeds of a row."""
 
     median: float
     worst: float
@@ -65,14 +65,14 @@ class Spread(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A recording by one configuration.
+    """Figures of a recording with one configuration.
 
     Attributes:
-        recording, config, odometry: as its `Case` names them.
-        seeds: how many ended well.
+        recording, config, odometry: as in its `Case`.
+        seeds: number of successful seeds.
         status: DONE; BROKEN; or "2 of 5 broken".
-        problem: the first reason, or "".
-        figures: by name; those that cannot be had are missing.
+        problem: the first error, or "".
+        figures: by name, without unavailable ones.
     """
 
     recording: str
@@ -85,7 +85,7 @@ class Row:
 
 
 def rows_of(cases: Sequence[Case], outcomes: Mapping[str, Outcome]) -> tuple[Row, ...]:
-    """A row a case, of the outcomes of its jobs by their identity."""
+    """A row for each case, from outcomes by job identifier."""
     return tuple(_row(case, [outcomes[job] for job in case.jobs]) for case in cases)
 
 
@@ -109,14 +109,14 @@ def _spread(figure: Figure, outcomes: Sequence[Outcome]) -> Spread | None:
 
 
 def shown(figure: Figure, value: float) -> str:
-    """For people: rounded, small times with digits enough to be none of zero."""
+    """A value as text, rounded; small times keep enough digits to differ from zero."""
     scaled = figure.scale * value
     places = -math.floor(math.log10(abs(scaled))) if scaled else 0
     return f"{scaled:.{max(figure.digits, min(places, 4)) if figure.is_cost else figure.digits}f}"
 
 
 def csv_text(rows: Sequence[Row]) -> str:
-    """All figures in full, which `read_rows` reads back."""
+    """All figures in full precision, for `read_rows`."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([*_HEAD, *(f"{figure.name}_{of}" for figure in FIGURES for of in Spread._fields)])
@@ -128,7 +128,7 @@ def csv_text(rows: Sequence[Row]) -> str:
 
 
 def markdown_text(rows: Sequence[Row]) -> str:
-    """For a page: median, and in brackets the worst where there are several seeds; reasons below."""
+    """Medians, with the worst seed in brackets; errors below."""
     head = ["recording", "config", "odometry", "seeds", *(figure.title for figure in FIGURES), "status"]
     lines = [head, ["---"] * 4 + ["---:"] * len(FIGURES) + ["---"]]
     for row in rows:
@@ -148,7 +148,7 @@ def _in_brackets(figure: Figure, row: Row) -> str:
 
 
 def read_rows(path: StrPath) -> tuple[Row, ...]:
-    """Rows of an earlier table.csv. Raises ConfigError, with the line, for a file that is none."""
+    """Rows of an earlier table.csv. Raises ConfigError, with the line, for an invalid file."""
     path = Path(path)
     reader = csv.DictReader(io.StringIO(read_text(path, _FILE, ConfigError), newline=""))
     try:
@@ -183,12 +183,12 @@ def _spread_in(cells: Mapping[str, str], name: str) -> Spread | None:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """With a baseline.
+    """A comparison with a baseline.
 
     Attributes:
-        worse: a line for each figure that is.
-        unmatched: a line for each row that only one of the two has.
-        compared: how many rows both have.
+        worse: a line for each worse figure.
+        unmatched: a line for each row that only one table has.
+        compared: number of common rows.
     """
 
     worse: tuple[str, ...]
@@ -203,13 +203,13 @@ def compare(
     cost_tolerance: float | None = None,
     settings: BatchSettings | None = None,
 ) -> Comparison:
-    """Hold medians and worst against those of the baseline's row of the same recording and configuration.
+    """Compare medians and worst seeds with the baseline's row of the same recording and configuration.
 
     Args:
-        rows: of now.
-        baseline: of before.
+        rows: current rows.
+        baseline: earlier rows.
         tolerance: allowed relative growth of errors, and allowed drop of the share of frames with a pose.
-        cost_tolerance: likewise of time and memory; of None they are not judged, since another computer has others.
+        cost_tolerance: likewise for time and memory; None: not compared, for another computer.
         settings: changes that are too small to count.
     """
     settings = settings or BatchSettings()

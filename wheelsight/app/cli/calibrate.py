@@ -40,7 +40,7 @@ def base(
     """Find where the camera sits on the robot and how late the wheels' stamps are, from an ordinary drive.
 
     Roll, pitch and height come from the floor seen in depth; yaw, x, y and the delay from the motions of both sensors.
-    FILE gets T_base_camera and the wheels' delay; of wheels it keeps what --calibration, or FILE itself, told.
+    FILE gets T_base_camera and the wheels' delay; it keeps the wheels of --calibration, or of FILE itself.
     A drive that hides some is refused, and what to drive is said: a minute or two, straight and with turns both ways.
     Of --config the section extrinsics counts.
 
@@ -179,7 +179,7 @@ def wheels(
     A TRAJECTORY of wheelsight run, with covariances.csv beside it, is only as long as the camera's calibration has it:
     then σ holds that too.
     FILE gets what was found of the wheels, for wheelsight run --calibration;
-    what --calibration told, or FILE itself, of other parts is kept.
+    other parts of --calibration, or of FILE itself, are kept.
     A drive that leaves something open is refused, as a straight one does the track width;
     what to drive instead is said.
 

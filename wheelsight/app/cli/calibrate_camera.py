@@ -52,7 +52,7 @@ BoardText = Annotated[
         "--board",
         metavar="BOARD",
         help="9x6:25mm: inner corners and side of a square; charuco:9x6:27mm: squares and "
-        "side, then :MARKER:DICTIONARY if need be; ? for an unknown side, which depth then tells.",
+        "side, then :MARKER:DICTIONARY if need be; ? for an unknown side, which depth then gives.",
         show_default=False,
     ),
 ]
@@ -68,7 +68,7 @@ Registered = Annotated[bool, typer.Option("--registered", help="Depth images hav
 Plate = Annotated[
     bool, typer.Option("--plate", help="The board is on a larger flat plate: depth counts all over that.")
 ]
-KeepColor = Annotated[bool, typer.Option("--keep-color", help="Keep the colour lens that --calibration tells.")]
+KeepColor = Annotated[bool, typer.Option("--keep-color", help="Keep the colour lens of --calibration.")]
 DepthUnits = Annotated[float, typer.Option("--depth-factor", min=1e-3, help="Units of depth images a metre.")]
 
 
@@ -220,7 +220,7 @@ def calibrate_live(task: CameraTask, which: str, folder: Path, settings: LiveCam
     from wheelsight.vision.camera_calibration.live_views import ViewTaker
 
     task.check()
-    # Of views that are there from before
+    # Views of an earlier call
     from wheelsight.vision.camera_calibration.views import read_views
 
     if not any(folder.glob("*-color.png")):
@@ -276,7 +276,7 @@ def _take_views(
         while not is_over():
             if taker.has_enough():
                 return _Why.ENOUGH
-            # The newest frame; a board is searched for more slowly than frames come
+            # The newest frame: the search for a board is slower than the camera.
             live = camera.read(_WAIT_S)
             while live is not None and (later := camera.read(0)) is not None:
                 live = later

@@ -235,27 +235,10 @@ def steps_of(file: Path) -> tuple[list[Step], tuple[Measured, ...]]:
     history = history_of(known)
     by = {entry.command for entry in history}
     force = " --force" if known else ""
-    is_done = "calibrate base" in by and "T_base_camera" in known
-    is_known = "T_base_camera" in known
-    values = "T_base_camera, found on a drive" if is_done else "T_base_camera, by a ruler" if is_known else "none"
-    how = (
-        "Drive two minutes over a flat floor that the camera sees: straight, turns both ways, some on the spot, stops "
-        "between. Wheels by a ruler will do."
-    )
-    given = f" --calibration {file}" if known else ""
-    if not _has_wheels(known):
-        given += " --calibration nominal.yaml"
-    mount = Step(
-        "mount", is_done, is_known, values, how, (f"wheelsight calibrate base DRIVE{given} --out {file}{force}",)
-    )
-    return [
-        _camera(file, known, by, force),
-        mount,
-        _robot_steps_wheels(file, known, by, force),
-    ], history
+    return [step(file, known, by, force) for step in (_camera_step, _mount_step, _wheels_step)], history
 
 
-def _camera(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
+def _camera_step(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
     is_done = "calibrate camera" in by and "color" in known
     is_known = "color" in known
     values = "lenses, T_color_depth and depth_error, by a board" if is_done else "lenses as the maker has them"
@@ -270,7 +253,22 @@ def _camera(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step
     return Step("camera", is_done, is_known, values if is_known else "a live camera's maker says them", how, commands)
 
 
-def _robot_steps_wheels(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
+def _mount_step(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
+    is_done = "calibrate base" in by and "T_base_camera" in known
+    is_known = "T_base_camera" in known
+    values = "T_base_camera, found on a drive" if is_done else "T_base_camera, by a ruler" if is_known else "none"
+    how = (
+        "Drive two minutes over a flat floor that the camera sees: straight, turns both ways, some on the spot, stops "
+        "between. Wheels by a ruler will do."
+    )
+    given = f" --calibration {file}" if known else ""
+    if not _has_wheels(known):
+        given += " --calibration nominal.yaml"
+    command = f"wheelsight calibrate base DRIVE{given} --out {file}{force}"
+    return Step("mount", is_done, is_known, values, how, (command,))
+
+
+def _wheels_step(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
     is_done = bool({"calibrate wheels", "calibrate umbmark"} & by) and "wheels" in known
     is_known = _has_wheels(known)
     values = "radii, track width, delay" if is_done else "by a data sheet or a ruler" if is_known else "none"
@@ -323,7 +321,7 @@ def loop_check(folder: Path, file: Path, topics: Sequence[str] | None) -> tuple[
     loop_against = (
         f"{likely_off}, {with_slip}: {'no more than that is off.' if found.is_as_stated else 'it is off by more.'}"
     )
-    # The next thing to do
+    # The next step
     if found.is_as_stated:
         loop_advice = "" if found.is_good else "Those σ are large: calibrate the wheels, on a longer drive."
     elif not found.causes:

@@ -46,7 +46,7 @@ _IN_LETTERS = {"σ": "sigma", "α": "alpha", "β": "beta", "γ": "gamma", "≥":
 _IN_LETTERS |= {"×": "x", "°": " deg", "µ": "u", "±": "+-", "·": "-", "…": "...", "✓": "ok", "²": "2", "³": "3"}
 
 
-def _told_in_letters(error: UnicodeError) -> tuple[str, int]:
+def _in_letters(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
     missing = error.object[error.start : error.end]
@@ -70,8 +70,8 @@ class _Loseable(io.FileIO):
 
 def prepare_streams() -> None:
     """From now on stdout and stderr take any text, and go on without their terminal once that is closed."""
-    # Signs that the encoding of stdout and stderr lacks are written in letters
-    codecs.register_error(_LETTERS, _told_in_letters)
+    # Replace characters that the encoding lacks by letters
+    codecs.register_error(_LETTERS, _in_letters)
     for output in (sys.stdout, sys.stderr):
         if isinstance(output, io.TextIOWrapper) and output.errors in ("strict", "backslashreplace"):
             output.reconfigure(errors=_LETTERS)

@@ -38,7 +38,7 @@ def drive(options: DriveOptions) -> None:
 
     The robot finds itself in the map, plans, drives around what is in its way, and stops where it must; docs/safety.md
     says what stops it and what does not. A terminal shows plan, state, speed and why it does what it does; else a line
-    a second tells. Ctrl-C stops the robot first.
+    a second is printed. Ctrl-C stops the robot first.
 
     --robot asks once before anything moves. It needs a live camera (wheelsight devices), whose own calibration is laid
     under --calibration.
@@ -71,14 +71,14 @@ def drive(options: DriveOptions) -> None:
 _PARTS = ("wheels", "dense", "joined", "loops", "navigation")
 
 
-class _ToldToStop(Exception):  # noqa: N818 - it is no error
-    """One of the signals that end a program."""
+class _StopSignal(Exception):  # noqa: N818 - it is no error
+    """A signal that ends the program."""
 
 
 def drive_there(options: DriveOptions) -> None:
-    """Drive to all goals; Exit with 1 where one was not reached, with 130, 143 or 129 where a signal stopped it.
+    """Drive to all goals. Exits with 1 if one is not reached, with 130, 143 or 129 after a signal.
 
-    Raises what was handed in wrong, before anything moves.
+    Raises errors of the inputs before anything moves.
     """
     from wheelsight.app.cli.compiling import compile_missing
     from wheelsight.app.cli.options import check_rerun
@@ -101,7 +101,7 @@ def drive_there(options: DriveOptions) -> None:
 
 
 def _driven(robot: Robot, config: Config, tasks: Sequence[Task], options: DriveOptions) -> tuple[DriveRecord, str]:
-    """What became of it, and in a sentence what was not begun; empty where everything was."""
+    """The record of the drive, and a sentence on tasks that were not begun; "" if there are none."""
     from wheelsight.app.cli.drive_view import watching
     from wheelsight.app.run.exploring import loops_of
     from wheelsight.slam.maps import MAP_FOLDER
@@ -114,8 +114,8 @@ def _driven(robot: Robot, config: Config, tasks: Sequence[Task], options: DriveO
     ):
         truth = Truth(robot) if options.is_simulated else None
         is_interrupted = _through(drive, tasks, options, _on_step(drive, watch, truth))
-        told, asked = truth.told if truth else {}, len(tasks) + options.back
-        record = drive.record(asked, robot_words(options), config, told, is_interrupted=is_interrupted)
+        facts, asked = truth.told if truth else {}, len(tasks) + options.back
+        record = drive.record(asked, robot_words(options), config, facts, is_interrupted=is_interrupted)
     if options.explore and options.out:
         # The last of them are closed once the drive is over.
         record = replace(record, loops=loops_of(options.out / MAP_FOLDER))
@@ -146,17 +146,17 @@ def _begun(robot: Robot, config: Config, watch: DriveWatch, options: DriveOption
 
 
 def _through(drive: Drive, tasks: Sequence[Task], options: DriveOptions, on_step: OnStep) -> bool:
-    """Through all tasks, up to the first that fails, then back; whether somebody stopped it."""
+    """Run all tasks up to the first that fails, then drive back. Returns whether the user stopped it."""
     with until_stopped() as is_over:
 
         def step(feedback: Feedback) -> None:
             on_step(feedback)
             if is_over():
-                raise _ToldToStop
+                raise _StopSignal
 
         try:
             do_all(drive, tasks, options, step)
-        except _ToldToStop:
+        except _StopSignal:
             return True
         except DeviceError:
             # The signal may have ended the process that localizes, too.
@@ -189,7 +189,7 @@ if TYPE_CHECKING:
 
 
 def tasks_of(options: DriveOptions) -> list[Task]:
-    """All but the return. Raises as `goals_of` and `way_of`: before anything moves."""
+    """All tasks but the return. Raises as `goals_of` and `way_of`, before anything moves."""
     way = way_of(options)
     tasks: list[Task] = [_explore] if options.explore else []
     if way is not None:
@@ -198,9 +198,9 @@ def tasks_of(options: DriveOptions) -> list[Task]:
 
 
 def do_all(drive: Drive, tasks: Sequence[Task], options: DriveOptions, on_step: OnStep) -> None:
-    """All tasks, up to the first that fails; then back, where that is asked for.
+    """Run all tasks up to the first that fails; then drive back, if requested.
 
-    Raises what `on_step` raises; MapError, before anything moves, for a goal at which the map has no room.
+    Raises errors of `on_step`; and MapError, before anything moves, for a goal without free floor in the map.
     """
     from wheelsight.app.run.drives import Goal
 
@@ -297,7 +297,7 @@ def tell(record: DriveRecord, left_out: str = "") -> None:
             typer.echo(f"arrived at {goal.name}: {result.way_m:.1f} m in {result.time_s:.0f} s{change}")
         elif not record.is_interrupted:
             print_error(f"{goal.name} was not reached: {result.reason} ({result.detail})")
-    # Say where the robot was often led later than it should have been
+    # Late control periods
     periods = record.periods
     if periods.late > _OFTEN * periods.count:
         print_note(
@@ -310,16 +310,16 @@ def tell(record: DriveRecord, left_out: str = "") -> None:
         )
     if record.is_interrupted:
         print_note("interrupted; the robot was stopped first, and stands")
-        _tell_contacts(record)
+        _print_contacts(record)
         raise typer.Exit(exit_code())
     if left_out:
         print_error(left_out)
-    _tell_contacts(record)
+    _print_contacts(record)
     if record.contacts or not record.has_arrived:
         raise typer.Exit(_FAILED)
 
 
-def _tell_contacts(record: DriveRecord) -> None:
+def _print_contacts(record: DriveRecord) -> None:
     """Say what the robot drove against, as the simulator knows."""
     touched = record.contacts
     if touched:
@@ -459,7 +459,7 @@ _SIMULATED_CAMERA = "kinect-v1"
 
 @contextmanager
 def robot_of(options: RobotOptions, config: Config) -> Iterator[Robot]:
-    """The robot, closed at the end; a real one once somebody has said that it may move.
+    """The robot, closed at the end; a real one after the user has confirmed that it may move.
 
     Raises ConfigError, CalibrationError, DeviceError; Exit where it may not.
     """
@@ -486,7 +486,7 @@ def _simulator(options: RobotOptions, config: Config) -> Robot:
     camera = options.camera or _SIMULATED_CAMERA
     if not 0 <= options.people <= 100:
         raise ConfigError(f"--people is {options.people}", fix="0 to 100")
-    # None where a world is named
+    # A world by its name, else the file of a floor plan
     sim = options.sim
     from wheelsight_sim import FloorPlan, world_names
 
@@ -547,7 +547,7 @@ def _linked(options: RobotOptions, config: Config) -> Iterator[Robot]:
         link = WheelLink(options.robot, options.baud)
         opened.callback(link.close)
         robot = opened.enter_context(LinkRobot(link, calibration, config.navigation.limits, frames=frames))
-        # Refuse a controller that would stop its motors too late
+        # The firmware must stop the motors in time.
         ends_s = time.monotonic() + _HEARD_WITHIN_S
         while link.report().format is None and time.monotonic() < ends_s:
             time.sleep(_LOOK_S)

@@ -81,25 +81,26 @@ class DriveView:
         if self._live is None:
             self._console.print(line_of(feedback, self._so_far, floor_m2(navigator)))
         else:
-            self._live.update(self._screen(feedback, navigator), refresh=True)
-
-    def _screen(self, feedback: Feedback, navigator: Navigator) -> Group:
-        """Plan and facts beside each other; on a narrow terminal one below the other."""
-        width, height = self._console.size
-        facts = facts_table("", facts_of(feedback, self._so_far, floor_m2(navigator)))
-        is_narrow = width < _LEAST_COLUMNS + _FACTS_WIDTH
-        columns = max(min(width if is_narrow else width - _FACTS_WIDTH, _MOST_COLUMNS), _LEAST_COLUMNS)
-        below = _LINES_BELOW + facts.row_count if is_narrow else _LINES_BELOW
-        rows = max(min(columns, 2 * (height - below)), _LEAST_COLUMNS) // 2 * 2
-        floor = navigator.senses.local() or navigator.senses.floor.layer
-        signs = plan_signs(floor, feedback, self._footprint, (rows, columns), _ACROSS_M / columns)
-        plan = as_text(signs, in_colour=not self._console.no_color)
-        changes = (Text(f"{one.stamp_s:7.1f} s  {one}", overflow="ellipsis", no_wrap=True) for one in self._transitions)
-        if is_narrow:
-            return Group(plan, facts, Text(""), *changes)
-        above = Table.grid(padding=(0, 2))
-        above.add_row(plan, facts)
-        return Group(above, Text(""), *changes)
+            # Plan and facts side by side, or stacked on a narrow terminal
+            width, height = self._console.size
+            facts = facts_table("", facts_of(feedback, self._so_far, floor_m2(navigator)))
+            is_narrow = width < _LEAST_COLUMNS + _FACTS_WIDTH
+            columns = max(min(width if is_narrow else width - _FACTS_WIDTH, _MOST_COLUMNS), _LEAST_COLUMNS)
+            below = _LINES_BELOW + facts.row_count if is_narrow else _LINES_BELOW
+            rows = max(min(columns, 2 * (height - below)), _LEAST_COLUMNS) // 2 * 2
+            floor = navigator.senses.local() or navigator.senses.floor.layer
+            signs = plan_signs(floor, feedback, self._footprint, (rows, columns), _ACROSS_M / columns)
+            plan = as_text(signs, in_colour=not self._console.no_color)
+            changes = (
+                Text(f"{one.stamp_s:7.1f} s  {one}", overflow="ellipsis", no_wrap=True) for one in self._transitions
+            )
+            if is_narrow:
+                screen = Group(plan, facts, Text(""), *changes)
+            else:
+                above = Table.grid(padding=(0, 2))
+                above.add_row(plan, facts)
+                screen = Group(above, Text(""), *changes)
+            self._live.update(screen, refresh=True)
 
 
 class SoFar:
@@ -257,7 +258,7 @@ def plan_signs(
     rows, columns = shape
     x = (np.arange(columns) + 0.5 - columns / 2) * cell_m + middle[0]
     y = (rows / 2 - np.arange(rows) - 0.5) * cell_m + middle[1]
-    # A cell in which anything is occupied is a wall; else it is what its middle is
+    # A sign is a wall if any of its samples is occupied; else it shows its centre.
     offsets = (np.arange(_LOOKS) - (_LOOKS - 1) / 2) * cell_m / _LOOKS
     cell_columns = np.floor((x[:, None] + offsets - floor.origin[0]) / floor.resolution_m).astype(int)
     cell_rows = np.floor((y[:, None] - offsets - floor.origin[1]) / floor.resolution_m).astype(int)
@@ -278,7 +279,7 @@ def plan_signs(
         spots = feedback.goal[:2] + np.stack(np.meshgrid(around, around), axis=-1).reshape(-1, 2)
         _mark(signs, spots, x, y, Sign.GOAL)
     if feedback.pose is not None:
-        # Its outline, filled; the foremost quarter shows where it looks
+        # The robot's outline, filled; the front quarter shows its heading
         c, s = np.cos(feedback.pose[2]), np.sin(feedback.pose[2])
         away = np.stack(np.meshgrid(x, y), axis=-1) - feedback.pose[:2]
         in_base = away @ np.array([[c, -s], [s, c]])

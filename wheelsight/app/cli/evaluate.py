@@ -53,7 +53,7 @@ def evaluate(
     from wheelsight.io.recordings import TRUTH_FILES
 
     for given, names in ((estimate, _OF_RESULTS), (ground_truth, tuple(TRUTH_FILES.values()))):
-        # Raise TrajectoryError for a folder, with the trajectory in it that was probably meant
+        # For a folder, suggest the trajectory in it
         from wheelsight.core.errors import TrajectoryError
 
         if os.path.isdir(given):  # noqa: PTH112 (a name that is too long is none)

@@ -181,7 +181,7 @@ def export_to_bag(asked: Asked, to: Path) -> None:
     check_bag_name(to)
     check_library()
     source = exported_at(asked.source)
-    # Raises OutputError where a bag would be written over what it is made of
+    # A bag must not overwrite its own source.
     from wheelsight.core.errors import OutputError
 
     if to.exists() and asked.source.exists() and to.samefile(asked.source):
@@ -281,7 +281,7 @@ def export_surface(asked: Asked, is_mesh: bool) -> None:
     if to.suffix.lower() != ".ply":
         raise ConfigError(f"--out is {str(to)!r}, which does not end in .ply", fix="PLY is what is written")
     check_out(to, asked.force)
-    # A map's file; of a map folder, where its keyframes are by now
+    # The map's file, or the surfels of a map folder at current poses
     from wheelsight.mapping import load_map
     from wheelsight.slam.maps import MapFolder, is_map
 

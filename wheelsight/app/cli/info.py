@@ -41,7 +41,7 @@ def info(
     topic: Topics = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
-    """Tell what is in a recording, and what to know before trusting results made from it.
+    """Show what is in a recording, and what to know before trusting results made from it.
 
     Every image and reading is read once: rates, gaps, depth, registration, ground truth, and warnings.
 

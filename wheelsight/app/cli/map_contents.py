@@ -15,7 +15,6 @@ from wheelsight.core.errors import ConfigError
 if TYPE_CHECKING:
     from wheelsight.core.geometry import FloatArray
     from wheelsight.mapping import NamedPose, NamedPoses, OccupancyGrid, SurfelMap
-    from wheelsight.mapping.occupancy import PlanLine, PlanMark
     from wheelsight.slam.maps import MapFolder, MapInfo
 
 
@@ -271,21 +270,10 @@ def _fused(folder: MapFolder) -> SurfelMap:
 
 def write_picture(grid: OccupancyGrid, folder: MapFolder, out: Path) -> None:
     """The plan, with axes, the way of its drives, and what people said of it. Raises OutputError."""
-    from wheelsight.mapping.occupancy import picture_of, save_picture
-    from wheelsight.slam.maps import driven_way
-
-    image = picture_of(grid, [stretch[:, :2] for stretch in driven_way(folder)], *_said_of(folder), has_axes=True)
-    save_picture(image, out)
-    # Grid lines, to read off corners of zones.
-    (x, y), (rows, columns) = grid.origin, grid.kind.shape
-    reach = f"x {x:.2f} to {x + columns * grid.resolution_m:.2f} m, y {y:.2f} to {y + rows * grid.resolution_m:.2f} m"
-    typer.echo(f"{image.shape[1]} × {image.shape[0]} pixels: {out}; above its legend {reach}")
-
-
-def _said_of(folder: MapFolder) -> tuple[list[PlanLine], list[PlanMark]]:
-    """Outlines of areas and of zones, and the places that have a name."""
+    # Outlines of areas and speed zones, and named places
     from wheelsight.mapping import EditKind
-    from wheelsight.mapping.occupancy import PlanLine, PlanMark
+    from wheelsight.mapping.occupancy import PlanLine, PlanMark, picture_of, save_picture
+    from wheelsight.slam.maps import driven_way
     from wheelsight.slam.maps.contents import edits_as_known, names_as_known
 
     T, drawn = folder.store.T_map_keyframe, {EditKind.AREA: (0, 158, 115), EditKind.SPEED: (230, 159, 0)}
@@ -298,4 +286,10 @@ def _said_of(folder: MapFolder) -> tuple[list[PlanLine], list[PlanMark]]:
             lines.append(PlanLine([*corners, corners[0]], drawn[edit.kind], kind, text=called))
     names = names_as_known(folder)
     places = [(name, names.named(name).pose_now(T)[:2]) for name in names.names]
-    return lines, [PlanMark(xy, "square", drawn[EditKind.AREA], "place", name) for name, xy in places]
+    marks = [PlanMark(xy, "square", drawn[EditKind.AREA], "place", name) for name, xy in places]
+    image = picture_of(grid, [stretch[:, :2] for stretch in driven_way(folder)], lines, marks, has_axes=True)
+    save_picture(image, out)
+    # Grid lines, to read off corners of zones.
+    (x, y), (rows, columns) = grid.origin, grid.kind.shape
+    reach = f"x {x:.2f} to {x + columns * grid.resolution_m:.2f} m, y {y:.2f} to {y + rows * grid.resolution_m:.2f} m"
+    typer.echo(f"{image.shape[1]} × {image.shape[0]} pixels: {out}; above its legend {reach}")

@@ -119,7 +119,9 @@ def print_zones(folder: MapFolder) -> None:
         typer.echo("the map has no zones: wheelsight map zone MAP --keep-out X,Y X,Y X,Y")
         return
     table = folder.store.T_map_keyframe
-    facts = ((str(n), f"{_what(edit)}: {_told(edit.polygon_now(table))}") for n, edit in enumerate(known.edits, 1))
+    facts = (
+        (str(n), f"{_what(edit)}: {_corners_text(edit.polygon_now(table))}") for n, edit in enumerate(known.edits, 1)
+    )
     console().print(facts_table("zones and areas", facts))
 
 
@@ -134,7 +136,7 @@ def _what(edit: MapEdit) -> str:
     return "keep-out zone" if edit.kind == EditKind.KEEP_OUT else "wiped place"
 
 
-def _told(polygon: FloatArray) -> str:
+def _corners_text(polygon: FloatArray) -> str:
     """As one types it."""
     # Adding 0 makes a zero of a negative one.
     return " ".join(f"{x:.2f},{y:.2f}" for x, y in (polygon.round(2) + 0.0).tolist())

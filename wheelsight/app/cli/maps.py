@@ -25,7 +25,7 @@ def zone(
     areas: AreasFile = None,
     forget: Forget = None,
 ) -> None:
-    """Say where nobody drives, where all drive slowly, what is gone, or what an area is called; or list all that.
+    """Mark where robots must not drive, must drive slowly, or what is gone; name an area; or list all marks.
 
     Zones and areas are in the map's edits.json. Each hangs on the nearest keyframe and moves with it, as where a loop
     closes; rebuild, merge and prune carry them over. wheelsight map export MAP --picture plan.png shows the
@@ -64,7 +64,7 @@ def info(
     source: MapPath,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
-    """Tell what is in a map: keyframes, edges, loops, size, camera, and what is wrong with it, if anything.
+    """Show what is in a map: keyframes, edges, loops, size, camera, and what is wrong with it, if anything.
 
     [bold]Examples[/bold]
 
@@ -83,7 +83,7 @@ def name(
     show_list: Annotated[bool, typer.Option("--list", help="Print all names and where they are by now.")] = False,
     remove: Annotated[bool, typer.Option("--remove", help="Forget the name.")] = False,
 ) -> None:
-    """Give a place of a map a name, by which wheelsight drive finds it.
+    """Name a place of a map; wheelsight drive goes to it by this name.
 
     Names are in the map's places.json. Each hangs on the nearest keyframe and moves with it, as where a loop closes;
     rebuild, merge and prune carry them over.
@@ -133,7 +133,7 @@ def export(
 
 @maps_app.command(cls=Command)
 def rebuild(source: MapPath, out: NewMap) -> None:
-    """Make a map anew of its keyframes, where they are by now: surfels are fused again, what is outdated is left out.
+    """Rebuild a map from its keyframes at their current poses. Surfels are fused again, outdated keyframes left out.
 
     The old map stays as it is. Keyframes keep no colour: the new surfels are grey.
 
@@ -157,7 +157,7 @@ def merge(
     """Make one map of two: keyframes of B are recognised in A, and a graph of both is solved.
 
     Two keyframes of B at least must be recognised, and agree on where B lies in A; else nothing is written.
-    Surfels are fused anew of the keyframes, and grey. What nobody knows how it lies to A is left out, and told.
+    Surfels are fused again from the keyframes, in grey. Keyframes of unknown position in A are left out and reported.
 
     [bold]Examples[/bold]
 
@@ -213,12 +213,12 @@ Corners = Annotated[
         show_default=False,
     ),
 ]
-KeepOut = Annotated[bool, typer.Option("--keep-out", help="Nobody drives there.", rich_help_panel=_ZONES)]
+KeepOut = Annotated[bool, typer.Option("--keep-out", help="Robots do not drive there.", rich_help_panel=_ZONES)]
 Speed = Annotated[
     float | None,
     typer.Option(
         metavar="M_S",
-        help="Nobody drives faster there, in metres a second.",
+        help="The speed limit there, in metres a second.",
         show_default=False,
         rich_help_panel=_ZONES,
     ),

@@ -206,9 +206,7 @@ Out = Annotated[
     Path,
     typer.Option(metavar="FILE", help="calibration.yaml to write; a page about it goes beside it.", show_default=False),
 ]
-Force = Annotated[
-    bool, typer.Option("--force", help="Overwrite FILE and its page; what FILE tells of other parts stays.")
-]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite FILE and its page; other parts of FILE stay.")]
 
 
 def open_for(

@@ -50,7 +50,7 @@ Trajectory = Annotated[
     typer.Option(metavar="FILE", help="Where the robot went, TUM text.", show_default="the recording's ground truth"),
 ]
 Description = Annotated[
-    Kind, typer.Option(help="What a frame is told by: the paper's histograms, or layout, with geometry.")
+    Kind, typer.Option(help="How a frame is described: the paper's histograms, or layout, with geometry.")
 ]
 Trees = Annotated[int, typer.Option(metavar="T", min=1, max=1000, help="How many trees; the paper tries 1 to 6.")]
 Depth = Annotated[int, typer.Option(metavar="D", min=1, max=64, help="Splits from root to leaf, at most.")]
@@ -99,7 +99,7 @@ def label(
     """Make a page of thumbnails along time, on which a person says which area each part of a drive is in.
 
     Open PAGE in a browser: select thumbnails, press the area's key, save. The CSV it saves is what --labels takes.
-    What labels, or areas and trajectory, already tell is filled in, to be checked.
+    Known labels, from labels or from areas and trajectory, are filled in, to be checked.
 
     [bold]Examples[/bold]
 

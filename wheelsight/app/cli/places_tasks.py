@@ -176,7 +176,7 @@ def show_progress(action: str, count: int | None) -> Iterator[Callable[[], None]
 def open_labelled(
     folders: Sequence[Path], labels: Sequence[Path], areas: Path | None, topics: Sequence[str] | None
 ) -> tuple[list[Recording], list[LabelSource], tuple[str, ...]]:
-    """Recordings, where their labels come from, and the names of all areas, each of which some frame shows."""
+    """Recordings, the sources of their labels, and the names of all areas that some frame shows."""
     from wheelsight.core.errors import ConfigError
     from wheelsight.places import check_every_area, names_of_all, stamps_of
 

@@ -104,7 +104,7 @@ def record(
 
     Everything is on its way to the disk within a second, so whatever ends the recording leaves a valid one; --resume
     goes on with it. A camera or port that vanishes is waited for, and the other sensor goes on. Frames for which the
-    disk is too slow are dropped, counted and told. A recording without calibration.yaml is run with --calibration.
+    disk is too slow are dropped, counted and reported. A recording without calibration.yaml is run with --calibration.
 
     [bold]Examples[/bold]
 
@@ -154,8 +154,18 @@ def opened_recording(
     from wheelsight.core.files import new_output_folder
     from wheelsight.io.devices.recorder import LiveRecorder, RecordingSession
     from wheelsight.io.recordings import RecordingWriter
+    from wheelsight.io.recordings.images import ColorFormat
 
-    _check(asked, color, force=force, resume=resume)
+    if asked.camera is None and asked.wheels is None:
+        raise ConfigError("there is nothing to record", fix="--camera NAME, --wheels PORT, or both")
+    if color not in get_args(ColorFormat):
+        raise ConfigError(f"--color is {color!r}", fix=f"one of {', '.join(get_args(ColorFormat))}")
+    if force and resume:
+        raise ConfigError("--force starts over and --resume does not", fix="one of them")
+    if asked.infrared and asked.camera is None:
+        raise ConfigError("--infrared is of a camera", fix="add --camera NAME")
+    if asked.topics and not (asked.camera or "").startswith("recording:"):
+        raise ConfigError("--topic is of a bag", fix="--camera recording:BAG, or leave it out")
     of_camera, of_recorder = _settings(asked)
     bag = out if isinstance(out, BagPlace) else None
     folder = out.path.parent if isinstance(out, BagPlace) else out
@@ -180,7 +190,7 @@ def opened_recording(
         else:
             writer = RecordingWriter(folder, calibration, force, color=color, resume=resume)  # type: ignore[arg-type]
         recorder = opened.enter_context(LiveRecorder(writer, of_recorder))
-        # Refuse to go on with a recording whose stamps are still to come
+        # Stamps in the future mean that the clock was set back.
         from wheelsight.io.devices import host_clock
 
         ahead_s = writer.last_stamp_s - host_clock.now_s()
@@ -189,22 +199,6 @@ def opened_recording(
             raise OutputError(problem, path=folder, fix="set this computer's clock, or record into another --out")
         opened.callback(tell_end, writer, recorder, folder if bag is None else bag.path, camera is not None)
         yield RecordingSession(recorder, folder, camera, link, note)
-
-
-def _check(asked: Sensors, color: str, *, force: bool, resume: bool) -> None:
-    """Raises ConfigError for options that mean nothing, or nothing together."""
-    from wheelsight.io.recordings.images import ColorFormat
-
-    if asked.camera is None and asked.wheels is None:
-        raise ConfigError("there is nothing to record", fix="--camera NAME, --wheels PORT, or both")
-    if color not in get_args(ColorFormat):
-        raise ConfigError(f"--color is {color!r}", fix=f"one of {', '.join(get_args(ColorFormat))}")
-    if force and resume:
-        raise ConfigError("--force begins anew and --resume does not", fix="one of them")
-    if asked.infrared and asked.camera is None:
-        raise ConfigError("--infrared is of a camera", fix="add --camera NAME")
-    if asked.topics and not (asked.camera or "").startswith("recording:"):
-        raise ConfigError("--topic is of a bag", fix="--camera recording:BAG, or leave it out")
 
 
 def _known(asked: Sensors, out: Path, resume: bool) -> Calibration | None:

@@ -111,9 +111,9 @@ def run(options: RunOptions) -> None:
 def track(
     source: EventSource, settings: Config, out: Path, force: bool, rerun: str | None = None, note: str = ""
 ) -> Sequence[RunRecord]:
-    """Run, with progress on stderr; Ctrl-C ends it with the exit code of an interruption.
+    """Run with progress on stderr. Ctrl-C ends it with the exit code of an interruption.
 
-    `rerun` is where Rerun is shown it, if anywhere: a file, or "spawn". `note` is printed once nothing can be refused.
+    `rerun` is a file or "spawn", or None. `note` is printed once the inputs are accepted.
     """
     from wheelsight.app import runs
     from wheelsight.app.cli.compiling import compile_missing
@@ -130,7 +130,7 @@ def track(
         answered[:] = [True]
         show_progress(progress, source, settings, status.after(answers))
 
-    with _told_where(out, answered), ExitStack() as shown:
+    with _printing_where(out, answered), ExitStack() as shown:
         watcher = None if rerun is None else shown.enter_context(_watcher(rerun, source, settings, force))
 
         def begin() -> None:
@@ -153,8 +153,8 @@ def _note_code(done: int, total: int) -> None:
 
 
 @contextmanager
-def _told_where(out: Path, answered: Sequence[bool]) -> Iterator[None]:
-    """Ctrl-C ends it with the exit code of an interruption, and says what was found."""
+def _printing_where(out: Path, answered: Sequence[bool]) -> Iterator[None]:
+    """On Ctrl-C, print where the results are, and exit with the code of an interruption."""
     from wheelsight.app.cli.console import print_note
 
     try:
@@ -192,12 +192,12 @@ class LiveRun:
 
     @classmethod
     def of(cls, given: RunOptions) -> LiveRun:
-        """Those that were typed."""
+        """The options that were typed."""
         sensors = given.recording, given.camera, given.wheels
         return cls(given.live, *sensors, given.seconds, given.record, tuple(given.calibration or ()), given.baud)
 
     def check(self, realtime: bool, wheels_from: str | None) -> None:
-        """Raises ConfigError for options that mean nothing together."""
+        """Raises ConfigError for invalid combinations of options."""
         if not self.live:
             needs = {"--wheels": self.wheels, "--seconds": self.seconds, "--record": self.record}
             if given := [option for option, value in needs.items() if value is not None]:
@@ -215,7 +215,7 @@ class LiveRun:
     def source(
         self, settings: Config, out: Path, realtime: bool, wheels_from: str | None, force: bool
     ) -> AbstractContextManager[EventSource]:
-        """What the run goes by, for a block. Raises InputError."""
+        """The source of the run, open in the block. Raises InputError."""
         from wheelsight.app.cli.options import open_source
 
         if self.live:
@@ -227,7 +227,7 @@ class LiveRun:
 
 @contextmanager
 def _opened(asked: LiveRun, settings: Config, out: Path, force: bool) -> Iterator[LiveSource]:
-    """Sensors, kernels and what is recorded, ready for the first event."""
+    """Sensors, kernels and recorder, ready for the first event."""
     from wheelsight.app.cli.compiling import compile_missing
     from wheelsight.app.cli.console import print_note
     from wheelsight.app.cli.record import note
@@ -293,11 +293,11 @@ def _recorder(folder: Path, calibration: Calibration, settings: Config, force: b
 def played(
     recording: Recording, realtime: bool, wheels_from: str | None, baud: int | None, settings: RealTimeSettings
 ) -> Iterator[Recording | RealTimeRecording]:
-    """The recording as it is, or in real time, with wheels from elsewhere if asked for.
+    """The recording as it is, or in real time, with external wheels if requested.
 
     Raises:
-        ConfigError: something is given that another option is needed for.
-        InputError: the wheels cannot be had.
+        ConfigError: an option lacks another one.
+        InputError: the wheels cannot be opened.
     """
     from wheelsight.app.run import in_real_time
     from wheelsight.io.devices import BAUDRATE
@@ -314,14 +314,14 @@ def played(
 
 
 def counts_frames(source: EventSource, settings: Config) -> bool:
-    """Whether progress is that of frames passing by, some of them dropped."""
+    """Whether progress counts frames that pass by, with dropped ones."""
     from wheelsight.app.run import InRealTime
 
     return isinstance(source, InRealTime) and settings.tracks != ("wheels",)
 
 
 def expected(source: EventSource, settings: Config) -> tuple[int | None, str]:
-    """How many events will be answered, where that is known, and their name; "" where their rate says nothing."""
+    """Number of events to answer, if known, and their unit; "" if their rate has no meaning."""
     from wheelsight.app.run.run_source import frame_count_of, wheel_count_of
 
     frames, readings = frame_count_of(source), wheel_count_of(source)
@@ -335,7 +335,7 @@ def expected(source: EventSource, settings: Config) -> tuple[int | None, str]:
 
 
 def show_progress(progress: FrameProgress, source: EventSource, settings: Config, status: str) -> None:
-    """One event more was answered; in real time also how well that keeps up."""
+    """Show one more answered event; in real time, the latency, too."""
     from wheelsight.app.run import InRealTime
     from wheelsight.app.run.run_source import frame_count_of
 
@@ -348,7 +348,7 @@ def show_progress(progress: FrameProgress, source: EventSource, settings: Config
 
 
 def rate_of(recording: InRealTime) -> str:
-    """Of frames that were answered, such as "29.8 frames/s"; nothing before the first."""
+    """The rate of answered frames, such as "29.8 frames/s"; "" before the first."""
     lately = recording.lately()
     return "" if lately is None else f"{lately[0]:.1f} frames/s"
 
@@ -373,13 +373,13 @@ _JOINED = "joined"
 
 
 class RunStatus:
-    """Each odometry's status and how large the map is; that of joined sensors first, which is what counts."""
+    """Each odometry's status and the size of the map; joined sensors first."""
 
     def __init__(self) -> None:
         self._of_each: dict[str, str] = {}
 
     def after(self, answers: Mapping[str, FrameRecord]) -> str:
-        """What to say after one more event, by each odometry's answer."""
+        """The status text after one more event, by each odometry's answer."""
         self._of_each.update({odometry: _words(answer) for odometry, answer in answers.items()})
         if len(self._of_each) == 1:
             return next(iter(self._of_each.values()))
@@ -396,7 +396,7 @@ def _words(answer: FrameRecord) -> str:
 
 
 def count(n: int) -> str:
-    """A count in three digits or so: 950, 412k, 1.23M."""
+    """A count in three digits: 950, 412k, 1.23M."""
     if n < 1000:
         return str(n)
     return f"{n / 1e3:.0f}k" if n < 999_500 else f"{n / 1e6:.2f}M"
@@ -409,7 +409,7 @@ _ON_THE_PAGE_ONLY = ("ATE, max", "of the way", "turn a metre", "95 % within", "t
 
 
 def print_summary(records: Sequence[RunRecord], out: Path) -> None:
-    """Whether a known map was recognised; figures, a row for each odometry; warnings, the verdict, files."""
+    """Print the recognition in a known map; figures, a row for each odometry; warnings, the verdict, and files."""
     from wheelsight.app.cli.console import console, facts_table, print_warning
     from wheelsight.app.cli.evaluate import evaluation_table
     from wheelsight.app.report import why_no_page
@@ -440,7 +440,7 @@ def print_summary(records: Sequence[RunRecord], out: Path) -> None:
 
 
 def _print_verdict(verdict: Verdict) -> None:
-    """In a line; below, what it rests on, the worst first, each with what to do."""
+    """Print the verdict in a line, and below it the findings, the worst first, with remedies."""
     from rich.text import Text
 
     from wheelsight.app.cli.console import console
@@ -461,7 +461,7 @@ def _print_verdict(verdict: Verdict) -> None:
 
 
 def _corrections(records: Sequence[RunRecord]) -> Iterator[Group | str]:
-    """What loops made of each trajectory."""
+    """Results of loop closing for each trajectory."""
     from wheelsight.app.cli.evaluate import evaluation_table
 
     for record in records:
@@ -472,7 +472,7 @@ def _corrections(records: Sequence[RunRecord]) -> Iterator[Group | str]:
 
 
 def _maps(records: Sequence[RunRecord], out: Path) -> Iterator[str]:
-    """Where each map is, and how large."""
+    """Path and size of each map."""
     for record in records:
         folder = out / record.odometry if len(records) > 1 else out
         for kept in (record.map, record.kept_map):
@@ -481,7 +481,7 @@ def _maps(records: Sequence[RunRecord], out: Path) -> Iterator[str]:
 
 
 def _joint_table(records: Sequence[RunRecord]) -> Table:
-    """One row an odometry; below, why one was not evaluated."""
+    """One row for each odometry; below, reasons for missing evaluations."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
@@ -500,7 +500,7 @@ def _joint_table(records: Sequence[RunRecord]) -> Table:
 
 
 def _map_error_table(found: RectificationRecord) -> Table:
-    """What areas leave of the wheels' error."""
+    """Errors of the wheels with and without areas."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 

@@ -26,7 +26,7 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.runtime import until_stopped
 
 if TYPE_CHECKING:
-    from wheelsight.app.page import Access, Session
+    from wheelsight.app.page import Access
     from wheelsight.app.viewer import DriveLog
     from wheelsight.config import Config, StartSettings
     from wheelsight.core.calibration import Calibration
@@ -61,7 +61,7 @@ Token = Annotated[
     typer.Option(
         metavar="TEXT",
         help="What each request must hold; 16 letters and digits at least.",
-        show_default="made anew, and none on this computer alone",
+        show_default="a new one; none on this computer alone",
         rich_help_panel=_PAGE,
     ),
 ]
@@ -171,7 +171,16 @@ class CountedLines:
         while True:
             with self._changed:
                 is_over = self._is_over
-                printed = self._due(math.inf if is_over else time.monotonic())
+                # Lines to print with their counts; lines that have not come for long are removed
+                now_s = math.inf if is_over else time.monotonic()
+                printed = []
+                for known_text, said in list(self._lines.items()):
+                    if said.times and said.due_s <= now_s:
+                        printed.append((known_text, said.times))
+                        said.times, said.due_s = 0, now_s + said.wait_s
+                        said.wait_s = min(2 * said.wait_s, _LONGEST_S)
+                    elif not said.times and said.due_s + said.wait_s < now_s:
+                        del self._lines[known_text]
                 if not printed and not is_over:
                     waits = any(line.times for line in self._lines.values())
                     self._changed.wait(_COUNTED_LINES_LOOK_S if waits else None)
@@ -181,18 +190,6 @@ class CountedLines:
                     self._show(text if times == 1 else f"{text} ({times} times)")
             if is_over:
                 return
-
-    def _due(self, now_s: float) -> list[tuple[str, int]]:
-        """Lines to be printed, and how often each came; those that have not come for long are forgotten."""
-        found = []
-        for text, line in list(self._lines.items()):
-            if line.times and line.due_s <= now_s:
-                found.append((text, line.times))
-                line.times, line.due_s = 0, now_s + line.wait_s
-                line.wait_s = min(2 * line.wait_s, _LONGEST_S)
-            elif not line.times and line.due_s + line.wait_s < now_s:
-                del self._lines[text]
-        return found
 
 
 @dataclass
@@ -249,7 +246,19 @@ def serve_there(options: ServeOptions) -> None:
         on_problem = partial(lines.tell, is_problem=True)
         how: dict[str, Any] = {"paces": options.is_simulated, "on_problem": on_problem, "watch": log}
         with Session(robot, maps, config.page, **how) as session:
-            _serve(session, config, access, options, lines)
+            from wheelsight.app.page.server import PageServer, page_app
+
+            app = page_app(session, config.page, access, lines.tell)
+            with until_stopped() as is_over, PageServer(app, options.host, options.port, config.page) as server:
+                for address in addresses(options.host, server.port, access.token):
+                    typer.echo(address)
+                if access.token and not access.is_loopback:
+                    print_warning("what pages say is not encrypted: on a network that you trust alone")
+                waiting = threading.Event()
+                while not is_over():
+                    waiting.wait(_LOOK_S)
+                # Before slow work, such as closing pages and writing a map.
+                session.stop("the program ends")
             print_note("stopped; ending")
 
 
@@ -284,22 +293,6 @@ def _start_of(text: str) -> StartSettings:
     if math.isnan(yaw):
         raise ConfigError(f"--known-start is {text!r}", fix="X,Y,YAW_DEG in metres and degrees, such as 3.2,1.5,90")
     return StartSettings(x_m=x_m, y_m=y_m, yaw_deg=math.degrees(yaw))
-
-
-def _serve(session: Session, config: Config, access: Access, options: ServeOptions, lines: Refusals) -> None:
-    from wheelsight.app.page.server import PageServer, page_app
-
-    app = page_app(session, config.page, access, lines.tell)
-    with until_stopped() as is_over, PageServer(app, options.host, options.port, config.page) as server:
-        for address in addresses(options.host, server.port, access.token):
-            typer.echo(address)
-        if access.token and not access.is_loopback:
-            print_warning("what pages say is not encrypted: on a network that you trust alone")
-        waiting = threading.Event()
-        while not is_over():
-            waiting.wait(_LOOK_S)
-        # Before what takes its time, such as to close pages and to write a map.
-        session.stop("the program ends")
 
 
 def addresses(host: str, port: int, token: str) -> list[str]:

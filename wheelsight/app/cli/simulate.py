@@ -292,7 +292,7 @@ def _simulate(settings: SimulationSettings, out: Path, force: bool) -> None:
         try:
             writer = _render(recording, out)
         except KeyboardInterrupt as interruption:
-            # How many frames a recording that broke off holds
+            # Number of frames before the interruption
             path = out / "depth.txt"
             lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
             frames = sum(not line.startswith("#") for line in lines)

@@ -284,7 +284,7 @@ def _speed(speed: float | None, unit: str) -> str:
 def devices_devices(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of lines.")] = False,
 ) -> None:
-    """Tell which depth cameras and serial ports are plugged in, how each is used, and what is missing.
+    """List depth cameras and serial ports that are plugged in, how each is used, and what is missing.
 
     Nothing is opened, so nothing is disturbed that another program uses.
 

@@ -43,11 +43,11 @@ _TELL_EVERY = 50
 
 @dataclass(frozen=True, slots=True)
 class BagParts:
-    """What goes into a bag.
+    """The contents of a bag.
 
     Attributes:
-        images: how camera images are written, or None for none; see `RobotTopics`.
-        voxel_m: side of the cubes that each get one point of the map.
+        images: encoding of camera images, or None for none; see `RobotTopics`.
+        voxel_m: size of voxels with one map point each.
     """
 
     images: ImageForm | None = None
@@ -56,13 +56,13 @@ class BagParts:
 
 @dataclass(frozen=True, slots=True)
 class BagReport:
-    """What was written.
+    """The contents of a written bag.
 
     Attributes:
-        topics: how many messages there are of each.
+        topics: number of messages of each.
         size_bytes: of the file.
-        warnings: one sentence on each part that is not in it.
-        layouts: files beside the bag that show it, in Foxglove and in RViz.
+        warnings: one sentence on each missing part.
+        layouts: layout files beside the bag, for Foxglove and RViz.
     """
 
     topics: dict[str, int]
@@ -77,17 +77,17 @@ def export_bag(
     parts: BagParts | None = None,
     on_message: Callable[[int], None] = lambda done: None,
 ) -> BagReport:
-    """Write a bag, of ROS 2 where the name ends in .mcap, of ROS 1 where it ends in .bag; and layouts that show it.
+    """Write a bag, of ROS 2 for a name in .mcap and of ROS 1 for .bag; and layouts that show it.
 
     Args:
-        source: what to write.
-        path: of the file; it is there once it is whole.
-        parts: what of it.
-        on_message: called now and again with how many messages are written.
+        source: to export.
+        path: of the file, which appears when it is complete.
+        parts: its contents.
+        on_message: called from time to time with the number of messages.
 
     Raises:
-        ConfigError: another ending, or rosbags is not installed.
-        InputError: what is to be written cannot be read, or is nothing at all.
+        ConfigError: another suffix, or rosbags is not installed.
+        InputError: the source cannot be read, or is empty.
         OutputError: the file cannot be written, or the disk is full.
     """
     path, parts = Path(path), parts or BagParts()
@@ -108,7 +108,7 @@ def export_bag(
 
 
 class _Writing:
-    """The messages of one bag, in order of time, and what is missing."""
+    """The messages of one bag, in order of time, and warnings about missing parts."""
 
     def __init__(self, source: Exported, parts: BagParts, make: Messages) -> None:
         self.source, self.parts, self.make = source, parts, make
@@ -134,11 +134,22 @@ class _Writing:
         for topic, way in self._ways():
             path = self.make.path(begin_s, self.fixed, way.stamps_s, way.T_frame_body)
             yield Sent(begin_s, topic, path, is_latched=True)
-        yield from self._map(begin_s)
+        points = points_of(self.source, self.parts.voxel_m)
+        if points is not None:
+            p = upright_points(points.p_map, self.body)
+            yield Sent(begin_s, POINTS_TOPIC, self.make.points(begin_s, MAP, p, points.colors), is_latched=True)
+        folder = self.source.map
+        if folder is not None:
+            if not (folder.path / OCCUPANCY_FILE).is_file():
+                self.warnings.append("There is no /map: what is free of the floor is not known of this map.")
+            else:
+                grid = read_ros_map(folder.path / OCCUPANCY_FILE)
+                about = (grid.occupancy, grid.resolution_m, se3.from_plane(*grid.origin))
+                yield Sent(begin_s, MAP_TOPIC, self.make.occupancy(begin_s, MAP, *about), is_latched=True)
         yield from chain([] if first is None else [first], merged)
 
     def _ways(self) -> Iterator[tuple[str, Trajectory]]:
-        """The way as known at the end; of a map, from keyframe to keyframe; and the true one of a recording."""
+        """The final path; of a map, the path through keyframes; and the true path of a recording."""
         lived = self.source.trajectory
         if lived is not None:
             way = self.source.corrected or (lived if self.fixed == MAP else in_odom(lived, self.source.odom))
@@ -160,23 +171,8 @@ class _Writing:
         places = {} if self.source.map is None else self.source.map.contents.places
         return min((place.stamp_s for place in places.values()), default=0.0)
 
-    def _map(self, begin_s: float) -> Iterator[Sent]:
-        points = points_of(self.source, self.parts.voxel_m)
-        if points is not None:
-            p = upright_points(points.p_map, self.body)
-            yield Sent(begin_s, POINTS_TOPIC, self.make.points(begin_s, MAP, p, points.colors), is_latched=True)
-        folder = self.source.map
-        if folder is None:
-            return
-        if not (folder.path / OCCUPANCY_FILE).is_file():
-            self.warnings.append("There is no /map: what is free of the floor is not known of this map.")
-            return
-        grid = read_ros_map(folder.path / OCCUPANCY_FILE)
-        about = (grid.occupancy, grid.resolution_m, se3.from_plane(*grid.origin))
-        yield Sent(begin_s, MAP_TOPIC, self.make.occupancy(begin_s, MAP, *about), is_latched=True)
-
     def _poses(self) -> Iterator[Sent]:
-        """/odom, and in /tf map to odom to the body, at each pose."""
+        """/odom, and in /tf the transforms map to odom and odom to body, at each pose."""
         lived, corrected = self.source.trajectory, self.source.corrected
         if lived is None:
             return
@@ -230,12 +226,12 @@ _POINT_PX = 3
 
 
 def layout_paths(bag: Path) -> tuple[Path, Path]:
-    """Where the layouts of a bag lie, beside it: Foxglove's and RViz's."""
+    """Paths of the layouts beside a bag: Foxglove's and RViz's."""
     return bag.with_suffix(".foxglove.json"), bag.with_suffix(".rviz")
 
 
 def write_layouts(bag: Path, topics: Collection[str], fixed_frame: str) -> tuple[Path, Path]:
-    """Write both; where they lie. Raises OutputError."""
+    """Write both layouts and return their paths. Raises OutputError."""
     paths = layout_paths(bag)
     write_text(paths[0], json.dumps(foxglove_layout(topics, fixed_frame), indent=2) + "\n")
     text = yaml.safe_dump(rviz_config(topics, fixed_frame, is_ros1=bag.suffix == ".bag"), sort_keys=False)
@@ -244,7 +240,7 @@ def write_layouts(bag: Path, topics: Collection[str], fixed_frame: str) -> tuple
 
 
 def foxglove_layout(topics: Collection[str], fixed_frame: str) -> dict[str, Any]:
-    """3D with map, points and ways; beside it image, speed and diagnostics, as far as the bag has them."""
+    """3D with map, points and paths; beside it image, speed and diagnostics, by the topics of the bag."""
     shown: dict[str, Any] = {topic: {"visible": True} for topic in (MAP_TOPIC, ODOM_TOPIC) if topic in topics}
     if POINTS_TOPIC in topics:
         look = {"colorField": "rgb", "colorMode": "rgb", "pointSize": _POINT_PX, "pointShape": "square"}
@@ -288,7 +284,7 @@ def foxglove_layout(topics: Collection[str], fixed_frame: str) -> dict[str, Any]
 
 
 def _stacked(panels: list[str]) -> Any:
-    """One above the other, each as high."""
+    """Panels of equal height, one above the other."""
     if len(panels) == 1:
         return panels[0]
     share = 100 / len(panels)
@@ -296,7 +292,7 @@ def _stacked(panels: list[str]) -> Any:
 
 
 def rviz_config(topics: Collection[str], fixed_frame: str, *, is_ros1: bool) -> dict[str, Any]:
-    """Displays of map, points, ways, odometry, transforms and image, as far as the bag has them, seen from above."""
+    """Displays of map, points, paths, odometry, transforms and image, by the topics of the bag, seen from above."""
     plugin, panel = ("rviz", "rviz") if is_ros1 else ("rviz_default_plugins", "rviz_common")
 
     def display(

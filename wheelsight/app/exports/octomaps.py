@@ -22,13 +22,13 @@ from wheelsight.slam.maps import lie_together
 def export_octomap(
     source: Exported, path: StrPath, voxel_m: float, on_keyframe: Callable[[int, int], None] = lambda done, total: None
 ) -> int:
-    """Write the map's keyframes as an OctoMap (.bt) of cells of `voxel_m`, z up; how many keyframes went in.
+    """Write the map's keyframes as an OctoMap (.bt) with cells of `voxel_m`, z up. Returns the number of keyframes.
 
-    Each depth image is cast as rays: what lies before a surface becomes free.
+    Rays of each depth image mark the space before a surface as free.
 
     Raises:
         ConfigError: octomap-python is not installed.
-        InputError: there is no map, or it cannot be read.
+        InputError: there is no readable map.
         OutputError: the file cannot be written.
     """
     octomap, path = needed("octomap"), Path(path)

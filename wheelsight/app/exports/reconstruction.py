@@ -44,11 +44,11 @@ HALF_PX = 0.5
 def export_nerfstudio(
     source: Exported, out: StrPath, voxel_m: float, force: bool, on_view: OnView = lambda done, total: None
 ) -> int:
-    """Write transforms.json, images and depth of keyframes, and points.ply into a folder; how many images.
+    """Write transforms.json, images and depth of keyframes, and points.ply into a folder. Returns the number of images.
 
-    Metres, z up: in the map of a robot's base, else in that of the camera, turned. transforms.json comes last.
+    Metres, z up: in the map of a robot's base, else in the rotated map of the camera. transforms.json is written last.
 
-    Raises InputError where there is no map, or it cannot be read; OutputError where it cannot be written.
+    Raises InputError without a readable map; OutputError where it cannot be written.
     """
     with new_output_folder(Path(out), force) as folder:
         remove_file(folder / TRANSFORMS_FILE)  # of an earlier export it would name images that change now
@@ -111,11 +111,11 @@ _NO_ERROR = -1
 def export_colmap(
     source: Exported, out: StrPath, voxel_m: float, force: bool, on_view: OnView = lambda done, total: None
 ) -> int:
-    """Write a model into OUT/sparse/0 and images into OUT/images; how many images.
+    """Write a model into OUT/sparse/0 and images into OUT/images. Returns the number of images.
 
-    Metres, in the map. Points are the map's; no image observes them, for they come of surfels, not of keypoints.
+    Metres, in the map. Points are thinned surfels; no image observes them, since they are not keypoints.
 
-    Raises InputError where there is no map, or it cannot be read; OutputError where it cannot be written.
+    Raises InputError without a readable map; OutputError where it cannot be written.
     """
     with new_output_folder(Path(out), force) as folder:
         remove_file(folder / MODEL / "cameras.txt")  # without it there is no model until all is written
@@ -177,9 +177,9 @@ class KeyframeView:
 
     Attributes:
         name: of its file, below IMAGES.
-        depth_name: of its depth in millimetres, below DEPTHS, on the same pixels; None where there is none.
-        T_map_camera: (4, 4) of the optical frame of the camera that took it.
-        camera: that took it.
+        depth_name: file of its depth in millimetres, below DEPTHS, on the same pixels; None without one.
+        T_map_camera: (4, 4) of the optical frame of its camera.
+        camera: of the image.
     """
 
     name: str
@@ -189,9 +189,9 @@ class KeyframeView:
 
 
 def write_views(source: Exported, folder: Path, on_view: OnView) -> list[KeyframeView]:
-    """Write an image of each keyframe that lies in the map: in colour from the recording, else grey from the map.
+    """Write an image of each keyframe in the map: in colour from the recording, else in grey from the map.
 
-    Raises MapError where there is none, OutputError, and RecordingError where the recording breaks off.
+    Raises MapError without keyframes, OutputError, and RecordingError if the recording cannot be read on.
     """
     kept = source.need_map()
     numbers = [KeyframeId(int(number)) for number in np.flatnonzero(lie_together(kept))]
@@ -213,7 +213,7 @@ def write_views(source: Exported, folder: Path, on_view: OnView) -> list[Keyfram
 def _of_recording(
     kept: MapFolder, recording: Recording, numbers: list[KeyframeId], folder: Path, on_view: OnView
 ) -> Iterator[KeyframeView]:
-    """In colour; fewer than asked for where a keyframe is of another drive."""
+    """Colour views; none of keyframes of another drive."""
     wanted = {number: kept.contents.places[number].stamp_s for number in numbers}
     calibration = recording.calibration
     T_camera_color, camera = se3.invert(calibration.T_color_camera), calibration.cameras[0]
@@ -235,7 +235,7 @@ def _of_recording(
 
 
 def _of_map(kept: MapFolder, numbers: list[KeyframeId], folder: Path, on_view: OnView) -> Iterator[KeyframeView]:
-    """Grey, of the ideal camera that keyframes are of."""
+    """Grey views of the keyframes' ideal camera."""
     for done, number in enumerate(numbers, start=1):
         keyframe, name = kept.store[number], f"{number:06d}.png"
         grey, depth_m = keyframe.grey, keyframe.depth_m

@@ -45,7 +45,7 @@ _METRICS = Kind("a run's figures", most_mb=64)
 
 @dataclass(frozen=True, slots=True)
 class StatusRow:
-    """What a run said of one frame or reading, as its status.csv has it."""
+    """One row of a run's status.csv."""
 
     stamp_s: float
     status: str
@@ -55,11 +55,11 @@ class StatusRow:
 
 @dataclass(frozen=True)
 class Exported:
-    """A path and what it holds.
+    """A path and its contents.
 
     Attributes:
-        path: as it was given.
-        track: folder of a run's trajectory, or None where the path is no run.
+        path: as given.
+        track: folder of a run's trajectory, or None if the path is no run.
     """
 
     path: Path
@@ -67,7 +67,7 @@ class Exported:
 
     @cached_property
     def trajectory(self) -> Trajectory | None:
-        """As known on the way, with covariances where the run knew them. Raises TrajectoryError."""
+        """The trajectory during the run, with covariances if there are any. Raises TrajectoryError."""
         if self.track is None:
             return None
         found = read_tum(self.track / TRAJECTORY_FILE)
@@ -76,23 +76,23 @@ class Exported:
 
     @cached_property
     def odom(self) -> Trajectory | None:
-        """The way without the leaps of `trajectory`, in odom, or None where that has none. Raises TrajectoryError."""
+        """The continuous trajectory in odom, or None if `trajectory` is continuous. Raises TrajectoryError."""
         if self.track is None or not is_there(self.track / ODOM_FILE):
             return None
         return read_tum(self.track / ODOM_FILE)
 
     @cached_property
     def corrected(self) -> Trajectory | None:
-        """As known at the end, in the map, or None where no loops corrected it. Raises TrajectoryError."""
+        """The final trajectory in the map, or None without loops. Raises TrajectoryError."""
         if self.track is None or not is_there(self.track / CORRECTED_FILE):
             return None
         return read_tum(self.track / CORRECTED_FILE)
 
     @cached_property
     def recording(self) -> Recording | None:
-        """The recording itself, or that of the run; None where a run's was live.
+        """The recording itself, or that of the run; None for a live run.
 
-        Raises RecordingError where it is not where it was, or cannot be read.
+        Raises RecordingError if it was moved or cannot be read.
         """
         if self.track is None:
             return None if self.map is not None else open_recording(self.path)
@@ -100,11 +100,11 @@ class Exported:
         try:
             given: Any = parse_json(read_text(path, _METRICS, OutputError))["recording"]["path"]
         except (KeyError, TypeError, ValueError) as error:
-            raise OutputError("does not tell of a run's recording", path=path, fix="run again") from error
+            raise OutputError("does not name the run's recording", path=path, fix="run again") from error
         if given is None:
             return None
         if not isinstance(given, str) or "\0" in given:
-            raise OutputError("does not tell of a run's recording", path=path, fix="run again")
+            raise OutputError("does not name the run's recording", path=path, fix="run again")
         # A relative path starts at the working folder of the run, which is mostly a parent of its results.
         found = next(
             (path for path in (Path(given), *(up / given for up in self.path.absolute().parents)) if is_there(path)),
@@ -122,7 +122,7 @@ class Exported:
 
     @cached_property
     def map(self) -> MapFolder | None:
-        """The map folder, or None where there is none. Raises MapError where it is damaged."""
+        """The map folder, or None. Raises MapError if it is damaged."""
         for folder in (self.path, *((self.track / MAP_FOLDER,) if self.track is not None else ())):
             if is_map(folder):
                 return MapFolder.open(folder)
@@ -130,13 +130,13 @@ class Exported:
 
     @property
     def surfels_file(self) -> Path | None:
-        """A run's surfels."""
+        """The file of a run's surfels."""
         path = None if self.track is None else self.track / MAP_FILE
         return path if path is not None and is_there(path) else None
 
     @property
     def calibration(self) -> Calibration | None:
-        """Of the robot, by the map, else by the recording; None where neither has it."""
+        """The robot's calibration, from the map, else from the recording; None without both."""
         if self.map is not None:
             return self.map.calibration
         try:
@@ -145,13 +145,13 @@ class Exported:
             return None
 
     def status(self) -> Iterator[StatusRow]:
-        """What a run said of each frame; nothing of what is no run. Raises OutputError."""
+        """The status rows of a run; none for other sources. Raises OutputError."""
         if self.track is None:
             return
         path = self.track / STATUS_FILE
         try:
             for row in csv.DictReader(lines_of(read_text(path, _STATUS, OutputError))):
-                # Raises KeyError, TypeError or ValueError for what is none: csv leaves None where a line is short
+                # An invalid row raises KeyError, TypeError or ValueError: csv gives None for missing cells.
                 stamp, status, reason, *cells = (row[name] for name in ("stamp_s", "status", "reason", *_DETAILS))
                 details = tuple((name, cell) for name, cell in zip(_DETAILS, cells, strict=True) if cell is not None)
                 if stamp is None or status is None or reason is None or len(details) < len(_DETAILS):
@@ -165,12 +165,12 @@ class Exported:
             raise OutputError("is no status of a run", path=path, fix="run again") from error
 
     def need_map(self) -> MapFolder:
-        """The map. Raises MapError, with how to make one."""
+        """The map. Raises MapError, with the command that makes one."""
         return self.map if self.map is not None else MapFolder.open(find_map(self.path))
 
 
 def exported_at(path: StrPath) -> Exported:
-    """What a path holds: nothing is read yet but names. Raises ConfigError where there is nothing."""
+    """The contents of a path; files are read later. Raises ConfigError if there are none."""
     path = Path(path)
     if not is_there(path):
         raise ConfigError(f"there is no such folder or file: {path}", fix="check the path")
@@ -194,7 +194,7 @@ class ColoredPoints:
 
 
 def points_of(source: Exported, voxel_m: float) -> ColoredPoints | None:
-    """Stable surfels of a map, or of all where none is stable, thinned; None where there are none. Raises MapError."""
+    """Thinned stable surfels of a map, or all if none is stable; None without surfels. Raises MapError."""
     surfel_map = None if source.map is None else source.map.surfels()
     if surfel_map is None and source.surfels_file is not None:
         surfel_map = load_map(source.surfels_file)
@@ -208,7 +208,7 @@ def points_of(source: Exported, voxel_m: float) -> ColoredPoints | None:
 
 
 def thinned(points: ColoredPoints, voxel_m: float) -> ColoredPoints:
-    """The mean point and colour of each cube of `voxel_m` that holds any. Raises MapError."""
+    """Mean point and colour of each occupied voxel of `voxel_m`. Raises MapError."""
     if not (np.isfinite(voxel_m) and voxel_m > 0):
         raise MapError(f"voxel_m is {voxel_m}, not a positive length")
     cells = np.floor(points.p_map / voxel_m).astype(np.int64)
@@ -223,14 +223,14 @@ def thinned(points: ColoredPoints, voxel_m: float) -> ColoredPoints:
 
 
 def body_frame(body: str) -> str:
-    """What ROS calls the body whose poses a trajectory has."""
+    """ROS's name of a trajectory's body."""
     return BASE if body == "base" else LINK
 
 
 def upright(trajectory: Trajectory) -> Trajectory:
-    """A trajectory whose frames have z up and whose body has x forward, as REP 103 asks for.
+    """A trajectory in frames with z up and of a body with x forward, as REP 103 asks.
 
-    That of a base has them. That of a camera begins in optical axes: both its frame and its body are turned.
+    A base has such frames. A camera's trajectory is in optical axes: its frame and its body are rotated.
     """
     if trajectory.body == "base":
         return trajectory
@@ -240,14 +240,15 @@ def upright(trajectory: Trajectory) -> Trajectory:
 
 
 def upright_points(p: FloatArray, body: str) -> FloatArray:
-    """Points (N, 3) of a map in which a trajectory of `body` lies, in the axes of `upright`."""
+    """Points (N, 3) of a map with trajectories of `body`, in the axes of `upright`."""
     return p if body == "base" else se3.apply(T_LINK_OPTICAL, p)
 
 
 def pose_covariances(trajectory: Trajectory) -> FloatArray | None:
-    """Covariances (N, 6, 6) as PoseWithCovariance has them: of x, y, z and of turns about the fixed axes of the parent.
+    """Covariances (N, 6, 6) as of PoseWithCovariance: of x, y, z and of rotations about the fixed axes of the parent.
 
-    Ours are of left perturbations (v, ω), which turn about the parent's origin: they move the position p by v + ω × p.
+    wheelsight's are of left perturbations (v, ω), which rotate about the parent's origin and move the position p by v +
+    ω × p.
     """
     if trajectory.covariances is None:
         return None
@@ -257,9 +258,9 @@ def pose_covariances(trajectory: Trajectory) -> FloatArray | None:
 
 
 def twists(trajectory: Trajectory) -> FloatArray:
-    """Twists (v, ω) (N, 6) of the body in its own axes, m/s and rad/s: the mean from the pose before to the one after.
+    """Twists (v, ω) (N, 6) of the body in its own axes, m/s and rad/s: means from the previous to the next pose.
 
-    At both ends it is that of the one step there is; of a single pose it is zero.
+    At both ends it is the twist of the only step; for a single pose it is zero.
     """
     count, T = len(trajectory), trajectory.T_frame_body
     if count < 2:
@@ -273,7 +274,7 @@ def twists(trajectory: Trajectory) -> FloatArray:
 
 
 def in_odom(lived: Trajectory, odom: Trajectory | None) -> Trajectory:
-    """A trajectory without its leaps, as `odom` has it at the same stamps, with its covariances."""
+    """A trajectory in `odom`, where it is continuous, at the same stamps and with its covariances."""
     if odom is None:
         return lived
     _, rows, found = np.intersect1d(lived.stamps_s, odom.stamps_s, return_indices=True)
@@ -285,7 +286,7 @@ def in_odom(lived: Trajectory, odom: Trajectory | None) -> Trajectory:
 
 
 def map_to_odom(lived: Trajectory, corrected: Trajectory | None) -> tuple[FloatArray, FloatArray]:
-    """Stamps (N,), and T_map_odom (N, 4, 4) at them: the identity where nothing corrected the way.
+    """Stamps (N,), and T_map_odom (N, 4, 4) at them: the identity without a correction.
 
     Poses that the correction lacks are left out: their place in the map is unknown.
     """

@@ -20,18 +20,18 @@ _EUROC = "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], 
 
 
 def export_trajectory(source: Exported, form: str, path: StrPath, body: str | None = None) -> Trajectory:
-    """Write a run's trajectory, as known at its end, in one of TRAJECTORY_FORMATS; what was written.
+    """Write a run's final trajectory in one of TRAJECTORY_FORMATS. Returns the written trajectory.
 
     Args:
         source: a run.
-        form: of the file.
+        form: format of the file.
         path: of the file.
-        body: "base" or "camera", whose poses are wanted; None for that which the run followed. KITTI's are of a camera
-            by its rules, but its tools take any.
+        body: "base" or "camera"; None for the body of the run. KITTI's rules ask for a camera, but its tools take any
+            body.
 
     Raises:
         TrajectoryError: there is none.
-        CalibrationError: it is another body's, and nothing joins the two.
+        CalibrationError: it is of another body, and there is no transform between the two.
         OutputError: the file cannot be written.
     """
     found = source.corrected or source.trajectory

@@ -36,19 +36,19 @@ def is_loopback(host: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """What is asked of each request.
+    """The rules for requests.
 
     Attributes:
-        is_loopback: whether it is served to this computer alone. Then a page of elsewhere may still reach it by a name
-            that it has led here, and is known by that name.
-        token: or empty for none.
+        is_loopback: whether only this computer can connect. Then a foreign page may still reach the address through its
+            own host name (DNS rebinding); the host name gives it away.
+        token: required token, or "" for none.
     """
 
     is_loopback: bool
     token: str = ""
 
     def refusal(self, scope: _Scope) -> tuple[int, str] | None:
-        """Status and why it is refused; None where it is not."""
+        """Status and reason of a refusal; None if the request may pass."""
         headers = dict(scope["headers"])
         host = headers.get(b"host", b"").decode("latin-1")
         if self.is_loopback and not is_loopback(_without_port(host)):
@@ -61,7 +61,7 @@ class Access:
         return None
 
     def cookie(self, scope: _Scope) -> str:
-        """What a browser is to keep, so that all it asks for holds the token; empty where it asked with none."""
+        """The cookie that holds the token for later requests; "" if the request had none in its address."""
         if not self.token or not _is_same(_asked(scope), self.token):
             return ""
         return f"{_COOKIE}={self.token}; HttpOnly; SameSite=Strict; Path=/"
@@ -73,11 +73,11 @@ class Access:
 
 
 class Guarded:
-    """An application that is asked for nothing but what `access` lets pass.
+    """Passes to an application only the requests that `access` allows.
 
     Args:
         app: the application.
-        access: what is asked.
+        access: the rules.
         on_refusal: called with one line about each refused client and the reason.
     """
 

@@ -40,7 +40,7 @@ _MOST_OF_ADDRESS = 32
 # Younger strangers stay beyond that: their heads are on the way, unless all strangers together are too many.
 _YOUNG_S = 0.25
 _MOST_STRANGERS = 2048
-# So many are accepted at a time, and so many judged before others are accepted: those may ask for STOP. Fewer are
+# Connections accepted at a time, and judged before others are accepted: these may ask for STOP. Fewer are
 # judged where more wait to be accepted.
 _ACCEPTED, _JUDGED, _JUDGED_IN_A_CROWD = 128, 32, 4
 # STOP waits so long for the robot's program to confirm it; then it is answered without, where that program has given a
@@ -214,7 +214,7 @@ class Door:
             self._count(f"refused {stranger.address}: no whole request after {HEAD_S:.0f} s")
             self._leave(stranger)
         if self._pressing and now_s - self._sent_s >= _STOP_TICK_S:
-            # Pass STOP on, of all that press it now
+            # Pass on STOP for all connections that press it now
             pressing, self._pressing, self._sent_s = self._pressing, [], now_s
             try:
                 self._control.send(STOP)

@@ -27,14 +27,14 @@ NEW = "a new map"
 
 
 class DriveMaps:
-    """See the module.
+    """The known maps that can be driven in, and new maps that are made while driving.
 
     Args:
-        config: of the drives, with loops by keyframes, and no known map.
-        known: a map to begin with, or None.
-        start: where the robot stands in that at first; None: it is recognised.
-        out: folder that new maps go to, each into one named after its time; None: none can be made.
-        in_step: as `drive_in_map` has it.
+        config: of the drives, with loops by keyframes and no known map.
+        known: the first map, or None.
+        start: the robot's first pose in it; None: it is recognised.
+        out: folder of new maps, each in a folder named after its time; None: no new maps.
+        in_step: as of `drive_in_map`.
 
     Raises:
         ConfigError: neither a map nor a folder for a new one.
@@ -56,7 +56,7 @@ class DriveMaps:
             self._paths = {self.first: find_map(known), **self._paths}
 
     def names(self) -> tuple[str, ...]:
-        """See `Maps`: of before, the newest first; and a new one, where that has a folder to go to."""
+        """See `Maps`: known maps, the newest first, and a new one if there is a folder for it."""
         return (*self._paths, *(() if self._out is None else (NEW,)))
 
     def last_saved(self) -> str:
@@ -86,7 +86,7 @@ class DriveMaps:
     @contextmanager
     def _making(self, robot: Robot, on_transition: Callable[[Transition], None]) -> Iterator[Driven]:
         assert self._out is not None
-        # Named after now, and no folder yet
+        # A new name by the current time
         name = time.strftime("%Y-%m-%d %H.%M.%S")
         number = 1
         while (self._out / name).exists():
@@ -108,7 +108,7 @@ class DriveMaps:
 
 
 class KnownPlaces:
-    """Of a map of before; written at once.
+    """Named places of a known map. Changes are written at once.
 
     Args:
         path: of the map's folder.
@@ -129,7 +129,7 @@ class KnownPlaces:
                 self._areas = {name: np.array([*at, np.nan]) for name, at in found.items() if at is not None}
 
     def where(self) -> Mapping[str, FloatArray]:
-        """See `Places`; a name that a place and an area have is the place's."""
+        """See `Places`; a named pose wins over an area of the same name."""
         return {**self._areas, **self._where}
 
     def name(self, name: str, pose: FloatArray) -> None:
@@ -144,7 +144,7 @@ class KnownPlaces:
 
 
 class NewPlaces:
-    """Of a map that is being made; they move with its keyframes, and are written with it.
+    """Named places of a new map. They move with its keyframes, and are written with it.
 
     Attributes:
         named: so far.
@@ -164,7 +164,7 @@ class NewPlaces:
 
 
 def _by_the_wall(config: Config) -> Config:
-    """A robot that goes by the wall's clock waits for a plan as long as that takes, and need not feign it."""
+    """A robot in real time: it waits for a plan as long as planning takes, without a simulated delay."""
     navigator = config.navigation.navigator.model_copy(update={"planning_s": 0.0, "mapping_s": 0.0})
     navigation = config.navigation.model_copy(update={"navigator": navigator})
     return config.model_copy(update={"navigation": navigation})
@@ -180,7 +180,7 @@ def _start_at(pose: FloatArray) -> StartSettings:
 
 
 def _maps_in(out: Path) -> dict[str, Path]:
-    """By their folders' names, the newest first."""
+    """Maps by the names of their folders, the newest first."""
     found: dict[str, Path] = {}
     for folder in sorted(out.iterdir() if out.is_dir() else (), reverse=True):
         try:

@@ -38,7 +38,7 @@ from wheelsight.core.errors import ArgumentError, ConfigError
 from wheelsight.core.settings import LivePageSettings
 
 _STARTS_S, _ENDS_S = 10.0, 5.0
-# The kernel keeps so many until the door accepts them; where it cannot, it drops a newcomer's first packet, which comes
+# The kernel queues this number until the door accepts them; a full queue drops a newcomer's first packet, which comes
 # again a second later: too late for STOP.
 _BACKLOG = 4096
 _PULSE_S = 0.05
@@ -53,19 +53,19 @@ _MOST_TRACES = 20
 
 
 class PageServer:
-    """Use it in a `with` block; within, threads of the program take turns more often.
+    """Serves the page from a thread. Use it in a `with` block; within, the program's threads switch more often.
 
     Args:
         app: the application.
-        host, port: where it is served; port 0 is any that is free.
+        host, port: address; port 0 is any free one.
         settings: of the page.
 
     Attributes:
-        port: where it is served.
-        loop: that answers; None before it is there.
+        port: the port in use.
+        loop: its event loop; None before the start.
 
     Raises:
-        ConfigError: nothing can be served there.
+        ConfigError: the address cannot be used.
     """
 
     def __init__(self, app: PageApp, host: str, port: int, settings: LivePageSettings) -> None:
@@ -129,12 +129,12 @@ class PageServer:
 
     @property
     def thread_id(self) -> int:
-        """Of its thread, as the system counts them."""
+        """The system's number of its thread."""
         return self._thread.native_id or 0
 
     @property
     def door_id(self) -> int:
-        """The process of its door; 0 while there is none."""
+        """Process number of its door; 0 without one."""
         return 0 if self._door is None else self._door.process.pid
 
     def _run(self) -> None:
@@ -185,7 +185,7 @@ class PageServer:
                 transport.abort()
 
     def _keep_door(self) -> None:
-        """Hold a door: begin it, take STOP and what it refused, and begin another where it does not answer."""
+        """Keep a door running: start it, take STOP and its reports, and replace it if it does not answer."""
         while not self._is_over.is_set():
             try:
                 self._door = door = _DoorProcess(self._socket, self._app, self._requests_a_s)
@@ -204,7 +204,7 @@ class PageServer:
                 self._is_over.wait(max(0.0, door.began_s + _AGAIN_S - time.monotonic()))
 
     def _attend(self, door: _DoorProcess) -> str:
-        """Until the end, or until the door fails: then how."""
+        """Attend the door until the end or its failure; returns the failure."""
         session, is_adopted = self._app.session, False
         asked_s, silent_s = -math.inf, 0.0
         while not self._is_over.is_set():
@@ -235,12 +235,12 @@ class PageServer:
 
 
 class _DoorProcess:
-    """A door that runs, and what is said to it.
+    """A running door and its sockets.
 
     Attributes:
-        control, handed: see `door`; of this end.
+        control, handed: this end of the sockets; see `door`.
         began_s: by `time.monotonic`.
-        has_answered: whether it has ever.
+        has_answered: whether it ever has.
     """
 
     def __init__(self, listening: socket.socket, app: PageApp, requests_a_s: float) -> None:
@@ -250,7 +250,7 @@ class _DoorProcess:
         numbers = listening.fileno(), control.fileno(), handed.fileno()
         try:
             # Not of this program's group: Ctrl-C and Ctrl-Z are for the robot's program, which ends it.
-            # What begins a door; by itself, since `-m` would look into the folder where somebody stands
+            # The door's command. `-m` would import from the working folder, so it is not used.
             root = str(Path(__file__).resolve().parents[3])
             code = f"import sys; sys.path.append({root!r}); from wheelsight.app.page.door import serve; serve{numbers}"
             command = [sys.executable, "-P", "-c", code]
@@ -269,19 +269,19 @@ class _DoorProcess:
         self.control.send(json.dumps({**access, "requests_a_s": requests_a_s}).encode())
 
     def say(self, message: bytes) -> None:
-        """What does not get through is noticed by what it does not answer."""
+        """Send a packet. A lost packet shows by its missing answer."""
         with suppress(OSError):
             self.control.send(message)
 
     def said(self) -> bytes:
-        """Its next packet; none at its end."""
+        """The door's next packet; b"" at its end."""
         try:
             return self.control.recv(65_536)
         except OSError:
             return b""
 
     def close(self) -> None:
-        """End it."""
+        """End the door."""
         self.process.kill()
         self.process.wait()
         self.control.close()
@@ -291,7 +291,7 @@ class _DoorProcess:
 
 
 class _Begun(asyncio.Protocol):
-    """A protocol whose first bytes were read by the door."""
+    """A protocol for connections whose first bytes the door has read."""
 
     def __init__(self, inner: asyncio.Protocol, head: bytes) -> None:
         self._inner, self._head = inner, head
@@ -354,12 +354,12 @@ _PICTURES = {"plan.png": "image/png", "costmap.png": "image/png", "camera.jpg": 
 
 
 class PageApp(Guarded):
-    """The application, with what its server needs to know of it.
+    """The application, with what its server needs of it.
 
     Attributes:
-        session: that pages see and ask.
-        access: what is asked of each request.
-        on_refusal: called with a line, from several threads, for each request that is refused.
+        session: of the robot.
+        access: rules for requests.
+        on_refusal: called from several threads with one line about each refused request.
     """
 
     def __init__(self, app: Starlette, session: Session, access: Access, on_refusal: Callable[[str], None]) -> None:
@@ -376,10 +376,10 @@ def page_app(
     """An ASGI application.
 
     Args:
-        session: that pages see and ask.
+        session: of the robot.
         settings: of the page.
-        access: what is asked of each request.
-        on_refusal: called with a line, from several threads, for each request that is refused.
+        access: rules for requests.
+        on_refusal: called from several threads with one line about each refused request.
     """
     viewers = Viewers(session, settings, on_refusal)
     routes = [
@@ -418,7 +418,7 @@ async def _tell(viewers: Viewers, settings: LivePageSettings) -> None:
 
 
 async def _pulse(session: Session) -> None:
-    """Show the session that this event loop goes on."""
+    """Report to the session that this event loop runs."""
     with session.watched("the page") as beat:
         while True:
             beat()
@@ -524,7 +524,7 @@ GONE = "the page of the driver is gone"
 
 
 class SentAwayError(Exception):
-    """A page that is not listened to any more.
+    """A page that must disconnect.
 
     Attributes:
         code: of the websocket's close.
@@ -536,11 +536,11 @@ class SentAwayError(Exception):
 
 
 class Viewer:
-    """One connected page: the queue of what to send, where the newest state replaces older ones, and what it sent.
+    """One connected page: what to send, where the newest state replaces older ones, and what it sent.
 
     Args:
         number: its identifier.
-        settings: how much it may say.
+        settings: rate limits.
         now_s: the clock.
     """
 
@@ -554,17 +554,17 @@ class Viewer:
         self._wake = asyncio.Event()
 
     def tell(self, text: str) -> None:
-        """Send it, in place of what has not gone out yet."""
+        """Queue a state, which replaces one that is not sent yet."""
         self._newest = text
         self._wake.set()
 
     def refuse(self, text: str) -> None:
-        """Send it a line, why what it asked is not done."""
+        """Queue a line with the reason of a refusal."""
         self._refusals.append(text)
         self._wake.set()
 
     async def waiting(self) -> list[str]:
-        """What is to be sent now; waits for it. JSON."""
+        """Wait for the next JSON text to send."""
         await self._wake.wait()
         self._wake.clear()
         found = [json.dumps({"refused": text}) for text in self._refusals]
@@ -573,7 +573,7 @@ class Viewer:
         return found if newest is None else [*found, newest]
 
     def count_message(self) -> None:
-        """It said something. Raises SentAwayError: too often."""
+        """Count a message. Raises SentAwayError above the rate limit."""
         now_s, s = self._now_s(), self._settings
         self._left = min(self._left + (now_s - self._filled_s) * s.messages_a_s, 2 * s.messages_a_s) - 1
         self._filled_s = self.heard_s = now_s
@@ -581,17 +581,17 @@ class Viewer:
             raise SentAwayError(1008, "too many messages")
 
     def count_bad(self) -> None:
-        """It said what makes no sense. Raises SentAwayError: too often."""
+        """Count an invalid message. Raises SentAwayError above the rate limit."""
         self._bad += 1
         if self._bad >= self._settings.most_bad:
             raise SentAwayError(1008, "too many messages that make no sense")
 
 
 class Viewers:
-    """All of them; lives in one event loop.
+    """All connected pages, in one event loop.
 
     Args:
-        session: that they see and ask.
+        session: of the robot.
         settings: of the page.
         on_refusal: called with one line about each refused client and the reason.
         now_s: the clock.
@@ -614,11 +614,11 @@ class Viewers:
 
     @property
     def driver(self) -> int | None:
-        """The number of the page that drives."""
+        """Number of the page that drives."""
         return None if self._driver is None else self._driver.number
 
     def join(self) -> Viewer:
-        """One more. Raises SentAwayError: there are too many."""
+        """Add a page. Raises SentAwayError if there are too many."""
         if len(self._viewers) >= self._settings.most_viewers:
             raise SentAwayError(1013, f"too many pages are open: {self._settings.most_viewers}")
         viewer = Viewer(next(self._numbers), self._settings, self._now_s)
@@ -626,14 +626,14 @@ class Viewers:
         return viewer
 
     def leave(self, viewer: Viewer) -> None:
-        """It is gone; a robot that it drives stops."""
+        """Remove a page; a robot that it drives stops."""
         self._viewers.pop(viewer.number, None)
         self._look_for_costmap()
         if viewer is self._driver:
             self._lose_driver()
 
     def hear(self, viewer: Viewer, message: str | bytes | None) -> None:
-        """Do what a page says. Raises SentAwayError: it is to go."""
+        """Execute a page's message. Raises SentAwayError if the page must disconnect."""
         if isinstance(message, str) and len(message) <= self._settings.most_bytes and says_stop(message):
             # Before all else, and counted after: who is in need presses often.
             self._session.stop("somebody pressed STOP")
@@ -654,7 +654,7 @@ class Viewers:
         self._do(viewer, asked)
 
     def tell_all(self) -> None:
-        """The newest state to each, as one text; and look whether the driver is still there."""
+        """Send the newest state to every page, and check that the driver is connected."""
         driver = self._driver
         if driver is not None and self._now_s() - driver.heard_s > self._settings.driver_silent_s:
             self._lose_driver()

@@ -41,19 +41,19 @@ class _Message(BaseModel):
 
 
 class Alive(_Message):
-    """The page is open, and its connection holds."""
+    """The page is open, and its connection works."""
 
     type: Literal["alive"]
 
 
 class Take(_Message):
-    """Who says so drives from now on."""
+    """The sender becomes the driver."""
 
     type: Literal["take"]
 
 
 class Leave(_Message):
-    """Who says so drives no more."""
+    """The sender stops being the driver."""
 
     type: Literal["leave"]
 
@@ -66,7 +66,7 @@ class ShowCostmap(_Message):
 
 
 class GoToPose(_Message):
-    """Drive to a place in `map`; without a yaw, to any heading."""
+    """Drive to a position in `map`; without a yaw, to any heading."""
 
     type: Literal["goal"]
     x_m: float = Field(ge=-_FARTHEST_M, le=_FARTHEST_M)
@@ -82,7 +82,7 @@ class GoToName(_Message):
 
 
 class ClearObstacles(_Message):
-    """Nothing is about a place in `map`, says the driver, who sees it: forget what the camera met there."""
+    """Remove camera obstacles around a position in `map`: the driver sees that it is free."""
 
     type: Literal["clear"]
     x_m: float = Field(ge=-_FARTHEST_M, le=_FARTHEST_M)
@@ -90,26 +90,26 @@ class ClearObstacles(_Message):
 
 
 class Explore(_Message):
-    """Look at all floor that can be reached."""
+    """Drive until all reachable floor is seen."""
 
     type: Literal["explore"]
 
 
 class NamePlace(_Message):
-    """Call the place where the robot is."""
+    """Name the robot's current pose."""
 
     type: Literal["name"]
     name: _Name
 
 
 class SaveMap(_Message):
-    """Write the map that is being made, and go on in it."""
+    """Write the new map, and continue in it."""
 
     type: Literal["save"]
 
 
 class StartMap(_Message):
-    """Go on in another map."""
+    """Continue in another map."""
 
     type: Literal["start"]
     map: Annotated[str, Field(min_length=1, max_length=200)]
@@ -122,7 +122,7 @@ _ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator=
 
 
 def says_stop(text: str) -> bool:
-    """Whether a message is to stop, whatever else it holds. STOP must not fail on a malformed message."""
+    """Whether a message is STOP, whatever else it holds. STOP must not fail on a malformed message."""
     if '"stop"' not in text:
         return False
     try:
@@ -133,7 +133,7 @@ def says_stop(text: str) -> bool:
 
 
 def parsed(text: str) -> Message:
-    """A message. Raises ArgumentError: it is none, in one line."""
+    """Parse a message. Raises ArgumentError, with one line, for an invalid one."""
     try:
         return _ANY.validate_json(text)
     except ValidationError as error:
@@ -169,22 +169,23 @@ class _Asked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Next:
-    """The map to go on in, and where the robot stands there, if that is known."""
+    """The next map, and the robot's pose in it, if known."""
 
     name: str
     pose: FloatArray | None = None
 
 
 class Session:
-    """Begins with the first of its maps; use it in a `with` block, which stops the robot at the end.
+    """Drives a robot in its own thread. Use it in a `with` block, which stops the robot at the end. It begins in the
+    first map.
 
     Args:
         robot: the robot to drive. The caller opens and closes it.
-        maps: that it can drive in.
+        maps: the maps that it can drive in.
         settings: of the page.
-        paces: whether the robot's time stands still between steps, and is to go as the wall's.
+        paces: whether the robot's time stands still between steps, and must follow real time.
         on_problem: called with one line about each problem; pages show it, too.
-        watch: sees all of the drives, in the session's thread; or None.
+        watch: is called in the session's thread with all events and periods; or None.
 
     Attributes:
         switch: stops the robot.
@@ -203,14 +204,14 @@ class Session:
         watch: Watch | None = None,
     ) -> None:
         self.switch = StopSwitch(robot)
-        self._robot, self._watch = StoppableRobot(robot, self.switch, self._hear), watch
+        self._robot, self._watch = StoppableRobot(robot, self.switch, self._on_events), watch
         self._maps, self._settings, self._paces = maps, settings, paces
         self._asked: queue.Queue[_Asked] = queue.Queue(_WAITING)
         self._over, self._on_problem = threading.Event(), on_problem
         self._said: deque[dict[str, Any]] = deque(maxlen=_SAID)
         self._numbers, self._name, self._share = count(1), "", 1.0
         self._cancelled = self.switch.presses
-        self._told: NavigationResult | None = None
+        self._reported: NavigationResult | None = None
         self.wants_costmap = False
         self.silent_s = _SILENT_IN_STEP_S if paces else _SILENT_S
         self._is_driving = self._has_task = False
@@ -229,16 +230,16 @@ class Session:
 
     @property
     def latest(self) -> Snapshot:
-        """What there is to show."""
+        """The current snapshot."""
         return self._latest
 
     @property
     def is_over(self) -> bool:
-        """Whether its thread has ended."""
+        """Whether the thread has ended."""
         return not self._thread.is_alive()
 
     def ask(self, task: Task) -> str:
-        """Ask for a task; why that cannot be, or nothing where it will be taken."""
+        """Queue a task. Returns the reason if it is refused, else ""."""
         if self.is_over:
             return "nothing is driven any more: begin wheelsight serve again"
         try:
@@ -248,19 +249,19 @@ class Session:
         return ""
 
     def stop(self, reason: str) -> None:
-        """Stop the robot now, whatever hangs; it stands until somebody gives it another task."""
+        """Stop the robot now, whatever else hangs. It stands until its next task."""
         self.switch.press(reason)
 
     @contextmanager
     def watched(self, part: str) -> Iterator[Callable[[], None]]:
-        """Stop the robot where a part that it needs hangs: within, call what this gives each 0.2 s or more often."""
+        """Watch a part that the robot needs; returns the function that the part calls each 0.2 s or more often."""
         try:
             yield self._watchdog.watch(part)
         finally:
             self._watchdog.forget(part)
 
     def part_fails(self, reason: str) -> None:
-        """Stop the robot because a part of the program does not go on, and say so, where it moves or has a task."""
+        """Stop the robot because a part of the program hangs, and report it, if the robot moves or has a task."""
         if self._may_be_silent_s() == math.inf:
             return
         self.stop(reason)
@@ -270,7 +271,7 @@ class Session:
         self._latest = replace(self._latest, text=json.dumps(shown))
 
     def close(self, seconds: float = 60.0) -> None:
-        """Stop the robot, close the map, and end; waits so long for what hangs. May be called twice."""
+        """Stop the robot, close the map and end the thread, with a limited wait. May be called twice."""
         self.switch.press("the program ends")
         self._watchdog.close()
         self._over.set()
@@ -279,13 +280,13 @@ class Session:
         self.switch.close()
 
     def say(self, text: str, *, is_problem: bool = False) -> None:
-        """A line for all pages."""
+        """Send a line to all pages."""
         self._said.append({"number": next(self._numbers), "text": text, "is_problem": is_problem})
         if is_problem:
             self._on_problem(text)
 
     def _may_be_silent_s(self) -> float:
-        """How long a part may be silent now."""
+        """How long a part may be silent now, seconds."""
         if not self._is_driving or self.switch.reason:
             return math.inf
         if self._robot.is_commanded:
@@ -311,8 +312,8 @@ class Session:
             self._latest = self._telling.of_words(self._facts("ended"))
 
     def _in_map(self, chosen: _Next, beat: Callable[[], None]) -> _Next | None:
-        """Drive in a map, until another is to be driven in; None where one has to be chosen, and at the end of all."""
-        self._name, self._told = chosen.name, None
+        """Drive in a map until the next map; None if the driver must choose one, and at the end."""
+        self._name, self._reported = chosen.name, None
         self._telling.begin()
         self._latest = self._telling.of_words(self._facts("opening"))
         following, doing, has_driven = None, "the map is not opened", False
@@ -337,7 +338,7 @@ class Session:
         return following
 
     def _wait_for_choice(self) -> _Next | None:
-        """Nothing can be driven in: until another map is chosen."""
+        """Wait until the driver chooses a map."""
         while not self._over.is_set():
             self._latest = self._telling.of_words(self._facts("choose"))
             try:
@@ -350,7 +351,7 @@ class Session:
         return None
 
     def _drive(self, driven: Driven, beat: Callable[[], None]) -> _Next | None:
-        """Period by period. Raises what several of them raise, one after another."""
+        """Run period by period. Raises the error of several failed periods in a row."""
         pace = Pace(lambda: self._robot.now_s) if self._paces else None
         every = max(1, round(1 / (self._settings.updates_hz * driven.navigator.settings.follow.period_s)))
         feedback, failures = driven.navigator.feedback, 0
@@ -368,7 +369,7 @@ class Session:
                 self._has_task = not driven.navigator.is_task_complete()
                 if self._watch is not None:
                     self._watch.step(feedback, driven.navigator)
-                self._tell_result(driven)
+                self._report_result(driven)
                 if period % every == 0:
                     self._latest = self._telling.of(driven, feedback, self._facts("driving", driven))
             except Exception as error:
@@ -386,7 +387,7 @@ class Session:
         return None
 
     def _fail(self, doing: str, error: Exception) -> None:
-        """Stop the robot, and say in a line why; the log has the traceback of the first error of a kind."""
+        """Stop the robot and report the error in one line. The log gets the traceback of the first error of a kind."""
         self.stop("something went wrong")
         what = str(error) if isinstance(error, WheelsightError) else f"{type(error).__name__}: {error}"
         line = what.partition("\n")[0]
@@ -406,7 +407,7 @@ class Session:
             self._cancelled = presses
 
     def _take(self, driven: Driven, feedback: Feedback) -> _Next | None:
-        """Do what was asked; the map to go on in, where that is another."""
+        """Start requested tasks. Returns the next map, if one is requested."""
         try:
             asked = self._asked.get_nowait()
         except queue.Empty:
@@ -452,7 +453,7 @@ class Session:
             return _Next(task.map)
         return None
 
-    def _hear(self, events: Sequence[Event]) -> None:
+    def _on_events(self, events: Sequence[Event]) -> None:
         if self._watch is not None:
             self._watch.hear(events)
 
@@ -462,11 +463,11 @@ class Session:
         if transition.after is NavigationState.RECOVERING:
             self.say(transition.why)
 
-    def _tell_result(self, driven: Driven) -> None:
+    def _report_result(self, driven: Driven) -> None:
         result = driven.navigator.result
-        if result is None or result is self._told:
+        if result is None or result is self._reported:
             return
-        self._told = result
+        self._reported = result
         if result.has_arrived:
             self.say(f"arrived: {result.detail}")
         else:
@@ -474,11 +475,11 @@ class Session:
             self.say(f"not arrived: {why}", is_problem=True)
 
     def _words(self) -> dict[str, Any]:
-        """What holds of the switch, and what was said."""
+        """State of the switch, and recent lines."""
         return {"stopped": self.switch.reason, "problem": self.switch.problem, "said": list(self._said)}
 
     def _facts(self, phase: str, driven: Driven | None = None) -> dict[str, Any]:
-        """What is shown of any moment."""
+        """Facts of every snapshot."""
         return {
             **self._words(),
             "phase": phase,
@@ -490,7 +491,7 @@ class Session:
 
 
 def _begin_of(task: GoToPose | GoToName | Explore, driven: Driven) -> Callable[[], None]:
-    """What begins a task. Raises ConfigError, MapError: it cannot be."""
+    """The function that starts a task. Raises ConfigError, MapError if it is impossible."""
     navigator = driven.navigator
     if isinstance(task, Explore):
         if not driven.is_new:
@@ -512,11 +513,11 @@ _SPAN_S = 3.0
 
 
 class Pace:
-    """`wait` after each step.
+    """Holds a simulated robot to real time: call `wait` after each step.
 
     Args:
         robot_s: the robot's clock, seconds.
-        wall_s, sleep: the wall's.
+        wall_s, sleep: the host's clock.
     """
 
     def __init__(
@@ -531,14 +532,14 @@ class Pace:
 
     @property
     def share(self) -> float:
-        """Of real time at which the robot's went lately; 1 where the computer keeps up."""
+        """Recent speed relative to real time; 1 if the computer keeps up."""
         if len(self._seen) < 2:
             return 1.0
         (wall_s, robot_s), (wall_now_s, robot_now_s) = self._seen[0], self._seen[-1]
         return (robot_now_s - robot_s) / max(wall_now_s - wall_s, 1e-6)
 
     def wait(self) -> None:
-        """Until the wall's clock is where the robot's is; a robot that is late goes on at once."""
+        """Wait until the host's clock reaches the robot's; returns at once if the robot is late."""
         robot_s, wall_s = self._robot_s(), self._wall_s()
         early_s = robot_s - wall_s - self._ahead_s
         if early_s > 0:

@@ -35,8 +35,8 @@ class Picture:
 
     Attributes:
         body: PNG or JPEG.
-        number: another one each time it has changed.
-        place: x, y of its lower left corner, width and height in `map`, metres; None of the camera's.
+        number: changes with the image.
+        place: x, y of its lower left corner, width and height in `map`, metres; None for the camera.
     """
 
     body: bytes
@@ -46,13 +46,13 @@ class Picture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """At a moment.
+    """The state of a session at one moment.
 
     Attributes:
         made_s: by `time.monotonic`.
-        text: JSON of all that is no image.
-        pictures: "plan", "costmap", "camera", as far as there are any.
-        is_driving: whether a task goes on.
+        text: JSON of everything but the images.
+        pictures: "plan", "costmap", "camera", if available.
+        is_driving: whether a task runs.
     """
 
     made_s: float
@@ -62,12 +62,12 @@ class Snapshot:
 
 
 class Telling:
-    """Makes snapshots of a robot that drives in one map after another.
+    """Makes the snapshots of a robot that drives in one map after another.
 
     Args:
-        robot: whose camera is shown.
-        settings: how often images are made, and how large.
-        wants_costmap: whether any page shows it.
+        robot: the robot with the camera.
+        settings: rate and size of images.
+        wants_costmap: whether any page shows the costmap.
     """
 
     def __init__(self, robot: StoppableRobot, settings: LivePageSettings, wants_costmap: Callable[[], bool]) -> None:
@@ -79,18 +79,18 @@ class Telling:
         self._was_tracked = False
 
     def begin(self) -> None:
-        """Another map: nothing of the last one is shown any more."""
+        """Discard everything shown of the previous map."""
         self._was_tracked = False
         self._way.clear()
         self._pictures.clear()
         self._made_of.clear()
 
     def of_words(self, facts: Mapping[str, Any]) -> Snapshot:
-        """While nothing is driven in."""
+        """A snapshot without a map."""
         return Snapshot(time.monotonic(), json.dumps(facts), dict(self._pictures))
 
     def of(self, driven: Driven, feedback: Feedback, facts: Mapping[str, Any]) -> Snapshot:
-        """Of a period, with facts that the session adds."""
+        """A snapshot of one period, with facts of the session."""
         senses = driven.navigator.senses
         # Wheels alone begin at the map's origin until the first frame or a known start gives the pose.
         self._was_tracked = self._was_tracked or feedback.status is Status.TRACKING
@@ -108,9 +108,22 @@ class Telling:
             costmap = senses.local() if self._wants_costmap() else None
             if costmap is not None:
                 self._keep("costmap", costmap, lambda: Picture(costmap_png(costmap), 0, _place(costmap)))
+        task = {
+            "stamp_s": round(feedback.stamp_s, 3),
+            "state": str(feedback.state),
+            "doing": feedback.doing,
+            "status": STATUS_WORDS[feedback.status],
+            "monitor": monitor_words(feedback),
+            "held": "" if feedback.monitor is None or feedback.monitor.reason is None else monitor_words(feedback),
+            "stays": None if feedback.stays_at is None else [round(float(at), 2) for at in feedback.stays_at],
+            "speed_m_s": round(feedback.forward_m_s, 2),
+            "turn_rad_s": round(feedback.turn_rad_s, 2),
+            "to_go_m": None if feedback.to_go_m is None else round(feedback.to_go_m, 1),
+            "goal": None if feedback.goal is None else _pose(feedback.goal),
+        }
         state = {
             **facts,
-            **_task(feedback),
+            **task,
             "pose": _rounded(pose),
             "ellipse": None if pose is None else _ellipse(senses),
             "footprint": _rounded(driven.navigator.footprint.corners),
@@ -132,22 +145,6 @@ class Telling:
         self._made_of[name], self._pictures[name] = of, replace(make(), number=self._number)
 
 
-def _task(feedback: Feedback) -> dict[str, Any]:
-    return {
-        "stamp_s": round(feedback.stamp_s, 3),
-        "state": str(feedback.state),
-        "doing": feedback.doing,
-        "status": STATUS_WORDS[feedback.status],
-        "monitor": monitor_words(feedback),
-        "held": "" if feedback.monitor is None or feedback.monitor.reason is None else monitor_words(feedback),
-        "stays": None if feedback.stays_at is None else [round(float(at), 2) for at in feedback.stays_at],
-        "speed_m_s": round(feedback.forward_m_s, 2),
-        "turn_rad_s": round(feedback.turn_rad_s, 2),
-        "to_go_m": None if feedback.to_go_m is None else round(feedback.to_go_m, 1),
-        "goal": None if feedback.goal is None else _pose(feedback.goal),
-    }
-
-
 def _place(of: StaticLayer | Costmap) -> tuple[float, float, float, float]:
     height, width = of.state.shape
     return of.origin[0], of.origin[1], width * of.resolution_m, height * of.resolution_m
@@ -159,7 +156,7 @@ def _path(poses: FloatArray) -> Any:
 
 
 def _ellipse(senses: Senses) -> list[float] | None:
-    """Half axes of two standard deviations, metres, and the longer one's direction in `map`; None while unknown."""
+    """Half axes of two standard deviations, metres, and the direction of the longer one in `map`; None if unknown."""
     estimate = senses.where.estimate
     if estimate is None or estimate.covariance is None or estimate.T_odom_body is None:
         return None
@@ -171,7 +168,7 @@ def _ellipse(senses: Senses) -> list[float] | None:
 
 
 def _pose(pose: FloatArray) -> list[float | None]:
-    """A yaw of any heading is None: JSON has no NaN."""
+    """x, y, yaw for JSON; the yaw of any heading is None, since JSON has no NaN."""
     return [None if np.isnan(value) else round(float(value), 3) for value in pose]
 
 
@@ -186,20 +183,20 @@ class Places(Protocol):
     """Named places of a map."""
 
     def where(self) -> Mapping[str, FloatArray]:
-        """(3,) x, y, yaw of each by its name, where it is by now."""
+        """Current pose (3,) of x, y, yaw of each place by its name."""
 
     def name(self, name: str, pose: FloatArray) -> None:
-        """Call a pose (3,) so. Raises MapError, OutputError."""
+        """Name a pose (3,). Raises MapError, OutputError."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Driven:
-    """A map that is driven in.
+    """A map with its navigator.
 
     Attributes:
-        navigator: that leads the robot in it.
-        places: of it.
-        is_new: whether it is being made; else it is one of before.
+        navigator: drives the robot in the map.
+        places: of the map.
+        is_new: whether the map is new; else it is a known one.
     """
 
     navigator: Navigator
@@ -212,31 +209,31 @@ class Maps(Protocol):
 
     @property
     def first(self) -> str:
-        """The name of the one to begin with."""
+        """Name of the first map."""
 
     def names(self) -> tuple[str, ...]:
-        """Of all that can be driven in now."""
+        """Names of all maps that can be driven in now."""
 
     def last_saved(self) -> str:
-        """The name of the one that was made last."""
+        """Name of the last saved map."""
 
     def opened(
         self, name: str, robot: Robot, pose: FloatArray | None, on_transition: Callable[[Transition], None]
     ) -> AbstractContextManager[Driven]:
-        """Drive in one, of a robot that stands at (3,) in it, or that is to be found. Raises WheelsightError."""
+        """Open a map for a robot at (3,) in it, or at an unknown pose. Raises WheelsightError."""
 
 
 class Watch(Protocol):
-    """What sees all that a session drives, beside its pages, such as `wheelsight.app.viewer.DriveLog`."""
+    """A listener to all drives of a session, such as `wheelsight.app.viewer.DriveLog`."""
 
     def hear(self, events: Sequence[Event]) -> None:
-        """What the robot's sensors said."""
+        """Events of the robot's sensors."""
 
     def note(self, transition: Transition) -> None:
         """A change of the navigator's state."""
 
     def step(self, feedback: Feedback, navigator: Navigator) -> None:
-        """A period is over; another navigator than before drives in another map."""
+        """The end of a period; another navigator than before means another map."""
 
 
 # Images
@@ -252,12 +249,12 @@ _COST_ALPHA, _LETHAL_ALPHA = 150, 190
 
 
 def plan_png(layer: StaticLayer) -> bytes:
-    """What is free, in the way and unknown; a pixel a cell, y up."""
+    """Free, occupied and unknown cells; a pixel a cell, y up."""
     return _encoded(".png", _PLAN[np.minimum(layer.state[::-1], CellState.OCCUPIED)])
 
 
 def costmap_png(costmap: Costmap) -> bytes:
-    """What driving costs, to be laid over the plan: the dearer, the less clear; a pixel a cell, y up."""
+    """The costmap as an overlay of the plan: opaque where cost is high; a pixel a cell, y up."""
     image = np.zeros((*costmap.cost.shape, 4), np.uint8)
     image[..., :3] = _COST
     image[..., 3] = np.clip(costmap.cost, 0, 1) * _COST_ALPHA
@@ -268,7 +265,7 @@ def costmap_png(costmap: Costmap) -> bytes:
 
 
 def camera_jpeg(rgb: ByteArray, width_px: int, quality: int) -> bytes:
-    """An image (h, w, 3), no wider than so."""
+    """An image (h, w, 3), reduced to the maximum width."""
     height, width = rgb.shape[:2]
     if width > width_px:
         size = width_px, max(1, round(height * width_px / width))

@@ -23,13 +23,13 @@ _LOOK_S = 0.05
 
 
 class StopSwitch:
-    """May be pressed from any thread, and never waits.
+    """A stop switch for any thread; pressing never blocks.
 
     Args:
-        robot: that it stops, by the robot's own `stop`, again and again until that does not fail.
+        robot: the robot. Its `stop` is called until it succeeds.
 
     Attributes:
-        problem: why the robot's `stop` failed, last; empty where it obeyed.
+        problem: error of the last `stop`; "" if it succeeded.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -41,12 +41,12 @@ class StopSwitch:
 
     @property
     def reason(self) -> str:
-        """Why the robot is to stand; empty while it may move."""
+        """Why the robot must stand; "" if it may move."""
         return self._reason
 
     @property
     def presses(self) -> int:
-        """How often it was pressed."""
+        """Number of presses."""
         return self._presses
 
     def press(self, reason: str) -> None:
@@ -57,7 +57,7 @@ class StopSwitch:
         self._wake.set()
 
     def release(self, presses: int) -> bool:
-        """Let the robot move again, for who saw the switch pressed so often; not where it was pressed since."""
+        """Let the robot move again, unless the switch was pressed after the caller read `presses`."""
         with self._lock:
             if presses != self._presses:
                 return False
@@ -65,7 +65,7 @@ class StopSwitch:
             return True
 
     def close(self) -> None:
-        """End its thread; may be called twice."""
+        """End the thread; may be called twice."""
         self._is_closed = True
         self._wake.set()
         self._thread.join(_ENDS_S)
@@ -91,12 +91,12 @@ class StopSwitch:
 
 
 class Watchdog:
-    """Watches that parts of a program go on, in a thread of its own.
+    """Checks in its own thread that parts of a program do not hang.
 
     Args:
-        limit_s: how long a part may be silent at this moment; infinity where that is no matter.
-        on_silent: called with a line, in the watchdog's thread, once for each silence.
-        on_again: called with a line once a part that was silent goes on.
+        limit_s: returns how long a part may be silent now; infinity: no limit.
+        on_silent: called in the watchdog's thread with one line, once for each silence.
+        on_again: called with one line when a silent part goes on.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class Watchdog:
         self._thread.start()
 
     def watch(self, part: str) -> Callable[[], None]:
-        """Watch a part from now on, by a name that a sentence can begin with; it calls what this returns."""
+        """Watch a part from now on; its name begins sentences. The part calls the returned function."""
 
         def beat() -> None:
             self._beats[part] = time.monotonic()
@@ -119,12 +119,12 @@ class Watchdog:
         return beat
 
     def forget(self, part: str) -> None:
-        """A part has ended; may be called twice."""
+        """End the watch of a part; may be called twice."""
         self._beats.pop(part, None)
         self._silent.pop(part, None)
 
     def close(self) -> None:
-        """End its thread; may be called twice."""
+        """End the thread; may be called twice."""
         self._over.set()
         self._thread.join(_ENDS_S)
 
@@ -149,16 +149,16 @@ class Watchdog:
 
 
 class StoppableRobot:
-    """A `Robot` that stands while a switch is pressed, whatever the command; it keeps the last frame of its camera.
+    """A `Robot` that stands while a switch is pressed, whatever the command. It keeps the last frame of the camera.
 
     Args:
-        robot: that moves.
-        switch: that stops it.
-        on_events: called with what its sensors said in each period.
+        robot: the robot.
+        switch: stops it.
+        on_events: called with the sensors' events of each period.
 
     Attributes:
         frame: the last one; None before any.
-        is_commanded: whether it was last commanded to move, as far as the switch let that pass.
+        is_commanded: whether the last command that the switch passed is a motion.
     """
 
     def __init__(

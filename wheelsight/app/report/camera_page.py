@@ -142,7 +142,7 @@ _ACROSS, _DOWN = 16, 12
 
 
 def coverage_figure(found: CameraCalibration) -> go.Figure:
-    """The outlines of all boards in the colour image, and what each corner is off, times 60."""
+    """Outlines of all boards in the colour image, and the residual of each corner, times 60."""
     figure = drawing.style(go.Figure(), 460, hovermode="closest")
     columns, rows = found.board.columns, found.board.rows
     ring = [0, columns - 1, rows * columns - 1, (rows - 1) * columns, 0]
@@ -166,7 +166,7 @@ def coverage_figure(found: CameraCalibration) -> go.Figure:
 
 
 def distance_figure(found: CameraCalibration) -> go.Figure:
-    """Depth less the plane's over distance, before and after, as means and scatter of bands."""
+    """Error of depth against the board's plane over distance, before and after, as mean and scatter of bands."""
     figure = drawing.style(go.Figure(), 340, hovermode="closest")
     depth = found.depth_residuals
     every = max(len(depth.off_m) // _MOST_POINTS, 1)
@@ -188,7 +188,7 @@ def distance_figure(found: CameraCalibration) -> go.Figure:
 
 
 def region_figure(found: CameraCalibration) -> go.Figure:
-    """Mean depth error over the image, before and after, mm, in cells that boards were seen in."""
+    """Mean depth error over the image, before and after, mm, in cells with boards."""
     camera = found.depth or found.color
     figure = make_subplots(rows=1, cols=2, shared_yaxes=True, horizontal_spacing=0.04)
     drawing.style(figure, 360, hovermode="closest")
@@ -226,7 +226,7 @@ def views_figure(found: CameraCalibration) -> go.Figure:
 
 
 def correction_figure(error: DepthError, camera: PinholeCamera, near_m: float, far_m: float) -> go.Figure:
-    """What is added to depth over distance: in the image's middle, and at a third of the way to two corners."""
+    """The depth correction over distance: in the image's middle, and at a third of the way to two corners."""
     figure = drawing.style(go.Figure(), 320, hovermode="x unified")
     depth_m = np.linspace(near_m, far_m, 120)
     for name, share, color in (("middle", 0.5, BLUE), ("upper left", 0.17, ORANGE), ("lower right", 0.83, VERMILLION)):
@@ -263,7 +263,7 @@ _BROWN = ("k1", "k2", "p1", "p2", "k3")
 
 
 def lens_rows(found: CameraCalibration) -> list[tuple[str, ...]]:
-    """A row a number that was sought, with its σ."""
+    """A row for each estimated parameter, with its σ."""
     rows = _of_lens("colour", found.color, "color", found)
     if found.depth is not None and found.T_color_depth is not None:
         rows += _of_lens("depth", found.depth, "depth", found)
@@ -284,7 +284,7 @@ def lens_rows(found: CameraCalibration) -> list[tuple[str, ...]]:
 
 
 def distance_rows(found: CameraCalibration) -> list[tuple[str, ...]]:
-    """A row a band of distances: depth less the plane's before and after, its scatter, and σ of the correction."""
+    """A row for each band of distance: depth error before and after, its scatter, and σ of the correction."""
     rows: list[tuple[str, ...]] = []
     for low, high, inside in bands(found.depth_residuals):
         off, before = found.depth_residuals.off_m[inside], found.depth_residuals.before_m[inside]
@@ -315,7 +315,7 @@ def bands(depth: DepthResiduals) -> list[tuple[float, float, np.ndarray]]:
 
 
 def view_rows(found: CameraCalibration) -> list[tuple[str, ...]]:
-    """A row a view: its distance, tilt, corners' RMS and mean depth less the plane's."""
+    """A row for each view: distance, tilt, RMS of the corners and mean depth error."""
     rms = found.color_residuals.of_views(len(found.views))
     rows: list[tuple[str, ...]] = []
     for k, view in enumerate(found.views):
@@ -488,7 +488,7 @@ class _Panel:
 
 
 def mount_figure(found: BaseCalibration) -> go.Figure:
-    """Axle, wheels and the camera as it was believed to sit and as it does, from above; x is drawn upwards."""
+    """Axle, wheels and the camera before and after the calibration, from above; x points up."""
     figure = drawing.style(go.Figure(), 420, hovermode="closest", margin={"l": 88, "r": 12, "t": 34, "b": 46})
     half_m, radius_m = found.wheels.track_width_m / 2, found.wheels.left_radius_m
     for side_m in (half_m, -half_m):
@@ -504,7 +504,7 @@ def mount_figure(found: BaseCalibration) -> go.Figure:
 
 
 def turning_figure(found: BaseCalibration) -> go.Figure:
-    """Turn rates by the wheels, their delay taken off, and by the camera about the axis found, degrees a second."""
+    """Turn rates by the wheels without their delay, and by the camera about the estimated axis, degrees a second."""
     camera = found.sightings.camera
     marks = np.arange(camera.stamps_s[0], camera.stamps_s[-1], _RATE_STEP_S)
     cuts = np.unique(np.searchsorted(camera.stamps_s, marks))
@@ -526,7 +526,7 @@ def turning_figure(found: BaseCalibration) -> go.Figure:
 
 
 def floor_figure(found: BaseCalibration) -> go.Figure:
-    """Roll, pitch and height by the floor of each view alone, less those of all together."""
+    """Roll, pitch and height by the floor of each view, relative to the joint estimate."""
     off = found.floor.tilts - [found.values[name] for name in ("roll", "pitch", "height")]
     panels = (
         _Panel("roll", "°", _DEGREES * off[:, 0]),
@@ -538,7 +538,7 @@ def floor_figure(found: BaseCalibration) -> go.Figure:
 
 
 def residual_figure(found: BaseCalibration) -> go.Figure:
-    """What wheels and mount left of each piece of the camera's way; slips stand out."""
+    """Residuals of wheels and mount for each piece of the camera's path; slips stand out."""
     fit = found.fit
     along, across, turn = fit.residuals.T
     panels = (
@@ -580,7 +580,7 @@ def _dots(stamps_s: FloatArray, panels: Sequence[_Panel], is_off: BoolArray, kin
 
 
 def _camera(figure: go.Figure, T_base_camera: FloatArray, name: str, color: str) -> None:
-    """A wedge at the camera's place that opens to where it looks."""
+    """A wedge at the camera's position that opens in its viewing direction."""
     x, y = T_base_camera[:2, 3]
     ahead = T_base_camera[:2, 2]
     yaw = np.arctan2(ahead[1], ahead[0])
@@ -634,7 +634,7 @@ def mount_rows(found: BaseCalibration) -> list[tuple[str, ...]]:
 
 
 def told(name: str, value: float, *, signed: bool = False) -> str:
-    """A quantity in the unit that people measure it in."""
+    """A quantity in its customary unit."""
     _, unit, factor = UNITS[name]
     places = 2 if unit == "°" else 1
     shown = round(factor * value, places) + 0.0  # no minus before nothing

@@ -56,7 +56,7 @@ Judged = tuple[RunRecord, Summary, Verdict]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Joined:
-    """The record of joined sensors, which is the page's main answer, and what there is to say of it."""
+    """The joined sensors, which are the page's main result, with their figures."""
 
     record: RunRecord
     facts: JoinedFacts
@@ -71,7 +71,7 @@ def write_comparison(records: Sequence[RunRecord], path: StrPath) -> None:
 
 
 def render_comparison(records: Sequence[RunRecord], folder: Path | None = None) -> str:
-    """The page about several odometries as HTML that needs nothing outside; it links results that lie in `folder`."""
+    """The page about several odometries as self-contained HTML, with links to results in `folder`."""
     joined, verdict = _joined_of(records), verdict_of_run(records)
     judged = [(record, summarise(record), verdict_of(record, records)) for record in records]
     judged.sort(key=lambda found: not found[0].is_joined)  # the main answer comes first
@@ -97,7 +97,7 @@ def render_comparison(records: Sequence[RunRecord], folder: Path | None = None) 
 
 
 def _lines(judged: Sequence[Judged]) -> list[str]:
-    """One a track: how long it was followed, how far off, how quick."""
+    """One line a track: coverage, error, speed."""
     found = []
     for record, summary, _ in judged[:_MOST_LINES]:
         judged_by = record.evaluation
@@ -139,7 +139,7 @@ def comparison_rows(records: Sequence[RunRecord]) -> tuple[tuple[str, ...], list
 
 
 def _share_of_the_way(record: RunRecord) -> float:
-    """ATE over the true way."""
+    """ATE over the length of the true path."""
     assert record.evaluation is not None
     way_m = true_way_m(record)
     return record.evaluation.ate.translation.rmse / way_m if way_m > 0 else float("nan")
@@ -152,7 +152,7 @@ def _facts(records: Sequence[RunRecord]) -> list[str]:
 
 
 def _phrase(records: Sequence[RunRecord]) -> str:
-    """What areas did, or which came nearest to the truth, of those with poses throughout: few poses err less."""
+    """The effect of areas, or the most accurate odometry among those with poses throughout."""
     of_areas = [phrase(r.rectification) for r in records if r.rectification is not None]
     if of_areas and of_areas[0] is not None:
         return of_areas[0]
@@ -196,7 +196,7 @@ def _tiles(judged: Sequence[Judged], joined: _Joined | None) -> Iterable[tuple[s
 
 
 def _notes(judged: Sequence[Judged], paths: Overlay) -> str:
-    """What holds for all once, and what holds for one under its name."""
+    """Common notes once, others under the name of their odometry."""
     of_each = {r.odometry: [*notes(r), *rectification_notes(r)] for r, _, _ in judged}
     shared = [note for note in next(iter(of_each.values())) if all(note in found for found in of_each.values())]
     own = [f"{name.capitalize()}: {note}" for name, found in of_each.items() for note in found if note not in shared]
@@ -221,9 +221,24 @@ def _sections(judged: Sequence[Judged], paths: Overlay, joined: _Joined | None) 
         yield map_section(joined.record, joined.record.odometry)
         yield of_areas
     yield _errors(records)
-    yield _bands(records)
+    if not any(record.frames for record in records):
+        bands = ""
+    else:
+        shares = ", ".join(f"{record.odometry} {words.percent(summarise(record).pose_share)}" for record in records)
+        sentence = "In an odometry's own colour its pose is known; other colours say why it is not."
+        if joined_of(records) is not None:
+            sentence += " While coasting, joined sensors know it by the wheels alone."
+        plot = html.plot(
+            "bands",
+            figures.bands_figure(records),
+            "Status over time",
+            sentence,
+            f"With a pose: {shares}.",
+        )
+        bands = html.section("bands", "When each was followed", "", plot)
+    yield bands
     for record, summary, _ in judged:
-        # What there is to say of one odometry; of joined sensors only what is not said above already
+        # Sections of one odometry, without those that joined sensors have above
         of = record.odometry
         yield sections.certainty(record, of)
         if record.unit == "frame" and record.rectification is None and not record.is_joined:
@@ -287,28 +302,11 @@ def _errors(records: Sequence[RunRecord]) -> str:
     return html.section("errors", title, "", table, plot, *all_errors)
 
 
-def _bands(records: Sequence[RunRecord]) -> str:
-    if not any(record.frames for record in records):
-        return ""
-    shares = ", ".join(f"{record.odometry} {words.percent(summarise(record).pose_share)}" for record in records)
-    sentence = "In an odometry's own colour its pose is known; other colours say why it is not."
-    if joined_of(records) is not None:
-        sentence += " While coasting, joined sensors know it by the wheels alone."
-    plot = html.plot(
-        "bands",
-        figures.bands_figure(records),
-        "Status over time",
-        sentence,
-        f"With a pose: {shares}.",
-    )
-    return html.section("bands", "When each was followed", "", plot)
-
-
 # The page of any run
 
 
 def why_no_page() -> str | None:
-    """Why no page can be written: plotly, which draws the figures, is not installed. None where one can."""
+    """Why no page can be written: plotly is not installed. None if it is."""
     return why_missing("plotly")
 
 
@@ -329,7 +327,7 @@ def write_page(records: Sequence[RunRecord], path: StrPath) -> None:
 
 
 def tiles(record: RunRecord, facts: JoinedFacts, best_alone: BestAlone | None) -> Iterable[tuple[str, str, str]]:
-    """Key figures."""
+    """Key figures of joined sensors."""
     if record.evaluation is None:
         yield "ATE, joined", words.UNKNOWN, "not evaluated"
     else:
@@ -355,7 +353,7 @@ def tiles(record: RunRecord, facts: JoinedFacts, best_alone: BestAlone | None) -
 
 
 def joined_section(record: RunRecord, facts: JoinedFacts) -> str:
-    """Errors beside what was said of them, statuses and flags, on one time axis; the camera's matches below."""
+    """Errors beside their stated uncertainty, statuses and flags on one time axis; the camera's matches below."""
     key, title = "joined-trust", "Joined: how far to trust it"
     if not record.frames:
         return ""
@@ -419,7 +417,7 @@ _WAYS = {"probabilistic": "probabilities, filtered", "paper": "eq. 5 of Trinh et
 
 
 def phrase(found: RectificationRecord) -> str | None:
-    """What areas leave of the wheels' error, or None where that is not less."""
+    """Error of the rectified wheels relative to the wheels alone, or None if it is not smaller."""
     if found.errors is None or not found.errors.left < 1:
         return None
     before, after = (words.length(s.mean) for s in (found.errors.wheels, found.errors.rectified))
@@ -427,7 +425,7 @@ def phrase(found: RectificationRecord) -> str | None:
 
 
 def rectification_tiles(record: RunRecord) -> Iterable[tuple[str, str, str]]:
-    """Key figures."""
+    """Key figures of areas."""
     found = record.rectification
     if found is None:
         return
@@ -440,7 +438,7 @@ def rectification_tiles(record: RunRecord) -> Iterable[tuple[str, str, str]]:
 
 
 def rectification_notes(record: RunRecord) -> list[str]:
-    """Frames that measured nothing, a model that names nothing, a model that is not trusted."""
+    """Notes on frames without a measurement, models without answers, and distrusted models."""
     found = record.rectification
     if found is None or not found.looks:
         return []
@@ -481,7 +479,7 @@ def error_rows(found: RectificationRecord) -> tuple[tuple[str, ...], list[tuple[
 
 
 def rectification_section(records: Sequence[RunRecord]) -> str:
-    """What areas did to the wheels: map, errors, probabilities along time; nothing of a run without places."""
+    """The effect of areas on the wheels: map, errors, probabilities over time; "" without places."""
     record = next((record for record in records if record.rectification is not None), None)
     if record is None or record.rectification is None:
         return ""

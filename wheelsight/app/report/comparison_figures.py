@@ -38,7 +38,7 @@ _TIME = "seconds since the first event"
 def overlay_figure(paths: Overlay) -> go.Figure:
     """All paths and the truth from above, metres, equal aspect; a ring at the start, a square at each end.
 
-    Joined sensors stand out, with ellipses of the 3σ that they state; those of the others the legend turns on.
+    Joined sensors stand out, with ellipses of their stated 3σ. The legend switches the ellipses of the others on.
     """
     figure = drawing.style(go.Figure(), 560, hovermode="closest", margin={"l": 58, "r": 12, "t": 34, "b": 46})
     lines = {name: (path, colour_of(name), _width_of(name)) for name, path in paths.paths_m.items()}
@@ -67,7 +67,7 @@ def overlay_figure(paths: Overlay) -> go.Figure:
 
 
 def errors_figure(records: Sequence[RunRecord]) -> go.Figure:
-    """Over time, for each record that was evaluated: distance to the true position, and the RPE over a second."""
+    """Distance to the true position and RPE over a second, over time, for each evaluated record."""
     panels = [panel for panel in _error_panels(records) if panel[2]]
     figure = make_subplots(rows=len(panels), cols=1, shared_xaxes=True, vertical_spacing=0.11)
     drawing.style(figure, 80 + 170 * len(panels), hovermode="x")
@@ -86,7 +86,7 @@ def errors_figure(records: Sequence[RunRecord]) -> go.Figure:
 
 
 def bands_figure(records: Sequence[RunRecord]) -> go.Figure:
-    """One lane an odometry: in its own colour while its pose was known, in the status' colour while it was not."""
+    """One lane for each odometry: in its own colour with a pose, else in the colour of the status."""
     figure = drawing.style(go.Figure(), 96 + 34 * len(records), hovermode="closest")
     start_s, end_s = _span_s(records)
     in_legend = {Status.TRACKING.value}
@@ -109,7 +109,7 @@ def bands_figure(records: Sequence[RunRecord]) -> go.Figure:
 
 
 def colour_of(odometry: str) -> str:
-    """The colour an odometry keeps through the page."""
+    """The colour of an odometry on the whole page."""
     return drawing.ODOMETRY_COLOURS.get(odometry, GREY)
 
 
@@ -129,13 +129,13 @@ def _error_panels(
 
 
 def _span_s(records: Sequence[RunRecord]) -> tuple[float, float]:
-    """Stamps of the first and the last event that any odometry answered."""
+    """Stamps of the first and the last answered event."""
     stamps_s = [record.frames[i].stamp_s for record in records if record.frames for i in (0, -1)]
     return min(stamps_s, default=0.0), max(stamps_s, default=0.0)
 
 
 def _mark(figure: go.Figure, point: FloatArray, name: str, symbol: str, colour: str) -> None:
-    """A mark that the legend does not list; the start bears its word."""
+    """A marker outside the legend; the start has a label."""
     is_start = name == "start"
     figure.add_scatter(
         x=point[:1],
@@ -155,15 +155,14 @@ def _mark(figure: go.Figure, point: FloatArray, name: str, symbol: str, colour: 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Overlay:
-    """Paths that may be drawn together.
+    """Paths in one frame.
 
     Attributes:
         paths_m: (N, 3) positions of each odometry by its name, metres, rows of NaN at gaps.
         truth_m: (M, 3) true positions, likewise, or None.
-        by: what they were brought together by: each laid upon the "truth" as ATE lays it, or by its first pose upon
-            the "true start", or their "start".
-        left_out: why an odometry is not among them, by its name.
-        trajectories: the same estimates in the same frame, with their covariances, of those that have some.
+        by: the alignment: "truth" as for the ATE, or by first poses to the "true start" or to a common "start".
+        left_out: reason for each missing odometry, by its name.
+        trajectories: the same estimates in the same frame, with covariances, of those that have some.
     """
 
     paths_m: dict[str, FloatArray]
@@ -174,9 +173,9 @@ class Overlay:
 
 
 def overlay_of(records: Sequence[RunRecord]) -> Overlay:
-    """The paths of `records` in one frame: the truth's where any was evaluated, else one that begins where they do.
+    """The paths of `records` in one frame: of the truth if any is evaluated, else of their common start.
 
-    With joined sensors all begin at the true start: what these state of their errors grows from there.
+    With joined sensors all paths begin at the true start, where their stated uncertainty begins, too.
     """
     evaluated = [record for record in records if record.evaluation is not None]
     if evaluated and joined_of(evaluated) is not None:
@@ -195,7 +194,7 @@ def overlay_of(records: Sequence[RunRecord]) -> Overlay:
         elif record.estimate.body != body:
             left_out[record.odometry] = f"its poses are of the {record.estimate.body}, the others of the {body}"
     drawn = [record for record in records if record.odometry not in left_out]
-    # Each estimate seen from its pose at the first moment at which all are known, or else from its first pose.
+    # Each estimate relative to its pose at the first common time, or else to its first pose
     begin_s = max((each.estimate.stamps_s[0] for each in drawn), default=0.0)
     from_start = {}
     for each in drawn:
@@ -222,7 +221,7 @@ def _overlay(
 
 
 def _from_the_true_start(record: RunRecord) -> Trajectory:
-    """The estimate laid upon the truth by its first pose; as ATE lays it where the truth has too wide gaps for that."""
+    """The estimate aligned to the truth by its first pose, or as for the ATE if the truth has a gap there."""
     assert record.ground_truth is not None
     assert record.evaluation is not None
     try:
@@ -242,9 +241,9 @@ _AXES = ("ahead", "to the left")
 
 
 def trust_figure(record: RunRecord, found: Consistency | None) -> go.Figure:
-    """Over time: errors ahead and to the left amid the stated ±3σ, below them statuses and flags on the same axis.
+    """Errors ahead and to the left within the stated ±3σ over time; below, statuses and flags on the same axis.
 
-    Without a truth 3σ stands alone. Lanes of flags that were never up are left out.
+    Without a truth it shows 3σ only. Flags that never occur have no lane.
     """
     flags = [flag for flag in FLAGS if any(flag in frame.flags for frame in record.frames)]
     lanes = [_STATUS, *flags]
@@ -276,7 +275,7 @@ def trust_figure(record: RunRecord, found: Consistency | None) -> go.Figure:
 
 
 def add_ellipses(figure: go.Figure, name: str, aligned: Trajectory, colour: str, **how: Any) -> None:
-    """Where the body is in 3σ (of two dimensions) every so often along a path that has covariances, as one line."""
+    """Add 3σ ellipses (of two dimensions) along a path with covariances, as one line."""
     outlines = ellipses_m(aligned)
     if len(outlines):
         line, rgb = {"color": colour, "width": 1}, [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
@@ -289,7 +288,7 @@ def add_ellipses(figure: go.Figure, name: str, aligned: Trajectory, colour: str,
 
 def ellipses_m(trajectory: Trajectory) -> FloatArray:
     """Outlines (N, 2) in x and y of 3σ of two dimensions, at most some 24 of them, a row of NaN after each."""
-    # Indices of poses at equal ways, of 1, 2 or 5 times a power of ten of metres, and of the last
+    # Poses at equal distances of 1, 2 or 5 times a power of ten of metres, and the last
     way_m = trajectory.distances_m
     if not len(way_m) or way_m[-1] <= 0:
         chosen = np.arange(min(len(way_m), 1))
@@ -309,10 +308,10 @@ def ellipses_m(trajectory: Trajectory) -> FloatArray:
     return np.concatenate([outlines, np.full((len(chosen), 1, 2), np.nan)], axis=1).reshape(-1, 2)
 
 
-def _add_errors(figure: go.Figure, x: FloatArray, errors_m: FloatArray, row: int) -> None:
+def _add_errors(figure: go.Figure, x: FloatArray, both_m: FloatArray, row: int) -> None:
     """Errors (M, 2) along one axis: all of them, and over these the ones beyond 3σ."""
     names = (("error", {"color": INK, "width": 1.5}), ("beyond 3σ", {"color": VERMILLION, "width": 2.5}))
-    for (name, line), errors in zip(names, errors_m.T, strict=True):
+    for (name, line), errors in zip(names, both_m.T, strict=True):
         if not np.isnan(errors).all():
             drawing.add_line(figure, x, errors, name=name, line=line, hover="%{y:.3f} m", row=row, in_legend=row == 1)
 
@@ -343,7 +342,7 @@ _NAME_PX = 11
 
 
 def area_map_figure(record: RunRecord) -> go.Figure:
-    """Areas with their names, the true path, the wheels alone and the rectified wheels, in the map, nothing aligned.
+    """Areas with their names, the true path, the wheels alone and the rectified wheels, in the map without alignment.
 
     A ring marks the start, squares the ends. `record` has a rectification.
     """
@@ -373,10 +372,11 @@ def area_map_figure(record: RunRecord) -> go.Figure:
 
 
 def area_time_figure(record: RunRecord) -> go.Figure:
-    """Over time, one row an area in its colour, the fuller the more probable; the true area is a line through its row.
+    """Area probabilities over time, one row an area in its colour; the true area is a line through its row.
 
-    Above what the model says of each frame alone; below what the filter believes, and how far it trusts the model. Of
-    the paper's way, which has no filter, the first panel alone. `record` has a rectification with a look at least.
+    The upper panel shows the model's probabilities of each frame; the lower one the filter's belief and its trust in
+    the model. The paper's way has no filter and only the first panel. `record` has a rectification with at least one
+    look.
     """
     found = _of(record)
     panels = {"what each frame says by itself": found.forest}
@@ -408,7 +408,7 @@ def area_time_figure(record: RunRecord) -> go.Figure:
 
 
 def map_error_figure(record: RunRecord) -> go.Figure:
-    """Over time, how far the wheels alone and the rectified ones are from the true base, metres, nothing aligned.
+    """Distance of the wheels alone and of the rectified wheels from the true base over time, metres, without alignment.
 
     `record` has a rectification with errors.
     """
@@ -465,7 +465,7 @@ def _add_areas(figure: go.Figure, areas: AreaMap) -> None:
 
 
 def _add_end(figure: go.Figure, name: str, path: FloatArray, colour: str) -> None:
-    """A square where a path ends; a ring, with its word, where the truth, or else the wheels, begin."""
+    """A square at the end of a path; a labelled ring at the start of the truth, or else of the wheels."""
     marker: dict[str, Any] = {"symbol": "square", "size": 10, "color": colour}
     hover = f"end, {name}<extra></extra>"
     figure.add_scatter(

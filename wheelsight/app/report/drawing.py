@@ -85,7 +85,7 @@ def add_path(
 
 
 def add_area(figure: go.Figure, x: FloatArray, low: FloatArray, high: FloatArray, **how: Any) -> None:
-    """What lies between two lines over time (N,), filled; open where either is NaN."""
+    """Fill the area between two lines over time (N,); open where either is NaN."""
     known = ~np.isnan(low + high)
     kept = np.union1d(keep_peaks(low), keep_peaks(high))
     outline = []
@@ -99,7 +99,7 @@ def add_area(figure: go.Figure, x: FloatArray, low: FloatArray, high: FloatArray
 
 
 def room_around(points: FloatArray) -> tuple[list[float] | None, list[float] | None]:
-    """Ranges of x and y that hold all points (N, 2) with some air, so that no line is cut; None without points."""
+    """Ranges of x and y that hold all points (N, 2) with a margin; None without points."""
     if not len(points):
         return None, None
     low, high = points.min(axis=0), points.max(axis=0)
@@ -122,7 +122,7 @@ def horizontal(figure: go.Figure, y: float, text: str) -> None:
 
 
 def time_axis(figure: go.Figure, record: RunRecord) -> None:
-    """The same time axis for every figure of a run, so that they can be compared by eye."""
+    """The common time axis of all figures of a run."""
     end_s = max(record.seconds_since_start([frame.stamp_s for frame in record.frames]), default=0.0)
     time_axis_until(figure, end_s, f"seconds since the first {record.unit}")
 
@@ -137,7 +137,7 @@ def time_axis_until(figure: go.Figure, end_s: float, title: str) -> None:
 
 
 def used_frames(record: RunRecord) -> list[FrameRecord]:
-    """The frames that odometry judged."""
+    """The frames that odometry processed."""
     return [frame for frame in record.frames if not frame.is_skipped]
 
 
@@ -155,9 +155,9 @@ _SAME_STAMP_S = 1e-3  # stamps of one frame in two files differ by no more than 
 
 
 def poseless_stamps_s(record: RunRecord) -> FloatArray:
-    """Stamps (K,) of the frames that leave a gap in the trajectory, growing: it has no pose where theirs would be.
+    """Ascending stamps (K,) of frames without a pose, which leave gaps in the trajectory.
 
-    Repeated images are no frames.
+    Repeated images do not count.
     """
     frames = [frame for frame in record.frames if not frame.is_repeat]
     stamps_s = np.array([frame.stamp_s for frame in frames], float)

@@ -32,7 +32,7 @@ _FOOTER = "Lengths are in metres, stamps in seconds, poses of the base in the ma
 
 
 def write_drive_picture(record: DriveRecord, path: StrPath) -> None:
-    """drive.png: the map with what was planned and driven, atomically. Raises OutputError."""
+    """Write drive.png, the map with planned and driven paths, atomically. Raises OutputError."""
     save_picture(drive_picture(record), path)
 
 
@@ -63,14 +63,14 @@ def write_drive_page(record: DriveRecord, path: StrPath) -> None:
 
 
 def render_drive(record: DriveRecord) -> str:
-    """The page as HTML that refers to nothing outside itself."""
+    """The page as self-contained HTML."""
     phrase, sentences, tone = verdict(record)
     facts = [record.robot, record.finished_at.strftime("%Y-%m-%d %H:%M %Z").strip(), f"wheelsight {__version__}"]
     named = [goal.name for goal in record.goals]
     goal_names = "To " + (", then ".join(named) if named else "nowhere")
     intro = (
         "The map, what was planned (orange) and what was driven (blue), from the circle to the squares; crosses are "
-        "where the robot was held, light blue where it knew somebody to walk."
+        "where the robot was held, light blue lines are people who walked."
     )
     alt = f"The map from above with the way of the robot, {words.length(record.way_m)} long."
     plot = html.plot("drive-map-plan", plan_figure(record), "From above", "", alt)
@@ -197,7 +197,7 @@ _BAND_COLOURS = {
 
 
 def plan_figure(record: DriveRecord) -> go.Figure:
-    """The map from above, metres, equal aspect, with all plans, the way driven, stops, start and goals."""
+    """The map from above, metres, equal aspect, with all plans, the driven path, stops, start and goals."""
     figure = drawing.style(go.Figure(), _PLAN_PX, hovermode="closest", showlegend=True)
     _add_map(figure, record.grid)
     hover = "%{x:.2f}, %{y:.2f} m"
@@ -241,7 +241,9 @@ def time_line_figure(record: DriveRecord) -> go.Figure:
 
 
 def walked(people: FloatArray) -> list[FloatArray]:
-    """Ways (M, 2) of who walked near, of people (N, 4) as `DriveRecord` has them: each joins the way it is next to."""
+    """Paths (M, 2) of people near the robot, from people (N, 4) as in `DriveRecord`: each sighting joins the nearest
+    path.
+    """
     ways: list[list[FloatArray]] = []
     for row in people:
         lately = [way for way in ways if 0 < row[0] - way[-1][0] < _SAME_WALKER_S]
@@ -254,7 +256,7 @@ def walked(people: FloatArray) -> list[FloatArray]:
 
 
 def apart(poses: FloatArray, apart_m: float) -> FloatArray:
-    """(M, 3) of poses (N, 3): the first, and each that is so far from the last one kept, and the last."""
+    """(M, 3) a selection of poses (N, 3) at a minimum distance, with the first and the last."""
     kept: list[FloatArray] = []
     for pose in poses:
         if not kept or np.hypot(*(pose - kept[-1])[:2]) >= apart_m:
@@ -265,7 +267,7 @@ def apart(poses: FloatArray, apart_m: float) -> FloatArray:
 
 
 def _add_band(figure: go.Figure, name: str, labelled: list[tuple[str, str]], seconds: FloatArray) -> None:
-    """A bar a stretch of one label and reason; a trace a label."""
+    """A bar for each stretch with one label and reason; a trace for each label."""
     words = [f"{label}: {reason}" if reason else label for label, reason in labelled]
     stretches = runs(words)
     for label in dict.fromkeys(label for label, _ in labelled):
@@ -297,8 +299,8 @@ def _add_speeds(figure: go.Figure, record: DriveRecord, seconds: FloatArray) -> 
     ):
         line = {"color": colour, "width": 1.6}
         drawing.add_line(figure, seconds, values, name=name, line=line, hover="%{y:.2f}", row=row)
-        # Bounds of all values but the strangest hundredth, with 0 and some air: single readings would flatten the
-        # rest.
+        # Bounds of all values without the most extreme hundredth, with 0 and a margin: single readings would flatten
+        # the rest.
         known = values[np.isfinite(values)]
         if not len(known):
             usual = None
@@ -312,7 +314,7 @@ def _add_speeds(figure: go.Figure, record: DriveRecord, seconds: FloatArray) -> 
 
 
 def _add_map(figure: go.Figure, grid: OccupancyGrid) -> None:
-    """As an image below all lines; the axes show what of it is known."""
+    """Add the map as an image below all lines, and limit the axes to its known part."""
     colours = np.array([COLOURS[kind] for kind in CellKind], np.uint8)
     _, png = cv2.imencode(".png", np.ascontiguousarray(colours[grid.kind[::-1]][..., ::-1]))
     uri = "data:image/png;base64," + base64.b64encode(png.tobytes()).decode("ascii")
@@ -393,6 +395,6 @@ def transition_rows(record: DriveRecord) -> list[list[str]]:
 
 
 def place(pose: FloatArray) -> str:
-    """Such as "3.20, 1.50 m, 90°"."""
+    """A pose as text, such as "3.20, 1.50 m, 90°"."""
     yaw = "" if math.isnan(pose[2]) else f", {math.degrees(pose[2]):.0f}°"
     return f"{pose[0]:.2f}, {pose[1]:.2f} m{yaw}"

@@ -48,8 +48,8 @@ _TIME_HEADROOM = 1.3  # times the 99th percentile: slower frames are marked at t
 def trajectory_figure(record: RunRecord, view: str = "xy") -> go.Figure:
     """The path in one view ("xy", "xz" or "yz"), metres, equal aspect, over the ground truth.
 
-    With an evaluation the estimate is drawn as it was laid upon the truth, in the truth's frame; without one it
-    stands alone in its own, for two paths that are not aligned say nothing. Gaps are where no pose is known.
+    With an evaluation the estimate is aligned to the truth. Without one it is alone in its own frame, since a
+    comparison of paths in different frames is meaningless. Gaps have no known pose.
     """
     height = 520 if record.is_planar else 380
     figure = drawing.style(go.Figure(), height, hovermode="closest", margin={"l": 58, "r": 12, "t": 34, "b": 46})
@@ -106,7 +106,7 @@ def error_figure(record: RunRecord) -> go.Figure:
 
 
 def certainty_figure(record: RunRecord, colour: str | None = None) -> go.Figure:
-    """Over time: one standard deviation of position and yaw, of an estimate in the plane that has covariances."""
+    """Standard deviations of position and yaw over time, of a planar estimate with covariances."""
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.11)
     drawing.style(figure, 360, hovermode="x unified", showlegend=False)
     x = record.seconds_since_start(record.estimate.stamps_s)
@@ -128,7 +128,7 @@ def standard_deviations(estimate: Trajectory) -> tuple[FloatArray, FloatArray]:
 
 
 def status_figure(record: RunRecord) -> go.Figure:
-    """What the answer to each frame was, as one lane a status over time; a skipped frame shows as such unless lost."""
+    """The status of each frame over time, one lane a status; skipped frames have a lane unless lost."""
     labels = status_labels(record)
     starts_s, ends_s = record.frame_spans_s()
     lanes = [lane for lane in STATUS_COLOURS if lane in labels or lane == Status.TRACKING]
@@ -162,7 +162,7 @@ def add_band(
     line: dict[str, Any],
     **how: Any,
 ) -> None:
-    """The spans in which frames bear `label`, as one band at the height `y`; the shortest are widened to be seen."""
+    """A band at height `y` for the time in which frames have `label`; short spans are widened to be visible."""
     least_s = _LEAST_WIDTH * float(ends_s[-1]) if labels else 0.0
     spans = [(starts_s[i], ends_s[j - 1], j - i) for i, j, found in runs(labels) if found == label]
     x = [value for a, b, _ in spans for value in (a, max(b, a + least_s), None)]
@@ -180,7 +180,7 @@ def add_band(
 
 
 def matches_figure(record: RunRecord) -> go.Figure:
-    """How many matches each frame had with its reference, and how many of them agreed on one motion."""
+    """Number of matches of each frame with its reference, and number of inliers."""
     figure = drawing.style(go.Figure(), 270, hovermode="x unified")
     x = record.seconds_since_start([frame.stamp_s for frame in record.frames])
     for name, colour in (("matches", GREY), ("inliers", GREEN)):
@@ -194,9 +194,9 @@ def matches_figure(record: RunRecord) -> go.Figure:
 
 
 def time_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
-    """How long each frame took, ms; frames far slower than the rest are marked at the upper edge.
+    """Processing time of each frame, ms; frames far slower than the rest are marked at the upper edge.
 
-    The first ones are left out where kernels were still compiled.
+    First frames that compile kernels are left out.
     """
     figure = drawing.style(go.Figure(), 270, hovermode="closest", showlegend=False)
     frames = drawing.warm_frames(record)
@@ -226,7 +226,7 @@ def time_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
 
 
 def time_histogram_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
-    """How the times of frames spread, ms, with the median and the 95th percentile; as in `time_figure`."""
+    """Histogram of the processing times, ms, with the median and the 95th percentile; as in `time_figure`."""
     figure = drawing.style(go.Figure(), 270, hovermode="closest", showlegend=False, bargap=0.08)
     all_ms, ms = (
         np.array([1e3 * frame.seconds for frame in frames if np.isfinite(frame.seconds)], float)
@@ -283,13 +283,13 @@ def stage_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
 
 
 def estimated_path_m(record: RunRecord) -> FloatArray:
-    """The estimate's positions (N, 3), laid upon the truth if it was evaluated, with rows of NaN at gaps."""
+    """The estimate's positions (N, 3), aligned to the truth if evaluated, with rows of NaN at gaps."""
     path = record.estimate if record.evaluation is None else record.evaluation.ate.aligned
     return with_gaps(path.stamps_s, path.positions_m, poseless_stamps_s(record))[1]
 
 
 def truth_path_m(record: RunRecord) -> FloatArray:
-    """True positions (N, 3) while the run lasted, with rows of NaN where the truth has holes."""
+    """True positions (N, 3) during the run, with rows of NaN at gaps."""
     assert record.ground_truth is not None
     stamps_s = [frame.stamp_s for frame in record.frames]
     truth = record.ground_truth.between(min(stamps_s), max(stamps_s)) if stamps_s else record.ground_truth
@@ -299,7 +299,7 @@ def truth_path_m(record: RunRecord) -> FloatArray:
 
 
 def _mark_ends(figure: go.Figure, path: FloatArray) -> None:
-    """The start as a ring, the end as a square, each with its word on the side away from the other."""
+    """A ring at the start and a square at the end, with labels on opposite sides."""
     if not len(path):
         return
     places = ("top", "bottom") if path[0, 1] >= path[-1, 1] else ("bottom", "top")
@@ -320,7 +320,7 @@ def _mark_ends(figure: go.Figure, path: FloatArray) -> None:
 
 
 def _time_ceiling_ms(ms: FloatArray) -> float:
-    """Up to where times are drawn: all of them, unless a few are far above the rest."""
+    """Upper limit of drawn times: the maximum, unless a few are far above the rest."""
     known = ms[np.isfinite(ms)]
     if not len(known) or known.max() <= 0:
         return 1.0

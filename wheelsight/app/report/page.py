@@ -60,9 +60,10 @@ def render(record: RunRecord, folder: Path | None = None) -> str:
 
 
 def fill_template(**parts: str) -> str:
-    """A whole page of parts in HTML: kicker, title, facts, tone, phrase, sentences, tiles, notes, sections, footer.
+    """Fill the page's template with HTML: kicker, title, facts, tone, phrase, sentences, tiles, notes, sections,
+    footer.
 
-    And `findings` above the sentences, and `more` below them, if there are any.
+    Optional parts are `findings`, above the sentences, and `more`, below them.
     """
     plotly = packed(_asset("plotly-cartesian.min.js").encode())
     script = _asset("page.js") + (_asset("cloud.js") if 'class="cloud"' in parts["sections"] else "")
@@ -114,9 +115,9 @@ def _tiles(record: RunRecord, summary: Summary) -> list[tuple[str, str, str]]:
 
 
 def shown_findings(verdict: Verdict) -> list[Finding]:
-    """What the verdict names at the top of a page: whether a known map was recognised, then all that is not green.
+    """The findings at the top of a page: recognition in a known map, and all that are not green.
 
-    Where all is green, how many frames have a pose.
+    If all are green, the share of frames with a pose.
     """
     in_map = [one for one in verdict.findings if one.about == "map"]
     concerns = [one for one in verdict.concerns if one.about != "map"]
@@ -138,7 +139,7 @@ def _sections(record: RunRecord, summary: Summary) -> list[str]:
 
 
 def settings(record: RunRecord) -> str:
-    """The resolved configuration, folded away."""
+    """The resolved configuration, folded."""
     plain = json.loads(json.dumps(record.config, default=str))
     text = settings_text(plain) if plain else "none recorded"
     return html.section("settings", "Settings", "", html.folded("Show the settings of this run", text))

@@ -45,7 +45,7 @@ def draw_matches(picture: MatchPicture) -> ByteArray:
     is_inlier = np.asarray(picture.is_inlier, bool)
     classes = ((is_inlier & drawable, INLIER_RGB), (~is_inlier & drawable, OUTLIER_RGB))
     for which, colour in classes:
-        # Indices of the chosen matches to be joined by lines: their fair part of all lines drawn
+        # Matches that get lines: a proportional share of all lines
         total = drawable.sum()
         index = np.flatnonzero(which)
         share = min(len(index), int(np.ceil(_DRAWN_LINES * len(index) / max(total, 1))))
@@ -163,18 +163,10 @@ def draw_cloud(
     towards = view.centre + view.distance_m * view.axes[2] - position
     faces = np.einsum("ij,ij->i", cloud.normal.astype(float) @ R_plan_map.T, towards) > 0
     px = view.project(position[faces])
-    _draw_points(image, px, cloud.color[faces], cloud.edge_m)
-    for lines, colour in ((loops, _GREEN), (path, _ORANGE)):
-        ends = view.project(lines.reshape(-1, 3)).reshape(-1, 2, 3)
-        ends = ends[(ends[..., 2] > 0).all(axis=1), :, :2]
-        cv2.polylines(image, list(np.rint(ends).astype(np.int32)), False, colour, 2, cv2.LINE_AA)
-    return image
-
-
-def _draw_points(image: ByteArray, px: FloatArray, color: ByteArray, edge_m: float) -> None:
-    """Squares, the nearest on top."""
+    # Draw points as squares, the nearest last
+    color = cloud.color[faces]
     height, width = _SIZE_PX
-    wide_px = _POINT_SHARE * edge_m * _FOCAL * height / 2 / np.maximum(px[:, 2], 1e-6)
+    wide_px = _POINT_SHARE * cloud.edge_m * _FOCAL * height / 2 / np.maximum(px[:, 2], 1e-6)
     wide = np.rint(wide_px).clip(_LEAST_PX, _LARGEST_PX).astype(np.int64)
     corner = np.rint(px[:, :2] - wide[:, None] / 2)
     order = np.argsort(-px[:, 2], kind="stable")
@@ -187,6 +179,11 @@ def _draw_points(image: ByteArray, px: FloatArray, color: ByteArray, edge_m: flo
         np.maximum.at(nearest, v[inside] * width + u[inside], drawn[inside])
     seen = nearest >= 0
     image.reshape(-1, 3)[seen] = color[order[nearest[seen]]]
+    for lines, colour in ((loops, _GREEN), (path, _ORANGE)):
+        ends = view.project(lines.reshape(-1, 3)).reshape(-1, 2, 3)
+        ends = ends[(ends[..., 2] > 0).all(axis=1), :, :2]
+        cv2.polylines(image, list(np.rint(ends).astype(np.int32)), False, colour, 2, cv2.LINE_AA)
+    return image
 
 
 # Packed data

@@ -187,7 +187,7 @@ def confusion_figure(trial: PlaceTrial) -> go.Figure:
 
 
 def reliability_figure(trial: PlaceTrial) -> go.Figure:
-    """How often answers are right over how sure they are; the diagonal is what they promise."""
+    """Share of right answers over their probability; the diagonal is perfect calibration."""
     curve = trial.curve
     figure = drawing.style(go.Figure(), 380, hovermode="closest", margin={"l": 58, "r": 14, "t": 34, "b": 56})
     line = {"color": GREY, "width": 1.5, "dash": "dash"}
@@ -209,7 +209,7 @@ def reliability_figure(trial: PlaceTrial) -> go.Figure:
 
 
 def time_figure(trial: PlaceTrial) -> go.Figure:
-    """The true area along time, and the most probable one: as sure as it is large, red where it is wrong."""
+    """The true area and the most probable one over time: marker size is probability, red is wrong."""
     answers = trial.answers
     seconds = answers.stamps_s - answers.stamps_s[0]
     height = max(_LEAST_PX, 34 * len(trial.area_names) + 110)
@@ -279,7 +279,7 @@ def training_rows(model: PlaceModel, drives: Sequence[LabelledDrive]) -> list[tu
 
 
 def training_facts(model: PlaceModel) -> list[tuple[str, str]]:
-    """What held-out frames say of a model as a whole."""
+    """Results of a model on held-out frames."""
     figures = model.figures
     before = f"{figures.raw_calibration_error:.3f} before its probabilities were scaled"
     named = f"{words.percent(figures.answered)} of frames, {words.percent(figures.answered_accuracy)} of them rightly"
@@ -373,7 +373,7 @@ def write_sheet(sheet: ContactSheet, path: StrPath, source: str = "") -> None:
 
 
 def render_sheet(sheet: ContactSheet, source: str = "") -> str:
-    """The page as HTML that refers to nothing outside itself."""
+    """The page as self-contained HTML."""
     duration_s = float(sheet.borders_s[-1] - sheet.borders_s[0])
     facts = [
         words.count(sheet.frame_count, "frame"),

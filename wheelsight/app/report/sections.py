@@ -43,7 +43,7 @@ _VIEW_NAMES = {"xy": "x–y", "xz": "x–z", "yz": "y–z"}
 
 
 def path_section(record: RunRecord, summary: Summary) -> str:
-    """Where the body went, in three views."""
+    """The path, in three views."""
     if not len(record.estimate):
         return html.section(
             "path", "Where it went", "", html.paragraph("No pose was found, so there is no path.", "missing")
@@ -68,7 +68,7 @@ def path_section(record: RunRecord, summary: Summary) -> str:
 
 
 def errors(record: RunRecord) -> str:
-    """How far off the estimate is, over time and in a table."""
+    """The errors of the estimate, over time and in a table."""
     title = "How far off it was"
     if record.evaluation is None:
         why = record.evaluation_problem or "the recording has no ground truth"
@@ -85,7 +85,7 @@ def errors(record: RunRecord) -> str:
 
 
 def error_table(record: RunRecord) -> str:
-    """Every error of a record that was evaluated, as numbers."""
+    """All errors of an evaluated record."""
     assert record.evaluation is not None
     evaluation = record.evaluation
     step = "pose" if record.rectification is not None or record.is_joined else record.unit
@@ -120,7 +120,7 @@ def _cells(s: Statistics) -> list[str]:
 
 
 def certainty(record: RunRecord, of: str = "") -> str:
-    """How sure dead reckoning was of itself."""
+    """The stated uncertainty of dead reckoning."""
     covariances = record.estimate.covariances
     if not record.is_planar or covariances is None or not len(record.estimate):
         return ""
@@ -140,7 +140,7 @@ def certainty(record: RunRecord, of: str = "") -> str:
 
 
 def tracking(record: RunRecord, summary: Summary, of: str = "") -> str:
-    """Whether the camera was followed, frame by frame."""
+    """The status of the camera, frame by frame."""
     if not record.frames:
         return ""
     lost = f", {words.count(summary.lost_episodes, 'lost episode')}" if record.unit == "frame" else ""
@@ -160,7 +160,7 @@ def tracking(record: RunRecord, summary: Summary, of: str = "") -> str:
 
 
 def matches(record: RunRecord, of: str = "") -> str:
-    """How many matches each frame had."""
+    """The number of matches of each frame."""
     if not any(frame.matches for frame in record.frames):
         return html.paragraph("No frame had any matches.", "missing")
     is_dense = record.odometry == "dense" or (record.is_joined and "dense" in record.config.get("odometry", ()))
@@ -179,7 +179,7 @@ def matches(record: RunRecord, of: str = "") -> str:
 
 
 def timing(record: RunRecord, summary: Summary, of: str = "") -> str:
-    """Whether it keeps up with the camera; a wheel reading is too quick to ask."""
+    """Processing times of frames; none for wheel readings, which take microseconds."""
     if not summary.median_s >= 0 or record.unit == "reading":
         return ""
     median, p95, longest = (words.duration(s) for s in (summary.median_s, summary.p95_s, summary.longest_s))
@@ -283,7 +283,7 @@ _FILES = {
 
 
 def files_section(folder: Path | None, odometries: Sequence[str] = ()) -> str:
-    """Links to what is in `folder`, and in those of odometries in it; nothing where nothing is."""
+    """Links to the files in `folder`, and in folders of its odometries; "" without files."""
     if folder is None:
         return ""
     rows = [row for place in ("", *odometries) for row in _rows(folder, place)]
@@ -314,7 +314,7 @@ _MOST_DRAWN = 400
 
 
 def loop_section(record: RunRecord, of: str = "") -> str:
-    """The section about loops, of one odometry on a page of several; empty where none were asked for."""
+    """The section about loops; "" if none were requested."""
     correction = record.correction
     if correction is None:
         return ""
@@ -335,7 +335,7 @@ def loop_section(record: RunRecord, of: str = "") -> str:
 
 
 def loops_figure(record: RunRecord) -> go.Figure:
-    """From above, metres: the way as lived and as known at the end; with an evaluation over the truth.
+    """The path before and after loop closing from above, metres; with an evaluation, over the truth.
 
     Raises:
         ValueError: the run has no loops.
@@ -367,7 +367,7 @@ def loops_figure(record: RunRecord) -> go.Figure:
 
 
 def _add_loops(figure: go.Figure, name: str, ends: FloatArray, which: BoolArray, colour: str) -> None:
-    """Lines (L, 2, 2) between ends, evenly picked where there are too many."""
+    """Lines (L, 2, 2) between loop ends, an even selection of too many."""
     drawn = ends[which]
     drawn = drawn[:: max(1, -(-len(drawn) // _MOST_DRAWN))]
     broken = np.concatenate([drawn, np.full((len(drawn), 1, 2), np.nan)], axis=1).reshape(-1, 2)
@@ -386,7 +386,7 @@ def _add_loops(figure: go.Figure, name: str, ends: FloatArray, which: BoolArray,
 
 
 def map_section(record: RunRecord, of: str = "") -> str:
-    """What the place looks like: from above, and from where the camera was; nothing of a run without a map.
+    """The map from above and from the camera's poses; "" without a map.
 
     `of` as in the page's other sections.
     """
@@ -419,7 +419,7 @@ def map_section(record: RunRecord, of: str = "") -> str:
 
 
 def map_tile(found: MapRecord) -> tuple[str, str, str]:
-    """A key figure: name, value, what puts it into proportion."""
+    """A tile: name, value, and a relative value."""
     stable = words.percent(found.status.stable / found.status.surfels) if found.status.surfels else "0 %"
     return "Surfels in the map", f"{found.status.surfels:,}", f"{stable} of them stable"
 
@@ -438,9 +438,9 @@ _PANEL_WIDTH_PX = 640
 
 
 def plan_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
-    """The map from above, metres, equal aspect, with the path of the body over it and a bar of round length.
+    """The map from above, metres, equal aspect, with the path of the body and a scale bar.
 
-    Of a record whose map has a plan.
+    The record's map must have a plan.
     """
     assert record.map is not None
     assert record.map.plan is not None
@@ -459,7 +459,7 @@ def plan_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
     drawing.add_path(figure, path, name="halo", line={"color": "#ffffff", "width": 5}, hover=hover)
     drawing.add_path(figure, path, name="path", line={"color": colour, "width": 2.5}, hover=hover)
     _mark_ends(figure, path[~np.isnan(path).any(axis=1)], colour)
-    # Above the plan, at its right end
+    # A scale bar above the plan at its right end
     length_m = bar_length_m(right - left)
     line = {"color": drawing.GREY, "width": 4}
     figure.add_shape(type="line", x0=right - length_m, x1=right, yref="paper", y0=1.015, y1=1.015, line=line)

@@ -30,7 +30,13 @@ _FOOTER = "Lengths are in metres, stamps in seconds, σ is one standard deviatio
 def write_wheel_page(trial: WheelTrial, path: StrPath) -> None:
     """Write the page about a calibration against a reference, atomically. Raises OutputError."""
     path = Path(path)
-    phrase, tone = _verdict(trial)
+    path_ratio, drift_ratio = _changes(trial)
+    if path_ratio < _BETTER and drift_ratio < _WORSE:
+        phrase, tone = f"{1 / path_ratio:.1f} times nearer to the reference where it was not fitted", "green"
+    elif path_ratio > _WORSE and drift_ratio > _BETTER:
+        phrase, tone = "No better than the nominal wheels where it was not fitted", "red"
+    else:
+        phrase, tone = "Little changes where it was not fitted", "amber"
     before, after = trial.before.evaluation, trial.after.evaluation
     ate = (words.length(evaluation.ate.translation.rmse) for evaluation in (after, before))
     length = words.length(trial.held_out.length_m)
@@ -118,17 +124,8 @@ def _facts(method: str) -> str:
     return " · ".join(escape(fact) for fact in (method, when, f"wheelsight {__version__}"))
 
 
-def _verdict(trial: WheelTrial) -> tuple[str, str]:
-    path, drift = _changes(trial)
-    if path < _BETTER and drift < _WORSE:
-        return f"{1 / path:.1f} times nearer to the reference where it was not fitted", "green"
-    if path > _WORSE and drift > _BETTER:
-        return "No better than the nominal wheels where it was not fitted", "red"
-    return "Little changes where it was not fitted", "amber"
-
-
 def _changes(trial: WheelTrial) -> tuple[float, float]:
-    """Error after over error before: of the whole path, and of a metre of it."""
+    """Ratio of the error after to the error before: of the whole path, and of a metre of it."""
     before, after = trial.before.evaluation, trial.after.evaluation
     path = after.ate.translation.rmse / max(before.ate.translation.rmse, 1e-9)
     if before.rpe_per_metre is None or after.rpe_per_metre is None:
@@ -189,7 +186,7 @@ _PANELS = (("along the way", "mm", 1e3), ("across", "mm", 1e3), ("turn", "°", 1
 
 
 def drive_figure(trial: WheelTrial) -> go.Figure:
-    """The part not calibrated on, from above, metres: reference, nominal wheels and calibrated ones from one start."""
+    """The test part of the drive from above, metres: reference, nominal and calibrated wheels from one start."""
     figure = drawing.style(go.Figure(), 520, hovermode="closest", margin={"l": 58, "r": 12, "t": 34, "b": 46})
     paths = {"nominal": trial.before.path, "calibrated": trial.after.path}
     hover = "x %{x:.2f}, y %{y:.2f} m"
@@ -208,7 +205,7 @@ def drive_figure(trial: WheelTrial) -> go.Figure:
 
 
 def drift_figure(trial: WheelTrial) -> go.Figure:
-    """Distance from the reference since the start of the part not calibrated on, metres over distance gone."""
+    """Distance from the reference over travelled distance, from the start of the test part, metres."""
     figure = drawing.style(go.Figure(), 300, hovermode="x unified")
     gone_m = trial.held_out.distances_m
     for name, attempt in (("nominal", trial.before), ("calibrated", trial.after)):
@@ -221,7 +218,7 @@ def drift_figure(trial: WheelTrial) -> go.Figure:
 
 
 def residual_figure(trial: WheelTrial) -> go.Figure:
-    """What the calibrated wheels leave of each segment they were fitted to; slips stand out."""
+    """Residuals of the calibrated wheels for each fitted segment; slips stand out."""
     fit = trial.fit
     middle_s = (fit.segments.start_s + fit.segments.end_s) / 2 - trial.reference.stamps_s[0]
     figure = make_subplots(rows=3, cols=1, shared_xaxes=True, vertical_spacing=0.1)
@@ -339,7 +336,7 @@ def square_rows(result: Umbmark) -> list[tuple[str, ...]]:
 
 
 def error_rows(trial: WheelTrial) -> list[tuple[str, ...]]:
-    """Errors of nominal and of calibrated wheels on the part not calibrated on, one row each kind."""
+    """Errors of nominal and of calibrated wheels on the test part, one row each kind."""
     both = (trial.before, trial.after)
     found: list[tuple[str, str, list[float]]] = [
         ("ATE, position", "m", [x.evaluation.ate.translation.rmse for x in both])

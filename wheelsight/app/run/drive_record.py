@@ -33,13 +33,13 @@ _LATE = 1.2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GoalRecord:
-    """A goal, and what became of it.
+    """A goal and its result.
 
     Attributes:
-        name: in words.
+        name: of the goal.
         goal: (3,) x, y, yaw in the map as asked; a yaw of NaN is any heading.
-        result: of it.
-        end: (3,) where the robot then believed to be, or None where it did not know.
+        result: of the navigator.
+        end: (3,) estimated pose at the end, or None if unknown.
         begin_s, end_s: stamps.
     """
 
@@ -52,28 +52,28 @@ class GoalRecord:
 
     @property
     def is_place(self) -> bool:
-        """Whether it is one: an exploration is none."""
+        """Whether the goal is a pose; an exploration has none."""
         return bool(np.isfinite(self.goal[:2]).all())
 
     @property
     def off_m(self) -> float:
-        """From the goal, by its own localization; NaN where it did not know."""
+        """Distance from the goal by the robot's localization, metres; NaN if unknown."""
         return np.nan if self.end is None else float(np.hypot(*(self.end - self.goal)[:2]))
 
     @property
     def off_deg(self) -> float:
-        """Likewise of the heading; NaN where any was wanted."""
+        """Heading error, degrees; NaN if unknown or if any heading was allowed."""
         return np.nan if self.end is None else float(np.degrees(abs(wrap_angle((self.end - self.goal)[2]))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StopRecord:
-    """The collision monitor held the robot, or it stopped by itself.
+    """A stop by the collision monitor, or by the robot itself.
 
     Attributes:
         begin_s, end_s: stamps.
-        reason: in words.
-        pose: (3,) where that was, or None.
+        reason: a sentence.
+        pose: (3,) in the map, or None.
     """
 
     begin_s: float
@@ -84,7 +84,7 @@ class StopRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilmImage:
-    """A small image of what the camera saw on the way."""
+    """A small image of the camera during the drive."""
 
     stamp_s: float
     color: ByteArray
@@ -96,12 +96,12 @@ class PeriodRows:
 
     Attributes:
         stamps_s: (N,).
-        poses: (N, 3) in the map; NaN where not known.
-        forward_m_s, turn_rad_s: (N,) by the wheels.
-        states: of the navigator, in words.
-        status: of the localization, in words.
-        monitor: (N,) what the collision monitor made of it: "free", "slowed", "stopped".
-        reasons: why, in words; empty where it is free.
+        poses: (N, 3) in the map; NaN if unknown.
+        forward_m_s, turn_rad_s: (N,) speeds by the wheels.
+        states: state of the navigator.
+        status: status of the localization.
+        monitor: (N,) state of the collision monitor: "free", "slowed", "stopped".
+        reasons: of the monitor; empty if free.
     """
 
     stamps_s: FloatArray
@@ -119,12 +119,12 @@ class PeriodRows:
 
 @dataclass(frozen=True, slots=True)
 class PeriodLengths:
-    """How regularly a robot was led.
+    """Statistics of the lengths of control periods.
 
     Attributes:
-        count: periods that went by.
-        late: of these, how many took over a fifth longer than they were to.
-        longest_s: of all; 0 without any.
+        count: number of periods.
+        late: number of periods that took over a fifth longer than their nominal length.
+        longest_s: the longest; 0 without any.
     """
 
     count: int
@@ -133,35 +133,35 @@ class PeriodLengths:
 
     @classmethod
     def of(cls, stamps_s: FloatArray, period_s: float) -> PeriodLengths:
-        """Of when each began, (N,) seconds in order, and how long each was to be."""
+        """Statistics of periods that begin at (N,) ascending seconds and have a nominal length."""
         took_s = np.diff(stamps_s)
         return cls(len(took_s), int((took_s > _LATE * period_s).sum()), float(took_s.max(initial=0.0)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveRecord:
-    """Everything about a drive.
+    """The results of a drive.
 
     Attributes:
-        map_name: of the map that it was in.
-        robot: in words.
+        map_name: of the map.
+        robot: description of the robot.
         goals: those that were begun, in order.
-        asked: how many there were to be.
-        rows: period by period.
+        asked: number of goals of the drive.
+        rows: one row a control period.
         way: path of the base in the map, by the localization.
         plans: stamp and poses (N, 3) of each plan.
-        stops: by the collision monitor, and by the robot itself.
-        clearance_m: least distance of the outline from what map and camera showed; infinite where nothing was near.
+        stops: by the collision monitor and by the robot itself.
+        clearance_m: least distance of the outline from obstacles in map and camera; infinite without obstacles.
         images: a few, in order.
-        people: (N, 4) stamp, x and y in the map of who was known to walk near it, and how far from its outline he was.
+        people: (N, 4) stamp, x and y in the map of walking people near the robot, and their distance from its outline.
         grid: of the map.
         footprint: of the robot.
         config: all settings.
-        recognised: how often something of a map of before was recognised; None where it made the map.
-        truth: what a simulator knows: contacts by the robot, least true clearance; empty of a real one.
-        loops: closed in the map that it made; None where it made none.
-        is_interrupted: whether somebody ended it.
-        finished_at: when it ended.
+        recognised: number of recognitions in a known map; None in a new map.
+        truth: figures of a simulator: contacts by the robot, least true clearance; empty for a real robot.
+        loops: number of loops in the new map; None in a known map.
+        is_interrupted: whether the user ended the drive.
+        finished_at: time of its end.
     """
 
     map_name: str
@@ -186,12 +186,12 @@ class DriveRecord:
 
     @property
     def has_arrived(self) -> bool:
-        """At all goals."""
+        """Whether all goals were reached."""
         return len(self.goals) == self.asked and all(one.result.has_arrived for one in self.goals)
 
     @property
     def contacts(self) -> tuple[str, ...]:
-        """What a simulated robot touched and when, each time, in words; empty of a real one, which nothing says."""
+        """Contacts of a simulated robot with their times, one sentence each; empty for a real robot."""
         all_of = self.truth.get("contacts", ())
         return tuple(f"{one['with']} at {one['stamp_s']:.1f} s" for one in all_of if one["by_the_robot"])
 
@@ -207,22 +207,22 @@ class DriveRecord:
 
     @property
     def time_s(self) -> float:
-        """From the first period to the last."""
+        """Duration from the first period to the last."""
         return float(self.rows.stamps_s[-1]) - self.begin_s if len(self.rows) else 0.0
 
     @property
     def periods(self) -> PeriodLengths:
-        """Length of the control periods: the computation of one may exceed the period."""
+        """Statistics of the lengths of the control periods."""
         return PeriodLengths.of(self.rows.stamps_s, self.config["navigation"]["follow"]["period_s"])
 
     @property
     def way_m(self) -> float:
-        """Driven, by the wheels."""
+        """Driven distance by the wheels, metres."""
         return sum(one.result.way_m for one in self.goals)
 
     @property
     def planned_m(self) -> float:
-        """Of the first plan to each goal."""
+        """Total length of the first plan to each goal, metres."""
         return sum(one.result.planned_m for one in self.goals)
 
 
@@ -234,7 +234,7 @@ _OUTLINE_STEP_M = 0.04
 
 @dataclass
 class _Rows:
-    """As `PeriodRows` has them, growing."""
+    """The growing lists of `PeriodRows`."""
 
     stamps_s: list[float] = field(default_factory=list)
     poses: list[FloatArray] = field(default_factory=list)
@@ -251,7 +251,7 @@ class DriveRecorder:
     Attributes:
         plans: stamp and poses (N, 3) of each plan so far.
         stops: so far.
-        clearance_m: the least so far.
+        clearance_m: least clearance so far.
     """
 
     def __init__(self, footprint: Footprint) -> None:
@@ -267,13 +267,13 @@ class DriveRecorder:
         self.clearance_m = np.inf
 
     def hear(self, events: Sequence[Event]) -> None:
-        """What the robot's sensors said."""
+        """Add events of the robot's sensors."""
         for event in events:
             if isinstance(event, RgbdFrame):
                 self._film.take(event)
 
     def step(self, feedback: Feedback, senses: Senses) -> None:
-        """A period is over."""
+        """Add a control period."""
         pose = np.full(3, np.nan) if feedback.pose is None else feedback.pose
         rows, monitor = self._rows, feedback.monitor
         state = MonitorState.FREE if monitor is None else monitor.state
@@ -294,7 +294,7 @@ class DriveRecorder:
         if estimate is not None and estimate.T_map_body is not None and is_new:
             self._way.append((estimate.stamp_s, estimate.T_map_body))
         if feedback.pose is not None:
-            # What and who is near
+            # Clearance and people
             local = senses.local()
             if local is not None:
                 self.clearance_m = min(self.clearance_m, self._clearance.of(local, feedback.pose))
@@ -303,12 +303,12 @@ class DriveRecorder:
 
     @property
     def people(self) -> FloatArray:
-        """As `DriveRecord` has them, so far."""
+        """As `DriveRecord.people`, so far."""
         return np.array(self._people, float).reshape(-1, 4)
 
     @property
     def rows(self) -> PeriodRows:
-        """All so far."""
+        """All rows so far."""
         rows = self._rows
         words = tuple(zip(*rows.words, strict=True)) or ((), (), (), ())
         speeds = np.array(rows.speeds, float).reshape(-1, 2)
@@ -322,14 +322,14 @@ class DriveRecorder:
 
     @property
     def way(self) -> Trajectory:
-        """Of the base in the map, so far."""
+        """Path of the base in the map, so far."""
         stamps_s = np.array([stamp_s for stamp_s, _ in self._way], float)
         poses = np.array([T for _, T in self._way], float).reshape(-1, 4, 4)
         return Trajectory(stamps_s, poses, body="base", frame="map")
 
     @property
     def images(self) -> tuple[FilmImage, ...]:
-        """Some of those so far, evenly."""
+        """Images so far, evenly over the time."""
         return tuple(self._film.images)
 
     def _stopped(self, feedback: Feedback, reason: str) -> None:
@@ -363,10 +363,10 @@ class _Film:
 
 
 class _Clearance:
-    """Distance of an outline from what is occupied; of one costmap it is made once."""
+    """Distance of an outline from occupied cells; the distance transform is kept for the current costmap."""
 
     def __init__(self, footprint: Footprint) -> None:
-        # (N, 2) along an outline
+        # Points (N, 2) along the outline
         corners = footprint.corners
         sides = []
         for begin, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
@@ -377,7 +377,7 @@ class _Clearance:
         self._distance_m: FloatArray = np.empty((0, 0))
 
     def of(self, costmap: Costmap, pose: FloatArray) -> float:
-        """To the nearest edge of an occupied cell, less than a cell too long; infinite where none is."""
+        """Distance to the nearest edge of an occupied cell, up to one cell too long; infinite without one."""
         if costmap is not self._of:
             occupied = costmap.state == CellState.OCCUPIED
             self._of, self._distance_m = costmap, np.asarray(distances_m(occupied, costmap.resolution_m), float)
@@ -393,7 +393,7 @@ class _Clearance:
 
 
 def _met(person: Person, outline: FloatArray, stamp_s: float) -> tuple[float, float, float, float]:
-    """Stamp, place, and how far his circle is from an outline (N, 2); 0 where they overlap."""
+    """Stamp and place of a person, and the distance of his circle from an outline (N, 2); 0 where they overlap."""
     x, y = map(float, person.position)
     inside_m = cv2.pointPolygonTest(outline.astype(np.float32), (x, y), measureDist=True)
     return stamp_s, x, y, max(-inside_m - person.radius_m, 0.0)
@@ -407,7 +407,7 @@ _PLAN_STEP_M = 0.1
 
 
 def write_drive(record: DriveRecord, folder: StrPath) -> None:
-    """drive.json, trajectory.txt and config.yaml in a folder that is there. Raises OutputError."""
+    """Write drive.json, trajectory.txt and config.yaml into an existing folder. Raises OutputError."""
     folder = Path(folder)
     write_text(folder / SETTINGS_FILE, settings_text(record.config))
     write_tum(record.way, folder / WAY_FILE)
@@ -415,7 +415,7 @@ def write_drive(record: DriveRecord, folder: StrPath) -> None:
 
 
 def drive_dict(record: DriveRecord) -> dict[str, Any]:
-    """The same as plain nested values, for JSON: what is not known is None."""
+    """The record as nested values for JSON; unknown values are None."""
     plans = [{"stamp_s": stamp_s, "poses": _poses(_thinned(poses))} for stamp_s, poses in record.plans]
     transitions = [
         {"stamp_s": one.stamp_s, "before": str(one.before), "after": str(one.after), "why": one.why}
@@ -495,12 +495,12 @@ def _number(value: float) -> float | None:
 
 
 def _poses(poses: FloatArray) -> list[list[float]]:
-    """x, y in metres and yaw in radians."""
+    """Rows of x, y in metres and yaw in radians."""
     return [[round(float(value), 3) for value in pose] for pose in poses]
 
 
 def _thinned(poses: FloatArray) -> FloatArray:
-    """Poses of a plan, so far apart, with its end and all turns in place."""
+    """Poses of a plan at a minimum distance, with its end and all turns in place."""
     kept = [0]
     for row in range(1, len(poses)):
         way_m = float(np.hypot(*(poses[row] - poses[kept[-1]])[:2]))

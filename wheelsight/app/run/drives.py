@@ -60,29 +60,29 @@ OnEvents = Callable[[Sequence[Event]], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Goal:
-    """Where to: (3,) x, y, yaw in the map, a yaw of NaN is any heading; and what it is called."""
+    """A goal: pose (3,) of x, y, yaw in the map, where a yaw of NaN is any heading, and its name."""
 
     pose: FloatArray
     name: str
 
     @classmethod
     def of(cls, pose: ArrayLike, name: str = "") -> Goal:
-        """Of x, y, yaw (3,), or of x and y (2,); called by its coordinates where it has no name."""
+        """A goal at x, y, yaw (3,) or x, y (2,). Without a name it is called by its coordinates."""
         at = np.array([*np.asarray(pose, float).ravel(), np.nan][:3])
         return cls(at, name or words_of(at))
 
 
 class Drive:
-    """One after another to goals in a map; all of it is kept for `record`. `drive_in_map` makes one.
+    """A drive to one goal after another in a map. `record` returns its results. `drive_in_map` makes one.
 
     Args:
-        robot: that the navigator leads.
-        navigator: of it.
-        grid: of the map, as it is by now.
+        robot: to drive.
+        navigator: of the robot.
+        grid: returns the current occupancy grid of the map.
         map_name: of the map.
 
     Attributes:
-        navigator: as it was given.
+        navigator: as given.
     """
 
     def __init__(
@@ -99,18 +99,18 @@ class Drive:
 
     @property
     def grid(self) -> OccupancyGrid:
-        """Of the map, as it is by now."""
+        """The current occupancy grid of the map."""
         return self._grid()
 
     @property
     def start(self) -> FloatArray | None:
-        """(3,) in the map where it first knew where it was; None before."""
+        """(3,) the first known pose in the map; None before it."""
         return self._start
 
     def refuse(self, goals: Sequence[Goal]) -> None:
-        """Raises MapError for the first of some goals at which the map itself has no room, and ArgumentError.
+        """Check goals before the robot moves.
 
-        To be asked before the robot moves.
+        Raises MapError for the first goal without free floor in the map, and ArgumentError.
         """
         for goal in goals:
             why = self.navigator.why_no_goal(goal.pose[:2] if np.isnan(goal.pose[2:]).any() else goal.pose)
@@ -118,17 +118,17 @@ class Drive:
                 raise MapError(f"{goal.name}: {why}", path=self._map_name, fix="map export --picture shows free floor")
 
     def go_to(self, goal: Goal, on_step: OnStep) -> NavigationResult:
-        """Drive there and stand; `on_step` is called with each period's feedback, and may raise what ends it.
+        """Drive to a pose and stop. `on_step` is called with each period's feedback; an exception in it ends the drive.
 
-        Raises what the robot raises, and ArgumentError for what is no goal.
+        Raises errors of the robot, and ArgumentError for an invalid goal.
         """
         pose = goal.pose[:2] if np.isnan(goal.pose[2:]).any() else goal.pose
         return self._through(goal, lambda: self.navigator.go_to_pose(pose, goal.name), on_step)
 
     def follow(self, way: ArrayLike, on_step: OnStep, name: str = "the end of a recorded way") -> NavigationResult:
-        """Drive along a way (N, 3) of x, y, yaw in the map, metres and radians, and stand at its end.
+        """Drive along a path (N, 3) of x, y, yaw in the map, metres and radians, and stop at its end.
 
-        It begins wherever the robot is: that drives to the way first. `on_step` and what is raised are as of `go_to`.
+        The robot first drives from its place to the path. `on_step` and errors are as of `go_to`.
         """
         poses = np.asarray(way, float)
         # What is no way has no end; the navigator refuses it before anything moves.
@@ -136,7 +136,7 @@ class Drive:
         return self._through(Goal(end, name), lambda: self.navigator.follow_way(way, name), on_step)
 
     def explore(self, on_step: OnStep) -> NavigationResult:
-        """Look at all floor that can be reached, and stand. Raises what the robot raises."""
+        """Drive until all reachable floor is seen, and stop. Raises errors of the robot."""
         return self._through(Goal(np.full(3, np.nan), "explore"), self.navigator.explore, on_step)
 
     def _through(self, goal: Goal, begin: Callable[[], None], on_step: OnStep) -> NavigationResult:
@@ -157,14 +157,14 @@ class Drive:
     def record(
         self, asked: int, robot: str, config: Config, truth: dict[str, Any], is_interrupted: bool
     ) -> DriveRecord:
-        """Everything so far.
+        """The results so far.
 
         Args:
-            asked: how many goals there were to be.
-            robot: in words.
+            asked: number of goals of the drive.
+            robot: description of the robot.
             config: all settings.
-            truth: what a simulator knows.
-            is_interrupted: whether somebody ended it.
+            truth: figures of a simulator.
+            is_interrupted: whether the user ended the drive.
         """
         kept = self._recorder
         return DriveRecord(
@@ -194,7 +194,7 @@ class Drive:
         on_step(feedback)
 
     def _stop(self) -> None:
-        """At once; then on until it stands."""
+        """Stop at once, then step until the robot stands."""
         try:
             self._robot.stop()
         finally:
@@ -218,15 +218,16 @@ def drive_in_map(
     on_transition: Callable[[Transition], None] = lambda transition: None,
     on_events: OnEvents = lambda events: None,
 ) -> Iterator[Drive]:
-    """A drive that can begin.
+    """A drive that is ready to start.
 
     Args:
         robot: the robot to drive. The caller opens and closes it.
         config: with a known map.
-        in_step: whether localization and plans answer before the robot goes on, as for simulators; else beside it.
+        in_step: whether localization and planning finish before the robot goes on, as simulators need; else they run
+            beside it.
         trusts_floor, on_transition: see `Navigator`.
-        on_keyframe: called with how many keyframes are read, and of how many.
-        on_events: called with what the robot's sensors said in each period.
+        on_keyframe: called with the number of keyframes read and their total.
+        on_events: called with the sensors' events of each period.
 
     Raises:
         ConfigError: no known map is named.
@@ -246,7 +247,7 @@ def drive_in_map(
         poses, driven = folder.store.T_map_keyframe, driven_way(folder)
         floor = KnownFloor(grid, edits_as_known(folder), poses, driven, outline, near_m)
         navigator = Navigator(watched, localization, floor, config.navigation, planning=planning, **how)
-        # That of its run's folder, where it lies in one
+        # The name of the run's folder, if the map is in one
         map_path = folder.path.resolve()
         if map_path.name == MAP_FOLDER:
             map_path = map_path.parent
@@ -261,7 +262,7 @@ def planning_worker(config: Config, *, in_step: bool) -> Worker[Planned]:
 
 
 def near_floor_m(calibration: Calibration, config: Config) -> float:
-    """From the axle, the nearest floor that the camera sees."""
+    """Distance from the axle to the nearest floor that the camera sees, metres."""
     s = config.navigation
     return DepthViewer(calibration, s.footprint.outline, s.view, s.live).near_m
 
@@ -322,15 +323,15 @@ class WatchedRobot:
 def localization_of(
     make: Make, *arguments: Any, in_step: bool, tells_keyframes: bool = False
 ) -> Iterator[Localization]:
-    """Ready to answer; what was made is closed at the end.
+    """A localization, ready to answer in the block.
 
     Args:
-        make: of what answers; called with the arguments and `waits`. See `LocalizerApart`.
-        arguments: of it.
+        make: makes the localizer from the arguments and `waits`; see `LocalizerApart`.
+        arguments: of `make`.
         in_step: whether it answers before the robot goes on.
         tells_keyframes: see `LocalizerApart`.
 
-    Raises what `make` raises, and DeviceError where the process that localizes dies.
+    Raises errors of `make`, and DeviceError if the localizer's process dies.
     """
     if in_step:
         with make(*arguments, waits=True) as answering:
@@ -342,7 +343,7 @@ def localization_of(
 
 
 def known_map_path(config: Config) -> Path:
-    """The folder of the map that settings name. Raises ConfigError where they name none, and MapError for no map."""
+    """The folder of the known map. Raises ConfigError without one, and MapError for an invalid one."""
     if config.known_map.path is None:
         raise ConfigError("there is no map to drive in", fix="--map DIR, of a run with --map surfels")
     return find_map(config.known_map.path)
@@ -350,7 +351,7 @@ def known_map_path(config: Config) -> Path:
 
 @contextmanager
 def known_localizer(calibration: Calibration, config: Config, *, waits: bool = False) -> Iterator[Localizer]:
-    """Of the map of before that settings name. Raises as `open_known`, and ConfigError where they name none."""
+    """A localizer in the known map. Raises as `open_known`, and ConfigError without a known map."""
     known_map_path(config)
     opened = open_known(calibration, config)
     assert opened is not None
@@ -372,18 +373,18 @@ _MOST_TIPPED_DEG = 30.0
 
 
 def read_way(path: StrPath, calibration: Calibration, warn: Callable[[str], None] = _log.warning) -> FloatArray:
-    """(N, 3) x, y, yaw of the base in the map, metres and radians, in the order driven.
+    """(N, 3) x, y, yaw of the base in the map, metres and radians, in the order of the drive.
 
     Args:
-        path: TUM text, such as the trajectory.txt of a run or of a drive; or the folder of one of these. Of a file
-            whose header names no frames, poses are taken to be of the base in the map.
+        path: TUM text, such as the trajectory.txt of a run or of a drive; or the folder of one of these. Without frames
+            in its header, poses are of the base in the map.
         calibration: of the robot; poses of its camera are converted to poses of its base.
         warn: called with one sentence about poses that were left out.
 
     Raises:
-        TrajectoryError: no such file, no poses, a value that is not finite (with its line), poses in another frame
-            than the map, or of a base that is tipped over.
-        CalibrationError: the poses are of the camera, and the calibration does not say where that sits.
+        TrajectoryError: no such file, no poses, a value that is not finite (with its line), poses in another frame than
+            the map, or of a base that is tipped over.
+        CalibrationError: the poses are of the camera, and the calibration has no mount.
     """
     file = _file_of(Path(path))
     found = read_tum(file, "base", warn)
@@ -395,7 +396,7 @@ def read_way(path: StrPath, calibration: Calibration, warn: Callable[[str], None
     except CalibrationError as error:
         problem = f"its poses are of the {found.body}, and the map's calibration has no T_base_camera"
         raise CalibrationError(problem, path=file, fix="give a way of the base, as wheelsight drive writes") from error
-    # Raises TrajectoryError naming the first pose whose base does not stand upright in the map
+    # The base must stand upright in the map.
     tipped_deg = np.degrees(np.arccos(np.clip(of_base.T_frame_body[:, 2, 2], -1.0, 1.0)))
     for bad in np.flatnonzero(tipped_deg > _MOST_TIPPED_DEG):
         tipped_problem = f"the quaternion at stamp {of_base.stamps_s[bad]:.6f} tips the base by {tipped_deg[bad]:.0f}°"
@@ -404,13 +405,13 @@ def read_way(path: StrPath, calibration: Calibration, warn: Callable[[str], None
     return np.column_stack([T[:, :2, 3], np.arctan2(T[:, 1, 0], T[:, 0, 0])])
 
 
-def _file_of(path: Path) -> Path:
-    """The file itself, or that in the folder of a run. Raises TrajectoryError for a folder without any."""
-    if not os.path.isdir(path):  # noqa: PTH112 (a name that is too long is none)
-        return path
-    within = [path / track / name for track in _RECORDED_WAYS_TRACKS for name in _FILES]
+def _file_of(given: Path) -> Path:
+    """The file itself, or the trajectory in a run's folder. Raises TrajectoryError for a folder without one."""
+    if not os.path.isdir(given):  # noqa: PTH112 (a name that is too long is none)
+        return given
+    within = [given / track / name for track in _RECORDED_WAYS_TRACKS for name in _FILES]
     found = next((file for file in within if file.is_file()), None)
     if found is None:
         problem = f"the folder holds neither {TRAJECTORY_FILE} nor {CORRECTED_FILE}"
-        raise TrajectoryError(problem, path=path, fix="give a trajectory, or the folder of a run or a drive")
+        raise TrajectoryError(problem, path=given, fix="give a trajectory, or the folder of a run or a drive")
     return found

@@ -92,7 +92,7 @@ def _rehearse(part: str, recording: Recording, out: Path) -> None:
         mesh_of(floor_map(), 0.02)
     if part == "simulation":
         for camera in camera_names():
-            # A second of driving, rendered with all that may be in an image
+            # One second of driving, with all effects of images
             seen = {"passersby": 1, "has_motion_blur": True, "realism": "real", "covered_s": ((0.5, 1.0),)}
             simulation = SimulationSettings("square", camera, (64, 48), rate_hz=4, duration_s=1.0, **seen)  # type: ignore[arg-type]
             for _ in simulate(simulation).events():

@@ -139,7 +139,7 @@ def compile_kernels(parts: Sequence[str], on_kernel: Callable[[str, int], None] 
             for made in compiling:
                 on_kernel(part, before + made)
         before += made
-        # For the next estimate; where it cannot be written there is none
+        # Store it for the next estimate, if possible
         cost = PartCost(made, time.monotonic() - began_s)
         known = remembered_costs()
         if not (cost.kernels < _WHOLE_SHARE * (known.get(part) or COSTS.get(part, cost)).kernels):

@@ -106,7 +106,7 @@ def matches_of_run(source: EventSource, config: Config) -> MatchesOfRun | None:
         return None
     stated = source.speed_variances if isinstance(source, GivesMatches) else None
     if asked == FROM_KEYFRAMES:
-        # What is judged once the run is over
+        # The localizer closes loops; the run evaluates them at its end.
         if set(config.odometry) <= {"wheels"}:
             raise ConfigError("--loops keyframes needs a camera", fix="--odometry dense, or --loops matches")
         return MatchesOfRun((), None, (), config.loops, are_seen=True)
@@ -128,7 +128,7 @@ def correction_of(
 ) -> tuple[CorrectionRecord | None, tuple[str, ...]]:
     """The correction of a track's trajectory by loops, or None; and warnings."""
     if not given.are_seen:
-        # Likewise, of matches from outside
+        # Matches from outside
         is_wheels = isinstance(localizer.odometry, WheelOdometry)
         began = time.perf_counter()
         try:

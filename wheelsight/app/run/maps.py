@@ -88,8 +88,7 @@ class Stops:
         """
         if not self.T_odom_map or all((np.eye(4) == T).all() for T in self.T_odom_map):
             return
-        # The motion (4, 4) that brings poses (N, 4, 4) nearest to where motions (N, 4, 4), each its own, bring
-        # them.
+        # The motion that fits all T_odom_map at once: their mean rotation, and the mean translation of the poses.
         T_odom_map = np.array(self.T_odom_map)
         T_map_body = np.array(self.T_map_body)
         R = Rotation.from_matrix(T_odom_map[:, :3, :3]).mean().as_matrix()
@@ -218,7 +217,7 @@ def open_known(
         together = lie_together(folder)
         if not together.any():
             raise MapError("has no keyframes", path=folder.path, fix="make a map by a run with --map surfels")
-        # The recognizer, of keyframes that lie together alone
+        # Only keyframes that are connected are recognised.
         found = folder.recognizer(config.recognition, on_keyframe)
         if all(together[number] for number in found.keyframes):
             recognizer = found

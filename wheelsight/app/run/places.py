@@ -86,7 +86,7 @@ def rectification_of(
         rectified: T_odom_base.
         truth: T_odom_base, or None.
     """
-    # The wheels alone, led on from the start that the rectified path has
+    # The wheels alone, from the start of the rectified path
     later = wheels.between(run.places.begin_s, np.inf)
     if not len(later):
         in_map = Trajectory(later.stamps_s, later.T_frame_body, None, "base", "map")

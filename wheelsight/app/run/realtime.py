@@ -132,7 +132,7 @@ class RealTimeRecording:
         self._times = AnswerTimes(self.settings.recent_frames)
         playing = self._playing = Playing(self._items(images), self._clock, self.settings)
         if isinstance(self.wheels, LiveWheels):
-            self.wheels.tell(self._hear)
+            self.wheels.tell(self._take_live)
         try:
             while (event := playing.take()) is not None:
                 yield event
@@ -186,7 +186,7 @@ class RealTimeRecording:
         """Whether live wheels are silent."""
         return isinstance(self.wheels, LiveWheels) and self.wheels.is_silent
 
-    def _hear(self, ticks: WheelTicks) -> bool:
+    def _take_live(self, ticks: WheelTicks) -> bool:
         """Take a live reading, stamped by the clock; False before the playback starts."""
         assert self._playing is not None
         stamp_s = self._playing.shown_s(ticks.stamp_s)
@@ -290,7 +290,7 @@ class Playing:
         self._items, self._clock = items, clock
         self._frames: deque[RgbdFrame | SkippedFrame] = deque()
         self._readings: deque[Event] = deque()
-        self._heard: deque[Event] = deque()
+        self._external: deque[Event] = deque()
         self._behind_s: float | None = None  # from the recording's time to the clock's
         self._began_s = self._ended_s = math.nan
         self._is_ready = self._is_read = self._is_over = False
@@ -318,7 +318,7 @@ class Playing:
                 self._drop_overtaken()
                 event = self._next()
                 if event is not None and self._is_due(event.stamp_s):
-                    queues = (self._heard, self._readings, self._frames)
+                    queues = (self._external, self._readings, self._frames)
                     next(queue for queue in queues if queue and queue[0] is event).popleft()
                     if isinstance(event, RgbdFrame | SkippedFrame):
                         self.frames += 1
@@ -335,7 +335,7 @@ class Playing:
     def hear(self, event: Event) -> None:
         """Add an external event, stamped by the recording's clock; it is due now."""
         with self._changed:
-            self._heard.append(event)
+            self._external.append(event)
             self._clock.wake(self._changed)
 
     def shown_s(self, clock_s: float) -> float | None:
@@ -360,7 +360,7 @@ class Playing:
 
     def _next(self) -> Event | None:
         """The oldest waiting event; at equal stamps readings come before the frame."""
-        at_hand = [queue[0] for queue in (self._heard, self._readings, self._frames) if queue]
+        at_hand = [queue[0] for queue in (self._external, self._readings, self._frames) if queue]
         return min(at_hand, key=_stamp_s, default=None)
 
     def _drop_overtaken(self) -> None:
@@ -496,7 +496,7 @@ class LiveWheels:
         self._listener: Callable[[WheelTicks], bool] | None = None
         self._map, self._last_s = ClockMap(), -math.inf
         self._is_over = False
-        self._source = source or open_wheels(where, baudrate, self._told)
+        self._source = source or open_wheels(where, baudrate, self._on_status)
         self._thread = threading.Thread(target=self._listen, name=WHEELS_THREAD, daemon=True)
         self._thread.start()
 
@@ -545,7 +545,7 @@ class LiveWheels:
         self._map.update(source_s, self._clock.now_s())
         return self._map.stamp_s(source_s)
 
-    def _told(self, status: LinkStatus) -> None:
+    def _on_status(self, status: LinkStatus) -> None:
         """Handle a new status of the link."""
         if status in _SILENT:
             self._fall_silent(str(status).split(":")[0])

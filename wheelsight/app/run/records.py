@@ -270,7 +270,16 @@ def keeping_maps(
                 ):
                     track.map_writer, track.map_path, track.extends = MapWriter(known, store), known.path, True
             elif _is_asked(track, tracks, config):
-                _begin(track, source, config, (folder if len(tracks) == 1 else folder / track.odometry) / MAP_FOLDER)
+                path = (folder if len(tracks) == 1 else folder / track.odometry) / MAP_FOLDER
+                keyframes = track.localizer.keyframes
+                assert keyframes is not None
+                discard_map(path)
+                factor = config.recording.depth_factor
+                how: dict[str, Any] = {"source": source.name, "depth_factor": factor, "unfinished": DRIVE}
+                kept = MapFolder.create(path, source.calibration, config.sessions, **how)
+                # A track that closes loops computes the recognition codes itself.
+                recognition = config.recognition if track.localizer.loops is None else None
+                track.map_writer, track.map_path = MapWriter(kept, keyframes, recognition), path
         yield
     finally:
         for track in tracks:
@@ -280,18 +289,6 @@ def keeping_maps(
                     discard_map(track.map_path)
         if known is not None:
             known.close()
-
-
-def _begin(track: Track, source: EventSource, config: Config, path: Path) -> None:
-    store = track.localizer.keyframes
-    assert store is not None
-    discard_map(path)
-    factor = config.recording.depth_factor
-    how: dict[str, Any] = {"source": source.name, "depth_factor": factor, "unfinished": DRIVE}
-    kept = MapFolder.create(path, source.calibration, config.sessions, **how)
-    # Who closes loops knows by what keyframes are recognised: once is enough, 13 kB a keyframe.
-    recognition = config.recognition if track.localizer.loops is None else None
-    track.map_writer, track.map_path = MapWriter(kept, store, recognition), path
 
 
 def _is_asked(track: Track, tracks: Sequence[Track], config: Config) -> bool:
@@ -318,9 +315,8 @@ def finish_map(track: Track, passage: Passage) -> KeptMapRecord | None:
     else:
         closed = loops.finish()
         if track.extends:
-            # Add to a map of before what is known to lie in it; whether those are all keyframes of the drive. An
-            # edge of one that is not written would be taken for one of the next drive's, which will have its
-            # number.
+            # Add to the known map the keyframes with a known place in it. Edges of other keyframes are left out: their
+            # numbers go to the keyframes of the next drive.
             if closed.is_joined:
                 writer.look(None)  # those of a place that was recognised when the drive was over
             writer.add_edges([edge for edge in closed.edges if closed.known <= edge.second < writer.taken])

@@ -26,18 +26,19 @@ from wheelsight.mapping.export import MapCloud, Plan
 
 @dataclass(frozen=True, slots=True)
 class RealTimeRecord:
-    """Frames answered and dropped, and how late the answers were.
+    """Number of answered and dropped frames, and latencies.
 
     Attributes:
-        played_s: how long it was played.
-        frames: how many came by; each was answered or dropped.
-        dropped: overtaken by a newer one before anyone was free to look at them.
-        unread: of these, overtaken before they were decoded.
+        played_s: duration of the playback.
+        frames: number of frames; each was answered or dropped.
+        dropped: number of frames that a newer one overtook before they were processed.
+        unread: number of dropped frames that were not decoded.
         readings: of wheels and gyroscope, all answered.
-        latency_median_s, latency_p95_s: from a frame's stamp to its answer (without frames, a reading's); None of none.
-        wheels_from: the port, pipe or file that the wheel readings came from; None for the recording's own.
-        is_live: whether no recording was played.
-        camera: what the live camera is called, or None.
+        latency_median_s, latency_p95_s: from a frame's stamp to its answer (without frames, a reading's); None without
+            any.
+        wheels_from: port, pipe or file of the wheel readings; None for the recording's own.
+        is_live: whether the sensors were live.
+        camera: name of the live camera, or None.
     """
 
     played_s: float
@@ -53,13 +54,13 @@ class RealTimeRecord:
 
     @property
     def answered_per_s(self) -> float:
-        """Frames a second, or readings where there are no frames."""
+        """Frames a second, or readings without frames."""
         answered = self.frames - self.dropped if self.frames else self.readings
         return answered / self.played_s if self.played_s > 0 else 0.0
 
     @property
     def dropped_share(self) -> float:
-        """Of the frames that came by."""
+        """Share of dropped frames."""
         return self.dropped / self.frames if self.frames else 0.0
 
     @property
@@ -85,12 +86,12 @@ class RealTimeRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapPicture:
-    """What the camera saw, and what the finished map looks like from there.
+    """An image of the camera, and the finished map rendered from the same pose.
 
     Attributes:
         stamp_s: of the frame, seconds.
         color: (H, W, 3) uint8, red green blue: the frame's.
-        rendered: (h, w, 3) uint8 likewise, of the same view: the map's; white where it has nothing.
+        rendered: (h, w, 3) uint8 likewise: the map's; white without surfels.
     """
 
     stamp_s: float
@@ -100,16 +101,16 @@ class MapPicture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapRecord:
-    """A run's map.
+    """A run's surfel map.
 
     Attributes:
-        status: how it stands at the end.
-        fused: how many frames were averaged into it.
+        status: at the end.
+        fused: number of fused frames.
         file: its name in the run's folder.
-        plan: it from above, or None where it is empty.
-        pictures: it along the way.
+        plan: the map from above, or None if empty.
+        pictures: views along the path.
         is_levelled: whether the calibration gives the vertical; otherwise the surfels do.
-        cloud: it as a few points, to be turned on the page, or None.
+        cloud: a few points for the page, or None.
     """
 
     status: MapStatus
@@ -122,7 +123,7 @@ class MapRecord:
 
     @property
     def sentence(self) -> str:
-        """How large it is."""
+        """Size of the map."""
         return f"{self.status.surfels:,} surfels, {self.status.stable:,} of them stable"
 
 
@@ -132,9 +133,9 @@ class KeptMapRecord:
 
     Attributes:
         file: its name in the track's folder.
-        keyframes: how many it holds.
+        keyframes: number of keyframes.
         bytes: of all its files.
-        warnings: what could not be written, and why.
+        warnings: failed writes, with reasons.
     """
 
     file: str
@@ -148,23 +149,23 @@ class KeptMapRecord:
 
     @property
     def sentence(self) -> str:
-        """How large it is."""
+        """Size of the map folder."""
         return f"{self.keyframes:,} keyframes, {self.bytes / 1e6:.1f} MB"
 
 
 @dataclass(frozen=True, slots=True)
 class KnownMapRecord:
-    """Whether a drive found itself in the map of an earlier one.
+    """The recognition of a drive in the map of an earlier one.
 
     Attributes:
         path: of the map's folder.
-        after_s: seconds from the first frame to the first pose in the map; None where there was none on the way.
-        x_m, y_m, z_m, yaw_rad: where in the map that pose was; the heading is None of a camera alone.
-        sigma_m, sigma_rad: how surely, one standard deviation along the worst direction, and of the turn about the
-            worst axis; None where that is not known.
-        views: how often the drive saw something of the map, up to its end.
-        keyframes, keyframes_placed: of this drive, and of how many it is known where in the map they lie.
-        has_start: whether the user said where it begins.
+        after_s: seconds from the first frame to the first pose in the map; None without one during the drive.
+        x_m, y_m, z_m, yaw_rad: that pose in the map; the heading is None for a camera alone.
+        sigma_m, sigma_rad: one standard deviation along the worst direction, and of the rotation about the worst axis;
+            None if unknown.
+        views: number of recognitions until the end of the drive.
+        keyframes, keyframes_placed: keyframes of this drive, and those of known position in the map.
+        has_start: whether the user gave the start.
     """
 
     path: str
@@ -182,7 +183,7 @@ class KnownMapRecord:
 
     @property
     def is_recognised(self) -> bool:
-        """Whether something of the map was seen, so that it is known where in it the drive lies."""
+        """Whether the drive was recognised in the map."""
         return self.views > 0 and self.keyframes_placed > 0
 
     def to_dict(self) -> dict[str, Any]:
@@ -191,7 +192,7 @@ class KnownMapRecord:
 
     @property
     def sentence(self) -> str:
-        """Whether, after how long, where, and how surely it was recognised."""
+        """Whether, when and where it was recognised, with the uncertainty."""
         if not self.is_recognised:
             if self.has_start:
                 return f"The place was not recognised in the map {self.path}: poses rest on --start alone"
@@ -214,11 +215,11 @@ class Look:
 
     Attributes:
         stamp_s: of the frame.
-        probabilities: (A,) by the model, or None where the frame is no measurement.
-        named: index of the area that the model names, -1 for none.
-        belief: (A,) that the base is in each area by the filter, or None: the paper's way has none.
+        probabilities: (A,) by the model, or None for a frame without a measurement.
+        named: index of the most probable area by the model, -1 for none.
+        belief: (A,) area probabilities by the filter, or None: the paper's way has none.
         trust: probability that the forest is reliable, NaN if unknown.
-        note: why it is no measurement, or "".
+        note: why there is no measurement, or "".
     """
 
     stamp_s: float
@@ -231,7 +232,7 @@ class Look:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapErrors:
-    """Distances in x and y from the true base, nothing aligned, at the frames at which all paths are known.
+    """Planar distances from the true base, without alignment, at frames where all paths are known.
 
     Attributes:
         stamps_s: (M,) of these frames, at least one.
@@ -255,7 +256,7 @@ class MapErrors:
 
     @property
     def left(self) -> float:
-        """Mean distance of the rectified path over that of the wheels; NaN where these do not err."""
+        """Mean error of the rectified path over that of the wheels; NaN if the wheels have no error."""
         return self.rectified.mean / self.wheels.mean if self.wheels.mean > 0 else float("nan")
 
 
@@ -325,16 +326,16 @@ _POSED = (Status.TRACKING, Status.COASTING)
 
 @dataclass(frozen=True, slots=True)
 class FrameRecord:
-    """One frame or wheel reading of a run: what was answered, and how long it took (image decoding not included).
+    """The answer to one frame or wheel reading, and its processing time (without image decoding).
 
     Attributes:
         index, stamp_s: of the frame or reading.
         status, reason, matches, inliers: of the answer.
-        seconds: that it took.
-        note: what was wrong with it.
-        surfels, surfels_dropped: of a run that builds a map, how many it had then, and had given up for want of room.
-        flags: of joined sensors, words such as "slip" that say more than the status.
-        told_s: the stamp of the pose it was answered with; later than the frame's where newer readings were known.
+        seconds: processing time.
+        note: problem of the frame.
+        surfels, surfels_dropped: size of the map, if there is one, and number of surfels removed to limit its memory.
+        flags: of joined sensors, such as "slip".
+        told_s: stamp of the answered pose; later than the frame's if newer readings were known.
         overtaken: frames since the row before that were dropped in real time.
         is_unread: whether it was listed and could not be read.
     """
@@ -356,30 +357,30 @@ class FrameRecord:
 
     @property
     def has_pose(self) -> bool:
-        """Whether it was answered with a pose; where newer readings were known by then, with theirs, at `pose_s`.
+        """Whether the answer has a pose; if newer readings were known, a pose at `pose_s`.
 
-        This is what report, terminal and metrics.json mean by "with a pose".
+        Report, terminal and metrics.json use this as "with a pose".
         """
         return self.status in _POSED and not self.is_repeat and (self.told_s is not None or not self.is_skipped)
 
     @property
     def pose_s(self) -> float:
-        """The stamp at which the trajectory has its pose, if it has one."""
+        """Stamp of its pose in the trajectory, if it has one."""
         return self.stamp_s if self.told_s is None else self.told_s
 
     @property
     def is_skipped(self) -> bool:
-        """Whether the frame was listed but could not be used, so that odometry never judged it."""
+        """Whether the frame was listed but not usable, so that odometry did not process it."""
         return self.reason is Reason.FRAME_UNUSABLE or self.is_repeat
 
     @property
     def is_repeat(self) -> bool:
-        """Whether its image had come before, so that it is no frame but one listed twice."""
+        """Whether its image repeats an earlier one."""
         return self.reason is Reason.REPEATED
 
     @property
     def why(self) -> str:
-        """Why it gave no motion, as exactly as that is known; "" where it gave one."""
+        """The most specific reason for a missing motion; "" with a motion."""
         if self.reason is None:
             return ""
         is_said = self.is_skipped or self.reason is Reason.TOO_LITTLE_DEPTH
@@ -388,16 +389,16 @@ class FrameRecord:
 
 @dataclass(frozen=True, slots=True)
 class FrameDrops:
-    """Frames that were taken and not used: the one count that info, terminal, status.csv, metrics.json and report show.
+    """Frames that were not used. Info, terminal, status.csv, metrics.json and report show this one count.
 
     An image that is listed twice counts once.
 
     Attributes:
-        came: how many frames there were, dropped ones included.
+        came: number of frames, with dropped ones.
         unpaired: colour without depth, or depth without colour, whichever is less.
         unreadable: listed frames that could not be read.
-        overtaken: in real time, those for which a newer one came first, and those that the live camera lost.
-        undecoded: how many of the overtaken ones were not even decoded.
+        overtaken: in real time, frames that a newer one overtook, and frames that the live camera lost.
+        undecoded: number of overtaken frames that were not decoded.
     """
 
     came: int = 0
@@ -408,12 +409,12 @@ class FrameDrops:
 
     @property
     def total(self) -> int:
-        """How many were dropped."""
+        """Number of dropped frames."""
         return self.unpaired + self.unreadable + self.overtaken
 
     @property
     def share(self) -> float:
-        """Of all that came, 0 to 1."""
+        """Share of dropped frames, 0 to 1."""
         return self.total / self.came if self.came else 0.0
 
     @property
@@ -431,7 +432,7 @@ class FrameDrops:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchPicture:
-    """Two frames with the point pairs that joined them.
+    """Two frames with their matched points.
 
     Attributes:
         stamp_s: of the current frame, seconds.
@@ -440,7 +441,7 @@ class MatchPicture:
         reference_color: likewise.
         px: matched pixels (N, 2) in the current image.
         reference_px: their partners (N, 2) in the reference image.
-        is_inlier: (N,) which pairs agree with the motion found.
+        is_inlier: (N,) which pairs agree with the estimated motion.
     """
 
     stamp_s: float
@@ -515,7 +516,7 @@ class RunRecord:
 
     @property
     def drops(self) -> FrameDrops | None:
-        """Frames that were not used, as far as the run came; None of wheel readings."""
+        """Frames that were not used during the run; None for wheel readings."""
         if self.unit == "reading":
             return None
         unpaired = 0 if self.association is None or self.is_interrupted else self.association.unpaired
@@ -526,7 +527,7 @@ class RunRecord:
 
     @property
     def posed(self) -> int:
-        """How many of `frames` have a pose."""
+        """Number of `frames` with a pose."""
         return sum(frame.has_pose for frame in self.frames)
 
     def seconds_since_start(self, stamps_s: Sequence[float] | FloatArray) -> FloatArray:
@@ -535,7 +536,7 @@ class RunRecord:
         return np.asarray(stamps_s, float) - start_s
 
     def frame_spans_s(self) -> tuple[FloatArray, FloatArray]:
-        """From when (N,) to when (N,) each frame's answer holds, in seconds since the first: till the next frame."""
+        """Beginnings (N,) and ends (N,) of the time of each frame's answer, seconds since the first frame."""
         starts_s = self.seconds_since_start([frame.stamp_s for frame in self.frames])
         steps_s = np.diff(starts_s)
         last_s = float(np.median(steps_s)) if len(steps_s) else 1.0
@@ -543,10 +544,10 @@ class RunRecord:
 
     @property
     def is_planar(self) -> bool:
-        """Whether the estimate keeps to one plane, as wheels do."""
+        """Whether the estimate stays in one plane, as with wheels."""
         return self.unit == "reading" or self.rectification is not None
 
     @property
     def is_joined(self) -> bool:
-        """Whether it is by wheels and a camera together, so that a frame without a motion may have a pose."""
+        """Whether wheels and a camera are joined, so that a frame without a motion may have a pose."""
         return self.odometry == "joined"

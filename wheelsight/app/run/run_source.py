@@ -133,13 +133,13 @@ class LiveSource:
     def warnings(self) -> tuple[str, ...]:
         """Warnings of the camera, and each sensor that has given nothing."""
         camera, link = self._sensors.camera, self._sensors.link
-        told = [] if camera is None else [*camera.warnings]
+        silent = [] if camera is None else [*camera.warnings]
         if self._ended_s is not None:
             if camera is not None and not self._fetched:
-                told.append(f"No frame came from {camera.name}: {camera.report().status}.")
+                silent.append(f"No frame came from {camera.name}: {camera.report().status}.")
             if link is not None and not self._readings:
-                told.append(f"No wheel reading came from {link.port}.")
-        return tuple(told)
+                silent.append(f"No wheel reading came from {link.port}.")
+        return tuple(silent)
 
     def events(self, *, images: bool = True) -> Generator[Event]:
         """Events in the order of their arrival."""
@@ -147,7 +147,7 @@ class LiveSource:
             self._begin()
             self._on_begin()
             while not (is_over() or self._has_ended()):
-                # What has come by now: all readings and the newest frame, by their stamps
+                # All readings and the newest frame, by their stamps
                 ticks = list(self._ticks(_WAIT_S))
                 frames = [live.frame for live in self._frames(0.0 if self._sensors.link is not None else _WAIT_S)]
                 self._fetched += len(frames)
@@ -245,15 +245,15 @@ class LiveSource:
             self._keep(turn)
         return [] if mount is None else [turn.yaw_rate(mount) for turn in turns]
 
-    def _keep(self, heard: WheelTicks | LiveFrame | AngularVelocity) -> None:
+    def _keep(self, event: WheelTicks | LiveFrame | AngularVelocity) -> None:
         """Record an event, if there is a recorder, from the first requested event on."""
         recorder = self._sensors.recorder
         if recorder is None or self._began_s is None:
             return
-        if isinstance(heard, LiveFrame):
-            recorder.add_frame(heard)
+        if isinstance(event, LiveFrame):
+            recorder.add_frame(event)
         else:
-            recorder.add_reading(heard)
+            recorder.add_reading(event)
         problem = recorder.report().problem
         if problem is not None and not self._has_lost_recorder:
             self._has_lost_recorder = True

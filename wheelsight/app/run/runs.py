@@ -32,7 +32,6 @@ from wheelsight.core.files import StrPath, make_output_folder, output_error, wri
 from wheelsight.core.inputs import Kind, lines_of, read_text
 from wheelsight.core.robots import EventSource
 from wheelsight.core.trajectory import Trajectory, write_tum
-from wheelsight.estimation import Places
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
 from wheelsight.io.recordings import Recording
 from wheelsight.io.recordings.clock_checks import FRAMES, WHEELS, refuse_if_apart, refuse_other_units
@@ -56,34 +55,35 @@ def run_each(
     watcher: Watcher | None = None,
     parts: OwnParts = NO_PARTS,
 ) -> tuple[RunRecord, ...]:
-    """Run every odometry that `config` names over one pass of the events, alone and joined, and report them together.
+    """Run every odometry of `config`, alone and joined, over one pass of the events, and write the results.
 
-    One leaves its results in `out`, each of several in a folder of its name there. What was tracked until Ctrl-C, or
-    until the source breaks off, is written before the exception goes on.
+    A single odometry writes into `out`, each of several into a folder of its name there. After Ctrl-C or an error of
+    the source, the results so far are written before the exception goes on.
 
     Args:
-        source: a recording, also one `in_real_time`, or what gives events without an end.
-        config: all settings; where it names no odometry, all sensors of the source are joined.
-        out, force: folder for the results, made if need be; whether it may hold something.
-        on_ready, on_code: called before the first event; while keyframes of a known map are made ready, with how many.
-        on_event, watcher: called after each event that was answered, with each odometry's answer by its name.
+        source: a recording, also one `in_real_time`, or a live source without an end.
+        config: all settings; without an odometry, all sensors of the source are joined.
+        out, force: folder for the results, made if needed; whether it may hold other files.
+        on_ready, on_code: called before the first event; and with (done, total) while codes of a known map are made.
+        on_event, watcher: called after each answered event, with the answer of each odometry by its name.
         draw: writes a page of the records to a path, such as `report.write_page`; None: no page.
         duration_s: duration of the run from the first event, by stamps; None: until the source ends.
-        parts: of a user's own.
+        parts: user-defined parts.
 
     Raises:
-        InputError: what cannot end well, before anything is written; or the source cannot be read on.
+        InputError: invalid inputs, before anything is written; or the source fails during the run.
     """
     config = resolved(source, config, parts)
     tracks, places, matches, known = _begin(source, config, on_code, parts)
     folder = make_output_folder(Path(out), force)
     on_ready()
     with keeping_maps(tracks, source, config, folder, known):
-        passage = follow(tracks, source, config, on_event, _areas_of(places), duration_s, watcher)
+        areas = None if places is None else places.places
+        passage = follow(tracks, source, config, on_event, areas, duration_s, watcher)
         if isinstance(passage.interruption, KeyboardInterrupt) and not any(track.frames for track in passage.tracks):
             raise passage.interruption
         records = records_of(passage, source, config, places, matches)
-        # Warnings that no localizer has logged, and how many frames have a pose
+        # The localizers have logged faults already.
         logged = {sentence for record in records for sentence in record.faults}
         for sentence in dict.fromkeys(sentence for record in records for sentence in record.warnings):
             if sentence not in logged:
@@ -99,12 +99,8 @@ def run_each(
     return records
 
 
-def _areas_of(places: PlacesOfRun | None) -> Places | None:
-    return None if places is None else places.places
-
-
 class _Begun(NamedTuple):
-    """All that a run needs before its first event; `known` is the folder of the map in which it is to find itself."""
+    """Everything that a run needs before its first event; `known` is the folder of the known map."""
 
     tracks: tuple[Track, ...]
     places: PlacesOfRun | None
@@ -113,15 +109,15 @@ class _Begun(NamedTuple):
 
 
 def _begin(source: EventSource, config: Config, on_code: Callable[[int, int], None], parts: OwnParts) -> _Begun:
-    """Every track at its start, and places and matches if they are asked for.
+    """Make every track, and places and matches if requested.
 
     Raises:
-        ConfigError: the source has no images, wheel readings or matches that are asked for.
-        CalibrationError: the calibration lacks its cameras, or its wheels.
+        ConfigError: the source lacks requested images, wheel readings or matches.
+        CalibrationError: the calibration lacks cameras or wheels.
         AreaError, PlaceError: places cannot be read, or do not fit.
-        RecordingError: stamps are no seconds, or wheels and camera, which are to be joined, share no time.
+        RecordingError: stamps are not in seconds, or wheels and camera to be joined share no time.
     """
-    # Refuse odometries of sensors that the source does not have
+    # Each odometry needs its sensor.
     wheels = source.wheels if isinstance(source, RealTimeRecording) else None
     if wheels is not None and (config.odometry == ("wheels",) or "wheels" not in config.odometry):
         raise ConfigError(f"wheels from {wheels.where} are played beside a camera", fix="--odometry wheels,dense")
@@ -134,7 +130,7 @@ def _begin(source: EventSource, config: Config, on_code: Callable[[int, int], No
     known, folder = open_known(source.calibration, config, on_code) or (None, None)
     try:
         tracks = begin_all(source, config, None if places is None else places.places, known, parts)
-        # Refuse stamps that are no seconds, and to join what shares no time
+        # Stamps must be in seconds, and joined sensors must share time.
         played = source.played if isinstance(source, RealTimeRecording) and source.wheels is None else source
         is_joined = bool({"joined", "rectified"} & set(config.tracks))
         if isinstance(played, Recording) and not isinstance(played, RealTimeRecording):
@@ -156,7 +152,7 @@ def _begin(source: EventSource, config: Config, on_code: Callable[[int, int], No
 def metrics_of(
     record: RunRecord, passage: Passage, source: EventSource, records: Sequence[RunRecord] = ()
 ) -> dict[str, Any]:
-    """The figures of one odometry, and of the pass it was part of; `records` are those of all odometries."""
+    """The figures of one odometry and of its pass; `records` are those of all odometries."""
     return {
         "recording": _recording(source),
         "frame": f"T_{record.estimate.frame}_{record.estimate.body}",
@@ -170,7 +166,7 @@ def metrics_of(
 
 
 def joint_metrics(records: Sequence[RunRecord], passage: Passage, source: EventSource) -> dict[str, Any]:
-    """The figures of every odometry of one pass: what they share once, the rest below each one's name."""
+    """The figures of every odometry of one pass: common ones once, the others by odometry."""
     shared = [*source.warnings, *passage.unused]
     of_each = {
         record.odometry: {
@@ -180,7 +176,7 @@ def joint_metrics(records: Sequence[RunRecord], passage: Passage, source: EventS
         }
         for record in records
     }
-    # How joined sensors compare with the better one alone; nothing where none were joined
+    # Joined sensors compared with the better single one
     if joined_of(records) is None:
         beside_alone = {}
     else:
@@ -210,15 +206,15 @@ def _recording(source: EventSource) -> dict[str, str | None]:
 
 
 def _real_time(record: RunRecord) -> dict[str, Any]:
-    """How it went where the recording was played in real time."""
+    """Figures of a playback in real time."""
     return {} if record.realtime is None else {"realtime": record.realtime.to_dict()}
 
 
 def _of_odometry(
     record: RunRecord, passage: Passage, source: EventSource, records: Sequence[RunRecord]
 ) -> dict[str, Any]:
-    # Times a frame or reading, image decoding not included; the first, which may compile kernels, stands apart.
-    # `elapsed_s` and the throughput are of the whole pass, which all its odometries share.
+    # Processing times without image decoding. The first frame may compile kernels, so it is separate. `elapsed_s` and
+    # the throughput are of the whole pass, which all odometries share.
     used_ms = [1e3 * frame.seconds for frame in record.frames if not frame.is_skipped]
     later_ms = used_ms[1:]
     timing = {
@@ -247,7 +243,7 @@ def _of_odometry(
 
 
 def _joined(facts: JoinedFacts) -> dict[str, Any]:
-    """How long joined sensors were in each status, and whether their errors were as they stated."""
+    """Times by status of joined sensors, and whether errors match their stated uncertainty."""
     found = facts.consistency
     return {
         "seconds_by_status": facts.seconds,
@@ -268,7 +264,7 @@ def _joined(facts: JoinedFacts) -> dict[str, Any]:
 
 
 def _rectification(found: RectificationRecord) -> dict[str, Any]:
-    """What areas did to the wheels: counts, shares of frames, and errors in the map, nothing aligned."""
+    """Figures of areas: counts, shares of frames, and errors in the map without alignment."""
     errors, belief = found.errors, found.belief
     measured = sum(look.probabilities is not None for look in found.looks)
     return {
@@ -288,7 +284,7 @@ def _rectification(found: RectificationRecord) -> dict[str, Any]:
 
 
 def _map(found: MapRecord) -> dict[str, Any]:
-    """How the map stands at the end."""
+    """Figures of the map at the end."""
     status = asdict(found.status)
     return {"file": found.file, "frames_fused": found.fused, **status}
 
@@ -344,7 +340,7 @@ _FILE = Kind("covariances", most_mb=384)
 
 
 def write_covariances(trajectory: Trajectory, path: StrPath) -> None:
-    """Write the covariances of a trajectory that has them: of left perturbations (v, ω), 21 numbers a stamp.
+    """Write the covariances of a trajectory as a table: a stamp and 21 numbers a row, of left perturbations (v, ω).
 
     Raises OutputError.
     """
@@ -360,7 +356,7 @@ def _lines(trajectory: Trajectory) -> Iterator[str]:
 
 
 def with_covariances(trajectory: Trajectory, path: StrPath) -> Trajectory:
-    """A trajectory with the covariances of its stamps. Raises TrajectoryError where the table is another's."""
+    """Read the covariances for a trajectory. Raises TrajectoryError if the table is of another trajectory."""
     path = Path(path)
     first, *lines = lines_of(read_text(path, _FILE, TrajectoryError)) or [""]
     try:
@@ -405,9 +401,10 @@ def write_results(
     folder: Path,
     draw: Draw | None = None,
 ) -> None:
-    """Everything about a run: of one odometry into `folder`, of several each into a folder of its name and all joined.
+    """Write all results of a run: one odometry into `folder`, each of several into a folder of its name, and the joint
+    ones.
 
-    `draw` writes the page of it all. What an earlier run left there under these names goes. Raises OutputError.
+    `draw` writes the page. Results of an earlier run under these names are removed. Raises OutputError.
     """
     if (folder / "config.yaml").exists():  # a run's folder, not just any
         # Remove results of odometries that this run does not have: a reader would take them for its own
@@ -448,14 +445,14 @@ def _write_one(
     write_text(folder / STATUS_FILE, _status_csv(record))
     if record.rectification is not None:
         write_text(folder / "areas.csv", looks_csv(record.rectification))
-    # The way as known at its end, and what became of each match; what an earlier run left in their place goes.
+    # Write the corrected path and the verdict on each match, or remove those of an earlier run.
     if record.correction is None:
         _forget(folder / CORRECTED_FILE)
         _forget(folder / JUDGED_FILE)
     else:
         write_tum(record.correction.found.corrected, folder / CORRECTED_FILE)
         write_text(folder / JUDGED_FILE, judged_csv(record.correction))
-    # The map of a run that has one, unless its map folder holds it; what an earlier run left in its place goes.
+    # Write the map, unless the map folder holds it, or remove that of an earlier run.
     path = folder / MAP_FILE
     (track,) = (track for track in passage.tracks if track.odometry == record.odometry)
     if record.kept_map is None:
@@ -468,7 +465,7 @@ def _write_one(
 
 
 def _forget(path: Path) -> None:
-    """Remove what an earlier run left there, if anything."""
+    """Remove a file of an earlier run, if it exists."""
     try:
         path.unlink(missing_ok=True)
     except OSError as error:

@@ -44,9 +44,9 @@ _CHUNK = 4096
 
 
 class LivedPoses:
-    """Keeps the pose and covariance of each estimate, to the last bit; wheels at 50 Hz alone give 180 000 an hour.
+    """Stores pose and covariance of each estimate bit for bit; wheels at 50 Hz give 180 000 an hour.
 
-    What fills a chunk goes to a temporary file. Where that cannot be written, as on a full disk, it stays in memory.
+    Full chunks go to a temporary file. If the disk is full, they stay in memory.
     """
 
     def __init__(self) -> None:
@@ -61,7 +61,7 @@ class LivedPoses:
         return self._stored + sum(map(len, self._held)) + self._filled
 
     def add(self, estimate: Estimate) -> None:
-        """One that has a pose."""
+        """Store an estimate with a pose."""
         assert estimate.T_odom_body is not None
         if self._filled == _CHUNK:
             self._put_away(self._rows)
@@ -75,7 +75,7 @@ class LivedPoses:
         self._filled += 1
 
     def trajectory(self, body: str, frame: str) -> Trajectory:
-        """As the filter has it, in order of time; of several at one stamp the one that was answered last."""
+        """The trajectory in the filter's frame, in order of time; at equal stamps the last answer counts."""
         stamps_s, at = self._in_order()
         T, C = _unmoved(len(stamps_s)), None
         if self._has_covariances and len(stamps_s):
@@ -90,7 +90,7 @@ class LivedPoses:
         return Trajectory(stamps_s, T, C, body=body, frame=frame)
 
     def odom(self, body: str) -> Trajectory | None:
-        """The same in odom, which does not leap; None where the filter's poses have not leapt either."""
+        """The trajectory in odom, which is continuous; None if the filter's poses never jumped."""
         stamps_s, at = self._in_order()
         T, has_leapt = _unmoved(len(stamps_s)), False
         for rows, kept in self._chunks_at(at):
@@ -101,7 +101,7 @@ class LivedPoses:
         return Trajectory(stamps_s, T, body=body, frame="odom") if has_leapt else None
 
     def _in_order(self) -> tuple[FloatArray, IntArray]:
-        """Stamps (N,) in order of time, and of each row as it was answered the place there; -1 where it has none."""
+        """Ascending stamps (N,), and for each stored row its index among them; -1 if it has none."""
         answered_s = np.concatenate([rows[:, _STAMP].copy() for rows in self._chunks()])
         # With a delay of the wheels, readings come late. A frame may have the stamp of a reading.
         order = np.argsort(answered_s, kind="stable")
@@ -113,7 +113,7 @@ class LivedPoses:
         return stamps_s[is_last], at
 
     def _chunks_at(self, at: IntArray) -> Iterator[tuple[FloatArray, IntArray]]:
-        """The rows of each chunk that have a place (N,), and these places."""
+        """The rows of each chunk that have an index (N,), and these indices."""
         end = 0
         for rows in self._chunks():
             begin, end = end, end + len(rows)
@@ -137,10 +137,9 @@ class LivedPoses:
         self._held.append(rows.copy())
 
     def _chunks(self) -> Iterator[FloatArray]:
-        """All rows in the order in which they were answered, some at a time: an hour's are 82 MB."""
+        """All rows in the order of their answers, chunk by chunk: an hour takes 82 MB."""
         for begin in range(0, self._stored, _CHUNK):
             rows = np.empty((min(_CHUNK, self._stored - begin), _ROW))
-            # From the file, from a row on
             assert self._file is not None
             self._file.seek(begin * rows[0].nbytes)
             into = rows.data.cast("B")
@@ -182,7 +181,7 @@ DEPTH_SCARCE = "too little depth: most of the view is too near, too far, black, 
 
 
 class Photographer:
-    """Takes pictures of matched frames at or after `due` indices, keeping hardly any image meanwhile."""
+    """Takes pictures of matched frames at or after the `due` indices, and keeps at most two images."""
 
     def __init__(self, due: list[int]) -> None:
         self.pictures: list[MatchPicture] = []
@@ -190,7 +189,7 @@ class Photographer:
         self._images: dict[float, ByteArray] = {}
 
     def look(self, frame: RgbdFrame, estimate: Estimate, matches: Any) -> None:
-        """Take a picture of `frame` if one is due and its reference is at hand."""
+        """Take a picture of `frame` if one is due and its reference image is kept."""
         if not self._due or estimate.T_odom_body is None:
             return
         kept, self._images = self._images, {frame.stamp_s: frame.color}
@@ -207,23 +206,23 @@ class Photographer:
 
 @dataclass
 class Track:
-    """One odometry's way through a recording, or that of places with wheels: what it answered so far.
+    """One odometry over a recording, or the rectified wheels, with its answers so far.
 
     Attributes:
         odometry: its name.
-        listed: how many frames or readings of the recording it is to answer; None if unknown.
-        localizer: what answers.
-        photographer: what takes pictures.
-        T_base_camera: (4, 4), or None where the body that is followed is the camera.
-        frames: a record of each answer to what the track's unit is.
-        poses: the answers that have a pose of their own.
-        stage_seconds: how long each stage of each frame took.
-        looks: what each frame said of the area, where places were asked.
-        stops: where to look at the map from, where one is built.
-        map_writer, map_path: what writes a map folder for the next drive, and where, if anything does.
-        extends: whether that is the known map, to which nothing is added before it is known where in it the robot is.
-        last: what it answered last, or None.
-        found: its first answer with a pose in the map of an earlier drive, or None.
+        listed: number of frames or readings to answer; None if unknown.
+        localizer: of the track.
+        photographer: takes pictures.
+        T_base_camera: (4, 4), or None if the tracked body is the camera.
+        frames: a record of each answer to a frame or reading, by the track's unit.
+        poses: answers with a pose.
+        stage_seconds: times of each stage of each frame.
+        looks: area probabilities of each frame, with places.
+        stops: viewpoints for pictures of the map, if there is one.
+        map_writer, map_path: writer and path of the map folder for the next drive, if any.
+        extends: whether that is the known map; nothing is added to it before the drive is recognised in it.
+        last: the last answer, or None.
+        found: the first answer with a pose in a known map, or None.
     """
 
     odometry: TrackName
@@ -252,7 +251,7 @@ class Track:
         known: KnownMap | None = None,
         parts: OwnParts = NO_PARTS,
     ) -> Track:
-        """At the start. Raises CalibrationError, ConfigError."""
+        """A new track. Raises CalibrationError, ConfigError."""
         listed = wheel_count_of(source) if UNITS[odometry] == "reading" else frame_count_of(source)
         waits = isinstance(source, Recording) and not isinstance(source, InRealTime)
         localizer = Localizer(
@@ -270,11 +269,11 @@ class Track:
 
     @property
     def needs_images(self) -> bool:
-        """Whether it answers frames."""
+        """Whether the track uses images."""
         return RgbdFrame in self.localizer.answers
 
     def step(self, event: Event, overtaken: int = 0) -> FrameRecord | None:
-        """Answer one event; None of a kind that it does not use. `overtaken` frames were dropped just before it."""
+        """Process one event; None if the track does not use it. `overtaken` frames were dropped just before."""
         localizer = self.localizer
         if not isinstance(event, localizer.hears):
             return None  # another track may use it; `unused_of` says what none does
@@ -311,7 +310,7 @@ class Track:
         return answer
 
     def _keep(self, estimate: Estimate) -> None:
-        """Have new keyframes written for the next drive; edges of a map that is extended come in the end."""
+        """Write new keyframes for the next drive. Edges of an extended map follow at the end."""
         if self.map_writer is None:
             return
         if not self.extends:
@@ -328,12 +327,12 @@ class Track:
 
 
 def _is_in_map(estimate: Estimate) -> bool:
-    """Whether it has a pose in the map, which is known from when the place is recognised on."""
+    """Whether the estimate has a pose in the map, which is known after recognition."""
     return estimate.T_odom_body is not None and estimate.status is not Status.INITIALIZING
 
 
 def _why_no_depth(event: Event, estimate: Estimate) -> str:
-    """What "too little depth" comes from: the image has none, or its calibration puts it elsewhere."""
+    """The cause of "too little depth": the image has none, or its calibration moves it out of view."""
     if not isinstance(event, RgbdFrame) or estimate.reason is not Reason.TOO_LITTLE_DEPTH:
         return ""
     share = np.count_nonzero(event.depth_m > 0) / event.depth_m.size
@@ -343,7 +342,7 @@ def _why_no_depth(event: Event, estimate: Estimate) -> str:
 
 
 def _size(surfel_map: SurfelMap | None) -> tuple[int | None, int]:
-    """How many surfels it has, and how many it has given up."""
+    """Number of surfels, and of removed ones."""
     return (None, 0) if surfel_map is None else (len(surfel_map), surfel_map.dropped)
 
 
@@ -359,13 +358,13 @@ def _look(localizer: Localizer, estimate: Estimate) -> Look:
 
 
 class Watcher(Protocol):
-    """Is shown a run as it goes, such as a viewer; it changes nothing."""
+    """A listener to a run, such as a viewer. It changes nothing."""
 
     def step(self, event: Event, answers: Mapping[str, FrameRecord], tracks: Sequence[Track]) -> None:
-        """An event was answered."""
+        """Called after an answered event."""
 
     def finish(self, tracks: Sequence[Track]) -> None:
-        """All is over, and loops are as they stay."""
+        """Called at the end of the run, after loop closing."""
 
 
 @dataclass
@@ -373,11 +372,11 @@ class Passage:
     """One pass over a recording.
 
     Attributes:
-        tracks: every odometry's.
-        elapsed_s: how long it took in all.
-        interruption: what broke it off.
-        is_torn: whether that came in the middle of a step, so that what was being built is not to be trusted.
-        unused: a sentence about each sensor of the recording that no track uses.
+        tracks: of every odometry.
+        elapsed_s: duration of the pass.
+        interruption: the exception that ended it, or None.
+        is_torn: whether the interruption came within a step, so that unfinished data is invalid.
+        unused: one sentence about each unused sensor of the recording.
     """
 
     tracks: tuple[Track, ...]
@@ -394,11 +393,11 @@ def begin_all(
     known: KnownMap | None = None,
     parts: OwnParts = NO_PARTS,
 ) -> tuple[Track, ...]:
-    """Every track of a run at its start; `known` and a loop detector are for what has the map.
+    """All tracks of a run; `known` and a loop detector go to the track that has the map.
 
     Raises CalibrationError, ConfigError.
     """
-    # The tracks; in real time, where sensors are joined, not the camera alone once more, which would cost frames.
+    # In real time a joined run skips the camera-only tracks, which would cost frames.
     if isinstance(source, InRealTime | DrawnDrive) and config.fusion.filter != "none":
         names = tuple(track for track in config.tracks if track not in ("features", "dense", "own"))
     else:
@@ -414,7 +413,7 @@ def begin_all(
 
 
 def has_map(name: str, names: Collection[str]) -> bool:
-    """Whether a track of some is the one whose keyframes are kept: a camera's, or where sensors are joined, that."""
+    """Whether a track keeps keyframes: a camera's track, or the joined track if there is one."""
     return name == "joined" or (UNITS[name] == "frame" and "joined" not in names)  # type: ignore[index]
 
 
@@ -427,9 +426,9 @@ def follow(
     duration_s: float | None = None,
     watcher: Watcher | None = None,
 ) -> Passage:
-    """Hand each event to every track, in their order; without one that looks, no image is decoded.
+    """Process each event with every track, in their order. Without a track that needs images, none is decoded.
 
-    Ends with the source, at the first event `duration_s` after the first, or by Ctrl-C; then localizers are closed.
+    Ends with the source, at the first event `duration_s` after the first, or by Ctrl-C. Then the localizers are closed.
     """
     passage, yaw_rates, dropped = Passage(tracks), 0, 0
     events = source.events(images=any(track.needs_images for track in tracks))
@@ -469,7 +468,7 @@ def follow(
 
 
 def _overtaken(source: EventSource, event: Event, before: int) -> int:
-    """Frames that were dropped in real time before this one, in addition to those before."""
+    """Number of frames dropped in real time since the last frame."""
     if not (isinstance(event, RgbdFrame | SkippedFrame) and isinstance(source, InRealTime)):
         return 0
     return max(source.frames_so_far[1] - before, 0)
@@ -485,7 +484,7 @@ def _rehearse_all(source: InRealTime, config: Config, places: Places | None) -> 
 
 
 def _until(events: Iterable[Event], duration_s: float | None) -> Iterator[Event]:
-    """Those stamped within `duration_s` of the first; all without one."""
+    """Events up to `duration_s` after the first; all events if it is None."""
     begin_s: float | None = None
     for event in events:
         begin_s = event.stamp_s if begin_s is None else begin_s
@@ -498,10 +497,11 @@ def _until(events: Iterable[Event], duration_s: float | None) -> Iterator[Event]
 
 
 def give_back() -> None:
-    """Have glibc hand back all pages that are free; elsewhere nothing happens. It takes some 20 ms: not while driving.
+    """Return free memory of glibc to the system; no effect elsewhere. It takes some 20 ms, so never call it while
+    driving.
 
-    Loading kernels needs much for a moment, in small pieces that lie between others: by itself glibc gives back the end
-    of its heap alone.
+    Loading kernels allocates many small pieces between others. Without this call glibc returns only the end of its
+    heap.
     """
     gc.collect()
     with suppress(OSError, AttributeError, TypeError):  # no glibc

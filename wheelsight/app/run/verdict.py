@@ -23,7 +23,7 @@ from wheelsight.evaluation import Consistency, consistency
 
 
 class Tone(StrEnum):
-    """How far to trust a run, the best first."""
+    """How far to trust a run, from best to worst."""
 
     GREEN = "green"
     AMBER = "amber"
@@ -33,38 +33,38 @@ class Tone(StrEnum):
 _BADNESS = {tone: number for number, tone in enumerate(Tone)}
 _CARE = {Tone.AMBER: "Use with care", Tone.RED: "Do not rely on it"}
 
-# Shares beyond which a finding is amber, and red. Of frames without a pose: dropped images and short blur cost a few in
-# a hundred on good recordings; with more gaps than poses there is no path.
+# Limits for amber and red. Share of frames without a pose: good recordings lose a few per cent to dropped images and
+# blur; with more gaps than poses there is no path.
 _WITHOUT_POSE = (0.05, 0.5)
-# Of time with slip: a door sill or a wet patch is seconds in a minute. A third of a drive is no floor, but wheels and
-# camera that differ all along, by calibration.
+# Share of time with slip: a door sill or a wet patch takes seconds of a minute. A third of a drive means a wrong
+# calibration of wheels or camera.
 _SLIP = (0.1, 0.3)
-# Of time in which wheels and camera contradict each other and it is not known which is right: either may lead.
+# Share of time in which wheels and camera contradict each other and the faulty one is unknown.
 _DOUBTFUL = (0.05, 0.2)
-# Of time in which an image does not show all directions; corridors do that, and wheels bridge it, so it is never red.
+# Share of time with degenerate images. Corridors cause them and wheels bridge them, so it is never red.
 _DEGENERATE = (0.5, 1.0)
-# Of time by the wheels alone: 5 s of 45 under a covered lens cost a few centimetres; over half, no camera checks the
+# Share of time on wheels alone: 5 s of 45 with a covered lens cost a few centimetres; over half, no camera checks the
 # drive.
 _COASTING = (0.15, 0.5)
-# Of time with the true position beyond the stated 3σ, which is 0.3 % where errors are stated honestly.
+# Share of time with the true position beyond the stated 3σ: 0.3 % for correct covariances.
 _BEYOND_3_SIGMA = (0.05, 0.2)
-# Of frames: `info` warns at the same share of images without a partner.
+# Share of dropped frames: `info` warns at the same share of images without a partner.
 _DROPPED = (0.02, 0.3)
-# Of frames overtaken in real time: at 30 a second one in ten changes no pose.
+# Share of frames overtaken in real time: at 30 a second one in ten changes no pose.
 _OVERTAKEN = (0.1, 0.3)
-# Of wheel readings that were refused: damaged lines are one in thousands. Never red: a camera alone may do well.
+# Share of rejected wheel readings: damaged lines are one in thousands. Never red: a camera alone may do well.
 _REFUSED = (0.01, 1.0)
-# RMSE over the true way: wheels by the data sheet err by some per cent of it.
+# RMSE over the length of the true path: wheels with data-sheet sizes err by some per cent.
 _OFF_THE_WAY = (0.05, 0.15)
-# Metres below which no error is called amber, or red: truth of a Kinect's tracker is good to 2 cm.
+# Errors below these, metres, are never amber, or red: ground truth of a Kinect's tracker is good to 2 cm.
 _LEAST_OFF_M = (0.02, 0.1)
-# Times the error of the better sensor alone, and metres more than it: joining is to help.
+# Ratio to the error of the better sensor alone, and difference in metres: joining should help.
 _WORSE_THAN_ALONE, _WORSE_M = (1.2, 3.0), (0.01, 0.1)
-# Of loops that contradict the rest: a few look alike anywhere, more do in a building of equal rooms.
+# Share of rejected loops: a few places look alike anywhere, more in a building of equal rooms.
 _REFUSED_LOOPS = (0.5, 1.0)
-# Metres after which drift wants loops: dense odometry and calibrated wheels drift by about 1 % of the way, 20 cm there.
+# Path length, metres, above which loops are expected: a drift of about 1 % gives 20 cm there.
 _LONG_WAY_M = 20.0
-# Metres one standard deviation, where a known map was recognised: beyond a robot's length it may be another door.
+# Standard deviation in a known map, metres: beyond a robot's length it may be another door.
 _SIGMA_IN_MAP_M = (0.5, 2.0)
 
 _CALIBRATE = "calibrate wheels and mount (wheelsight calibrate wheels, wheelsight calibrate base)"
@@ -101,14 +101,14 @@ _SEE_ROWS = "see status.csv for the reason of each frame"
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that a run's figures show.
+    """One fact that affects the verdict.
 
     Attributes:
-        about: what it is about, such as "slip".
+        about: topic, such as "slip".
         tone: how far it lets the run be trusted.
-        short: it in a few words.
-        sentence: it with its numbers.
-        remedy: what to do; "" of a green one.
+        short: a few words.
+        sentence: with its numbers.
+        remedy: what to do; "" if green.
     """
 
     about: str
@@ -119,19 +119,19 @@ class Finding:
 
     @property
     def line(self) -> str:
-        """The sentence, and what to do."""
+        """The sentence with its remedy."""
         return self.sentence if not self.remedy else f"{self.sentence} To do: {self.remedy}."
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What a run is worth.
+    """The verdict on a run.
 
     Attributes:
-        phrase: in a few words.
-        tone: the worst of the findings'.
+        phrase: a few words.
+        tone: the worst of its findings.
         findings: the worst first.
-        facts: sentences that are no judgement: accuracy, speed.
+        facts: neutral sentences on accuracy and speed.
     """
 
     phrase: str
@@ -141,12 +141,12 @@ class Verdict:
 
     @property
     def concerns(self) -> tuple[Finding, ...]:
-        """The red and the amber ones."""
+        """Red and amber findings."""
         return tuple(found for found in self.findings if found.tone is not Tone.GREEN)
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """All of it."""
+        """All sentences, findings first."""
         return (*(found.line for found in self.findings), *self.facts)
 
     def to_dict(self) -> dict[str, Any]:
@@ -156,25 +156,26 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """The figures that a verdict rests on. Each default is that of a sound run.
+    """The figures behind a verdict. The defaults are those of a sound run.
 
     Attributes:
-        unit, is_joined: as the record has them.
-        frames, posed, lost_episodes, lost_s: as `Summary` has them.
-        failures: (reason, why, count) of frames without a motion of their own, most frequent first.
+        unit, is_joined: as in the record.
+        frames, posed, lost_episodes, lost_s: as in `Summary`.
+        failures: (reason, why, count) of frames without a motion, most frequent first.
         drops: frames that were not used.
-        left_out: lines or messages of the recording that were not used: how many, and of how many, by reason.
-        most_overtaken: share of frames overtaken in real time beyond which that is amber.
-        slip, doubtful, degenerate: shares of the time, 0 to 1; None where the filter knows no such flag.
-        coasting: share of the time by the wheels alone; `coasting_s` the stretches.
-        refused: share of wheel readings that were refused, and `refused_why` the chief reason.
+        left_out: unused lines or messages of the recording: (count, total) by reason.
+        most_overtaken: share of overtaken frames above which the tone is amber.
+        slip, doubtful, degenerate: shares of the time, 0 to 1; None if the filter has no such flag.
+        coasting: share of the time on wheels alone; `coasting_s` has the length of each stretch.
+        refused: share of rejected wheel readings; `refused_why` is the chief reason.
         beyond_3_sigma: share of the time with the true position beyond the stated 3σ; None without a truth.
-        off_m, worst_m, way_m: RMSE and maximum from the truth, and the true way; None without a truth.
+        off_m, worst_m, way_m: RMSE and maximum of the position error, and length of the true path; None without a
+            truth.
         alone: (name, RMSE in metres) of the better sensor alone, or None.
-        areas_left: error that areas leave of the wheels', as a share; None without areas.
-        loops: (kept, refused, whether all pieces are joined) where loops were asked for, else None.
-        known_map: whether the map of an earlier drive was recognised; None without one.
-        faults: what was found wrong with sensors on the way.
+        areas_left: error of the rectified wheels over that of the wheels; None without areas.
+        loops: (kept, refused, whether all pieces are joined) if loops were requested, else None.
+        known_map: recognition in a known map; None without one.
+        faults: sensor faults that were found during the run.
         length_m: of the estimate.
     """
 
@@ -208,7 +209,7 @@ class Evidence:
 
 
 def evidence_of(record: RunRecord, records: Sequence[RunRecord] = ()) -> Evidence:
-    """The evidence about `record`; `records` are all of the same run, itself included."""
+    """The figures of `record` for its verdict; `records` are all of the same run, with `record`."""
     summary, found = summarise(record), record.evaluation
     by_reason = Counter((f.reason, f.why) for f in record.frames if f.reason is not None and not f.is_repeat)
     evidence: dict[str, Any] = {
@@ -238,10 +239,10 @@ def evidence_of(record: RunRecord, records: Sequence[RunRecord] = ()) -> Evidenc
 
 
 def _of_joined(record: RunRecord, records: Sequence[RunRecord]) -> dict[str, Any]:
-    """What only joined sensors have."""
+    """Figures of joined sensors."""
     facts, best_alone = facts_of(record), best_alone_of(records)
     evidence: dict[str, Any] = dict(facts.flag_shares)
-    if "degenerate" in evidence:  # where the camera was used; while coasting, its view is not what is wrong
+    if "degenerate" in evidence:  # only frames that the camera tracked: while coasting the view is not the problem
         starts_s, ends_s = record.frame_spans_s()
         lasted_s = ends_s - starts_s
         is_so = np.array([f.status is Status.TRACKING and "degenerate" in f.flags for f in record.frames], bool)
@@ -260,38 +261,38 @@ def _of_joined(record: RunRecord, records: Sequence[RunRecord]) -> dict[str, Any
 
 
 def true_way_m(record: RunRecord) -> float:
-    """The true way while the odometry had poses; an estimate's own grows with its noise. 0 without a truth."""
+    """Length of the true path while the odometry had poses, 0 without a truth. The estimate's own length grows with
+    noise.
+    """
     if record.ground_truth is None or not len(record.estimate):
         return 0.0
     return record.ground_truth.between(*record.estimate.stamps_s[[0, -1]].tolist()).length_m
 
 
 def judge(evidence: Evidence) -> Verdict:
-    """What evidence comes to. More of what is bad never gives a better tone."""
+    """The verdict by its evidence. A worse figure never gives a better tone."""
     found = sorted(_findings(evidence), key=lambda one: -_BADNESS[one.tone])
     tone = found[0].tone
-    if evidence.faults:  # what the rest comes from stands first
+    if evidence.faults:  # the cause comes first
         tone = max(tone, Tone.AMBER, key=_BADNESS.__getitem__)
         found = [*(_fault(sentence, tone) for sentence in evidence.faults), *found]
     return Verdict(_phrase(evidence, found[0]), tone, tuple(found))
 
 
 def verdict_of(record: RunRecord, records: Sequence[RunRecord] = ()) -> Verdict:
-    """What a run of one odometry is worth, with its accuracy and speed; `records` as for `evidence_of`."""
+    """The verdict on one odometry of a run, with accuracy and speed; `records` as for `evidence_of`."""
     verdict = judge(evidence_of(record, records))
-    # Of joined sensors, how far off they end from the true start; nothing without a truth
-    found = facts_of(record).consistency if record.is_joined else None
-    if found is None:
-        drift_sentence = ""
-    else:
-        share = words.percent(found.drift_share)
-        drift_sentence = f"Begun at the true start, it ends {words.length(found.drift_m)} off, {share} of the way."
-    facts = accuracy_sentence(record), drift_sentence, speed_sentence(record)
+    facts = [accuracy_sentence(record)]
+    drift = facts_of(record).consistency if record.is_joined else None
+    if drift is not None:
+        share = words.percent(drift.drift_share)
+        facts.append(f"Begun at the true start, it ends {words.length(drift.drift_m)} off, {share} of the way.")
+    facts.append(speed_sentence(record))
     return Verdict(verdict.phrase, verdict.tone, verdict.findings, tuple(filter(None, facts)))
 
 
 def verdict_of_run(records: Sequence[RunRecord]) -> Verdict:
-    """What a run is worth: as its joined sensors or its only odometry; of several side by side, as all of them."""
+    """The verdict on a run: on joined sensors or on its only odometry, else on all odometries side by side."""
     main = joined_of(records) or (records[0] if len(records) == 1 else None)
     if main is not None:
         return verdict_of(main, records)
@@ -313,7 +314,7 @@ def _findings(e: Evidence) -> Iterator[Finding]:
         yield _in_map(e.known_map)
     yield _poses(e)
     yield from _drops(e)
-    # Readings and true poses that the recording holds and that were not used
+    # Unused readings and true poses of the recording
     if e.left_out:
         share = max(count / max(of, 1) for count, of in e.left_out.values())
         tone = _graded(share, _DROPPED)
@@ -368,7 +369,7 @@ def _drops(e: Evidence) -> Iterator[Finding]:
 
 
 def _of_sensors(e: Evidence) -> Iterator[Finding]:
-    """Coasting, slip, doubt, degenerate views, refused readings."""
+    """Findings on coasting, slip, contradictions, degenerate views and rejected readings."""
     yield _coasting(e)
     if e.slip is not None:
         sentence = "The wheels were held to slip in {} of the time."
@@ -404,7 +405,7 @@ def _coasting(e: Evidence) -> Finding:
 
 
 def _accuracy(e: Evidence) -> Iterator[Finding]:
-    """By the truth, if there is one."""
+    """Findings by the ground truth, if there is one."""
     if e.beyond_3_sigma is not None:
         within = words.percent(1 - e.beyond_3_sigma)
         tone = _graded(e.beyond_3_sigma, _BEYOND_3_SIGMA)
@@ -490,13 +491,13 @@ def _graded(
     also: float = float("inf"),
     also_over: tuple[float, float] = (0.0, 0.0),
 ) -> Tone:
-    """By limits for amber and red; where another value is given, it must be over its own limit, too."""
+    """Tone by limits for amber and red. A second value, if given, must exceed its own limits, too."""
     amber, red = (value > limit and also > least for limit, least in zip(limits, also_over, strict=True))
     return Tone.RED if red else Tone.AMBER if amber else Tone.GREEN
 
 
 def _chief_failures(e: Evidence) -> str:
-    """Why frames gave no motion, most frequent first."""
+    """The most frequent reasons for missing motions."""
     return "".join(f", {why} ({count:,})" for _, why, count in e.failures[:2]).replace(", ", ": ", 1)
 
 
@@ -538,7 +539,7 @@ def _phrase(e: Evidence, worst: Finding) -> str:
 
 
 def accuracy_sentence(record: RunRecord) -> str:
-    """How far the path is off, or why that cannot be said; nothing without a pose."""
+    """The error of the path, or why it is unknown; "" without a pose."""
     if not record.posed:
         return ""
     if record.evaluation is None:
@@ -553,7 +554,7 @@ def accuracy_sentence(record: RunRecord) -> str:
 
 
 def speed_sentence(record: RunRecord) -> str:
-    """Whether it keeps up with its sensor; nothing where no time is known."""
+    """Whether processing keeps up with the sensor; "" without times."""
     if record.realtime is not None:
         return f"{record.realtime.sentence[0].upper()}{record.realtime.sentence[1:]}."
     summary = summarise(record)
@@ -561,7 +562,7 @@ def speed_sentence(record: RunRecord) -> str:
         return ""
     text = f"A {summary.unit} takes {words.duration(summary.median_s)} at the median"
     source = "camera delivers" if summary.unit == "frame" else "wheels deliver"
-    kept = 1.0 if record.drops is None else 1 - record.drops.share  # frames that were dropped came as well
+    kept = 1.0 if record.drops is None else 1 - record.drops.share  # dropped frames count for the rate
     ratio = kept * summary.frame_period_s / summary.median_s
     if not ratio > 0:
         return text + "."
@@ -575,7 +576,7 @@ _MOST_REASONS = 8
 
 
 def notes(record: RunRecord) -> list[str]:
-    """What was skipped, not covered or unknown, one sentence each, beside what the verdict finds."""
+    """Sentences on skipped, unmatched or unknown data that the verdict does not have."""
     summary = summarise(record)
     found = [warning for warning in record.warnings if warning not in record.faults]
     if summary.skipped:
@@ -590,36 +591,27 @@ def notes(record: RunRecord) -> list[str]:
             "After a reading without a pose the path goes on from where it was: the motion between is not known."
         )
     pairing = record.association
-    if pairing is None or not (pairing.dropped_color or pairing.dropped_depth):
-        association_notes = []
-    else:
-        association_notes = [
+    if pairing is not None and (pairing.dropped_color or pairing.dropped_depth):
+        found.append(
             f"{pairing.dropped_color:,} of {words.count(pairing.color_images, 'colour image')} and "
             f"{pairing.dropped_depth:,} of {words.count(pairing.depth_images, 'depth image')} found no partner within "
             f"{1e3 * pairing.max_gap_s:g} ms and were left out."
-        ]
-    return [*found, *association_notes, *_evaluation_notes(record)]
+        )
+    evaluation = record.evaluation
+    if evaluation is not None and evaluation.pairs < record.posed:
+        found.append(
+            f"Only {evaluation.pairs:,} of {words.count(record.posed, 'pose')} have a true pose beside them; "
+            "errors speak of these alone."
+        )
+    if evaluation is not None and evaluation.scale is not None:
+        found.append(f"Positions were multiplied by {evaluation.scale:.5f} to fit the ground truth.")
+    return found
 
 
 def _counted(reasons: tuple[tuple[str, int], ...]) -> str:
     text = ", ".join(f"{why} ({n:,})" for why, n in reasons[:_MOST_REASONS])
     others = sum(n for _, n in reasons[_MOST_REASONS:])
     return f"{text}, other reasons ({others:,})" if others else text
-
-
-def _evaluation_notes(record: RunRecord) -> list[str]:
-    evaluation = record.evaluation
-    if evaluation is None:
-        return []
-    found = []
-    if evaluation.pairs < record.posed:
-        found.append(
-            f"Only {evaluation.pairs:,} of {words.count(record.posed, 'pose')} have a true pose beside them; "
-            "errors speak of these alone."
-        )
-    if evaluation.scale is not None:
-        found.append(f"Positions were multiplied by {evaluation.scale:.5f} to fit the ground truth.")
-    return found
 
 
 def _times(n: int) -> str:
@@ -640,20 +632,20 @@ class Summary:
     """The key figures of a run.
 
     Attributes:
-        frames: how many were listed; an image listed again under another stamp is none, but stands among the skips.
-        skipped: how many of them could not be used.
-        posed: how many have a pose in the trajectory.
+        frames: number of listed frames; a repeated image counts as skipped only.
+        skipped: number of unusable frames.
+        posed: number of frames with a pose in the trajectory.
         duration_s: from the first frame to the last.
         frame_period_s: median time between frames, NaN with fewer than two.
-        length_m: distance travelled by the estimate.
-        lost_episodes: how often the camera was lost.
-        lost_s: for how long in all.
-        failures: (why, count) of the frames that were used but gave no pose, most frequent first.
-        skips: (why, count) of the frames that could not be used, most frequent first.
-        median_s: time a used frame took; NaN when none was used.
-        p95_s: the time within which 95 % of them were done.
-        longest_s: the longest time.
-        unit: "frame", or "reading" where frames are wheel readings.
+        length_m: length of the estimate.
+        lost_episodes: number of times the camera was lost.
+        lost_s: total time lost.
+        failures: (why, count) of used frames without a pose, most frequent first.
+        skips: (why, count) of unusable frames, most frequent first.
+        median_s: median processing time of a used frame; NaN without any.
+        p95_s: 95th percentile of the processing time.
+        longest_s: maximum of the processing time.
+        unit: "frame", or "reading" for wheel readings.
     """
 
     frames: int
@@ -673,7 +665,7 @@ class Summary:
 
     @property
     def pose_share(self) -> float:
-        """Share of all listed frames that have a pose; 0 without frames."""
+        """Share of listed frames with a pose; 0 without frames."""
         return self.posed / self.frames if self.frames else 0.0
 
     @property
@@ -710,7 +702,7 @@ def summarise(record: RunRecord) -> Summary:
 
 
 def cold_frames(record: RunRecord) -> tuple[FrameRecord, ...]:
-    """The first frames, where kernels were still compiled or loaded: those far slower than a usual one."""
+    """The first frames, if compiling or loading kernels made them far slower than usual."""
     used = [frame for frame in record.frames if not frame.is_skipped and np.isfinite(frame.seconds)]
     if len(used) < _LEAST_FRAMES:
         return ()
@@ -719,7 +711,7 @@ def cold_frames(record: RunRecord) -> tuple[FrameRecord, ...]:
 
 
 def lost_spans_s(record: RunRecord) -> list[tuple[float, float]]:
-    """When the camera was lost: (first lost stamp, the next one that was not), whether frames were usable or not."""
+    """(first lost stamp, next stamp that is not lost) of each time the camera was lost, with unusable frames."""
     frames = record.frames
     lost = [(i, j) for i, j, status in runs([str(frame.status) for frame in frames]) if status == Status.LOST]
     return [(frames[i].stamp_s, frames[min(j, len(frames) - 1)].stamp_s) for i, j in lost]
@@ -741,15 +733,15 @@ _FACTS: WeakKeyDictionary[RunRecord, JoinedFacts] = WeakKeyDictionary()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JoinedFacts:
-    """A joined run in numbers. A frame speaks for the time until the next one.
+    """Figures of a joined run. The status of a frame holds until the next frame.
 
     Attributes:
-        seconds: for how long each status held, those that occurred.
+        seconds: total time of each status that occurred.
         coasting_s: length of each stretch without a camera, seconds.
-        flag_shares: share of the time, 0 to 1, in which each flag was up; empty of a filter that knows none.
-        poses_at_frames: how many poses of the trajectory answer frames.
-        poses_at_readings: how many are at wheel readings alone.
-        consistency: the errors beside what was stated of them, or None without truth or covariances.
+        flag_shares: share of the time, 0 to 1, with each flag; empty if the filter has none.
+        poses_at_frames: number of poses at frames.
+        poses_at_readings: number of poses at wheel readings alone.
+        consistency: errors beside their stated uncertainty, or None without truth or covariances.
     """
 
     seconds: dict[str, float]
@@ -760,14 +752,14 @@ class JoinedFacts:
     consistency: Consistency | None
 
     def share_of(self, status: Status) -> float:
-        """Share of the time, 0 to 1, in which a status held; 0 without frames."""
+        """Share of the time, 0 to 1, with a status; 0 without frames."""
         whole_s = sum(self.seconds.values())
         return self.seconds.get(status.value, 0.0) / whole_s if whole_s > 0 else 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class BestAlone:
-    """The better of the sensors alone, and the joined ATE (RMSE) over its own: under 1 joining them helped."""
+    """The better single sensor, and the joined ATE (RMSE) over its ATE: below 1 joining helped."""
 
     odometry: str
     ratio: float
@@ -779,7 +771,9 @@ def joined_of(records: Sequence[RunRecord]) -> RunRecord | None:
 
 
 def facts_of(record: RunRecord) -> JoinedFacts:
-    """What came of it; computed once a record, since page, terminal and metrics each ask, and 30 minutes cost 1 s."""
+    """Figures of a joined run. They are cached by record, since page, terminal and metrics use them and 30 minutes cost
+    1 s.
+    """
     if record not in _FACTS:
         _FACTS[record] = _facts_of(record)
     return _FACTS[record]
@@ -806,7 +800,7 @@ def _facts_of(record: RunRecord) -> JoinedFacts:
 
 
 def consistency_of(record: RunRecord) -> Consistency | None:
-    """The estimate's errors beside what it stated of them, or None where one of both is missing."""
+    """Errors beside their stated uncertainty, or None without truth or covariances."""
     if record.ground_truth is None or record.evaluation is None:
         return None
     try:
@@ -816,7 +810,7 @@ def consistency_of(record: RunRecord) -> Consistency | None:
 
 
 def best_alone_of(records: Sequence[RunRecord]) -> BestAlone | None:
-    """Who was nearest to the truth of the sensors that followed nearly as long; None where that cannot be said."""
+    """The most accurate single sensor among those that tracked nearly as long; None without one."""
     joined = joined_of(records)
     if joined is None or joined.evaluation is None:
         return None

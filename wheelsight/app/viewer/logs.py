@@ -38,16 +38,16 @@ _MS = 1e3
 
 
 class RerunLog:
-    """See the module. The robot, its keyframes and images are those of one track; of others the way is shown.
+    """Shows a run in Rerun. Robot, keyframes and images are those of one track; the others show their paths.
 
     Args:
-        stream: Rerun's, which knows where to write.
+        stream: Rerun's recording stream.
         calibration: of the run.
-        tracks: names of what the run follows.
+        tracks: names of the run's tracks.
         settings: see `ViewerSettings`.
 
     Attributes:
-        chief: the track that is shown whole: what joins sensors, else a camera's, else the first.
+        chief: the main track: joined sensors, else a camera's track, else the first.
     """
 
     def __init__(self, stream: Any, calibration: Calibration, tracks: Sequence[str], settings: ViewerSettings) -> None:
@@ -64,7 +64,7 @@ class RerunLog:
             self._scene.name_states(name, STATUS_COLOURS)
 
     def step(self, event: Event, answers: Mapping[str, FrameRecord], tracks: Sequence[Track]) -> None:
-        """Show what an event was answered with."""
+        """Show the answers to an event."""
         self._scene.begin(event.stamp_s)
         for track in tracks:
             if track.odometry in answers and track.last is not None:
@@ -81,7 +81,7 @@ class RerunLog:
                         self._log(f"{place}/body", self._scene.transform(T_odom_body))
                         self._scene.show_way(f"{place}/trail", self._positions.get(name), T_odom_body[:3, 3], _GREY)
                         self._positions[name] = T_odom_body[:3, 3]
-                # Status, and why; only where they change
+                # Status and reason, if they change
                 status, words = self._last.get(name, ("", ""))
                 if status != estimate.status:
                     self._scene.show_state(name, estimate.status)
@@ -98,7 +98,7 @@ class RerunLog:
             self._scene.show_images(event)
 
     def finish(self, tracks: Sequence[Track]) -> None:
-        """Show the last keyframes, where loops have laid all of them, and the finished map."""
+        """Show the last keyframes, all keyframes after loop closing, and the finished map."""
         for track in tracks:
             if track.odometry == self.chief and track.last is not None:
                 self._scene.at(track.last.stamp_s)
@@ -114,7 +114,7 @@ class RerunLog:
                     self._log(SURFELS, self._rr.Points3D(cloud.position, colors=cloud.color, radii=radius_m))
 
     def _show_keyframes(self, track: Track, until: int | None) -> None:
-        """New ones with what they saw, and all where they lie once loops have moved some."""
+        """Show new keyframes with their points, and all poses after a loop has moved some."""
         store = track.localizer.keyframes
         if store is None:
             return
@@ -169,10 +169,10 @@ _FLOOR_M, _COSTMAP_M, _LINES_M = -0.02, -0.01, 0.02
 
 
 class DriveLog:
-    """See the module. Poses are those of each period in which it is known where in the map the robot is.
+    """Shows a drive in Rerun. It has the poses of periods with a known place in the map.
 
     Args:
-        stream: Rerun's, which knows where to write.
+        stream: Rerun's recording stream.
         calibration: of the robot.
         settings: see `ViewerSettings`.
     """
@@ -190,24 +190,23 @@ class DriveLog:
             self._scene.name_states(name, {str(state): colour for state, colour in colours.items()})
 
     def hear(self, events: Sequence[Event]) -> None:
-        """What the robot's sensors said."""
+        """Show events of the robot's sensors."""
         for event in events:
             self._scene.begin(event.stamp_s)
             if isinstance(event, RgbdFrame):
                 self._scene.show_images(event)
 
     def note(self, transition: Transition) -> None:
-        """A change of the navigator's state."""
+        """Show a change of the navigator's state."""
         self._scene.begin(transition.stamp_s)
         self._scene.at(transition.stamp_s)
         self._scene.log(f"{WORDS}/{_NAVIGATOR}", self._rr.TextLog(str(transition)))
 
     def step(self, feedback: Feedback, navigator: Navigator) -> None:
-        """A period is over."""
+        """Show a control period."""
         self._scene.begin(feedback.stamp_s)
         self._scene.at(feedback.stamp_s)
-        # Of another map than before nothing is known yet; the way does not go on from where the robot was in
-        # that.
+        # A new map: nothing is known yet, and the path does not continue.
         if self._navigator is not None and navigator is not self._navigator:
             self._revision, self._costmap, self._maps_s = -1, None, -np.inf
             self._scene.end_way()
@@ -222,7 +221,7 @@ class DriveLog:
             if value is not None:
                 self._scene.log(f"{CURVES}/{name}", self._rr.Scalars(value))
         self._show_statuses(feedback)
-        # Plan and goal where they change, nothing of them once there are none; what the controller expects
+        # Plan and goal if they change; the prediction of the controller
         if feedback.plan is not self._plan:
             self._plan = feedback.plan
             self._show_line(PLAN, None if self._plan is None else self._plan.poses, _BLUE)
@@ -234,7 +233,7 @@ class DriveLog:
         self._show_maps(feedback.stamp_s, navigator)
 
     def _show_statuses(self, feedback: Feedback) -> None:
-        """Where they change."""
+        """Show statuses that have changed."""
         monitor = feedback.monitor
         states = {_LOCALIZATION: str(feedback.status), _NAVIGATOR: str(feedback.state)}
         states |= {} if monitor is None else {_MONITORED: str(monitor.state)}
@@ -269,10 +268,14 @@ class DriveLog:
         local = senses.local()
         if local is not None and local is not self._costmap:
             self._costmap = local
-            self._scene.log(COSTMAP, self._texture(local, _cost_colours(local), _COSTMAP_M))
+            # (H, W, 3): from white (free) to orange (the centre of the robot cannot be here); lethal cells are dark.
+            share = local.cost[..., None].astype(float)
+            cost_colours = np.asarray(np.rint((1 - share) * _CHEAP + share * _COSTLY), np.uint8)
+            cost_colours[local.is_lethal] = _WALL
+            self._scene.log(COSTMAP, self._texture(local, cost_colours, _COSTMAP_M))
 
     def _texture(self, cells: StaticLayer | Costmap, colours: ByteArray, z_m: float) -> Any:
-        """Cells as a picture that lies in the map."""
+        """Cells as a textured rectangle in the map."""
         rows, columns = colours.shape[:2]
         x, y = cells.origin
         right, top = x + columns * cells.resolution_m, y + rows * cells.resolution_m
@@ -293,14 +296,6 @@ class DriveLog:
         return before != said
 
 
-def _cost_colours(costmap: Costmap) -> ByteArray:
-    """(H, W, 3): from white, free, to orange, where the robot's middle can never be; lethal cells are dark."""
-    share = costmap.cost[..., None].astype(float)
-    colours = np.asarray(np.rint((1 - share) * _CHEAP + share * _COSTLY), np.uint8)
-    colours[costmap.is_lethal] = _WALL
-    return colours
-
-
 STATUS_COLOURS: Mapping[str, int] = {
     Status.TRACKING: 0x009E73FF,
     Status.COASTING: 0xF0E442FF,
@@ -314,10 +309,10 @@ _DEPTH_UNITS_PER_M = 5000.0
 
 
 class Scene:
-    """See the module. It keeps nothing but what was shown last.
+    """Common entities of all logs. It keeps only what was shown last.
 
     Args:
-        stream: Rerun's, which knows where to write.
+        stream: Rerun's recording stream.
         calibration: of the robot.
         settings: see `ViewerSettings`.
     """
@@ -337,15 +332,15 @@ class Scene:
             self._stream.send_property("recording", self.rr.AnyValues(start_s=stamp_s))
 
     def at(self, stamp_s: float) -> None:
-        """What is logged from now on is of this time."""
+        """Set the time of what is logged next."""
         self._stream.set_time(TIMELINE, duration=stamp_s - (self._start_s or 0.0))
 
     def log(self, place: str, *what: Any, static: bool = False) -> None:
-        """Rerun's archetypes, at an entity."""
+        """Log Rerun's archetypes at an entity."""
         self._stream.log(place, *what, static=static)
 
     def show_robot(self, T_odom_body: FloatArray, T_map_odom: FloatArray) -> None:
-        """The robot (4, 4), a piece of its way, and odom (4, 4) where it has moved in the map."""
+        """Show the robot (4, 4), a piece of its path, and odom (4, 4) after it has moved in the map."""
         if self._T_map_odom is None or (T_map_odom != self._T_map_odom).any():
             self._T_map_odom = np.array(T_map_odom)
             self.log(ODOM, self.transform(T_map_odom))
@@ -354,11 +349,11 @@ class Scene:
         self._position = T_odom_body[:3, 3]
 
     def end_way(self) -> None:
-        """What comes next of the robot's way does not go on from here: it is carried elsewhere, or in another map."""
+        """Break the path here: the robot was carried, or the map changes."""
         self._position = None
 
     def show_way(self, place: str, begin: FloatArray | None, end: FloatArray, colour: tuple[int, int, int]) -> None:
-        """A piece of a way, if it has a begin."""
+        """Show a piece of a path, if it has a beginning."""
         if begin is not None:
             self.log(place, self.rr.LineStrips3D([[begin, end]], colors=[colour], radii=self.px(LINE_PX)))
 
@@ -379,20 +374,20 @@ class Scene:
         self.log(DEPTH, self.rr.EncodedDepthImage(png, media_type="image/png", meter=_DEPTH_UNITS_PER_M))
 
     def name_states(self, name: str, colours: Mapping[str, int]) -> None:
-        """The states that `show_state` will show, 0xRRGGBBAA each."""
+        """Register the states of `show_state`, with colours 0xRRGGBBAA."""
         values, colors = [str(state) for state in colours], np.array(list(colours.values()), np.uint32)
         self.log(f"{STATUS}/{name}", self.rr.StateConfiguration(values=values, colors=colors), static=True)
 
     def show_state(self, name: str, state: str) -> None:
-        """A state from now on."""
+        """Show a state from now on."""
         self.log(f"{STATUS}/{name}", self.rr.StateChange(state=str(state)))
 
     def transform(self, T: FloatArray) -> Any:
-        """Of (4, 4)."""
+        """Rerun's transform of (4, 4)."""
         return self.rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
 
     def px(self, width: float) -> Any:
-        """A width on the screen."""
+        """A width in pixels of the screen."""
         return self.rr.Radius.ui_points(width)
 
     def _show_fixed(self, calibration: Calibration) -> None:
@@ -435,17 +430,17 @@ STATUS, CURVES, WORDS = "status", "curves", "words"
 
 
 def blueprint_of(tracks: Sequence[str]) -> Any:
-    """Of a run that follows `tracks`."""
+    """The blueprint of a run with `tracks`."""
     return _blueprint([TRAIL, *(f"{OTHERS}/{name}/trail" for name in tracks)], "Inliers and milliseconds")
 
 
 def drive_blueprint() -> Any:
-    """Of a drive to goals."""
+    """The blueprint of a drive to goals."""
     return _blueprint([TRAIL], "Speeds and way to go")
 
 
 def _blueprint(trails: Sequence[str], curves: str) -> Any:
-    """Trails are shown up to the moment that is looked at."""
+    """Trails end at the shown moment."""
     rrb = needed("rerun.blueprint")
     until_now = rrb.VisibleTimeRange(
         TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()

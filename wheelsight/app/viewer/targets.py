@@ -31,12 +31,12 @@ VIEWER = (sys.executable, "-m", "rerun")
 
 
 def why_no_rerun() -> str | None:
-    """Why nothing can be shown in Rerun: it is not installed. None where it is."""
+    """Why Rerun is unavailable: it is not installed. None if it is."""
     return why_missing("rerun")
 
 
 def is_file(target: str) -> bool:
-    """Whether a target is a file, and no viewer."""
+    """Whether a target is a file rather than a viewer."""
     return target != SPAWN and not target.startswith(_ADDRESS)
 
 
@@ -48,15 +48,15 @@ def open_rerun(
     settings: ViewerSettings | None = None,
     viewer: Sequence[str] = VIEWER,
 ) -> Iterator[RerunLog]:
-    """What a run is shown by, as the `watcher` of `run_each`; all is written once it is closed.
+    """A log of a run, for `watcher` of `run_each`. Closing it writes everything.
 
     Args:
-        target: a file to write, .rrd; or "spawn": a viewer that is started, and stays when the run is over; or the
-            address of one that is there, rerun+http://….
+        target: a file to write, .rrd; or "spawn": a new viewer, which stays after the run; or the address of a running
+            one, rerun+http://….
         calibration: of the run.
-        tracks: names of what it follows.
-        settings: or the defaults.
-        viewer: the command that starts Rerun's viewer.
+        tracks: names of the run's tracks.
+        settings: defaults if None.
+        viewer: the command of Rerun's viewer.
 
     Raises:
         ConfigError: Rerun is not installed, or its viewer does not start.
@@ -70,7 +70,7 @@ def open_rerun(
 def open_drive_log(
     target: str, calibration: Calibration, settings: ViewerSettings | None = None, viewer: Sequence[str] = VIEWER
 ) -> Iterator[DriveLog]:
-    """What a drive to goals is shown by; arguments and what it raises: as `open_rerun`."""
+    """A log of a drive to goals; arguments and errors as of `open_rerun`."""
     with _opened(target, drive_blueprint, viewer) as stream:
         yield DriveLog(stream, calibration, settings or ViewerSettings())
 
@@ -78,11 +78,23 @@ def open_drive_log(
 @contextmanager
 def _opened(target: str, blueprint: Callable[[], Any], viewer: Sequence[str]) -> Iterator[Any]:
     """Rerun's stream to a target."""
-    stream = _stream()
+    # With one timeline, that of the recording
+    rerun = needed("rerun")
+    stream = rerun.RecordingStream(_APPLICATION)
+    stream.set_log_time_enabled(False)
+    stream.set_log_tick_enabled(False)
     if target == SPAWN:
         target, _ = start_viewer(viewer)
     if is_file(target):
-        _save(stream, Path(target), blueprint())
+        path = Path(target)
+        layout = blueprint()
+        check_name(path)
+        try:
+            with path.open("wb"):
+                pass  # Rerun itself says nothing of a file that cannot be written
+        except OSError as error:
+            raise output_error(error, path) from error
+        stream.save(path, default_blueprint=layout)
     else:
         stream.connect_grpc(target, default_blueprint=blueprint())
     try:
@@ -92,27 +104,8 @@ def _opened(target: str, blueprint: Callable[[], Any], viewer: Sequence[str]) ->
         stream.disconnect()
 
 
-def _stream() -> Any:
-    """With one timeline, that of the recording."""
-    rerun = needed("rerun")
-    stream = rerun.RecordingStream(_APPLICATION)
-    stream.set_log_time_enabled(False)
-    stream.set_log_tick_enabled(False)
-    return stream
-
-
-def _save(stream: Any, path: Path, blueprint: Any) -> None:
-    check_name(path)
-    try:
-        with path.open("wb"):
-            pass  # Rerun itself says nothing of a file that cannot be written
-    except OSError as error:
-        raise output_error(error, path) from error
-    stream.save(path, default_blueprint=blueprint)
-
-
 def start_viewer(viewer: Sequence[str] = VIEWER) -> tuple[str, subprocess.Popen[bytes]]:
-    """The address of a viewer that is started, on loopback alone, and its process. Raises ConfigError."""
+    """Start a viewer on loopback; returns its address and its process. Raises ConfigError."""
     with socket.socket() as found:
         found.bind((_LOOPBACK, 0))
         port = found.getsockname()[1]
