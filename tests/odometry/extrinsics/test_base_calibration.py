@@ -131,7 +131,7 @@ def unlike(seen: Sightings) -> Sightings:
     [
         (lost, r"the camera could be followed in \d+ of \d+ frames only .drive slowly"),
         (swapped, r"the camera turns left where the wheels turn right .swap left and right wheel"),
-        (halved, r"the camera sees ways 0.50 times as long as the wheels tell .check the depth factor"),
+        (halved, r"distances by the camera are 0.50 times those by the wheels .check the depth factor"),
         (unlike, r"wheels and camera do not turn together"),
         (lambda seen: with_late_camera(seen, 1.7e9), r"share 0.0 s: their clocks count from different moments"),
         (lambda seen: with_late_camera(seen, -900.0), r"their clocks count from different moments"),
