@@ -420,13 +420,7 @@ class MonitorSettings(Settings):
     slow_zone_m: float = setting(0.2, "distance within which obstacles reduce the speed", CHOSEN, ge=0, le=3)
     slow_m_s: float = setting(0.35, "speed near obstacles within the slow-down zone", CHOSEN, gt=0, le=3)
     slow_rad_s: float = setting(0.5, "turn rate near them", CHOSEN, gt=0, le=4)
-    inside_m: float = setting(
-        0.1,
-        "depth of a point inside the outline at which the robot stops: it contradicts the outline",
-        CHOSEN,
-        ge=0,
-        le=1,
-    )
+    inside_m: float = setting(0.1, "depth of a point inside the outline that stops the robot", CHOSEN, ge=0, le=1)
     coasting_m_s: float = setting(
         0.35, "speed limit while wheels alone carry the pose", "docs/fusion.md: slows down", gt=0, le=3
     )
@@ -448,13 +442,7 @@ class MonitorSettings(Settings):
         0.15, "age of the newest wheel reading beyond which it stops: 3 of 20 per second", CHOSEN, gt=0, le=5
     )
     ahead_s: float = setting(0.05, "how far a stamp may be in the future; clocks err by less", CHOSEN, ge=0, le=1)
-    seen_share: float = setting(
-        0.3,
-        "share of bearings with depth that makes a frame usable: a hand on the lens leaves none",
-        CHOSEN,
-        ge=0,
-        le=1,
-    )
+    seen_share: float = setting(0.3, "least share of bearings with depth in a usable frame", CHOSEN, ge=0, le=1)
     blind_m_s: float = setting(0.2, "speed onto floor that was not seen lately, and backward", CHOSEN, gt=0, le=1)
     blind_rad_s: float = setting(0.5, "turn rate over floor that was not seen lately", CHOSEN, gt=0, le=4)
     blind_m: float = setting(0.3, "depth of the outline in unseen floor at which it stops", "issue 32", ge=0, le=2)
