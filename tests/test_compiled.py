@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -114,6 +115,18 @@ def test_each_way_to_import_is_followed(area: Area, tmp_path: Path, monkeypatch:
         "area._numbers",
         "wheelsight.core.compiled",
     }
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_an_index_that_cannot_be_read_is_made_again(area: Area, cut: bool) -> None:
+    """Of a class that has been renamed, or of a write that was cut off."""
+    _, _, folder = area.run()
+    for index in folder.glob("*.nbi"):
+        data = index.read_bytes()
+        version = pickle.dumps(pickle.loads(data), protocol=4)
+        index.write_bytes(data[: len(data) // 2] if cut else version + b"carea._numbers\nGone\n.")
+    assert area.run()[:2] == (6.0, 0)
+    assert area.run()[:2] == (6.0, 1)
 
 
 def test_each_change_is_used_and_one_elsewhere_compiles_nothing_again(area: Area) -> None:

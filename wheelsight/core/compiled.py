@@ -11,6 +11,7 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import os
+import pickle
 import re
 import sys
 from collections.abc import Callable, Iterator
@@ -78,12 +79,26 @@ def _whatever_the_number(template_of: Callable[..., Any]) -> Callable[..., Any]:
     return unliteral
 
 
+class _Index(IndexDataCacheFile):
+    """Numba's own; one that cannot be read is as none.
+
+    Numba unpickles an index before it compares stamps: a class that was renamed since, or a write that was cut off,
+    would raise at each call of the kernel.
+    """
+
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()  # type: ignore[no-untyped-call]
+        except (AttributeError, ImportError, EOFError, ValueError, pickle.UnpicklingError):
+            return {}
+
+
 class _Cache(FunctionCache):
     """Numba's own, in the place that numba chooses, with a stamp of all files that a function is made of."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)  # type: ignore[no-untyped-call]
-        self._cache_file = IndexDataCacheFile(  # type: ignore[no-untyped-call]
+        self._cache_file = _Index(  # type: ignore[no-untyped-call]
             cache_path=self.cache_path,
             filename_base=self._impl.filename_base,
             source_stamp=(self._impl.locator.get_source_stamp(), _stamp(function.__module__)),
