@@ -99,13 +99,7 @@ def _rehearse(part: str, recording: Recording, out: Path) -> None:
                 pass
 
 
-if __name__ == "__main__":
-    main(sys.argv[1:])
-
-
-# A small drive by navigation
-
-
+# A small drive by navigation.
 _CELL_M, _READING_S, _READINGS_A_STEP = 0.05, 0.025, 2
 _STEPS_A_FRAME = 2
 _START, _GOAL = (-1.3, -0.4, 0.0), (0.8, 0.6, 1.57)
@@ -217,3 +211,7 @@ def drawn_room() -> OccupancyGrid:
     kind = np.full((height, width), CellKind.FREE, np.uint8)
     kind[[0, -1]] = kind[:, [0, -1]] = CellKind.OBSTACLE
     return OccupancyGrid.of_kinds(kind, np.zeros(kind.shape, bool), _CELL_M, (float(low[0]), float(low[1])))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
