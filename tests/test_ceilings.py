@@ -35,19 +35,19 @@ class Ceiling(NamedTuple):
 
 CEILINGS = {
     "modules": Ceiling(343, 330),
-    "lines without the simulator": Ceiling(102_700, 78_000),
-    "lines of the simulator": Ceiling(13_800, 11_000),
-    "share of private functions used in one place": Ceiling(0.642, 0.40),
-    "class names with two or more meanings": Ceiling(70, 0),
+    "lines without the simulator": Ceiling(98_300, 78_000),
+    "lines of the simulator": Ceiling(13_300, 11_000),
+    "share of private functions used in one place": Ceiling(0.56, 0.40),
+    "class names with two or more meanings": Ceiling(68, 0),
     "settings": Ceiling(937, 200),
     "decision pages": Ceiling(133, 15),
     "benchmark files in the root": Ceiling(1, 1),
     "words of the changelog": Ceiling(12_000, 500),
-    "files of a joined frame": Ceiling(85, 24),
-    "calls of a joined frame": Ceiling(1400, 700),
-    "files of a wheel reading": Ceiling(41, 12),
-    "calls of a wheel reading": Ceiling(345, 150),
-    "files from go_to_pose through a control period": Ceiling(53, 28),
+    "files of a joined frame": Ceiling(46, 24),
+    "calls of a joined frame": Ceiling(1340, 700),
+    "files of a wheel reading": Ceiling(27, 12),
+    "calls of a wheel reading": Ceiling(315, 150),
+    "files from go_to_pose through a control period": Ceiling(37, 28),
 }
 # A figure that is lower than this share of its ceiling lowers the ceiling.
 LOOSE = 0.95

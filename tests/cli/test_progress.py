@@ -19,7 +19,7 @@ from sessions.seen_maps import RING, aside, write_seen
 from wheelsight.app.batch import Done, Outcome
 from wheelsight.app.cli import app
 from wheelsight.app.cli.batch_run import BatchProgress
-from wheelsight.app.cli.calibrate_camera import _shown
+from wheelsight.app.cli.calibrate_camera import camera_progress
 from wheelsight.app.cli.drive_view import DriveView
 from wheelsight.app.cli.progress import FrameProgress, left_text
 from wheelsight.app.cli.record import shown_looks
@@ -118,7 +118,7 @@ def test_a_recording(columns: int, seconds: float | None, time: str, monkeypatch
 
 @COLUMNS
 def test_views_of_a_board(columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    with terminal(columns, monkeypatch) as screen, _shown() as (show, _):
+    with terminal(columns, monkeypatch) as screen, camera_progress() as (show, _):
         show("12 views · show the board at the lower left, tilted to the right, at about 0.8 m · it moves")
     assert "12 views · show the board" in drawn(screen, columns, "12 views")
 

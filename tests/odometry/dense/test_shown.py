@@ -9,7 +9,7 @@ from odometry.dense.scenes import Plane, bench, frame_of
 
 from wheelsight.core.geometry import se3
 from wheelsight.vision.dense import alignment_kernels as shown
-from wheelsight.vision.dense.alignment import _symmetric
+from wheelsight.vision.dense.alignment import symmetric
 from wheelsight.vision.dense.alignment_kernels import ALONG_U, ALONG_V, DEPTH, GREY, NX, OFFSET
 
 NOISE = np.array([1e-3, 2e-3, 0.1, 9.0])
@@ -83,7 +83,7 @@ def test_information_is_the_sum_of_products(show: object, of_planes: bool) -> No
         show(both, T, NOISE, HOW, begin, (10, 24)[begin > 0], sums)  # type: ignore[operator]
     expected = by_hand(own, reference, of_planes)
     scale = np.abs(expected).max()
-    assert_allclose(_symmetric(sums.sum(axis=0)) / scale, expected / scale, atol=1e-5)
+    assert_allclose(symmetric(sums.sum(axis=0)) / scale, expected / scale, atol=1e-5)
 
 
 @pytest.mark.parametrize("hole", ["depth", "normal", "grey"])

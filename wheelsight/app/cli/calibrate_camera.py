@@ -272,7 +272,7 @@ def _take_views(
     """Until nothing is missing, the camera has ended, or it is over. Prints each view once it is on the disk."""
     from wheelsight.vision.camera_calibration.live_views import save_view
 
-    with _shown() as (show, tell):
+    with camera_progress() as (show, tell):
         while not is_over():
             if taker.has_enough():
                 return _Why.ENOUGH
@@ -298,7 +298,7 @@ def _take_views(
 
 
 @contextmanager
-def _shown() -> Iterator[tuple[Callable[[str], None], Callable[[str], None]]]:
+def camera_progress() -> Iterator[tuple[Callable[[str], None], Callable[[str], None]]]:
     """What says how it is just now, where a terminal watches, and what says a thing that stays, above that."""
     stderr = console(stderr=True)
     if not stderr.is_terminal:

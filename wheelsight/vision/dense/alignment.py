@@ -252,7 +252,7 @@ class Aligner:
         information, compared = self._information(frame, reference, T, pairs, how)
         residual = float(how[PLANE_SCALE] * mean_abs / MEAN_ABS)
         T = se3.from_parts(so3.nearest(T[:3, :3]), T[:3, 3])
-        claimed = _symmetric(total[:21] + total[kernels.GREY_SUMS : kernels.GREY_SUMS + 21])
+        claimed = symmetric(total[:21] + total[kernels.GREY_SUMS : kernels.GREY_SUMS + 21])
         grey_sigma = float(how[GREY_SIGMA])
         return DenseAlignment(T, information, pairs, planes, points, residual, grey_sigma, claimed, compared)
 
@@ -278,8 +278,8 @@ class Aligner:
             self._rows.share(len(sums), partial(_in_rows, show, (both, *given), sums))
             total = sums.sum(axis=0)
             share = float(pairs / max(total[POINTS], 1.0))
-            information += share * _symmetric(total)
-            compared += share * _symmetric(total if show is show_planes else total[SHOWN:])
+            information += share * symmetric(total)
+            compared += share * symmetric(total if show is show_planes else total[SHOWN:])
         return information, compared
 
     def _placer(self, frame: GridFrame, number: int, step: Step | None) -> Callable[[FloatArray], Float32Array]:
@@ -321,7 +321,7 @@ def both(
     return se3.exp(np.linalg.solve(total, second @ off)) @ T_first, total
 
 
-def _symmetric(sums: FloatArray) -> FloatArray:
+def symmetric(sums: FloatArray) -> FloatArray:
     """The symmetric matrix (6, 6) of 21 sums, its upper triangle row by row."""
     H = np.zeros((6, 6))
     H[_UPPER] = sums[:21]
