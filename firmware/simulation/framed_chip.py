@@ -5,13 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
-from wheelsight.io.devices.wire_formats import Ack
-from wheelsight.io.devices.wire_formats import Command
-from wheelsight.io.devices.wire_formats import Counts
-from wheelsight.io.devices.wire_formats import FrameDecoder
-from wheelsight.io.devices.wire_formats import Message
-from wheelsight.io.devices.wire_formats import Version
-from wheelsight.io.devices.wire_formats import encode_command
+from wheelsight.io.devices.wire_formats import Ack, Command, Counts, FrameDecoder, Message, Version, encode_command
 
 
 class FramedChip(ABC):

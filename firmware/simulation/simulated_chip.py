@@ -9,8 +9,7 @@ from types import TracebackType
 from typing import NamedTuple
 
 from firmware.simulation.framed_chip import FramedChip
-from wheelsight.io.devices.wire_formats import Command
-from wheelsight.io.devices.wire_formats import drive_body
+from wheelsight.io.devices.wire_formats import Command, drive_body
 
 FIRMWARE = Path(__file__).resolve().parents[1]
 CHIP_HZ = 14_745_600
