@@ -112,7 +112,7 @@ def test_the_papers_way_is_eq_5_with_the_weights_given() -> None:
 def test_a_frame_is_answered_where_the_robot_is_by_then() -> None:
     subject = localizer()
     reading = driven(subject)
-    speed, _ = subject.odometry.twist  # type: ignore[union-attr]
+    speed, _ = subject.odometry.twist  # type: ignore[union-attr,misc]
     assert speed > 0.9
     frame = replace(area_drive().frames[0], stamp_s=reading.stamp_s + 0.1)
     estimate = subject.process(frame)

@@ -241,7 +241,7 @@ def test_readings_of_other_wheels_are_refused_with_what_to_give() -> None:
     with pytest.raises(ArgumentError, match="3 counts are given, and the calibration has 4 wheels"):
         odometry.process(WheelCounts(0.0, (1, 2, 3)))
     with pytest.raises(ArgumentError, match="WheelTicks is no reading of a holonomic base"):
-        odometry.process(WheelTicks(0.0, 1, 2))  # type: ignore[arg-type]
+        odometry.process(WheelTicks(0.0, 1, 2))
     with pytest.raises(ArgumentError, match="OdometryReading, as layout increments says"):
         HolonomicOdometry(INCREMENTS).process(WheelCounts(0.0, (1, 2, 3, 4)))
 
