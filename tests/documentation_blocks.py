@@ -65,7 +65,8 @@ from pathlib import Path
 from wheelsight import (
     Calibration, Config, Localizer, OpenOptions, PinholeCamera, load_calibration, open_recording, read_tum, run,
 )
-from wheelsight.config import RecordingSettings, ReportSettings
+from wheelsight.config import ReportSettings
+from wheelsight.io.recordings.recording import RecordingSettings
 from wheelsight.vision.features import FeatureSettings
 
 recording = open_recording("room", OpenOptions(calibration=["a.yaml", Path("b.yaml")]))

@@ -44,7 +44,7 @@ CEILINGS = {
     "benchmark files in the root": Ceiling(1, 1),
     "words of the changelog": Ceiling(12_000, 500),
     "files of a joined frame": Ceiling(46, 24),
-    "calls of a joined frame": Ceiling(1340, 700),
+    "calls of a joined frame": Ceiling(1360, 700),
     "files of a wheel reading": Ceiling(27, 12),
     "calls of a wheel reading": Ceiling(315, 150),
     "files from go_to_pose through a control period": Ceiling(37, 28),

@@ -180,7 +180,7 @@ def test_ctrl_c_keeps_what_was_found(tmp_path: Path) -> None:
     code = (
         "import os, signal\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored where tests run in the background
-        "from wheelsight import localizer\n"
+        "from wheelsight.estimation import localizer\n"
         "process, seen = localizer.Localizer.process, []\n"
         "def counted(self, event):\n"
         "    seen.append(event)\n"

@@ -28,7 +28,7 @@ from wheelsight.io.recordings import open_recording
 SLOW_RUN = """
 import os, time
 from pathlib import Path
-from wheelsight import localizer
+from wheelsight.estimation import localizer
 process, got = localizer.Localizer.process, []
 def counted(self, event):
     got.append(event)

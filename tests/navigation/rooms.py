@@ -16,6 +16,7 @@ from wheelsight.core.estimates import Estimate, Status
 from wheelsight.core.geometry import BoolArray, FloatArray, PinholeCamera, se3
 from wheelsight.core.keyframes import KeyframeStore
 from wheelsight.core.messages import Event, RgbdFrame, VelocityCommand, WheelSpeeds
+from wheelsight.core.robots import STOPPED
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import KnownFloor, NavigationSettings, Navigator, Planned, Transition, Worker
 from wheelsight_sim.robot import Robot
@@ -102,6 +103,8 @@ class RoomRobot:
         self.has_camera = self.has_wheels = True
 
     def step(self, command: VelocityCommand) -> list[Event]:
+        if command.is_stop and self.stop_reason == STOPPED:
+            self.stop_reason = ""
         self.base.step(self.obeys(command))
         self._period, self.now_s = self._period + 1, self.now_s + 0.05
         half = self.base.turn_rad_s * WHEELS.track_width_m / 2
@@ -118,7 +121,7 @@ class RoomRobot:
         return se3.from_plane(x, y, yaw)
 
     def stop(self) -> None:
-        self.stop_reason = "it was stopped"
+        self.stop_reason = STOPPED
 
     def close(self) -> None:
         self.stop()

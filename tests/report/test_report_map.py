@@ -92,12 +92,12 @@ def test_the_page_shows_the_map(tmp_path: Path):
     assert "412,345 surfels (small disks) of 480 frames, 300,000 of them stable" in page.text
     assert "72 MB of memory" in page.text
     assert page.tags["img"] == 3 + 1  # and the cloud's still picture
-    assert "Which way is up was judged" not in page.text
+    assert "The vertical is estimated" not in page.text
 
 
 def test_a_world_that_nobody_levelled_is_said_so(tmp_path: Path):
     write_report(example_run(60, map=example_map(is_levelled=False)), tmp_path / "report.html")
-    assert "Which way is up was judged by the surfels" in _page(tmp_path).text
+    assert "The vertical is estimated from the surfels" in _page(tmp_path).text
 
 
 def test_an_empty_map_is_told_and_no_map_is_not(tmp_path: Path):
