@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from html import escape
+from importlib import resources
 
 from wheelsight.app.report import plotly as go
 from wheelsight.app.report.pictures import lean_json
@@ -15,6 +16,11 @@ _HEADING = re.compile('<h2 id="([^"]+)">([^<]*)</h2>')
 _FEWEST_LINKED = 3
 # Words beside the colours, for readers who do not see these apart.
 _TONES = {Tone.GREEN: "Good:", Tone.AMBER: "Care:", Tone.RED: "Bad:"}
+
+
+def asset(name: str) -> str:
+    """The text of a template, style or script that lies beside the pages."""
+    return (resources.files("wheelsight.app.report") / name).read_text(encoding="utf-8")
 
 
 def section(key: str, title: str, intro: str, *parts: str) -> str:

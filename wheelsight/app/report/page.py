@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from html import escape
-from importlib import resources
 from pathlib import Path
 from string import Template
 
@@ -65,15 +64,11 @@ def fill_template(**parts: str) -> str:
 
     Optional parts are `findings`, above the sentences, and `more`, below them.
     """
-    plotly = packed(_asset("plotly-cartesian.min.js").encode())
-    script = _asset("page.js") + (_asset("cloud.js") if 'class="cloud"' in parts["sections"] else "")
-    assets = {"style": _asset("style.css"), "plotly": plotly, "script": script}
+    plotly = packed(html.asset("plotly-cartesian.min.js").encode())
+    script = html.asset("page.js") + (html.asset("cloud.js") if 'class="cloud"' in parts["sections"] else "")
+    assets = {"style": html.asset("style.css"), "plotly": plotly, "script": script}
     assets["contents"] = html.contents(parts["notes"] + parts["sections"])
-    return Template(_asset("template.html")).substitute({"findings": "", "more": "", **parts}, **assets)
-
-
-def _asset(name: str) -> str:
-    return (resources.files("wheelsight.app.report") / name).read_text(encoding="utf-8")
+    return Template(html.asset("template.html")).substitute({"findings": "", "more": "", **parts}, **assets)
 
 
 def _facts(record: RunRecord) -> list[str]:

@@ -6,7 +6,6 @@ import base64
 import json
 from collections.abc import Sequence
 from html import escape
-from importlib import resources
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -383,12 +382,12 @@ def render_sheet(sheet: ContactSheet, source: str = "") -> str:
         f"wheelsight {__version__}",
     ]
     data = json.dumps(_data(sheet), ensure_ascii=False).replace("<", "\\u003c")
-    return Template(_asset("sheet.html")).substitute(
+    return Template(html.asset("sheet.html")).substitute(
         title=escape(sheet.name),
         facts=" · ".join(escape(fact) for fact in facts),
-        style=_asset("style.css") + _asset("sheet.css"),
+        style=html.asset("style.css") + html.asset("sheet.css"),
         data=data,
-        script=_asset("sheet.js"),
+        script=html.asset("sheet.js"),
     )
 
 
@@ -424,7 +423,3 @@ def _data(sheet: ContactSheet) -> dict[str, Any]:
 
 def _plain(name: str) -> str:
     return "".join(sign if sign.isalnum() or sign in "-_." else "_" for sign in name) or "recording"
-
-
-def _asset(name: str) -> str:
-    return (resources.files("wheelsight.app.report") / name).read_text(encoding="utf-8")

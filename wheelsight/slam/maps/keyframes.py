@@ -347,7 +347,7 @@ def inflated(data: bytes, expected: int) -> bytes:
 
 # Of a first keyframe: as _HEAD without the grey step, which follows in one byte.
 _KEYFRAME = struct.Struct("<d4ddd5i4x")
-_OLD_RECORDS_ORB_BYTES, _KEYPOINT_BYTES = 32, 5 * 4
+_KEYPOINT_BYTES = 5 * 4
 
 
 def unpack_old_keyframe(content: bytes, most_px: Size = LARGEST_PX) -> Keyframe:
@@ -360,7 +360,7 @@ def unpack_old_keyframe(content: bytes, most_px: Size = LARGEST_PX) -> Keyframe:
     except struct.error as error:
         raise MapError("is no keyframe", fix=_DAMAGED) from error
     depth_bytes, grey_bytes, code_bytes, count, place_bytes = sizes
-    descriptor_bytes = max(count, 0) * _OLD_RECORDS_ORB_BYTES
+    descriptor_bytes = max(count, 0) * _ORB_BYTES
     lengths = (depth_bytes, grey_bytes, code_bytes, place_bytes, descriptor_bytes)
     numbers = np.array([stamp_s, fx, fy, cx, cy, step_m, growth])
     is_sound = np.isfinite(numbers).all() and min(fx, fy, step_m, growth) > 0 and -1 <= count <= _MOST_KEYPOINTS
@@ -394,10 +394,6 @@ def unpack_old_descriptors(content: bytes) -> UInt64Array:
         count = max(_KEYFRAME.unpack_from(content)[-2], 0)
     except struct.error as error:
         raise MapError("is no keyframe", fix=_DAMAGED) from error
-    if count * _OLD_RECORDS_ORB_BYTES > len(content) - _KEYFRAME.size:
+    if count * _ORB_BYTES > len(content) - _KEYFRAME.size:
         raise MapError("is no keyframe", fix=_DAMAGED)
-    return (
-        np.frombuffer(content, "<u8", 4 * count, len(content) - count * _OLD_RECORDS_ORB_BYTES)
-        .reshape(-1, 4)
-        .astype(np.uint64)
-    )
+    return np.frombuffer(content, "<u8", 4 * count, len(content) - count * _ORB_BYTES).reshape(-1, 4).astype(np.uint64)

@@ -505,7 +505,7 @@ def _pixel_noise(residuals: Residuals, depth: DepthResiduals) -> tuple[float, fl
 # What a solution leaves open of where points are seen, as modes of one standard deviation each.
 
 
-_POINT_MODES_ACROSS, _POINT_MODES_DOWN, _POINT_MODES_DISTANCES = 9, 7, 6
+_POINT_MODES_DISTANCES = 6
 _NEAREST_M = 0.6  # where depth cameras of all kinds see
 _KEPT = 0.999  # of the variance of points, over their distance
 _TINY = 1e-9  # of the variance, so that no direction is without any
@@ -546,8 +546,8 @@ def _points_of(model: Model, x: FloatArray, farthest_m: float) -> Callable[[Floa
     """What parameters make of the readings that `x` makes points all over image and distances of: (N, 3)."""
     camera = model.depth_camera(x)
     distances_m = np.geomspace(_NEAREST_M, farthest_m, _POINT_MODES_DISTANCES)
-    px = np.tile(grid_px(camera, _POINT_MODES_ACROSS, _POINT_MODES_DOWN), (_POINT_MODES_DISTANCES, 1))
-    depth_m = np.repeat(distances_m, _POINT_MODES_ACROSS * _POINT_MODES_DOWN)
+    px = np.tile(grid_px(camera, _ACROSS, _DOWN), (_POINT_MODES_DISTANCES, 1))
+    depth_m = np.repeat(distances_m, _ACROSS * _DOWN)
     readings = readings_for(model.error_of(x), depth_m, px, camera)
 
     def points(y: FloatArray) -> FloatArray:

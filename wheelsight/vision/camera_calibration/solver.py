@@ -448,7 +448,7 @@ def _of_error(priors: _Priors, model: Model, first: int) -> None:
 # What agrees with a fit: standard deviations as residuals have them, and views, corners and cells left out.
 
 
-_AGREEMENT_POSE, _LENS, _OF_DEPTH = 6, 9, 3
+_LENS, _OF_DEPTH = 9, 3
 _LEAST_FACTOR = 1e-3
 _AS_BAD = 0.8
 _LEAST_MEDIAN = 0.3  # in σ: of views that all agree better than they should, none is left out
@@ -463,7 +463,7 @@ def sigmas_of(residuals: Residuals, x: FloatArray) -> Sigmas:
 
     least = model.settings.detection.least_sigma_px
     return Sigmas(
-        max(before.color_px * of(residuals.color(x), _AGREEMENT_POSE * model.count + _LENS), least),
+        max(before.color_px * of(residuals.color(x), _POSE * model.count + _LENS), least),
         max(before.infrared_px * of(residuals.infrared(x), _LENS), least),
         max(before.depth * of(residuals.depth(x), _OF_DEPTH), _LEAST_FACTOR),
     )

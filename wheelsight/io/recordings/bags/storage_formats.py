@@ -287,8 +287,6 @@ def _text(record: bytes, at: int) -> tuple[str, int]:
 
 _MAGIC = b"#ROSBAG V2.0\n"
 _CHUNK_INFO, _ROS1_MESSAGE, _ROS1_CHUNK = 6, 2, 5
-_ROS1_U32 = struct.Struct("<I")
-_ROS1_U64 = struct.Struct("<Q")
 _TIME = struct.Struct("<II")
 _INFO_FIELDS = (b"op=", b"start_time=", b"end_time=", b"chunk_pos=")
 _MESSAGE_FIELDS = (b"op=", b"conn=", b"time=")
@@ -347,7 +345,7 @@ class Ros1Reader(ChunkedReader):
     def _header(self) -> bytes:
         """A record's header with its length before it."""
         size = self._exactly(4, 4)
-        return size + self._exactly(_ROS1_U32.unpack(size)[0], _MOST_HEADER)
+        return size + self._exactly(_U32.unpack(size)[0], _MOST_HEADER)
 
     def _content(self, place: int) -> bytes:
         if place > self._size:
@@ -357,7 +355,7 @@ class Ros1Reader(ChunkedReader):
         if header.get_uint8("op") != _ROS1_CHUNK:
             raise ValueError("is none: its index leads elsewhere")
         name, stated = header.get_string("compression"), header.get_uint32("size")
-        data = self._packed(_ROS1_U32.unpack(self._exactly(4, 4))[0])
+        data = self._packed(_U32.unpack(self._exactly(4, 4))[0])
         return self.allowance.unpacked(data, _WAYS.get(name, name), stated)
 
     def _walk(self, content: bytes, most: int) -> tuple[list[Record], int]:
@@ -365,9 +363,9 @@ class Ros1Reader(ChunkedReader):
         places = _Places(_MESSAGE_FIELDS)
         at = count = 0
         while at < len(content):
-            (size,) = _ROS1_U32.unpack_from(content, at)
+            (size,) = _U32.unpack_from(content, at)
             header, at = content[at + 4 : at + 4 + size], at + 4 + size
-            (size,) = _ROS1_U32.unpack_from(content, at)
+            (size,) = _U32.unpack_from(content, at)
             begin, at = at + 4, at + 4 + size
             count += 1
             if at > len(content):
@@ -379,7 +377,7 @@ class Ros1Reader(ChunkedReader):
                 if min(conn, time) < 0:
                     raise ValueError("holds a message without time or connection")
                 seconds, nanoseconds = _TIME.unpack_from(header, time)
-                found.append(Record(_ROS1_U32.unpack_from(header, conn)[0], seconds * 10**9 + nanoseconds, begin, at))
+                found.append(Record(_U32.unpack_from(header, conn)[0], seconds * 10**9 + nanoseconds, begin, at))
         return found, count
 
 
@@ -388,16 +386,16 @@ def _chunk_infos(data: bytes, count: int) -> Iterator[Chunk]:
     places = _Places(_INFO_FIELDS)
     at = 0
     for _ in range(count):
-        (size,) = _ROS1_U32.unpack_from(data, at)
+        (size,) = _U32.unpack_from(data, at)
         header, at = data[at + 4 : at + 4 + size], at + 4 + size
         op, start, end, place = places.of(header)
-        (size,) = _ROS1_U32.unpack_from(data, at)
+        (size,) = _U32.unpack_from(data, at)
         if min(start, end, place) < 0 or header[op] != _CHUNK_INFO or at + 4 + size > len(data):
             raise ValueError(f"a record of the index at {at} describes no chunk")
         start_s, start_ns = _TIME.unpack_from(header, start)
         end_s, end_ns = _TIME.unpack_from(header, end)
         words = struct.unpack_from(f"<{size // 8 * 2}I", data, at + 4)
-        place_in_file = _ROS1_U64.unpack_from(header, place)[0]
+        place_in_file = _U64.unpack_from(header, place)[0]
         yield Chunk(start_s * 10**9 + start_ns, end_s * 10**9 + end_ns, place_in_file, words[::2], words[1::2])
         at += 4 + size
 
@@ -420,7 +418,7 @@ class _Places:
                 return self._found
         found, at = {}, 0
         while at < len(header):
-            (size,) = _ROS1_U32.unpack_from(header, at)
+            (size,) = _U32.unpack_from(header, at)
             name = header[at + 4 : at + 4 + size].partition(b"=")[0] + b"="
             found[name] = at + 4 + len(name)
             at += 4 + size
