@@ -316,7 +316,7 @@ def _stand(level: ByteArray, geoms: Geoms, g: int, grid: FloatArray) -> None:
 # Shadows that things, people, doors and the robot throw in the light of lamps.
 
 
-_SHADOWS_PLANE, _SPHERE, _ELLIPSOID, _CYLINDER, _SHADOWS_BOX = 0, 2, 4, 5, 6
+_SPHERE, _ELLIPSOID, _CYLINDER = 2, 4, 5
 _CELL_M = 0.5
 _LAMPS, _CANDIDATES = 5, 9
 # What is flatter hangs on a wall or lies on the floor: it has no shadow worth a ray.
@@ -410,20 +410,18 @@ class Shadows:
 
 def _blocks(geoms: Geoms, looks: list[Surface]) -> BoolArray:
     """(G,) which geoms hide light: no planes, lamps or ceilings, nothing flat, and no panes."""
-    half = np.where(geoms.kind[:, None] == _SHADOWS_BOX, geoms.size_m, geoms.size_m[:, :1])
+    half = np.where(geoms.kind[:, None] == _BOX, geoms.size_m, geoms.size_m[:, :1])
     is_thick = 2 * half.min(axis=1) > _THINNEST_M
     is_other = np.array([look.glow > 0 or look.kind == "ceiling" for look in looks])
     is_pane = np.array([name.startswith("pane") for name in geoms.names])
     boxes = np.array([_box_of(geoms, g) for g in range(len(looks))])
-    return np.asarray(
-        (geoms.kind != _SHADOWS_PLANE) & is_thick & ~is_other & ~is_pane & (boxes[:, 3] > _SHADOWS_LOWEST_M)
-    )
+    return np.asarray((geoms.kind != _PLANE) & is_thick & ~is_other & ~is_pane & (boxes[:, 3] > _SHADOWS_LOWEST_M))
 
 
 def _box_of(geoms: Geoms, g: int) -> FloatArray:
     """(8,) the upright box around a geom, as `Blockers` has it."""
     R, (x, y, z), size = geoms.R_world_geom[g], geoms.position_world[g], geoms.size_m[g]
-    if geoms.kind[g] == _SHADOWS_BOX:
+    if geoms.kind[g] == _BOX:
         half = size
     elif geoms.kind[g] == _SPHERE:
         half = size[[0, 0, 0]]
@@ -470,7 +468,6 @@ def _listed(lamps: Lamps, boxes: FloatArray, still: Int32Array) -> tuple[Int32Ar
 
 
 _PANE = "pane"  # what the names of windows' geoms begin with
-_SUNLIGHT_BOX = 6
 _CELLS = 64, 32
 _BEHIND_M = 0.01
 
@@ -523,9 +520,7 @@ class Sunlight:
 def _panes_of(scene: Scene, towards: FloatArray, shines: bool) -> Panes:
     """The windows of a scene, and how far the sun comes through them; none where it does not shine."""
     geoms = scene.geoms
-    panes = [
-        g for g, name in enumerate(geoms.names) if shines and name.startswith(_PANE) and geoms.kind[g] == _SUNLIGHT_BOX
-    ]
+    panes = [g for g, name in enumerate(geoms.names) if shines and name.startswith(_PANE) and geoms.kind[g] == _BOX]
     axes, halves = np.zeros((len(panes), 3, 3)), np.zeros((len(panes), 2))
     reach_m = np.zeros((len(panes), *_CELLS), np.float32)
     for k, g in enumerate(panes):

@@ -241,8 +241,7 @@ def perturb(T: FloatArray, rest: FloatArray, x: FloatArray) -> tuple[FloatArray,
 
 
 # Of `rest`: twist 3, the wheels' errors 3, the camera's 9, how late its stamps are, the gyroscope's bias.
-_RELATIVE_POSE_REST, _CAMERA, _LAG = 17, 9, 15
-_RELATIVE_POSE_PLANE = (0, 1, 5)
+_CAMERA, _LAG = 9, 15
 _MOUNT = (0, 1, 3, 4, 5)  # on a floor nothing tells how high a camera sits
 _UNSEEN_SIGMA_M = 10.0
 _LEAST_TWIST = 1e-3  # m/s and rad/s: wheels that stand still tell no noise at all
@@ -276,7 +275,7 @@ def imaged_at(T_now: FloatArray, rest: FloatArray) -> FloatArray:
     """The pose (4, 4) when the image was taken that has the stamp of now: the camera's stamps are late."""
     xi = np.zeros(6)
     for i in range(3):
-        xi[_RELATIVE_POSE_PLANE[i]] = -rest[_LAG] * rest[i]
+        xi[_PLANE[i]] = -rest[_LAG] * rest[i]
     return times(T_now, exp(xi))
 
 
@@ -286,11 +285,11 @@ def imaged(P: FloatArray, T_imaged: FloatArray, lag_s: float, twist: FloatArray)
 
     Lag and twist are both uncertain; what they do together, which no first order shows, is added to its own.
     """
-    rest = len(P) - _RELATIVE_POSE_REST
+    rest = len(P) - _REST
     G = np.zeros((6, 3))
     Ad = adjoint(T_imaged)
     for j in range(3):
-        G[:, j] = Ad[:, _RELATIVE_POSE_PLANE[j]]
+        G[:, j] = Ad[:, _PLANE[j]]
     by_lag = times(G, twist.reshape(3, 1))
     rows = P[:6] - lag_s * times(G, P[rest : rest + 3]) - by_lag * P[rest + _LAG]
     spread = (
@@ -325,7 +324,7 @@ def seen_from(
 @kernel
 def _change_of_twist(rest: FloatArray, P: FloatArray, before: FloatArray) -> float:
     """χ² of the change from a twist (3,) before, by the noise that both have of the wheels, and never less than so."""
-    at = len(P) - _RELATIVE_POSE_REST
+    at = len(P) - _REST
     noise = 2 * P[at : at + 3, at : at + 3]
     for i in range(3):
         noise[i, i] += _LEAST_TWIST**2
@@ -406,7 +405,7 @@ def measured(
     weighed = np.linalg.solve(S, residual)
     for i in range(3):
         for j in range(len(residual)):
-            twist[i] += PHt[len(P) - _RELATIVE_POSE_REST + i, j] * weighed[j]
+            twist[i] += PHt[len(P) - _REST + i, j] * weighed[j]
     PHt, S = _innovation(P, place, H, by_errors, R, T_imaged, rest[_LAG], twist)
     return residual, S, PHt, H, chi_squared(residual, S), _change_of_twist(rest, P, poses.twist_then)
 
@@ -454,7 +453,7 @@ def _innovation(
     twist: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     errors, at = (
-        slice(len(P) - _RELATIVE_POSE_REST + 6, len(P) - _RELATIVE_POSE_REST + 6 + _CAMERA),
+        slice(len(P) - _REST + 6, len(P) - _REST + 6 + _CAMERA),
         slice(place, place + 6),
     )
     rows, spread = imaged(P, T_imaged, lag_s, twist)

@@ -311,7 +311,7 @@ def apart(geometry: Any, slot: Any, others: Any, other: Any) -> Any:
 # threads share the work. Arrays are indexed and numbers kept as in matching.
 
 
-_FUSION_ZERO, _FUSION_HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_ONE = np.float32(1.0)
 _LEAST_VARIANCE = np.float32(1e-8)
 
 
@@ -343,7 +343,7 @@ def read(begin: Any, end: Any, seen: Seen, normal: Any, weight: Any, camera: Cam
         y = ray_y[r]
         for c in range(depth_m.shape[1]):
             p, z, x = r * depth_m.shape[1] + c, depth_m[r, c], ray_x[c]
-            reading[p, WEIGHT] = _FUSION_ZERO
+            reading[p, WEIGHT] = _ZERO
             nx, ny, nz = normal[r, c, 0], normal[r, c, 1], normal[r, c, 2]
             along, ray2 = -(nx * x + ny * y + nz), x * x + y * y + _ONE
             cosine = along / np.sqrt(ray2)
@@ -396,13 +396,13 @@ def update(
             matched += 1
             confidence = geometry[slot, CONFIDENCE]
             share = _learn(geometry, slot, variance, reading, p, T, noise, rules.most_readings)
-            geometry[slot, RADIUS] += share * min(radius[p] - geometry[slot, RADIUS], _FUSION_ZERO)
+            geometry[slot, RADIUS] += share * min(radius[p] - geometry[slot, RADIUS], _ZERO)
             _paint(look, slot, _ONE / (min(confidence, rules.color_frames) + _ONE), color, grey, p)
             seen_s[slot, 1] = stamp_s
             cell = page_cell[slot // PAGE]
             cell_seen_s[cell] = stamp_s
             has_left = _has_left(geometry, slot, cell_xyz, cell, block_m)
-            geometry[slot, CONFIDENCE] = _FUSION_ZERO if has_left else min(confidence + frames, rules.most_confidence)
+            geometry[slot, CONFIDENCE] = _ZERO if has_left else min(confidence + frames, rules.most_confidence)
             died += has_left
         counts[k, 2], counts[k, 3] = matched, died
 
@@ -414,7 +414,7 @@ def _learn(geometry: Any, slot: Any, variance: Any, reading: Any, p: Any, T: Any
     The reading weighs as is usual at the surfel's depth: by its own, what errs towards the camera would weigh more. No
     more than the `most` readings count.
     """
-    there = here = _FUSION_ZERO
+    there = here = _ZERO
     for i in range(3):
         there += T[i, 2] * (geometry[slot, i] - T[i, 3])
         here += T[i, 2] * (reading[p, i] - T[i, 3])
@@ -423,7 +423,7 @@ def _learn(geometry: Any, slot: Any, variance: Any, reading: Any, p: Any, T: Any
     before = max(variance[slot], spread / most)
     share = before / (before + spread / reading[p, WEIGHT])
     variance[slot] = before * (_ONE - share)
-    off = length2 = _FUSION_ZERO
+    off = length2 = _ZERO
     for i in range(3):
         off += share * reading[p, 4 + i] * (reading[p, i] - geometry[slot, i])
     for i in range(3):
@@ -469,7 +469,7 @@ def merge(
                 geometry[kept, RADIUS] = min(geometry[kept, RADIUS], geometry[slot, RADIUS])
                 seen_s[kept, 0] = min(seen_s[kept, 0], seen_s[slot, 0])
                 seen_s[kept, 1] = max(seen_s[kept, 1], seen_s[slot, 1])
-                geometry[slot, CONFIDENCE] = _FUSION_ZERO
+                geometry[slot, CONFIDENCE] = _ZERO
                 merged[begin] += 1
 
 
@@ -477,7 +477,7 @@ def merge(
 def _are_alike(geometry: Any, slot: Any, kept: Any, variance: Any, rules: Rules) -> Any:
     """Whether two surfels stand for one spot of one surface: closer than half the smaller one's radius across it."""
     along, across2 = apart(geometry, slot, geometry, kept)
-    reach = _FUSION_HALF * min(geometry[slot, RADIUS], geometry[kept, RADIUS])
+    reach = _HALF * min(geometry[slot, RADIUS], geometry[kept, RADIUS])
     gate = rules.gate_sigmas * np.sqrt(variance[slot] + variance[kept]) + rules.gate_m
     is_near = (across2 <= reach * reach) & (abs(along) <= gate)
     return is_near & faces(geometry, slot, geometry, kept, rules)
