@@ -217,6 +217,17 @@ def test_stop_is_answered_before_a_program_that_lives_confirms_it() -> None:
             assert answer.endswith(b"not confirmed yet\n")
 
 
+def test_presses_beyond_what_can_wait_are_answered_while_the_program_lives(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (64, 64))
+    monkeypatch.setattr(door, "_CONFIRMED_S", 60.0)
+    with ExitStack() as held:
+        ends, port = held.enter_context(door_here())
+        ends.control.send(PULSE)
+        assert ends.control.recv(10) == PULSE
+        first = [held.enter_context(call(port, STOPPING)) for _ in range(12)][0]
+        assert b"200 OK" in first.recv(1000)
+
+
 def test_it_answers_the_pulse() -> None:
     with door_here() as (ends, _):
         ends.control.send(PULSE)

@@ -4,8 +4,9 @@ A connection is a stranger's until its request's head is whole and `Access` lets
 to the robot's program. A process of its own shares neither Python's lock nor file descriptors with that program:
 strangers delay no control period, and STOP waits for none of them.
 
-A newcomer is never refused for want of room: the oldest stranger goes instead. All that come are read at once, and STOP
-is judged before all else; of what is left, the newest first. What cannot be judged in time is cut off unanswered.
+A newcomer is never refused for want of room: the oldest stranger goes instead. All that wait to be accepted are read
+first, and STOP among them is passed on before anything else is done, even before room is made. Of the rest, the newest
+is judged first. What cannot be judged in time is cut off unanswered.
 
 It speaks by two Unix sockets of packets: `control` carries STOP, the pulse and what was refused; `handed` carries
 connections. It ends where `control` does, and imports no part of wheelsight but `access`.
@@ -40,9 +41,9 @@ _MOST_OF_ADDRESS = 32
 # Younger strangers stay beyond that: their heads are on the way, unless all strangers together are too many.
 _YOUNG_S = 0.25
 _MOST_STRANGERS = 2048
-# Connections accepted at a time, and judged before others are accepted: these may ask for STOP. Fewer are
-# judged where more wait to be accepted.
-_ACCEPTED, _JUDGED, _JUDGED_IN_A_CROWD = 128, 32, 4
+# Connections accepted at a time: one of those that wait may ask for STOP. To accept one takes 20 us, and to make room
+# for it as long again, which is done for `_KEPT` of them a turn. Fewer are judged while more wait to be accepted.
+_ACCEPTED, _BATCH, _KEPT, _JUDGED, _JUDGED_IN_A_CROWD = 1024, 128, 64, 32, 4
 # STOP waits so long for the robot's program to confirm it; then it is answered without, where that program has given a
 # sign of life lately, and not before it has confirmed where not. After a second it is answered that it is in vain.
 _CONFIRMED_S, _LIVELY_S, _STOP_S = 0.01, 0.2, 1.0
@@ -163,8 +164,10 @@ class Door:
         self._selector.register(control, selectors.EVENT_READ)
         limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
         left = max(32, limit - _SPARE_DESCRIPTORS)
-        self._batch = min(_ACCEPTED, left // 8)
-        self._strangers = Strangers(min(_MOST_STRANGERS, left - 4 * self._batch))
+        self._accepted, self._batch = min(_ACCEPTED, left // 4), min(_BATCH, left // 8)
+        self._strangers = Strangers(min(_MOST_STRANGERS, left - self._accepted - 4 * self._batch))
+        # Accepted, and not in the selector yet.
+        self._unkept = deque[Stranger]()
         # Whose heads are whole, and not judged yet: those that ask for STOP, and others.
         self._urgent, self._whole = list[Stranger](), list[Stranger]()
         self._budget = Budget(requests_a_s)
@@ -183,7 +186,7 @@ class Door:
             self._turn()
 
     def _turn(self) -> None:
-        waits = self._urgent or self._whole
+        waits = self._unkept or self._whole
         is_busy = self._refused or len(self._strangers)
         tick_s = _STOP_TICK_S if self._asked or self._pressing else _TICK_S if is_busy else _IDLE_S
         ready = self._selector.select(0 if waits else tick_s)
@@ -196,39 +199,46 @@ class Door:
                 comes = True
             else:
                 readable.append(key.data)
-        is_crowded = comes and self._accept(now_s)
+        is_crowded, newcomers = self._accept(now_s) if comes else (False, [])
+        self._unkept.extend(stranger for stranger in newcomers if self._read(stranger))
         for stranger in readable:
-            # One that went meanwhile, to make room, has no number any more.
-            if stranger.socket.fileno() >= 0:
-                self._read(stranger, now_s)
+            self._read(stranger)
         while self._urgent:
             self._judge(self._urgent.pop(), now_s)
+        self._pass_stop_on(now_s)
+        for _ in range(min(_KEPT, len(self._unkept))):
+            self._keep(self._unkept.popleft(), now_s)
         while len(self._whole) > 2 * self._batch:
             self._crowd_out(self._whole.pop(0))
         for _ in range(min(_JUDGED_IN_A_CROWD if is_crowded else _JUDGED, len(self._whole))):
             self._judge(self._whole.pop(), now_s)
+        self._pass_stop_on(now_s)
         self._look_after(now_s)
+
+    def _pass_stop_on(self, now_s: float) -> None:
+        """Send one STOP for all connections that press it now."""
+        if not self._pressing or now_s - self._sent_s < _STOP_TICK_S:
+            return
+        pressing, self._pressing, self._sent_s = self._pressing, [], now_s
+        try:
+            self._control.send(STOP)
+        except OSError:
+            # Its buffer is full: the program has not read for a long time.
+            self._answer_all(pressing, 503, _SILENT)
+        else:
+            self._stops_sent += 1
+            self._asked.append((self._stops_sent, now_s, pressing))
 
     def _look_after(self, now_s: float) -> None:
         for stranger in self._strangers.late(now_s):
             self._count(f"refused {stranger.address}: no whole request after {HEAD_S:.0f} s")
             self._leave(stranger)
-        if self._pressing and now_s - self._sent_s >= _STOP_TICK_S:
-            # Pass on STOP for all connections that press it now
-            pressing, self._pressing, self._sent_s = self._pressing, [], now_s
-            try:
-                self._control.send(STOP)
-            except OSError:
-                # Its buffer is full: it has not read for a long time.
-                self._answer_all(pressing, 503, _SILENT)
-            else:
-                self._stops_sent += 1
-                self._asked.append((self._stops_sent, now_s, pressing))
         while self._asked:
             _, asked_s, those = self._asked[0]
-            if now_s - asked_s > _CONFIRMED_S and asked_s - self._lively_s < _LIVELY_S:
+            are_many = sum(len(those) for *_, those in self._asked) > 2 * self._batch
+            if (are_many or now_s - asked_s > _CONFIRMED_S) and asked_s - self._lively_s < _LIVELY_S:
                 self._answer_all(those, 200, "STOP is on its way to the robot, and not confirmed yet")
-            elif now_s - asked_s > _STOP_S or sum(len(those) for *_, those in self._asked) > 2 * self._batch:
+            elif are_many or now_s - asked_s > _STOP_S:
                 self._answer_all(those, 503, _SILENT)
             else:
                 break
@@ -260,72 +270,78 @@ class Door:
                 while self._asked and self._asked[0][0] <= self._stops_confirmed:
                     self._answer_all(self._asked.popleft()[2], 200, "stopped")
 
-    def _accept(self, now_s: float) -> bool:
-        """Take newcomers in; whether there may be more."""
-        for _ in range(self._batch):
+    def _accept(self, now_s: float) -> tuple[bool, list[Stranger]]:
+        """Accept newcomers; returns whether more may wait, and the newcomers."""
+        newcomers = list[Stranger]()
+        for _ in range(self._accepted - len(self._unkept)):
             try:
                 accepted, address = self._listening.accept()
             except BlockingIOError:
-                return False
+                return False, newcomers
             except OSError as error:
                 if error.errno in _EXHAUSTED:
-                    self._make_room(now_s)
-                    return False
+                    return False, [*newcomers, *self._make_room(now_s)]
                 continue
             accepted.setblocking(False)
-            self._read(Stranger(accepted, _host(address), now_s), now_s)
-        return True
+            newcomers.append(Stranger(accepted, _host(address), now_s))
+        return True, newcomers
 
-    def _make_room(self, now_s: float) -> None:
-        """File descriptors ran out, in the whole computer perhaps: give back what strangers hold."""
+    def _make_room(self, now_s: float) -> list[Stranger]:
+        """Close the oldest strangers when file descriptors run out, and accept one newcomer by the spare descriptor."""
         self._count("file descriptors ran out: the oldest strangers are cut off")
         for _ in range(self._batch):
             oldest = self._strangers.oldest() or (self._whole.pop(0) if self._whole else None)
             if oldest is None:
                 break
             self._leave(oldest)
+        newcomers = list[Stranger]()
         if self._reserve is not None:
             os.close(self._reserve)
             self._reserve = None
             with suppress(OSError):
                 accepted, address = self._listening.accept()
                 accepted.setblocking(False)
-                self._read(Stranger(accepted, _host(address), now_s), now_s)
+                newcomers.append(Stranger(accepted, _host(address), now_s))
         with suppress(OSError):
             self._reserve = os.open(os.devnull, os.O_RDONLY)
         # Where other programs hold them, waiting is all there is.
         time.sleep(_TICK_S if self._reserve is None else 0)
+        return newcomers
 
     def _crowd_out(self, stranger: Stranger) -> None:
         self._count(f"refused {stranger.address}: too many connections at once")
         self._leave(stranger)
 
-    def _read(self, stranger: Stranger, now_s: float) -> None:
-        """Take what a stranger has sent; once its head is whole it waits to be judged."""
+    def _read(self, stranger: Stranger) -> bool:
+        """Read what a stranger has sent; returns whether more must come before it can be judged."""
+        # One that was closed meanwhile, to make room, has no number any more.
+        if stranger.socket.fileno() < 0:
+            return False
         try:
             came = stranger.socket.recv(MOST_HEAD_BYTES + 1)
         except BlockingIOError:
-            self._keep(stranger, now_s)
-            return
+            return True
         except OSError:
             came = b""
         if not came:
             self._leave(stranger)
-            return
+            return False
         stranger.head = (stranger.head + came).lstrip(b"\r\n")
         if _END in stranger.head or len(stranger.head) > MOST_HEAD_BYTES:
             self._forget(stranger)
             # The head of STOP is judged at once, unless it holds no token where one is asked for.
             is_urgent = _STOPPING.match(stranger.head) and self._may_hold_token(stranger)
             (self._urgent if is_urgent else self._whole).append(stranger)
-        elif stranger.head and not _BEGINNING.match(stranger.head[:21]):
+            return False
+        if stranger.head and not _BEGINNING.match(stranger.head[:21]):
             self._refuse(stranger, 400, "no HTTP")
-        else:
-            self._keep(stranger, now_s)
+            return False
+        return True
 
     def _keep(self, stranger: Stranger, now_s: float) -> None:
         """Wait for more of it; where there are too many, another goes."""
-        if stranger.socket.fileno() in self._selector.get_map():
+        number = stranger.socket.fileno()
+        if number < 0 or number in self._selector.get_map():
             return
         try:
             self._selector.register(stranger.socket, selectors.EVENT_READ, stranger)
