@@ -49,7 +49,5 @@ def first_version(data: bytes) -> bytes:
     about = json.loads(header)
     numbers = body[: len(body) - 128 * about.pop("keyframes") - 4 * about["surfels"]]
     del about["frame"], about["fields"][-1]
-    for later in ("colored_every", "merged_every", "laid_sigmas", "radial_sigma"):
-        del about["settings"][later]
     about["crc32"] = zlib.crc32(numbers)
     return b"\n".join([b"wheelsight-map-1", json.dumps(about).encode(), numbers])

@@ -151,8 +151,10 @@ def test_compiled_loops_do_as_plain_python_does(monkeypatch, rng):
     walls = [Wall(2.0, slope=0.3), Wall(1.4, low=-0.1, high=0.1)]
     views = [see(walls[: 1 + (k < 4)], pose(0.02 * k), rng, grid, shape) for k in range(8)]
 
+    monkeypatch.setattr("wheelsight.mapping.surfels._UNSTABLE_S", 0.15)
+
     def made() -> tuple[Surfels, list[np.ndarray]]:
-        surfel_map = made_map(stable_confidence=3.0, unstable_s=0.15, threads=1)
+        surfel_map = made_map(stable_confidence=3.0, threads=1)
         for k, view in enumerate(views):
             surfel_map.fuse(view, grid, pose(0.02 * k), k / 30, NOISE)
         drawn = surfel_map.render(pose(0.1), grid, shape)
@@ -170,8 +172,9 @@ def test_compiled_loops_do_as_plain_python_does(monkeypatch, rng):
         np.testing.assert_allclose(first, second, rtol=1e-3, atol=1e-3)
 
 
-def test_surfels_may_stray_from_their_block_only_as_far_as_it_is_looked_for():
-    surfel_map = made_map(block_m=0.1)
+def test_surfels_may_stray_from_their_block_only_as_far_as_it_is_looked_for(monkeypatch):
+    monkeypatch.setattr("wheelsight.mapping.surfels._BLOCK_M", 0.1)
+    surfel_map = made_map()
     for k in range(60):
         look_at(surfel_map, [Wall(2.02 + 0.003 * k)], [pose()], start_s=0.05 * k)
     made = surfel_map.blocks

@@ -89,22 +89,21 @@ def test_the_floor_on_which_the_robot_stands_is_free() -> None:
     assert_array_equal(stood.kind_at(points((-0.15, -0.15), (0.15, 0.15))), CellKind.FREE)
 
 
-def test_a_table_is_an_obstacle_although_the_floor_below_it_is_seen() -> None:
+def test_a_table_is_an_obstacle_although_the_floor_below_it_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     """In one layer for all heights, what is seen through below its top speaks against that: docs/decisions/0060."""
-    in_layers, in_one = (
-        mapped(turning(), TABLE_TOP, settings=OccupancySettings(layer_m=height_m)).grid().kind_at(of_box(TABLE_TOP))
-        for height_m in (0.1, 10.0)
-    )
+    in_layers = mapped(turning(), TABLE_TOP).grid().kind_at(of_box(TABLE_TOP))
+    monkeypatch.setattr("wheelsight.mapping.occupancy._LAYER_M", 10.0)
+    in_one = mapped(turning(), TABLE_TOP).grid().kind_at(of_box(TABLE_TOP))
     assert (in_layers == CellKind.OBSTACLE).mean() > 0.95
     assert (in_one == CellKind.OBSTACLE).mean() < 0.8
 
 
-def test_the_inside_of_what_is_seen_from_the_front_alone_is_not_free() -> None:
+def test_the_inside_of_what_is_seen_from_the_front_alone_is_not_free(monkeypatch: pytest.MonkeyPatch) -> None:
     """The floor below a shelf at the camera's height is seen, its front, and never what is in it."""
     shelf = Box((1.32, -0.5, 1.0), (2.1, 0.5, 1.2))
-    hidden, seen_as_free = (
-        mapped(turning(), shelf, settings=OccupancySettings(hidden_m=depth_m)).grid() for depth_m in (0.8, 0.0)
-    )
+    hidden = mapped(turning(), shelf).grid()
+    monkeypatch.setattr("wheelsight.mapping.occupancy._HIDDEN_M", 0.0)
+    seen_as_free = mapped(turning(), shelf).grid()
     assert (hidden.kind_at(points((1.32, -0.4), (1.34, 0.4))) == CellKind.OBSTACLE).all()
     assert CellKind.FREE not in hidden.kind_at(of_box(shelf))
     assert (seen_as_free.kind_at(of_box(shelf)) == CellKind.FREE).mean() > 0.9
@@ -260,8 +259,9 @@ def test_nothing_seen_is_one_unknown_cell() -> None:
     assert OccupancyMapper(ROBOT).grid().kind.tolist() == [[CellKind.UNKNOWN]]
 
 
-def test_depth_that_is_unknown_says_nothing() -> None:
-    made = OccupancyMapper(ROBOT, OccupancySettings(stood_m=0.0))
+def test_depth_that_is_unknown_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wheelsight.mapping.occupancy._STOOD_M", 0.0)
+    made = OccupancyMapper(ROBOT)
     made.add(KeyframeId(0), keyframe(np.zeros((120, 160), np.float32)), at(0, 0, 0))
     assert made.grid().kind.tolist() == [[CellKind.UNKNOWN]]
 
@@ -290,8 +290,8 @@ def test_what_is_wrong_is_refused_and_changes_nothing() -> None:
 def test_heights_in_conflict_are_refused() -> None:
     with pytest.raises(ValueError, match="height_m is not between floor_m and overhang_m"):
         OccupancySettings(height_m=2.5)
-    assert OccupancySettings(floor_m=0.05, height_m=1.05, layer_m=0.1).layers == 10
-    assert OccupancySettings(layer_m=5.0).layers == 1
+    assert OccupancySettings(floor_m=0.05, height_m=1.05).layers == 10
+    assert OccupancySettings(height_m=0.1).layers == 1
 
 
 def test_the_room_is_as_it_was_meant() -> None:

@@ -20,7 +20,6 @@ FITS, BOUND = 400_000, 90_000
 def settings(max_surfels: int, folder: Path | None) -> SurfelSettings:
     return SurfelSettings(
         stable_confidence=1.0,
-        most_confidence=4.0,
         far_m=FAR_M,
         max_surfels=max_surfels,
         resting_folder=None if folder is None else str(folder),

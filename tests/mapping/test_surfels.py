@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from wheelsight.core.errors import MapError
 from wheelsight.core.keyframes import Surface
-from wheelsight.mapping import SurfelMap, Surfels
+from wheelsight.mapping import SurfelMap, Surfels, surfels
 
 FRAMES = 20
 FIELDS = ("position", "normal", "radius_m", "color", "grey", "confidence", "variance_m2", "first_s", "last_s")
@@ -85,21 +85,27 @@ def test_from_nearer_surfels_become_finer_and_more():
     assert np.median(after.radius_m[middle]) < 0.75 * np.median(before.radius_m)
 
 
-def test_laps_of_the_same_place_do_not_fill_it_for_ever(rng):
+def test_laps_of_the_same_place_do_not_fill_it_for_ever(monkeypatch):
     """Nor do they leave it open: what is seen stays within the gap of a surfel."""
-    filled, settled, wall, count = made_map(gap_m=0.0), made_map(), Wall(1.2, slope=2.5), []
-    for lap in range(5):
-        way = [pose(*rng.uniform(-0.05, 0.05, 3)) @ step for step in swaying(40)]
-        for surfel_map in (filled, settled):
+    wall = Wall(1.2, slope=2.5)
+
+    def laps() -> tuple[float, float]:
+        rng, surfel_map, count = np.random.default_rng(7), made_map(), []
+        for lap in range(5):
+            way = [pose(*rng.uniform(-0.05, 0.05, 3)) @ step for step in swaying(40)]
             look_at(surfel_map, [wall], way, rng, start_s=10.0 * lap)
-        count.append([len(surfel_map.surfels("stable").grey) for surfel_map in (filled, settled)])
-    growth, growth_settled = np.array(count[-1]) / count[-3]
+            count.append(len(surfel_map.surfels("stable").grey))
+        depth_m = see([wall], pose()).depth_m
+        seen = (depth_m[..., None] * rays())[depth_m > 0]
+        off_m, _ = KDTree(surfel_map.surfels("stable").position).query(seen)
+        return count[-1] / count[-3], float(np.mean(off_m > 0.02))
+
+    growth_settled, far_settled = laps()
+    monkeypatch.setattr(surfels, "_RULES", surfels._RULES._replace(gap_m=0.0))  # noqa: SLF001
+    growth, far = laps()
     assert growth > 1.03
     assert growth_settled < 1.01
-    depth_m = see([wall], pose()).depth_m
-    seen = (depth_m[..., None] * rays())[depth_m > 0]
-    far = [np.mean(KDTree(m.surfels("stable").position).query(seen)[0] > 0.02) for m in (filled, settled)]
-    assert far[1] < far[0] + 0.005  # by chance one or the other has more
+    assert far_settled < far + 0.005  # by chance one or the other has more
 
 
 def test_a_wall_that_comes_into_reach_is_shown_where_it_is():
@@ -189,8 +195,9 @@ def test_what_went_away_is_removed_and_what_is_behind_stays():
     assert np.count_nonzero(left.position[:, 2] > 2) > 0.98 * SHAPE[0] * SHAPE[1]
 
 
-def test_missing_depth_removes_nothing():
-    surfel_map, view = made_map(unseen_s=3.0), see([Wall(2.0)], pose())
+def test_missing_depth_removes_nothing(monkeypatch):
+    monkeypatch.setattr("wheelsight.mapping.surfels._UNSEEN_S", 3.0)
+    surfel_map, view = made_map(), see([Wall(2.0)], pose())
     look_at(surfel_map, [Wall(2.0)], [pose()] * 12)
     before = surfel_map.surfels()
     for k in range(20):
@@ -198,8 +205,9 @@ def test_missing_depth_removes_nothing():
     np.testing.assert_array_equal(before.confidence, surfel_map.surfels().confidence)
 
 
-def test_what_stands_behind_a_nearer_thing_is_not_removed():
-    surfel_map = made_map(unseen_s=3.0)
+def test_what_stands_behind_a_nearer_thing_is_not_removed(monkeypatch):
+    monkeypatch.setattr("wheelsight.mapping.surfels._UNSEEN_S", 3.0)
+    surfel_map = made_map()
     look_at(surfel_map, [Wall(2.5)], [pose()] * 12)
     before = len(surfel_map)
     look_at(surfel_map, [Wall(1.0)], [pose()] * 12, start_s=1.0)
@@ -208,8 +216,10 @@ def test_what_stands_behind_a_nearer_thing_is_not_removed():
 
 @pytest.mark.parametrize("looks_on", [True, False], ids=["in view", "out of view"])
 @pytest.mark.parametrize(("unstable_s", "unseen_s"), [(1.0, 9.0), (9.0, 1.0)], ids=["made", "last seen"])
-def test_surfels_that_never_became_stable_go_after_their_time(looks_on, unstable_s, unseen_s):
-    surfel_map = made_map(unstable_s=unstable_s, unseen_s=unseen_s)
+def test_surfels_that_never_became_stable_go_after_their_time(monkeypatch, looks_on, unstable_s, unseen_s):
+    monkeypatch.setattr("wheelsight.mapping.surfels._UNSTABLE_S", unstable_s)
+    monkeypatch.setattr("wheelsight.mapping.surfels._UNSEEN_S", unseen_s)
+    surfel_map = made_map()
     look_at(surfel_map, [Wall(2.0)], [pose()] * 3)
     assert len(surfel_map) > 0
     T = pose() if looks_on else pose(yaw=np.pi)
@@ -290,8 +300,9 @@ def test_no_bit_depends_on_the_number_of_threads_or_on_the_run(threads):
         np.testing.assert_array_equal(first, second)
 
 
-def test_the_count_of_surfels_is_that_of_those_there(rng):
-    surfel_map = made_map(unstable_s=0.2)
+def test_the_count_of_surfels_is_that_of_those_there(monkeypatch, rng):
+    monkeypatch.setattr("wheelsight.mapping.surfels._UNSTABLE_S", 0.2)
+    surfel_map = made_map()
     for k, T in enumerate(swaying(25)):
         fuse(surfel_map, see([Wall(2.0 + 0.05 * (k % 3))], T, rng), T, k * FRAME_S)
         assert len(surfel_map) == len(surfel_map.surfels().grey)

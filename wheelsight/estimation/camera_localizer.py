@@ -385,6 +385,9 @@ class FrameGate:
         return not self.has_wheels and frame.stamp_s - self._first_s < self.settings.wait_s
 
 
+_COLORED_EVERY = 3  # one fused frame in this many gives colour, for display only, which takes time to load; chosen
+
+
 class MapBuilder:
     """Fuses tracked frames into a surfel map; at most one in a tenth of a second while the camera hardly moves.
 
@@ -414,7 +417,7 @@ class MapBuilder:
         if not frames:
             return None
         with odometry.watch.stage("fuse"):
-            with_color = self.map.frames % self.map.settings.colored_every == 0
+            with_color = self.map.frames % _COLORED_EVERY == 0
             surface = odometry.surface(seen.frame, frame, with_color)
             how = (self._noise, frames, seen.keyframe)
             return self.map.fuse(surface, odometry.intrinsics, T_map_camera, frame.stamp_s, *how)

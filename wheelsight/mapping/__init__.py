@@ -3,10 +3,9 @@
 from wheelsight.mapping.export import Mesh, colors_of, mesh_of, write_mesh_ply, write_ply
 from wheelsight.mapping.map_edits import EditKind, MapEdit, MapEdits, roomiest_place
 from wheelsight.mapping.named_poses import NamedPose, NamedPoses
-from wheelsight.mapping.occupancy import CellKind, OccupancyGrid, OccupancyMapper
-from wheelsight.mapping.settings import OccupancySettings, SurfelSettings
+from wheelsight.mapping.occupancy import CellKind, OccupancyGrid, OccupancyMapper, OccupancySettings
 from wheelsight.mapping.storage import load_map, save_map
-from wheelsight.mapping.surfels import ColoredView, FusedFrame, MapStatus, SurfelMap, Surfels
+from wheelsight.mapping.surfels import ColoredView, FusedFrame, MapStatus, SurfelMap, Surfels, SurfelSettings
 
 __all__ = [
     "CellKind",

@@ -28,7 +28,6 @@ from wheelsight.mapping.block_kernels import (
     SurfelArrays,
 )
 from wheelsight.mapping.fusion_kernels import move
-from wheelsight.mapping.settings import SurfelSettings
 
 _BINS = 512
 Share = Callable[[int, Callable[[int, int], None]], None]
@@ -237,6 +236,11 @@ class Blocks:
         return Cells(self.block_m, self.cell_xyz, self._cell_pages, self.cell_seen_s, self._table, self._counters)
 
 
+# If a smaller share of the memory is free, distant surfels are moved to disk, until _ROOM_MADE is free. Chosen.
+LEAST_ROOM, _ROOM_MADE = 0.1, 0.3
+# Surfels of keyframes farther from the camera, in multiples of the largest distance of predicted surfels, may be on
+# disk: from twice that distance on, neither view overlaps.
+_RESTS_BEYOND = 2.5
 _NORMAL = slice(4, 7)
 # Surfels are loaded within this share of the distance beyond which they are stored, so that they do not alternate.
 _BACK_WITHIN = 0.9
@@ -344,15 +348,17 @@ class Nearness:
     """Keeps the surroundings of the camera in memory, and stores distant surfels on disk when memory is short.
 
     Args:
-        settings: settings of the map.
+        max_surfels: largest number of surfels in memory.
+        far_m: largest distance of predicted surfels.
+        folder: as `RestingSurfels` takes it.
 
     Attributes:
         resting: surfels on disk.
     """
 
-    def __init__(self, settings: SurfelSettings) -> None:
-        self.resting = RestingSurfels(settings.resting_folder)
-        self._settings, self._writes = settings, True
+    def __init__(self, max_surfels: int, far_m: float, folder: StrPath | None) -> None:
+        self.resting = RestingSurfels(folder)
+        self._most, self._beyond_m, self._writes = max_surfels, _RESTS_BEYOND * far_m, True
 
     def come_near(self, blocks: Blocks, poses: tuple[FloatArray, FloatArray], now_s: float, rules: FloatArray) -> None:
         """Load the surfels that a camera may see, and store distant ones if memory is short.
@@ -362,18 +368,18 @@ class Nearness:
             poses: T_map_keyframe (K, 4, 4) of all keyframes, and T_map_camera (4, 4).
             now_s, rules: as `Blocks` takes them.
         """
-        if not len(poses[0]) or (blocks.room >= self._settings.least_room and not len(self.resting)):
+        if not len(poses[0]) or (blocks.room >= LEAST_ROOM and not len(self.resting)):
             return
         T_map_keyframe, T_map_camera = poses
         rests = self.resting.keyframes
         apart_m = _apart_m(T_map_keyframe[rests], T_map_camera)
         for keyframe in rests[apart_m < _BACK_WITHIN * self._beyond_m].tolist():
             coming = self.resting.take(keyframe, T_map_keyframe[keyframe])
-            share = len(coming.geometry) / self._settings.max_surfels
-            if blocks.room < self._settings.least_room + share and self._writes:
+            share = len(coming.geometry) / self._most
+            if blocks.room < LEAST_ROOM + share and self._writes:
                 self._make_room(blocks, poses, now_s, share)
             blocks.append(coming, now_s, rules)
-        if blocks.room < self._settings.least_room and self._writes:
+        if blocks.room < LEAST_ROOM and self._writes:
             self._make_room(blocks, poses, now_s)
 
     def _make_room(self, blocks: Blocks, poses: tuple[FloatArray, FloatArray], now_s: float, more: float = 0.0) -> None:
@@ -384,7 +390,7 @@ class Nearness:
         counts = np.bincount(numbers[numbers >= 0], minlength=len(T_map_keyframe))
         apart_m = np.where(counts > 0, _apart_m(T_map_keyframe, T_map_camera), 0.0)
         farthest = np.argsort(-apart_m, kind="stable")
-        wanted = (self._settings.room_made + more - blocks.room) * self._settings.max_surfels
+        wanted = (_ROOM_MADE + more - blocks.room) * self._most
         before = np.cumsum(counts[farthest]) - counts[farthest]
         going = farthest[(apart_m[farthest] > self._beyond_m) & (before < wanted)]
         alive = alive[np.isin(numbers, going)]
@@ -421,10 +427,6 @@ class Nearness:
                 self._writes = False  # the disk is full: from now on the least useful surfels are dropped
                 return chosen[:begin]
         return chosen
-
-    @property
-    def _beyond_m(self) -> float:
-        return self._settings.rests_beyond * self._settings.far_m
 
 
 def _apart_m(T_map_keyframe: FloatArray, T_map_camera: FloatArray) -> FloatArray:

@@ -14,11 +14,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from math import ceil, floor
-from typing import Any, BinaryIO, Literal, NamedTuple
+from typing import Any, BinaryIO, Literal, NamedTuple, Self
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import model_validator
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import DepthNoise
@@ -26,9 +27,9 @@ from wheelsight.core.errors import ArgumentError, MapError
 from wheelsight.core.files import StrPath, write_bytes
 from wheelsight.core.geometry import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, se3
 from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.core.settings import CHOSEN, Settings, conflict, setting
 from wheelsight.io.ros_map import FREE, OCCUPIED, UNKNOWN, RosMap
 from wheelsight.mapping import occupancy_kernels as kernels
-from wheelsight.mapping.settings import OccupancySettings
 
 
 class CellKind(IntEnum):
@@ -103,6 +104,82 @@ def _occupancy(kind: ByteArray, is_free: BoolArray) -> NDArray[np.int8]:
     return np.where((kind == CellKind.OVERHANG) & is_free, FREE, values).astype(np.int8)
 
 
+class OccupancySettings(Settings):
+    """Occupancy map of a map folder; see docs/occupancy.md."""
+
+    resolution_m: float = setting(0.05, "side of a cell, metres", "what Nav2's maps have", ge=0.01, le=1)
+    floor_m: float = setting(
+        0.05,
+        "points higher than this are obstacles, and points this far below are not the floor, metres: casters "
+        "climb less",
+        CHOSEN,
+        gt=0,
+        le=1,
+    )
+    drop_m: float = setting(
+        0.1,
+        "a ray that ends this far below the floor, metres, shows a drop-off: half of a stair's step, and more"
+        " than the roughness of a floor seen by a Kinect",
+        CHOSEN,
+        gt=0,
+        le=1,
+    )
+    height_m: float = setting(
+        1.4, "height up to which objects obstruct the robot, metres", "a person who sits in a wheelchair", gt=0, le=5
+    )
+    overhang_m: float = setting(
+        2.0,
+        "height up to which objects above the robot are overhangs, metres; higher ones are the ceiling",
+        CHOSEN,
+        gt=0,
+        le=10,
+    )
+    far_m: float = setting(
+        5.0,
+        "largest distance used, metres along the floor: a Kinect's depth error there is 3.6 cm, nearly a cell",
+        "estimated",
+        gt=0,
+        le=30,
+    )
+    most_cells: int = setting(
+        6_000_000,
+        "limit of memory, 16 bytes per cell: 150 × 100 m in cells of 0.05 m",
+        "estimated",
+        ge=10_000,
+        le=100_000_000,
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if not self.floor_m < self.height_m < self.overhang_m:
+            raise conflict("height_m", "is not between floor_m and overhang_m", "floor_m < height_m < overhang_m")
+        return self
+
+    @property
+    def layers(self) -> int:
+        """Number of layers between the floor and the robot's height; the last may be lower."""
+        return max(1, -int(-(self.height_m - self.floor_m) // _LAYER_M))
+
+
+# Height of a layer: free space at one height does not free the others, as the floor below a table does not free its
+# top. From a simulated room: docs/decisions/0060.
+_LAYER_M = 0.1
+# Added to floor_m and drop_m for each metre of distance: mount and base are level to about a degree. Chosen.
+_TILT_RAD = 0.015
+_COLUMNS = 80  # number of a keyframe's depth columns that are used, with rows as dense; estimated: a cell at 4 m
+# Neighbouring rays that hit at one height within this distance hit one object: no robot fits between. Chosen.
+_BRIDGED_M = 0.15
+# Depth of the unknown space behind a surface: of a shelf at the camera's height, only the front and the floor below are
+# visible; as deep as tables are. From a simulated room: docs/decisions/0060.
+_HIDDEN_M = 0.8
+_MARGIN_SIGMAS = (
+    3.0  # a ray frees nothing within this many standard deviations of depth, and a cell, of its end
+)
+_STOOD_M = 0.25  # radius around the base within which the floor is free, since the base stands there; chosen
+# Probabilities: a layer in which a keyframe sees something is occupied; likewise one that it sees through; the limits,
+# so that free space may become occupied. OctoMap's defaults (Hornung et al. 2013).
+_HIT, _PASSED, _LEAST, _MOST = 0.7, 0.4, 0.12, 0.97
+_OCCUPIED = 0.65  # least probability of an occupied cell or of a drop-off, as in Nav2's map_saver
 # Log-odds are stored in even steps: 3.5, the log-odds of 0.97, is 112, and int8 has 127.
 _PAIRS_PER_UNIT = 16.0
 _MOST_PAIRS = 63
@@ -132,12 +209,12 @@ class OccupancyMapper:
         self._T_camera_base = se3.invert(T_base_camera)
         self._seen = SeenDepths()
         self._T_map_keyframe: dict[KeyframeId, FloatArray] = {}
-        s = self.settings
-        self._steps = kernels.Steps(*map(_log_odds, (s.hit, s.passed, s.least, s.most)))
-        self._bands = kernels.Bands(**{name: float(getattr(self.settings, name)) for name in kernels.Bands._fields})
-        n = self._noise
-        self._errs = kernels.Noise(n.constant_m, n.quadratic_per_m, self.settings.margin_sigmas)
-        self._reach = math.ceil(self.settings.far_m / self.settings.resolution_m) + 1
+        s, n = self.settings, self._noise
+        self._steps = kernels.Steps(*map(_log_odds, (_HIT, _PASSED, _LEAST, _MOST)))
+        bands = s.resolution_m, s.floor_m, s.drop_m, _TILT_RAD, _LAYER_M, s.height_m, s.overhang_m, s.far_m
+        self._bands = kernels.Bands(*map(float, (*bands, _BRIDGED_M, _HIDDEN_M)))
+        self._errs = kernels.Noise(n.constant_m, n.quadratic_per_m, _MARGIN_SIGMAS)
+        self._reach = math.ceil(s.far_m / s.resolution_m) + 1
         self._window = _window(2 * self._reach + 1, self._channels)
         self._clear()
 
@@ -164,7 +241,7 @@ class OccupancyMapper:
 
     def keep(self, number: KeyframeId, keyframe: Keyframe) -> None:
         """Store the depth of a keyframe whose pose is not known yet; `move` adds it."""
-        self._seen[number] = SeenDepth.of(keyframe, self.settings.columns, self._noise)
+        self._seen[number] = SeenDepth.of(keyframe, _COLUMNS, self._noise)
 
     def move(self, T_map_keyframe: ArrayLike, shown: ArrayLike | None = None) -> bool:
         """Rebuild the map at new keyframe poses; return whether any pose changed.
@@ -212,7 +289,7 @@ class OccupancyMapper:
     def grid(self) -> OccupancyGrid:
         """Return the grid, cropped to the known cells; a single unknown cell if there are none."""
         size_m = self.settings.resolution_m
-        kind, is_free = _kinds(self._log_odds, _log_odds(self.settings.occupied))
+        kind, is_free = _kinds(self._log_odds, _log_odds(_OCCUPIED))
         rows, columns = (np.flatnonzero((kind != CellKind.UNKNOWN).any(axis=axis)) for axis in (1, 0))
         if not len(rows):
             return OccupancyGrid.of_kinds(np.zeros((1, 1), np.uint8), np.zeros((1, 1), bool), size_m, (0.0, 0.0))
@@ -251,7 +328,7 @@ class OccupancyMapper:
         M[2] = self._T_base_camera[2]
         kernels.trace(seen.rays(), M, self._bands, self._errs, self._window)
         y, x = ((T_map_keyframe @ self._T_camera_base)[1::-1, 3] / size_m - first).tolist()
-        kernels.stand(self._window, x, y, self.settings.stood_m / size_m)
+        kernels.stand(self._window, x, y, _STOOD_M / size_m)
         row, column = (first - self._low).tolist()
         kernels.add(self._window, self._log_odds, row, column, self._steps)
 

@@ -26,10 +26,9 @@ from wheelsight.core.errors import MapError
 from wheelsight.core.files import StrPath, atomic_write
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.inputs import Kind, parse_json, read_bytes
-from wheelsight.core.settings.base import checked_settings
+from wheelsight.core.settings.base import checked_settings, split_removed
 from wheelsight.mapping.columns import COLUMNS, ColumnFiles, columns_of, surfels_of, unpacked
-from wheelsight.mapping.settings import SurfelSettings
-from wheelsight.mapping.surfels import FRAME, SurfelMap, Surfels
+from wheelsight.mapping.surfels import FRAME, SurfelMap, Surfels, SurfelSettings
 
 FIRST_FORMAT, SECOND_FORMAT = "wheelsight-map-1", "wheelsight-map-2"
 # Fields of version 2: name, type and number of columns; 0 for a flat array.
@@ -58,8 +57,6 @@ _LARGEST = {"position": 16_000.0, "normal": 1.01, "radius_m": 100.0, "color": 10
 _LARGEST |= {"confidence": 1e9, "variance_m2": 1e4, "first_s": 1e20, "last_s": 1e20}
 _FILE = Kind("a map", most_mb=2000, fix=_NO_MAP)
 _DAMAGED = "it is damaged or cut short: use another copy"
-# Retired settings in older files.
-_RETIRED = ("beyond_share",)
 # More than the largest file of version 2 had, so that a few damaged bytes do not allocate all memory.
 _MOST = {"surfels": 30_000_000, "keyframes": 10_000_000}
 # Limits per compressed byte, plus a constant for small maps. A surfel takes 6 bytes and a pose 100; a byte of
@@ -142,7 +139,7 @@ def load_map(path: StrPath) -> SurfelMap:
     data = read_bytes(path, _FILE, MapError)
     try:
         version, header, body = _split(data)
-        known = {name: value for name, value in dict(header["settings"]).items() if name not in _RETIRED}
+        known, _ = split_removed(dict(header["settings"]), "surfels")
         settings = checked_settings(SurfelSettings, known, MapError, "settings: ", _DAMAGED)
         surfels, T_map_keyframe = _contents(version, header, body, settings)
         del data, body  # in old versions, as large as the map

@@ -16,11 +16,12 @@ from wheelsight.core.checks import why_not_metres
 from wheelsight.core.errors import MapError
 from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, Int32Array, se3
 from wheelsight.core.keyframes import KeyframeId, KeyframeStore, PredictedView, Surface
+from wheelsight.core.settings import ASKED, CHOSEN, ON_SIMULATOR, Settings, setting
 from wheelsight.core.threads import Rows
 from wheelsight.mapping import fusion_kernels as fusion
 from wheelsight.mapping import view_kernels as view
 from wheelsight.mapping.block_kernels import CONFIDENCE, PAGE, RADIUS, InView, SurfelArrays
-from wheelsight.mapping.blocks import Blocks, Nearness
+from wheelsight.mapping.blocks import LEAST_ROOM, Blocks, Nearness
 from wheelsight.mapping.fusion_kernels import (
     READING,
     Camera,
@@ -31,9 +32,90 @@ from wheelsight.mapping.fusion_kernels import (
     find_candidates,
     find_new,
 )
-from wheelsight.mapping.settings import SurfelSettings
 
 _COPIED_AT_ONCE = 1 << 16  # 5 MB
+# Time after its first observation, and without observation, at which an unstable surfel is removed. Chosen.
+_UNSTABLE_S, _UNSEEN_S = 3.0, 1.0
+_KEPT_S = 1e6  # likewise if none expires: many seconds may pass between two keyframes of one surface
+# Duplicates are merged in one fused frame in this many: those of a few frames can be merged at once. Chosen.
+_MERGED_EVERY = 3
+_BLOCK_M = 0.5  # edge of the blocks that index surfels in view; chosen
+# Surfels are added up to far_m plus this many standard deviations of depth: there, readings that err towards the camera
+# add surfels, and others correct them before they are predicted. Simulator: docs/decisions/0026.
+_ADDED_SIGMAS = 12.0
+# Standard deviation of a reading's weight over its distance from the image centre, 1 at the farthest corner: Keller et
+# al. 2013, 4.2.
+_RADIAL_SIGMA = 0.6
+# Unstable surfels with a larger standard deviation are not predicted: the depth errors of a far wall are correlated.
+# Simulator: docs/decisions/0026.
+_VAGUE_M = 0.035
+# Disks in a view. Chosen: limits of their radius (below the least, disks that were seen from nearer leave gaps; above
+# the largest, drawing takes long), the least cosine of the viewing angle, and the distance of disks of one surface, per
+# metre of depth and at any depth, metres.
+_SMALLEST_PX, _LARGEST_PX, _SHOWN_COSINE, _BLEND, _BLEND_M = 0.75, 24.0, 0.05, 0.012, 0.006
+# Rules of fusion; see `Rules`. Without a source they were chosen. `SurfelMap` sets those that are 0 here.
+_RULES = Rules(
+    stable_confidence=0.0,
+    most_confidence=100.0,  # frames: a surface seen for long can still change
+    gone_confidence=0.4,  # a surfel in free space loses half of its confidence per frame, and is removed below this
+    color_frames=4.0,  # averaged: lamps and lenses shade a point differently from each viewpoint; docs/decisions/0037
+    most_readings=50.0,  # that count for a position: it is never better known than poses are
+    far_m=0.0,
+    # Surfels are averaged this much farther than they are added: otherwise only readings of a wall there that err
+    # towards the camera would count. Simulator: docs/decisions/0026.
+    averaged_sigmas=6.0,
+    gate_sigmas=3.0,  # largest distance of consistent readings along the normal, and gate_m for errors of poses
+    gate_m=0.01,
+    disk_cosine=0.35,  # least cosine by which a disk is larger than its pixel: a grazed one would reach far
+    gap_m=0.02,  # no disk is added this close to a stable surfel's centre
+    fine_enough=1.5,  # a disk larger than a reading's by this factor is too coarse to cover it
+    free_m=0.05,  # a surfel this far in front of a measurement, plus free_sigmas, is removed
+    free_sigmas=4.0,
+    drift_m=0.1,  # added to it for surfels outside the active window
+    min_normal_dot=np.cos(np.radians(40.0)),  # largest angle between consistent normals
+    min_cosine=np.cos(np.radians(84.5)),  # surfaces seen at a larger angle are not fused; docs/decisions/0026
+    laid_m=0.0,
+    least_cosine2=0.2**2,  # of the viewing angle of a plane, by which the depth error is projected on its normal
+)
+
+
+class SurfelSettings(Settings):
+    """Settings of the surfel map; unknown names are rejected."""
+
+    stable_confidence: float = setting(10.0, "number of frames that make a surfel stable", CHOSEN, gt=0, le=1e6)
+    active_s: float = setting(
+        60.0, "surfels not seen for longer are kept, but not used in tracking", CHOSEN, gt=0, le=1e9
+    )
+    fused_way_m: float = setting(
+        0.04,
+        "frames nearer to the last fused one are skipped; a turn by a radian counts as 1.5 m",
+        CHOSEN,
+        ge=0,
+        le=100,
+    )
+    fused_after_s: float = setting(
+        0.1, "time after the last fused frame at which a frame is always fused", CHOSEN, gt=0, le=3600
+    )
+    far_m: float = setting(
+        6.0,
+        "largest distance of predicted surfels; some are added farther, by the depth noise",
+        f"{ON_SIMULATOR}: docs/decisions/0026",
+        gt=0,
+        le=40,
+    )
+    max_surfels: int = setting(
+        3_000_000,
+        "largest number of surfels in memory, about 72 bytes each; others are on disk",
+        "estimated",
+        ge=1024,
+        le=6_000_000,
+    )
+    resting_folder: str | None = setting(
+        None, "folder of surfels on disk; none for the system's folder of temporary files", ASKED
+    )
+    threads: int = setting(
+        2, "threads that share a frame's rows", "two cores, for which wheelsight is made", gt=0, le=64
+    )
 
 
 class SurfelMap:
@@ -48,6 +130,7 @@ class SurfelMap:
     Args:
         settings: settings, or None for the defaults.
         store: store of the keyframes; without one, surfels do not move.
+        keeps_unstable: whether unstable surfels never expire, as when keyframes alone are fused.
 
     Attributes:
         settings: settings of the map.
@@ -56,13 +139,20 @@ class SurfelMap:
         blocks: storage of the surfels; only the map changes it.
     """
 
-    def __init__(self, settings: SurfelSettings | None = None, store: KeyframeStore | None = None) -> None:
+    def __init__(
+        self,
+        settings: SurfelSettings | None = None,
+        store: KeyframeStore | None = None,
+        *,
+        keeps_unstable: bool = False,
+    ) -> None:
         self.settings = settings or SurfelSettings()
+        self._lifetime_s = (_KEPT_S, _KEPT_S) if keeps_unstable else (_UNSTABLE_S, _UNSEEN_S)
         self._store, self._follower = store, None if store is None else store.follow()
         self._T_map_keyframe = np.zeros((0, 4, 4))
         self.stamp_s, self.frames = -np.inf, 0
-        self.blocks = Blocks(self.settings.block_m, self.settings.max_surfels)
-        self._nearness = Nearness(self.settings)
+        self.blocks = Blocks(_BLOCK_M, self.settings.max_surfels)
+        self._nearness = Nearness(self.settings.max_surfels, self.settings.far_m, self.settings.resting_folder)
         self._rows = Rows(self.settings.threads)
         self._scratch: dict[str, np.ndarray] = {}
         self._weight_of: tuple[float, ...] = ()
@@ -120,7 +210,7 @@ class SurfelMap:
         reading = self._room("reading", (frame.depth_m.size, READING), np.float32)
         radius = self._room("radius", (frame.depth_m.size,), np.float32)
         looks = (frame.color.reshape(-1, 3), frame.grey.reshape(-1))
-        since_s = self.stamp_s - np.array([self.settings.unstable_s, self.settings.unseen_s, self.settings.active_s])
+        since_s = self.stamp_s - np.array([*self._lifetime_s, self.settings.active_s])
         seen = Seen(frame.depth_m, reading, radius, *looks, self.stamp_s, np.float32(frames), since_s)
         given = (seen, frame.normal, self._weight(grid, (height, width)), camera, self._rules_for(camera.noise))
         self._rows.share(height, lambda a, b: fusion.read(a, b, *given))
@@ -134,7 +224,7 @@ class SurfelMap:
             u, v = np.arange(shape[1]) - grid[2], np.arange(shape[0]) - grid[3]
             farthest2 = max(np.abs(u[[0, -1]])) ** 2 + max(np.abs(v[[0, -1]])) ** 2
             share2 = (u[None] ** 2 + v[:, None] ** 2) / max(farthest2, 1.0)
-            self._scratch["weight"] = np.exp(-share2 / (2 * self.settings.radial_sigma**2)).astype(np.float32)
+            self._scratch["weight"] = np.exp(-share2 / (2 * _RADIAL_SIGMA**2)).astype(np.float32)
         return self._scratch["weight"]
 
     def _average(self, seen: Seen, camera: Camera, pose: Pose) -> tuple[int, int, int, np.ndarray]:
@@ -161,7 +251,7 @@ class SurfelMap:
         share(height, lambda a, b: find_new(a, b, found, surfels, seen, camera.pitch, rules, is_new))
         home = fusion.Home(blocks.page_cell, blocks.cell_xyz, blocks.cell_seen_s, blocks.block_m)
         share(len(pages), lambda a, b: fusion.update(a, b, found, surfels, home, camera, seen, rules))
-        is_due = self.frames % self.settings.merged_every == 1 % self.settings.merged_every
+        is_due = self.frames % _MERGED_EVERY == 1
         merged = 0
         if is_due:
             by_row = np.zeros(height, np.int64)
@@ -178,7 +268,7 @@ class SurfelMap:
         """
         pose = checked_pose(T_map_camera, intrinsics)
         self._come_near(pose)
-        limits = (self.settings.far_m, 0.0, self.settings.vague_m**2)
+        limits = (self.settings.far_m, 0.0, _VAGUE_M**2)
         return PredictedView(*self._show(pose, shape, limits, self._active_since_s, False)[:3])
 
     def render(
@@ -213,15 +303,15 @@ class SurfelMap:
             self._room("bound", (entries, 4), np.int16),
             self._room("count", (len(pages), 2), np.int32),
         )
-        s = self.settings
-        numbers = (far_m, s.stable_confidence, least, vague_m2, s.smallest_px, s.largest_px, s.shown_cosine)
+        sizes = (_SMALLEST_PX, _LARGEST_PX, _SHOWN_COSINE)
+        numbers = (far_m, self.settings.stable_confidence, least, vague_m2, *sizes)
         shown = view.Limits._make((*map(np.float32, numbers), since_s))
         lens = view.Lens(pose.T32, pose.grid32, width, height)
         given = (InView(pages, blocks.page_fill), blocks.surfels, lens, shown, disks)
         share(len(pages), lambda a, b: view.project_disks(a, b, *given))
         near = self._room("near", (*shape, view.NEAR), np.float32)
         sums = self._room("sums", (*shape, view.SUMS), np.float32)
-        image = view.Image(*rays_of(pose.grid, shape), near, sums, np.float32(s.blend), np.float32(s.blend_m))
+        image = view.Image(*rays_of(pose.grid, shape), near, sums, np.float32(_BLEND), np.float32(_BLEND_M))
         share(height, lambda a, b: view.blend(a, b, disks, image))
         share(height, lambda a, b: view.fill_in(a, b, disks, image))
         color = np.empty((*shape, 3) if with_color else (0, 0, 3), np.float32)
@@ -300,7 +390,7 @@ class SurfelMap:
         look = np.hstack([surfels.color, surfels.grey[:, None]]).astype(np.float32)
         seen_s = np.stack([surfels.first_s, surfels.last_s], axis=-1)
         new = SurfelArrays(geometry, look, seen_s, surfels.variance_m2, surfels.keyframe)
-        most = int((1 - self.settings.least_room) * self.settings.max_surfels) - self.blocks.alive
+        most = int((1 - LEAST_ROOM) * self.settings.max_surfels) - self.blocks.alive
         staying = self._nearness.lay_by(new, self.T_map_keyframe, most)
         rest = len(new.geometry) - len(staying.geometry)
         return rest + self.blocks.append(staying, self.stamp_s, self._rules)
@@ -357,20 +447,18 @@ class SurfelMap:
 
     @property
     def _rules(self) -> FloatArray:
-        s = self.settings
-        return np.array([s.stable_confidence, s.unstable_s, s.active_s, s.unseen_s])
+        unstable_s, unseen_s = self._lifetime_s
+        return np.array([self.settings.stable_confidence, unstable_s, self.settings.active_s, unseen_s])
 
     def _rules_for(self, sensor: Float32Array) -> Rules:
-        """Return the settings as kernels take them, for a sensor's depth noise."""
-        s = self.settings
-        turn, slant = np.cos(np.radians([s.max_angle_deg, s.max_slant_deg]))
-        named = (getattr(s, name) for name in Rules._fields if name in type(s).model_fields)
-        return Rules(*map(np.float32, (*named, turn, slant, self._surfels_far_m(sensor), s.least_cosine**2)))
+        """Return the rules of fusion for a sensor's depth noise."""
+        far_m = {"far_m": self.settings.far_m, "laid_m": self._surfels_far_m(sensor)}
+        return Rules(*map(np.float32, _RULES._replace(stable_confidence=self.settings.stable_confidence, **far_m)))
 
     def _surfels_far_m(self, sensor: Float32Array) -> float:
         """Return the largest distance of surfels, with a margin for depth noise."""
         far_m = self.settings.far_m
-        return far_m + self.settings.laid_sigmas * float(sensor[0] + sensor[1] * far_m**2)
+        return far_m + _ADDED_SIGMAS * float(sensor[0] + sensor[1] * far_m**2)
 
     def _room(self, name: str, shape: tuple[int, ...], dtype: type) -> np.ndarray:
         """Return a buffer that is reused from frame to frame: new memory costs more than the computation in it."""

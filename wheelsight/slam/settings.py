@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from wheelsight.core.settings import ASKED, CHOSEN, Settings, setting
-from wheelsight.mapping.settings import OccupancySettings
+from wheelsight.mapping import OccupancySettings
 
 FROM_NOWHERE, FROM_MATCHES, FROM_KEYFRAMES = "none", "matches", "keyframes"
 """Values of `LoopSettings.source`, other than the path of a file."""

@@ -284,10 +284,6 @@ def _moved_surfels(folder: MapFolder, left: MapParts, hangs_on: IntArray) -> Sur
     return new
 
 
-# Many seconds may pass between two keyframes of one surface: no surfel is dropped for its age.
-_KEPT_S = 1e6
-
-
 def rebuild(
     folder: MapFolder,
     out: StrPath,
@@ -368,8 +364,7 @@ def _fused(
     noise, numbers = like.calibration.depth_noise, sorted(stamps_s, key=lambda number: stamps_s[number])
     if not numbers:
         raise MapError("has no keyframes", path=like.path, fix="give a map of a drive that kept some")
-    kept = {"unstable_s": _KEPT_S, "unseen_s": _KEPT_S}
-    surfel_map, dense = SurfelMap((settings or SurfelSettings()).model_copy(update=kept), store), DenseSettings()
+    surfel_map, dense = SurfelMap(settings, store, keeps_unstable=True), DenseSettings()
     maker = ReferenceMaker(noise, dense, Rows(dense.threads))
     for done, number in enumerate(numbers, start=1):
         keyframe = store[number]
