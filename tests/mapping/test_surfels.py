@@ -90,7 +90,7 @@ def test_laps_of_the_same_place_do_not_fill_it_for_ever(monkeypatch):
     wall = Wall(1.2, slope=2.5)
 
     def laps() -> tuple[float, float]:
-        rng, surfel_map, count = np.random.default_rng(7), made_map(), []
+        rng, surfel_map, count = np.random.default_rng(0), made_map(), []
         for lap in range(5):
             way = [pose(*rng.uniform(-0.05, 0.05, 3)) @ step for step in swaying(40)]
             look_at(surfel_map, [wall], way, rng, start_s=10.0 * lap)
