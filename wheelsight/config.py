@@ -29,7 +29,7 @@ from wheelsight.core.settings import (
     conflict,
     setting,
 )
-from wheelsight.core.settings.base import Fault, over_profile
+from wheelsight.core.settings.base import Fault, RemovedSetting, over_profile, split_removed
 from wheelsight.core.settings.fusion import AxisWeights, FusionSettings, OdometryTerm, Weights
 from wheelsight.io.recordings.recording import RecordingSettings
 from wheelsight.mapping import SurfelSettings
@@ -256,6 +256,13 @@ class Config(Settings):
         """A profile lies under all; wheels and a camera are joined if not told otherwise; loops find a known map."""
         if not isinstance(given, dict):
             return given
+        _, removed = split_removed(given)
+        if removed:
+            first, more = removed[0], len(removed) - 1
+            if not more:
+                raise conflict(first.name, first.problem, first.fix)
+            fix = f"{first.fix}, or keep the rest: wheelsight config --config FILE --drop-removed > NEW.yaml"
+            raise conflict(first.name, f"{first.problem}, and {more} more names are gone too", fix)
         given = over_profile(given.get("profile"), given)
         if _is_given(given, "known_map", "path") and not _is_given(given, "loops", "source"):
             given = {**given, "loops": {**(given.get("loops") or {}), "source": FROM_KEYFRAMES}}
@@ -355,6 +362,8 @@ def load_config(
     path: StrPath | None = None,
     overrides: Mapping[str, Any] | None = None,
     called: Mapping[str, str] | None = None,
+    *,
+    drop_removed: bool = False,
 ) -> Config:
     """Read settings from a YAML file; those it does not name keep their defaults.
 
@@ -362,12 +371,15 @@ def load_config(
         path: the file, or None for defaults only.
         overrides: values by dotted name, such as {"features.seed": 3}; they win over the file.
         called: what the user knows an override as, such as {"features.seed": "--seed"}, for messages.
+        drop_removed: ignore names in the file that only earlier versions have, as in the config.yaml of an old run.
 
     Raises:
         ConfigError: naming file, line, setting and what would be right.
     """
     path = None if path is None else Path(path)
     settings = {} if path is None else _read(path)
+    if drop_removed:
+        settings, _ = split_removed(settings)
     for name, value in (overrides or {}).items():
         settings = _with(settings, name.split("."), value)
     try:
@@ -382,6 +394,11 @@ def load_config(
         if option is not None or path is None:
             raise ConfigError(problem, fix=fix) from None
         raise ConfigError(problem, path=path, line=line_of(path, fault.location, ConfigError), fix=fix) from None
+
+
+def removed_settings(path: StrPath) -> list[RemovedSetting]:
+    """Settings in a YAML file that only earlier versions have. Raises ConfigError."""
+    return split_removed(_read(Path(path)))[1]
 
 
 def save_config(config: Config, path: StrPath) -> None:

@@ -22,6 +22,7 @@ from wheelsight.core.inputs import ArrayFile, Kind, parse_json, read_bytes
 from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.settings import FernSettings, RecognitionSettings
+from wheelsight.core.settings.base import split_removed
 from wheelsight.core.threads import Rows
 from wheelsight.places.recognition_kernels import BLOCK, best, likeness_kernel
 from wheelsight.places.vocabulary import Descriptors, Vocabulary, packed, unpacked
@@ -215,8 +216,10 @@ class _FileHeader:
         self.format = file.read("format", _LONGEST_TEXT).tobytes().decode(errors="replace")
         if self.format not in (FORMAT, _FIRST_FORMAT):
             raise MapError(f"is of format {self.format!r}, not {FORMAT!r}", fix=_REBUILD)
-        self.settings = RecognitionSettings.model_validate(parse_json(file.read("settings", _LONGEST_TEXT).tobytes()))
-        if expected is not None and self.settings != expected:
+        stated = dict(parse_json(file.read("settings", _LONGEST_TEXT).tobytes()))
+        known, removed = split_removed(stated, "recognition")
+        self.settings = RecognitionSettings.model_validate(known)
+        if any(one.differs for one in removed) or (expected is not None and self.settings != expected):
             raise MapError("is of other settings", fix=_REBUILD)
         (self._keyframes,) = file.headers["keyframes"].shape
         if most_keyframes is not None and self._keyframes > most_keyframes:

@@ -124,12 +124,13 @@ _SETTINGS = {
 }
 
 
-def settings_from(options: Mapping[str, object], file: Path | None = None) -> Config:
+def settings_from(options: Mapping[str, object], file: Path | None = None, *, drop_removed: bool = False) -> Config:
     """The configuration of a file, and over it the options that were given (are not None). Raises ConfigError."""
     from wheelsight.config import load_config
 
     overrides = {_SETTINGS[option]: value for option, value in options.items() if value not in (None, [])}
-    return load_config(file, overrides, called={name: option for option, name in _SETTINGS.items()})
+    called = {name: option for option, name in _SETTINGS.items()}
+    return load_config(file, overrides, called, drop_removed=drop_removed)
 
 
 def open_source(folder: Path, settings: Config) -> Recording:

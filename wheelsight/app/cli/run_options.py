@@ -352,6 +352,9 @@ def config_config(
     profile: Profile = None,
     config: SettingsFile = None,
     changed: Annotated[bool, typer.Option("--changed", help="Only what is not as by default.")] = False,
+    drop_removed: Annotated[
+        bool, typer.Option("--drop-removed", help="Leave out settings that only earlier versions had.")
+    ] = False,
 ) -> None:
     """Print all settings as YAML, as `wheelsight run` takes them by --config.
 
@@ -362,10 +365,17 @@ def config_config(
     wheelsight config --profile pi --changed
 
     wheelsight config > settings.yaml
+
+    wheelsight config --config old-run/config.yaml --drop-removed --changed > settings.yaml
     """
+    from wheelsight.app.cli.console import print_warning
+    from wheelsight.config import removed_settings
     from wheelsight.core.files import settings_text
     from wheelsight.core.settings.base import differing
 
-    settings = settings_from({"--profile": profile}, config).to_dict()
+    settings = settings_from({"--profile": profile}, config, drop_removed=drop_removed).to_dict()
+    for one in removed_settings(config) if drop_removed and config is not None else ():
+        if one.differs:
+            print_warning(f"{one.name} = {one.value} is lost: it {one.problem}")
     shown = differing(settings, settings_from({}).to_dict()) if changed else settings
     typer.echo(settings_text(shown), nl=False)

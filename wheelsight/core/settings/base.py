@@ -1,5 +1,6 @@
 """`Settings`, the base class of all settings, and `setting`, a field with bounds, reason and source.
-`checked_settings` validates values from files; `PROFILES` holds sets of values for one kind of computer.
+`checked_settings` validates values from files. `split_removed` finds names that only earlier versions had.
+`PROFILES` holds sets of values for one kind of computer.
 """
 
 from __future__ import annotations
@@ -7,8 +8,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import cache
+from json import loads
+from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeVar, get_args, get_origin
+from typing import Any, NamedTuple, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import PydanticCustomError
@@ -136,6 +140,84 @@ def _is_settings(kind: Any) -> bool:
     return get_origin(kind) is None and isinstance(kind, type) and issubclass(kind, BaseModel)
 
 
+# Removed settings
+
+
+REMOVED_FILE = Path(__file__).with_name("removed.txt")
+"""Settings of earlier versions, one a line: `features.cell_px = 64` (a constant now) or `places.x -> places.y`."""
+
+
+class RemovedSetting(NamedTuple):
+    """A name in a file that only earlier versions have.
+
+    Attributes:
+        name: dotted, from `Config`.
+        value: in the file.
+        fixed: JSON text of the constant in its place, or None.
+        renamed: the new name, or None.
+    """
+
+    name: str
+    value: Any
+    fixed: str | None = None
+    renamed: str | None = None
+
+    @property
+    def problem(self) -> str:
+        """What became of it, as it follows the name in a message."""
+        if self.renamed is not None:
+            return f"is now {self.renamed}"
+        return "is no longer a setting" + ("" if self.fixed in (None, "null") else f": it is fixed at {self.fixed}")
+
+    @property
+    def fix(self) -> str:
+        """What to do with its line."""
+        return "remove the line" if self.renamed is None else "rename it"
+
+    @property
+    def differs(self) -> bool:
+        """Whether the value in the file is not the constant, and is lost."""
+        return self.fixed is not None and self.value != loads(self.fixed)
+
+
+def split_removed(values: Mapping[str, Any], section: str = "") -> tuple[dict[str, Any], list[RemovedSetting]]:
+    """Nested settings without removed names and with new ones, and the removed settings in their order.
+
+    Args:
+        values: names and values of a file.
+        section: dotted name of the section that they belong to; empty for the whole `Config`.
+    """
+    known, found = _removed_settings(REMOVED_FILE), list[RemovedSetting]()
+
+    def without(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+        kept = dict[str, Any]()
+        for name, value in values.items():
+            line = known.get(dotted := f"{prefix}{name}")
+            if line is not None:
+                found.append(line._replace(value=value))
+            elif not isinstance(value, Mapping):
+                kept[name] = value
+            elif (inner := without(value, f"{dotted}.")) or not value:
+                kept[name] = inner
+        return kept
+
+    prefix = f"{section}." if section else ""
+    kept = without(values, prefix)
+    for one in found:
+        if one.renamed is not None:
+            kept = _over(_nested(one.renamed.removeprefix(prefix), one.value), kept)
+    return kept, found
+
+
+@cache
+def _removed_settings(path: Path) -> Mapping[str, RemovedSetting]:
+    lines = dict[str, RemovedSetting]()
+    for line in path.read_text(encoding="utf-8").splitlines():
+        name, sign, rest = line.split(" ", 2)
+        lines[name] = RemovedSetting(name, None, **{"renamed" if sign == "->" else "fixed": rest})
+    return lines
+
+
 # Profiles: settings that go together for one kind of computer; what a user names lies over them.
 
 
@@ -190,11 +272,7 @@ def over_profile(profile: object, given: Mapping[str, Any]) -> dict[str, Any]:
     """Nested settings over those of a profile; as they are where there is none of that name."""
     below: dict[str, Any] = {}
     for name, of_profile in PROFILES.get(profile, {}).items() if isinstance(profile, str) else ():
-        *sections, last = name.split(".")
-        inner = below
-        for section in sections:
-            inner = inner.setdefault(section, {})
-        inner[last] = of_profile.value
+        below = _over(below, _nested(name, of_profile.value))
     return _over(below, given)
 
 
@@ -207,6 +285,13 @@ def differing(settings: Mapping[str, Any], others: Mapping[str, Any]) -> dict[st
         elif value != others[name]:
             changed[name] = value
     return changed
+
+
+def _nested(name: str, value: Any) -> dict[str, Any]:
+    """The value under a dotted name."""
+    for part in reversed(name.split(".")):
+        value = {part: value}
+    return dict(value)
 
 
 def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
