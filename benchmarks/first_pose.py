@@ -188,7 +188,7 @@ def followed(profile: str, seconds: float) -> Followed:
 
     camera, link = (_Part(sensors, read) for read in (sensors.camera_read, sensors.link_read))
     live = LiveSensors(recording.calibration, cast(Any, camera), cast(Any, link))
-    source = LiveSource(live, _endless, ready, settings=config.realtime)
+    source = LiveSource(live, _endless, ready)
 
     tracks = begin_all(source, config, None)
     (joined,) = (track for track in tracks if track.odometry == "joined")

@@ -16,7 +16,7 @@ from wheelsight.io.devices.camera_driver import DeviceImages, OpenedDevice, Play
 
 CAMERA = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
 # Times short enough for a test, in the defaults' proportions.
-QUICK = LiveCameraSettings(stall_s=0.1, reopen_s=0.4, retry_s=0.02, rate_hz=30, kept_frames=100)
+QUICK = LiveCameraSettings(stall_s=0.1, reopen_s=0.4, rate_hz=30, kept_frames=100)
 
 
 def images(

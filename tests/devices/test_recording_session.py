@@ -20,7 +20,13 @@ from wheelsight.io.devices.recorder import LiveRecorder, RecordingSession, Sessi
 from wheelsight.io.devices.simulated_controller import SimulatedController
 from wheelsight.io.recordings import RecordingWriter, open_recording
 
-QUICK = RecorderSettings(watch_s=0.02, rate_span_s=0.5)
+DEFAULTS = RecorderSettings()
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wheelsight.io.devices.recorder._LOOK_S", 0.02)
+    monkeypatch.setattr("wheelsight.io.devices.recorder._RATE_SPAN_S", 0.5)
 
 
 class Session:
@@ -52,7 +58,7 @@ class Session:
 
 
 @contextmanager
-def recording(folder: Path, link: WheelLink | None = None, settings: RecorderSettings = QUICK) -> Iterator[Session]:
+def recording(folder: Path, link: WheelLink | None = None, settings: RecorderSettings = DEFAULTS) -> Iterator[Session]:
     with LiveRecorder(RecordingWriter(folder, CALIBRATION), settings) as recorder:
         session = Session(recorder, folder, HandFedCamera(), link)
         try:
@@ -119,7 +125,7 @@ def test_it_ends_with_a_camera_that_has_ended(tmp_path: Path) -> None:
 
 def test_it_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     used = shutil.disk_usage(tmp_path)
-    with recording(tmp_path / "r", settings=QUICK.model_copy(update={"least_free_mb": 150.0})) as session:
+    with recording(tmp_path / "r", settings=DEFAULTS.model_copy(update={"least_free_mb": 150.0})) as session:
         wait(lambda: bool(session.looks))
         monkeypatch.setattr(shutil, "disk_usage", lambda _: used._replace(free=149_000_000))
         session.join()

@@ -149,7 +149,7 @@ def test_a_camera_that_stays_silent_is_opened_again(driver: FakeDriver, camera: 
 
 def test_it_reconnects_by_itself_and_says_so(driver: FakeDriver) -> None:
     told: list[CameraStatus] = []
-    with StreamingCamera(driver, QUICK.model_copy(update={"retry_s": 0.25}), on_status=told.append) as camera:
+    with StreamingCamera(driver, QUICK, on_status=told.append) as camera:
         driver.give(images(500))
         before = read(camera)
         driver.is_there.clear()

@@ -95,10 +95,11 @@ def test_stop_works_while_the_robots_program_hangs(way: str) -> None:
         assert any(one.get("age_s", 0) > 1.0 for one in told), "pages are told that it does not answer"
 
 
-def test_a_page_that_never_reads_is_sent_away_and_others_are_not_kept_waiting() -> None:
+def test_a_page_that_never_reads_is_sent_away_and_others_are_not_kept_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wheelsight.app.page.server._SEND_S", 0.3)
     refused: list[str] = []
     # As if each update were larger, so that a system's buffers are full within the test.
-    with server(refused, updates_hz=50.0, send_s=0.3) as (served, port), opened(port) as reader:
+    with server(refused, updates_hz=50.0) as (served, port), opened(port) as reader:
         raw = idle_client(port)
         served.session.say("x" * 100_000)
         ends_s, slowest_s = time.monotonic() + 60, 0.0
@@ -124,8 +125,9 @@ def idle_client(port: int) -> socket.socket:
     return made
 
 
-def test_connections_without_a_request_take_no_place() -> None:
-    with server(most_connections=8) as (_, port), ExitStack() as held:
+def test_connections_without_a_request_take_no_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wheelsight.app.page.server._MOST_CONNECTIONS", 8)
+    with server() as (_, port), ExitStack() as held:
         for _ in range(8):
             held.enter_context(socket.create_connection(("127.0.0.1", port), 5))
         assert asked(port, "GET", "/")[0] == 200

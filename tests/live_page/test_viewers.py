@@ -136,9 +136,10 @@ def sent_away(socket: WebSocketTestSession) -> WebSocketDisconnect:
     raise AssertionError("it was not sent away")
 
 
-def test_what_makes_no_sense_is_refused_and_at_last_not_listened_to() -> None:
+def test_what_makes_no_sense_is_refused_and_at_last_not_listened_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wheelsight.app.page.server._MOST_BAD", 3)
     refusals: list[str] = []
-    with page(refusals, most_bad=3) as (served, open_page), open_page() as socket:
+    with page(refusals) as (served, open_page), open_page() as socket:
         for text in ("garbage", '{"type": "fly"}'):
             socket.send_text(text)
             heard(socket, refused("a message of no sense"))
@@ -169,8 +170,9 @@ def test_bytes_and_long_texts_are_refused(message: str | bytes, code: int, reaso
         assert reason in gone.reason
 
 
-def test_a_flood_is_refused_and_stop_is_heard_in_it() -> None:
-    with page(messages_a_s=5.0) as (served, open_page), open_page() as socket:
+def test_a_flood_is_refused_and_stop_is_heard_in_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wheelsight.app.page.server._MESSAGES_A_S", 5.0)
+    with page() as (served, open_page), open_page() as socket:
         for _ in range(11):
             socket.send_text(ALIVE)
         gone = sent_away(socket)

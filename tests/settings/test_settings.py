@@ -276,6 +276,6 @@ def test_how_both_motions_are_compared_reaches_a_joined_run() -> None:
 
 
 def test_real_time_is_played_by_the_settings() -> None:
-    settings = load_config(overrides={"realtime.recent_frames": 7}).realtime
+    settings = load_config(overrides={"realtime.frames_ahead": 7}).realtime
     live = RealTimeRecording(MemoryRecording([]), settings=settings)
     assert held_by(live) == [settings]

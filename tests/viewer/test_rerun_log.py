@@ -76,9 +76,12 @@ def test_statuses_are_told_where_they_change_and_reasons_with_them(truth: Trajec
     assert len(found.rows["/map/odom/robot"]["time"]) == 18
 
 
-def test_images_come_as_often_and_as_wide_as_asked(truth: Trajectory, tmp_path: Path) -> None:
+def test_images_come_as_often_as_asked_and_no_wider_than_a_limit(
+    truth: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("wheelsight.app.viewer.logs._IMAGE_WIDTH_PX", 16)
     period_s = float(np.diff(truth.stamps_s).mean())
-    settings = ViewerSettings(image_rate_hz=0.5 / period_s, image_width_px=16)
+    settings = ViewerSettings(image_rate_hz=0.5 / period_s)
     shown(MemoryRecording(frames_at(truth), truth), BY_FEATURES, tmp_path, settings)
     found = Shown(tmp_path / "run.rrd")
     colours, depths = (found.rows[f"/map/odom/robot/camera/{name}"] for name in ("color", "depth"))

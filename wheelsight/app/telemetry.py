@@ -37,7 +37,9 @@ class Telemetry:
 
     def __init__(self, wheels: Wheels, integration: Integration = "arc") -> None:
         unrolled = wheels.never_rolling_over  # the link has undone the counters' roll-over
-        _compile(unrolled, integration)
+        odometry = WheelOdometry(unrolled, integration)  # compiles the kernels before readings wait for them
+        for index in range(2):
+            odometry.process(WheelTicks(0.01 * index, 0, 0))
         self.odometry = WheelOdometry(unrolled, integration)
 
     def line(self, ticks: WheelTicks) -> str:
@@ -78,10 +80,3 @@ def covariance_of_pose(estimate: Estimate) -> FloatArray:
     x_m, y_m = estimate.T_odom_body[:2, 3]
     J = np.array([[1, 0, -y_m], [0, 1, x_m], [0, 0, 1]])
     return np.asarray(J @ estimate.covariance[np.ix_(_PLANE, _PLANE)] @ J.T)
-
-
-def _compile(wheels: Wheels, integration: Integration) -> None:
-    """Let the kernels be compiled before readings wait for them."""
-    odometry = WheelOdometry(wheels, integration)
-    for index in range(2):
-        odometry.process(WheelTicks(0.01 * index, 0, 0))

@@ -30,7 +30,14 @@ def serve(connection: Connection, work: Callable[[Any], object], folder: str) ->
     for of_terminals in (signal.SIGINT, getattr(signal, "SIGHUP", signal.SIGINT)):
         signal.signal(of_terminals, signal.SIG_IGN)
     tempfile.tempdir = folder
-    _speak_into(os.path.join(folder, "stderr.txt"))  # noqa: PTH118 - before anything else is loaded
+    # Output of libraries would tear the progress bar; the last lines of a process are its reason.
+    log = os.path.join(folder, "stderr.txt")  # noqa: PTH118 - before anything else is loaded
+    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+        os.dup2(descriptor, stream.fileno())
+    os.close(descriptor)
+    faulthandler.enable()
     ending = threading.Thread(target=_end_with_parent, args=(folder,), daemon=True)
     ending.start()
     while True:
@@ -44,16 +51,6 @@ def serve(connection: Connection, work: Callable[[Any], object], folder: str) ->
         except ConnectionError:
             break
     ending.join()  # it cleans up and ends this process, unless the parent does
-
-
-def _speak_into(log: str) -> None:
-    """Libraries that speak to the terminal would tear the progress bar; the last words of a process are its reason."""
-    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    for stream in (sys.stdout, sys.stderr):
-        stream.flush()
-        os.dup2(descriptor, stream.fileno())
-    os.close(descriptor)
-    faulthandler.enable()
 
 
 def _end_with_parent(folder: str) -> None:

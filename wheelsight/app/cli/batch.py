@@ -64,14 +64,6 @@ def batch(
     except KeyboardInterrupt as interruption:
         print_note(f"interrupted; what is done is kept in {out}, and the same command goes on")
         raise typer.Exit(exit_code()) from interruption
-    is_broken = _print(rows, out)
-    is_worse = before is not None and _is_worse(rows, before, allowed, allowed_cost, settings)
-    if is_broken or is_worse:
-        raise typer.Exit(INPUT_IS_WRONG if is_broken else _WORSE)
-
-
-def _print(rows: Sequence[Row], out: Path) -> bool:
-    """The table and where it is; whether anything is broken."""
     from wheelsight.app.batch import PAGE_FILE, TABLE_FILE
     from wheelsight.app.batch.table import DONE
     from wheelsight.app.cli.batch_run import batch_table
@@ -85,7 +77,10 @@ def _print(rows: Sequence[Row], out: Path) -> bool:
     stdout.print(
         f"{len(rows) - len(broken)} of {len(rows)} rows are whole; table: {out / TABLE_FILE}, {out / PAGE_FILE}"
     )
-    return bool(broken)
+    is_broken = bool(broken)
+    is_worse = before is not None and _is_worse(rows, before, allowed, allowed_cost, settings)
+    if is_broken or is_worse:
+        raise typer.Exit(INPUT_IS_WRONG if is_broken else _WORSE)
 
 
 def _is_worse(

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from wheelsight.core.settings import LiveCameraSettings
     from wheelsight.io.devices.live_camera import LiveCamera
     from wheelsight.vision.camera_calibration.board import Board
-    from wheelsight.vision.camera_calibration.calibration import CameraCalibration
     from wheelsight.vision.camera_calibration.live_views import ViewTaker
     from wheelsight.vision.camera_calibration.model import CameraSetup
     from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings
@@ -169,7 +168,20 @@ class CameraTask:
         written = save_found(document, kept, Calibration(), source, self.out, measured("camera", found))
         if page is not None:
             write_camera_page(found, page)
-        _print(found, written, page)
+        from wheelsight.app.cli.calibration_results import print_end, table
+        from wheelsight.app.cli.console import console, print_warning
+        from wheelsight.app.report.camera_page import HEAD, distance_rows, lens_rows
+
+        stdout = console()
+        for name, reason in found.left_out[:_MOST_LEFT_OUT]:
+            print_warning(f"{name} is left out: {reason}")
+        if len(found.left_out) > _MOST_LEFT_OUT:
+            print_warning(f"and {len(found.left_out) - _MOST_LEFT_OUT} more")
+        stdout.print(table(f"cameras, by {len(found.views)} views of {found.board}", HEAD, lens_rows(found)))
+        if len(found.depth_residuals.off_m):
+            head = ("distance", "off before", "off after", "scatter", "σ of depth")
+            stdout.print(table("depth on the boards' planes", head, distance_rows(found)))
+        print_end(found.warnings, written, page)
 
     def by_folders(self, folders: Sequence[Path]) -> None:
         """The same, by the cameras of `--calibration` to begin with."""
@@ -177,23 +189,6 @@ class CameraTask:
 
         nominal = load_calibration(*self.calibration) if self.calibration else None
         replace(self, setup=replace(self.setup, nominal=nominal)).calibrate(folders)
-
-
-def _print(found: CameraCalibration, written: str, page: Path | None) -> None:
-    from wheelsight.app.cli.calibration_results import print_end, table
-    from wheelsight.app.cli.console import console, print_warning
-    from wheelsight.app.report.camera_page import HEAD, distance_rows, lens_rows
-
-    stdout = console()
-    for name, reason in found.left_out[:_MOST_LEFT_OUT]:
-        print_warning(f"{name} is left out: {reason}")
-    if len(found.left_out) > _MOST_LEFT_OUT:
-        print_warning(f"and {len(found.left_out) - _MOST_LEFT_OUT} more")
-    stdout.print(table(f"cameras, by {len(found.views)} views of {found.board}", HEAD, lens_rows(found)))
-    if len(found.depth_residuals.off_m):
-        head = ("distance", "off before", "off after", "scatter", "σ of depth")
-        stdout.print(table("depth on the boards' planes", head, distance_rows(found)))
-    print_end(found.warnings, written, page)
 
 
 # Views from a live camera

@@ -12,7 +12,7 @@ from wheelsight.app.cli.console import console, print_note, print_warning
 from wheelsight.core.runtime import exit_code
 
 if TYPE_CHECKING:
-    from wheelsight.app.run.kernels import CompileEstimate
+    pass
 
 
 _SURE_S = 15.0  # some kernels have been compiled by then
@@ -35,7 +35,26 @@ def compile_ahead(parts: Sequence[str]) -> int:
     whose = "as measured here before" if estimate.is_measured else "more on a slow or busy computer"
     print_note(f"compiling kernels, once after installation: about {_about(estimate.total_s)}, {whose}")
     try:
-        kernels, seconds = _watched(missing, estimate)
+        from wheelsight.app.cli.progress import left_text
+        from wheelsight.app.run.kernels import compile_kernels
+
+        stderr, began_s = console(stderr=True), time.monotonic()
+        found, said_s = [0], [estimate.total_s]
+
+        def show(part: str, kernels: int) -> None:
+            found[0] = kernels
+            passed_s = time.monotonic() - began_s
+            made, of, left_s = estimate.update(part, kernels, passed_s)
+            at = f"{part} {missing.index(part) + 1}/{len(missing)}"
+            count = f"kernel {made}/{of}" if made <= of else f"kernel {made}"
+            spinner.update(f"{at}, {count}, {passed_s // 60:.0f}:{passed_s % 60:02.0f}, about {left_text(left_s)}")
+            if passed_s > _SURE_S and passed_s + left_s > _MUCH_LONGER * said_s[0]:
+                said_s[0] = passed_s + left_s
+                print_note(f"this computer compiles more slowly than was said: about {_about(left_s)} more")
+
+        with stderr.status("starting") as spinner:
+            compile_kernels(missing, show)
+        kernels, seconds = found[0], time.monotonic() - began_s
     except KeyboardInterrupt as interruption:
         print_note("interrupted while compiling; what is compiled stays, and nothing was run")
         raise typer.Exit(exit_code()) from interruption
@@ -56,33 +75,6 @@ def compile_missing(parts: Sequence[str]) -> None:
         compile_ahead(parts)
     except OutputError as error:
         print_warning(str(error))
-
-
-def _watched(missing: Sequence[str], estimate: CompileEstimate) -> tuple[int, float]:
-    """How many kernels were compiled, and how long it took; a terminal sees the part, the count and the time left.
-
-    Where it takes much longer than was said, a line says so: at first after `_SURE_S`, when the rate is known.
-    """
-    from wheelsight.app.cli.progress import left_text
-    from wheelsight.app.run.kernels import compile_kernels
-
-    stderr, began_s = console(stderr=True), time.monotonic()
-    found, said_s = [0], [estimate.total_s]
-
-    def show(part: str, kernels: int) -> None:
-        found[0] = kernels
-        passed_s = time.monotonic() - began_s
-        made, of, left_s = estimate.update(part, kernels, passed_s)
-        at = f"{part} {missing.index(part) + 1}/{len(missing)}"
-        count = f"kernel {made}/{of}" if made <= of else f"kernel {made}"
-        spinner.update(f"{at}, {count}, {passed_s // 60:.0f}:{passed_s % 60:02.0f}, about {left_text(left_s)}")
-        if passed_s > _SURE_S and passed_s + left_s > _MUCH_LONGER * said_s[0]:
-            said_s[0] = passed_s + left_s
-            print_note(f"this computer compiles more slowly than was said: about {_about(left_s)} more")
-
-    with stderr.status("starting") as spinner:
-        compile_kernels(missing, show)
-    return found[0], time.monotonic() - began_s
 
 
 def _about(seconds: float) -> str:

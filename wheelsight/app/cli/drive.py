@@ -113,7 +113,13 @@ def _driven(robot: Robot, config: Config, tasks: Sequence[Task], options: DriveO
         watch.view,
     ):
         truth = Truth(robot) if options.is_simulated else None
-        is_interrupted = _through(drive, tasks, options, _on_step(drive, watch, truth))
+
+        def step(feedback: Feedback) -> None:
+            if truth is not None:
+                truth.look()
+            watch.step(feedback, drive.navigator)
+
+        is_interrupted = _through(drive, tasks, options, step)
         facts, asked = truth.told if truth else {}, len(tasks) + options.back
         record = drive.record(asked, robot_words(options), config, facts, is_interrupted=is_interrupted)
     if options.explore and options.out:
@@ -164,15 +170,6 @@ def _through(drive: Drive, tasks: Sequence[Task], options: DriveOptions, on_step
                 raise
             return True
     return False
-
-
-def _on_step(drive: Drive, watch: DriveWatch, truth: Truth | None) -> OnStep:
-    def step(feedback: Feedback) -> None:
-        if truth is not None:
-            truth.look()
-        watch.step(feedback, drive.navigator)
-
-    return step
 
 
 # Tasks
@@ -337,7 +334,19 @@ _CALLED = {"profile": "--profile", "known_map.path": "--map", "known_map.start":
 def check(options: DriveOptions) -> None:
     """Raises ConfigError for options that mean nothing together."""
     _check_one(options)
-    _check_task(options)
+    if options.explore:
+        if options.map_ is not None or options.to:
+            raise ConfigError("--explore begins without a map and goals", fix="no --map and no --to; those come next")
+        if options.follow is not None:
+            raise ConfigError("--explore finds its own way", fix="leave out --explore or --follow")
+        if options.out is None:
+            raise ConfigError("--explore leaves a map", fix="--out DIR")
+    elif options.map_ is None:
+        raise ConfigError("there is no map to drive in", fix="--map DIR, of a run with --map surfels; or --explore")
+    elif options.follow is not None and options.to:
+        raise ConfigError("--follow ends where its way does", fix="leave out --follow or --to")
+    elif options.follow is None and not options.to:
+        raise ConfigError("there is no goal", fix="--to NAME, or --to X,Y,YAW_DEG; or --follow FILE")
     _check_options(options)
 
 
@@ -362,22 +371,6 @@ def _check_options(options: RobotOptions) -> None:
             raise ConfigError("--robot needs to know how the robot is built", fix="--calibration FILE")
         if options.start is not None:
             raise ConfigError("--start is of a simulated robot", fix="--known-start X,Y,YAW_DEG")
-
-
-def _check_task(options: DriveOptions) -> None:
-    if options.explore:
-        if options.map_ is not None or options.to:
-            raise ConfigError("--explore begins without a map and goals", fix="no --map and no --to; those come next")
-        if options.follow is not None:
-            raise ConfigError("--explore finds its own way", fix="leave out --explore or --follow")
-        if options.out is None:
-            raise ConfigError("--explore leaves a map", fix="--out DIR")
-    elif options.map_ is None:
-        raise ConfigError("there is no map to drive in", fix="--map DIR, of a run with --map surfels; or --explore")
-    elif options.follow is not None and options.to:
-        raise ConfigError("--follow ends where its way does", fix="leave out --follow or --to")
-    elif options.follow is None and not options.to:
-        raise ConfigError("there is no goal", fix="--to NAME, or --to X,Y,YAW_DEG; or --follow FILE")
 
 
 def drive_settings(options: DriveOptions) -> Config:

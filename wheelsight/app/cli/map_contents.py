@@ -14,7 +14,7 @@ from wheelsight.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from wheelsight.core.geometry import FloatArray
-    from wheelsight.mapping import NamedPose, NamedPoses, OccupancyGrid, SurfelMap
+    from wheelsight.mapping import NamedPoses, OccupancyGrid, SurfelMap
     from wheelsight.slam.maps import MapFolder, MapInfo
 
 
@@ -100,25 +100,20 @@ def change(source: Path, called: str, at: str | None) -> None:
         folder.save_named_poses(known.with_pose(hung))
         on = "no keyframe" if hung.keyframe is None else f"keyframe {hung.keyframe}"
         typer.echo(f"{hung.name} is at {told(pose)}, and moves with {on}")
-        _warn_where_nobody_saw(hung)
+        # A place farther from all keyframes than floor is taken from them was probably mistyped
+        from wheelsight.app.cli.console import print_warning
+        from wheelsight.mapping import OccupancySettings
+
+        if hung.T_map_keyframe is not None:
+            off_m = math.dist(hung.pose[:2], hung.T_map_keyframe[:2, 3])
+            far_m = OccupancySettings().far_m
+            if off_m > far_m:
+                print_warning(
+                    f"{hung.name} is {off_m:.1f} m from the nearest keyframe, which shows the floor to {far_m:g} m: "
+                    "no way will lead there (wheelsight map export MAP --picture plan.png shows the map)"
+                )
     finally:
         folder.close()
-
-
-def _warn_where_nobody_saw(place: NamedPose) -> None:
-    """A place farther from all keyframes than floor is taken from them was probably mistyped."""
-    from wheelsight.app.cli.console import print_warning
-    from wheelsight.mapping import OccupancySettings
-
-    if place.T_map_keyframe is None:
-        return
-    off_m = math.dist(place.pose[:2], place.T_map_keyframe[:2, 3])
-    far_m = OccupancySettings().far_m
-    if off_m > far_m:
-        print_warning(
-            f"{place.name} is {off_m:.1f} m from the nearest keyframe, which shows the floor to {far_m:g} m: "
-            "no way will lead there (wheelsight map export MAP --picture plan.png shows the map)"
-        )
 
 
 def print_names(folder: MapFolder) -> None:

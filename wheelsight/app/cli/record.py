@@ -27,7 +27,12 @@ if TYPE_CHECKING:
     from wheelsight.io.recordings.bags.writing import LiveBag
     from wheelsight.io.recordings.native import LiveWriter
 
-
+# A frame waits no longer on its way into a bag: readers put messages in order within half a second, and would leave out
+# later ones.
+_BAG_WAIT_S = 0.4
+# A bag is readable up to the last flush; with `_BAG_WAIT_S` under a second, so that a program that dies loses no more.
+# Each flush is a chunk of MCAP, with a line in its index.
+_BAG_FLUSH_S = 0.5
 _SENSORS = "Sensors"
 
 CameraKind = Annotated[
@@ -266,14 +271,14 @@ class BagPlace:
 
     def settings(self, of_recorder: RecorderSettings) -> RecorderSettings:
         """Frames wait no longer than readers of bags do."""
-        wait_s = min(of_recorder.longest_wait_s, of_recorder.bag_wait_s)
+        wait_s = min(of_recorder.longest_wait_s, _BAG_WAIT_S)
         return of_recorder.model_copy(update={"longest_wait_s": wait_s})
 
     def writer(self, calibration: Calibration | None, color: str, settings: RecorderSettings) -> LiveBag:
         """What writes it. Raises CalibrationError, OutputError."""
         from wheelsight.io.recordings.bags.writing import LiveBag
 
-        return LiveBag(self.path, calibration, color, settings.bag_flush_s)  # type: ignore[arg-type]
+        return LiveBag(self.path, calibration, color, _BAG_FLUSH_S)  # type: ignore[arg-type]
 
 
 def place_of(out: Path | None, bag: Path | None) -> Path | BagPlace:

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from wheelsight.app.run import (
         FrameRecord,
         InRealTime,
-        LiveSensors,
         LiveSource,
         RealTimeRecording,
         RectificationRecord,
@@ -239,39 +238,35 @@ def _opened(asked: LiveRun, settings: Config, out: Path, force: bool) -> Iterato
     with ExitStack() as opened:
         opened.enter_context(new_output_folder(out, force))  # refused before a device is touched
         compile_missing(parts_of(settings))  # minutes, in which a camera had better not run
-        sensors = _sensors(asked, settings, force, opened)
+        from wheelsight.app.cli.wheels import note_status
+        from wheelsight.app.run import LiveSensors
+        from wheelsight.core.calibration import load_calibration
+        from wheelsight.io.devices import BAUDRATE, WheelLink
+        from wheelsight.io.devices.cameras import open_robot_camera
+
+        camera = None
+        if asked.camera is not None:
+            of_camera = settings.camera.model_copy(
+                update={"topics": settings.recording.topics or settings.camera.topics}
+            )
+            camera, calibration = open_robot_camera(asked.camera, of_camera, asked.calibration)
+            opened.callback(camera.close)
+        elif asked.calibration:
+            calibration = load_calibration(*asked.calibration)
+        else:
+            raise ConfigError("nothing says how large the wheels are", fix="--calibration FILE")
+        link = None
+        if asked.wheels is not None:
+            link = opened.enter_context(WheelLink(asked.wheels, asked.baud or BAUDRATE, note_status(asked.wheels)))
+        recorder = None if asked.record is None else _recorder(asked.record, calibration, settings, force, opened)
+        sensors = LiveSensors(calibration, camera, link, recorder)
         how_long = f"for {asked.seconds:g} s" if asked.seconds is not None else "until Ctrl-C"
         yield LiveSource(
             sensors,
             lambda: until_stopped(asked.seconds),
             lambda: print_note(f"ready; following {how_long}"),
             note,
-            settings.realtime,
         )
-
-
-def _sensors(asked: LiveRun, settings: Config, force: bool, opened: ExitStack) -> LiveSensors:
-    """Raises DeviceError, CalibrationError, OutputError."""
-    from wheelsight.app.cli.wheels import note_status
-    from wheelsight.app.run import LiveSensors
-    from wheelsight.core.calibration import load_calibration
-    from wheelsight.io.devices import BAUDRATE, WheelLink
-    from wheelsight.io.devices.cameras import open_robot_camera
-
-    camera = None
-    if asked.camera is not None:
-        of_camera = settings.camera.model_copy(update={"topics": settings.recording.topics or settings.camera.topics})
-        camera, calibration = open_robot_camera(asked.camera, of_camera, asked.calibration)
-        opened.callback(camera.close)
-    elif asked.calibration:
-        calibration = load_calibration(*asked.calibration)
-    else:
-        raise ConfigError("nothing says how large the wheels are", fix="--calibration FILE")
-    link = None
-    if asked.wheels is not None:
-        link = opened.enter_context(WheelLink(asked.wheels, asked.baud or BAUDRATE, note_status(asked.wheels)))
-    recorder = None if asked.record is None else _recorder(asked.record, calibration, settings, force, opened)
-    return LiveSensors(calibration, camera, link, recorder)
 
 
 def _recorder(folder: Path, calibration: Calibration, settings: Config, force: bool, opened: ExitStack) -> LiveRecorder:

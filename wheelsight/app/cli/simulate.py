@@ -18,7 +18,7 @@ from wheelsight.core.runtime import exit_code
 
 if TYPE_CHECKING:
     from wheelsight.io.recordings import RecordingWriter
-    from wheelsight_sim import FloorPlan, Robot, SimulatedRecording, SimulationSettings, WheelFaults
+    from wheelsight_sim import FloorPlan, SimulatedRecording, SimulationSettings
 
 
 # Options of the robot and its camera
@@ -333,6 +333,15 @@ def settings_from(given: SimulateOptions, plan: FloorPlan | None) -> SimulationS
     building: dict[str, Any] = {"world": given.world} if plan is None else {"plan": plan}
     # What it is called is checked by the settings, which name what there is.
     named: dict[str, Any] = {"realism": given.realism, "base": given.base}
+    from wheelsight_sim import Robot
+
+    given_m = {"left_radius_m": given.left_radius, "right_radius_m": given.right_radius, "track_width_m": given.track}
+    if given.base != "differential" and any(size_m is not None for size_m in given_m.values()):
+        fix = "--left-radius, --right-radius and --track are of two wheels: leave them out"
+        raise ConfigError(f"--base {given.base} has no such wheels", fix=fix)
+    sizes: dict[str, Any] = {name: size_m for name, size_m in given_m.items() if size_m is not None}
+    from wheelsight_sim import Patch, WheelFaults
+
     return SimulationSettings(
         **building,
         **named,
@@ -351,31 +360,14 @@ def settings_from(given: SimulateOptions, plan: FloorPlan | None) -> SimulationS
         has_motion_blur=given.motion_blur,
         has_slip=not given.no_slip,
         size=size_of(given.size, given.camera),
-        robot=_robot(given),
-        faults=_faults(given),
+        robot=Robot(**sizes, has_gyro=given.gyro),
+        faults=WheelFaults(
+            dropouts_s=times_of("--dropout", given.dropout),
+            unplugged_s=times_of("--unplug", given.unplug),
+            patches=tuple(Patch(*patch) for patch in patches_of("--ice", given.ice)),
+            lifted_s=times_of("--lift", given.lift),
+        ),
         covered_s=times_of("--cover", given.cover),
-    )
-
-
-def _robot(given: SimulateOptions) -> Robot:
-    from wheelsight_sim import Robot
-
-    given_m = {"left_radius_m": given.left_radius, "right_radius_m": given.right_radius, "track_width_m": given.track}
-    if given.base != "differential" and any(size_m is not None for size_m in given_m.values()):
-        fix = "--left-radius, --right-radius and --track are of two wheels: leave them out"
-        raise ConfigError(f"--base {given.base} has no such wheels", fix=fix)
-    sizes: dict[str, Any] = {name: size_m for name, size_m in given_m.items() if size_m is not None}
-    return Robot(**sizes, has_gyro=given.gyro)
-
-
-def _faults(given: SimulateOptions) -> WheelFaults:
-    from wheelsight_sim import Patch, WheelFaults
-
-    return WheelFaults(
-        dropouts_s=times_of("--dropout", given.dropout),
-        unplugged_s=times_of("--unplug", given.unplug),
-        patches=tuple(Patch(*patch) for patch in patches_of("--ice", given.ice)),
-        lifted_s=times_of("--lift", given.lift),
     )
 
 

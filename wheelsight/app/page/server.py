@@ -37,6 +37,14 @@ from wheelsight.app.page.session import Alive, Leave, Message, Session, ShowCost
 from wheelsight.core.errors import ArgumentError, ConfigError
 from wheelsight.core.settings import LivePageSettings
 
+# A thread keeps Python for this long while others wait; Python's 5 ms delay STOP by 50 ms, as it passes from thread to
+# thread: python -m benchmarks.live_page.
+_SWITCH_S = 0.001
+_MOST_CONNECTIONS = 64  # with those that fetch images: a browser opens six
+_MOST_BYTES = 2048  # of a message from a page; the longest that it sends has 200
+_MESSAGES_A_S = 20.0  # from one page, after a burst of twice as many; it sends one twice a second, and clicks
+_MOST_BAD = 10  # messages that make no sense before a page is sent away
+_SEND_S = 2.0  # a page that takes nothing for so long, with its buffer full, is sent away
 _STARTS_S, _ENDS_S = 10.0, 5.0
 # The kernel queues this number until the door accepts them; a full queue drops a newcomer's first packet, which comes
 # again a second later: too late for STOP.
@@ -69,7 +77,20 @@ class PageServer:
     """
 
     def __init__(self, app: PageApp, host: str, port: int, settings: LivePageSettings) -> None:
-        self._app, self._socket = app, _bound(host, port)
+        made: socket.socket | None = None
+        try:
+            found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+            family, kind, protocol, _, address = found[0]
+            made = socket.socket(family, kind, protocol)
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            made.bind(address)
+            made.listen(_BACKLOG)
+        except (OSError, OverflowError) as error:
+            if made is not None:
+                made.close()
+            fix = "another --host or --port; --port 0 takes any that is free"
+            raise ConfigError(f"nothing can be served at {host}, port {port}: {error}", fix=fix) from error
+        self._app, self._socket = app, made
         self.port = int(self._socket.getsockname()[1])
         self._config = uvicorn.Config(
             app,
@@ -77,10 +98,10 @@ class PageServer:
             http="h11",
             ws="websockets-sansio",
             # What is somewhat too large is refused in words; what is far too large is not even read.
-            ws_max_size=4 * settings.most_bytes,
+            ws_max_size=4 * _MOST_BYTES,
             # Texts are short; to pack them takes longer than to send them.
             ws_per_message_deflate=False,
-            limit_concurrency=settings.most_connections,
+            limit_concurrency=_MOST_CONNECTIONS,
             h11_max_incomplete_event_size=2 * MOST_HEAD_BYTES,
             timeout_graceful_shutdown=1,
             server_header=False,
@@ -88,7 +109,7 @@ class PageServer:
             log_config=None,
         )
         self._requests_a_s = settings.most_viewers * (_IMAGES * settings.images_hz + _FILES_A_S)
-        self._server, self._switch_s = uvicorn.Server(self._config), settings.switch_s
+        self._server = uvicorn.Server(self._config)
         self._switch_before_s = sys.getswitchinterval()
         self.loop: asyncio.AbstractEventLoop | None = None
         self._adopted = set[asyncio.Task[None]]()
@@ -100,7 +121,7 @@ class PageServer:
         self._log = _Counted(app.on_refusal)
 
     def __enter__(self) -> PageServer:
-        sys.setswitchinterval(self._switch_s)
+        sys.setswitchinterval(_SWITCH_S)
         for name in _LOGGERS:
             logging.getLogger(name).addHandler(self._log)
         self._thread.start()
@@ -324,23 +345,6 @@ class _Counted(logging.Handler):
         self._tell(f"page: {line}")
 
 
-def _bound(host: str, port: int) -> socket.socket:
-    made: socket.socket | None = None
-    try:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
-        family, kind, protocol, _, address = found[0]
-        made = socket.socket(family, kind, protocol)
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        made.bind(address)
-        made.listen(_BACKLOG)
-    except (OSError, OverflowError) as error:
-        if made is not None:
-            made.close()
-        fix = "another --host or --port; --port 0 takes any that is free"
-        raise ConfigError(f"nothing can be served at {host}, port {port}: {error}", fix=fix) from error
-    return made
-
-
 # Application
 
 
@@ -500,7 +504,7 @@ class _Socket:
             for text in await viewer.waiting():
                 try:
                     # `wait_for` of Python 3.11 may forget that it was cancelled.
-                    async with asyncio.timeout(self._settings.send_s):
+                    async with asyncio.timeout(_SEND_S):
                         await websocket.send_text(text)
                 except TimeoutError:
                     raise SentAwayError(1008, "a page that never reads") from None
@@ -511,7 +515,7 @@ class _Socket:
         # One that reads nothing takes no farewell, too.
         if websocket.application_state is WebSocketState.CONNECTED:
             with suppress(RuntimeError, WebSocketDisconnect, TimeoutError):
-                async with asyncio.timeout(self._settings.send_s):
+                async with asyncio.timeout(_SEND_S):
                     await websocket.close(sent_away.code, str(sent_away))
 
 
@@ -540,15 +544,14 @@ class Viewer:
 
     Args:
         number: its identifier.
-        settings: rate limits.
         now_s: the clock.
     """
 
-    def __init__(self, number: int, settings: LivePageSettings, now_s: Callable[[], float]) -> None:
-        self.number, self._settings, self._now_s = number, settings, now_s
+    def __init__(self, number: int, now_s: Callable[[], float]) -> None:
+        self.number, self._now_s = number, now_s
         self.heard_s = self._filled_s = now_s()
         self.shows_costmap = False
-        self._left, self._bad = 2 * settings.messages_a_s, 0
+        self._left, self._bad = 2 * _MESSAGES_A_S, 0
         self._newest: str | None = None
         self._refusals: deque[str] = deque(maxlen=_REFUSALS)
         self._wake = asyncio.Event()
@@ -574,8 +577,8 @@ class Viewer:
 
     def count_message(self) -> None:
         """Count a message. Raises SentAwayError above the rate limit."""
-        now_s, s = self._now_s(), self._settings
-        self._left = min(self._left + (now_s - self._filled_s) * s.messages_a_s, 2 * s.messages_a_s) - 1
+        now_s = self._now_s()
+        self._left = min(self._left + (now_s - self._filled_s) * _MESSAGES_A_S, 2 * _MESSAGES_A_S) - 1
         self._filled_s = self.heard_s = now_s
         if self._left < 0:
             raise SentAwayError(1008, "too many messages")
@@ -583,7 +586,7 @@ class Viewer:
     def count_bad(self) -> None:
         """Count an invalid message. Raises SentAwayError above the rate limit."""
         self._bad += 1
-        if self._bad >= self._settings.most_bad:
+        if self._bad >= _MOST_BAD:
             raise SentAwayError(1008, "too many messages that make no sense")
 
 
@@ -621,7 +624,7 @@ class Viewers:
         """Add a page. Raises SentAwayError if there are too many."""
         if len(self._viewers) >= self._settings.most_viewers:
             raise SentAwayError(1013, f"too many pages are open: {self._settings.most_viewers}")
-        viewer = Viewer(next(self._numbers), self._settings, self._now_s)
+        viewer = Viewer(next(self._numbers), self._now_s)
         self._viewers[viewer.number] = viewer
         return viewer
 
@@ -634,7 +637,7 @@ class Viewers:
 
     def hear(self, viewer: Viewer, message: str | bytes | None) -> None:
         """Execute a page's message. Raises SentAwayError if the page must disconnect."""
-        if isinstance(message, str) and len(message) <= self._settings.most_bytes and says_stop(message):
+        if isinstance(message, str) and len(message) <= _MOST_BYTES and says_stop(message):
             # Before all else, and counted after: who is in need presses often.
             self._session.stop("somebody pressed STOP")
             viewer.count_message()
@@ -642,8 +645,8 @@ class Viewers:
         viewer.count_message()
         if not isinstance(message, str):
             raise SentAwayError(1003, "a message that is no text")
-        if len(message.encode("utf-8", "replace")) > self._settings.most_bytes:
-            raise SentAwayError(1009, f"a message of more than {self._settings.most_bytes} bytes")
+        if len(message.encode("utf-8", "replace")) > _MOST_BYTES:
+            raise SentAwayError(1009, f"a message of more than {_MOST_BYTES} bytes")
         try:
             asked = parsed(message)
         except ArgumentError as error:

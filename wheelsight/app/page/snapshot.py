@@ -25,7 +25,8 @@ from wheelsight.navigation import CellState, Costmap, Feedback, Navigator, Stati
 from wheelsight.navigation.senses import Senses
 from wheelsight.navigation.task import STATUS_WORDS, monitor_words
 
-_WAY_STEP_M, _PATH_POINTS = 0.1, 80
+_WAY_STEP_M, _WAY_POINTS, _PATH_POINTS = 0.1, 300, 80  # the newest of the driven path; of the planned one
+_JPEG_QUALITY = 60  # of the camera's image, of 100: about 10 kB
 _SIGMAS = 2.0
 
 
@@ -72,7 +73,7 @@ class Telling:
 
     def __init__(self, robot: StoppableRobot, settings: LivePageSettings, wants_costmap: Callable[[], bool]) -> None:
         self._robot, self._settings, self._wants_costmap = robot, settings, wants_costmap
-        self._way: deque[FloatArray] = deque(maxlen=settings.way_points)
+        self._way: deque[FloatArray] = deque(maxlen=_WAY_POINTS)
         self._pictures: dict[str, Picture] = {}
         self._made_of: dict[str, object] = {}
         self._number, self._pictured_s = 0, -np.inf
@@ -104,7 +105,7 @@ class Telling:
             layer, frame = senses.floor.layer, self._robot.frame
             self._keep("plan", layer, lambda: Picture(plan_png(layer), 0, _place(layer)))
             if frame is not None:
-                self._keep("camera", frame, lambda: Picture(camera_jpeg(frame.color, s.image_px, s.jpeg_quality), 0))
+                self._keep("camera", frame, lambda: Picture(camera_jpeg(frame.color, s.image_px, _JPEG_QUALITY), 0))
             costmap = senses.local() if self._wants_costmap() else None
             if costmap is not None:
                 self._keep("costmap", costmap, lambda: Picture(costmap_png(costmap), 0, _place(costmap)))

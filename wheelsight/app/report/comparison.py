@@ -72,7 +72,11 @@ def write_comparison(records: Sequence[RunRecord], path: StrPath) -> None:
 
 def render_comparison(records: Sequence[RunRecord], folder: Path | None = None) -> str:
     """The page about several odometries as self-contained HTML, with links to results in `folder`."""
-    joined, verdict = _joined_of(records), verdict_of_run(records)
+    record = joined_of(records)
+    joined, verdict = (
+        (None if record is None else _Joined(record, facts_of(record), best_alone_of(records))),
+        verdict_of_run(records),
+    )
     judged = [(record, summarise(record), verdict_of(record, records)) for record in records]
     judged.sort(key=lambda found: not found[0].is_joined)  # the main answer comes first
     is_green = verdict.tone is Tone.GREEN
@@ -110,11 +114,6 @@ def _lines(judged: Sequence[Judged]) -> list[str]:
 
 def _sentences(judged: Sequence[Judged]) -> list[str]:
     return [f"{record.odometry.capitalize()}: {' '.join(verdict.sentences)}" for record, _, verdict in judged]
-
-
-def _joined_of(records: Sequence[RunRecord]) -> _Joined | None:
-    record = joined_of(records)
-    return None if record is None else _Joined(record, facts_of(record), best_alone_of(records))
 
 
 def comparison_rows(records: Sequence[RunRecord]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:

@@ -22,7 +22,7 @@ from wheelsight.app.run.verdict import FLAGS, JOINED, joined_of
 from wheelsight.core.areas import AreaMap
 from wheelsight.core.errors import EvaluationError
 from wheelsight.core.estimates import Status
-from wheelsight.core.geometry import FloatArray, IntArray, se3
+from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import (
     THREE_SIGMA_RADIUS,
@@ -269,7 +269,19 @@ def trust_figure(record: RunRecord, found: Consistency | None) -> go.Figure:
         _add_errors(figure, x, errors_m[..., axis], row)
         title = f"{'±3σ' if found is None else 'error'} {name}, m"
         drawing.panel_title(figure, title, y=figure.layout[f"yaxis{row if row > 1 else ''}"].domain[1])
-    _add_lanes(figure, record, lanes)
+    # Statuses as one band, and flags as thin ones beneath, in the lowest panel
+    starts_s, ends_s = record.frame_spans_s()
+    labels = status_labels(record)
+    where: dict[str, Any] = {"row": 3, "col": 1}
+    for label in (label for label in STATUS_COLOURS if label in labels):
+        line = {"color": STATUS_COLOURS[label]}
+        add_band(figure, record, label, labels, starts_s, ends_s, y=_STATUS, line=line, **where)
+    thin: dict[str, Any] = {"color": INK, "width": 7}
+    for flag in lanes[1:]:
+        up = [flag if flag in frame.flags else "" for frame in record.frames]
+        add_band(figure, record, flag, up, starts_s, ends_s, y=flag, line=thin, showlegend=False, **where)
+    order = {"categoryorder": "array", "categoryarray": lanes[::-1], "range": [-0.6, len(lanes) - 0.4]}
+    figure.update_yaxes(showgrid=False, row=3, col=1, **order)
     drawing.time_axis(figure, record)
     return figure
 
@@ -314,22 +326,6 @@ def _add_errors(figure: go.Figure, x: FloatArray, both_m: FloatArray, row: int) 
     for (name, line), errors in zip(names, both_m.T, strict=True):
         if not np.isnan(errors).all():
             drawing.add_line(figure, x, errors, name=name, line=line, hover="%{y:.3f} m", row=row, in_legend=row == 1)
-
-
-def _add_lanes(figure: go.Figure, record: RunRecord, lanes: list[str]) -> None:
-    """Statuses as one band, and flags as thin ones beneath, in the lowest panel."""
-    starts_s, ends_s = record.frame_spans_s()
-    labels = status_labels(record)
-    where: dict[str, Any] = {"row": 3, "col": 1}
-    for label in (label for label in STATUS_COLOURS if label in labels):
-        line = {"color": STATUS_COLOURS[label]}
-        add_band(figure, record, label, labels, starts_s, ends_s, y=_STATUS, line=line, **where)
-    thin: dict[str, Any] = {"color": INK, "width": 7}
-    for flag in lanes[1:]:
-        up = [flag if flag in frame.flags else "" for frame in record.frames]
-        add_band(figure, record, flag, up, starts_s, ends_s, y=flag, line=thin, showlegend=False, **where)
-    order = {"categoryorder": "array", "categoryarray": lanes[::-1], "range": [-0.6, len(lanes) - 0.4]}
-    figure.update_yaxes(showgrid=False, row=3, col=1, **order)
 
 
 # Areas
@@ -504,6 +500,11 @@ def _add_rows(
         means = np.full_like(sums, np.nan)
         np.divide(sums, counts[:, None], out=means, where=counts[:, None] > 0)
         x, shown = times, means
+    # A colour scale over 0 … n in which row i goes from nothing to its area's colour between i and i + 1
+    scale: list[list[float | str]] = []
+    for index in range(n):
+        scale.append([index / n, _faded(area_colour(index), 0.05)])
+        scale.append([(index + _FULL) / n, area_colour(index)])
     figure.add_heatmap(
         x=x,
         y=list(range(n)),
@@ -511,7 +512,7 @@ def _add_rows(
         customdata=shown.T,
         zmin=0,
         zmax=n,
-        colorscale=_rows_of_colours(n),
+        colorscale=[*scale, [1.0, area_colour(n - 1)]],
         showscale=False,
         ygap=2,
         name="",
@@ -521,37 +522,24 @@ def _add_rows(
         col=1,
     )
     if found.true_areas is not None:
-        _add_true_areas(figure, found.true_areas, seconds, row)
+        truth = np.where(found.true_areas >= 0, found.true_areas, np.nan).astype(float)
+        kept = np.flatnonzero(np.diff(truth, prepend=np.inf, append=np.inf)[:-1] != 0)  # where it changes, and NaN
+        kept = np.union1d(kept, np.append((kept - 1).clip(0), len(truth) - 1))
+        figure.add_scatter(
+            x=seconds[kept],
+            y=truth[kept],
+            mode="lines",
+            line={"color": GREY, "width": 2, "shape": "hv"},
+            name="true area",
+            legendgroup="true area",
+            showlegend=row == 1,
+            hoverinfo="skip",
+            row=row,
+            col=1,
+        )
     ticks = {"tickmode": "array", "tickvals": list(range(n)), "ticktext": [escape(name) for name in found.areas.names]}
     figure.update_yaxes(range=[n - 0.5, -0.5], showgrid=False, row=row, col=1, **ticks)
     figure.update_xaxes(showgrid=False, row=row, col=1)
-
-
-def _add_true_areas(figure: go.Figure, true_areas: IntArray, seconds: FloatArray, row: int) -> None:
-    truth = np.where(true_areas >= 0, true_areas, np.nan).astype(float)
-    kept = np.flatnonzero(np.diff(truth, prepend=np.inf, append=np.inf)[:-1] != 0)  # where it changes, and NaN
-    kept = np.union1d(kept, np.append((kept - 1).clip(0), len(truth) - 1))
-    figure.add_scatter(
-        x=seconds[kept],
-        y=truth[kept],
-        mode="lines",
-        line={"color": GREY, "width": 2, "shape": "hv"},
-        name="true area",
-        legendgroup="true area",
-        showlegend=row == 1,
-        hoverinfo="skip",
-        row=row,
-        col=1,
-    )
-
-
-def _rows_of_colours(n: int) -> list[list[float | str]]:
-    """A colour scale over 0 … n in which row i goes from nothing to its area's colour between i and i + 1."""
-    scale: list[list[float | str]] = []
-    for index in range(n):
-        scale.append([index / n, _faded(area_colour(index), 0.05)])
-        scale.append([(index + _FULL) / n, area_colour(index)])
-    return [*scale, [1.0, area_colour(n - 1)]]
 
 
 def _panel_title(figure: go.Figure, text: str, row: int) -> None:

@@ -22,7 +22,7 @@ from wheelsight.app.run.drive_record import DriveRecord, FilmImage
 from wheelsight.app.run.verdict import runs
 from wheelsight.core.files import StrPath, settings_text, write_text
 from wheelsight.core.geometry import ByteArray, FloatArray
-from wheelsight.mapping import CellKind, OccupancyGrid
+from wheelsight.mapping import CellKind
 from wheelsight.mapping.occupancy import COLOURS, PlanLine, PlanMark, picture_of, save_picture
 
 _PLANNED, _DRIVEN, _STOPPED, _GOAL, _START = (230, 159, 0), (0, 114, 178), (213, 94, 0), (204, 121, 167), (0, 158, 115)
@@ -199,7 +199,20 @@ _BAND_COLOURS = {
 def plan_figure(record: DriveRecord) -> go.Figure:
     """The map from above, metres, equal aspect, with all plans, the driven path, stops, start and goals."""
     figure = drawing.style(go.Figure(), _PLAN_PX, hovermode="closest", showlegend=True)
-    _add_map(figure, record.grid)
+    # Add the map as an image below all lines, and limit the axes to its known part
+    colours = np.array([COLOURS[kind] for kind in CellKind], np.uint8)
+    _, png = cv2.imencode(".png", np.ascontiguousarray(colours[record.grid.kind[::-1]][..., ::-1]))
+    uri = "data:image/png;base64," + base64.b64encode(png.tobytes()).decode("ascii")
+    (height, width), (left, bottom) = np.array(record.grid.kind.shape) * record.grid.resolution_m, record.grid.origin
+    place = {"x": left, "y": bottom + height, "sizex": width, "sizey": height, "xref": "x", "yref": "y"}
+    figure.add_layout_image(source=uri, layer="below", sizing="stretch", **place)
+    cells = np.argwhere(record.grid.kind != CellKind.UNKNOWN)
+    known_xy = (
+        record.grid.middle_of(cells) if len(cells) else np.array([[left, bottom], [left + width, bottom + height]])
+    )
+    (x0, y0), (x1, y1) = known_xy.min(axis=0) - _AROUND_M, known_xy.max(axis=0) + _AROUND_M
+    figure.update_xaxes(range=[x0, x1], title_text="m", constrain="domain", showgrid=False)
+    figure.update_yaxes(range=[y0, y1], scaleanchor="x", scaleratio=1, constrain="domain", showgrid=False)
     hover = "%{x:.2f}, %{y:.2f} m"
     for number, (_, plan) in enumerate(record.plans):
         line = {"color": ORANGE, "width": 2}
@@ -311,21 +324,6 @@ def _add_speeds(figure: go.Figure, record: DriveRecord, seconds: FloatArray) -> 
         figure.update_yaxes(range=usual, row=row, col=1)
         axis = figure.layout[f"yaxis{row}"]
         drawing.panel_title(figure, name, y=axis.domain[1])
-
-
-def _add_map(figure: go.Figure, grid: OccupancyGrid) -> None:
-    """Add the map as an image below all lines, and limit the axes to its known part."""
-    colours = np.array([COLOURS[kind] for kind in CellKind], np.uint8)
-    _, png = cv2.imencode(".png", np.ascontiguousarray(colours[grid.kind[::-1]][..., ::-1]))
-    uri = "data:image/png;base64," + base64.b64encode(png.tobytes()).decode("ascii")
-    (height, width), (left, bottom) = np.array(grid.kind.shape) * grid.resolution_m, grid.origin
-    place = {"x": left, "y": bottom + height, "sizex": width, "sizey": height, "xref": "x", "yref": "y"}
-    figure.add_layout_image(source=uri, layer="below", sizing="stretch", **place)
-    cells = np.argwhere(grid.kind != CellKind.UNKNOWN)
-    known_xy = grid.middle_of(cells) if len(cells) else np.array([[left, bottom], [left + width, bottom + height]])
-    (x0, y0), (x1, y1) = known_xy.min(axis=0) - _AROUND_M, known_xy.max(axis=0) + _AROUND_M
-    figure.update_xaxes(range=[x0, x1], title_text="m", constrain="domain", showgrid=False)
-    figure.update_yaxes(range=[y0, y1], scaleanchor="x", scaleratio=1, constrain="domain", showgrid=False)
 
 
 def _add_marks(figure: go.Figure, points: FloatArray, texts: list[str], name: str, marker: dict[str, str]) -> None:

@@ -64,7 +64,23 @@ def trajectory_figure(record: RunRecord, view: str = "xy") -> go.Figure:
         drawing.add_path(figure, path, name=name, line=line, hover=hover)
         known = path[~np.isnan(path).any(axis=1)]
         drawn = np.concatenate([drawn, known])
-    _mark_ends(figure, known)  # of the estimate, which comes last
+    # A ring at the start and a square at the end, with labels on opposite sides
+    if len(known):
+        places = ("top", "bottom") if known[0, 1] >= known[-1, 1] else ("bottom", "top")
+        ends = (("start", known[0], "circle-open"), ("end", known[-1], "square"))
+        for (name, point, symbol), place in zip(ends, places, strict=True):
+            marker = {"symbol": symbol, "size": 11, "color": VERMILLION, "line": {"width": 3 if name == "start" else 0}}
+            figure.add_scatter(
+                x=point[:1],
+                y=point[1:],
+                mode="markers+text",
+                name=name,
+                text=[name],
+                marker=marker,
+                textposition=f"{place} center",
+                showlegend=False,
+                hoverinfo="skip",
+            )
     x_range, y_range = drawing.room_around(drawn)
     figure.update_xaxes(title_text=f"{view[0]}, m", range=x_range)
     figure.update_yaxes(title_text=f"{view[1]}, m", range=y_range, scaleanchor="x", scaleratio=1)
@@ -296,27 +312,6 @@ def truth_path_m(record: RunRecord) -> FloatArray:
     steps_s = np.diff(truth.stamps_s)
     holes = np.flatnonzero(steps_s > max(1.0, 10 * float(np.median(steps_s)))) if len(steps_s) else np.arange(0)
     return with_gaps(truth.stamps_s, truth.positions_m, truth.stamps_s[holes] + 1e-3)[1]
-
-
-def _mark_ends(figure: go.Figure, path: FloatArray) -> None:
-    """A ring at the start and a square at the end, with labels on opposite sides."""
-    if not len(path):
-        return
-    places = ("top", "bottom") if path[0, 1] >= path[-1, 1] else ("bottom", "top")
-    ends = (("start", path[0], "circle-open"), ("end", path[-1], "square"))
-    for (name, point, symbol), place in zip(ends, places, strict=True):
-        marker = {"symbol": symbol, "size": 11, "color": VERMILLION, "line": {"width": 3 if name == "start" else 0}}
-        figure.add_scatter(
-            x=point[:1],
-            y=point[1:],
-            mode="markers+text",
-            name=name,
-            text=[name],
-            marker=marker,
-            textposition=f"{place} center",
-            showlegend=False,
-            hoverinfo="skip",
-        )
 
 
 def _time_ceiling_ms(ms: FloatArray) -> float:

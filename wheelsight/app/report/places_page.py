@@ -74,6 +74,13 @@ def _render(trial: PlaceTrial, model: PlaceModel, recording: str) -> str:
     )
     table = html.fold("The same as a table", html.table("By how sure it is", CURVE_HEAD, curve_rows(trial.curve)))
     curve_section = html.section("sure", "Whether it knows how sure it is", "", curve_plot, table)
+    plot = html.plot(
+        "time",
+        time_figure(trial),
+        "Areas along time",
+        "Mistakes at the border of two areas are mild; those in the middle of one are not.",
+        "True and most probable area of each frame over time",
+    )
     return fill_template(
         kicker="wheelsight places test",
         title=escape(recording),
@@ -83,7 +90,9 @@ def _render(trial: PlaceTrial, model: PlaceModel, recording: str) -> str:
         sentences=escape(sentences),
         tiles="\n".join(html.tile(*tile) for tile in _tiles(trial, model)),
         notes=html.section("notes", "What to know before trusting it", "", html.bullets(_notes(trial, model), "notes")),
-        sections="\n".join([confusions, _time(trial), curve_section, _mistakes(trial)]),
+        sections="\n".join(
+            [confusions, html.section("along", "Along the drive", "", plot), curve_section, _mistakes(trial)]
+        ),
         footer="Frames that have no true area count nowhere. This page needs no network.",
     )
 
@@ -117,17 +126,6 @@ def _notes(trial: PlaceTrial, model: PlaceModel) -> list[str]:
         found.append(f"{words.count(blind, 'frame has', 'frames have')} no depth and count as wrong.")
     tested = "A drive that the model was trained on, or one right after it, proves little: test on another day."
     return [*found, tested]
-
-
-def _time(trial: PlaceTrial) -> str:
-    plot = html.plot(
-        "time",
-        time_figure(trial),
-        "Areas along time",
-        "Mistakes at the border of two areas are mild; those in the middle of one are not.",
-        "True and most probable area of each frame over time",
-    )
-    return html.section("along", "Along the drive", "", plot)
 
 
 def _mistakes(trial: PlaceTrial) -> str:
@@ -381,7 +379,25 @@ def render_sheet(sheet: ContactSheet, source: str = "") -> str:
         f"proposed areas: {source}" if source else "no areas proposed",
         f"wheelsight {__version__}",
     ]
-    data = json.dumps(_data(sheet), ensure_ascii=False).replace("<", "\\u003c")
+    start_s = float(sheet.borders_s[0])
+    data = json.dumps(
+        {
+            "name": sheet.name,
+            "file": f"{_plain(sheet.name)}-labels.csv",
+            "pictures": [jpeg_uri(picture) for picture in sheet.pictures],
+            "seconds": [round(float(stamp_s) - start_s, 3) for stamp_s in sheet.stamps_s],
+            # As text, since what a browser makes of a number may lack digits that stamps need.
+            "borders": [f"{stamp_s:.6f}" for stamp_s in sheet.borders_s],
+            "labels": sheet.labels.tolist(),
+            "names": list(sheet.names),
+            "colours": list(AREA_COLOURS),
+            "polygons": [] if sheet.areas is None else [np.round(a.polygon, 3).tolist() for a in sheet.areas],
+            "places": [
+                ([round(value, 3) for value in xy] if np.isfinite(xy).all() else None) for xy in sheet.xy_m.tolist()
+            ],
+        },
+        ensure_ascii=False,
+    ).replace("<", "\\u003c")
     return Template(html.asset("sheet.html")).substitute(
         title=escape(sheet.name),
         facts=" · ".join(escape(fact) for fact in facts),
@@ -400,25 +416,6 @@ def jpeg_uri(color: ByteArray) -> str:
     """An image (H, W, 3) uint8, red green blue, as a JPEG in a data URI."""
     _, jpeg = cv2.imencode(".jpg", color[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     return "data:image/jpeg;base64," + base64.b64encode(jpeg.tobytes()).decode("ascii")
-
-
-def _data(sheet: ContactSheet) -> dict[str, Any]:
-    start_s = float(sheet.borders_s[0])
-    return {
-        "name": sheet.name,
-        "file": f"{_plain(sheet.name)}-labels.csv",
-        "pictures": [jpeg_uri(picture) for picture in sheet.pictures],
-        "seconds": [round(float(stamp_s) - start_s, 3) for stamp_s in sheet.stamps_s],
-        # As text, since what a browser makes of a number may lack digits that stamps need.
-        "borders": [f"{stamp_s:.6f}" for stamp_s in sheet.borders_s],
-        "labels": sheet.labels.tolist(),
-        "names": list(sheet.names),
-        "colours": list(AREA_COLOURS),
-        "polygons": [] if sheet.areas is None else [np.round(a.polygon, 3).tolist() for a in sheet.areas],
-        "places": [
-            ([round(value, 3) for value in xy] if np.isfinite(xy).all() else None) for xy in sheet.xy_m.tolist()
-        ],
-    }
 
 
 def _plain(name: str) -> str:

@@ -111,12 +111,14 @@ def exploring(
     footprint, calibration = config.navigation.footprint.outline, robot.calibration
     near_m = near_floor_m(calibration, config) if trusts_floor else 0.0
     how: dict[str, Any] = {"trusts_floor": trusts_floor, "on_transition": on_transition}
+    mapping_s = config.navigation.navigator.mapping_s
+    worker: Worker[SeenFloor] = WorkerInStep(mapping_s) if in_step else WorkerBeside("floor")
     # The localization is closed last: others look at its keyframes.
     with (
         localization_of(
             mapping_localizer, calibration, config, Path(path), in_step=in_step, tells_keyframes=True
         ) as localization,
-        closing(_growing_worker(config, in_step=in_step)) as growing,
+        closing(worker) as growing,
         closing(planning_worker(config, in_step=in_step)) as planning,
     ):
         floor = GrowingFloor(localization, calibration, footprint, near_m, config.sessions.occupancy, worker=growing)
@@ -129,8 +131,3 @@ def loops_of(path: StrPath) -> int:
     """How many loops a map has, once its exploration is over. Raises MapError."""
     with closing(MapFolder.open(path)) as folder:
         return sum(edge.is_loop for edge in folder.edges)
-
-
-def _growing_worker(config: Config, *, in_step: bool) -> Worker[SeenFloor]:
-    """What makes the floor of what keyframes see."""
-    return WorkerInStep(config.navigation.navigator.mapping_s) if in_step else WorkerBeside("floor")

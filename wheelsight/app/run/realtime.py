@@ -27,6 +27,10 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight.io.devices import BAUDRATE, ClockMap, LinkStatus, TicksFile, WheelSource, is_recorded, open_wheels
 from wheelsight.io.recordings import AssociationReport, ListedFrame, ListsFrames, Recording
 
+_READINGS_AHEAD_S = 1.0  # readings of wheels and gyroscopes are read so far ahead
+_RECENT_FRAMES = 30  # over which progress averages rate and latency: one second of most cameras
+REHEARSED_FRAMES = 3  # answered before time begins to run, so that kernels are compiled or loaded
+
 
 class RealTimeRecording:
     """A `Recording` whose events come at their stamps, like those of a live robot.
@@ -66,7 +70,7 @@ class RealTimeRecording:
         self._recording = recording
         self._clock = clock or MonotonicClock()
         self._playing: Playing | None = None
-        self._times = AnswerTimes(self.settings.recent_frames)
+        self._times = AnswerTimes()
 
     @property
     def played(self) -> Recording:
@@ -129,7 +133,7 @@ class RealTimeRecording:
 
     def events(self, *, images: bool = True) -> Generator[Event]:
         """The events at their times; each call starts at the beginning."""
-        self._times = AnswerTimes(self.settings.recent_frames)
+        self._times = AnswerTimes()
         playing = self._playing = Playing(self._items(images), self._clock, self.settings)
         if isinstance(self.wheels, LiveWheels):
             self.wheels.tell(self._take_live)
@@ -158,7 +162,7 @@ class RealTimeRecording:
                     yield WheelTicks(event.stamp_s, 0, 0)
                 yield event
                 seen += isinstance(event, RgbdFrame) or not has_frames
-                if seen == self.settings.rehearsed_frames:
+                if seen == REHEARSED_FRAMES:
                     return
         finally:
             if isinstance(events, Generator):
@@ -314,7 +318,12 @@ class Playing:
         """Wait for the next due event; None at the end. Raises the recording's error at its place."""
         with self._changed:
             while True:
-                self._begin()
+                # Start the playing clock once the events ahead are read
+                first = self._next()
+                if self._behind_s is None and self._is_ready and first is not None:
+                    self._began_s = self._clock.now_s()
+                    self._behind_s = self._began_s - first.stamp_s
+                    self._clock.wake(self._changed)
                 self._drop_overtaken()
                 event = self._next()
                 if event is not None and self._is_due(event.stamp_s):
@@ -349,14 +358,6 @@ class Playing:
             self._ended_s = self._clock.now_s()
             self._clock.wake(self._changed)
         self._thread.join()
-
-    def _begin(self) -> None:
-        """Start the playing clock once the events ahead are read."""
-        first = self._next()
-        if self._behind_s is None and self._is_ready and first is not None:
-            self._began_s = self._clock.now_s()
-            self._behind_s = self._began_s - first.stamp_s
-            self._clock.wake(self._changed)
 
     def _next(self) -> Event | None:
         """The oldest waiting event; at equal stamps readings come before the frame."""
@@ -420,11 +421,10 @@ class Playing:
         self._drop_overtaken()
         if isinstance(item, ListedFrame | RgbdFrame | SkippedFrame):
             return self._frames[1].stamp_s if len(self._frames) >= self.settings.frames_ahead else None
-        ahead_s = self.settings.readings_ahead_s
-        there_s = item.stamp_s - ahead_s
+        there_s = item.stamp_s - _READINGS_AHEAD_S
         first = self._next()
         has_room = first is None or self._is_due(there_s) or (self._behind_s is None and there_s <= first.stamp_s)
-        return None if has_room else there_s + ahead_s / 2  # rather many at once than each by itself
+        return None if has_room else there_s + _READINGS_AHEAD_S / 2  # rather many at once than each by itself
 
 
 def _stamp_s(event: Event) -> float:
@@ -560,15 +560,11 @@ class LiveWheels:
 
 
 class AnswerTimes:
-    """Latencies, from an event's stamp until the request for the next event.
+    """Latencies, from an event's stamp until the request for the next event."""
 
-    Args:
-        recent: number of frames in the window of `lately`.
-    """
-
-    def __init__(self, recent: int) -> None:
+    def __init__(self) -> None:
         self._frames_s, self._readings_s = array("d"), array("d")
-        self._lately: deque[tuple[float, float]] = deque(maxlen=recent)
+        self._lately: deque[tuple[float, float]] = deque(maxlen=_RECENT_FRAMES)
 
     def add(self, event: Event, now_s: float) -> None:
         """Add one answered event."""

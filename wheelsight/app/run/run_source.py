@@ -10,14 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from wheelsight.app.run.kernels import DrawnDrive, Rehearses
-from wheelsight.app.run.realtime import AnswerTimes, RealTimeRecording
+from wheelsight.app.run.realtime import REHEARSED_FRAMES, AnswerTimes, RealTimeRecording
 from wheelsight.app.run.run_record import RealTimeRecord
 from wheelsight.config import Config
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.messages import AngularVelocity, Event, RgbdFrame, WheelTicks, YawRate
 from wheelsight.core.robots import EventSource
-from wheelsight.core.settings import RealTimeSettings
 from wheelsight.estimation.odometry_choice import (
     FRAMES,
     NO_PARTS,
@@ -78,7 +77,6 @@ class LiveSource:
         until: says when the run is over; None: never.
         on_begin: called when all is ready, before the first event.
         note: called with one sentence about each change of a sensor.
-        settings: defaults if None.
 
     Raises:
         ConfigError: no sensor, or wheels of unknown size.
@@ -90,7 +88,6 @@ class LiveSource:
         until: Until | None = None,
         on_begin: Callable[[], None] = lambda: None,
         note: Callable[[str], None] = lambda text: None,
-        settings: RealTimeSettings | None = None,
     ) -> None:
         if sensors.camera is None and sensors.link is None:
             raise ConfigError("there is no sensor to listen to", fix="--camera NAME, --wheels PORT, or both")
@@ -102,11 +99,10 @@ class LiveSource:
             raise ConfigError(problem, fix="--calibration FILE with wheels, or leave out --wheels")
         if sensors.camera is not None and sensors.calibration.color is None:
             raise ConfigError(f"{sensors.camera.name} has no calibration", fix="--calibration FILE of the camera")
-        self.settings = settings or RealTimeSettings()
         self._sensors, self._on_begin, self._note = sensors, on_begin, note
         self._until: Until = until or (lambda: nullcontext(lambda: False))
         self._watch = None if sensors.camera is None else CameraWatch(sensors.camera)
-        self._times = AnswerTimes(self.settings.recent_frames)
+        self._times = AnswerTimes()
         self._at_begin: CameraReport | None = None
         self._began_s: float | None = None
         self._ended_s: float | None = None
@@ -144,7 +140,15 @@ class LiveSource:
     def events(self, *, images: bool = True) -> Generator[Event]:
         """Events in the order of their arrival."""
         with self._until() as is_over:
-            self._begin()
+            # Discard events from before the start
+            for _ in self._ticks():
+                pass
+            for _ in (*self._frames(0.0), *self._rates()):
+                pass
+            self._began_s, self._ended_s, self._heard_s = host_clock.now_s(), None, None
+            self._fetched = self._answered = self._readings = 0
+            self._times = AnswerTimes()
+            self._at_begin = None if self._sensors.camera is None else self._sensors.camera.report()
             self._on_begin()
             while not (is_over() or self._has_ended()):
                 # All readings and the newest frame, by their stamps
@@ -171,7 +175,7 @@ class LiveSource:
     def rehearsal(self) -> Iterator[Event]:
         """A few live frames, between readings of wheels that stand still."""
         camera, ends_s = self._sensors.camera, host_clock.now_s() + _REHEARSED_WITHIN_S
-        for _ in range(self.settings.rehearsed_frames if camera is not None else 0):
+        for _ in range(REHEARSED_FRAMES if camera is not None else 0):
             assert camera is not None
             live = camera.read(max(ends_s - host_clock.now_s(), 0.0))
             if live is None:
@@ -212,17 +216,6 @@ class LiveSource:
         if self._began_s is None:
             return 0.0
         return (self._ended_s or host_clock.now_s()) - self._began_s
-
-    def _begin(self) -> None:
-        """Discard events from before the start."""
-        for _ in self._ticks():
-            pass
-        for _ in (*self._frames(0.0), *self._rates()):
-            pass
-        self._began_s, self._ended_s, self._heard_s = host_clock.now_s(), None, None
-        self._fetched = self._answered = self._readings = 0
-        self._times = AnswerTimes(self.settings.recent_frames)
-        self._at_begin = None if self._sensors.camera is None else self._sensors.camera.report()
 
     def _ticks(self, timeout_s: float = 0.0) -> Iterator[WheelTicks]:
         """All waiting readings; waits for the first."""

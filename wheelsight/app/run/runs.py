@@ -226,9 +226,26 @@ def _of_odometry(
         "elapsed_s": passage.elapsed_s,
         "throughput_frames_per_s": len(record.frames) / passage.elapsed_s if passage.elapsed_s else None,
     }
+    frames = [frame for frame in record.frames if not frame.is_repeat]
+    statuses = [str(frame.status) for frame in frames]
+    reasons = [str(frame.reason) for frame in frames if frame.reason is not None]
+    paired = record.association
     return {
         "verdict": verdict_of(record, records).to_dict(),
-        "frames" if record.unit == "frame" else "wheel_readings": _frame_counts(record, source),
+        "frames" if record.unit == "frame" else "wheel_readings": {
+            "listed": frame_count_of(source) if record.unit == "frame" else wheel_count_of(source),
+            "processed": len(frames),
+            "with_pose": record.posed,
+            "with_pose_share": record.posed / len(frames) if frames else 0.0,
+            "skipped": sum(frame.is_skipped for frame in frames),
+            "repeated_images": len(record.frames) - len(frames),
+            "dropped": None if record.drops is None else record.drops.to_dict(),
+            "left_out": {why: {"count": count, "of": of} for why, (count, of) in record.left_out.items()},
+            "dropped_color_images": None if paired is None else paired.dropped_color,
+            "dropped_depth_images": None if paired is None else paired.dropped_depth,
+            "status": {status: statuses.count(status) for status in sorted(set(statuses))},
+            "reasons": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
+        },
         "timing": timing,
         "trajectory": {"length_m": record.estimate.length_m, "duration_s": record.estimate.duration_s},
         "evaluation": None if record.evaluation is None else record.evaluation.to_dict(),
@@ -291,27 +308,6 @@ def _map(found: MapRecord) -> dict[str, Any]:
 
 def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-def _frame_counts(record: RunRecord, source: EventSource) -> dict[str, Any]:
-    frames = [frame for frame in record.frames if not frame.is_repeat]
-    statuses = [str(frame.status) for frame in frames]
-    reasons = [str(frame.reason) for frame in frames if frame.reason is not None]
-    paired = record.association
-    return {
-        "listed": frame_count_of(source) if record.unit == "frame" else wheel_count_of(source),
-        "processed": len(frames),
-        "with_pose": record.posed,
-        "with_pose_share": record.posed / len(frames) if frames else 0.0,
-        "skipped": sum(frame.is_skipped for frame in frames),
-        "repeated_images": len(record.frames) - len(frames),
-        "dropped": None if record.drops is None else record.drops.to_dict(),
-        "left_out": {why: {"count": count, "of": of} for why, (count, of) in record.left_out.items()},
-        "dropped_color_images": None if paired is None else paired.dropped_color,
-        "dropped_depth_images": None if paired is None else paired.dropped_depth,
-        "status": {status: statuses.count(status) for status in sorted(set(statuses))},
-        "reasons": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
-    }
 
 
 def _versions() -> dict[str, str]:
@@ -442,7 +438,23 @@ def _write_one(
         write_tum(record.odom, folder / ODOM_FILE)
     if record.estimate.covariances is not None:
         write_covariances(record.estimate, folder / COVARIANCES_FILE)
-    write_text(folder / STATUS_FILE, _status_csv(record))
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(
+        ["stamp_s", "status", "reason", "matches", "inliers", "time_ms", "flags", "note", "dropped", "left_out"]
+    )
+    dropped = [frame.overtaken + frame.is_unread for frame in record.frames]
+    if dropped and record.drops is not None:
+        dropped[-1] += record.drops.total - sum(dropped)  # those after it, and those that never became a frame
+    left_out = [""] * len(record.frames)
+    if left_out:  # of the recording as a whole: which row it was before is not known
+        left_out[-1] = "; ".join(f"{count} of {of}: {why}" for why, (count, of) in record.left_out.items())
+    for frame, lost, gone in zip(record.frames, dropped, left_out, strict=True):
+        counts = (frame.matches, frame.inliers, f"{1e3 * frame.seconds:.3f}")
+        # as in trajectory.txt, so that rows can be joined
+        stamp = np.format_float_positional(frame.stamp_s, min_digits=6)
+        rows.writerow([stamp, frame.status, frame.reason or "", *counts, ";".join(frame.flags), frame.note, lost, gone])
+    write_text(folder / STATUS_FILE, text.getvalue())
     if record.rectification is not None:
         write_text(folder / "areas.csv", looks_csv(record.rectification))
     # Write the corrected path and the verdict on each match, or remove those of an earlier run.
@@ -474,23 +486,3 @@ def _forget(path: Path) -> None:
 
 def _write_json(figures: dict[str, Any], path: Path) -> None:
     write_text(path, json.dumps(figures, indent=2, allow_nan=False) + "\n")
-
-
-def _status_csv(record: RunRecord) -> str:
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(
-        ["stamp_s", "status", "reason", "matches", "inliers", "time_ms", "flags", "note", "dropped", "left_out"]
-    )
-    dropped = [frame.overtaken + frame.is_unread for frame in record.frames]
-    if dropped and record.drops is not None:
-        dropped[-1] += record.drops.total - sum(dropped)  # those after it, and those that never became a frame
-    left_out = [""] * len(record.frames)
-    if left_out:  # of the recording as a whole: which row it was before is not known
-        left_out[-1] = "; ".join(f"{count} of {of}: {why}" for why, (count, of) in record.left_out.items())
-    for frame, lost, gone in zip(record.frames, dropped, left_out, strict=True):
-        counts = (frame.matches, frame.inliers, f"{1e3 * frame.seconds:.3f}")
-        # as in trajectory.txt, so that rows can be joined
-        stamp = np.format_float_positional(frame.stamp_s, min_digits=6)
-        rows.writerow([stamp, frame.status, frame.reason or "", *counts, ";".join(frame.flags), frame.note, lost, gone])
-    return text.getvalue()

@@ -775,28 +775,26 @@ def facts_of(record: RunRecord) -> JoinedFacts:
     1 s.
     """
     if record not in _FACTS:
-        _FACTS[record] = _facts_of(record)
+        starts_s, ends_s = record.frame_spans_s()
+        lasted_s, statuses = ends_s - starts_s, [str(frame.status) for frame in record.frames]
+        flags = () if record.config.get("fusion", {}).get("filter") == "ligocki" else FLAGS
+        flagged = {flag: np.array([flag in frame.flags for frame in record.frames], bool) for flag in flags}
+        whole_s = float(lasted_s.sum())
+        coasting = ((i, j) for i, j, status in runs(statuses) if status == Status.COASTING)
+        at_frames = int(np.isin(record.estimate.stamps_s, [frame.pose_s for frame in record.frames]).sum())
+        _FACTS[record] = JoinedFacts(
+            seconds={
+                status.value: float(lasted_s[np.array(statuses) == status].sum())
+                for status in Status
+                if status in statuses
+            },
+            coasting_s=tuple(float(ends_s[j - 1] - starts_s[i]) for i, j in coasting),
+            flag_shares={flag: float(lasted_s[up].sum()) / whole_s if whole_s else 0.0 for flag, up in flagged.items()},
+            poses_at_frames=at_frames,
+            poses_at_readings=len(record.estimate) - at_frames,
+            consistency=consistency_of(record),
+        )
     return _FACTS[record]
-
-
-def _facts_of(record: RunRecord) -> JoinedFacts:
-    starts_s, ends_s = record.frame_spans_s()
-    lasted_s, statuses = ends_s - starts_s, [str(frame.status) for frame in record.frames]
-    flags = () if record.config.get("fusion", {}).get("filter") == "ligocki" else FLAGS
-    flagged = {flag: np.array([flag in frame.flags for frame in record.frames], bool) for flag in flags}
-    whole_s = float(lasted_s.sum())
-    coasting = ((i, j) for i, j, status in runs(statuses) if status == Status.COASTING)
-    at_frames = int(np.isin(record.estimate.stamps_s, [frame.pose_s for frame in record.frames]).sum())
-    return JoinedFacts(
-        seconds={
-            status.value: float(lasted_s[np.array(statuses) == status].sum()) for status in Status if status in statuses
-        },
-        coasting_s=tuple(float(ends_s[j - 1] - starts_s[i]) for i, j in coasting),
-        flag_shares={flag: float(lasted_s[up].sum()) / whole_s if whole_s else 0.0 for flag, up in flagged.items()},
-        poses_at_frames=at_frames,
-        poses_at_readings=len(record.estimate) - at_frames,
-        consistency=consistency_of(record),
-    )
 
 
 def consistency_of(record: RunRecord) -> Consistency | None:

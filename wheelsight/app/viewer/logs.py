@@ -35,6 +35,7 @@ from wheelsight.navigation import (
 
 _GREEN, _GREY = (0, 158, 115), (150, 150, 150)
 _MS = 1e3
+_IMAGE_WIDTH_PX, _JPEG_QUALITY = 320, 80  # wider images are reduced to it; of colour images
 
 
 class RerunLog:
@@ -323,7 +324,24 @@ class Scene:
         self._image_s = -np.inf
         self._T_map_odom: FloatArray | None = None
         self._position: FloatArray | None = None
-        self._show_fixed(calibration)
+        rr = self.rr
+        has_base = calibration.T_base_camera is not None or calibration.any_wheels is not None
+        self.log(MAP, rr.ViewCoordinates.FLU if has_base else rr.ViewCoordinates.RDF, static=True)
+        self.log(ROBOT, rr.TransformAxes3D(0.3), static=True)
+        if calibration.color is None or calibration.depth is None:
+            return
+        mount = np.eye(4) if calibration.T_base_camera is None else calibration.T_base_camera
+        depth_color = np.eye(4) if calibration.T_color_depth is None else se3.invert(calibration.T_color_depth)
+        self.log(CAMERA, self.transform(mount), static=True)
+        for place, camera, T in (
+            (COLOR, calibration.color, depth_color),
+            (DEPTH, calibration.depth, np.eye(4)),
+        ):
+            scale = min(1.0, _IMAGE_WIDTH_PX / camera.width)
+            K = np.array([[camera.fx, 0, camera.cx + 0.5], [0, camera.fy, camera.cy + 0.5], [0, 0, 1 / scale]]) * scale
+            size = [round(scale * camera.width), round(scale * camera.height)]
+            pinhole = self.rr.Pinhole(image_from_camera=K, resolution=size, image_plane_distance=0.5)
+            self.log(place, self.transform(T), pinhole, static=True)
 
     def begin(self, stamp_s: float) -> None:
         """Begin the timeline at the first stamp."""
@@ -364,11 +382,11 @@ class Scene:
             return
         self._image_s = frame.stamp_s
         self.at(frame.stamp_s)
-        color = _narrowed(frame.color, self._settings.image_width_px, cv2.INTER_AREA)
-        quality = [cv2.IMWRITE_JPEG_QUALITY, self._settings.jpeg_quality]
+        color = _narrowed(frame.color, _IMAGE_WIDTH_PX, cv2.INTER_AREA)
+        quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
         jpeg = cv2.imencode(".jpg", np.ascontiguousarray(color[..., ::-1]), quality)[1].tobytes()
         self.log(COLOR, self.rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))
-        depth_m = _narrowed(frame.depth_m, self._settings.image_width_px, cv2.INTER_NEAREST)
+        depth_m = _narrowed(frame.depth_m, _IMAGE_WIDTH_PX, cv2.INTER_NEAREST)
         units = np.clip(np.rint(depth_m * _DEPTH_UNITS_PER_M), 0, np.iinfo(np.uint16).max).astype(np.uint16)
         png = cv2.imencode(".png", units)[1].tobytes()
         self.log(DEPTH, self.rr.EncodedDepthImage(png, media_type="image/png", meter=_DEPTH_UNITS_PER_M))
@@ -389,26 +407,6 @@ class Scene:
     def px(self, width: float) -> Any:
         """A width in pixels of the screen."""
         return self.rr.Radius.ui_points(width)
-
-    def _show_fixed(self, calibration: Calibration) -> None:
-        rr = self.rr
-        has_base = calibration.T_base_camera is not None or calibration.any_wheels is not None
-        self.log(MAP, rr.ViewCoordinates.FLU if has_base else rr.ViewCoordinates.RDF, static=True)
-        self.log(ROBOT, rr.TransformAxes3D(0.3), static=True)
-        if calibration.color is None or calibration.depth is None:
-            return
-        mount = np.eye(4) if calibration.T_base_camera is None else calibration.T_base_camera
-        depth_color = np.eye(4) if calibration.T_color_depth is None else se3.invert(calibration.T_color_depth)
-        self.log(CAMERA, self.transform(mount), static=True)
-        for place, camera, T in (
-            (COLOR, calibration.color, depth_color),
-            (DEPTH, calibration.depth, np.eye(4)),
-        ):
-            scale = min(1.0, self._settings.image_width_px / camera.width)
-            K = np.array([[camera.fx, 0, camera.cx + 0.5], [0, camera.fy, camera.cy + 0.5], [0, 0, 1 / scale]]) * scale
-            size = [round(scale * camera.width), round(scale * camera.height)]
-            pinhole = self.rr.Pinhole(image_from_camera=K, resolution=size, image_plane_distance=0.5)
-            self.log(place, self.transform(T), pinhole, static=True)
 
 
 def _narrowed(image: Any, width: int, how: int) -> Any:

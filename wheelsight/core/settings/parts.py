@@ -518,42 +518,6 @@ class LiveCameraSettings(Settings):
         gt=0,
         le=600,
     )
-    retry_s: float = setting(
-        0.25, "seconds between two looks for a camera that was unplugged, of the 2 s it may take", CHOSEN, gt=0, le=2
-    )
-    pair_gap_s: float = setting(
-        0.02,
-        "largest distance in time between colour and depth of one frame, seconds: over half of a period at 30 Hz, "
-        "under one",
-        "computed from the period",
-        gt=0,
-        le=1,
-    )
-    clock_ahead_s: float = setting(
-        0.1,
-        "a stamp that lies so many seconds after its frame's arrival tells that the camera's clock leapt",
-        CHOSEN,
-        gt=0,
-        le=10,
-    )
-    clock_late_s: float = setting(
-        0.3,
-        "frames that all arrive so many seconds after their stamps, over `clock_watch_s`, tell that it leapt back",
-        CHOSEN,
-        gt=0,
-        le=10,
-    )
-    clock_drift: float = setting(
-        5e-4,
-        "largest share by which the camera's clock runs faster or slower than the host's: five times what crystals of "
-        "cameras differ by, so that a busy host's delays are not taken for drift",
-        CHOSEN,
-        gt=0,
-        le=0.01,
-    )
-    clock_watch_s: float = setting(
-        2.0, "seconds of that comparison: a busy host has caught up by then", CHOSEN, gt=0, le=60
-    )
 
 
 # RecorderSettings: how what live sensors say is written to the disk, and when that ends.
@@ -584,22 +548,6 @@ class RecorderSettings(Settings):
         ge=1,
         le=64,
     )
-    bag_wait_s: float = setting(
-        0.4,
-        "likewise of a frame on its way into a bag: readers put messages in order within half a second "
-        "(recording.bag.order_s), and would leave out what comes later still",
-        CHOSEN,
-        gt=0,
-        le=60,
-    )
-    bag_flush_s: float = setting(
-        0.5,
-        "how often a bag is made readable up to there, seconds: with bag_wait_s under a second, so that whatever ends "
-        "the program loses no more. Each time is a chunk of MCAP, of which a reader's index has a line",
-        CHOSEN,
-        gt=0,
-        le=60,
-    )
     least_free_mb: float = setting(
         200.0,
         "recording ends when so little room is left on the disk, MB, before other programs fail for want of it",
@@ -607,10 +555,6 @@ class RecorderSettings(Settings):
         ge=0,
         le=1e6,
     )
-    watch_s: float = setting(
-        0.5, "seconds between two looks at the camera, the disk and the rates", CHOSEN, gt=0, le=60
-    )
-    rate_span_s: float = setting(3.0, "seconds over which rates are averaged", CHOSEN, gt=0, le=3600)
 
 
 # RealTimeSettings: how a recording is played in real time, and what is said of how that went.
@@ -626,25 +570,8 @@ class RealTimeSettings(Settings):
         ge=2,
         le=1000,
     )
-    readings_ahead_s: float = setting(
-        1.0,
-        "so far ahead readings of wheels and gyroscopes are read, seconds",
-        CHOSEN,
-        gt=0,
-        le=60,
-    )
     dropped_share: float = setting(
         0.1, "share of dropped frames beyond which the run says what to do about it", CHOSEN, ge=0, le=1
-    )
-    recent_frames: int = setting(
-        30, "frames over which progress averages rate and latency: one second of most cameras", CHOSEN, ge=2, le=100_000
-    )
-    rehearsed_frames: int = setting(
-        3,
-        "frames answered before time begins to run, so that kernels are compiled or loaded",
-        CHOSEN,
-        ge=1,
-        le=1000,
     )
 
 
@@ -659,10 +586,6 @@ class LivePageSettings(Settings):
         2.0, "images of the camera, the map and the costmap a second, at most: a phone's network", CHOSEN, gt=0, le=30
     )
     image_px: int = setting(320, "width of the camera's image, at most, pixels", CHOSEN, ge=32, le=1920)
-    jpeg_quality: int = setting(60, "of the camera's image, of 100: about 10 kB", CHOSEN, ge=5, le=100)
-    way_points: int = setting(
-        300, "points of the way driven that a page is sent, the newest, 0.1 m apart", CHOSEN, ge=2, le=5000
-    )
     old_s: float = setting(
         1.0, "a page without an update for so long says so, and shows its plan in grey", "issue 34", ge=0.2, le=10
     )
@@ -675,31 +598,7 @@ class LivePageSettings(Settings):
         ge=0.6,
         le=60,
     )
-    switch_s: float = setting(
-        0.001,
-        "for which a thread keeps Python to itself while others wait, of 0.005 else: STOP passes from thread to thread",
-        "python -m benchmarks.live_page: worst of 100 stops 50 ms after the press with 0.005",
-        ge=0.0001,
-        le=0.1,
-    )
     most_viewers: int = setting(8, "pages at once", CHOSEN, ge=1, le=200)
-    most_connections: int = setting(
-        64, "connections at once, with those that fetch images: a browser opens six", CHOSEN, ge=8, le=2000
-    )
-    most_bytes: int = setting(
-        2048, "of a message from a page; the longest that one sends has 200", CHOSEN, ge=256, le=1_000_000
-    )
-    messages_a_s: float = setting(
-        20.0,
-        "messages a second from a page, after a burst of twice as many: clicks, and twice a second that it is there",
-        CHOSEN,
-        gt=2,
-        le=1000,
-    )
-    most_bad: int = setting(10, "messages that make no sense before a page is sent away", CHOSEN, ge=1, le=1000)
-    send_s: float = setting(
-        2.0, "a page that takes nothing for so long, with its buffer full, is sent away", CHOSEN, gt=0, le=60
-    )
 
 
 # ViewerSettings: how much of a run a viewer is shown.
@@ -711,8 +610,6 @@ class ViewerSettings(Settings):
     image_rate_hz: float = setting(
         5.0, "images a second, of the recording's time: colour and depth; 0: none", CHOSEN, ge=0, le=1000
     )
-    image_width_px: int = setting(320, "width to which wider images are brought", CHOSEN, ge=16, le=8192)
-    jpeg_quality: int = setting(80, "of colour images", CHOSEN, ge=1, le=100)
     keyframe_points: int = setting(
         3000, "points of a keyframe at most, evenly over its image; 0: none", CHOSEN, ge=0, le=1_000_000
     )

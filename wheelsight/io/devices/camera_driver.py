@@ -104,6 +104,7 @@ T = TypeVar("T")
 
 # Images that wait for a partner, at most: the other stream may have stopped.
 _MOST_WAITING = 8
+_PAIR_GAP_S = 0.02  # over half of a period at 30 Hz, under one
 
 
 class Stamped(NamedTuple, Generic[T]):
@@ -116,7 +117,7 @@ class Stamped(NamedTuple, Generic[T]):
 class FramePairs(Generic[T]):
     """Pairs the images of two streams, each in order of time. Drops images without a partner within `gap_s` seconds."""
 
-    def __init__(self, gap_s: float) -> None:
+    def __init__(self, gap_s: float = _PAIR_GAP_S) -> None:
         self._gap_s = gap_s
         self._color: deque[Stamped[T]] = deque()
         self._depth: deque[Stamped[T]] = deque()

@@ -81,7 +81,7 @@ class FreenectDriver:
         self._where, self._settings = where, settings
         self._context, self._device = c.c_void_p(), c.c_void_p()
         self._callbacks: list[Any] = []
-        self._pairs: FramePairs[ByteArray | UInt16Array] = FramePairs(settings.pair_gap_s)
+        self._pairs: FramePairs[ByteArray | UInt16Array] = FramePairs()
         self._found: list[DeviceImages] = []
         self._ticks: int | None = None
 
@@ -151,7 +151,7 @@ class FreenectDriver:
         depth = _REGISTERED if self._settings.registered else _MM
         lib.freenect_set_video_mode(self._device, lib.freenect_find_video_mode(_VGA, _RGB))
         lib.freenect_set_depth_mode(self._device, lib.freenect_find_depth_mode(_VGA, depth))
-        self._pairs, self._found, self._ticks = FramePairs(self._settings.pair_gap_s), [], None
+        self._pairs, self._found, self._ticks = FramePairs(), [], None
         # Keep references while the library may call them.
         self._callbacks = [_Callback(self._take_color), _Callback(self._take_depth)]
         lib.freenect_set_video_callback(self._device, self._callbacks[0])

@@ -150,6 +150,12 @@ class Stamp:
     sigma_s: float
 
 
+_CLOCK_AHEAD_S = 0.1  # a stamp this long after its frame's arrival: the camera's clock jumped forward
+CLOCK_LATE_S = 0.3  # all frames of `_CLOCK_WATCH_S` this long after their stamps: it jumped back
+_CLOCK_WATCH_S = 2.0  # a busy host has caught up by then
+_CLOCK_DRIFT = 5e-4  # five times what crystals of cameras differ by: a busy host's delays are no drift
+
+
 class CameraClock:
     """Maps a camera's increasing stamps to strictly increasing stamps of the host's clock, over jumps of its clock.
 
@@ -160,7 +166,7 @@ class CameraClock:
     def __init__(self, settings: LiveCameraSettings) -> None:
         self.jumps = 0
         self._settings = settings
-        self._map = ClockMap(settings.clock_drift)
+        self._map = ClockMap(_CLOCK_DRIFT)
         self._late: deque[tuple[float, float]] = deque()
         self._stamp_s = -float("inf")
 
@@ -191,17 +197,16 @@ class CameraClock:
 
     def _has_jumped(self, device_s: float, arrival_s: float) -> bool:
         """Whether the device's clock jumped: a stamp after its arrival, or only late arrivals for long."""
-        settings = self._settings
         if not self._map.is_begun:
             return False
         late_s = arrival_s - self._map.host_s(device_s)
         self._late.append((arrival_s, late_s))
-        while arrival_s - self._late[0][0] > settings.clock_watch_s:
+        while arrival_s - self._late[0][0] > _CLOCK_WATCH_S:
             self._late.popleft()
         # Arrivals must cover three quarters of the time: a pause of the frames does not count as late.
-        is_watched = arrival_s - self._late[0][0] > 0.75 * settings.clock_watch_s
-        stays_late = is_watched and min(late for _, late in self._late) > settings.clock_late_s
-        return late_s < -settings.clock_ahead_s or stays_late
+        is_watched = arrival_s - self._late[0][0] > 0.75 * _CLOCK_WATCH_S
+        stays_late = is_watched and min(late for _, late in self._late) > CLOCK_LATE_S
+        return late_s < -_CLOCK_AHEAD_S or stays_late
 
     def _growing(self, stamp_s: float) -> float:
         """The stamp, or the smallest one after the last."""

@@ -23,7 +23,7 @@ from wheelsight.core.messages import AngularVelocity, RgbdFrame, SkippedFrame
 from wheelsight.core.settings import LiveCameraSettings
 from wheelsight.io.devices import host_clock
 from wheelsight.io.devices.camera_driver import CameraDriver, DeviceImages, GyroDriver, OpenedDevice, PlaybackEndedError
-from wheelsight.io.devices.host_clock import CameraClock
+from wheelsight.io.devices.host_clock import CLOCK_LATE_S, CameraClock
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,6 +161,7 @@ _RATE_OVER_S = 2.0
 _MOST_READINGS = 4000
 # Longest wait for the thread, since a library may hang in a call.
 _CLOSING_S = 3.0
+_RETRY_S = 0.25  # between two attempts to open a camera that was unplugged, of the 2 s it may take
 
 
 class StreamingCamera:
@@ -362,7 +363,7 @@ class StreamingCamera:
         self._driver.close()
         self._detail = str(reason)
         self._set_status(CameraStatus.UNPLUGGED)
-        while not self._is_closing.wait(self._settings.retry_s):
+        while not self._is_closing.wait(_RETRY_S):
             try:
                 device = self._driver.open()
             except DeviceError as error:
@@ -486,10 +487,10 @@ class FrameCheck:
         """Whether a frame is a duplicate, or older than the last one. A clock that was set back resets the check."""
         if images.color_s is not None and self._device_s is not None:
             behind = self._device_s - images.color_s
-            is_set_back = behind > self._settings.clock_late_s
+            is_set_back = behind > CLOCK_LATE_S
         elif images.sequence is not None and self._sequence is not None:
             behind = float(self._sequence - images.sequence)
-            is_set_back = behind > self._settings.rate_hz * self._settings.clock_late_s
+            is_set_back = behind > self._settings.rate_hz * CLOCK_LATE_S
         else:
             return False
         self._older = self._older + 1 if behind > 0 else 0

@@ -346,7 +346,7 @@ class OpenNI2Driver:
         self._asked, self._settings = where, settings
         self._where: _Where | None = None
         self._device: OniDevice | None = None
-        self._pairs: FramePairs[StreamFrame] = FramePairs(settings.pair_gap_s)
+        self._pairs: FramePairs[StreamFrame] = FramePairs()
         self._infrared: UInt16Array | None = None
         self._last_index: dict[Sensor, int] = {}
         self._is_over, self._heard_s = False, 0.0
@@ -411,7 +411,7 @@ class OpenNI2Driver:
         is_registered = self._register(device, is_file, is_v2, warnings)
         device.start()
         self._last_index = _last_indices(device, sensors) if is_file else {}
-        self._pairs, self._infrared = FramePairs(self._settings.pair_gap_s), None
+        self._pairs, self._infrared = FramePairs(), None
         self._is_over, self._heard_s = False, time.monotonic()
         name = f"{device.name} {Path(where.uri).name if is_file else device.serial}".strip()
         calibration = _calibration(device, is_registered, is_v2, warnings)

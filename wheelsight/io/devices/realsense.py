@@ -71,7 +71,7 @@ class RealSenseDriver:
         self._queue: Any = None
         self._running: list[Any] = []
         self._gyro: RealSenseGyro | None = None
-        self._pairs: FramePairs[Any] = FramePairs(settings.pair_gap_s)
+        self._pairs: FramePairs[Any] = FramePairs()
         self._infrared: UInt16Array | None = None
         self._depth_scale_m = 0.001
 
@@ -162,7 +162,7 @@ class RealSenseDriver:
         chosen = {name: self._choose(name, *kind) for name, kind in wanted.items()}
         calibration, warnings = self._calibration(chosen)
         self._depth_scale_m = chosen["depth"].sensor.as_depth_sensor().get_depth_scale()
-        self._pairs, self._infrared = FramePairs(self._settings.pair_gap_s), None
+        self._pairs, self._infrared = FramePairs(), None
         self._queue = self._rs.frame_queue(_QUEUED, True)
         self._start_gyro(chosen["depth"].profile)
         for sensor in self._sensors_of(chosen):

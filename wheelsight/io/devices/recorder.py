@@ -200,6 +200,8 @@ class LiveRecorder:
 
 THREAD = "wheelsight-capture"
 _LONGEST_WAIT_S = 0.1
+_LOOK_S = 0.5  # between two looks at the camera, the disk and the rates
+_RATE_SPAN_S = 3.0  # rates are averages over this time
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,7 +297,7 @@ class RecordingSession:
                 elif (ticks := self._link.read(_LONGEST_WAIT_S)) is not None:
                     self._recorder.add_reading(ticks)
                 if time.monotonic() >= next_look_s:
-                    next_look_s += self._settings.watch_s
+                    next_look_s += _LOOK_S
                     on_look(self.look())
                     self._stop_where_full()
         finally:
@@ -309,7 +311,7 @@ class RecordingSession:
         """The state of the session. Calls `note` for changes since the last call."""
         now_s, recorder = time.monotonic(), self._recorder.report()
         self._history.append((now_s, recorder))
-        while len(self._history) > 2 and self._history[1][0] <= now_s - self._settings.rate_span_s:
+        while len(self._history) > 2 and self._history[1][0] <= now_s - _RATE_SPAN_S:
             self._history.popleft()
         then_s, then = self._history[0]
         span_s = max(now_s - then_s, 1e-3)
