@@ -66,7 +66,6 @@ from wheelsight import (
     Calibration, Config, Localizer, OpenOptions, PinholeCamera, load_calibration, open_recording, read_tum, run,
 )
 from wheelsight.config import ReportSettings
-from wheelsight.io.recordings.recording import RecordingSettings
 from wheelsight.vision.features import FeatureSettings
 
 recording = open_recording("room", OpenOptions(calibration=["a.yaml", Path("b.yaml")]))
@@ -77,7 +76,7 @@ for event in recording.events():
     estimate = localizer.process(event)
     if estimate is not None and estimate.T_odom_body is not None:
         print(estimate.T_odom_body[:3, 3], estimate.status)
-settings = Config(features=FeatureSettings(seed=3), report=ReportSettings(pictures=8), recording=RecordingSettings())
+settings = Config(features=FeatureSettings(seed=3), report=ReportSettings(pictures=8), recording=OpenOptions())
 print(read_tum("trajectory.txt").length_m, settings.to_dict())
 """
 

@@ -31,7 +31,7 @@ from wheelsight.core.settings import (
 )
 from wheelsight.core.settings.base import Fault, RemovedSetting, over_profile, split_removed
 from wheelsight.core.settings.fusion import AxisWeights, FusionSettings, OdometryTerm, Weights
-from wheelsight.io.recordings.recording import RecordingSettings
+from wheelsight.io.recordings.recording import OpenOptions
 from wheelsight.mapping import SurfelSettings
 from wheelsight.navigation.settings import NavigationSettings
 from wheelsight.slam.settings import FROM_KEYFRAMES, LoopSettings, SessionSettings
@@ -225,7 +225,7 @@ class Config(Settings):
     odometry: Annotated[
         tuple[OdometryName, ...], BeforeValidator(_split), AfterValidator(_each_once), PlainSerializer(_joined)
     ] = setting((), "one name or several, in the order of the report; auto: all sensors that there are, joined", ASKED)
-    recording: RecordingSettings = RecordingSettings()
+    recording: OpenOptions = OpenOptions()
     features: FeatureSettings = FeatureSettings()
     dense: DenseSettings = DenseSettings()
     fusion: FusionSettings = FusionSettings()

@@ -97,7 +97,7 @@ def test_without_transforms_it_is_said_what_reads_them(tmp_path: Path) -> None:
 def test_an_inverse_lens_is_found_again() -> None:
     """The SDK's coefficients lead from the image to the ray, Brown's from the ray to the image."""
     info = Messages(True).info("", "Inverse Brown Conrady", D_COLOR, fx=600.0, width=640, height=480)
-    camera, sentence = camera_of(info, False, 0.5)
+    camera, sentence = camera_of(info, False)
     assert sentence is None
     u, v = np.meshgrid(np.linspace(0, 639, 9), np.linspace(0, 479, 7))
     px = np.stack([u, v], axis=-1)

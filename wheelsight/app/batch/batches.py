@@ -142,26 +142,22 @@ def run_job(job: Job) -> Outcome:
     """Run a recording. An error becomes an outcome with a problem, never an exception."""
     began_s = time.perf_counter()
     try:
-        return _found(job, began_s)
+        if job.code != code_digest():
+            raise ConfigError("this computer has another wheelsight", fix="install the same on all of them")
+        cv2.setNumThreads(1)
+        with suppress(OSError):
+            Path("/proc/self/clear_refs").write_text(_FORGET_PEAK)
+        config = Config.model_validate(job.settings)
+        recording = open_recording(job.recording, config.recording)
+        with tempfile.TemporaryDirectory(prefix="wheelsight-") as folder:
+            run_each(recording, config, folder)
+            metrics = json.loads((Path(folder) / "metrics.json").read_text(encoding="utf-8"))
+        peak_mb = _peak_mb()
+        metrics["peak_memory_mb"] = metrics["peak_memory_mb"] if peak_mb is None else peak_mb
+        figures = figures_of(metrics, main_track(config))
+        return Outcome(job.id, figures=figures, metrics=metrics, elapsed_s=time.perf_counter() - began_s)
     except Exception as error:  # the jobs after this one must be run
         return Outcome(job.id, problem_of(error), elapsed_s=time.perf_counter() - began_s)
-
-
-def _found(job: Job, began_s: float) -> Outcome:
-    if job.code != code_digest():
-        raise ConfigError("this computer has another wheelsight", fix="install the same on all of them")
-    cv2.setNumThreads(1)
-    with suppress(OSError):
-        Path("/proc/self/clear_refs").write_text(_FORGET_PEAK)
-    config = Config.model_validate(job.settings)
-    recording = open_recording(job.recording, config.recording.open_options())
-    with tempfile.TemporaryDirectory(prefix="wheelsight-") as folder:
-        run_each(recording, config, folder)
-        metrics = json.loads((Path(folder) / "metrics.json").read_text(encoding="utf-8"))
-    peak_mb = _peak_mb()
-    metrics["peak_memory_mb"] = metrics["peak_memory_mb"] if peak_mb is None else peak_mb
-    figures = figures_of(metrics, main_track(config))
-    return Outcome(job.id, figures=figures, metrics=metrics, elapsed_s=time.perf_counter() - began_s)
 
 
 def figures_of(metrics: Mapping[str, Any], track: str) -> dict[str, float | None]:

@@ -173,7 +173,9 @@ def _answer_of(work: Callable[[], _Answer]) -> _Answer | _Problem:
 
 def _jobs(path: Path, file: Path | None, digest: Digest, seeds: int) -> tuple[Config, list[Job]]:
     """The resolved configuration, and a job for each seed. Raises InputError."""
-    config = _resolved(path, file)
+    config = load_config(file, {"dense.threads": 1, "surfels.threads": 1})
+    recording = open_recording(path, config.recording)
+    config = _absolute(resolved(recording, config))
     # Digests of all files in the settings
     found = list[str]()
     for section, names in _FILES.items():
@@ -182,13 +184,6 @@ def _jobs(path: Path, file: Path | None, digest: Digest, seeds: int) -> tuple[Co
             found += [digest_of(one).text for one in (value if isinstance(value, tuple) else (value,)) if _is_file(one)]
     files = tuple(found)
     return config, [_job(path, one, seed, digest, files) for seed, one in enumerate(seeded(config, seeds))]
-
-
-def _resolved(path: Path, file: Path | None) -> Config:
-    """All settings for one recording, with an odometry, and one thread each."""
-    config = load_config(file, {"dense.threads": 1, "surfels.threads": 1})
-    recording = open_recording(path, config.recording.open_options())
-    return _absolute(resolved(recording, config))
 
 
 def _absolute(config: Config) -> Config:

@@ -141,7 +141,7 @@ def open_source(folder: Path, settings: Config) -> Recording:
     if folder == Path(SAMPLE_NAME) and folder.exists():
         print_note(f"{folder} is the one in the current folder, not the recording that comes with wheelsight")
 
-    return open_recording(folder, settings.recording.open_options())
+    return open_recording(folder, settings.recording)
 
 
 Rerun = Annotated[

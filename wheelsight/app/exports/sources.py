@@ -112,7 +112,7 @@ class Exported:
         )
         if found is None:
             raise RecordingError("the run's recording is not there any more", path=given, fix="put it where it was")
-        return open_recording(found, load_config(self._settings_file, drop_removed=True).recording.open_options())
+        return open_recording(found, load_config(self._settings_file, drop_removed=True).recording)
 
     @property
     def _settings_file(self) -> Path:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from wheelsight.core.messages import WheelTicks
 from wheelsight.io.devices.host_clock import ClockMap, slope_beneath
-from wheelsight.io.devices.wire_formats import FULL_PULSES, Counts, PlainReading, PlainTextSettings, Pulses
+from wheelsight.io.devices.wire_formats import FULL_PULSES, Counts, PlainReading, Pulses
 
 _FEWEST_PULSES = 10
 _EARLIEST_S = 0.1
@@ -228,6 +228,14 @@ _PLAIN_EARLIEST_S = 0.03
 _LONGEST_DELAY_S = 1.0
 _EARLY_WINDOW_S, _EARLY_LINES = 1.0, 3  # found on damaged lines alone
 _PLAIN_DRIFT = 0.02
+# Largest difference of an accepted count from the expected one: a lost digit changes a number of two or more digits by
+# at least 9. The share is of the motion from line to line.
+_SLACK_COUNTS, _SLACK_SHARE = 8, 0.5
+# Largest difference that the next line can confirm, plus its growth with the time between lines squared, for 1 m/s² at
+# 16 000 counts a metre (5000 lines, wheel radius 0.2 m) and some more. The share is of the motion from line to line.
+_GAIN_COUNTS, _GAIN_COUNTS_PER_S2, _GAIN_SHARE = 64, 20_000, 2.0
+_LONGEST_GAP_S = 0.5  # between lines over which wheels may gain speed; a board boots for longer
+_CONFIRMING_LINES = 4  # consistent lines that make a jump a restart or motion; found on damaged lines alone
 FASTEST_COUNTS_PER_S = 500_000  # an encoder of 5000 lines at 20 turns a second makes 400 000
 
 Pair = tuple[int, int]
@@ -275,10 +283,9 @@ class PlainTracker:
         restarts, refused: as `TickTracker` counts them.
     """
 
-    def __init__(self, settings: PlainTextSettings | None = None) -> None:
+    def __init__(self) -> None:
         self.clock = ClockMap(_PLAIN_DRIFT)
         self.restarts = self.refused = 0
-        self._settings = settings or PlainTextSettings()
         self._last: _PlainReading | None = None
         self._waiting: list[_PlainReading] = []  # each follows from the one before
         self._speeds = (0.0, 0.0)
@@ -330,7 +337,7 @@ class PlainTracker:
             self.refused += len(self._waiting)
             self._waiting.clear()
         self._waiting.append(now)
-        return self._confirm(last) if len(self._waiting) >= self._settings.confirming_lines else []
+        return self._confirm(last) if len(self._waiting) >= _CONFIRMING_LINES else []
 
     def _confirm(self, last: _PlainReading) -> list[PlainStep]:
         """Accept the waiting readings, as motion where possible, else as those of a board that restarted."""
@@ -354,14 +361,13 @@ class PlainTracker:
     def _is_gain(self, last: _PlainReading, held: _PlainReading) -> bool:
         """Whether both wheels may have changed their speed by this much."""
         passed_s = held.since(last)
-        if self._was_replugged or not self._is_in_time(last, held) or passed_s > self._settings.longest_gap_s:
+        if self._was_replugged or not self._is_in_time(last, held) or passed_s > _LONGEST_GAP_S:
             return False
         return self._may_gain(self._step(last, held), self._due(passed_s), passed_s)
 
     def _may_gain(self, steps: Pair, due: tuple[float, float], passed_s: float) -> bool:
-        settings = self._settings
-        gain = settings.gain_counts + settings.gain_counts_per_s2 * passed_s**2
-        return all(abs(a - b) <= gain + settings.gain_share * abs(b) for a, b in zip(steps, due, strict=True))
+        gain = _GAIN_COUNTS + _GAIN_COUNTS_PER_S2 * passed_s**2
+        return all(abs(a - b) <= gain + _GAIN_SHARE * abs(b) for a, b in zip(steps, due, strict=True))
 
     def _follows(self, last: _PlainReading, held: _PlainReading, now: _PlainReading) -> bool:
         """Whether both wheels continued after the held reading as they moved to it, or before it."""
@@ -378,9 +384,7 @@ class PlainTracker:
     def _is_between(self, last: _PlainReading, held: _PlainReading, now: _PlainReading) -> bool:
         """Whether both wheels continued in one direction, as when they accelerate or brake."""
         first, second, passed_s = self._step(last, held), self._step(held, now), now.since(held)
-        if not 0 < passed_s <= self._settings.longest_gap_s or any(
-            a * b < 0 for a, b in zip(first, second, strict=True)
-        ):
+        if not 0 < passed_s <= _LONGEST_GAP_S or any(a * b < 0 for a, b in zip(first, second, strict=True)):
             return False
         share = passed_s / held.since(last)
         return self._may_gain(second, (share * first[0], share * first[1]), passed_s)
@@ -397,8 +401,9 @@ class PlainTracker:
             return first.clock_us is None or not self._is_in_time(last, first)
         steps, passed_s = self._step(first, self._waiting[-1]), first.since(last)
         share = passed_s / max(self._waiting[-1].since(first), 1e-6)  # what they have counted, if it was at this speed
-        slack = self._settings.slack_counts
-        return all(abs(count) <= slack + 2 * share * abs(step) for count, step in zip(first.counts, steps, strict=True))
+        return all(
+            abs(count) <= _SLACK_COUNTS + 2 * share * abs(step) for count, step in zip(first.counts, steps, strict=True)
+        )
 
     def _is_in_time(self, last: _PlainReading, now: _PlainReading) -> bool:
         """Whether one clock without a restart gives both, and the reading arrived after it was sent."""
@@ -408,12 +413,11 @@ class PlainTracker:
         return now.since(last) > 0 and early_s <= _PLAIN_EARLIEST_S + _PLAIN_DRIFT * (now.arrival_s - last.arrival_s)
 
     def _can_count(self, last: _PlainReading, now: _PlainReading) -> bool:
-        most = self._settings.slack_counts + FASTEST_COUNTS_PER_S * now.since(last)
+        most = _SLACK_COUNTS + FASTEST_COUNTS_PER_S * now.since(last)
         return max(map(abs, self._step(last, now))) <= most
 
     def _agrees(self, steps: Pair, due: tuple[float, float]) -> bool:
-        slack, share = self._settings.slack_counts, self._settings.slack_share
-        return all(abs(a - b) <= slack + share * abs(b) for a, b in zip(steps, due, strict=True))
+        return all(abs(a - b) <= _SLACK_COUNTS + _SLACK_SHARE * abs(b) for a, b in zip(steps, due, strict=True))
 
     def _due(self, passed_s: float) -> tuple[float, float]:
         """The step of both wheels in a time at their last speed."""
@@ -451,7 +455,7 @@ class PlainTracker:
             passed_s = 1e-6 * first.shown_us
         elif not self._is_zero_again(last, first):
             counts = self._step(last, first)  # the clock alone jumped
-        most = self._settings.slack_counts + FASTEST_COUNTS_PER_S * passed_s
+        most = _SLACK_COUNTS + FASTEST_COUNTS_PER_S * passed_s
         step = self._begin(first)
         is_motion = max(map(abs, counts)) <= most
         return step._replace(left=counts[0], right=counts[1]) if is_motion else step

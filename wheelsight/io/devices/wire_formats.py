@@ -15,8 +15,6 @@ from typing import NamedTuple
 
 from cobs import cobs
 
-from wheelsight.core.settings import CHOSEN, Settings, setting
-
 # Framed format
 #
 # A frame is `type, sequence, body, CRC` in little-endian order. COBS encoding (Cheshire & Baker, *Consistent overhead
@@ -340,55 +338,14 @@ _TEXT = re.compile(rb"[\t\x20-\x7e]*")
 _SMALLEST, _LARGEST = -(1 << 31), (1 << 32) - 1
 
 
-class PlainTextSettings(Settings):
-    """When lines of text count as readings, and which readings need confirmation."""
-
-    evidence_s: float = setting(0.5, "for which lines must have come before they are counts, seconds", CHOSEN, gt=0)
-    longest_evidence_s: float = setting(5.0, "within which they must have come, seconds", CHOSEN, gt=0)
-    fewest_lines: int = setting(5, "lines of counts that are enough; two a second are the slowest", CHOSEN, ge=3)
-    fewest_share: float = setting(
-        0.5, "of all lines, so that a sketch may print a line of other text for each of counts", CHOSEN, gt=0, le=1
-    )
-    largest_drift: float = setting(
-        0.1,
-        "by which a time may run otherwise than the host's, over the evidence; a resonator errs by 0.5 %, and a line "
-        "that is read 50 ms late makes 10 % of half a second. Milliseconds and microseconds differ by 1000",
-        CHOSEN,
-        gt=0,
-        lt=0.5,
-    )
-    given_up_s: float = setting(
-        3.0, "without a line of counts among others, until they are looked for anew", CHOSEN, gt=0
-    )
-    slack_counts: int = setting(
-        8,
-        "by which a count may be off what it was expected to be and is believed at once: a digit that is lost changes "
-        "a number of two digits or more by 9 at least",
-        "reckoned from the digits",
-        ge=0,
-    )
-    slack_share: float = setting(
-        0.5, "of the motion from line to line, by which it may be off besides: wheels gain speed", CHOSEN, ge=0, le=1
-    )
-    gain_counts: int = setting(
-        64, "by which a count may be off, and is believed with the next line that moves on from it", CHOSEN, ge=0
-    )
-    gain_counts_per_s2: float = setting(
-        20_000,
-        "that much besides for each second squared between lines: 1 m/s² at 16 000 counts a metre, and some more",
-        "reckoned from an encoder of 5000 lines on a wheel of 0.2 m radius",
-        ge=0,
-    )
-    gain_share: float = setting(2.0, "of the motion from line to line besides", CHOSEN, ge=0)
-    longest_gap_s: float = setting(
-        0.5, "between lines, over which speed is believed to be gained; a board boots for longer", CHOSEN, gt=0
-    )
-    confirming_lines: int = setting(
-        4,
-        "that must follow from each other before a jump is a restart, or motion after all; two torn alike are chance",
-        "found on damaged lines alone",
-        ge=2,
-    )
+# When lines of text count as readings: this many lines of counts over this time, and at least this share of all lines.
+# A sketch may print one other line for each line of counts; two lines a second are the slowest.
+_FEWEST_LINES, _FEWEST_SHARE = 5, 0.5
+_TEXT_EVIDENCE_S, _LONGEST_TEXT_EVIDENCE_S = 0.5, 5.0
+# Largest drift of a printed time against the host's, over the evidence. A resonator errs by 0.5 %; a line that is read
+# 50 ms late is 10 % of half a second. Milliseconds and microseconds differ by 1000.
+_LARGEST_DRIFT = 0.1
+_LOST_AFTER_S = 3.0  # without a line of counts among other lines, recognition starts again
 
 
 class PlainReading(NamedTuple):
@@ -437,11 +394,10 @@ class PlainText:
         other: the last line without counts, for display.
     """
 
-    def __init__(self, settings: PlainTextSettings | None = None) -> None:
+    def __init__(self) -> None:
         self.statistics = LineStatistics()
         self.is_recognised = False
         self.other = ""
-        self._settings = settings or PlainTextSettings()
         self._rest = b""
         self._is_torn = True
         self._evidence: deque[tuple[float, PlainReading | None]] = deque(maxlen=4096)
@@ -453,7 +409,7 @@ class PlainText:
     @property
     def is_text(self) -> bool:
         """Whether recent lines are text without counts."""
-        return not self.is_recognised and self._texts >= self._settings.fewest_lines
+        return not self.is_recognised and self._texts >= _FEWEST_LINES
 
     def feed(self, data: bytes, arrival_s: float) -> list[PlainReading]:
         """The readings that `data` completes; none before recognition, which then returns earlier ones too."""
@@ -461,8 +417,7 @@ class PlainText:
         readings: list[PlainReading] = []
         for line in self._lines(data):
             readings += self._read(line, arrival_s)
-        settings = self._settings
-        if self._others >= settings.fewest_lines and arrival_s - self._good_s > settings.given_up_s:
+        if self._others >= _FEWEST_LINES and arrival_s - self._good_s > _LOST_AFTER_S:
             self.is_recognised = False
         return [
             reading._replace(us_per_tick=self._us_per_tick, following=_behind(readings, n))
@@ -501,17 +456,16 @@ class PlainText:
 
     def _recognise(self, reading: PlainReading | None, arrival_s: float) -> list[PlainReading]:
         """The readings so far, once they suffice to recognise the format; else an empty list."""
-        settings = self._settings
         self._evidence.append((arrival_s, reading))
-        while self._evidence[0][0] < arrival_s - settings.longest_evidence_s:
+        while self._evidence[0][0] < arrival_s - _LONGEST_TEXT_EVIDENCE_S:
             self._evidence.popleft()
         if reading is None:
             return []
         has_time = reading.clock is not None
         alike = [one for _, one in self._evidence if one is not None and (one.clock is not None) is has_time]
-        if len(alike) < max(settings.fewest_lines, settings.fewest_share * len(self._evidence)):
+        if len(alike) < max(_FEWEST_LINES, _FEWEST_SHARE * len(self._evidence)):
             return []
-        if alike[-1].arrival_s - alike[0].arrival_s < settings.evidence_s:
+        if alike[-1].arrival_s - alike[0].arrival_s < _TEXT_EVIDENCE_S:
             return []
         self._us_per_tick = self._unit_of(alike) if has_time else 0
         if has_time and not self._us_per_tick:
@@ -529,7 +483,7 @@ class PlainText:
         assert last.clock is not None
         passed_us = 1e6 * (last.arrival_s - first.arrival_s)
         for us_per_tick in (US_PER_MS, 1):
-            if abs((last.clock - first.clock) * us_per_tick - passed_us) <= self._settings.largest_drift * passed_us:
+            if abs((last.clock - first.clock) * us_per_tick - passed_us) <= _LARGEST_DRIFT * passed_us:
                 return us_per_tick
         return 0
 
@@ -578,16 +532,13 @@ class LineDecoder:
     a frame. Without a silence, the bytes before the first frame are pairs. The paper's format ends with a frame, or
     with data that delayed pairs cannot explain: too many pulses or pairs. Plain text ends with a frame, or after a few
     seconds without lines of counts.
-
-    Args:
-        plain: settings of the recognition of plain text.
     """
 
-    def __init__(self, plain: PlainTextSettings | None = None) -> None:
+    def __init__(self) -> None:
         self.format: Format | None = None
         self._frames = FrameDecoder()
         self._paper = PaperDecoder()
-        self._text = PlainText(plain)
+        self._text = PlainText()
         self._held: list[tuple[bytes, float]] = []  # runs of bytes between silences, and when the last of each came
         self._received_s = -float("inf")
         self._expects_frames = False

@@ -1,18 +1,17 @@
-"""`Recording`, the interface of every format, `Reader`, which opens one, and the options and settings of opening.
+"""`Recording`, the interface of every format, `Reader`, which opens one, and `OpenOptions`.
 Readers choose the calibration and the body of the ground truth here.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
-from os import PathLike
+from os import PathLike, fspath
 from pathlib import Path
 from typing import Annotated, Any, Protocol, runtime_checkable
 
-from pydantic import BeforeValidator, PlainSerializer
+from pydantic import BeforeValidator, PlainSerializer, ValidationError
 
 from wheelsight.core.calibration import Calibration, load_calibration
 from wheelsight.core.errors import CalibrationError, ConfigError
@@ -202,88 +201,6 @@ class TellsEnds(Protocol):
         """The first few stamps (N,) and the last one of each stream, keyed by `clock_checks.FRAMES` and `WHEELS`."""
 
 
-class BagSettings(Settings):
-    """Thresholds of the reader of bags; see docs/bags.md."""
-
-    order_s: float = setting(
-        0.5,
-        "how long a message waits for older ones of its own topic, by the time of receipt, seconds; it waits longer "
-        "until the other topics' stamps have come as far. What is later still is left out and counted",
-        CHOSEN,
-        gt=0,
-        le=10,
-    )
-    slowest_wheels_s: float = setting(
-        5.0,
-        "how long frames wait for the wheels' next reading, at most, by stamps, seconds: an increment is known only "
-        "once the next reading comes",
-        CHOSEN,
-        ge=0,
-        le=60,
-    )
-    most_apart_s: float = setting(
-        10.0,
-        "how far all headers may be from the time of receipt, seconds; beyond, it is said that a replay was recorded, "
-        "or that receipt is not believed",
-        CHOSEN,
-        gt=0,
-        le=1e6,
-    )
-    gravity_s: float = setting(
-        2.0,
-        "over how many first seconds accelerations are averaged, to know which way is up for the gyroscope: longer "
-        "than a start or a bump, shorter than a slope",
-        CHOSEN,
-        gt=0,
-        le=60,
-    )
-    gravity_share: float = setting(
-        0.2,
-        "the share by which that average may differ from 9.81 m/s² and be gravity: robots speed up by 2 m/s² at most",
-        "2 / 9.81",
-        gt=0,
-        lt=1,
-    )
-    gravity_apart_rad: float = setting(
-        0.35,
-        "how far tf and gravity may disagree on the gyroscope's axis, radians (20°): slopes are less; beyond, tf is "
-        "wrong and gravity is believed",
-        CHOSEN,
-        gt=0,
-        le=1.6,
-    )
-    tf_messages: int = setting(
-        400,
-        "how many messages of /tf are read for mounts, 4 to 8 s of a robot's: nobody mounts a camera later",
-        CHOSEN,
-        ge=1,
-        le=100_000,
-    )
-    tf_apart_m: float = setting(
-        0.002,
-        "by how much two transforms of one mount may differ, metres; beyond, it moves, or tf contradicts itself",
-        CHOSEN,
-        gt=0,
-        le=1,
-    )
-    tf_apart_rad: float = setting(0.002, "likewise, of their rotations, radians", CHOSEN, gt=0, le=1)
-    lens_px: float = setting(
-        0.5,
-        "how far five coefficients may miss a lens that is described by more, pixels, worst over the image; beyond, it "
-        "is said",
-        CHOSEN,
-        gt=0,
-        le=100,
-    )
-    first_frames_s: float = setting(
-        5.0,
-        "in how many first seconds of camera images a usable frame must be found for the bag to be opened",
-        CHOSEN,
-        gt=0,
-        le=600,
-    )
-
-
 class Layout(StrEnum):
     """The kind of files of a format, in words for error messages."""
 
@@ -315,88 +232,69 @@ class Reader(Protocol):
         """The recording in a recognised folder. Raises InputError where it cannot be read."""
 
 
-@dataclass(frozen=True, slots=True)
-class OpenOptions:
-    """Options of `open_recording`: information that the files do not contain.
+def _as_texts(given: Any) -> Any:
+    """A path or several as a tuple of text, as a setting takes it."""
+    if given is None:
+        return ()
+    given = (given,) if isinstance(given, str | PathLike) else given
+    return tuple(map(_as_text, given)) if isinstance(given, list | tuple) else given
 
-    Attributes:
-        camera: name of a shipped calibration (see `camera_names()`), or a calibration.yaml; None to use the files.
-        max_gap_s: largest time difference between the colour and the depth image of a frame.
-        depth_factor: depth units per metre, where they differ from the format's own.
-        calibration: a calibration.yaml, or several. Each replaces the parts of the recording's calibration, and of
-            those before it, that it contains.
-        rate_hz: units per second of the images' stamps: the camera's rate, where stamps are frame numbers; 1000, where
-            they are milliseconds. None where they are seconds.
-        topics: roles of a bag's topics, each as "color=/camera/color/image_raw"; see docs/bags.md.
-        bag: how bags are read.
+
+def _as_text(path: Any) -> Any:
+    return fspath(path) if isinstance(path, PathLike) else path
+
+
+def _one_or_all(texts: tuple[str, ...]) -> str | list[str] | None:
+    return list(texts) if len(texts) > 1 else next(iter(texts), None)
+
+
+_Texts = Annotated[tuple[str, ...], BeforeValidator(_as_texts), PlainSerializer(_one_or_all)]
+
+
+class OpenOptions(Settings):
+    """Information about a recording that its files do not contain: the options of `open_recording`.
 
     Raises:
         ConfigError: the gap is negative or not finite, or a factor or rate is not positive.
     """
 
-    camera: StrPath | None = None
-    max_gap_s: float = 0.02
-    depth_factor: float | None = None
-    calibration: StrPath | Sequence[StrPath] | None = None
-    rate_hz: float | None = None
-    topics: Sequence[str] = ()
-    bag: BagSettings = field(default_factory=BagSettings)
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.max_gap_s) and self.max_gap_s >= 0):
-            raise ConfigError(f"--max-gap is {self.max_gap_s}, not a number of seconds from 0 up")
-        if self.depth_factor is not None and not (math.isfinite(self.depth_factor) and self.depth_factor > 0):
-            raise ConfigError(f"--depth-factor is {self.depth_factor}, not a positive number", fix="1000: millimetres")
-        if self.rate_hz is not None and not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
-            raise ConfigError(
-                f"--rate-hz is {self.rate_hz}, not a positive number", fix="30: numbers of a 30 Hz camera"
-            )
-
-    @property
-    def calibrations(self) -> tuple[StrPath, ...]:
-        """The calibrations that replace parts of the recording's, in this order."""
-        if self.calibration is None:
-            return ()
-        return (self.calibration,) if isinstance(self.calibration, str | PathLike) else tuple(self.calibration)
-
-
-def _listed(files: Any) -> Any:
-    """The input of a setting that takes one text, several, or none, as a sequence."""
-    return (() if files is None else files) if not isinstance(files, str) else (files,)
-
-
-def _unlisted(files: tuple[str, ...]) -> str | list[str] | None:
-    return list(files) if len(files) > 1 else next(iter(files), None)
-
-
-class RecordingSettings(Settings):
-    """Information about a recording that its files do not contain, as `Config` holds it; see `OpenOptions`."""
-
-    camera: str | None = setting(None, "name of a shipped calibration, or a calibration.yaml", ASKED)
-    max_gap_s: float = setting(
-        0.02, "largest distance in time between colour and depth of one frame", CHOSEN, ge=0, le=3600
+    camera: Annotated[str | None, BeforeValidator(_as_text)] = setting(
+        None, "a shipped calibration (`camera_names()`), or a calibration.yaml; None: the recording's own", ASKED
     )
-    depth_factor: float | None = setting(None, "depth units a metre, if not the usual", ASKED, gt=0, le=1e6)
-    calibration: Annotated[tuple[str, ...], BeforeValidator(_listed), PlainSerializer(_unlisted)] = setting(
-        (), "a calibration.yaml, or several, laid over the recording's: what a later one tells wins", ASKED
+    max_gap_s: float = setting(
+        0.02, "largest time difference between the colour and the depth image of a frame", CHOSEN, ge=0, le=3600
+    )
+    depth_factor: float | None = setting(
+        None, "depth units per metre, where they differ from the format's own", ASKED, gt=0, le=1e6
+    )
+    calibration: _Texts = setting(
+        (),
+        "a calibration.yaml, or several; each replaces the parts that it contains in those before it and in the "
+        "recording's calibration",
+        ASKED,
     )
     rate_hz: float | None = setting(
         None,
-        "how many a second the images' stamps count, if they are numbers of frames or no seconds",
+        "units per second of the images' stamps: the camera's rate, where stamps are frame numbers; 1000, where they "
+        "are milliseconds",
         ASKED,
         gt=0,
         le=1e9,
     )
-
-    topics: Annotated[tuple[str, ...], BeforeValidator(_listed), PlainSerializer(_unlisted)] = setting(
-        (), "which topics of a bag are what, such as color=/camera/color/image_raw", ASKED
+    topics: _Texts = setting(
+        (), "roles of a bag's topics, each as color=/camera/color/image_raw; see docs/bags.md", ASKED
     )
-    bag: BagSettings = setting(BagSettings(), "how bags are read", ASKED)
 
-    def open_options(self) -> OpenOptions:
-        """The options for `open_recording`."""
-        of_images = (self.camera, self.max_gap_s, self.depth_factor, self.calibration, self.rate_hz)
-        return OpenOptions(*of_images, self.topics, self.bag)
+    def __init__(self, **options: Any) -> None:
+        try:
+            super().__init__(**options)
+        except ValidationError as invalid:
+            first = invalid.errors(include_url=False)[0]
+            name = ".".join(map(str, first["loc"]))
+            raise ConfigError(f"{name} is {first['input']!r}: {first['msg']}") from invalid
+
+    # pydantic does not call this __init__ for the section of a `Config`, whose errors name file and line.
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
 
 # Calibrations that come with the package. Only the user chooses one.
@@ -429,14 +327,14 @@ def camera_choices() -> str:
 def choose_calibration(folder: Path, options: OpenOptions, otherwise: Callable[[], Calibration]) -> Calibration:
     """The calibration that the user chose, else the folder's calibration.yaml, else that of the format.
 
-    `options.calibrations` replace parts of it, or serve alone where there is none.
+    `options.calibration` replace parts of it, or serve alone where there is none.
 
     Args:
         folder: of the recording.
         options: of the user.
         otherwise: gives the format's calibration, or raises CalibrationError where it has none.
     """
-    over, own = options.calibrations, folder / "calibration.yaml"
+    over, own = options.calibration, folder / "calibration.yaml"
     if options.camera is not None:
         return load_calibration(*over, under=load_camera(options.camera))
     if is_there(own):

@@ -168,19 +168,19 @@ _RATIONAL = "rational_polynomial"
 # Names of lens models in the RealSense SDK.
 _BROWN_OF_SDK, _INVERSE = ("brown conrady", "modified brown conrady"), "inverse brown conrady"
 _GRID = 25
+_LENS_PX = 0.5  # largest error without a warning of five coefficients for a lens of eight, anywhere in the image
 # Largest error of an inverted point, steps from the centre to each point, Newton's iterations and derivative step.
 _INVERSE_PX, _INVERSE_STEPS, _NEWTON_STEPS, _DERIVATIVE_STEP = 0.01, 20, 4, 1e-6
 _WIDEST = 2.0  # distance on the plane z = 1, 63° off the axis; polynomials do not fit wider lenses
 _LEAST_SHOWN = 0.5  # share of the image that must map to a point
 
 
-def camera_of(info: Any, is_rectified: bool, lens_px: float) -> tuple[PinholeCamera, str | None]:
+def camera_of(info: Any, is_rectified: bool) -> tuple[PinholeCamera, str | None]:
     """The camera with Brown's distortion, and a warning where that does not fit the lens well.
 
     Args:
         info: the message, of ROS 1 or ROS 2.
         is_rectified: whether the image is undistorted; P is then used, without distortion.
-        lens_px: largest error, in pixels, of five coefficients for a lens of eight without a warning.
 
     Raises:
         CalibrationError: the camera is not calibrated, or has another lens model.
@@ -197,14 +197,14 @@ def camera_of(info: Any, is_rectified: bool, lens_px: float) -> tuple[PinholeCam
         return PinholeCamera(*size, *lens), None
     model = str(info.distortion_model)
     if model.lower() == _INVERSE and len(D) == 5:
-        return _from_inverse(PinholeCamera(*size, *lens, tuple(D.tolist())), lens_px)
+        return _from_inverse(PinholeCamera(*size, *lens, tuple(D.tolist())))
     if (model in _BROWN or model.lower() in _BROWN_OF_SDK) and len(D) <= 5:
         k1, k2, p1, p2, k3 = (*D.tolist(), 0.0, 0.0, 0.0, 0.0, 0.0)[:5]
         return _checked(PinholeCamera(*size, *lens, (k1, k2, p1, p2, k3)), D), None
     if model not in (_RATIONAL, *_BROWN):
         problem = f"its lens is described as {model!r}, which is no pinhole camera's"
         raise CalibrationError(problem, fix="record the rectified image too, or give a camera with --camera")
-    return _nearest(PinholeCamera(*size, *lens), D, lens_px)
+    return _nearest(PinholeCamera(*size, *lens), D)
 
 
 def _image_intrinsics(info: Any, K: FloatArray) -> tuple[tuple[int, int], tuple[float, float, float, float]]:
@@ -217,21 +217,21 @@ def _image_intrinsics(info: Any, K: FloatArray) -> tuple[tuple[int, int], tuple[
     return (width // across, height // down), (float(K[0, 0] / across), float(K[1, 1] / down), float(cx), float(cy))
 
 
-def _from_inverse(camera: PinholeCamera, lens_px: float) -> tuple[PinholeCamera, str | None]:
+def _from_inverse(camera: PinholeCamera) -> tuple[PinholeCamera, str | None]:
     """The camera with Brown's coefficients nearest to inverse ones, which map image to ray, and a warning or None."""
     u, v = np.meshgrid(*(np.linspace(0, side - 1, _GRID) for side in (camera.width, camera.height)))
     seen = (np.stack([u.ravel(), v.ravel()], axis=1) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
     xy = (camera.denormalise(seen) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
     fit = fitted_lens(xy, seen)
     fitted = _checked(replace(camera, distortion=fit.distortion), np.array(fit.distortion))
-    if fit.worst * camera.fx <= lens_px:
+    if fit.worst * camera.fx <= _LENS_PX:
         return fitted, None
     by = f"{fit.median * camera.fx:.2f} px in the median, and by {fit.worst * camera.fx:.1f} px at worst"
     return fitted, f"five coefficients miss the lens that is described from image to ray by {by}"
 
 
 @np.errstate(all="ignore")  # invalid coefficients overflow
-def _nearest(camera: PinholeCamera, D: FloatArray, lens_px: float) -> tuple[PinholeCamera, str | None]:
+def _nearest(camera: PinholeCamera, D: FloatArray) -> tuple[PinholeCamera, str | None]:
     """The camera with Brown's five coefficients nearest to OpenCV's eight over valid pixels, and a warning or None."""
     D = np.pad(D, (0, max(0, 8 - len(D))))[:8]
     u, v = np.meshgrid(*(np.linspace(0, side - 1, _GRID) for side in (camera.width, camera.height)))
@@ -249,10 +249,10 @@ def _nearest(camera: PinholeCamera, D: FloatArray, lens_px: float) -> tuple[Pinh
     fitted = replace(camera, distortion=fit.distortion)
     missed = (fitted.denormalise(xy[shown]) - px[shown]) if fitted.has_distortion else np.zeros((1, 2))
     missed_px = np.linalg.norm(missed, axis=1)
-    share = float((missed_px > lens_px).mean())
+    share = float((missed_px > _LENS_PX).mean())
     if not share:
         return fitted, None
-    by = f"{np.median(missed_px):.2f} px in the median, and by more than {lens_px:g} px in {100 * share:.0f} %"
+    by = f"{np.median(missed_px):.2f} px in the median, and by more than {_LENS_PX:g} px in {100 * share:.0f} %"
     return fitted, f"five coefficients miss the lens that CameraInfo describes by eight by {by} of the image"
 
 

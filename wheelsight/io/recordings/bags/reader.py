@@ -18,6 +18,7 @@ import numpy as np
 from wheelsight.core.calibration import Calibration, load_calibration, parse_calibration
 from wheelsight.core.calibration_parts import HolonomicWheels, Wheels
 from wheelsight.core.errors import CalibrationError, RecordingError, WheelsightError
+from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import FloatArray, PinholeCamera, se3, so3
 from wheelsight.core.inputs import is_there
 from wheelsight.core.messages import SpeedVariances
@@ -31,10 +32,11 @@ from wheelsight.io.recordings.bags.topics import CALIBRATION, TEXT, Choices, Ima
 from wheelsight.io.recordings.bags.wheel_readings import JointSpeeds, JointTicks, SpeedReader, poses_stay_zero
 from wheelsight.io.recordings.bags.wheel_topics import WheelSource
 from wheelsight.io.recordings.clock_checks import FRAMES, WHEELS, MotionClock, stamp_warnings
-from wheelsight.io.recordings.recording import BagSettings, Layout, OpenOptions, RecordedTopic, load_camera
+from wheelsight.io.recordings.recording import Layout, OpenOptions, RecordedTopic, load_camera
 from wheelsight.io.recordings.wheel_recording import need_wheels, shipped_robot
 
 _FIRST_MESSAGES = 5
+_FIRST_FRAMES_S = 5.0  # in which a usable frame must be found for the bag to be opened
 # Messages of each topic that are read to compare header stamps with receipt times: a second or two, within bounds of
 # memory and time.
 _HEAD_MESSAGES, _HEAD_BYTES, _HEAD_MOST = 12, 96 << 20, 5000
@@ -83,11 +85,16 @@ def _stated_wheels(bag: OpenBag, options: OpenOptions) -> Wheels | HolonomicWhee
     if _is_own(bag):
         with suppress(WheelsightError):
             stated = parse_calibration(bag.decode(bag.first(CALIBRATION)[0]).data, bag.path).any_wheels
-    beside = bag.path / "calibration.yaml"
-    for path in (*([beside] if is_there(beside) else []), *options.calibrations):
+    for path in _calibration_files(bag, options):
         with suppress(WheelsightError):
             stated = load_calibration(path).any_wheels or stated
     return stated
+
+
+def _calibration_files(bag: OpenBag, options: OpenOptions) -> list[StrPath]:
+    """The calibration.yaml beside the bag, if there is one, and those of the user."""
+    beside = bag.path / "calibration.yaml"
+    return [*([beside] if is_there(beside) else []), *options.calibration]
 
 
 def _is_own(bag: OpenBag) -> bool:
@@ -97,14 +104,13 @@ def _is_own(bag: OpenBag) -> bool:
 
 def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
     """The recording of a bag whose topics are assigned; frames near its beginning are decoded as a check."""
-    settings = options.bag
     used = [name for role, name in roles.used.items() if role in _STAMPED]
     lasts = {topic: bag.last(topic) for topic in dict.fromkeys(used)}
     images = [image.name for image in (roles.color, roles.depth) if image is not None]
     lasts_s = {topic: (bag.header(message).stamp_s, message.receipt_s) for topic, message in lasts.items()}
-    clocks, of_clocks = clocks_of(_heads(bag, used), lasts_s, images, settings.most_apart_s)
-    robot = read_robot(bag, roles, settings)
-    up, of_gravity = up_of_gyro(bag, roles, robot, settings)
+    clocks, of_clocks = clocks_of(_heads(bag, used), lasts_s, images)
+    robot = read_robot(bag, roles)
+    up, of_gravity = up_of_gyro(bag, roles, robot)
     calibration = _calibrated(bag, roles, robot, options)
     wheels, of_wheels, variances = _wheels(bag, roles, calibration)
     truth, of_truth = _truth(bag, roles, robot, clocks, calibration)
@@ -114,7 +120,7 @@ def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
     )
     units_m = None if roles.depth is None else depth_units_m(bag, roles.depth.name)
     if units_m is not None and options.depth_factor is None:
-        options = replace(options, depth_factor=1 / units_m)
+        options = options.model_copy(update={"depth_factor": 1 / units_m})
 
     def recording(clocks: dict[str, TopicClock], of_motions: Sequence[str] = ()) -> BagRecording:
         ends = _ends(bag, roles, clocks, lasts)
@@ -129,7 +135,7 @@ def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
     if roles.color is None or roles.depth is None:
         return opened
     begins_ns = max(bag.first(image.name)[0].receipt_ns for image in (roles.color, roles.depth))
-    opened.try_frames(bag, begins_ns + round(1e9 * settings.first_frames_s))
+    opened.try_frames(bag, begins_ns + round(1e9 * _FIRST_FRAMES_S))
     if roles.wheels is None:
         return opened  # the gyroscope is used together with wheels only
     clocks, of_motions = _clocks_by_motion(opened.turns(bag), roles, clocks)
@@ -224,15 +230,15 @@ class Robot:
     needs_wheels: bool = False
 
 
-def read_robot(bag: OpenBag, roles: Roles, settings: BagSettings) -> Robot:
+def read_robot(bag: OpenBag, roles: Roles) -> Robot:
     """The robot by CameraInfo, /tf_static, the first messages of /tf, and the type of its wheels' topic."""
-    transforms = _read_transforms(bag, roles, settings)
+    transforms = _read_transforms(bag, roles)
     warnings = list(transforms.warnings)
     base = _base(bag, roles, transforms)
     cameras, lacks = None, None
     if roles.color is not None and roles.depth is not None:
         try:
-            cameras = _cameras(bag, roles, roles.color, roles.depth, transforms, settings, warnings)
+            cameras = _cameras(bag, roles, roles.color, roles.depth, transforms, warnings)
         except CalibrationError as error:
             lacks = CalibrationError(error.problem, path=bag.path, fix=error.fix)
     T_base_camera = None if roles.depth is None else _mount(base, camera_frame(roles), transforms, warnings)
@@ -252,14 +258,14 @@ def read_robot(bag: OpenBag, roles: Roles, settings: BagSettings) -> Robot:
     return Robot(calibration, base, transforms, tuple(warnings), lacks, *needs)
 
 
-def _read_transforms(bag: OpenBag, roles: Roles, settings: BagSettings) -> Transforms:
+def _read_transforms(bag: OpenBag, roles: Roles) -> Transforms:
     """The tree of tf: static transforms first, then the first messages of the others."""
-    transforms = Transforms(settings.tf_apart_m, settings.tf_apart_rad)
+    transforms = Transforms()
     parts = {part.name for part in roles.transforms}
     topics = [topic for topic in bag.topics if topic.type in TF and topic.count and topic.name not in parts]
     for topic in sorted(topics, key=lambda topic: "static" not in topic.name):
         is_static = "static" in topic.name
-        for message in bag.first(topic.name, min(topic.count, settings.tf_messages)):
+        for message in bag.first(topic.name, min(topic.count, _TF_MESSAGES)):
             if not transforms.add(bag.decode(message).transforms, is_static):
                 return transforms
     return transforms
@@ -292,23 +298,22 @@ def _cameras(
     color: ImageTopic,
     depth: ImageTopic,
     transforms: Transforms,
-    settings: BagSettings,
     warnings: list[str],
 ) -> Calibration:
     """Both cameras and T_color_depth. Raises CalibrationError where one of them is unknown."""
-    color_camera = _camera(bag, color, roles.color_info, settings, warnings)
+    color_camera = _camera(bag, color, roles.color_info, warnings)
     source = f"CameraInfo of {bag.path.name}"
     if depth.says_registered:
         return Calibration.registered_camera(color_camera, source=source)
     T_color_depth = joined(bag, color.name, depth.name)
     if T_color_depth is not None:
         warnings.append(f"{depth.name} is not registered to {color.name}: they are joined as the RealSense SDK has it.")
-        own = _camera(bag, depth, roles.depth_info, settings, warnings)
+        own = _camera(bag, depth, roles.depth_info, warnings)
         return Calibration(color_camera, own, T_color_depth, source=source)
     is_one = depth.frame == color.frame
     depth_camera = color_camera if is_one and roles.depth_info is None else None
     if depth_camera is None:
-        depth_camera = _camera(bag, depth, roles.depth_info, settings, warnings)
+        depth_camera = _camera(bag, depth, roles.depth_info, warnings)
     # Lens distortion is not compared: the CameraInfo of a registered image may omit it.
     sizes = [(camera.width, camera.height) for camera in (color_camera, depth_camera)]
     if is_one and sizes[0] == sizes[1] and np.allclose(color_camera.K, depth_camera.K, rtol=1e-3, atol=0.1):
@@ -326,16 +331,14 @@ def _cameras(
     return Calibration(color_camera, depth_camera, T_color_depth, source=source)
 
 
-def _camera(
-    bag: OpenBag, image: ImageTopic, info: str | None, settings: BagSettings, warnings: list[str]
-) -> PinholeCamera:
+def _camera(bag: OpenBag, image: ImageTopic, info: str | None, warnings: list[str]) -> PinholeCamera:
     """The camera of a topic by its CameraInfo. Raises CalibrationError where there is none, or it is invalid."""
     if info is None:
         problem = f"no CameraInfo describes the camera of {image.name}"
         fix = f"choose one by --topic color_info=…, or give --camera{_realsense_fix(bag, image)}"
         raise CalibrationError(problem, fix=fix)
     try:
-        camera, warning = camera_of(bag.decode(bag.first(info)[0]), image.is_rectified, settings.lens_px)
+        camera, warning = camera_of(bag.decode(bag.first(info)[0]), image.is_rectified)
     except CalibrationError as error:
         raise CalibrationError(f"{image.name} ({info}): {error.problem}", fix=error.fix or "give --camera") from error
     if warning is not None:
@@ -379,9 +382,7 @@ def _calibrated(bag: OpenBag, roles: Roles, robot: Robot, options: OpenOptions) 
     The sources are, in this order: the bag's topics, the calibration in a bag of wheelsight, `--camera`, the
     calibration.yaml beside the bag, and the user's calibrations.
     """
-    path = bag.path
-    beside = path / "calibration.yaml"
-    over = [*([beside] if is_there(beside) else []), *options.calibrations]
+    over = _calibration_files(bag, options)
     known, own = robot.calibration, _own(bag, roles)
     if own is not None:
         known = own if known is None else known.updated_by(own)
@@ -394,7 +395,7 @@ def _calibrated(bag: OpenBag, roles: Roles, robot: Robot, options: OpenOptions) 
     calibration = load_calibration(*over, under=known) if over else known
     assert calibration is not None
     if robot.needs_cameras and calibration.color is None:
-        raise robot.lacks or CalibrationError("the camera's calibration is unknown", path=path, fix="give --camera")
+        raise robot.lacks or CalibrationError("the camera's calibration is unknown", path=bag.path, fix="give --camera")
     if robot.needs_wheels and calibration.any_wheels is None:
         raise lacks_sizes(bag, roles)
     return calibration
@@ -469,8 +470,15 @@ def _holonomic_wheels(
 
 # The gyroscope's vertical
 
+# Accelerations are averaged over this time: longer than a start or a bump, shorter than a slope.
+_GRAVITY_S = 2.0
+# The average is gravity where its size is within this share of 9.81 m/s²: robots accelerate by 2 m/s² at most.
+_GRAVITY_SHARE = 0.2
+# By how much tf and gravity may disagree (20°): slopes are less. Beyond, tf is wrong and gravity is used.
+_GRAVITY_APART_RAD = 0.35
 
-def up_of_gyro(bag: OpenBag, roles: Roles, robot: Robot, settings: BagSettings) -> tuple[FloatArray, list[str]]:
+
+def up_of_gyro(bag: OpenBag, roles: Roles, robot: Robot) -> tuple[FloatArray, list[str]]:
     """The upward direction (3,) in the gyroscope's frame, and warnings.
 
     tf gives it where the mount is known, unless gravity disagrees; else the mean acceleration gives it, since an
@@ -481,31 +489,31 @@ def up_of_gyro(bag: OpenBag, roles: Roles, robot: Robot, settings: BagSettings) 
     frame = bag.header(bag.first(roles.gyro)[0]).frame
     T = None if robot.base is None else robot.transforms.between(robot.base, frame)
     by_tf = None if T is None else T[2, :3]
-    by_gravity = _up_by_gravity(bag, roles.gyro, settings)
+    by_gravity = _up_by_gravity(bag, roles.gyro)
     if by_tf is None and by_gravity is None:
         return _UP, [f"{roles.gyro}: neither tf nor gravity shows which way is up; its z axis is taken."]
-    if by_gravity is None or (by_tf is not None and _between_rad(by_tf, by_gravity) <= settings.gravity_apart_rad):
+    if by_gravity is None or (by_tf is not None and _between_rad(by_tf, by_gravity) <= _GRAVITY_APART_RAD):
         assert by_tf is not None
         return by_tf, []
     if by_tf is None:
         tilt = np.degrees(_between_rad(_UP, by_gravity))
-        how = "which is its z axis" if tilt < np.degrees(settings.gravity_apart_rad) else f"{tilt:.0f}° off its z axis"
+        how = "which is its z axis" if tilt < np.degrees(_GRAVITY_APART_RAD) else f"{tilt:.0f}° off its z axis"
         return by_gravity, [f"{roles.gyro}: its mount is not in tf; up is where gravity says, {how}."]
     apart = np.degrees(_between_rad(by_tf, by_gravity))
     warning = f"{roles.gyro}: tf and gravity disagree by {apart:.0f}° on which way is up; gravity is used."
     return by_gravity, [warning]
 
 
-def _up_by_gravity(bag: OpenBag, topic: str, settings: BagSettings) -> FloatArray | None:
+def _up_by_gravity(bag: OpenBag, topic: str) -> FloatArray | None:
     """The direction (3,) of the mean acceleration over the first seconds; None where its size is not gravity's."""
-    stop_ns = bag.first(topic)[0].receipt_ns + round(1e9 * settings.gravity_s)
+    stop_ns = bag.first(topic)[0].receipt_ns + round(1e9 * _GRAVITY_S)
     read = [bag.decode(message).linear_acceleration for message in bag.messages([topic], stop_ns=stop_ns)]
     measured = [(a.x, a.y, a.z) for a in read if are_measured((a.x, a.y, a.z))]
     if not measured:  # a damaged index may give later receipt times than the messages have
         return None
     mean = np.mean(measured, axis=0)
     size = float(np.linalg.norm(mean))
-    if not abs(size - _G_M_S2) <= settings.gravity_share * _G_M_S2:
+    if not abs(size - _G_M_S2) <= _GRAVITY_SHARE * _G_M_S2:
         return None
     return np.asarray(mean / size)
 
@@ -569,27 +577,27 @@ def _pose_of(message: Any, part: TransformTopic | None) -> tuple[FloatArray | No
 _LONGEST_QUATERNION_OFF = 0.1
 # A humanoid has 200 frames. 400 messages of up to 200 transforms each are read.
 _MOST_FRAMES, _MOST_READ, _MOST_WARNINGS = 1000, 100_000, 20
+# Messages of /tf that are read for mounts: 4 to 8 s of a robot. A mount does not appear later.
+_TF_MESSAGES = 400
+# By how much two transforms of one mount may differ; beyond, it moves, or tf contradicts itself.
+_TF_APART_M, _TF_APART_RAD = 0.002, 0.002
 
 
 class Transforms:
     """The tree of frames of a bag, from /tf_static and /tf. Of contradicting transforms, the first is used.
-
-    Args:
-        apart_m, apart_rad: by how much two transforms of one pair may differ and still count as equal.
 
     Attributes:
         warnings: one sentence for each contradiction.
         moving: (parent, child) of transforms that change.
     """
 
-    def __init__(self, apart_m: float, apart_rad: float) -> None:
+    def __init__(self) -> None:
         self.warnings: list[str] = []
         self.moving: set[tuple[str, str]] = set()
         self._T: dict[tuple[str, str], FloatArray] = {}
         self._static: set[tuple[str, str]] = set()
         self._parents: dict[str, str] = {}
         self._left = _MOST_READ
-        self._apart_m, self._apart_rad = apart_m, apart_rad
 
     def __bool__(self) -> bool:
         return bool(self._T)
@@ -640,8 +648,8 @@ class Transforms:
 
     def _differ(self, T: FloatArray, other: FloatArray) -> bool:
         apart = se3.compose(se3.invert(T), other)
-        is_far = np.linalg.norm(apart[:3, 3]) > self._apart_m
-        return bool(is_far or so3.angle(apart[:3, :3]) > self._apart_rad)
+        is_far = np.linalg.norm(apart[:3, 3]) > _TF_APART_M
+        return bool(is_far or so3.angle(apart[:3, :3]) > _TF_APART_RAD)
 
     def _warn(self, sentence: str) -> None:
         if sentence not in self.warnings and len(self.warnings) < _MOST_WARNINGS:

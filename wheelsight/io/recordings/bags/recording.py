@@ -39,6 +39,10 @@ _MOST_LOST = 0.02
 _LARGEST_SENSIBLE_GAP_S = 0.1
 # How long the turns of camera and wheels are compared, or less once the robot has turned enough: a second of work.
 _MOST_COMPARED_S, _COMPARED_S, _ENOUGH_TURNED_RAD = 60.0, 20.0, 4.0
+# How long a message waits for older ones of its own topic, by receipt. Later ones are left out and counted.
+_ORDER_S = 0.5
+# How long frames wait for the next wheel reading at most, by stamps: an increment is known only with it.
+_SLOWEST_WHEELS_S = 5.0
 _WRONG_SIZE = "choose its CameraInfo by --topic, or give --camera"
 
 
@@ -279,7 +283,7 @@ class _Pass:
         """Events and undecoded frames, in order of time."""
         topics = self.plan.topics(images)
         counts = {topic.name: topic.count for topic in self.bag.topics if topic.name in topics}
-        self.messages = MessageQueue(counts, self.plan.options.bag.order_s)
+        self.messages = MessageQueue(counts, _ORDER_S)
         for stamp_s, message in self._in_order(topics, stop_ns):
             event = self._event_of(stamp_s, message)
             self._enqueue(event, self.pairing.settled(stamp_s))
@@ -347,7 +351,7 @@ class _Pass:
         if all(self.messages.is_over(topic) for topic in self._wheel_topics):
             self._enqueue(self._last_speeds(), iter(()))
             return complete_s
-        return min(complete_s, max(self._wheels_s, now_s - self.plan.options.bag.slowest_wheels_s))
+        return min(complete_s, max(self._wheels_s, now_s - _SLOWEST_WHEELS_S))
 
     def _last_speeds(self) -> Event | None:
         """The event of the last wheel reading, at the first call after it; else None."""

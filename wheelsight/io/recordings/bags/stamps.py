@@ -31,6 +31,8 @@ _MOST_AHEAD_S, _MOST_AHEAD_BYTES = 60.0, 192 << 20
 # Largest difference between headers of topics that are received together: more is not a driver's delay.
 APART_S = 0.5
 _RECENT = 50
+# Largest offset between headers and receipt; beyond, a replay was recorded, or receipt is not used.
+_MOST_APART_S = 10.0
 # Largest ratio of two topics' rates, both in seconds, even where the first messages are received in a burst.
 _RATES_ALIKE = 4.0
 _RATE_SAMPLES, _RATE_SPAN_S = 8, 0.3
@@ -302,7 +304,6 @@ def clocks_of(
     firsts: Mapping[str, Sequence[tuple[float, float]]],
     lasts: Mapping[str, tuple[float, float]],
     images: Sequence[str],
-    most_apart_s: float,
 ) -> tuple[dict[str, TopicClock], tuple[str, ...]]:
     """A clock for each topic, and warnings about offsets and rejected headers.
 
@@ -313,7 +314,6 @@ def clocks_of(
         firsts: header and receipt of each topic's first messages, from when all topics have begun.
         lasts: header and receipt of each topic's last message.
         images: topics of one camera, which share a clock.
-        most_apart_s: the largest offset between headers and receipt without a warning.
     """
     heads = {topic: _head(stamps) for topic, stamps in firsts.items()}
     believed = _of_one_rate({topic: head for topic, head in heads.items() if not head.why_not}, heads)
@@ -338,14 +338,14 @@ def clocks_of(
                     "out, to within the delay of receipt."
                 )
         else:
-            clocks[topic] = TopicClock(-lag_s if abs(lag_s) > most_apart_s else 0.0, by_receipt=True)
+            clocks[topic] = TopicClock(-lag_s if abs(lag_s) > _MOST_APART_S else 0.0, by_receipt=True)
             warnings.append(f"{topic}: {head.why_not}; the time of receipt stands for it.")
-    if abs(end_lag_s - lag_s) > most_apart_s:
+    if abs(end_lag_s - lag_s) > _MOST_APART_S:
         warnings.append(
             f"{reference}: receipt is {lag_s:.3f} s after the headers at the beginning, {end_lag_s:.3f} s at the end; "
             "the headers grow as a clock does, and are believed."
         )
-    elif abs(lag_s) > most_apart_s:
+    elif abs(lag_s) > _MOST_APART_S:
         what = "All headers are" if len(believed) == len(heads) and not any(shifts_s.values()) else "Headers are"
         apart = f"{abs(lag_s):.0f} s {'before' if lag_s > 0 else 'after'}"
         warnings.append(f"{what} stamped {apart} receipt: a replay was recorded. They are believed.")

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 from zlib import crc32
 
 from wheelsight.core.errors import RecordingError
@@ -29,59 +29,29 @@ from wheelsight.io.recordings.bags.chunks import (
     Record,
 )
 
-# MCAP files by their index, or by a walk over their records where a kill or an empty battery left none.
-#
-# Format: https://mcap.dev/spec. rosbags' own reader unpacks whatever a chunk holds, and keeps all chunks that
-# overlap.
-
+# MCAP: https://mcap.dev/spec. The reader of rosbags decompresses whatever a chunk holds, and keeps all chunks that
+# overlap in time.
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = range(1, 7)
 _CHUNK_INDEX, _STATISTICS, _DATA_END = 0x08, 0x0B, 0x0F
 _HEAD, _U16, _U32, _U64 = struct.Struct("<BQ"), struct.Struct("<H"), struct.Struct("<I"), struct.Struct("<Q")
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
-_CHUNK_HEAD = struct.Struct("<QQQI")
+_MESSAGE_HEAD, _CHUNK_HEAD = struct.Struct("<HIQQ"), struct.Struct("<QQQI")
 _FOOTER_BYTES = _HEAD.size + 20 + len(MAGIC)
 _INDEX_HEAD, _INDEX_ENTRY = struct.Struct("<QQQQ"), struct.Struct("<HQ")
 _STATISTICS_HEAD = struct.Struct("<QHIIIIQQI")
-# Of a record that describes a topic or a type.
-_MOST_DESCRIPTION = 1 << 20
-# Messages outside of chunks are taken together so far, as if they were one.
-_RUN_BYTES = 1 << 20
+_MOST_DESCRIPTION = 1 << 20  # bytes of a record that describes a topic or a type
+_RUN_BYTES = 1 << 20  # of messages outside of chunks that are read together, as one chunk
 _LANGUAGES = {"ros2msg": "MSG", "ros2idl": "IDL", "omgidl": "IDL"}
 
 
-class _Schema(NamedTuple):
-    """A type: its name, and the language and text of its definition."""
-
-    name: str
-    language: str
-    text: str
-
-
 class McapReader(ChunkedReader):
-    """As `ChunkedReader` has it."""
+    """An MCAP file, read by its index, or by a scan of its records where it has none."""
 
     def _read_index(self) -> list[Chunk]:
-        self._schemas: dict[int, _Schema] = {}
+        self._schemas: dict[int, tuple[str, str, str]] = {}  # name, language and text of a type
         self._channels: dict[int, tuple[int, str]] = {}  # schema and topic
-        self._bounds: dict[int, int] = {}  # ends of the parts that are no chunks, by their places
-        counts: Counter[int] = Counter()
-        begin = self._check_head()
-        summary, is_whole = self._summary_place(begin)
-        chunks: list[Chunk] = []
-        if summary is not None:
-            chunks, counts = self._read_summary(summary)
-        if not (chunks and self._schemas and self._channels):
-            chunks, counts = self._scan(begin, summary or self._size, is_whole)
-        self.connections = [
-            Connection(channel, topic, *self._schemas.get(schema, _Schema("", "NONE", "")), counts[channel])
-            for channel, (schema, topic) in self._channels.items()
-        ]
-        return chunks
-
-    def _check_head(self) -> int:
-        """Where the data begin. Raises RecordingError for another kind of file."""
+        self._bounds: dict[int, int] = {}  # ends of runs of messages outside of chunks, by their offsets
         magic = self._file.read(len(MAGIC))
         if not magic:
             raise RecordingError("is empty", path=self.path, fix="record again")
@@ -93,10 +63,22 @@ class McapReader(ChunkedReader):
         if _text(self._exactly(size, _MOST_DESCRIPTION), 0)[0] != "ros2":
             fix = "record it with ros2 bag, or convert it"
             raise RecordingError("is an MCAP file, but not of ROS 2", path=self.path, fix=fix)
-        return self._file.tell()
+        begin = self._file.tell()
+        summary, is_whole = self._summary_place(begin)
+        chunks: list[Chunk] = []
+        counts: Counter[int] = Counter()
+        if summary is not None:
+            chunks, counts = self._read_summary(summary)
+        if not (chunks and self._schemas and self._channels):
+            chunks, counts = self._scan(begin, summary or self._size, is_whole)
+        self.connections = [
+            Connection(channel, topic, *self._schemas.get(schema, ("", "NONE", "")), counts[channel])
+            for channel, (schema, topic) in self._channels.items()
+        ]
+        return chunks
 
     def _summary_place(self, begin: int) -> tuple[int | None, bool]:
-        """Where the summary begins, None where there is none; and whether the file has its end."""
+        """The offset of the summary, None where there is none, and whether the file is complete."""
         self._file.seek(self._size - len(MAGIC))
         if self._file.read() != MAGIC or self._size < begin + _FOOTER_BYTES:
             return None, False
@@ -107,10 +89,10 @@ class McapReader(ChunkedReader):
         return summary or None, True
 
     def _read_summary(self, place: int) -> tuple[list[Chunk], Counter[int]]:
-        """The chunks and the number of messages of each channel, by the summary; schemas and channels are kept."""
+        """The chunks and the message count of each channel. Also sets the schemas and channels."""
         self._file.seek(place)
         data = self._exactly(self._size - _FOOTER_BYTES - place, MOST_INDEX)
-        chunks, counted, counts = list[Chunk](), Counter[int](), None
+        chunks, counts = list[Chunk](), None
         at = 0
         while at + _HEAD.size <= len(data):
             kind, size = _HEAD.unpack_from(data, at)
@@ -120,16 +102,15 @@ class McapReader(ChunkedReader):
             record, at = data[at : at + size], at + size
             self._describe(kind, record)
             if kind == _CHUNK_INDEX:
-                chunks.append(_chunk_of(record))
-                counted.update(dict(zip(chunks[-1].connections, chunks[-1].counts, strict=True)))
+                chunks.append(_indexed_chunk(record))
             elif kind == _STATISTICS:
                 *_, length = _STATISTICS_HEAD.unpack_from(record)
                 entries = record[_STATISTICS_HEAD.size : _STATISTICS_HEAD.size + length]
                 counts = Counter(dict(_INDEX_ENTRY.iter_unpack(entries)))
-        return chunks, counted if counts is None else counts
+        return chunks, _message_counts(chunks) if counts is None else counts
 
     def _describe(self, kind: int, record: bytes) -> None:
-        """Keep what a record says of a type or a topic."""
+        """Add the type or topic that a record describes. Ignores other records."""
         if kind not in (_SCHEMA, _CHANNEL):
             return
         (number,) = _U16.unpack_from(record)
@@ -137,7 +118,7 @@ class McapReader(ChunkedReader):
             name, at = _text(record, 2)
             encoding, at = _text(record, at)
             text, _ = _text(record, at)
-            self._schemas.setdefault(number, _Schema(name, _LANGUAGES.get(encoding, "NONE"), text))
+            self._schemas.setdefault(number, (name, _LANGUAGES.get(encoding, "NONE"), text))
             return
         (schema,) = _U16.unpack_from(record, 2)
         topic, at = _text(record, 4)
@@ -148,10 +129,16 @@ class McapReader(ChunkedReader):
             raise ValueError(f"has more than {MOST_CONNECTIONS:,} topics")
 
     def _scan(self, begin: int, end: int, is_whole: bool) -> tuple[list[Chunk], Counter[int]]:
-        """The chunks, and runs of messages outside of any, by a walk over the records from `begin` to `end`."""
-        chunks, counts = list[Chunk](), Counter[int]()
-        run: _Run | None = None
-        at = begin
+        """As `_read_summary`, from the records themselves. Runs of messages outside of chunks count as chunks."""
+        chunks, run = list[Chunk](), list[tuple[int, int]]()  # channel and time of each message of the run
+        at = run_begin = run_end = begin
+
+        def end_run() -> None:
+            if run:
+                self._bounds[run_begin] = run_end
+                chunks.append(_chunk_of(run_begin, run))
+                run.clear()
+
         while at + _HEAD.size <= end:
             self._file.seek(at)
             kind, size = _HEAD.unpack(self._file.read(_HEAD.size))
@@ -161,30 +148,27 @@ class McapReader(ChunkedReader):
                 break
             if kind == _MESSAGE:
                 channel, _, time_ns, _ = _MESSAGE_HEAD.unpack(self._file.read(min(size, _MESSAGE_HEAD.size)))
-                run = run or _Run(at)
-                run.add(channel, time_ns, after)
+                run_begin = run_begin if run else at
+                run_end = after
+                run.append((channel, time_ns))
             elif kind in (_SCHEMA, _CHANNEL):
                 self._describe(kind, self._exactly(size, _MOST_DESCRIPTION))
-            elif kind == _CHUNK and (chunk := self._scanned(at)) is not None:
-                chunks.append(chunk)
-            if run is not None and (kind != _MESSAGE or run.end - run.begin > _RUN_BYTES):
-                chunks.append(self._ended(run))
-                run = None
+            elif kind == _CHUNK:
+                chunks += self._scan_chunk(at)
+            if kind != _MESSAGE or run_end - run_begin > _RUN_BYTES:
+                end_run()
             at = after
-        if run is not None:
-            chunks.append(self._ended(run))
+        end_run()
         if not is_whole:
-            self._say_without_end(self._size - at)
-        for chunk in chunks:
-            counts.update(dict(zip(chunk.connections, chunk.counts, strict=True)))
-        return chunks, counts
+            lost = f"; {self._size - at:,} bytes after them are no whole record" if at < self._size else ""
+            self.warnings = (
+                f"{self.path.name} has no end, as where its recorder was killed. All complete messages are read{lost}. "
+                "Without an index that takes longer: mcap recover makes one.",
+            )
+        return chunks, _message_counts(chunks)
 
-    def _ended(self, run: _Run) -> Chunk:
-        self._bounds[run.begin] = run.end
-        return Chunk(run.start_ns, run.end_ns, run.begin, tuple(run.counts), tuple(run.counts.values()))
-
-    def _scanned(self, place: int) -> Chunk | None:
-        """A chunk without an index, unpacked to see what it holds; None where that is no message."""
+    def _scan_chunk(self, place: int) -> list[Chunk]:
+        """The chunk at an offset, if it has messages. Also adds its schemas and channels."""
         content, records = self._opened(place)
         at = 0
         while at < len(content):
@@ -192,11 +176,8 @@ class McapReader(ChunkedReader):
             begin, at = at + _HEAD.size, at + _HEAD.size + size
             if kind in (_SCHEMA, _CHANNEL):
                 self._describe(kind, content[begin:at])
-        if not records:
-            return None
-        counts = Counter(record.connection for record in records)
-        times_ns = [record.time_ns for record in records]
-        return Chunk(min(times_ns), max(times_ns), place, tuple(counts), tuple(counts.values()))
+        messages = [(record.connection, record.time_ns) for record in records]
+        return [_chunk_of(place, messages)] if messages else []
 
     def _content(self, place: int) -> bytes:
         self._file.seek(place)
@@ -235,31 +216,24 @@ class McapReader(ChunkedReader):
                 found.append(Record(channel, time_ns, begin + _MESSAGE_HEAD.size, at))
         return found, count
 
-    def _say_without_end(self, lost_bytes: int) -> None:
-        lost = f"; {lost_bytes:,} bytes after them are no whole record" if lost_bytes else ""
-        sentence = (
-            f"{self.path.name} has no end, as where its recorder was killed. All messages are read that are whole"
-        )
-        self.warnings = (f"{sentence}{lost}. Without an index that takes longer: mcap recover makes one.",)
+
+def _chunk_of(place: int, messages: Sequence[tuple[int, int]]) -> Chunk:
+    """The chunk at an offset, by channel and time of each of its messages."""
+    counts = Counter(channel for channel, _ in messages)
+    times_ns = [time_ns for _, time_ns in messages]
+    return Chunk(min(times_ns), max(times_ns), place, tuple(counts), tuple(counts.values()))
 
 
-class _Run:
-    """Messages that follow each other outside of chunks."""
-
-    def __init__(self, begin: int) -> None:
-        self.begin = self.end = begin
-        self.start_ns, self.end_ns = 1 << 64, 0
-        self.counts: Counter[int] = Counter()
-
-    def add(self, channel: int, time_ns: int, end: int) -> None:
-        """Count a message in."""
-        self.counts[channel] += 1
-        self.start_ns, self.end_ns = min(self.start_ns, time_ns), max(self.end_ns, time_ns)
-        self.end = end
+def _message_counts(chunks: Sequence[Chunk]) -> Counter[int]:
+    """The number of messages of each connection."""
+    counts: Counter[int] = Counter()
+    for chunk in chunks:
+        counts.update(dict(zip(chunk.connections, chunk.counts, strict=True)))
+    return counts
 
 
-def _chunk_of(record: bytes) -> Chunk:
-    """A chunk by its record in the summary; a message index has 15 bytes, and 16 for each message."""
+def _indexed_chunk(record: bytes) -> Chunk:
+    """The chunk that a record of the summary describes. A message index has 15 bytes, and 16 for each message."""
     start_ns, end_ns, place, length = _INDEX_HEAD.unpack_from(record)
     (size,) = _U32.unpack_from(record, _INDEX_HEAD.size)
     at = _INDEX_HEAD.size + 4
@@ -271,7 +245,7 @@ def _chunk_of(record: bytes) -> Chunk:
 
 
 def _text(record: bytes, at: int) -> tuple[str, int]:
-    """Text with its length before it, and where it ends. Raises ValueError."""
+    """The text at an offset, after its length, and the offset of its end. Raises ValueError."""
     (size,) = _U32.unpack_from(record, at)
     data = record[at + 4 : at + 4 + size]
     if len(data) != size:
@@ -279,23 +253,19 @@ def _text(record: bytes, at: int) -> tuple[str, int]:
     return data.decode(), at + 4 + size
 
 
-# Bags of ROS 1 by the index at their end alone: an hour's has some hundred thousand chunks, each read when it is due.
-#
-# rosbags' own reader looks at every chunk and every message's place before it answers: 13 s for such a bag. It also
-# unpacks whatever a chunk holds. Records are read by rosbags; format: https://wiki.ros.org/Bags/Format/2.0.
-
+# ROS 1: https://wiki.ros.org/Bags/Format/2.0. Only the index at the end is read on opening: an hour has some hundred
+# thousand chunks. The reader of rosbags examines every chunk and message first, 13 s for such a bag, and decompresses
+# whatever a chunk holds. It parses the records here.
 
 _MAGIC = b"#ROSBAG V2.0\n"
 _CHUNK_INFO, _ROS1_MESSAGE, _ROS1_CHUNK = 6, 2, 5
 _TIME = struct.Struct("<II")
-_INFO_FIELDS = (b"op=", b"start_time=", b"end_time=", b"chunk_pos=")
-_MESSAGE_FIELDS = (b"op=", b"conn=", b"time=")
 _MOST_HEADER = 1 << 20
 _WAYS = {"none": "", "bz2": "bz2", "lz4": "lz4"}
 
 
 class Ros1Reader(ChunkedReader):
-    """As `ChunkedReader` has it. Raises ConfigError where rosbags is not installed."""
+    """A bag of ROS 1. Raises ConfigError where rosbags is not installed."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
@@ -320,30 +290,23 @@ class Ros1Reader(ChunkedReader):
             if place > self._size:
                 raise ValueError("it begins behind the end of the file")
             self._file.seek(place)
-            known, data = self._known(header.get_uint32("conn_count"))
-            chunks = list(_chunk_infos(data, count))
+            topics = header.get_uint32("conn_count")
+            if topics > MOST_CONNECTIONS:
+                raise ValueError(f"has more than {MOST_CONNECTIONS:,} topics")
+            index = BytesIO(self._exactly(self._size - place, MOST_INDEX))
+            rosbags = self._format.Reader(self.path)
+            rosbags.bio = index
+            read = [rosbags.read_connection() for _ in range(topics)]
+            chunks = list(_chunk_infos(index.read(), count))
         except (self._format.ReaderError, struct.error, LookupError, ValueError) as error:
             problem = f"is cut off or damaged: its index is not where it should be ({error})"
             raise RecordingError(problem, path=self.path, fix=f"rosbag reindex {self.path.name}") from error
-        counts: Counter[int] = Counter()
-        for chunk in chunks:
-            counts.update(dict(zip(chunk.connections, chunk.counts, strict=True)))
-        self.connections = [connection._replace(msgcount=counts[connection.id]) for connection in known]
+        counts = _message_counts(chunks)
+        self.connections = [Connection(c.id, c.topic, c.msgtype, "MSG", c.msgdef.data, counts[c.id]) for c in read]
         return chunks
 
-    def _known(self, count: int) -> tuple[list[Connection], bytes]:
-        """The connections, and the rest of the index."""
-        if count > MOST_CONNECTIONS:
-            raise ValueError(f"has more than {MOST_CONNECTIONS:,} topics")
-        index = BytesIO(self._exactly(self._size - self._file.tell(), MOST_INDEX))
-        rosbags = self._format.Reader(self.path)
-        rosbags.bio = index
-        read = [rosbags.read_connection() for _ in range(count)]
-        known = [Connection(c.id, c.topic, c.msgtype, "MSG", c.msgdef.data, 0) for c in read]
-        return known, index.read()
-
     def _header(self) -> bytes:
-        """A record's header with its length before it."""
+        """The next record's header, after its length."""
         size = self._exactly(4, 4)
         return size + self._exactly(_U32.unpack(size)[0], _MOST_HEADER)
 
@@ -360,7 +323,7 @@ class Ros1Reader(ChunkedReader):
 
     def _walk(self, content: bytes, most: int) -> tuple[list[Record], int]:
         found: list[Record] = []
-        places = _Places(_MESSAGE_FIELDS)
+        fields = _FieldOffsets((b"op=", b"conn=", b"time="))
         at = count = 0
         while at < len(content):
             (size,) = _U32.unpack_from(content, at)
@@ -372,7 +335,7 @@ class Ros1Reader(ChunkedReader):
                 raise ValueError("holds a record that goes beyond its end")
             if count > most:
                 raise ValueError(f"holds more than {most:,} records")
-            op, conn, time = places.of(header)
+            op, conn, time = fields.of(header)
             if header[op] == _ROS1_MESSAGE:
                 if min(conn, time) < 0:
                     raise ValueError("holds a message without time or connection")
@@ -383,12 +346,12 @@ class Ros1Reader(ChunkedReader):
 
 def _chunk_infos(data: bytes, count: int) -> Iterator[Chunk]:
     """The chunks that an index describes. Raises struct.error, LookupError or ValueError where it is damaged."""
-    places = _Places(_INFO_FIELDS)
+    fields = _FieldOffsets((b"op=", b"start_time=", b"end_time=", b"chunk_pos="))
     at = 0
     for _ in range(count):
         (size,) = _U32.unpack_from(data, at)
         header, at = data[at + 4 : at + 4 + size], at + 4 + size
-        op, start, end, place = places.of(header)
+        op, start, end, place = fields.of(header)
         (size,) = _U32.unpack_from(data, at)
         if min(start, end, place) < 0 or header[op] != _CHUNK_INFO or at + 4 + size > len(data):
             raise ValueError(f"a record of the index at {at} describes no chunk")
@@ -400,8 +363,8 @@ def _chunk_infos(data: bytes, count: int) -> Iterator[Chunk]:
         at += 4 + size
 
 
-class _Places:
-    """Where the values of some fields begin in a header. One writer keeps one order: they are looked for once."""
+class _FieldOffsets:
+    """Finds the values of some fields in headers. A writer keeps one order, so the last offsets are tried first."""
 
     def __init__(self, names: tuple[bytes, ...]) -> None:
         self._names = names
@@ -409,7 +372,7 @@ class _Places:
         self._expected: list[tuple[bytes, int]] = []
 
     def of(self, header: bytes) -> tuple[int, ...]:
-        """The places in the order of the names, -1 for one that is missing. Raises LookupError without the first."""
+        """The offset of each value, -1 for a missing field. Raises LookupError without the first field."""
         for name, at in self._expected:
             if not header.startswith(name, at):
                 break
@@ -429,31 +392,19 @@ class _Places:
         return places
 
 
-# Files of ROS 2's sqlite3 storage, `.db3`.
-#
-# A database is a program, too: tables that compute their values can make gigabytes of a few bytes, and pages that
-# refer to each other can be walked over for ever. Plain tables alone are read, in a bounded number of steps.
+# The sqlite3 storage of ROS 2, `.db3`. A database can contain programs: a table that computes its values can make
+# gigabytes from a few bytes, and pages that refer to each other form endless loops. Only plain tables are read, in a
+# bounded number of steps.
 
-
-_SQLITE_LANGUAGES = {"ros2msg": "MSG", "ros2idl": "IDL"}
 _LONGEST_VALUE = 128 << 20  # bytes, of a message
 _MOST_SCHEMA = 1000  # tables and indexes; a bag has some ten
-# Steps of sqlite's machine in one question. A row takes some ten steps, and twenty bytes of the file at least.
-_FREE_STEPS, _STEPS_A_BYTE, _LOOK_STEPS = 10_000_000, 2, 100_000
+# Steps of sqlite's virtual machine in one query. A row takes some ten steps, and at least twenty bytes of the file.
+_FREE_STEPS, _STEPS_PER_BYTE, _STEPS_PER_CHECK = 10_000_000, 2, 100_000
 _VIRTUAL = re.compile(r"\s*CREATE\s+VIRTUAL", re.IGNORECASE)
-_RECOVER = "sqlite3 {} .recover"
 
 
 class SqliteReader:
-    """As `ChunkedReader` is to be used.
-
-    Attributes:
-        path: of the file.
-        connections: of topics, with the number of their messages.
-        warnings: none.
-        start_time, end_time: nanoseconds of the first message, and just after the last.
-        message_count: of all topics.
-    """
+    """A sqlite3 file of ROS 2, with the interface of `ChunkedReader`."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -469,12 +420,17 @@ class SqliteReader:
         self.allowance = Allowance(self.path, self._size)
         try:
             where = f"{self.path.resolve().as_uri()}?mode=ro&immutable=1"
-            # A pass may go on in another thread than the one that began it.
+            # A pass may continue in another thread.
             self._database = sqlite3.connect(where, uri=True, check_same_thread=False)
         except sqlite3.Error as error:
             raise self._refusal(error) from error
         try:
-            self._prepare()
+            self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(_LONGEST_VALUE, max(self._size, 1 << 20)))
+            self._database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
+            self._database.set_progress_handler(self._is_too_long, _STEPS_PER_CHECK)
+            self._steps_left = 0
+            for pragma in ("trusted_schema = OFF", "cell_size_check = ON"):
+                self._database.execute(f"PRAGMA {pragma}")
             self._check_tables()
             self._read_index()
         except sqlite3.Error as error:
@@ -493,14 +449,14 @@ class SqliteReader:
     ) -> Iterator[tuple[Connection, int, bytes]]:
         """Connection, time and bytes of messages from `start` on and before `stop`, in order of time."""
         wanted = {connection.id: connection for connection in connections}
-        asked = f"SELECT rowid, topic_id, timestamp FROM messages WHERE topic_id IN ({','.join('?' * len(wanted))})"
+        query = f"SELECT rowid, topic_id, timestamp FROM messages WHERE topic_id IN ({','.join('?' * len(wanted))})"
         values: list[int] = [*wanted]
         for condition, value in (("timestamp >= ?", start), ("timestamp < ?", stop)):
             if value is not None:
-                asked += f" AND {condition}"
+                query += f" AND {condition}"
                 values.append(min(max(value, -(1 << 63)), (1 << 63) - 1))
         try:
-            rows = self._rows(f"{asked} ORDER BY timestamp", values)
+            rows = self._rows(f"{query} ORDER BY timestamp", values)
             for number, (row, topic, time_ns) in enumerate(rows):
                 if number >= self.allowance.most_messages:
                     raise self._refusal(f"more messages than {self._size:,} bytes can hold")
@@ -512,25 +468,17 @@ class SqliteReader:
         except (sqlite3.Error, TypeError) as error:
             raise self._refusal(error) from error
 
-    def _prepare(self) -> None:
-        self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(_LONGEST_VALUE, max(self._size, 1 << 20)))
-        self._database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
-        self._database.set_progress_handler(self._step, _LOOK_STEPS)
-        self._steps_left = 0
-        for pragma in ("trusted_schema = OFF", "cell_size_check = ON"):
-            self._database.execute(f"PRAGMA {pragma}")
-
-    def _step(self) -> bool:
-        """Whether sqlite is to stop."""
-        self._steps_left -= _LOOK_STEPS
+    def _is_too_long(self) -> bool:
+        """Count steps of a query. Returns whether sqlite has to stop it."""
+        self._steps_left -= _STEPS_PER_CHECK
         return self._steps_left < 0
 
-    def _rows(self, asked: str, values: Sequence[Any] = ()) -> Iterator[Any]:
-        self._steps_left = _FREE_STEPS + _STEPS_A_BYTE * self._size
-        return self._database.execute(asked, values)
+    def _rows(self, query: str, values: Sequence[Any] = ()) -> Iterator[Any]:
+        self._steps_left = _FREE_STEPS + _STEPS_PER_BYTE * self._size
+        return self._database.execute(query, values)
 
     def _check_tables(self) -> None:
-        """Raises RecordingError where a table is missing or no plain one."""
+        """Raise RecordingError where a table is missing or not plain."""
         found: dict[str, str] = {}
         for name, text in self._rows("SELECT name, sql FROM sqlite_master WHERE type = 'table'"):
             found[name] = str(text)
@@ -546,8 +494,8 @@ class SqliteReader:
 
     def _read_index(self) -> None:
         counts: dict[Any, int] = {}
-        asked = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
-        for topic, count, first_ns, last_ns in self._rows(asked):
+        query = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
+        for topic, count, first_ns, last_ns in self._rows(query):
             if not isinstance(first_ns, int) or not isinstance(last_ns, int):
                 raise self._refusal("messages whose times are no numbers")
             self.start_time = min(self.start_time, first_ns) if counts else first_ns
@@ -555,10 +503,10 @@ class SqliteReader:
             counts[topic] = count
         definitions: dict[str, tuple[str, str]] = {}
         if self._defines:
-            asked = "SELECT topic_type, encoding, substr(encoded_message_definition, 1, ?) FROM message_definitions"
-            for type_, language, text in self._rows(f"{asked} LIMIT ?", (LONGEST_DEFINITION + 1, MOST_CONNECTIONS)):
-                if language in _SQLITE_LANGUAGES and isinstance(text, str):
-                    definitions.setdefault(type_, (_SQLITE_LANGUAGES[language], text))
+            query = "SELECT topic_type, encoding, substr(encoded_message_definition, 1, ?) FROM message_definitions"
+            for type_, language, text in self._rows(f"{query} LIMIT ?", (LONGEST_DEFINITION + 1, MOST_CONNECTIONS)):
+                if language in ("ros2msg", "ros2idl") and isinstance(text, str):
+                    definitions.setdefault(type_, (_LANGUAGES[language], text))
         for number, name, type_, form in self._rows("SELECT id, name, type, serialization_format FROM topics"):
             if len(self.connections) >= MOST_CONNECTIONS:
                 raise self._refusal(f"more than {MOST_CONNECTIONS:,} topics")
@@ -570,7 +518,6 @@ class SqliteReader:
         self.message_count = sum(connection.msgcount for connection in self.connections)
 
     def _refusal(self, found: str | Exception) -> RecordingError:
-        what = (
-            f"is no sqlite3 database, or a damaged one: {found}" if isinstance(found, Exception) else f"holds {found}"
-        )
-        return RecordingError(what, path=self.path, fix=_RECOVER.format(self.path.name))
+        damaged = "is no sqlite3 database, or a damaged one: "
+        problem = f"{damaged}{found}" if isinstance(found, Exception) else f"holds {found}"
+        return RecordingError(problem, path=self.path, fix=f"sqlite3 {self.path.name} .recover")
