@@ -26,7 +26,7 @@ from rich.console import Console
 from benchmarks import machine
 from benchmarks.table import Sheet, targets_sheet, write_page
 from benchmarks.targets import Target
-from wheelsight.app.batch import Plan, plan_of, run_batch, run_job, run_on_processes
+from wheelsight.app.batch import BatchPlan, plan_of, run_batch, run_job, run_on_processes
 from wheelsight.app.run.kernels import compile_kernels, missing_parts, parts_of
 from wheelsight.config import load_config
 from wheelsight_sim import SimulationSettings, simulate, write_simulation
@@ -81,7 +81,7 @@ def held_to(cores: int) -> Iterator[None]:
         os.sched_setaffinity(0, usual)
 
 
-def run(plan: Plan, cores: int, folder: Path) -> Pass:
+def run(plan: BatchPlan, cores: int, folder: Path) -> Pass:
     """A batch by as many processes as cores; raises SystemExit where a job breaks."""
     scratch, slowest = folder / "scratch", [0.0]
     scratch.mkdir(parents=True)

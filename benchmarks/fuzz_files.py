@@ -29,7 +29,7 @@ from benchmarks.fuzz_recordings import (
     sqlite3_bag,
 )
 from benchmarks.fuzz_records import first_journal
-from wheelsight.app.batch import Case, Job, Outcome, Row, Spread, read_rows
+from wheelsight.app.batch import BatchRow, Case, Job, Outcome, Spread, read_rows
 from wheelsight.app.batch.batches import KeptOutcomes
 from wheelsight.app.batch.table import csv_text, rows_of
 from wheelsight.app.exports import BagParts, export_bag, exported_at
@@ -623,7 +623,7 @@ def _read_results(folder: Path) -> None:
 
 def _batch_table() -> bytes:
     spreads = {figure: Spread(0.1, 0.2) for figure in ("ate_m", "rpe_m", "frame_ms")}
-    rows = [Row(f"r{i}", "defaults", "joined", 2, "ok", "", spreads) for i in range(3)]
+    rows = [BatchRow(f"r{i}", "defaults", "joined", 2, "ok", "", spreads) for i in range(3)]
     return csv_text(rows).encode()
 
 
@@ -766,7 +766,7 @@ def _map_folder() -> Files:
     zone = MapEdit(EditKind.SPEED, np.array([[0, 0], [1, 0], [1, 1.0]]), 0.2, KeyframeId(0), np.eye(4))
 
     def save(path: Path) -> None:
-        folder = MapFolder.create(path, _robot(), SessionSettings(piece_keyframes=2))
+        folder = MapFolder.create(path, _robot())
         _fill(folder)
         folder.close()
         folder = MapFolder.open(path, read_only=False)
@@ -801,7 +801,7 @@ def _fill(folder: MapFolder) -> None:
 
 def _old_map_folder() -> Files:
     """The same, its keyframes as they were kept before 2026-11-27: PNG images, in a journal of version 1."""
-    steps = DepthSteps.of_noise(_robot().depth_noise, SessionSettings().depth_sigmas)
+    steps = DepthSteps.of_noise(_robot().depth_noise)
     records = []
     for number in range(_FRAMES):
         view = _view(number)

@@ -26,7 +26,7 @@ from benchmarks.targets import Target
 from wheelsight.app.run import run_each
 from wheelsight.app.run.kernels import DrawnDrive, Rehearses
 from wheelsight.app.run.run_record import FrameRecord, RealTimeRecord
-from wheelsight.app.run.track import Track
+from wheelsight.app.run.track import RunTrack
 from wheelsight.config import load_config
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.estimates import Status
@@ -187,7 +187,7 @@ class MinuteWatcher:
     _begin_s: float | None = None
     _tracked: list[bool] = field(default_factory=list)
 
-    def step(self, event: Event, answers: Mapping[str, FrameRecord], tracks: Sequence[Track]) -> None:
+    def step(self, event: Event, answers: Mapping[str, FrameRecord], tracks: Sequence[RunTrack]) -> None:
         """After each event that was answered."""
         self._begin_s = event.stamp_s if self._begin_s is None else self._begin_s
         if not isinstance(event, RgbdFrame):
@@ -200,10 +200,10 @@ class MinuteWatcher:
         self.source.spent_s = {True: [], False: []}
         self._tracked = []
 
-    def finish(self, tracks: Sequence[Track]) -> None:
+    def finish(self, tracks: Sequence[RunTrack]) -> None:
         """See `Watcher`."""
 
-    def _minute(self, track: Track) -> Minute:
+    def _minute(self, track: RunTrack) -> Minute:
         of_map, store = track.localizer.map, track.localizer.keyframes
         assert of_map is not None
         assert store is not None

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from wheelsight.app.run.drive_record import DriveRecord, DriveRecorder
-from wheelsight.app.run.drives import Drive, OnEvents, WatchedRobot
+from wheelsight.app.run.drives import GoalDrive, OnEvents, WatchedRobot
 from wheelsight.app.run.kernel_process import DrawnRobot, ToldPlace, drawn_room
 from wheelsight.config import Config, load_config
 from wheelsight.core.calibration import Calibration
@@ -26,15 +26,15 @@ QUICK = {"navigation.monitor.blind_m_s": 0.5}
 
 def rehearsed_drive(
     on_events: OnEvents = lambda events: None, on_transition: Callable[[Transition], None] = lambda transition: None
-) -> tuple[Drive, DrawnRobot, Config]:
+) -> tuple[GoalDrive, DrawnRobot, Config]:
     robot, config = DrawnRobot(CALIBRATION), load_config(overrides=QUICK)
     watched = WatchedRobot(robot, DriveRecorder(config.navigation.footprint.outline), on_events)
     floor = KnownFloor(drawn_room())
     told = ToldPlace(robot)
     navigator = Navigator(watched, told, floor, config.navigation, trusts_floor=True, on_transition=on_transition)
-    return Drive(watched, navigator, drawn_room, "a room"), robot, config
+    return GoalDrive(watched, navigator, drawn_room, "a room"), robot, config
 
 
-def recorded(drive: Drive, config: Config, asked: int = 1, *, is_interrupted: bool = False) -> DriveRecord:
+def recorded(drive: GoalDrive, config: Config, asked: int = 1, *, is_interrupted: bool = False) -> DriveRecord:
     truth = {"clearance_m": 0.2, "contacts": []}
     return drive.record(asked, "a drawn robot", config, truth, is_interrupted=is_interrupted)

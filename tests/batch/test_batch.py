@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from batch_jobs import job, quick, write_wheels
 
-from wheelsight.app.batch import Case, Done, Job, Outcome, Plan, plan_of, run_batch, run_job
+from wheelsight.app.batch import BatchPlan, Case, Done, Job, Outcome, plan_of, run_batch, run_job
 from wheelsight.app.batch.jobs import problem_of
 from wheelsight.app.runs import run_each
 from wheelsight.config import load_config
@@ -18,7 +18,7 @@ from wheelsight.core.errors import OutputError
 from wheelsight.io.recordings import open_recording
 
 JOBS = {name: job(name, weight=size) for name, size in (("a", 3), ("b", 2), ("c", 1))}
-PLAN = Plan((Case("one", "x", "dense", ("a", "b")), Case("two", "x", "dense", ("c",))), JOBS)
+PLAN = BatchPlan((Case("one", "x", "dense", ("a", "b")), Case("two", "x", "dense", ("c",))), JOBS)
 
 
 class Runner:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from batch_jobs import FIGURES
 
-from wheelsight.app.batch import Case, Outcome, Row, Spread, compare, read_rows
+from wheelsight.app.batch import BatchRow, Case, Outcome, Spread, compare, read_rows
 from wheelsight.app.batch.batches import KeptOutcomes
 from wheelsight.app.batch.table import csv_text, markdown_text, rows_of
 from wheelsight.core.errors import ConfigError
@@ -89,12 +89,12 @@ def test_a_table_that_is_no_ordinary_file_is_refused_and_not_waited_for(tmp_path
             read_rows(tmp_path / name)
 
 
-def row(**figures: float | Spread) -> Row:
+def row(**figures: float | Spread) -> BatchRow:
     spreads = {name: value if isinstance(value, Spread) else Spread(value, value) for name, value in figures.items()}
-    return Row("drive", "dense", "dense", 3, "ok", "", spreads)
+    return BatchRow("drive", "dense", "dense", 3, "ok", "", spreads)
 
 
-def worse(now: Row, before: Row, tolerance: float = 0.1, cost: float | None = None) -> tuple[str, ...]:
+def worse(now: BatchRow, before: BatchRow, tolerance: float = 0.1, cost: float | None = None) -> tuple[str, ...]:
     return compare([now], [before], tolerance, cost).worse
 
 

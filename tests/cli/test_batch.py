@@ -14,7 +14,7 @@ import pytest
 from batch_jobs import until, write_wheels
 from typer.testing import Result
 
-from wheelsight.app.batch import Done, Outcome, Row, Spread
+from wheelsight.app.batch import BatchRow, Done, Outcome, Spread
 from wheelsight.app.batch.table import csv_text, read_rows
 from wheelsight.app.cli.batch import share
 from wheelsight.app.cli.batch_run import BatchProgress, batch_table
@@ -83,12 +83,12 @@ def test_what_is_worse_than_the_baseline_is_named_with_code_1(wheelsight: Comman
     assert same.exit_code == 0
     assert "1 rows held against the baseline, 10 % allowed: none of their figures worse" in same.stdout
     better = {**row.figures, "frame_ms": Spread(1e-9, 1e-9)}
-    baseline.write_text(csv_text([Row("bend", "arc", "wheels", 1, "ok", "", better)]))
+    baseline.write_text(csv_text([BatchRow("bend", "arc", "wheels", 1, "ok", "", better)]))
     assert wheelsight(*good, "--baseline", baseline).exit_code == 0
     slower = wheelsight(*good, "--baseline", baseline, "--cost-tolerance", "50%")
     assert slower.exit_code == 1
     assert "worse: bend, arc: ms median " in slower.stdout
-    baseline.write_text(csv_text([Row("other", "arc", "wheels", 1, "ok", "", better)]))
+    baseline.write_text(csv_text([BatchRow("other", "arc", "wheels", 1, "ok", "", better)]))
     assert "the baseline has none of these" in wheelsight(*good, "--baseline", baseline).stderr
 
 
@@ -149,7 +149,7 @@ def test_the_table_fits_80_columns(monkeypatch: pytest.MonkeyPatch, capsys: pyte
     figures = {"ate_m": Spread(0.1234, 12.5), "rpe_m": Spread(0.01, 0.02), "rpe_deg": Spread(1.5, 100.25)}
     figures |= {"tracked": Spread(1.0, 0.995), "frame_ms": Spread(36.9, 123.45), "memory_mb": Spread(812.0, 12345.0)}
     name = "rgbd_dataset_freiburg1_desk_with_a_long_name"
-    rows = [Row(name, "dense-with-loops", "dense", 5, "2 of 5 broken", "killed", figures)]
+    rows = [BatchRow(name, "dense-with-loops", "dense", 5, "2 of 5 broken", "killed", figures)]
     console().print(batch_table(rows), soft_wrap=False)
     lines = plain(capsys.readouterr().out).splitlines()
     assert max(map(len, lines)) <= 80

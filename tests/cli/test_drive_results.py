@@ -12,13 +12,13 @@ from rehearsed_drive import recorded, rehearsed_drive
 from wheelsight.app.cli.drive import tell
 from wheelsight.app.report.drive_page import verdict
 from wheelsight.app.run.drive_record import drive_dict
-from wheelsight.app.run.drives import Goal
+from wheelsight.app.run.drives import NamedGoal
 from wheelsight.core.errors import MapError
 
 
 def test_periods_that_came_late_are_told_where_they_are_many(capsys: pytest.CaptureFixture[str]) -> None:
     drive, _, config = rehearsed_drive()
-    drive.go_to(Goal.of(np.array([-0.7, -0.4, np.nan]), "there"), lambda feedback: None)
+    drive.go_to(NamedGoal.of(np.array([-0.7, -0.4, np.nan]), "there"), lambda feedback: None)
     record = recorded(drive, config)
     tell(record)
     assert "longer than they should" not in capsys.readouterr().err
@@ -33,7 +33,7 @@ def test_a_start_that_nothing_bears_out_is_told(
     start: bool, recognised: int, is_told: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     drive, _, config = rehearsed_drive()
-    drive.go_to(Goal.of(np.array([-0.7, -0.4, np.nan]), "there"), lambda feedback: None)
+    drive.go_to(NamedGoal.of(np.array([-0.7, -0.4, np.nan]), "there"), lambda feedback: None)
     record = recorded(drive, config)
     assert record.recognised is None
     said = {"x_m": 1.0, "y_m": 0.0, "yaw_deg": 0.0} if start else None
@@ -55,7 +55,7 @@ def touching(*contacts: tuple[float, str, bool]) -> dict[str, object]:
 @pytest.mark.parametrize("count", [1, 2, 9])
 def test_a_drive_that_touched_something_has_no_good_end(count: int, capsys: pytest.CaptureFixture[str]) -> None:
     drive, _, config = rehearsed_drive()
-    drive.go_to(Goal.of(np.array([-0.7, -0.4, np.nan]), "there"), lambda feedback: None)
+    drive.go_to(NamedGoal.of(np.array([-0.7, -0.4, np.nan]), "there"), lambda feedback: None)
     arrived = recorded(drive, config)
     tell(replace(arrived, truth=touching((3.0, "person_1", False))))  # who walked into the robot
     assert "drove against" not in capsys.readouterr().err
@@ -77,7 +77,7 @@ def test_a_drive_that_touched_something_has_no_good_end(count: int, capsys: pyte
 
 def test_a_goal_that_the_map_has_no_room_for_is_refused_before_anything_moves() -> None:
     drive, robot, _ = rehearsed_drive()
-    there, far = Goal.of((-0.7, -0.4)), Goal.of((50.0, 0.0, 0.0), "kitchen")
+    there, far = NamedGoal.of((-0.7, -0.4)), NamedGoal.of((50.0, 0.0, 0.0), "kitchen")
     with pytest.raises(MapError, match="kitchen: the goal is outside the map: "):
         drive.refuse([there, far])
     drive.refuse([there])

@@ -14,7 +14,7 @@ from rehearsed_drive import CALIBRATION, QUICK, rehearsed_drive
 from sessions.kept_views import write_map
 from typer.testing import Result
 
-from wheelsight.app.run.drives import Drive
+from wheelsight.app.run.drives import GoalDrive
 from wheelsight.app.run.kernel_process import DrawnRobot, ToldPlace
 from wheelsight.core.calibration import save_calibration
 from wheelsight.core.geometry import se3
@@ -41,7 +41,7 @@ def way(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> tuple[Drive, DrawnRobot]:
+def drawn(monkeypatch: pytest.MonkeyPatch) -> tuple[GoalDrive, DrawnRobot]:
     """What any drive in a map is from now on; one that is lost gives up soon."""
     monkeypatch.setitem(QUICK, "navigation.navigator.lost_s", 1.0)
     drive, robot, _ = rehearsed_drive()
@@ -58,7 +58,7 @@ def words(home: Path, tmp_path: Path) -> tuple[Any, ...]:
 
 
 def test_the_robot_drives_along_a_way_of_before(
-    wheelsight: Command, drawn: tuple[Drive, DrawnRobot], words: tuple[Any, ...], way: Path, tmp_path: Path
+    wheelsight: Command, drawn: tuple[GoalDrive, DrawnRobot], words: tuple[Any, ...], way: Path, tmp_path: Path
 ) -> None:
     result = wheelsight(*words, "--follow", way, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
@@ -73,7 +73,7 @@ def test_the_robot_drives_along_a_way_of_before(
 # A turn takes 2 s; to come back from 0.6 m ahead it turns about twice, which takes 10.
 @pytest.mark.parametrize("goal", ["-1.3,-0.4,34", pytest.param(NEAR, marks=pytest.mark.slow)])
 def test_back_returns_to_where_the_drive_began(
-    wheelsight: Command, drawn: tuple[Drive, DrawnRobot], words: tuple[Any, ...], tmp_path: Path, goal: str
+    wheelsight: Command, drawn: tuple[GoalDrive, DrawnRobot], words: tuple[Any, ...], tmp_path: Path, goal: str
 ) -> None:
     drive, robot = drawn
     begin = robot.pose.copy()
@@ -92,7 +92,7 @@ def test_back_returns_to_where_the_drive_began(
 
 
 def test_back_is_left_out_aloud_where_a_goal_was_not_reached(
-    wheelsight: Command, drawn: tuple[Drive, DrawnRobot], words: tuple[Any, ...], monkeypatch: pytest.MonkeyPatch
+    wheelsight: Command, drawn: tuple[GoalDrive, DrawnRobot], words: tuple[Any, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers = ToldPlace.hear
     # The localization falls silent on the way.
@@ -105,7 +105,7 @@ def test_back_is_left_out_aloud_where_a_goal_was_not_reached(
 
 
 def test_back_is_left_out_aloud_where_the_start_is_not_known(
-    wheelsight: Command, drawn: tuple[Drive, DrawnRobot], words: tuple[Any, ...], monkeypatch: pytest.MonkeyPatch
+    wheelsight: Command, drawn: tuple[GoalDrive, DrawnRobot], words: tuple[Any, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ToldPlace, "hear", lambda self, events: [(event, None) for event in events])
     result = wheelsight(*words, "--to", NEAR, "--back")

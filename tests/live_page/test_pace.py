@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from wheelsight.app.page.session import Pace
+from wheelsight.app.page.session import RealTimePace
 
 
 class Clocks:
@@ -17,7 +17,7 @@ class Clocks:
         self.wall_s += seconds
         self.slept_s += seconds
 
-    def steps(self, pace: Pace, count: int, takes_s: float) -> None:
+    def steps(self, pace: RealTimePace, count: int, takes_s: float) -> None:
         for _ in range(count):
             self.robot_s += 0.05
             self.wall_s += takes_s
@@ -29,8 +29,8 @@ def clocks() -> Clocks:
     return Clocks()
 
 
-def paced(clocks: Clocks) -> Pace:
-    return Pace(lambda: clocks.robot_s, lambda: clocks.wall_s, clocks.sleep)
+def paced(clocks: Clocks) -> RealTimePace:
+    return RealTimePace(lambda: clocks.robot_s, lambda: clocks.wall_s, clocks.sleep)
 
 
 def test_a_quick_robot_waits(clocks: Clocks) -> None:

@@ -10,14 +10,14 @@ import pytest
 from rehearsed_drive import recorded, rehearsed_drive
 
 from wheelsight.app.run.drive_record import write_drive
-from wheelsight.app.run.drives import Drive, Goal, drive_in_map
+from wheelsight.app.run.drives import GoalDrive, NamedGoal, drive_in_map
 from wheelsight.app.run.kernel_process import DrawnRobot
 from wheelsight.config import load_config
 from wheelsight.core.errors import ArgumentError, ConfigError, DeviceError
 from wheelsight.core.trajectory import read_tum
 from wheelsight.navigation import Feedback, NavigationReason, NavigationState
 
-NEAR = Goal.of((-0.7, -0.4), "the middle")
+NEAR = NamedGoal.of((-0.7, -0.4), "the middle")
 
 
 def test_a_goal_is_reached_and_all_of_it_is_told(tmp_path: Path) -> None:
@@ -131,15 +131,15 @@ def test_where_the_robot_stopped_by_itself_is_kept_beside_what_the_monitor_held(
 
 
 def test_a_goal_without_a_name_is_called_by_its_coordinates() -> None:
-    assert Goal.of((1.0, -2.0)).name == "(1.00, -2.00) m"
-    assert Goal.of(np.array([1.0, -2.0, np.pi / 2])).name == "(1.00, -2.00) m, 90°"
+    assert NamedGoal.of((1.0, -2.0)).name == "(1.00, -2.00) m"
+    assert NamedGoal.of(np.array([1.0, -2.0, np.pi / 2])).name == "(1.00, -2.00) m, 90°"
 
 
 @pytest.mark.parametrize("pose", [(1.0,), (np.inf, 0.0, 0.0)])
 def test_what_is_no_goal_is_refused_and_the_robot_stands(pose: tuple[float, ...]) -> None:
     drive, robot, _ = rehearsed_drive()
     with pytest.raises(ArgumentError, match="a goal of"):
-        drive.go_to(Goal(np.array(pose), "nowhere"), lambda feedback: None)
+        drive.go_to(NamedGoal(np.array(pose), "nowhere"), lambda feedback: None)
     assert robot.now_s == 0.0
 
 
@@ -149,4 +149,4 @@ def test_without_a_map_there_is_no_drive() -> None:
         pytest.raises(ConfigError, match="there is no map to drive in"),
         drive_in_map(robot, load_config(), in_step=True) as drive,
     ):
-        assert isinstance(drive, Drive)
+        assert isinstance(drive, GoalDrive)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rehearsed_drive import recorded, rehearsed_drive
 
-from wheelsight.app.run.drives import Goal
+from wheelsight.app.run.drives import NamedGoal
 from wheelsight.navigation.people import Person
 
 
@@ -15,7 +15,7 @@ def test_a_person_beside_the_robot_is_kept_with_his_distance(monkeypatch: pytest
     away = Person(np.array([-1.0, 1.5]), np.array([0.3, 0.0]), np.eye(4), 0.3)
     upon = Person(np.array([-1.0, -0.4]), np.array([0.3, 0.0]), np.eye(4), 0.3)
     monkeypatch.setattr(drive.navigator.senses, "people", lambda now_s: (away, upon) if 1.0 < now_s < 2.0 else ())
-    drive.go_to(Goal.of(np.array([-0.7, -0.4, np.nan]), "the middle"), lambda feedback: None)
+    drive.go_to(NamedGoal.of(np.array([-0.7, -0.4, np.nan]), "the middle"), lambda feedback: None)
     people = recorded(drive, config).people
     assert people[:, 0].min() > 1.0
     assert people[:, 0].max() < 2.0
@@ -27,5 +27,5 @@ def test_a_person_beside_the_robot_is_kept_with_his_distance(monkeypatch: pytest
 
 def test_of_a_drive_that_met_nobody_there_are_none() -> None:
     drive, _, config = rehearsed_drive()
-    drive.go_to(Goal.of(np.array([-0.7, -0.4, np.nan]), "the middle"), lambda feedback: None)
+    drive.go_to(NamedGoal.of(np.array([-0.7, -0.4, np.nan]), "the middle"), lambda feedback: None)
     assert recorded(drive, config).people.shape == (0, 4)

@@ -22,7 +22,7 @@ from stand_ins import MemoryRecording, TrueOdometry
 from synthetic import make_tum_recording
 
 from wheelsight.app.report import summarise
-from wheelsight.app.run.track import DEPTH_MISPLACED, DEPTH_MISSING, DEPTH_SCARCE, Track
+from wheelsight.app.run.track import DEPTH_MISPLACED, DEPTH_MISSING, DEPTH_SCARCE, RunTrack
 from wheelsight.app.runs import run
 from wheelsight.config import Config, load_config
 from wheelsight.core.errors import OutputError, RecordingError
@@ -319,7 +319,7 @@ def test_ctrl_c_before_the_first_answer_leaves_nothing(tmp_path: Path, monkeypat
         raise KeyboardInterrupt
 
     make_tum_recording(tmp_path / "room", frames=3)
-    monkeypatch.setattr(Track, "step", interrupt)
+    monkeypatch.setattr(RunTrack, "step", interrupt)
     with pytest.raises(KeyboardInterrupt):
         run(open_recording(tmp_path / "room"), BY_FEATURES, tmp_path / "out")
     assert list((tmp_path / "out").iterdir()) == []

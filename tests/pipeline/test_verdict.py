@@ -20,8 +20,8 @@ from wheelsight.app.run import (
     FrameRecord,
     RealTimeRecord,
     RunRecord,
+    RunVerdict,
     Tone,
-    Verdict,
     evidence_of,
     judge,
     verdict_of,
@@ -47,7 +47,7 @@ def frames_of(count: int, **others: Any) -> RunRecord:
     return replace(replace(empty_run(), frames=frames, association=whole), **others)
 
 
-def about(verdict: Verdict, name: str) -> Finding:
+def about(verdict: RunVerdict, name: str) -> Finding:
     return next(found for found in verdict.findings if found.about == name)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from area_drive import AREAS, area_drive
 from run_example import wheel_run
 
-from wheelsight.app.run import FrameRecord, Look, MapErrors, RectificationRecord, RunRecord
+from wheelsight.app.run import AreaObservation, FrameRecord, MapErrors, RectificationRecord, RunRecord
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import se3
 from wheelsight.core.trajectory import Trajectory
@@ -52,10 +52,10 @@ def area_runs(way: str = "probabilistic", with_truth: bool = True) -> tuple[RunR
     return records[0], records[1]
 
 
-def _look(index: int, stamp_s: float, area: int, way: str) -> Look:
+def _look(index: int, stamp_s: float, area: int, way: str) -> AreaObservation:
     p = np.full(len(AREAS), 0.05)
     p[(area + 1) % len(AREAS) if index == 20 else area] = 0.9
     belief, trust = (p, 0.3 if index < 40 else 0.9) if way == "probabilistic" else (None, float("nan"))
     if 10 <= index <= 12:
-        return Look(stamp_s, belief=belief, trust=trust, note="no measurement: the frame has no depth")
-    return Look(stamp_s, p, area, belief, trust)
+        return AreaObservation(stamp_s, belief=belief, trust=trust, note="no measurement: the frame has no depth")
+    return AreaObservation(stamp_s, p, area, belief, trust)

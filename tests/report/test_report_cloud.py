@@ -19,7 +19,7 @@ from html_page import Page
 from run_example import example_cloud, example_map, example_run
 
 from wheelsight.app.report import write_report
-from wheelsight.app.report.pictures import View, draw_cloud
+from wheelsight.app.report.pictures import OrbitView, draw_cloud
 from wheelsight.app.run import RunRecord
 from wheelsight.core.geometry import FloatArray
 from wheelsight.mapping.export import MapCloud
@@ -87,7 +87,7 @@ def test_the_viewer_is_small_and_a_full_page_is_under_3_mb(tmp_path: Path) -> No
 
 
 def test_a_view_is_a_camera_that_looks_at_the_middle() -> None:
-    view = View.of(example_cloud().position.astype(float), np.zeros((0, 3)))
+    view = OrbitView.of(example_cloud().position.astype(float), np.zeros((0, 3)))
     np.testing.assert_allclose(view.axes @ view.axes.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(view.axes) == pytest.approx(1)
     ((u, v, depth),) = view.project(view.centre[None])
@@ -101,10 +101,10 @@ def test_a_view_is_a_camera_that_looks_at_the_middle() -> None:
 
 
 def test_surfaces_are_seen_from_their_front_alone() -> None:
-    cloud, view = example_cloud(), View.of(example_cloud().position.astype(float), np.zeros((0, 3)))
+    cloud, view = example_cloud(), OrbitView.of(example_cloud().position.astype(float), np.zeros((0, 3)))
     position = cloud.position.astype(float)
 
-    def green(seen_from: View) -> int:
+    def green(seen_from: OrbitView) -> int:
         image = draw_cloud(seen_from, position, cloud, np.eye(3), NO_LINES, NO_LINES).astype(int)
         return int((image[..., 1] - image[..., 0] > 50).sum())
 

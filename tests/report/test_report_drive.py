@@ -19,14 +19,14 @@ from wheelsight.app.report.drive_page import (
     walked,
 )
 from wheelsight.app.run.drive_record import DriveRecord, StopRecord, drive_dict
-from wheelsight.app.run.drives import Goal
+from wheelsight.app.run.drives import NamedGoal
 from wheelsight.mapping import CellKind
 
 
 @pytest.fixture(scope="module")
 def record() -> DriveRecord:
     drive, _, config = rehearsed_drive()
-    drive.go_to(Goal.of(np.array([-0.7, -0.4, np.nan]), "<the middle>"), lambda feedback: None)
+    drive.go_to(NamedGoal.of(np.array([-0.7, -0.4, np.nan]), "<the middle>"), lambda feedback: None)
     found = recorded(drive, config)
     return replace(found, stops=(StopRecord(1.0, 2.5, "something in the way", np.array([-1.0, -0.4, 0.0])),))
 

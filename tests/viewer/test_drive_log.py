@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rehearsed_drive import CALIBRATION, rehearsed_drive
 
-from wheelsight.app.run.drives import Drive, Goal
+from wheelsight.app.run.drives import GoalDrive, NamedGoal
 from wheelsight.app.viewer import open_drive_log
 from wheelsight.core.geometry import se2
 from wheelsight.core.settings import ViewerSettings
@@ -17,11 +17,11 @@ from wheelsight.navigation import Feedback, NavigationState
 pytest.importorskip("rerun", reason="rerun-sdk is not installed")
 from viewer.shown import Shown
 
-GOAL = Goal.of((-0.7, -0.4), "the middle")
+GOAL = NamedGoal.of((-0.7, -0.4), "the middle")
 
 
 @pytest.fixture(scope="module")
-def driven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Shown, list[Feedback], Drive]:
+def driven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Shown, list[Feedback], GoalDrive]:
     path = tmp_path_factory.mktemp("shown") / "drive.rrd"
     with open_drive_log(str(path), CALIBRATION, ViewerSettings(image_rate_hz=2.0, costmap_rate_hz=1.0)) as log:
         drive, _, _ = rehearsed_drive(on_events=log.hear, on_transition=log.note)
@@ -35,7 +35,7 @@ def driven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Shown, list[Feedba
     return Shown(path), told, drive
 
 
-def test_the_robot_is_in_the_map_where_the_drive_has_it(driven: tuple[Shown, list[Feedback], Drive]) -> None:
+def test_the_robot_is_in_the_map_where_the_drive_has_it(driven: tuple[Shown, list[Feedback], GoalDrive]) -> None:
     shown, told, _ = driven
     start_s = shown.rows["/__properties/recording"]["start_s"][0][0]
     known = [feedback for feedback in told if feedback.pose is not None]
@@ -50,7 +50,7 @@ def test_the_robot_is_in_the_map_where_the_drive_has_it(driven: tuple[Shown, lis
     assert shown.timelines == {"time"}
 
 
-def test_plan_goal_and_statuses_are_told_where_they_change(driven: tuple[Shown, list[Feedback], Drive]) -> None:
+def test_plan_goal_and_statuses_are_told_where_they_change(driven: tuple[Shown, list[Feedback], GoalDrive]) -> None:
     shown, told, drive = driven
     plans = {id(one.plan): one.plan for one in told if one.plan is not None}
     strips = [strip for strip in shown.rows["/map/plan"]["LineStrips3D:strips"] if strip]
@@ -75,7 +75,7 @@ def test_plan_goal_and_statuses_are_told_where_they_change(driven: tuple[Shown, 
     assert shown.rows["/map/plan"]["Clear:is_recursive"][-1] == [False]
 
 
-def test_floor_and_costmaps_lie_in_the_map_as_pictures(driven: tuple[Shown, list[Feedback], Drive]) -> None:
+def test_floor_and_costmaps_lie_in_the_map_as_pictures(driven: tuple[Shown, list[Feedback], GoalDrive]) -> None:
     shown, told, drive = driven
     layer = drive.navigator.senses.floor.layer
     assert len(shown.times_s("/map/floor")) == 1
@@ -92,7 +92,7 @@ def test_floor_and_costmaps_lie_in_the_map_as_pictures(driven: tuple[Shown, list
 
 
 def test_the_camera_comes_as_often_as_asked_and_speeds_in_each_period(
-    driven: tuple[Shown, list[Feedback], Drive],
+    driven: tuple[Shown, list[Feedback], GoalDrive],
 ) -> None:
     shown, told, _ = driven
     images = shown.rows["/map/odom/robot/camera/color"]["EncodedImage:blob"]

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import cv2
 
-from wheelsight.app.batch.jobs import Job, Outcome, Plan, code_digest, main_track, problem_of
-from wheelsight.app.batch.table import Row, csv_text, markdown_text, rows_of
+from wheelsight.app.batch.jobs import BatchPlan, Job, Outcome, code_digest, main_track, problem_of
+from wheelsight.app.batch.table import BatchRow, csv_text, markdown_text, rows_of
 from wheelsight.app.run import run_each
 from wheelsight.config import Config
 from wheelsight.core.errors import ConfigError, OutputError
@@ -46,11 +46,11 @@ class Done(NamedTuple):
 
 
 def run_batch(
-    plan: Plan,
+    plan: BatchPlan,
     out: StrPath,
     runner: Callable[[Sequence[Job]], Generator[Outcome]],
     on_done: Callable[[Done], None] = lambda done: None,
-) -> tuple[Row, ...]:
+) -> tuple[BatchRow, ...]:
     """Run all jobs that are not finished, store each outcome at once, and write table.csv and table.md at the end.
 
     After an interruption, finished jobs stay in `out`, and the next call runs the others.

@@ -80,7 +80,7 @@ class Case:
     chosen: str = ""
 
 
-class Plan(NamedTuple):
+class BatchPlan(NamedTuple):
     """All rows, and all jobs by their identifier, longest first, so that no long job runs alone at the end."""
 
     cases: tuple[Case, ...]
@@ -89,7 +89,7 @@ class Plan(NamedTuple):
 
 def plan_of(
     recordings: Sequence[StrPath], configs: Sequence[StrPath], seeds: int, settings: BatchSettings | None = None
-) -> Plan:
+) -> BatchPlan:
     """Open each recording, resolve each configuration for it, and list the jobs.
 
     A recording that cannot be opened or run becomes a case with a problem.
@@ -120,7 +120,7 @@ def plan_of(
             case, made = _case(path, file, Case(name, config_name), digest, seeds)
             cases.append(case)
             jobs.update({job.id: job for job in made})
-    return Plan(tuple(cases), dict(sorted(jobs.items(), key=lambda item: -item[1].weight)))
+    return BatchPlan(tuple(cases), dict(sorted(jobs.items(), key=lambda item: -item[1].weight)))
 
 
 def short_names(paths: Sequence[Path]) -> list[str]:
@@ -148,27 +148,29 @@ def seeded(config: Config, seeds: int) -> Iterator[Config]:
         yield config.model_copy(update={"features": features, "recognition": recognition})
 
 
-class _Problem(NamedTuple):
+class _JobProblem(NamedTuple):
     """The reason for a missing answer."""
 
     text: str
 
 
-def _case(path: Path, file: Path | None, case: Case, digest: Digest | _Problem, seeds: int) -> tuple[Case, list[Job]]:
-    found = digest if isinstance(digest, _Problem) else _answer_of(lambda: _jobs(path, file, digest, seeds))
-    if isinstance(found, _Problem):
+def _case(
+    path: Path, file: Path | None, case: Case, digest: Digest | _JobProblem, seeds: int
+) -> tuple[Case, list[Job]]:
+    found = digest if isinstance(digest, _JobProblem) else _answer_of(lambda: _jobs(path, file, digest, seeds))
+    if isinstance(found, _JobProblem):
         return replace(case, problem=found.text), []
     config, jobs = found
     chosen = "" if load_config(file).odometry else ",".join(config.odometry)
     return replace(case, odometry=main_track(config), chosen=chosen, jobs=tuple(job.id for job in jobs)), jobs
 
 
-def _answer_of(work: Callable[[], _Answer]) -> _Answer | _Problem:
+def _answer_of(work: Callable[[], _Answer]) -> _Answer | _JobProblem:
     """The answer, or the problem of an error."""
     try:
         return work()
     except Exception as error:  # one recording must not end the others
-        return _Problem(problem_of(error))
+        return _JobProblem(problem_of(error))
 
 
 def _jobs(path: Path, file: Path | None, digest: Digest, seeds: int) -> tuple[Config, list[Job]]:

@@ -64,7 +64,7 @@ class Spread(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class BatchRow:
     """Figures of a recording with one configuration.
 
     Attributes:
@@ -84,12 +84,12 @@ class Row:
     figures: Mapping[str, Spread]
 
 
-def rows_of(cases: Sequence[Case], outcomes: Mapping[str, Outcome]) -> tuple[Row, ...]:
+def rows_of(cases: Sequence[Case], outcomes: Mapping[str, Outcome]) -> tuple[BatchRow, ...]:
     """A row for each case, from outcomes by job identifier."""
     return tuple(_row(case, [outcomes[job] for job in case.jobs]) for case in cases)
 
 
-def _row(case: Case, outcomes: Sequence[Outcome]) -> Row:
+def _row(case: Case, outcomes: Sequence[Outcome]) -> BatchRow:
     well = [outcome for outcome in outcomes if outcome.problem is None]
     broken = [outcome.problem for outcome in outcomes if outcome.problem is not None]
     status = DONE if not broken else f"{len(broken)} of {len(outcomes)} broken"
@@ -98,7 +98,7 @@ def _row(case: Case, outcomes: Sequence[Outcome]) -> Row:
     problem = case.problem or next(iter(broken), "")
     spreads = {figure.name: _spread(figure, well) for figure in FIGURES}
     figures = {name: spread for name, spread in spreads.items() if spread is not None}
-    return Row(case.recording, case.config, case.odometry, len(well), status, problem, figures)
+    return BatchRow(case.recording, case.config, case.odometry, len(well), status, problem, figures)
 
 
 def _spread(figure: Figure, outcomes: Sequence[Outcome]) -> Spread | None:
@@ -115,7 +115,7 @@ def shown(figure: Figure, value: float) -> str:
     return f"{scaled:.{max(figure.digits, min(places, 4)) if figure.is_cost else figure.digits}f}"
 
 
-def csv_text(rows: Sequence[Row]) -> str:
+def csv_text(rows: Sequence[BatchRow]) -> str:
     """All figures in full precision, for `read_rows`."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -127,7 +127,7 @@ def csv_text(rows: Sequence[Row]) -> str:
     return text.getvalue()
 
 
-def markdown_text(rows: Sequence[Row]) -> str:
+def markdown_text(rows: Sequence[BatchRow]) -> str:
     """Medians, with the worst seed in brackets; errors below."""
     head = ["recording", "config", "odometry", "seeds", *(figure.title for figure in FIGURES), "status"]
     lines = [head, ["---"] * 4 + ["---:"] * len(FIGURES) + ["---"]]
@@ -139,7 +139,7 @@ def markdown_text(rows: Sequence[Row]) -> str:
     return text + ("\n" + "".join(reasons) if reasons else "")
 
 
-def _in_brackets(figure: Figure, row: Row) -> str:
+def _in_brackets(figure: Figure, row: BatchRow) -> str:
     spread = row.figures.get(figure.name)
     if spread is None:
         return "–"
@@ -147,7 +147,7 @@ def _in_brackets(figure: Figure, row: Row) -> str:
     return f"{shown(figure, spread.median)}{worst}"
 
 
-def read_rows(path: StrPath) -> tuple[Row, ...]:
+def read_rows(path: StrPath) -> tuple[BatchRow, ...]:
     """Rows of an earlier table.csv. Raises ConfigError, with the line, for an invalid file."""
     path = Path(path)
     reader = csv.DictReader(io.StringIO(read_text(path, _FILE, ConfigError), newline=""))
@@ -159,13 +159,13 @@ def read_rows(path: StrPath) -> tuple[Row, ...]:
         raise ConfigError("is no table of a batch", path=path, fix=_FILE.fix) from error
 
 
-def _read(path: Path, reader: csv.DictReader[str]) -> Iterator[Row]:
+def _read(path: Path, reader: csv.DictReader[str]) -> Iterator[BatchRow]:
     for cells in reader:
         try:
             figures = {figure.name: _spread_in(cells, figure.name) for figure in FIGURES}
             known = {name: spread for name, spread in figures.items() if spread is not None}
             own = (cells["recording"], cells["config"], cells["odometry"], int(cells["seeds"]), cells["status"])
-            yield Row(*own, cells["problem"], known)
+            yield BatchRow(*own, cells["problem"], known)
         except (TypeError, ValueError) as error:
             raise ConfigError("holds no numbers where they should be", path=path, line=reader.line_num) from error
 
@@ -197,8 +197,8 @@ class Comparison:
 
 
 def compare(
-    rows: Sequence[Row],
-    baseline: Sequence[Row],
+    rows: Sequence[BatchRow],
+    baseline: Sequence[BatchRow],
     tolerance: float,
     cost_tolerance: float | None = None,
     settings: BatchSettings | None = None,
@@ -226,7 +226,7 @@ def compare(
 
 
 def _worse(
-    row: Row, before: Row, tolerance: float, cost_tolerance: float | None, settings: BatchSettings
+    row: BatchRow, before: BatchRow, tolerance: float, cost_tolerance: float | None, settings: BatchSettings
 ) -> Iterator[str]:
     if not row.seeds:
         if before.seeds:

@@ -25,7 +25,7 @@ from wheelsight.app.cli import (
 )
 from wheelsight.app.cli.calibrate_camera import board_board
 from wheelsight.app.cli.compiling import warm_up_warm_up
-from wheelsight.app.cli.console import INPUT_IS_WRONG, Command, Group, prepare_streams, print_error
+from wheelsight.app.cli.console import INPUT_IS_WRONG, CliCommand, Group, prepare_streams, print_error
 from wheelsight.app.cli.run_options import config_config
 from wheelsight.app.cli.wheels import devices_devices
 from wheelsight.core.errors import WheelsightError
@@ -123,7 +123,7 @@ for _panel, _commands in _COMMANDS:
         if isinstance(_command, typer.Typer):
             app.add_typer(_command, name=_name, short_help=_told, rich_help_panel=_panel)
         else:
-            app.command(_name, cls=Command, short_help=_told, rich_help_panel=_panel)(_command)
+            app.command(_name, cls=CliCommand, short_help=_told, rich_help_panel=_panel)(_command)
 
 
 def _print_version(wanted: bool) -> None:

@@ -16,7 +16,7 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.runtime import exit_code
 
 if TYPE_CHECKING:
-    from wheelsight.app.batch import BatchSettings, Row
+    from wheelsight.app.batch import BatchRow, BatchSettings
 
 
 _WORSE = 1
@@ -84,8 +84,8 @@ def batch(
 
 
 def _is_worse(
-    rows: Sequence[Row],
-    before: Sequence[Row],
+    rows: Sequence[BatchRow],
+    before: Sequence[BatchRow],
     tolerance: float,
     cost_tolerance: float | None,
     settings: BatchSettings,

@@ -16,12 +16,12 @@ from rich.table import Table
 from rich.text import Text
 
 from wheelsight.app.batch import (
+    BatchPlan,
+    BatchRow,
     BatchSettings,
     Done,
     Job,
     Outcome,
-    Plan,
-    Row,
     run_batch,
     run_job,
     run_on_fleet,
@@ -37,8 +37,13 @@ from wheelsight.config import Config
 
 
 def run_plan(
-    plan: Plan, out: Path, processes: int, scheduler: str | None, settings: BatchSettings, notes: Sequence[str] = ()
-) -> Sequence[Row]:
+    plan: BatchPlan,
+    out: Path,
+    processes: int,
+    scheduler: str | None,
+    settings: BatchSettings,
+    notes: Sequence[str] = (),
+) -> Sequence[BatchRow]:
     """Rows of the table, with progress on stderr, after some notes; what is done already is not run again."""
     done = KeptOutcomes(out).found(plan.jobs)  # refuses a folder of something else before anything is compiled
     for note in notes:
@@ -67,7 +72,7 @@ def run_plan(
         return run_batch(plan, out, runner, show)
 
 
-def told_of(plan: Plan, seeds: int) -> list[str]:
+def told_of(plan: BatchPlan, seeds: int) -> list[str]:
     """What is run otherwise than a user may expect, and which odometry it is where no configuration names one."""
     notes = []
     if once := sum(0 < len(case.jobs) < seeds for case in plan.cases):
@@ -148,7 +153,7 @@ class BatchProgress:
         self._progress.console.print(Text.assemble(("warning: ", "yellow"), note))
 
 
-def batch_table(rows: Sequence[Row]) -> Table:
+def batch_table(rows: Sequence[BatchRow]) -> Table:
     """Two lines a row: the recording and medians, below them the configuration and the worst of several seeds."""
     many = any(row.seeds > 1 for row in rows)
     table = Table(
@@ -169,7 +174,7 @@ def batch_table(rows: Sequence[Row]) -> Table:
     return table
 
 
-def _two_lines(figure: Figure, row: Row) -> str:
+def _two_lines(figure: Figure, row: BatchRow) -> str:
     spread = row.figures.get(figure.name)
     if spread is None:
         return "–"

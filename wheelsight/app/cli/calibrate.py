@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from wheelsight.app.cli.calibrate_camera import camera
-from wheelsight.app.cli.console import Command, Group
+from wheelsight.app.cli.console import CliCommand, Group
 from wheelsight.app.cli.options import (
     CalibrationFile,
     Force,
@@ -133,9 +133,9 @@ calibrate_app = typer.Typer(
     rich_markup_mode="rich",
     help="Calibrate a robot: its cameras, its wheels, and where the camera sits.",
 )
-calibrate_app.command("camera", cls=Command)(camera)
-calibrate_app.command("base", cls=Command)(base)
-calibrate_app.command("robot", cls=Command)(robot)
+calibrate_app.command("camera", cls=CliCommand)(camera)
+calibrate_app.command("base", cls=CliCommand)(base)
+calibrate_app.command("robot", cls=CliCommand)(robot)
 
 Reference = Annotated[
     Path | None,
@@ -161,7 +161,7 @@ Side = Annotated[
 ]
 
 
-@calibrate_app.command("wheels", cls=Command)
+@calibrate_app.command("wheels", cls=CliCommand)
 def wheels(
     recording: RecordingPath,
     out: Out,
@@ -211,7 +211,7 @@ def wheels(
     print_trial(trial, written, page)
 
 
-@calibrate_app.command("umbmark", cls=Command)
+@calibrate_app.command("umbmark", cls=CliCommand)
 def umbmark(
     runs: Runs,
     out: Out,

@@ -207,7 +207,7 @@ def history_rows(history: Sequence[Measured]) -> list[tuple[str, ...]]:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class CalibrationStep:
     """One part of a robot's calibration: whether it was measured, what is known of it, how to measure it.
 
     Attributes:
@@ -229,7 +229,7 @@ class Step:
         return "measured" if self.is_done else "not measured" if self.is_known else "missing"
 
 
-def steps_of(file: Path) -> tuple[list[Step], tuple[Measured, ...]]:
+def steps_of(file: Path) -> tuple[list[CalibrationStep], tuple[Measured, ...]]:
     """The steps in their order, and what was measured so far. Raises CalibrationError for a file that is none."""
     known: dict[str, Any] = read_layer(file) if is_there(file) else {}
     history = history_of(known)
@@ -238,7 +238,7 @@ def steps_of(file: Path) -> tuple[list[Step], tuple[Measured, ...]]:
     return [step(file, known, by, force) for step in (_camera_step, _mount_step, _wheels_step)], history
 
 
-def _camera_step(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
+def _camera_step(file: Path, known: dict[str, Any], by: set[str], force: str) -> CalibrationStep:
     is_done = "calibrate camera" in by and "color" in known
     is_known = "color" in known
     values = "lenses, T_color_depth and depth_error, by a board" if is_done else "lenses as the maker has them"
@@ -250,10 +250,12 @@ def _camera_step(file: Path, known: dict[str, Any], by: set[str], force: str) ->
         "wheelsight board --out board.pdf",
         f"wheelsight calibrate camera --camera any --board 9x6:25mm --plate --out {file}{force}",
     )
-    return Step("camera", is_done, is_known, values if is_known else "a live camera's maker says them", how, commands)
+    return CalibrationStep(
+        "camera", is_done, is_known, values if is_known else "a live camera's maker says them", how, commands
+    )
 
 
-def _mount_step(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
+def _mount_step(file: Path, known: dict[str, Any], by: set[str], force: str) -> CalibrationStep:
     is_done = "calibrate base" in by and "T_base_camera" in known
     is_known = "T_base_camera" in known
     values = "T_base_camera, found on a drive" if is_done else "T_base_camera, by a ruler" if is_known else "none"
@@ -265,10 +267,10 @@ def _mount_step(file: Path, known: dict[str, Any], by: set[str], force: str) -> 
     if not _has_wheels(known):
         given += " --calibration nominal.yaml"
     command = f"wheelsight calibrate base DRIVE{given} --out {file}{force}"
-    return Step("mount", is_done, is_known, values, how, (command,))
+    return CalibrationStep("mount", is_done, is_known, values, how, (command,))
 
 
-def _wheels_step(file: Path, known: dict[str, Any], by: set[str], force: str) -> Step:
+def _wheels_step(file: Path, known: dict[str, Any], by: set[str], force: str) -> CalibrationStep:
     is_done = bool({"calibrate wheels", "calibrate umbmark"} & by) and "wheels" in known
     is_known = _has_wheels(known)
     values = "radii, track width, delay" if is_done else "by a data sheet or a ruler" if is_known else "none"
@@ -278,7 +280,7 @@ def _wheels_step(file: Path, known: dict[str, Any], by: set[str], force: str) ->
         f"wheelsight run DRIVE --odometry dense --calibration {file} --out visual",
         f"wheelsight calibrate wheels DRIVE --reference visual/trajectory.txt --calibration {file} --out {file}{force}",
     )
-    return Step("wheels", is_done, is_known, values, how, commands)
+    return CalibrationStep("wheels", is_done, is_known, values, how, commands)
 
 
 def _has_wheels(known: dict[str, Any]) -> bool:

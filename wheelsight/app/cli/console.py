@@ -304,7 +304,7 @@ class _Readable:
         return [*others, *log_options(last.rich_help_panel), last]
 
 
-class Command(_Readable, typer.core.TyperCommand):
+class CliCommand(_Readable, typer.core.TyperCommand):
     """A command."""
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from wheelsight.app.cli.drive_options import RobotOptions, SettingsOptions
     from wheelsight.app.cli.drive_view import DriveWatch
     from wheelsight.app.run.drive_record import DriveRecord
-    from wheelsight.app.run.drives import Drive, Goal, OnStep
+    from wheelsight.app.run.drives import GoalDrive, NamedGoal, OnStep
     from wheelsight.config import Config
     from wheelsight.core.geometry import FloatArray
     from wheelsight.core.robots import Robot
@@ -129,7 +129,7 @@ def _driven(robot: Robot, config: Config, tasks: Sequence[Task], options: DriveO
 
 
 @contextmanager
-def _begun(robot: Robot, config: Config, watch: DriveWatch, options: DriveOptions) -> Iterator[Drive]:
+def _begun(robot: Robot, config: Config, watch: DriveWatch, options: DriveOptions) -> Iterator[GoalDrive]:
     """Whether the floor around the start is free: the user confirms it for a real robot; a simulated one has it."""
     from wheelsight.app.run.drives import drive_in_map
     from wheelsight.app.run.exploring import exploring
@@ -151,7 +151,7 @@ def _begun(robot: Robot, config: Config, watch: DriveWatch, options: DriveOption
             yield drive
 
 
-def _through(drive: Drive, tasks: Sequence[Task], options: DriveOptions, on_step: OnStep) -> bool:
+def _through(drive: GoalDrive, tasks: Sequence[Task], options: DriveOptions, on_step: OnStep) -> bool:
     """Run all tasks up to the first that fails, then drive back. Returns whether the user stopped it."""
     with until_stopped() as is_over:
 
@@ -178,11 +178,11 @@ def _through(drive: Drive, tasks: Sequence[Task], options: DriveOptions, on_step
 if TYPE_CHECKING:
     from wheelsight.app.cli.drive_options import DriveOptions
     from wheelsight.app.run.drive_record import DriveRecord
-    from wheelsight.app.run.drives import Drive, Goal, OnStep
+    from wheelsight.app.run.drives import GoalDrive, NamedGoal, OnStep
     from wheelsight.core.geometry import FloatArray
     from wheelsight.navigation import NavigationResult
 
-    Task = Callable[[Drive, OnStep], NavigationResult]
+    Task = Callable[[GoalDrive, OnStep], NavigationResult]
 
 
 def tasks_of(options: DriveOptions) -> list[Task]:
@@ -194,22 +194,22 @@ def tasks_of(options: DriveOptions) -> list[Task]:
     return [*tasks, *map(_GoTo, goals_of(options))]
 
 
-def do_all(drive: Drive, tasks: Sequence[Task], options: DriveOptions, on_step: OnStep) -> None:
+def do_all(drive: GoalDrive, tasks: Sequence[Task], options: DriveOptions, on_step: OnStep) -> None:
     """Run all tasks up to the first that fails; then drive back, if requested.
 
     Raises errors of `on_step`; and MapError, before anything moves, for a goal without free floor in the map.
     """
-    from wheelsight.app.run.drives import Goal
+    from wheelsight.app.run.drives import NamedGoal
 
     drive.refuse([task.goal for task in tasks if isinstance(task, _GoTo)])
     for task in tasks:
         if not task(drive, on_step):
             return
     if options.back and drive.start is not None:
-        drive.go_to(Goal(drive.start, "the start"), on_step)
+        drive.go_to(NamedGoal(drive.start, "the start"), on_step)
 
 
-def why_no_return(record: DriveRecord, drive: Drive) -> str:
+def why_no_return(record: DriveRecord, drive: GoalDrive) -> str:
     """Why --back was left out; empty where it was begun. It is the last task, so then all were."""
     if len(record.goals) == record.asked:
         return ""
@@ -218,11 +218,11 @@ def why_no_return(record: DriveRecord, drive: Drive) -> str:
     return "--back was left out: a goal before it was not reached"
 
 
-def _explore(drive: Drive, on_step: OnStep) -> NavigationResult:
+def _explore(drive: GoalDrive, on_step: OnStep) -> NavigationResult:
     return drive.explore(on_step)
 
 
-def _follow(way: FloatArray, name: str, drive: Drive, on_step: OnStep) -> NavigationResult:
+def _follow(way: FloatArray, name: str, drive: GoalDrive, on_step: OnStep) -> NavigationResult:
     return drive.follow(way, on_step, name)
 
 
@@ -230,9 +230,9 @@ def _follow(way: FloatArray, name: str, drive: Drive, on_step: OnStep) -> Naviga
 class _GoTo:
     """The task to drive to a goal."""
 
-    goal: Goal
+    goal: NamedGoal
 
-    def __call__(self, drive: Drive, on_step: OnStep) -> NavigationResult:
+    def __call__(self, drive: GoalDrive, on_step: OnStep) -> NavigationResult:
         return drive.go_to(self.goal, on_step)
 
 
@@ -397,16 +397,16 @@ def settings_of(options: SettingsOptions, given: Mapping[str, str | None]) -> Co
     return config if config.odometry else config.with_odometry(odometry_of_robot(config))
 
 
-def goals_of(options: DriveOptions) -> list[Goal]:
+def goals_of(options: DriveOptions) -> list[NamedGoal]:
     """All of --to. Raises ConfigError, MapError: before anything moves."""
-    from wheelsight.app.run.drives import Goal
+    from wheelsight.app.run.drives import NamedGoal
 
     if options.map_ is None:
         return []
     words = options.to or ()
     with _opened(options.map_) as folder:
         poses = poses_of(words, folder) if words else []
-    return [Goal.of(pose, "" if "," in word else word) for word, pose in zip(words, poses, strict=True)]
+    return [NamedGoal.of(pose, "" if "," in word else word) for word, pose in zip(words, poses, strict=True)]
 
 
 def way_of(options: DriveOptions) -> FloatArray | None:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from wheelsight.app.cli import map_tasks as work
-from wheelsight.app.cli.console import Command, Group
+from wheelsight.app.cli.console import CliCommand, Group
 from wheelsight.app.cli.map_contents import Exports
 from wheelsight.app.cli.map_zones import AskedZone
 
@@ -59,7 +59,7 @@ def _about() -> None:
     """The map that a run leaves for the next drive: info, name, zone, export, rebuild, merge, prune."""
 
 
-@maps_app.command(cls=Command)
+@maps_app.command(cls=CliCommand)
 def info(
     source: MapPath,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
@@ -75,7 +75,7 @@ def info(
     work.info(source, as_json)
 
 
-@maps_app.command(cls=Command)
+@maps_app.command(cls=CliCommand)
 def name(
     source: MapPath,
     called: Called = None,
@@ -100,10 +100,10 @@ def name(
 
 
 # Else -1,2 would be an option; what is none is refused by the work.
-maps_app.command(cls=Command, context_settings={"ignore_unknown_options": True})(zone)
+maps_app.command(cls=CliCommand, context_settings={"ignore_unknown_options": True})(zone)
 
 
-@maps_app.command(cls=Command)
+@maps_app.command(cls=CliCommand)
 def export(
     source: MapPath,
     out: Points = None,
@@ -131,7 +131,7 @@ def export(
     work.export(source, Exports(out, occupancy, picture, resolution, everything), force)
 
 
-@maps_app.command(cls=Command)
+@maps_app.command(cls=CliCommand)
 def rebuild(source: MapPath, out: NewMap) -> None:
     """Rebuild a map from its keyframes at their current poses. Surfels are fused again, outdated keyframes left out.
 
@@ -146,7 +146,7 @@ def rebuild(source: MapPath, out: NewMap) -> None:
     work.rebuild(source, out)
 
 
-@maps_app.command(cls=Command)
+@maps_app.command(cls=CliCommand)
 def merge(
     first: Annotated[
         Path, typer.Argument(metavar="A", help="A map, or the run that left it; its frame stays.", show_default=False)
@@ -168,7 +168,7 @@ def merge(
     work.merge(first, second, out)
 
 
-@maps_app.command(cls=Command)
+@maps_app.command(cls=CliCommand)
 def prune(source: MapPath, out: NewMap) -> None:
     """Leave out keyframes whose view another one shows, so that a map that is extended daily does not grow for ever.
 

@@ -8,14 +8,14 @@ from typing import Annotated
 
 import typer
 
-from wheelsight.app.cli.console import Command, Group
+from wheelsight.app.cli.console import CliCommand, Group
 from wheelsight.app.cli.options import RecordingPath, Topics
 from wheelsight.app.cli.places_tasks import label_images, predict_places, train_model, try_model_on
 
 # Options
 
 
-class Kind(StrEnum):
+class DescriberKind(StrEnum):
     """The descriptor of a frame."""
 
     HISTOGRAMS = "histograms"
@@ -50,7 +50,7 @@ Trajectory = Annotated[
     typer.Option(metavar="FILE", help="Where the robot went, TUM text.", show_default="the recording's ground truth"),
 ]
 Description = Annotated[
-    Kind, typer.Option(help="How a frame is described: the paper's histograms, or layout, with geometry.")
+    DescriberKind, typer.Option(help="How a frame is described: the paper's histograms, or layout, with geometry.")
 ]
 Trees = Annotated[int, typer.Option(metavar="T", min=1, max=1000, help="How many trees; the paper tries 1 to 6.")]
 Depth = Annotated[int, typer.Option(metavar="D", min=1, max=64, help="Splits from root to leaf, at most.")]
@@ -85,7 +85,7 @@ def _about() -> None:
     """Which area of a building a frame was taken in: label, train, test, predict."""
 
 
-@places_app.command(cls=Command)
+@places_app.command(cls=CliCommand)
 def label(
     recording: RecordingPath,
     out: Page,
@@ -110,13 +110,13 @@ def label(
     label_images(recording, out, labels, areas, trajectory, every, topic, force)
 
 
-@places_app.command(cls=Command)
+@places_app.command(cls=CliCommand)
 def train(
     recordings: Recordings,
     out: ModelToWrite,
     labels: LabelFiles = None,
     areas: Areas = None,
-    description: Description = Kind.LAYOUT,
+    description: Description = DescriberKind.LAYOUT,
     trees: Trees = 64,
     depth: Depth = 16,
     seed: Seed = 0,
@@ -138,7 +138,7 @@ def train(
     train_model(recordings, out, labels or [], areas, description, forest, topic, force)
 
 
-@places_app.command("test", cls=Command)
+@places_app.command("test", cls=CliCommand)
 def try_model(
     model: Model,
     recording: RecordingPath,
@@ -161,7 +161,7 @@ def try_model(
     try_model_on(model, recording, labels, areas, trajectory, out, topic, as_json, force)
 
 
-@places_app.command(cls=Command)
+@places_app.command(cls=CliCommand)
 def predict(
     model: Model,
     recording: RecordingPath,

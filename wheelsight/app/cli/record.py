@@ -123,7 +123,7 @@ def record(
 
     wheelsight record --camera any --wheels /dev/ttyUSB0 --calibration robot.yaml --bag corridor.mcap
     """
-    asked = Sensors(camera, wheels, tuple(calibration or ()), infrared, baud, config, tuple(topic or ()))
+    asked = SensorOptions(camera, wheels, tuple(calibration or ()), infrared, baud, config, tuple(topic or ()))
     with (
         until_stopped() as is_over,
         opened_recording(asked, place_of(out, bag), color, force=force, resume=resume) as session,
@@ -136,7 +136,7 @@ def record(
 
 
 @dataclass(frozen=True, slots=True)
-class Sensors:
+class SensorOptions:
     """What is to be recorded, as the options say."""
 
     camera: str | None
@@ -150,7 +150,7 @@ class Sensors:
 
 @contextmanager
 def opened_recording(
-    asked: Sensors, out: Path | BagPlace, color: str, *, force: bool, resume: bool
+    asked: SensorOptions, out: Path | BagPlace, color: str, *, force: bool, resume: bool
 ) -> Iterator[RecordingSession]:
     """Sensors and recording opened for the block; a refusal leaves no folder, and the end prints a summary.
 
@@ -206,7 +206,7 @@ def opened_recording(
         yield RecordingSession(recorder, folder, camera, link, note)
 
 
-def _known(asked: Sensors, out: Path, resume: bool) -> Calibration | None:
+def _known(asked: SensorOptions, out: Path, resume: bool) -> Calibration | None:
     """Of what is resumed, which stands whatever the camera says. Raises CalibrationError, ConfigError."""
     from wheelsight.io.recordings.native import resumed_calibration
 
@@ -217,7 +217,7 @@ def _known(asked: Sensors, out: Path, resume: bool) -> Calibration | None:
 
 
 def _camera(
-    asked: Sensors, settings: LiveCameraSettings, known: Calibration | None, opened: ExitStack
+    asked: SensorOptions, settings: LiveCameraSettings, known: Calibration | None, opened: ExitStack
 ) -> tuple[LiveCamera | None, Calibration | None]:
     """The camera, if any, and the calibration of what is recorded. Raises DeviceError, CalibrationError."""
     from wheelsight.app.cli.console import print_warning
@@ -233,7 +233,7 @@ def _camera(
     return camera, calibration
 
 
-def _settings(asked: Sensors) -> tuple[LiveCameraSettings, RecorderSettings]:
+def _settings(asked: SensorOptions) -> tuple[LiveCameraSettings, RecorderSettings]:
     """Of camera and recorder. Raises ConfigError."""
     from wheelsight.core.settings import LiveCameraSettings, RecorderSettings
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
         RealTimeRecording,
         RectificationRecord,
         RunRecord,
-        Verdict,
+        RunVerdict,
     )
     from wheelsight.app.viewer import RerunLog
     from wheelsight.config import Config
@@ -434,7 +434,7 @@ def print_summary(records: Sequence[RunRecord], out: Path) -> None:
         stdout.print(f"report: {out / 'report.html'}")
 
 
-def _print_verdict(verdict: Verdict) -> None:
+def _print_verdict(verdict: RunVerdict) -> None:
     """Print the verdict in a line, and below it the findings, the worst first, with remedies."""
     from rich.text import Text
 

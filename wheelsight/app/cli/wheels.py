@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wheelsight.app.cli.console import Command, Group, facts_table
+from wheelsight.app.cli.console import CliCommand, Group, facts_table
 from wheelsight.core.runtime import until_stopped
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def _about() -> None:
     """The wheel controller on a serial port."""
 
 
-@wheels_app.command(cls=Command)
+@wheels_app.command(cls=CliCommand)
 def monitor(
     port: Port,
     calibration: Annotated[
@@ -79,7 +79,7 @@ def monitor(
                 live.update(live_table(port, meter.look(link.report())), refresh=True)
 
 
-@wheels_app.command(cls=Command)
+@wheels_app.command(cls=CliCommand)
 def serve(
     port: Port,
     pipe: Annotated[Path, typer.Option(metavar="PATH", help="Named pipe to write to; made.", show_default=False)],
@@ -114,7 +114,7 @@ def serve(
     print_note(f"{telling.sent} lines sent, {telling.dropped} dropped for slow readers")
 
 
-@wheels_app.command(cls=Command)
+@wheels_app.command(cls=CliCommand)
 def simulate(
     port: Annotated[Path, typer.Argument(metavar="PORT", help="The port to make: a link to a pseudo-terminal.")] = Path(
         "ttyWHEELS"
@@ -205,7 +205,7 @@ _SHORTEST_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class LinkLook:
     """The link at one moment, and what changed since half a second before.
 
     Attributes:
@@ -229,7 +229,7 @@ class Meter:
         self._unit = "ticks/s" if wheels is None else "m/s"
         self._before: list[tuple[float, LinkReport]] = []
 
-    def look(self, report: LinkReport) -> Look:
+    def look(self, report: LinkReport) -> LinkLook:
         """The link now; `report` is a fresh one."""
         now_s = time.monotonic()
         self._before.append((now_s, report))
@@ -243,20 +243,20 @@ class Meter:
             passed_s = report.last.stamp_s - then.last.stamp_s
             left_ticks, right_ticks = report.last.left - then.last.left, report.last.right - then.last.right
             left, right = left_ticks * self._scales[0] / passed_s, right_ticks * self._scales[1] / passed_s
-        return Look(report, frames_per_s, left, right, self._unit)
+        return LinkLook(report, frames_per_s, left, right, self._unit)
 
 
-def live_table(port: str, look: Look) -> Table:
+def live_table(port: str, look: LinkLook) -> Table:
     """All facts below each other."""
     return facts_table(port, _facts(look))
 
 
-def live_line(look: Look) -> str:
+def live_line(look: LinkLook) -> str:
     """All facts in one line."""
     return "; ".join(f"{name}: {value}" for name, value in _facts(look))
 
 
-def _facts(look: Look) -> Iterator[tuple[str, str]]:
+def _facts(look: LinkLook) -> Iterator[tuple[str, str]]:
     report = look.report
     line, last = report.line, report.last
     yield "status", str(report.status)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from wheelsight.app.page.access import Access, is_loopback
     from wheelsight.app.page.maps import NEW, DriveMaps
     from wheelsight.app.page.session import Session
-    from wheelsight.app.page.snapshot import Driven, Maps, Places, Snapshot, Watch
+    from wheelsight.app.page.snapshot import Driven, Maps, NamedPlaces, Snapshot, Watch
     from wheelsight.app.page.stop_switch import StoppableRobot, StopSwitch
 
 __all__ = [
@@ -21,7 +21,7 @@ __all__ = [
     "DriveMaps",
     "Driven",
     "Maps",
-    "Places",
+    "NamedPlaces",
     "Session",
     "Snapshot",
     "StopSwitch",
@@ -43,7 +43,7 @@ _NAMES_OF = {
     "wheelsight.app.page.snapshot": (
         "Driven",
         "Maps",
-        "Places",
+        "NamedPlaces",
         "Snapshot",
         "Watch",
     ),

@@ -352,7 +352,7 @@ class Session:
 
     def _drive(self, driven: Driven, beat: Callable[[], None]) -> _Next | None:
         """Run period by period. Raises the error of several failed periods in a row."""
-        pace = Pace(lambda: self._robot.now_s) if self._paces else None
+        pace = RealTimePace(lambda: self._robot.now_s) if self._paces else None
         every = max(1, round(1 / (self._settings.updates_hz * driven.navigator.settings.follow.period_s)))
         feedback, failures = driven.navigator.feedback, 0
         for period in count():
@@ -512,7 +512,7 @@ _MOST_LATE_S = 0.5
 _SPAN_S = 3.0
 
 
-class Pace:
+class RealTimePace:
     """Holds a simulated robot to real time: call `wait` after each step.
 
     Args:

@@ -180,7 +180,7 @@ def _rounded(values: FloatArray | Sequence[FloatArray] | None) -> Any:
 # What a session drives with
 
 
-class Places(Protocol):
+class NamedPlaces(Protocol):
     """Named places of a map."""
 
     def where(self) -> Mapping[str, FloatArray]:
@@ -201,7 +201,7 @@ class Driven:
     """
 
     navigator: Navigator
-    places: Places
+    places: NamedPlaces
     is_new: bool
 
 

@@ -32,9 +32,9 @@ from wheelsight.app.run.verdict import (
     JOINED,
     BestAlone,
     JoinedFacts,
+    RunVerdict,
     Summary,
     Tone,
-    Verdict,
     best_alone_of,
     facts_of,
     joined_of,
@@ -51,7 +51,7 @@ from wheelsight.core.runtime import why_missing
 _MOST_OF_THE_TIME = 0.95
 _STEPS = ("second", "metre")
 _MOST_LINES = 3
-Judged = tuple[RunRecord, Summary, Verdict]
+Judged = tuple[RunRecord, Summary, RunVerdict]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ from wheelsight.app.report.pictures import packed
 from wheelsight.app.report.sections import files_section, loop_section, map_section, map_tile
 from wheelsight.app.run import words
 from wheelsight.app.run.run_record import RunRecord
-from wheelsight.app.run.verdict import Finding, Summary, Verdict, notes, summarise, verdict_of_run
+from wheelsight.app.run.verdict import Finding, RunVerdict, Summary, notes, summarise, verdict_of_run
 from wheelsight.core.files import StrPath, settings_text, write_text
 
 _BODIES = {
@@ -109,7 +109,7 @@ def _tiles(record: RunRecord, summary: Summary) -> list[tuple[str, str, str]]:
     ]
 
 
-def shown_findings(verdict: Verdict) -> list[Finding]:
+def shown_findings(verdict: RunVerdict) -> list[Finding]:
     """The findings at the top of a page: recognition in a known map, and all that are not green.
 
     If all are green, the share of frames with a pose.

@@ -106,7 +106,7 @@ _WHITE, _ORANGE, _GREEN = 255, (213, 94, 0), (0, 158, 115)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class OrbitView:
     """Where a reader looks from, in the plan: x to the right, y up the page, z towards the reader.
 
     Attributes:
@@ -122,7 +122,7 @@ class View:
     pitch_rad: float = float(_PITCH_RAD)
 
     @classmethod
-    def of(cls, position: FloatArray, path: FloatArray) -> View:
+    def of(cls, position: FloatArray, path: FloatArray) -> OrbitView:
         """That holds points (n, 3) but for strays, and a path (m, 3)."""
         low, high = np.quantile(position, [_STRAY_SHARE, 1 - _STRAY_SHARE], axis=0)
         if len(path):
@@ -156,7 +156,7 @@ class View:
 
 
 def draw_cloud(
-    view: View, position: FloatArray, cloud: MapCloud, R_plan_map: FloatArray, path: FloatArray, loops: FloatArray
+    view: OrbitView, position: FloatArray, cloud: MapCloud, R_plan_map: FloatArray, path: FloatArray, loops: FloatArray
 ) -> ByteArray:
     """The view (h, w, 3) uint8 of points (n, 3) in the plan, with lines (m, 2, 3) of path and loops."""
     image = np.full((*_SIZE_PX, 3), _WHITE, np.uint8)

@@ -27,7 +27,7 @@ from wheelsight.app.report.drawing import (
     with_gaps,
 )
 from wheelsight.app.report.figures import truth_path_m
-from wheelsight.app.report.pictures import View, data_uri, draw_cloud, packed, webp_uri
+from wheelsight.app.report.pictures import OrbitView, data_uri, draw_cloud, packed, webp_uri
 from wheelsight.app.run import words
 from wheelsight.app.run.run_record import MapPicture, MapRecord, MatchPicture, RunRecord
 from wheelsight.app.run.verdict import Summary, cold_frames
@@ -524,7 +524,7 @@ def figure(record: RunRecord, key: str) -> str:
     R = found.plan.R_plan_map
     position = found.cloud.position.astype(float) @ R.T
     path, loops = path_steps(record) @ R.T, loop_steps(record) @ R.T
-    view = View.of(position, path.reshape(-1, 3))
+    view = OrbitView.of(position, path.reshape(-1, 3))
     still = webp_uri(draw_cloud(view, position, found.cloud, R, path, loops))
     counts = {"points": len(position), "path": len(path), "loops": len(loops)}
     low, step_m = _box(position)

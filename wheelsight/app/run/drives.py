@@ -59,20 +59,20 @@ OnEvents = Callable[[Sequence[Event]], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Goal:
+class NamedGoal:
     """A goal: pose (3,) of x, y, yaw in the map, where a yaw of NaN is any heading, and its name."""
 
     pose: FloatArray
     name: str
 
     @classmethod
-    def of(cls, pose: ArrayLike, name: str = "") -> Goal:
+    def of(cls, pose: ArrayLike, name: str = "") -> NamedGoal:
         """A goal at x, y, yaw (3,) or x, y (2,). Without a name it is called by its coordinates."""
         at = np.array([*np.asarray(pose, float).ravel(), np.nan][:3])
         return cls(at, name or words_of(at))
 
 
-class Drive:
+class GoalDrive:
     """A drive to one goal after another in a map. `record` returns its results. `drive_in_map` makes one.
 
     Args:
@@ -107,7 +107,7 @@ class Drive:
         """(3,) the first known pose in the map; None before it."""
         return self._start
 
-    def refuse(self, goals: Sequence[Goal]) -> None:
+    def refuse(self, goals: Sequence[NamedGoal]) -> None:
         """Check goals before the robot moves.
 
         Raises MapError for the first goal without free floor in the map, and ArgumentError.
@@ -117,7 +117,7 @@ class Drive:
             if why:
                 raise MapError(f"{goal.name}: {why}", path=self._map_name, fix="map export --picture shows free floor")
 
-    def go_to(self, goal: Goal, on_step: OnStep) -> NavigationResult:
+    def go_to(self, goal: NamedGoal, on_step: OnStep) -> NavigationResult:
         """Drive to a pose and stop. `on_step` is called with each period's feedback; an exception in it ends the drive.
 
         Raises errors of the robot, and ArgumentError for an invalid goal.
@@ -133,13 +133,13 @@ class Drive:
         poses = np.asarray(way, float)
         # What is no way has no end; the navigator refuses it before anything moves.
         end = poses[-1] if poses.ndim == 2 and len(poses) else np.full(3, np.nan)
-        return self._through(Goal(end, name), lambda: self.navigator.follow_way(way, name), on_step)
+        return self._through(NamedGoal(end, name), lambda: self.navigator.follow_way(way, name), on_step)
 
     def explore(self, on_step: OnStep) -> NavigationResult:
         """Drive until all reachable floor is seen, and stop. Raises errors of the robot."""
-        return self._through(Goal(np.full(3, np.nan), "explore"), self.navigator.explore, on_step)
+        return self._through(NamedGoal(np.full(3, np.nan), "explore"), self.navigator.explore, on_step)
 
-    def _through(self, goal: Goal, begin: Callable[[], None], on_step: OnStep) -> NavigationResult:
+    def _through(self, goal: NamedGoal, begin: Callable[[], None], on_step: OnStep) -> NavigationResult:
         begin_s = self._robot.now_s
         begin()
         try:
@@ -217,7 +217,7 @@ def drive_in_map(
     on_keyframe: Callable[[int, int], None] = lambda done, total: None,
     on_transition: Callable[[Transition], None] = lambda transition: None,
     on_events: OnEvents = lambda events: None,
-) -> Iterator[Drive]:
+) -> Iterator[GoalDrive]:
     """A drive that is ready to start.
 
     Args:
@@ -253,7 +253,7 @@ def drive_in_map(
             map_path = map_path.parent
             map_path = map_path.parent if map_path.name in _TRACKS else map_path
         name_of = map_path.name or str(map_path)
-        yield Drive(watched, navigator, lambda: grid, name_of)
+        yield GoalDrive(watched, navigator, lambda: grid, name_of)
 
 
 def planning_worker(config: Config, *, in_step: bool) -> Worker[Planned]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from wheelsight.app.run.drive_record import DriveRecorder
-from wheelsight.app.run.drives import Drive, OnEvents, WatchedRobot, localization_of, near_floor_m, planning_worker
+from wheelsight.app.run.drives import GoalDrive, OnEvents, WatchedRobot, localization_of, near_floor_m, planning_worker
 from wheelsight.config import Config
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.errors import ConfigError
@@ -90,7 +90,7 @@ def exploring(
     trusts_floor: bool = False,
     on_transition: Callable[[Transition], None] = lambda transition: None,
     on_events: OnEvents = lambda events: None,
-) -> Iterator[Drive]:
+) -> Iterator[GoalDrive]:
     """A drive that can begin to explore; however it ends, what was seen is a map.
 
     Args:
@@ -124,7 +124,7 @@ def exploring(
         floor = GrowingFloor(localization, calibration, footprint, near_m, config.sessions.occupancy, worker=growing)
         watched = WatchedRobot(robot, DriveRecorder(footprint), on_events)
         navigator = Navigator(watched, localization, floor, config.navigation, planning=planning, **how)
-        yield Drive(watched, navigator, lambda: floor.grid, Path(path).parent.name or Path(path).name)
+        yield GoalDrive(watched, navigator, lambda: floor.grid, Path(path).parent.name or Path(path).name)
 
 
 def loops_of(path: StrPath) -> int:

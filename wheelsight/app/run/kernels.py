@@ -54,7 +54,7 @@ PARTS: dict[str, tuple[dict[str, Any], ...]] = {
         {"odometry": "wheels,features"},
         {"odometry": "wheels,dense", "fusion": "ligocki"},
     ),
-    "loops": ({"odometry": "dense", "map": "surfels", "loops.source": FROM_KEYFRAMES, "loops.seen.apart_s": 0.0},),
+    "loops": ({"odometry": "dense", "map": "surfels", "loops.source": FROM_KEYFRAMES, "loops.apart_s": 0.0},),
     "places": (),
     "navigation": (),
     "simulation": (),

@@ -21,7 +21,7 @@ from wheelsight.estimation import Localizer
 from wheelsight.evaluation import Evaluation
 from wheelsight.io.recordings import MATCHES_FILE, GivesMatches, Recording, matches_of, read_matches
 from wheelsight.slam.loop_closing import Correction, correct, corrected_by
-from wheelsight.slam.settings import FROM_KEYFRAMES, FROM_MATCHES, FROM_NOWHERE, LoopSettings
+from wheelsight.slam.settings import FROM_KEYFRAMES, FROM_MATCHES, FROM_NOWHERE
 from wheelsight.wheels import WheelOdometry
 
 _CHOICES = f"{FROM_KEYFRAMES}, {FROM_MATCHES}, {FROM_NOWHERE}"
@@ -36,14 +36,12 @@ class MatchesOfRun:
         matches: as read.
         stated: the recording's variances of its wheel odometry, or None.
         warnings: of the files.
-        settings: see `LoopSettings`.
         are_seen: whether the localizer closes loops itself; then there are no matches.
     """
 
     matches: tuple[Match, ...]
     stated: SpeedVariances | None
     warnings: tuple[str, ...]
-    settings: LoopSettings
     are_seen: bool = False
 
 
@@ -109,7 +107,7 @@ def matches_of_run(source: EventSource, config: Config) -> MatchesOfRun | None:
         # The localizer closes loops; the run evaluates them at its end.
         if set(config.odometry) <= {"wheels"}:
             raise ConfigError("--loops keyframes needs a camera", fix="--odometry dense, or --loops matches")
-        return MatchesOfRun((), None, (), config.loops, are_seen=True)
+        return MatchesOfRun((), None, (), are_seen=True)
     if asked != FROM_MATCHES:
         if not Path(asked).exists():
             raise ConfigError(f"--loops {asked}: there is no such file", fix=f"{_CHOICES}, or a file that is there")
@@ -120,7 +118,7 @@ def matches_of_run(source: EventSource, config: Config) -> MatchesOfRun | None:
         raise ConfigError("a live source has no matches", fix="--loops FILE, or none")
     if not matches:
         raise ConfigError("the recording has no matches", fix=f"write {MATCHES_FILE} into its folder, or no --loops")
-    return MatchesOfRun(tuple(matches), stated, tuple(warnings), config.loops)
+    return MatchesOfRun(tuple(matches), stated, tuple(warnings))
 
 
 def correction_of(
@@ -132,7 +130,7 @@ def correction_of(
         is_wheels = isinstance(localizer.odometry, WheelOdometry)
         began = time.perf_counter()
         try:
-            corrected = correct(lived, given.matches, given.settings, stated=given.stated if is_wheels else None)
+            corrected = correct(lived, given.matches, stated=given.stated if is_wheels else None)
         except ArgumentError as error:
             return None, (*given.warnings, f"Loops were not closed: {error}.")
         took_s = time.perf_counter() - began

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wheelsight.app.run.run_record import Look, MapErrors, RectificationRecord
+from wheelsight.app.run.run_record import AreaObservation, MapErrors, RectificationRecord
 from wheelsight.app.run.run_source import frame_count_of, path_of, where
 from wheelsight.config import Config
 from wheelsight.core.errors import CalibrationError, ConfigError, PlaceError
@@ -71,7 +71,7 @@ def places_of(source: EventSource, config: Config) -> PlacesOfRun | None:
 def rectification_of(
     run: PlacesOfRun,
     way: str,
-    looks: tuple[Look, ...],
+    looks: tuple[AreaObservation, ...],
     wheels: Trajectory,
     rectified: Trajectory,
     truth: Trajectory | None,

@@ -19,7 +19,7 @@ from wheelsight.app.run.maps import map_record_of
 from wheelsight.app.run.places import PlacesOfRun, rectification_of
 from wheelsight.app.run.run_record import KeptMapRecord, KnownMapRecord, MapRecord, RunRecord
 from wheelsight.app.run.run_source import format_of
-from wheelsight.app.run.track import UNITS, Passage, Track, has_map
+from wheelsight.app.run.track import UNITS, Passage, RunTrack, has_map
 from wheelsight.config import Config
 from wheelsight.core.errors import CalibrationError, EvaluationError
 from wheelsight.core.geometry import se3
@@ -59,7 +59,7 @@ def records_of(
     return tuple(records.values())
 
 
-def _with_correction(record: RunRecord, track: Track, config: Config, matches: MatchesOfRun) -> RunRecord:
+def _with_correction(record: RunRecord, track: RunTrack, config: Config, matches: MatchesOfRun) -> RunRecord:
     def judge(corrected: Trajectory) -> Evaluation | None:
         truth = record.ground_truth
         return None if truth is None else _compare(corrected, truth, config, track)[0]
@@ -68,7 +68,7 @@ def _with_correction(record: RunRecord, track: Track, config: Config, matches: M
     return replace(record, correction=correction, warnings=(*record.warnings, *warnings))
 
 
-def _record_of(track: Track, passage: Passage, source: EventSource, config: Config) -> RunRecord:
+def _record_of(track: RunTrack, passage: Passage, source: EventSource, config: Config) -> RunRecord:
     estimate = track.poses.trajectory(track.localizer.body, track.localizer.frame)
     truth, problem = _truth(source, track.localizer.body)
     evaluation = None
@@ -111,7 +111,7 @@ def _record_of(track: Track, passage: Passage, source: EventSource, config: Conf
     )
 
 
-def _known_map(track: Track, passage: Passage, config: Config) -> KnownMapRecord | None:
+def _known_map(track: RunTrack, passage: Passage, config: Config) -> KnownMapRecord | None:
     """Whether and where the run was recognised in the known map; None without one."""
     localizer, given = track.localizer, config.known_map
     if localizer.recognised is None or localizer.loops is None or given.path is None or passage.is_torn:
@@ -148,7 +148,7 @@ def _known_map(track: Track, passage: Passage, config: Config) -> KnownMapRecord
 
 
 def _maps(
-    track: Track, passage: Passage, source: EventSource, config: Config
+    track: RunTrack, passage: Passage, source: EventSource, config: Config
 ) -> tuple[MapRecord | None, KeptMapRecord | None]:
     """The records of the track's surfel map and of its map folder."""
     if track.localizer.map is None or passage.is_torn:
@@ -168,7 +168,7 @@ def _maps(
     return surfels, kept
 
 
-def _map_warnings(track: Track, passage: Passage, config: Config) -> tuple[str, ...]:
+def _map_warnings(track: RunTrack, passage: Passage, config: Config) -> tuple[str, ...]:
     """Warnings about an incomplete or missing map."""
     surfel_map = track.localizer.map
     if surfel_map is None:
@@ -183,7 +183,7 @@ def _map_warnings(track: Track, passage: Passage, config: Config) -> tuple[str, 
     )
 
 
-def _interruption(track: Track, passage: Passage) -> tuple[str, ...]:
+def _interruption(track: RunTrack, passage: Passage) -> tuple[str, ...]:
     """A warning if the pass was interrupted."""
     if passage.interruption is None:
         return ()
@@ -192,7 +192,7 @@ def _interruption(track: Track, passage: Passage) -> tuple[str, ...]:
     return (f"Interrupted {why} after {len(track.frames)}{of_all} {UNITS[track.odometry]}s.",)
 
 
-def _repeats(track: Track) -> tuple[str, ...]:
+def _repeats(track: RunTrack) -> tuple[str, ...]:
     """A warning if images were repeated."""
     count = sum(frame.is_repeat for frame in track.frames)
     if not count:
@@ -201,7 +201,7 @@ def _repeats(track: Track) -> tuple[str, ...]:
     return (f"{repeats}: fewer images a second were taken than were recorded.",)
 
 
-def _wheel_faults(source: EventSource, track: Track) -> tuple[str, ...]:
+def _wheel_faults(source: EventSource, track: RunTrack) -> tuple[str, ...]:
     """Known faults of the recording's wheels, if the track uses them."""
     if "wheels" not in track.odometry or not isinstance(source, TellsWheelFaults):
         return ()
@@ -220,7 +220,7 @@ def _truth(source: EventSource, body: str) -> tuple[Trajectory | None, str | Non
 
 
 def _compare(
-    estimate: Trajectory, truth: Trajectory, config: Config, track: Track
+    estimate: Trajectory, truth: Trajectory, config: Config, track: RunTrack
 ) -> tuple[Evaluation | None, str | None]:
     """The evaluation, or the reason why there is none."""
     frames = [frame for frame in track.frames if not frame.is_repeat]
@@ -249,7 +249,7 @@ def _peak_memory_mb() -> float | None:
 
 @contextmanager
 def keeping_maps(
-    tracks: Sequence[Track], source: EventSource, config: Config, folder: Path, known: MapFolder | None = None
+    tracks: Sequence[RunTrack], source: EventSource, config: Config, folder: Path, known: MapFolder | None = None
 ) -> Iterator[None]:
     """Write the map of each track that leaves one, while the block runs. The map is valid however the block ends.
 
@@ -291,7 +291,7 @@ def keeping_maps(
             known.close()
 
 
-def _is_asked(track: Track, tracks: Sequence[Track], config: Config) -> bool:
+def _is_asked(track: RunTrack, tracks: Sequence[RunTrack], config: Config) -> bool:
     """Whether a track leaves a map: a single camera, or the joined track."""
     if track.localizer.keyframes is None:
         return False
@@ -301,7 +301,7 @@ def _is_asked(track: Track, tracks: Sequence[Track], config: Config) -> bool:
     return track.localizer.map is not None if asked is None else asked
 
 
-def finish_map(track: Track, passage: Passage) -> KeptMapRecord | None:
+def finish_map(track: RunTrack, passage: Passage) -> KeptMapRecord | None:
     """Finish the map of a track, if it has one. A run that was interrupted within a frame writes no surfels."""
     writer, path = track.map_writer, track.map_path
     if writer is None or path is None:
@@ -343,7 +343,7 @@ def _bytes_in(folder: Path) -> int:
         return 0
 
 
-def kept_surfels(track: Track) -> Path | None:
+def kept_surfels(track: RunTrack) -> Path | None:
     """The path of the track's surfels in its map folder; None without surfels of this run."""
     if track.map_path is None or track.extends:
         return None

@@ -210,7 +210,7 @@ class KnownMapRecord:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Look:
+class AreaObservation:
     """The area probabilities of one frame, and the belief after the update.
 
     Attributes:
@@ -276,7 +276,7 @@ class RectificationRecord:
 
     way: str
     areas: AreaMap
-    looks: tuple[Look, ...]
+    looks: tuple[AreaObservation, ...]
     wheels: Trajectory
     start: str
     true_areas: IntArray | None = None

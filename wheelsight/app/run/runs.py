@@ -24,7 +24,7 @@ from wheelsight.app.run.realtime import RealTimeRecording
 from wheelsight.app.run.records import keeping_maps, kept_surfels, records_of
 from wheelsight.app.run.run_record import FrameRecord, MapRecord, RectificationRecord, RunRecord
 from wheelsight.app.run.run_source import format_of, frame_count_of, path_of, resolved, wheel_count_of, where
-from wheelsight.app.run.track import UNITS, Passage, Track, Watcher, begin_all, follow
+from wheelsight.app.run.track import UNITS, Passage, RunTrack, Watcher, begin_all, follow
 from wheelsight.app.run.verdict import JoinedFacts, best_alone_of, facts_of, joined_of, verdict_of, verdict_of_run
 from wheelsight.config import Config, TrackName, save_config
 from wheelsight.core.errors import ConfigError, TrajectoryError
@@ -102,7 +102,7 @@ def run_each(
 class _Begun(NamedTuple):
     """Everything that a run needs before its first event; `known` is the folder of the known map."""
 
-    tracks: tuple[Track, ...]
+    tracks: tuple[RunTrack, ...]
     places: PlacesOfRun | None
     matches: MatchesOfRun | None
     known: MapFolder | None

@@ -20,7 +20,7 @@ import numpy as np
 
 from wheelsight.app.run.kernels import DrawnDrive, InRealTime, rehearse
 from wheelsight.app.run.maps import Stops
-from wheelsight.app.run.run_record import FrameRecord, Look, MatchPicture
+from wheelsight.app.run.run_record import AreaObservation, FrameRecord, MatchPicture
 from wheelsight.app.run.run_source import frame_count_of, spread, unused_of, wheel_count_of
 from wheelsight.config import OWN, Config, TrackName
 from wheelsight.core.errors import ConfigError, PartError, WheelsightError
@@ -205,7 +205,7 @@ class Photographer:
 
 
 @dataclass
-class Track:
+class RunTrack:
     """One odometry over a recording, or the rectified wheels, with its answers so far.
 
     Attributes:
@@ -233,7 +233,7 @@ class Track:
     frames: list[FrameRecord] = field(default_factory=list)
     poses: LivedPoses = field(default_factory=LivedPoses)
     stage_seconds: dict[str, array[float]] = field(default_factory=dict)
-    looks: list[Look] = field(default_factory=list)
+    looks: list[AreaObservation] = field(default_factory=list)
     stops: Stops = field(default_factory=lambda: Stops([]))
     map_writer: MapWriter | None = None
     map_path: Path | None = None
@@ -250,7 +250,7 @@ class Track:
         places: Places | None,
         known: KnownMap | None = None,
         parts: OwnParts = NO_PARTS,
-    ) -> Track:
+    ) -> RunTrack:
         """A new track. Raises CalibrationError, ConfigError."""
         listed = wheel_count_of(source) if UNITS[odometry] == "reading" else frame_count_of(source)
         waits = isinstance(source, Recording) and not isinstance(source, InRealTime)
@@ -346,24 +346,24 @@ def _size(surfel_map: SurfelMap | None) -> tuple[int | None, int]:
     return (None, 0) if surfel_map is None else (len(surfel_map), surfel_map.dropped)
 
 
-def _look(localizer: Localizer, estimate: Estimate) -> Look:
+def _look(localizer: Localizer, estimate: Estimate) -> AreaObservation:
     match, note = localizer.last_place, localizer.note
     belief, trust = None, float("nan")
     if isinstance(estimate, RectifiedEstimate):
         belief, trust = estimate.area_probabilities, estimate.trust
     if match is None or note:  # what a model says of a frame without depth is nothing
-        return Look(estimate.stamp_s, belief=belief, trust=trust, note=note)
+        return AreaObservation(estimate.stamp_s, belief=belief, trust=trust, note=note)
     named = -1 if match.area_index is None else match.area_index
-    return Look(estimate.stamp_s, match.probabilities, named, belief, trust)
+    return AreaObservation(estimate.stamp_s, match.probabilities, named, belief, trust)
 
 
 class Watcher(Protocol):
     """A listener to a run, such as a viewer. It changes nothing."""
 
-    def step(self, event: Event, answers: Mapping[str, FrameRecord], tracks: Sequence[Track]) -> None:
+    def step(self, event: Event, answers: Mapping[str, FrameRecord], tracks: Sequence[RunTrack]) -> None:
         """Called after an answered event."""
 
-    def finish(self, tracks: Sequence[Track]) -> None:
+    def finish(self, tracks: Sequence[RunTrack]) -> None:
         """Called at the end of the run, after loop closing."""
 
 
@@ -379,7 +379,7 @@ class Passage:
         unused: one sentence about each unused sensor of the recording.
     """
 
-    tracks: tuple[Track, ...]
+    tracks: tuple[RunTrack, ...]
     elapsed_s: float = 0.0
     interruption: BaseException | None = None
     is_torn: bool = False
@@ -392,7 +392,7 @@ def begin_all(
     places: Places | None,
     known: KnownMap | None = None,
     parts: OwnParts = NO_PARTS,
-) -> tuple[Track, ...]:
+) -> tuple[RunTrack, ...]:
     """All tracks of a run; `known` and a loop detector go to the track that has the map.
 
     Raises CalibrationError, ConfigError.
@@ -405,9 +405,9 @@ def begin_all(
     if parts.loop_detector is not None and sum(has_map(name, names) for name in names) != 1:
         raise ConfigError("loop_detector is for one odometry by a camera", fix="--odometry dense, or wheels,dense")
     return tuple(
-        Track.begin(name, source, config.without_known_map(), places, None, replace(parts, loop_detector=None))
+        RunTrack.begin(name, source, config.without_known_map(), places, None, replace(parts, loop_detector=None))
         if not has_map(name, names)
-        else Track.begin(name, source, config if known else config.without_known_map(), places, known, parts)
+        else RunTrack.begin(name, source, config if known else config.without_known_map(), places, known, parts)
         for name in names
     )
 
@@ -418,7 +418,7 @@ def has_map(name: str, names: Collection[str]) -> bool:
 
 
 def follow(
-    tracks: tuple[Track, ...],
+    tracks: tuple[RunTrack, ...],
     source: EventSource,
     config: Config,
     on_event: Callable[[Mapping[str, FrameRecord]], None] | None = None,

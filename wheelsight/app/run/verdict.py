@@ -124,7 +124,7 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class RunVerdict:
     """The verdict on a run.
 
     Attributes:
@@ -269,17 +269,17 @@ def true_way_m(record: RunRecord) -> float:
     return record.ground_truth.between(*record.estimate.stamps_s[[0, -1]].tolist()).length_m
 
 
-def judge(evidence: Evidence) -> Verdict:
+def judge(evidence: Evidence) -> RunVerdict:
     """The verdict by its evidence. A worse figure never gives a better tone."""
     found = sorted(_findings(evidence), key=lambda one: -_BADNESS[one.tone])
     tone = found[0].tone
     if evidence.faults:  # the cause comes first
         tone = max(tone, Tone.AMBER, key=_BADNESS.__getitem__)
         found = [*(_fault(sentence, tone) for sentence in evidence.faults), *found]
-    return Verdict(_phrase(evidence, found[0]), tone, tuple(found))
+    return RunVerdict(_phrase(evidence, found[0]), tone, tuple(found))
 
 
-def verdict_of(record: RunRecord, records: Sequence[RunRecord] = ()) -> Verdict:
+def verdict_of(record: RunRecord, records: Sequence[RunRecord] = ()) -> RunVerdict:
     """The verdict on one odometry of a run, with accuracy and speed; `records` as for `evidence_of`."""
     verdict = judge(evidence_of(record, records))
     facts = [accuracy_sentence(record)]
@@ -288,10 +288,10 @@ def verdict_of(record: RunRecord, records: Sequence[RunRecord] = ()) -> Verdict:
         share = words.percent(drift.drift_share)
         facts.append(f"Begun at the true start, it ends {words.length(drift.drift_m)} off, {share} of the way.")
     facts.append(speed_sentence(record))
-    return Verdict(verdict.phrase, verdict.tone, verdict.findings, tuple(filter(None, facts)))
+    return RunVerdict(verdict.phrase, verdict.tone, verdict.findings, tuple(filter(None, facts)))
 
 
-def verdict_of_run(records: Sequence[RunRecord]) -> Verdict:
+def verdict_of_run(records: Sequence[RunRecord]) -> RunVerdict:
     """The verdict on a run: on joined sensors or on its only odometry, else on all odometries side by side."""
     main = joined_of(records) or (records[0] if len(records) == 1 else None)
     if main is not None:
@@ -306,7 +306,7 @@ def verdict_of_run(records: Sequence[RunRecord]) -> Verdict:
     ]
     named.sort(key=lambda one: -_BADNESS[one.tone])
     phrase = "Each was followed" if tone is Tone.GREEN else f"{_CARE[tone]}: {named[0].short}"
-    return Verdict(phrase, tone, tuple(named))
+    return RunVerdict(phrase, tone, tuple(named))
 
 
 def _findings(e: Evidence) -> Iterator[Finding]:

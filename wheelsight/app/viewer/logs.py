@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from wheelsight.app.run.run_record import FrameRecord
-from wheelsight.app.run.track import UNITS, Track
+from wheelsight.app.run.track import UNITS, RunTrack
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import ByteArray, FloatArray, IntArray, se3
@@ -55,7 +55,7 @@ class RerunLog:
         self._settings = settings
         cameras = [name for name in tracks if UNITS[name] == "frame"]  # type: ignore[index]
         self.chief = "joined" if "joined" in tracks else (cameras or list(tracks))[0]
-        self._scene = Scene(stream, calibration, settings)
+        self._scene = RerunScene(stream, calibration, settings)
         self._rr = self._scene.rr
         self._last: dict[str, tuple[str, str]] = {}  # of each track: status, words
         self._positions: dict[str, FloatArray] = {}  # of the other tracks
@@ -64,7 +64,7 @@ class RerunLog:
         for name in tracks:
             self._scene.name_states(name, STATUS_COLOURS)
 
-    def step(self, event: Event, answers: Mapping[str, FrameRecord], tracks: Sequence[Track]) -> None:
+    def step(self, event: Event, answers: Mapping[str, FrameRecord], tracks: Sequence[RunTrack]) -> None:
         """Show the answers to an event."""
         self._scene.begin(event.stamp_s)
         for track in tracks:
@@ -98,7 +98,7 @@ class RerunLog:
         if isinstance(event, RgbdFrame):
             self._scene.show_images(event)
 
-    def finish(self, tracks: Sequence[Track]) -> None:
+    def finish(self, tracks: Sequence[RunTrack]) -> None:
         """Show the last keyframes, all keyframes after loop closing, and the finished map."""
         for track in tracks:
             if track.odometry == self.chief and track.last is not None:
@@ -114,7 +114,7 @@ class RerunLog:
                     radius_m = max(cloud.edge_m, 0.005) / 2
                     self._log(SURFELS, self._rr.Points3D(cloud.position, colors=cloud.color, radii=radius_m))
 
-    def _show_keyframes(self, track: Track, until: int | None) -> None:
+    def _show_keyframes(self, track: RunTrack, until: int | None) -> None:
         """Show new keyframes with their points, and all poses after a loop has moved some."""
         store = track.localizer.keyframes
         if store is None:
@@ -179,7 +179,7 @@ class DriveLog:
     """
 
     def __init__(self, stream: Any, calibration: Calibration, settings: ViewerSettings) -> None:
-        self._scene, self._settings = Scene(stream, calibration, settings), settings
+        self._scene, self._settings = RerunScene(stream, calibration, settings), settings
         self._rr = self._scene.rr
         self._said: dict[str, str] = {}
         self._plan: Plan | None = None
@@ -309,7 +309,7 @@ LINE_PX = 2.0
 _DEPTH_UNITS_PER_M = 5000.0
 
 
-class Scene:
+class RerunScene:
     """Common entities of all logs. It keeps only what was shown last.
 
     Args:
