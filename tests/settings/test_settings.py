@@ -105,7 +105,7 @@ def test_each_of_several_numbers_has_bounds(kind: type[Settings]) -> None:
 
 
 def test_each_setting_says_what_it_is_and_where_its_default_comes_from() -> None:
-    assert len(LEAVES) > 800
+    assert len(LEAVES) > 100
     silent = [name for name, _, about in LEAVES if not about.description]
     assert silent == []
     sources = {name: about.json_schema_extra for name, _, about in LEAVES}
@@ -144,22 +144,6 @@ def test_nonsense_is_refused_with_file_line_and_what_would_be_right(section: str
             "localizer:\n  color_check: {lag_step_s: 0.5}",
             ":2: localizer.color_check.lag_step_s is 0.5, too long for lags",
         ),
-        (
-            "wheels:\n  gyro_check:\n    lags: 16\n",
-            ":3: wheels.gyro_check.lags is 16, and none of them is 0 (an odd numb",
-        ),
-        (
-            "wheels: {gyro_check: {last_blocks: 30}}",
-            ":1: wheels.gyro_check.last_blocks is 30, less than last_turns: 40",
-        ),
-        (
-            "wheels: {gyro_check: {accuse_after: 500}}",
-            ":1: wheels.gyro_check.accuse_after is 500, more than last_blocks",
-        ),
-        (
-            "wheels: {gyro_check: {deaf_share: 0.9}}",
-            ":1: wheels.gyro_check.followed_share is 0.8, less than deaf_share",
-        ),
     ],
 )
 def test_settings_that_contradict_each_other_are_refused_at_their_line(
@@ -173,9 +157,7 @@ def test_settings_that_contradict_each_other_are_refused_at_their_line(
 
 
 def test_all_of_them_are_in_the_config_of_a_run(tmp_path: Path) -> None:
-    config = load_config(
-        overrides={"clocks.followers": 5, "localizer.base_check.sure_m": 0.7, "realtime.frames_ahead": 9}
-    )
+    config = load_config(overrides={"clocks.followers": 5, "features.seed": 7})
     save_config(config, tmp_path / "config.yaml")
     text = (tmp_path / "config.yaml").read_text()
     assert load_config(tmp_path / "config.yaml") == config
@@ -240,7 +222,7 @@ def changed(section: Settings) -> dict[str, Any]:
 
 
 # What a localizer by wheels and features hands to parts as it is.
-WHOLE = ("clocks", "wheels.", "localizer.", "features", "fusion.joining", "extrinsics.agreement", "extrinsics.floor")
+WHOLE = ("clocks", "localizer.", "features", "fusion.joining", "extrinsics.agreement", "extrinsics.floor")
 REACHED = [(name, section) for name, section in sections(Config()) if name.startswith(WHOLE)]
 
 

@@ -21,11 +21,22 @@ from statistics import median
 
 from wheelsight.core.estimates import Reason
 from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelReading
-from wheelsight.core.settings import CHOSEN, Settings, setting
+from wheelsight.core.settings import Settings, setting
 
 # A gyroscope is optional, so no other sensor is left out because of it.
 _GYROSCOPE = "gyroscope"
-_STALLS = "derived from rates and stalls of sensors, not tuned"
+
+# Derived from rates and stalls of sensors, not tuned.
+_BACK_S = 0.1  # a stamp this far behind the sensor's last one is of a clock that was set back; less is jitter
+_PAUSE_S = (
+    0.4  # session time of a leap of all: over the delay of coasting (0.3 s), below gaps that wheels bridge (0.5 s)
+)
+_ALIKE_S = 1.0  # leaps of two sensors that differ by less are one
+_STALL_S = 0.25  # by stamps of others, no reading is lost within this; smaller leaps of one clock are not noticed
+_APART_S = 2.0  # clocks whose first stamps are farther apart have different epochs
+_REMEMBERED = 15  # events for the median period, and the median delay behind the others (chosen)
+_MOST_WARNINGS = 10  # of leaps, in a run (chosen)
+_DERIVED = "derived from rates and stalls of sensors, not tuned"
 
 
 class ClockSettings(Settings):
@@ -35,60 +46,21 @@ class ClockSettings(Settings):
         1.0,
         "a stamp this far ahead of all sensors is a leap, or all have paused, seconds; longer than stalls of a busy "
         "host or of USB (half a second)",
-        _STALLS,
-        gt=0,
-        le=3600,
-    )
-    back_s: float = setting(
-        0.1,
-        "a stamp this far behind the sensor's last one is of a clock that was set back, seconds; less is jitter",
-        _STALLS,
-        ge=0,
-        le=3600,
-    )
-    pause_s: float = setting(
-        0.4,
-        "session time that passes when all leap, seconds; longer than the delay of coasting (0.3 s), because the robot "
-        "may have moved; shorter than gaps that wheels bridge (0.5 s)",
-        _STALLS,
+        _DERIVED,
         gt=0,
         le=3600,
     )
     followers: int = setting(
-        3, "number of consecutive stamps that make a leap; fewer are noise on a line", _STALLS, ge=1, le=1000
+        3, "number of consecutive stamps that make a leap; fewer are noise on a line", _DERIVED, ge=1, le=1000
     )
     active_s: float = setting(
         1.1,
         "a sensor with an event within this time before a leap may leap too, and is waited for as long, seconds; "
         "covers a camera at 1 Hz",
-        _STALLS,
+        _DERIVED,
         ge=0,
         le=3600,
     )
-    alike_s: float = setting(1.0, "leaps of two sensors that differ by less are one, seconds", _STALLS, ge=0, le=3600)
-    stall_s: float = setting(
-        0.25,
-        "readings that go on one period after the last have lost none, if others' stamps say so to within this, "
-        "seconds; smaller leaps of one clock are not noticed",
-        _STALLS,
-        gt=0,
-        le=3600,
-    )
-    apart_s: float = setting(
-        2.0,
-        "clocks whose first stamps are farther apart, seconds, count from different moments",
-        _STALLS,
-        gt=0,
-        le=3600,
-    )
-    remembered: int = setting(
-        15,
-        "number of events for the median period, and the median delay behind the others",
-        CHOSEN,
-        ge=1,
-        le=100_000,
-    )
-    most_warnings: int = setting(10, "largest number of warnings of leaps in a run", CHOSEN, ge=0, le=100_000)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +100,11 @@ class _Sensor:
         """The median time between its events; 0 if unknown."""
         return median(self.steps_s) if self.steps_s else 0.0
 
+    @property
+    def leap_s(self) -> float:
+        """The difference of the first held stamp from the expected one."""
+        return self.held_s[0] - self.last_s - self.period_s
+
 
 class SessionClock:
     """Maps stamps of all sensors to session time; see the module.
@@ -157,7 +134,8 @@ class SessionClock:
 
     def time_of(self, event: Event) -> float | Untimed:
         """The session time of an event in seconds, or the reason why it has none. Events come in order of arrival."""
-        name = _name_of(event)
+        is_camera = isinstance(event, RgbdFrame | SkippedFrame)
+        name = "camera" if is_camera else "wheels" if isinstance(event, WheelReading) else _GYROSCOPE
         if not math.isfinite(event.stamp_s):
             return Untimed(Reason.INVALID, f"its stamp is {event.stamp_s}")
         sensor = self._sensors.get(name)
@@ -166,7 +144,7 @@ class SessionClock:
         time_s = event.stamp_s - sensor.offset_s
         # A single sensor may pause for any time.
         ahead = len(self._sensors) > 1 and time_s > self._newest_s + self.settings.leap_s
-        if ahead or time_s < sensor.last_s - self.settings.back_s:
+        if ahead or time_s < sensor.last_s - _BACK_S:
             if not self._has_leapt(sensor, time_s):
                 by = _seconds(time_s - sensor.last_s)
                 return Untimed(Reason.CLOCKS_APART, f"the clock of the {name} leaps by {by}")
@@ -187,13 +165,13 @@ class SessionClock:
     def _first(self, name: str, stamp_s: float) -> float | Untimed:
         time_s = stamp_s - self.shift_s
         apart_s = time_s - self._newest_s
-        if self._sensors and abs(apart_s) > self.settings.apart_s:
+        if self._sensors and abs(apart_s) > _APART_S:
             if [*self._sensors] != [_GYROSCOPE]:
                 return self._left_out(name, apart_s, " and the ".join(self._sensors))
             self._left_out(_GYROSCOPE, -apart_s, name)
             self._sensors.clear()
             self._newest_s = time_s
-        steps_s, behind_s = (deque[float](maxlen=self.settings.remembered) for _ in range(2))
+        steps_s, behind_s = (deque[float](maxlen=_REMEMBERED) for _ in range(2))
         self._sensors[name] = _Sensor(self.shift_s, time_s, steps_s, behind_s)
         self._newest_s = max(self._newest_s, time_s)
         return time_s
@@ -206,7 +184,7 @@ class SessionClock:
 
     def _accept(self, name: str, sensor: _Sensor, time_s: float) -> None:
         ahead_s = time_s - max(self._newest_s, sensor.last_s + sensor.period_s)
-        if ahead_s > self.settings.stall_s and len(self._sensors) > 1:
+        if ahead_s > _STALL_S and len(self._sensors) > 1:
             self._jump = name, ahead_s
         elif self._jump is not None and name != self._jump[0]:
             self._jump = None  # it paused, as the others did
@@ -219,9 +197,9 @@ class SessionClock:
         """Whether an event lags by the same time as another sensor's clock seems to have leapt."""
         if self._jump is None or self._jump[0] == name or not sensor.behind_s:
             return False
-        later_s, stall_s = self._newest_s - time_s - median(sensor.behind_s), self.settings.stall_s
+        later_s = self._newest_s - time_s - median(sensor.behind_s)
         # The newest event is older the longer the period of the sensor that leapt.
-        within_s = max(stall_s / 2, min(1.5 * self._sensors[self._jump[0]].period_s, stall_s))
+        within_s = max(_STALL_S / 2, min(1.5 * self._sensors[self._jump[0]].period_s, _STALL_S))
         return later_s > 0 and abs(later_s - self._jump[1]) < within_s
 
     def _shift_others(self, sensor: _Sensor, stamp_s: float) -> float:
@@ -249,9 +227,9 @@ class SessionClock:
         if len(sensor.held_s) < self.settings.followers:
             return False
         waited = time_s - sensor.held_s[0] > self.settings.active_s
-        others = self._others(sensor)
         return waited or all(
-            other.has_continued or _leap_alike(sensor, other, self.settings.alike_s) for other in others
+            other.has_continued or (other.held_s and abs(sensor.leap_s - other.leap_s) < _ALIKE_S)
+            for other in self._others(sensor)
         )
 
     def _others(self, sensor: _Sensor) -> list[_Sensor]:
@@ -262,11 +240,17 @@ class SessionClock:
     def _accept_leap(self, name: str, sensor: _Sensor) -> None:
         """Shift the offset of this sensor if others continued meanwhile, else those of all sensors."""
         if any(other.has_continued for other in self._others(sensor)):
-            by_s, leapt = sensor.held_s[-1] - self._continued_s(sensor), {name: sensor}
+            among_others_s = self._newest_s - (median(sensor.behind_s) if sensor.behind_s else 0.0)
+            next_s = sensor.last_s + sensor.period_s
+            without_loss_s = next_s + sensor.held_s[-1] - sensor.held_s[0]
+            is_whole = abs(without_loss_s - among_others_s) <= _STALL_S
+            # Session time of the last held stamp, by the events of the other sensors.
+            continued_s = without_loss_s if is_whole else max(among_others_s, next_s)
+            by_s, leapt = sensor.held_s[-1] - continued_s, {name: sensor}
         else:
             # A clock that is set back shows no pause: the held stamps are one period apart.
             without_s = sensor.period_s + sensor.held_s[-1] - sensor.held_s[0]
-            pause_s = self.settings.pause_s if sensor.held_s[-1] > self._newest_s else without_s
+            pause_s = _PAUSE_S if sensor.held_s[-1] > self._newest_s else without_s
             by_s = sensor.held_s[-1] - self._newest_s - pause_s
             leapt = dict(self._sensors)
             self.shift_s += by_s
@@ -277,32 +261,11 @@ class SessionClock:
         self._warn_of_leap(list(leapt), by_s)
 
     def _warn_of_leap(self, names: list[str], by_s: float) -> None:
-        if len(self._leaps) < self.settings.most_warnings:
+        if len(self._leaps) < _MOST_WARNINGS:
             clocks = f"clock{'s' if len(names) > 1 else ''} of the {' and the '.join(names)}"
             continuation = "events after it continue without a break"
             silent = ", or all sensors paused that long" if by_s > 0 and len(names) == len(self._sensors) else ""
             self._leaps.append(f"The {clocks} leapt by {_seconds(by_s)}{silent}: {continuation}.")
-
-    def _continued_s(self, sensor: _Sensor) -> float:
-        """The session time of the last held stamp, by the events of the other sensors."""
-        among_others_s = self._newest_s - (median(sensor.behind_s) if sensor.behind_s else 0.0)
-        next_s = sensor.last_s + sensor.period_s
-        without_loss_s = next_s + sensor.held_s[-1] - sensor.held_s[0]
-        is_whole = abs(without_loss_s - among_others_s) <= self.settings.stall_s
-        return without_loss_s if is_whole else max(among_others_s, next_s)
-
-
-def _leap_alike(one: _Sensor, other: _Sensor, within_s: float) -> bool:
-    if not (one.held_s and other.held_s):
-        return False
-    first, second = (sensor.held_s[0] - sensor.last_s - sensor.period_s for sensor in (one, other))
-    return abs(first - second) < within_s
-
-
-def _name_of(event: Event) -> str:
-    if isinstance(event, RgbdFrame | SkippedFrame):
-        return "camera"
-    return "wheels" if isinstance(event, WheelReading) else _GYROSCOPE
 
 
 def _seconds(seconds: float) -> str:

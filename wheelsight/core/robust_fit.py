@@ -7,41 +7,22 @@ disagreement is narrowed from generous to the spread found.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from wheelsight.core.geometry import BoolArray, FloatArray
-from wheelsight.core.settings import CHOSEN, Settings, bounds, setting
 
 UNKNOWN_SIGMA = 1e3
 
 _STEP = 0.01  # share of a parameter's bound, the scale of the solver
 
 
-class RobustFitSettings(Settings):
-    """What counts as a disagreement of a piece with the rest."""
-
-    first_scale: float = setting(0.02, "spread at first, in metres and in radians", CHOSEN, gt=0, le=1)
-    least_scale: float = setting(
-        5e-4, "spread at least: nothing is better than half a mm and half a mrad", CHOSEN, gt=0, le=1
-    )
-    narrowing: tuple[Annotated[float, bounds(gt=0, le=1e6)], ...] = setting(
-        (32.0, 8.0, 4.0, 2.0, 1.0, 1.0, 1.0),
-        "times the spread found, step by step",
-        "Yang et al. 2020: from generous on; the steps are chosen",
-        min_length=1,
-        max_length=100,
-    )
-    outlier_chi2: float = setting(
-        16.0, "three normal residuals exceed it once in a thousand", "computed: χ² of 3", gt=0, le=1e4
-    )
-    most_clusters: int = setting(
-        25, "number of runs of neighbouring pieces, whose spread gives the covariance", CHOSEN, gt=0, le=10_000
-    )
-
-
-DEFAULTS = RobustFitSettings()
+# Chosen, unless the line says otherwise.
+_FIRST_SCALE, _LEAST_SCALE = 0.02, 5e-4  # initial and least spread, in metres and in radians
+_NARROWING = (32.0, 8.0, 4.0, 2.0, 1.0, 1.0, 1.0)  # times the spread, step by step (after Yang et al. 2020)
+_OUTLIER_CHI2 = 16.0  # χ² of 3, exceeded once in a thousand (computed)
+_MOST_CLUSTERS = 25  # runs of neighbouring pieces, whose spread gives the covariance
 
 
 class Problem(Protocol):
@@ -77,26 +58,24 @@ class RobustFit:
     is_outlier: BoolArray
 
 
-def robust_fit(problem: Problem, start: FloatArray, settings: RobustFitSettings = DEFAULTS) -> RobustFit:
+def robust_fit(problem: Problem, start: FloatArray) -> RobustFit:
     """The values for which most pieces agree, sought from `start` (P,)."""
-    values, scales = start, np.full(3, settings.first_scale)
+    values, scales = start, np.full(3, _FIRST_SCALE)
     weights = np.ones(len(problem.residuals(start)))
-    for factor in settings.narrowing:
+    for factor in _NARROWING:
         residuals = problem.residuals(values)
         if values is not start:
-            scales = np.maximum(spread(residuals), settings.least_scale)
-        weights = _weights(((residuals / (factor * scales)) ** 2).sum(axis=1), settings)
+            scales = np.maximum(spread(residuals), _LEAST_SCALE)
+        weights = _weights(((residuals / (factor * scales)) ** 2).sum(axis=1))
         values = _solve(problem, values, scales, weights)
     residuals = problem.residuals(values)
-    is_outlier = ((residuals / scales) ** 2).sum(axis=1) > settings.outlier_chi2
-    return RobustFit(values, *_covariances(problem, values, scales, settings), residuals, weights, is_outlier)
+    is_outlier = ((residuals / scales) ** 2).sum(axis=1) > _OUTLIER_CHI2
+    return RobustFit(values, *_covariances(problem, values, scales), residuals, weights, is_outlier)
 
 
-def response(
-    problem: Problem, found: RobustFit, moved: FloatArray, settings: RobustFitSettings = DEFAULTS
-) -> FloatArray:
+def response(problem: Problem, found: RobustFit, moved: FloatArray) -> FloatArray:
     """How far the values found go (K, P), to first order, where residuals are moved by `moved` (K, M, 3)."""
-    scales = np.maximum(spread(found.residuals), settings.least_scale)
+    scales = np.maximum(spread(found.residuals), _LEAST_SCALE)
     J = _jacobian(problem, found.values) / scales[None, :, None]
     weighted = found.weights[:, None, None] * J
     H = np.einsum("mip,miq->pq", weighted, J) + np.diag(problem.prior_sigmas**-2)
@@ -121,14 +100,12 @@ def _solve(problem: Problem, start: FloatArray, scales: FloatArray, weights: Flo
     return np.asarray(least_squares(misfit, within, jac="3-point", bounds=(-bounds, bounds), x_scale=_STEP * bounds).x)
 
 
-def _weights(chi2: FloatArray, settings: RobustFitSettings) -> FloatArray:
+def _weights(chi2: FloatArray) -> FloatArray:
     """Geman and McClure's weights (M,) of squared residuals (M,) in units of their scale."""
-    return np.asarray((settings.outlier_chi2 / (settings.outlier_chi2 + chi2)) ** 2)
+    return np.asarray((_OUTLIER_CHI2 / (_OUTLIER_CHI2 + chi2)) ** 2)
 
 
-def _covariances(
-    problem: Problem, values: FloatArray, scales: FloatArray, settings: RobustFitSettings
-) -> tuple[FloatArray, FloatArray]:
+def _covariances(problem: Problem, values: FloatArray, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The robust cost's inverse Hessian on both sides of its gradient's spread (Huber 1967), and alone, (P, P) each.
 
     The gradient is summed over runs of neighbouring pieces, for neighbours share a pose and so that pose's error.
@@ -137,8 +114,8 @@ def _covariances(
     r = problem.residuals(values) / scales
     J = _jacobian(problem, values) / scales[None, :, None]
     chi2 = (r**2).sum(axis=1)
-    w = _weights(chi2, settings)
-    slope = -4 * settings.outlier_chi2**2 / (settings.outlier_chi2 + chi2) ** 3
+    w = _weights(chi2)
+    slope = -4 * _OUTLIER_CHI2**2 / (_OUTLIER_CHI2 + chi2) ** 3
     H = np.einsum("mip,m,miq->pq", J, w, J)
     along = np.einsum("mip,mi->mp", J, r)
     robust = H + np.einsum("mp,m,mq->pq", along, slope, along)
@@ -146,11 +123,11 @@ def _covariances(
     if np.linalg.eigvalsh(robust + known)[0] < 0.1 * np.linalg.eigvalsh(H + known)[0]:
         robust = H
     inverse = np.linalg.inv(robust + known)
-    size = -(-len(r) // settings.most_clusters)
+    size = -(-len(r) // _MOST_CLUSTERS)
     gradients = np.add.reduceat(w[:, None] * along, np.arange(0, len(r), size))
     groups = len(gradients)
     scatter = gradients.T @ gradients * groups / (groups - len(values))
-    whole = J * (scales / settings.least_scale)[None, :, None]
+    whole = J * (scales / _LEAST_SCALE)[None, :, None]
     floor = np.asarray(np.linalg.inv(np.einsum("mip,miq->pq", whole, whole) + known))
     return inverse @ scatter @ inverse + floor, inverse + floor
 

@@ -402,7 +402,7 @@ class BaseSensors:
         self._wheels = ByWheels(calibration, settings.model_copy(update={"gyro": False}))
         self._with_gyro = ByWheels(calibration, settings)
         assert calibration.any_wheels is not None  # ByWheels has refused it
-        self._times = ReadingTimes(calibration.any_wheels, settings.reading_times)
+        self._times = ReadingTimes(calibration.any_wheels)
         self.uses_gyro, self._has_gyro, self._was_trusted = settings.gyro, False, False
         self.problem = ""
         self._last_s = -math.inf

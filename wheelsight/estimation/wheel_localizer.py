@@ -26,6 +26,7 @@ from wheelsight.wheels import AnyWheelOdometry, GyroCheck, HolonomicOdometry, Wh
 AnyEstimate = TypeVar("AnyEstimate", bound=Estimate)
 _STILL = np.eye(4)
 _IDENTITY = np.eye(4)
+_REPLAYED_S = 2.0  # driven again by the wheels alone if the gyroscope fails; longer than that takes to detect
 _READINGS = 256  # number of stamps kept: frames are hardly ever delayed by more readings
 
 
@@ -49,7 +50,7 @@ class ByWheels:
         self._odom_base: FloatArray = _STILL  # pose of the base in it
         self._moved: FloatArray = _STILL  # motion of the base by the last event
         self._has_trusted = False
-        self._check = GyroCheck(settings.gyro_check)
+        self._check = GyroCheck()
         self._rates = YawRateMeter(settings.gyro_gap_s)
         assert calibration.any_wheels is not None  # odometry_of has refused it
         self._delay_s = calibration.any_wheels.delay_s
@@ -131,7 +132,7 @@ class ByWheels:
             # A copy from when both sensors agreed, and still did later, for the case that the gyroscope fails.
             if self._next is not None:
                 self._alone = self._next[1]
-            self._next = (reading.stamp_s + self._check.settings.kept_s, self._joined.copy())
+            self._next = (reading.stamp_s + _REPLAYED_S, self._joined.copy())
         return joined if self._check.is_trusted else alone, self._slip
 
     @property

@@ -7,13 +7,11 @@ from wheelsight.wheels.calibration import WheelFit, WheelTrial, fit_wheels, try_
 from wheelsight.wheels.drive import Drive, drive_from_ticks, drive_of, drive_path
 from wheelsight.wheels.gyroscope import GyroCheck, YawRateMeter, gyro_warnings, mean_yaw_rates
 from wheelsight.wheels.holonomic import AnyWheelOdometry, HolonomicOdometry, odometry_of
-from wheelsight.wheels.loop_check import LoopCause, LoopCheck, LoopCheckSettings, check_loop, with_sigmas
+from wheelsight.wheels.loop_check import LoopCause, LoopCheck, check_loop, with_sigmas
 from wheelsight.wheels.odometry import (
     Encoder,
-    GyroCheckSettings,
     Integration,
     ReadingTimes,
-    ReadingTimesSettings,
     WheelOdometry,
     WheelSettings,
     WheelTrack,
@@ -28,14 +26,11 @@ __all__ = [
     "Drive",
     "Encoder",
     "GyroCheck",
-    "GyroCheckSettings",
     "HolonomicOdometry",
     "Integration",
     "LoopCause",
     "LoopCheck",
-    "LoopCheckSettings",
     "ReadingTimes",
-    "ReadingTimesSettings",
     "Umbmark",
     "WheelFit",
     "WheelOdometry",

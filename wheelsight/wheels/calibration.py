@@ -21,11 +21,9 @@ from wheelsight.core.camera_errors import typical_motion_errors, with_error
 from wheelsight.core.errors import CalibrationError, EvaluationError
 from wheelsight.core.geometry import BoolArray, FloatArray, se3
 from wheelsight.core.robust_fit import (
-    DEFAULTS,
     UNKNOWN_SIGMA,
     Problem,
     RobustFit,
-    RobustFitSettings,
     response,
     robust_fit,
     spread,
@@ -315,9 +313,7 @@ class SegmentsProblem(Problem, Protocol):
     segments: Segments
 
 
-def covariance_by(
-    problem: SegmentsProblem, found: RobustFit, errors: FloatArray, settings: RobustFitSettings = DEFAULTS
-) -> FloatArray:
+def covariance_by(problem: SegmentsProblem, found: RobustFit, errors: FloatArray) -> FloatArray:
     """Return the covariance (P, P) of the fitted values by independent errors (K, 3, 3) of the motions, of one σ each.
 
     Errors are as in `camera_errors.motion_errors`.
@@ -327,7 +323,7 @@ def covariance_by(
         problem.segments = replace(segments, motions=with_error(segments.motions, error))
         moved.append(problem.residuals(found.values) - found.residuals)
     problem.segments = segments
-    shifts = response(problem, found, np.reshape(moved, (-1, *found.residuals.shape)), settings)
+    shifts = response(problem, found, np.reshape(moved, (-1, *found.residuals.shape)))
     return np.asarray(shifts.T @ shifts)
 
 

@@ -22,9 +22,33 @@ from wheelsight.core.geometry import FloatArray
 from wheelsight.core.messages import WheelReading, YawRate
 from wheelsight.io.recordings import Recording
 from wheelsight.wheels.holonomic import odometry_of
-from wheelsight.wheels.odometry import GyroCheckSettings, WheelSettings
+from wheelsight.wheels.odometry import WheelSettings
 
 _GAP_S = WheelSettings().gyro_gap_s
+
+# Chosen, unless the line says otherwise.
+_BLOCK_S = 0.25  # length of the blocks in which turns are compared
+_LAGS_S = np.linspace(-0.4, 0.4, 17)  # lags that are tried; an odd number, so that 0 is one of them
+_NO_LAG, _MOST_LAG_S = 8, 0.4
+_TURNING_RAD_S = 0.05  # turns of the wheels that count; of slower ones, rounding of counts is most (computed)
+_LAST_TURNS, _LAST_BLOCKS = 40, 400  # turning blocks in a fit, 10 s, within the last 100 s
+_TRUST_AFTER, _ACCUSE_AFTER = 8, 20  # turning blocks before a decision: 2 s and 5 s (found on the simulator alone)
+# The gyroscope's turns over the wheels': data sheets and tape measures are good to some percent.
+_SCALES = (0.85, 1.15)
+_SLIPPING_SCALES = (0.5, 1.3)  # likewise, for wheels that slip in turns (one real skid-steered robot)
+# Relative scatter of wheels that slip in turns: 0.03 to 0.09 on a real skid-steered robot; below 0.01 for wheels that
+# grip (found on the simulator alone).
+_SLIPPING_SCATTER = 0.015
+_SIGMAS = 3.0  # by which a scale must lie outside
+_RELATED_SHARE = 0.8  # of the rates' variance that the line explains, for trust (found on the simulator alone)
+_UNRELATED_SHARE = 0.5  # below it, the gyroscope measures other turns (found on the simulator alone)
+_LATE_S = 0.1  # lag that is reported; wheels are 0.05 s late where their delay was not measured (computed)
+_CLEARER = 2.0  # ratio of residuals without a lag and at the best one (found on the simulator alone)
+_RECENT_BLOCKS = 4  # in which a trusted gyroscope must agree: one second
+_STUCK_S = 1.0  # a rate that stays the same for this long is stuck,
+_STUCK_RAD = 0.2  # if the wheels turned by this much in between, more than they slip (found on the simulator alone)
+_STUCK_BLOCKS = 40  # in at most 10 s
+_GYRO_WAIT_S = 1.0  # longest wait of a block for the gyroscope
 
 
 class YawRateMeter:
@@ -99,64 +123,8 @@ def mean_yaw_rates(
     return means
 
 
-_DEGREES = 180 / math.pi
-
-
-@dataclass(frozen=True, slots=True)
-class Line:
-    """A line of the gyroscope's rate over the wheels'.
-
-    Attributes:
-        slope: of the line.
-        sigma: standard deviation of the slope.
-        bias_rad_s: rate of the gyroscope at rest.
-        left: variance of the residuals, (rad/s)².
-        share: share of the rates' variance that the line explains.
-        scatter: median residual relative to the median rate of the line.
-    """
-
-    slope: float
-    sigma: float
-    bias_rad_s: float
-    left: float
-    share: float
-    scatter: float
-
-    @classmethod
-    def through(cls, wheels_rad_s: FloatArray, gyro_rad_s: FloatArray, turning_rad_s: float) -> Line:
-        """Fit a line to blocks (N,), at least three, robustly. Only rates over `turning_rad_s` count as turns."""
-        x, y = wheels_rad_s, gyro_rad_s
-        weights, slope, bias = np.ones(len(x)), 0.0, 0.0
-        for _ in range(6):
-            total = weights.sum()
-            mean_x, mean_y = weights @ x / total, weights @ y / total
-            spread = weights @ (x - mean_x) ** 2
-            slope = float(weights @ ((x - mean_x) * (y - mean_y)) / max(spread, 1e-12))
-            bias = float(mean_y - slope * mean_x)
-            off = np.abs(y - bias - slope * x)
-            usual = max(1.5 * float(np.median(off)) * 1.4826, 1e-6)
-            weights = np.minimum(1.0, usual / np.maximum(off, 1e-12))
-        left = float(weights @ off**2 / weights.sum())
-        variance = float(weights @ (y - mean_y) ** 2 / weights.sum())
-        turning = np.abs(x) > turning_rad_s
-        typical = abs(slope) * np.median(np.abs(x[turning])) if turning.any() else 0.0
-        scatter = float(np.median(off[turning]) / typical) if typical > 0 else math.inf
-        sigma = math.sqrt(left / max(spread, 1e-12))
-        return cls(slope, sigma, bias, left, 1 - left / variance if variance > 0 else 0.0, scatter)
-
-    def lies_within(self, settings: GyroCheckSettings, sigmas: float = 0.0) -> bool:
-        """Whether the slope is within the limits for wheels that grip or slip, with a margin in sigmas."""
-        of, room = settings, sigmas * self.sigma
-        if self.scatter > of.slipping_scatter:
-            return of.lowest_slipping_scale - room <= self.slope <= of.highest_slipping_scale + room
-        return of.lowest_scale - room <= self.slope <= of.highest_scale + room
-
-
 class GyroCheck:
     """Compares a gyroscope with the turns of the wheels; see the module.
-
-    Args:
-        settings: None for the defaults.
 
     Attributes:
         is_trusted: whether the gyroscope has agreed with the wheels, and not contradicted them since.
@@ -165,22 +133,20 @@ class GyroCheck:
         readings: number of readings of the gyroscope.
     """
 
-    def __init__(self, settings: GyroCheckSettings | None = None) -> None:
-        self.settings = of = settings or GyroCheckSettings()
-        self._lags_s = np.linspace(-of.most_lag_s, of.most_lag_s, of.lags)
+    def __init__(self) -> None:
         self.is_trusted = self.agrees_now = False
         self.problem = ""
         self.readings = 0
         self._gyro: deque[tuple[float, float]] = deque()  # stamps and angles
         self._rate = self._angle_rad = 0.0
         # Stamps and turns of the wheels while the gyroscope's rate has not changed.
-        self._same: deque[tuple[float, float]] = deque(maxlen=of.stuck_blocks)
+        self._same: deque[tuple[float, float]] = deque(maxlen=_STUCK_BLOCKS)
         self._spans_s: dict[str, tuple[float, float]] = {}
         self._begin: tuple[float, float] | None = None  # stamp and turn of the wheels at the begin of a block
-        self._turn_rad = self._moved_s = 0.0
+        self._turn_rad = 0.0
         self._waiting: deque[tuple[float, float, float]] = deque()  # blocks: begin, end, rate of the wheels
-        self._wheels: deque[float] = deque(maxlen=of.last_blocks)  # rates of the blocks
-        self._rates: deque[FloatArray] = deque(maxlen=of.last_blocks)  # rates of the gyroscope at each lag
+        self._wheels: deque[float] = deque(maxlen=_LAST_BLOCKS)  # rates of the blocks
+        self._rates: deque[FloatArray] = deque(maxlen=_LAST_BLOCKS)  # rates of the gyroscope at each lag
 
     def add_rate(self, stamp_s: float, yaw_rate_rad_s: float) -> None:
         """Add a reading of the gyroscope; ignored if it is not finite, or not newer than the last one."""
@@ -196,7 +162,7 @@ class GyroCheck:
             self._same.clear()
         self._rate = yaw_rate_rad_s
         self._gyro.append((stamp_s, self._angle_rad))
-        while self._gyro[0][0] < stamp_s - 4 * self.settings.unheard_s:
+        while self._gyro[0][0] < stamp_s - 4 * _GYRO_WAIT_S:
             self._gyro.popleft()
 
     def add_turn(self, stamp_s: float, turn_rad: float, is_sound: bool = True) -> None:
@@ -209,13 +175,14 @@ class GyroCheck:
             return
         self._turn_rad += turn_rad
         begin_s, begin_rad = self._begin
-        if stamp_s - begin_s < self.settings.block_s:
+        if stamp_s - begin_s < _BLOCK_S:
             return
-        if stamp_s - begin_s < 2 * self.settings.block_s:
+        if stamp_s - begin_s < 2 * _BLOCK_S:
             self._waiting.append((begin_s, stamp_s, (self._turn_rad - begin_rad) / (stamp_s - begin_s)))
         self._begin = (stamp_s, self._turn_rad)
         self._same.append(self._begin)
-        self._compare_blocks(stamp_s)
+        if self._add_blocks(stamp_s):
+            self._compare()
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -237,75 +204,70 @@ class GyroCheck:
             first_s, last_s = self._spans_s.get(whose, (stamp_s, stamp_s))
             self._spans_s[whose] = (min(first_s, stamp_s), max(last_s, stamp_s))
 
-    def _compare_blocks(self, now_s: float) -> None:
-        """Compare the blocks that the gyroscope covers at all lags; drop blocks after the longest wait for it."""
-        is_new, latest_s = False, self.settings.most_lag_s
+    def _add_blocks(self, now_s: float) -> bool:
+        """Take the rates of blocks that the gyroscope covers at all lags; drop blocks after the longest wait for it.
+
+        Returns:
+            Whether there are new ones.
+        """
+        is_new = False
         while self._waiting and not self.problem:
             begin_s, end_s, rate_rad_s = self._waiting[0]
-            is_covered = bool(self._gyro) and self._gyro[-1][0] >= end_s + latest_s
-            if not is_covered and now_s < end_s + self.settings.unheard_s:
+            is_covered = bool(self._gyro) and self._gyro[-1][0] >= end_s + _MOST_LAG_S
+            if not is_covered and now_s < end_s + _GYRO_WAIT_S:
                 break
             self._waiting.popleft()
-            if is_covered and self._gyro[0][0] <= begin_s - latest_s:
+            if is_covered and self._gyro[0][0] <= begin_s - _MOST_LAG_S:
                 stamps_s, angles_rad = np.array(self._gyro).T
-                ends_s, begins_s = end_s + self._lags_s, begin_s + self._lags_s
+                ends_s, begins_s = end_s + _LAGS_S, begin_s + _LAGS_S
                 turned = np.interp(ends_s, stamps_s, angles_rad) - np.interp(begins_s, stamps_s, angles_rad)
                 self._wheels.append(rate_rad_s)
                 self._rates.append(turned / (end_s - begin_s))
                 is_new = True
-        if is_new:
-            self._judge()
+        return is_new
 
-    def _judge(self) -> None:
-        of = self.settings
-        if self._is_stuck():
-            self._accuse(f"it stays at {self._rate + 0.0:.3g} rad/s while the wheels turn the robot")
+    def _compare(self) -> None:
+        """Update trust and problem by the rates of the last turns."""
+        if len(self._same) > 1 and self._same[-1][0] - self._same[0][0] > _STUCK_S:
+            # The gyroscope's rate stays; the wheels may turn at a constant rate too.
+            stamps_s, turned_rad = np.array(self._same).T
+            even = np.interp(stamps_s, stamps_s[[0, -1]], turned_rad[[0, -1]])
+            if np.abs(turned_rad - even).max() > _STUCK_RAD:
+                self._accuse(f"it stays at {self._rate + 0.0:.3g} rad/s while the wheels turn the robot")
+                return
+        wheels, rates = np.array(self._wheels), np.array(self._rates)  # (N,), (N, lags)
+        turning = np.flatnonzero(np.abs(wheels) > _TURNING_RAD_S)
+        if len(turning) < _TRUST_AFTER:
             return
-        wheels, rates = np.array(self._wheels), np.array(self._rates)
-        turning = np.flatnonzero(np.abs(wheels) > of.turning_rad_s)
-        if len(turning) < of.trust_after:
-            return
-        first = turning[max(0, len(turning) - of.last_turns)]
+        first = turning[max(0, len(turning) - _LAST_TURNS)]
         # Blocks before the turns separate the bias from the slope.
-        begin = max(0, min(first, len(wheels) - 2 * of.last_turns))
-        self._compare(wheels[begin:], rates[begin:], len(turning))
-
-    def _compare(self, wheels: FloatArray, rates: FloatArray, turns: int) -> None:
-        """Update trust and problem by rates of the wheels (N,) and of the gyroscope at all lags (N, L)."""
-        of, no_lag = self.settings, len(self._lags_s) // 2
-        lines = [Line.through(wheels, at_lag, of.turning_rad_s) for at_lag in rates.T]
+        begin = max(0, min(first, len(wheels) - 2 * _LAST_TURNS))
+        wheels, rates = wheels[begin:], rates[begin:]
+        lines = [RateLine.through(wheels, at_lag) for at_lag in rates.T]
         best = int(np.argmax([line.share for line in lines]))
-        line, late_s, now = lines[best], float(self._lags_s[best]), lines[no_lag]
-        is_late = abs(late_s) > of.late_s and now.left > of.clearer * line.left
-        if turns >= of.accuse_after:
-            self._accuse(_contradiction(line, late_s if is_late else 0.0, of))
-        is_sure = now.share > of.followed_share and now.lies_within(of) and 3 * now.sigma < 0.15
+        line, late_s, now = lines[best], float(_LAGS_S[best]), lines[_NO_LAG]
+        is_late = abs(late_s) > _LATE_S and now.left > _CLEARER * line.left
+        if len(turning) >= _ACCUSE_AFTER:
+            self._accuse(_contradiction(line, late_s if is_late else 0.0))
+        is_sure = now.share > _RELATED_SHARE and now.lies_within() and 3 * now.sigma < 0.15
         if not self.problem and not is_late and is_sure:
             self.is_trusted = True
-        last = np.s_[-of.recent_blocks :]
-        off = np.abs(rates[last, no_lag] - now.bias_rad_s - now.slope * wheels[last])
+        last = np.s_[-_RECENT_BLOCKS:]
+        off = np.abs(rates[last, _NO_LAG] - now.bias_rad_s - now.slope * wheels[last])
         usual = 4 * math.sqrt(now.left) + 0.1 * np.abs(wheels[last])
         self.agrees_now = self.is_trusted and bool((off < usual).all())
-
-    def _is_stuck(self) -> bool:
-        """Whether the gyroscope's rate stays while the wheels deviate from a constant rate."""
-        if len(self._same) < 2 or not self._same[-1][0] - self._same[0][0] > self.settings.stuck_s:
-            return False
-        stamps_s, turned_rad = np.array(self._same).T
-        even = np.interp(stamps_s, stamps_s[[0, -1]], turned_rad[[0, -1]])
-        return bool(np.abs(turned_rad - even).max() > self.settings.stuck_rad)
 
     def _accuse(self, problem: str) -> None:
         if problem:
             self.problem, self.is_trusted, self.agrees_now = problem, False, False
 
 
-def gyro_warnings(recording: Recording, settings: GyroCheckSettings | None = None) -> tuple[str, ...]:
+def gyro_warnings(recording: Recording) -> tuple[str, ...]:
     """Return the problems of a recording's gyroscope, one sentence each. Decodes no images.
 
     Raises RecordingError if the recording cannot be read.
     """
-    check = GyroCheck(settings)
+    check = GyroCheck()
     if recording.calibration.any_wheels is None:
         return ()
     odometry = odometry_of(recording.calibration)
@@ -318,14 +280,62 @@ def gyro_warnings(recording: Recording, settings: GyroCheckSettings | None = Non
     return check.warnings
 
 
-def _contradiction(line: Line, late_s: float, of: GyroCheckSettings) -> str:
+@dataclass(frozen=True, slots=True)
+class RateLine:
+    """A line of the gyroscope's rate over the wheels'.
+
+    Attributes:
+        slope: of the line.
+        sigma: standard deviation of the slope.
+        bias_rad_s: rate of the gyroscope at rest.
+        left: variance of the residuals, (rad/s)².
+        share: share of the rates' variance that the line explains.
+        scatter: median residual relative to the median rate of the line.
+    """
+
+    slope: float
+    sigma: float
+    bias_rad_s: float
+    left: float
+    share: float
+    scatter: float
+
+    @classmethod
+    def through(cls, wheels_rad_s: FloatArray, gyro_rad_s: FloatArray) -> RateLine:
+        """Fit a line to blocks (N,), at least three, robustly."""
+        x, y = wheels_rad_s, gyro_rad_s
+        weights, slope, bias = np.ones(len(x)), 0.0, 0.0
+        for _ in range(6):
+            total = weights.sum()
+            mean_x, mean_y = weights @ x / total, weights @ y / total
+            spread = weights @ (x - mean_x) ** 2
+            slope = float(weights @ ((x - mean_x) * (y - mean_y)) / max(spread, 1e-12))
+            bias = float(mean_y - slope * mean_x)
+            off = np.abs(y - bias - slope * x)
+            usual = max(1.5 * float(np.median(off)) * 1.4826, 1e-6)
+            weights = np.minimum(1.0, usual / np.maximum(off, 1e-12))
+        left = float(weights @ off**2 / weights.sum())
+        variance = float(weights @ (y - mean_y) ** 2 / weights.sum())
+        turning = np.abs(x) > _TURNING_RAD_S
+        typical = abs(slope) * np.median(np.abs(x[turning])) if turning.any() else 0.0
+        scatter = float(np.median(off[turning]) / typical) if typical > 0 else math.inf
+        sigma = math.sqrt(left / max(spread, 1e-12))
+        return cls(slope, sigma, bias, left, 1 - left / variance if variance > 0 else 0.0, scatter)
+
+    def lies_within(self, sigmas: float = 0.0) -> bool:
+        """Whether the slope is within the limits for wheels that grip or slip, with a margin in sigmas."""
+        lowest, highest = _SLIPPING_SCALES if self.scatter > _SLIPPING_SCATTER else _SCALES
+        return lowest - sigmas * self.sigma <= self.slope <= highest + sigmas * self.sigma
+
+
+def _contradiction(line: RateLine, late_s: float) -> str:
     """Return how the gyroscope contradicts the wheels, or ""."""
-    if line.share < of.deaf_share and abs(line.slope) < of.sigmas * line.sigma + 0.3:
+    if line.share < _UNRELATED_SHARE and abs(line.slope) < _SIGMAS * line.sigma + 0.3:
         return "it does not measure the turns of the wheels"
-    if line.slope < 0 and line.share > of.deaf_share:
+    if line.slope < 0 and line.share > _UNRELATED_SHARE:
         return "it turns the other way than the wheels (counter-clockwise from above is positive: mounted upside down?)"
-    if line.share > of.deaf_share and not line.lies_within(of, of.sigmas):
-        in_degrees = abs(line.slope / _DEGREES - 1) < 0.3
+    if line.share > _UNRELATED_SHARE and not line.lies_within(_SIGMAS):
+        in_degrees = abs(line.slope / math.degrees(1) - 1) < 0.3
         why = "degrees instead of radians?" if in_degrees else "the scale of one of both is wrong"
         return f"it measures turns {line.slope:.3g} times as fast as the wheels ({why})"
     if late_s:

@@ -10,43 +10,15 @@ import numpy as np
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.errors import CalibrationError
 from wheelsight.core.geometry import FloatArray, chi_square
-from wheelsight.core.settings import CHOSEN, Settings, setting
 from wheelsight.wheels.drive import Drive, poses_at
 
-_STEP = 1e-5
-_ROUNDS, _NOTHING = 6, 1e-6
-
-
-class LoopCheckSettings(Settings):
-    """When the path of wheels closes."""
-
-    shortest_m: float = setting(
-        5.0, "way of a loop, m: on less the mark is most of what is off", "reckoned", gt=0, le=1e6
-    )
-    mark_m: float = setting(
-        0.02, "standard deviation, m, by which a robot is put back beside its mark, each axis", CHOSEN, gt=0, le=10
-    )
-    mark_deg: float = setting(1.0, "likewise of its heading, degrees", CHOSEN, gt=0, le=90)
-    confidence: float = setting(
-        0.9973, "share of loops of wheels that are as stated which are found so: 3σ of one number", CHOSEN, gt=0, lt=1
-    )
-    explained_share: float = setting(
-        0.9,
-        "of what is off, in σ squared, that one size takes away which is told as its cause, even where slip that is "
-        "larger than stated leaves more than there should be",
-        CHOSEN,
-        gt=0,
-        le=1,
-    )
-    good_share: float = setting(
-        0.02,
-        "of the way, off at the end: a calibrated differential drive is off by about 1 %, and one that is off by more, "
-        "however unsure it is said to be, is worth another calibration",
-        CHOSEN,
-        gt=0,
-        le=1,
-    )
-    good_deg_per_m: float = setting(0.2, "likewise of its heading, degrees a metre", CHOSEN, gt=0, le=90)
+_STEP = 1e-5  # of numeric derivatives
+_ROUNDS, _NOTHING = 6, 1e-6  # of Gauss-Newton; information below which a size has no effect
+# Chosen.
+_SHORTEST_M = 5.0  # of a loop: in a shorter one, the error of the mark is most of the error (computed)
+_CONFIDENCE = 0.9973  # share of loops found as stated, of wheels that are: 3σ of one number
+_EXPLAINED_SHARE = 0.9  # of the squared error, in σ: a size that explains it is a cause, even if slip leaves too much
+_GOOD_SHARE, _GOOD_DEG_PER_M = 0.02, 0.2  # error per way: a calibrated differential drive has about 1 %
 
 
 class LoopCause(StrEnum):
@@ -85,18 +57,22 @@ class LoopCheck:
     causes: tuple[tuple[LoopCause, float], ...]
 
 
-def check_loop(drive: Drive, wheels: Wheels, settings: LoopCheckSettings | None = None) -> LoopCheck:
+def check_loop(drive: Drive, wheels: Wheels, *, mark_m: float = 0.02, mark_deg: float = 1.0) -> LoopCheck:
     """Check wheels by a drive whose final pose is its initial one, heading included.
+
+    Args:
+        drive: readings of the wheels.
+        wheels: of the robot.
+        mark_m, mark_deg: σ by which the robot is put back beside its mark, along each axis and in heading.
 
     Raises:
         CalibrationError: the drive is too short.
     """
-    settings = settings or LoopCheckSettings()
     poses = poses_at(drive, _sizes(wheels), drive.stamps_s)
     steps_m = np.diff(np.stack([drive.left_rad, drive.right_rad], axis=-1), axis=0) * _sizes(wheels)[:2]
     way_m = float(np.abs(steps_m.mean(axis=1)).sum())
-    if way_m < settings.shortest_m:
-        problem, fix = f"is a drive of {way_m:.1f} m", f"drive {settings.shortest_m:g} m or more"
+    if way_m < _SHORTEST_M:
+        problem, fix = f"is a drive of {way_m:.1f} m", f"drive {_SHORTEST_M:g} m or more"
         raise CalibrationError(problem, fix=fix)
     off = poses[-1].copy()
     turns = round(off[2] / (2 * np.pi))
@@ -106,14 +82,14 @@ def check_loop(drive: Drive, wheels: Wheels, settings: LoopCheckSettings | None 
     J = np.stack([(_end(drive, wheels, *change) - here) / _STEP for change in _STEP * np.eye(3)], axis=-1)
     stated = np.array([wheels.scale_sigma, wheels.drift_sigma_rad_per_m, wheels.turn_sigma])
     of_sizes = (J * stated**2) @ J.T
-    of_mark = np.diag(np.square([settings.mark_m, settings.mark_m, np.radians(settings.mark_deg)]))
+    of_mark = np.diag(np.square([mark_m, mark_m, np.radians(mark_deg)]))
     of_drive = _by_slip(poses, np.abs(steps_m), wheels) + of_mark
     sigmas, of_sizes_alone = _sigmas(of_sizes + of_drive), _sigmas(of_sizes)
-    most = chi_square.quantile(settings.confidence, 3)
+    most = chi_square.quantile(_CONFIDENCE, 3)
     is_as_stated = float(off @ np.linalg.solve(of_sizes + of_drive, off)) <= most
-    most = max(most, (1 - settings.explained_share) * float(off @ np.linalg.solve(of_drive, off)))
+    most = max(most, (1 - _EXPLAINED_SHARE) * float(off @ np.linalg.solve(of_drive, off)))
     off_m, off_rad = float(np.hypot(*off[:2])), float(off[2])
-    is_good = off_m <= settings.good_share * way_m and np.degrees(abs(off_rad)) <= settings.good_deg_per_m * way_m
+    is_good = off_m <= _GOOD_SHARE * way_m and np.degrees(abs(off_rad)) <= _GOOD_DEG_PER_M * way_m
     closed = np.array([0.0, 0.0, 2 * np.pi * turns])
     causes = () if is_as_stated else _causes(drive, wheels, closed, of_drive, most)
     return LoopCheck(way_m, turns, off_m, off_rad, *sigmas, *of_sizes_alone, is_as_stated, bool(is_good), causes)

@@ -14,11 +14,10 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import model_validator
 
 from wheelsight.core.calibration_parts import Gyro, HolonomicWheels, Wheels, least_step
 from wheelsight.core.checks import check_event, need_kind, need_number
@@ -26,7 +25,7 @@ from wheelsight.core.errors import ArgumentError, CalibrationError
 from wheelsight.core.estimates import Reason, Status, WheelEstimate
 from wheelsight.core.geometry import BoolArray, ByteArray, FloatArray, se3
 from wheelsight.core.messages import OdometryReading, WheelCounts, WheelReading, WheelSpeeds, WheelTicks
-from wheelsight.core.settings import CHOSEN, ON_SIMULATOR, Settings, conflict, setting
+from wheelsight.core.settings import CHOSEN, Settings, setting
 from wheelsight.core.stamps import StampCheck
 from wheelsight.core.threads import OneCaller, one_at_a_time
 from wheelsight.core.trajectory import Trajectory
@@ -63,6 +62,22 @@ _INTEGRATIONS = {"euler": EULER, "midpoint": MIDPOINT, "arc": ARC}
 _REASONS = (None, Reason.CLOCK_BACKWARDS, Reason.GAP, Reason.COUNTER_AMBIGUOUS, Reason.IMPLAUSIBLE_MOTION)
 _WIDE = 2**53  # beyond, floats do not represent a roll-over exactly
 _PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
+
+
+class WheelSettings(Settings):
+    """How wheel readings become a pose."""
+
+    integration: Integration = setting(
+        "arc", "of a step: exact, by Ligocki's eq. 1 (midpoint), or by Trinh's eq. 3 (euler)", "the papers"
+    )
+    gyro: bool = setting(
+        True,
+        "fuse the yaw rates of a gyroscope, if the recording has them",
+        "docs/wheel-odometry.md: a real skid-steered robot, and ten simulated drives",
+    )
+    gyro_gap_s: float = setting(
+        0.1, "over a longer gap between its readings, a gyroscope gives no turn, seconds", CHOSEN, gt=0, le=10
+    )
 
 
 class WheelOdometry(OneCaller):
@@ -361,173 +376,22 @@ def _prepare(wheels: Wheels, integration: Integration, gyro: Gyro) -> tuple[Floa
     return parameters, np.stack([state, state])
 
 
-_FROM_0002 = "docs/decisions/0002: three simulated flats, and the log of a real skid-steered robot"
-_DATA_SHEETS = "reckoned from data sheets and tape measures"
-
-
-class ReadingTimesSettings(Settings):
-    """When readings were taken that are stamped when they arrive; see `ReadingTimes`."""
-
-    speed_steps: int = setting(
-        8,
-        "steps over which the speed is a mean: the noise of stamps is a tenth of it then, and robots' speeds much the"
-        " same",
-        _FROM_0002,
-        ge=2,
-        le=1000,
-    )
-    acceleration_m_s2: float = setting(
-        1.0, "how fast robots indoors speed up and brake, m/s²", "reckoned", gt=0, le=100
-    )
-    slowest_m_s: float = setting(0.03, "slower, m/s, a count more or less is much of the way", "reckoned", ge=0, le=10)
-    stopping_share: float = setting(
-        0.5, "a step of less than this share of the usual way is of a base that stops", _FROM_0002, ge=0, lt=1
-    )
-    gap_factor: float = setting(1.5, "a step so many times as long as usual, and", _FROM_0002, gt=1, le=100)
-    gap_sigmas: float = setting(
-        3.0, "longer than its way takes by so many standard deviations, has a gap in it", _FROM_0002, gt=0, le=100
-    )
-    waiting_share: float = setting(
-        0.5,
-        "those behind a gap waited too, until one is taken less than this share of a period before its stamp,",
-        _FROM_0002,
-        gt=0,
-        le=10,
-    )
-    pace_share: float = setting(
-        0.6,
-        "or some come at their usual pace, as they do behind a second gap within the first: longer than this share of "
-        "what their ways take,",
-        _FROM_0002,
-        gt=0,
-        lt=1,
-    )
-    patience: int = setting(3, "so many of them", _FROM_0002, ge=1, le=1000)
-    latest_s: float = setting(
-        0.2,
-        "no reading is believed to be farther off its stamp, seconds: filters take events so late",
-        "reckoned",
-        gt=0,
-        le=10,
-    )
-    memory_steps: int = setting(
-        40, "the noise of stamps is the root mean square over about so many steps on the way", _FROM_0002, ge=1, le=1e6
-    )
-    least_noise_s: float = setting(1e-3, "noise that is taken for granted at first, seconds", _FROM_0002, gt=0, le=1)
-    exact_s: float = setting(
-        3e-3,
-        "less noise is none, seconds: wheels that count in steps make so much of it, and a clean drive stays the same",
-        _FROM_0002,
-        ge=0,
-        le=1,
-    )
-
-
-class GyroCheckSettings(Settings):
-    """Whether a gyroscope tells of the wheels' turns; see `GyroCheck`."""
-
-    block_s: float = setting(0.25, "length of the blocks in which turns are compared, seconds", CHOSEN, gt=0, le=10)
-    most_lag_s: float = setting(0.4, "lags that are looked for, either way, seconds", CHOSEN, gt=0, le=10)
-    lags: int = setting(17, "how many, evenly spaced; odd, so that none is one of them", CHOSEN, ge=3, le=1001)
-    turning_rad_s: float = setting(
-        0.05, "turns of the wheels that count, rad/s; slower, counts and noise are most of it", "reckoned", gt=0, le=10
-    )
-    last_turns: int = setting(40, "turning blocks that are looked at: 10 s of turning", CHOSEN, ge=3, le=100_000)
-    last_blocks: int = setting(400, "within so many blocks: 100 s", CHOSEN, ge=3, le=1_000_000)
-    trust_after: int = setting(8, "turning blocks before it may be believed: 2 s", ON_SIMULATOR, ge=3, le=100_000)
-    accuse_after: int = setting(20, "turning blocks before it may be left out: 5 s", ON_SIMULATOR, ge=3, le=100_000)
-    lowest_scale: float = setting(
-        0.85,
-        "of its turns over those of the wheels: radii and tracks by tape measure, and gyroscopes by data sheet, are "
-        "good to some percent",
-        _DATA_SHEETS,
-        gt=0,
-        lt=1,
-    )
-    highest_scale: float = setting(1.15, "likewise", _DATA_SHEETS, gt=1, le=100)
-    lowest_slipping_scale: float = setting(
-        0.5, "the same of wheels that slip in turns, as a skid-steered robot's do", "one real drive", gt=0, lt=1
-    )
-    highest_slipping_scale: float = setting(1.3, "likewise", "one real drive", gt=1, le=100)
-    slipping_scatter: float = setting(
-        0.015,
-        "share of the rate by which it is off the line from which on wheels slip in turns: 0.03 to 0.09 of a skid-"
-        "steered robot, less than 0.01 of wheels that grip",
-        "the first is a real drive, the others the simulator's",
-        gt=0,
-        lt=1,
-    )
-    sigmas: float = setting(3.0, "standard deviations by which a scale must lie outside", CHOSEN, gt=0, le=100)
-    followed_share: float = setting(
-        0.8, "share of the rates' variance that the line explains of one that is believed", ON_SIMULATOR, gt=0, lt=1
-    )
-    deaf_share: float = setting(
-        0.5, "share below which it tells of other turns than the wheels", ON_SIMULATOR, gt=0, lt=1
-    )
-    late_s: float = setting(
-        0.1,
-        "lag that is worth a word, seconds: wheels' stamps are late by some 0.05 s where nobody measured their delay",
-        "reckoned",
-        gt=0,
-        le=10,
-    )
-    clearer: float = setting(2.0, "so many times less is left at the best lag", ON_SIMULATOR, ge=1, le=1000)
-    recent_blocks: int = setting(4, "blocks in which it must agree to be kept: one second", CHOSEN, ge=1, le=100_000)
-    stuck_s: float = setting(1.0, "the same number for so long, seconds, is of one that is stuck,", CHOSEN, gt=0, le=60)
-    stuck_rad: float = setting(
-        0.2,
-        "while the wheels turned by so much else, radians: more than they slip in that time",
-        ON_SIMULATOR,
-        gt=0,
-        le=10,
-    )
-    stuck_blocks: int = setting(40, "in so many blocks, at most: 10 s", CHOSEN, ge=2, le=100_000)
-    unheard_s: float = setting(1.0, "so long it is waited for, seconds", CHOSEN, gt=0, le=60)
-    kept_s: float = setting(
-        2.0,
-        "how far back the way goes on by the wheels alone where it fails, seconds: longer than it takes to notice",
-        "reckoned",
-        gt=0,
-        le=600,
-    )
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if self.lags % 2 == 0:
-            raise conflict("lags", f"is {self.lags}, and none of them is 0", "an odd number")
-        if self.last_blocks < self.last_turns:
-            problem = f"is {self.last_blocks}, less than last_turns: {self.last_turns}"
-            raise conflict("last_blocks", problem, "let last_blocks be the larger")
-        for name in ("trust_after", "accuse_after"):
-            if getattr(self, name) > self.last_blocks:
-                problem = f"is {getattr(self, name)}, more than last_blocks: {self.last_blocks}"
-                raise conflict(name, problem, "let last_blocks be the larger")
-        if self.followed_share < self.deaf_share:
-            problem = f"is {self.followed_share:g}, less than deaf_share: {self.deaf_share:g}"
-            raise conflict("followed_share", problem, "let followed_share be the larger")
-        return self
-
-
-class WheelSettings(Settings):
-    """How wheel readings become a pose."""
-
-    integration: Integration = setting(
-        "arc", "of a step: exact, by Ligocki's eq. 1 (midpoint), or by Trinh's eq. 3 (euler)", "the papers"
-    )
-    gyro: bool = setting(
-        True,
-        "join the yaw rates of a gyroscope, where the recording has them",
-        "docs/wheel-odometry.md: a real skid-steered robot, and ten simulated drives",
-    )
-    gyro_gap_s: float = setting(
-        0.1, "a gyroscope that is silent for longer tells no turn between two readings, seconds", CHOSEN, gt=0, le=10
-    )
-    reading_times: ReadingTimesSettings = ReadingTimesSettings()
-    gyro_check: GyroCheckSettings = GyroCheckSettings()
-
-
 Timed = WheelTicks | WheelCounts | OdometryReading
 """Readings with distances, which indicate their durations. Speeds have none."""
+
+# Of `ReadingTimes`; by docs/decisions/0002 (three simulated flats, a real skid-steered robot) unless computed.
+_SPEED_STEPS = 8  # of the mean speed, which reduces the noise of stamps to a tenth
+_ACCELERATION_M_S2 = 1.0  # of robots indoors (computed)
+_SLOWEST_M_S = 0.03  # below it, the rounding of counts is much of the distance (computed)
+_STOPPING_SHARE = 0.5  # of the usual distance: a shorter step is of a base that stops
+_GAP_FACTOR, _GAP_SIGMAS = 1.5, 3.0  # a gap: this many usual periods, and this far over the duration by its distance
+# Readings behind a gap waited until one comes less than this share of a period after its due time, or until
+_WAITING_SHARE = 0.5
+_PACE_SHARE, _PATIENCE = 0.6, 3  # this many steps took this share of the duration by their distance
+_LATEST_S = 0.2  # largest correction, since filters accept events as late (computed)
+_MEMORY_STEPS = 40  # of the mean of the stamps' variance
+_LEAST_NOISE_S = 1e-3  # of stamps, initially
+_EXACT_S = 3e-3  # less noise counts as none: the rounding of counts looks like it
 
 
 class ReadingTimes:
@@ -540,31 +404,29 @@ class ReadingTimes:
 
     Args:
         wheels: of the robot.
-        settings: None for the defaults.
 
     Attributes:
         late: number of readings that were taken well before their stamp.
     """
 
-    def __init__(self, wheels: Wheels | HolonomicWheels, settings: ReadingTimesSettings | None = None) -> None:
-        self.settings = settings or ReadingTimesSettings()
+    def __init__(self, wheels: Wheels | HolonomicWheels) -> None:
         self._wheels, self._slip_m_per_sqrt_m = wheels, wheels.slip_m_per_sqrt_m
         self._last: Timed | None = None
         self._time_s = -math.inf
-        self._steps: deque[tuple[float, float]] = deque(maxlen=self.settings.speed_steps)  # durations and distances
-        self._variance_s2 = self.settings.least_noise_s**2
+        self._steps: deque[tuple[float, float]] = deque(maxlen=_SPEED_STEPS)  # durations and distances
+        self._variance_s2 = _LEAST_NOISE_S**2
         self._patience = self.late = 0
 
     @property
     def noise_s(self) -> float:
         """Standard deviation of the stamps, beyond changes of speed; 0 for exact stamps."""
-        return math.sqrt(self._variance_s2) if self._variance_s2 > self.settings.exact_s**2 else 0.0
+        return math.sqrt(self._variance_s2) if self._variance_s2 > _EXACT_S**2 else 0.0
 
     def time_of(self, reading: Timed) -> float:
         """Return when a reading was taken, in seconds. Times grow if stamps do."""
         last, self._last = self._last, reading
         step_s = math.inf if last is None else reading.stamp_s - last.stamp_s
-        if last is None or not 0 < step_s < self.settings.latest_s:
+        if last is None or not 0 < step_s < _LATEST_S:
             self._steps.clear()
             self._time_s, self._patience = reading.stamp_s, 0
             return reading.stamp_s
@@ -575,40 +437,40 @@ class ReadingTimes:
 
     def _estimated_s(self, stamp_s: float, step_s: float, way_m: float) -> float:
         """Return the time of a reading by its stamp and its distance, or by its distance alone if it waited."""
-        of, steps = self.settings, self._steps
+        steps = self._steps
         total_s, speed_m_s = sum(seconds for seconds, _ in steps), 0.0  # for too few steps
-        if len(steps) >= of.speed_steps:
+        if len(steps) >= _SPEED_STEPS:
             speed_m_s = sum(way_m for _, way_m in steps) / total_s
-        period_s = total_s / of.speed_steps
-        if speed_m_s < of.slowest_m_s or way_m < of.stopping_share * period_s * speed_m_s:
+        period_s = total_s / _SPEED_STEPS
+        if speed_m_s < _SLOWEST_M_S or way_m < _STOPPING_SHARE * period_s * speed_m_s:
             self._patience = 0
             return stamp_s
-        took_s, lag_s = way_m / speed_m_s, period_s * of.speed_steps / 2
+        took_s, lag_s = way_m / speed_m_s, period_s * _SPEED_STEPS / 2
         of_slip_s = self._slip_m_per_sqrt_m * math.sqrt(way_m / 2) / speed_m_s
-        unsure_s = math.hypot(took_s * min(of.acceleration_m_s2 * lag_s / speed_m_s, 1.0), of_slip_s)
+        unsure_s = math.hypot(took_s * min(_ACCELERATION_M_S2 * lag_s / speed_m_s, 1.0), of_slip_s)
         due_s = self._time_s + took_s
         if self._waited(stamp_s - due_s, step_s, took_s, (unsure_s, period_s)):
             return due_s
         found_s2 = ((step_s - took_s) ** 2 - unsure_s**2) / 2  # of one end of the step
         # Limited to three times the current noise: a sudden change of speed is no noise of the stamps.
-        counted_s2 = min(max(found_s2, of.least_noise_s**2), 9 * self._variance_s2)
-        self._variance_s2 += (counted_s2 - self._variance_s2) / of.memory_steps
+        counted_s2 = min(max(found_s2, _LEAST_NOISE_S**2), 9 * self._variance_s2)
+        self._variance_s2 += (counted_s2 - self._variance_s2) / _MEMORY_STEPS
         noise_s = self.noise_s
         if noise_s == 0:
             return stamp_s
         time_s = due_s + unsure_s / (unsure_s + noise_s / 2) * (stamp_s - due_s)
-        return time_s if abs(stamp_s - time_s) < of.latest_s else stamp_s
+        return time_s if abs(stamp_s - time_s) < _LATEST_S else stamp_s
 
     def _waited(self, late_s: float, step_s: float, took_s: float, usual: tuple[float, float]) -> bool:
         """Whether a reading waited behind a gap. `usual` is the uncertainty and the period of steps."""
-        of, (unsure_s, period_s) = self.settings, usual
-        off_s = of.gap_sigmas * math.hypot(math.sqrt(2) * self.noise_s, unsure_s)
-        begins = step_s > of.gap_factor * period_s and step_s - took_s > off_s
+        unsure_s, period_s = usual
+        off_s = _GAP_SIGMAS * math.hypot(math.sqrt(2) * self.noise_s, unsure_s)
+        begins = step_s > _GAP_FACTOR * period_s and step_s - took_s > off_s
         if begins:
-            self._patience = of.patience
-        elif step_s > of.pace_share * took_s:
+            self._patience = _PATIENCE
+        elif step_s > _PACE_SHARE * took_s:
             self._patience -= 1
-        if not of.waiting_share * period_s < late_s < of.latest_s:
+        if not _WAITING_SHARE * period_s < late_s < _LATEST_S:
             self._patience = 0
         self.late += self._patience > 0
         return self._patience > 0

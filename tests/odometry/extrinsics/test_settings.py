@@ -33,14 +33,13 @@ CHANGED: dict[str, dict[str, Any]] = {
     "drive": {"least_shared_s": 1e4, "fewest_tracked": 10**5, "least_agreement": 1.0, "fewest_segments": 10**4}
     | {"most_tilt_deg": 1e-4, "largest_factor": 1.0000001}
     | {"most_uncertain_deg": 1e-4, "most_uncertain_m": 1e-5, "most_uncertain_s": 1e-6},
-    "fit": {"first_scale": 0.5, "least_scale": 0.1, "narrowing": (1.0,), "outlier_chi2": 1.0, "most_clusters": 12},
 }
 
 
 @pytest.mark.parametrize(
     "wrong",
     [{"floor": {"steep": 1.0}}, {"floor": {"bands_m": ()}}, {"agreement": {"disagrees": 0}}, {"unknown": {}}]
-    + [{"mount": {"largest_delay_s": -1}}, {"drive": {"largest_factor": 1.0}}, {"fit": {"narrowing": (0.0,)}}],
+    + [{"mount": {"largest_delay_s": -1}}, {"drive": {"largest_factor": 1.0}}],
 )
 def test_impossible_settings_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from wheelsight.wheels import GyroCheck
-from wheelsight.wheels.gyroscope import Line
+from wheelsight.wheels.gyroscope import RateLine
 
 WHEEL_S, GYRO_S = 0.02, 0.01
 Change = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]  # of stamps and rates
@@ -165,7 +165,7 @@ def test_the_line_is_the_one_that_was_drawn_whatever_lies_far_off(rng: np.random
     wheels = rng.uniform(-0.6, 0.6, 200)
     gyro = 0.9 * wheels + 0.03 + rng.normal(0, 0.01, 200)
     gyro[::10] += 2.0
-    line = Line.through(wheels, gyro, 0.05)
+    line = RateLine.through(wheels, gyro)
     assert line.slope == pytest.approx(0.9, abs=0.02)
     assert line.bias_rad_s == pytest.approx(0.03, abs=0.01)
     assert line.sigma < 0.02

@@ -10,7 +10,7 @@ from drives import SimulatedDrive, simulate, square_legs
 
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.errors import CalibrationError
-from wheelsight.wheels import Drive, LoopCause, LoopCheckSettings, check_loop, drive_from_ticks, with_sigmas
+from wheelsight.wheels import Drive, LoopCause, check_loop, drive_from_ticks, with_sigmas
 
 # A tyre that grips, on wheels that are calibrated as well as `calibrate wheels` has it.
 WHEELS = Wheels(
@@ -85,7 +85,7 @@ def test_sigmas_are_the_spread_over_drives_of_wheels_that_are_off_by_what_is_sta
             right_radius_m=0.17 * (1 + scale - half),
             track_width_m=0.52 * (1 + scale + turn),
         )
-        found = check_loop(drive_of(true, WHEELS, seed=seed), WHEELS, LoopCheckSettings(mark_m=1e-3, mark_deg=0.1))
+        found = check_loop(drive_of(true, WHEELS, seed=seed), WHEELS, mark_m=1e-3, mark_deg=0.1)
         over_sigma.append(found.off_rad / found.off_sigma_rad)
         as_stated += found.is_as_stated
     assert np.sqrt(np.mean(np.square(over_sigma))) == pytest.approx(1.0, abs=0.25)

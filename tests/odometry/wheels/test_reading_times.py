@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from changed_settings import numbers, variants
 from drives import simulate
 
 from wheelsight.core.calibration_parts import HolonomicWheels, Wheels
 from wheelsight.core.messages import WheelCounts, WheelTicks
-from wheelsight.wheels import ReadingTimes, ReadingTimesSettings
+from wheelsight.wheels import ReadingTimes
 from wheelsight_sim.faults import ClockFault, ReadingsJitter, ReadingsStalled, ReadingsTogether
 
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0, slip_m_per_sqrt_m=0.002)
@@ -91,20 +90,6 @@ def test_times_grow_whatever_comes(seed: int) -> None:
         times_s.append(subject.time_of(WheelTicks(stamp_s, left, right)))
     assert (np.diff(times_s) > 0).all()
     assert np.isfinite(times_s).all()
-
-
-@pytest.mark.parametrize("name", numbers(ReadingTimesSettings))
-def test_each_setting_changes_what_is_told(name: str) -> None:
-    faults = (ReadingsStalled(seed=0), ReadingsJitter(0.01, 0), ReadingsTogether())
-    given = [[one for one in fault.apply(readings(0)) if isinstance(one, WheelTicks)] for fault in faults]
-
-    def told(settings: ReadingTimesSettings) -> list[object]:
-        subjects = [ReadingTimes(WHEELS, settings) for _ in given]
-        times_s = [[of.time_of(one) for one in some] for of, some in zip(subjects, given, strict=True)]
-        return [times_s, [(of.late, of.noise_s) for of in subjects]]
-
-    changed = (one for one in variants(ReadingTimesSettings, name) if isinstance(one, ReadingTimesSettings))
-    assert any(told(one) != told(ReadingTimesSettings()) for one in changed)
 
 
 def test_counts_of_a_holonomic_base_that_waited_are_timed_by_their_way() -> None:

@@ -366,7 +366,7 @@ def base_from(sightings: Sightings, nominal: Calibration, settings: ExtrinsicsSe
     segments = cut_level(drive, wheels, levelled(sightings.camera, floor.up_camera), settings.mount)
     refuse_if_few(len(segments), settings.drive)
     errors = level_errors(sightings.views, floor, nominal, settings.floor)
-    fit = fit_mount(drive, wheels, segments, turning.delay_s, settings.mount, settings.fit, errors)
+    fit = fit_mount(drive, wheels, segments, turning.delay_s, settings.mount, errors)
     refuse_if_out_of_scale(wheels, fit.wheels, settings.drive)
     x, y, yaw = fit.mount
     T_base_level = se3.from_plane(x, y, yaw)

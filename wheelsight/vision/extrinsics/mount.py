@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from wheelsight.core.calibration_parts import DepthNoise, Wheels
 from wheelsight.core.errors import CalibrationError
 from wheelsight.core.geometry import BoolArray, FloatArray, IntArray, se3, so3
-from wheelsight.core.robust_fit import UNKNOWN_SIGMA, RobustFitSettings, robust_fit, spread
+from wheelsight.core.robust_fit import UNKNOWN_SIGMA, robust_fit, spread
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.vision.extrinsics.settings import DEFAULTS, FloorSettings, MountSettings, TurningSettings
 from wheelsight.wheels.calibration import covariance_by
@@ -95,7 +95,6 @@ def fit_mount(
     segments: Segments,
     delay_s: float,
     settings: MountSettings = DEFAULTS.mount,
-    fit: RobustFitSettings = DEFAULTS.fit,
     camera_errors: FloatArray | None = None,
 ) -> MountFit:
     """Fit the planar mount robustly to the motions of wheels and camera.
@@ -106,11 +105,10 @@ def fit_mount(
         segments: from `cut_level`, with turns and straight motion.
         delay_s: initial delay of the wheels' stamps, correct to a few hundredths of a second.
         settings: of the mount.
-        fit: settings of the robust fit.
         camera_errors: (K, 3, 3) of the levelled camera, see `camera_errors.motion_errors`; None for none.
     """
     problem = _Problem(drive, wheels, segments, delay_s, settings)
-    found = robust_fit(problem, np.zeros(len(_BOUNDS)), fit)
+    found = robust_fit(problem, np.zeros(len(_BOUNDS)))
     left_m, right_m, track_m = problem.sizes_m(found.values).tolist()
     fitted = replace(
         wheels,
@@ -121,7 +119,7 @@ def fit_mount(
     )
     mount = problem.mount(found.values)
     covariance = _larger(found.covariance, found.if_independent) + np.diag(_LEAST_SIGMAS**2)
-    by_camera = covariance_by(problem, found, np.zeros((0, 3, 3)) if camera_errors is None else camera_errors, fit)
+    by_camera = covariance_by(problem, found, np.zeros((0, 3, 3)) if camera_errors is None else camera_errors)
     explained = (segments, found.residuals, found.is_outlier)
     return MountFit(mount, fitted, float(found.values[7]), covariance, by_camera, *explained)
 

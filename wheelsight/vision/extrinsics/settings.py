@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from wheelsight.core.robust_fit import RobustFitSettings
 from wheelsight.core.settings import Settings, bounds, setting
 
 _DOES = "chosen; that it does was found on the simulator alone"
@@ -155,7 +154,6 @@ class ExtrinsicsSettings(Settings):
     turning: TurningSettings = TurningSettings()
     sightings: SightingSettings = SightingSettings()
     drive: DriveSettings = DriveSettings()
-    fit: RobustFitSettings = RobustFitSettings()
 
 
 DEFAULTS = ExtrinsicsSettings()
