@@ -42,7 +42,7 @@ CEILINGS = {
     "settings": Ceiling(937, 200),
     "decision pages": Ceiling(15, 15),
     "benchmark files in the root": Ceiling(1, 1),
-    "words of the changelog": Ceiling(12_000, 500),
+    "words of the changelog": Ceiling(480, 500),
     "files of a joined frame": Ceiling(46, 24),
     "calls of a joined frame": Ceiling(1360, 700),
     "files of a wheel reading": Ceiling(27, 12),
