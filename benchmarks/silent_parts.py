@@ -5,6 +5,8 @@ watchdog of 0.25 s. Its program is a process of its own, as `wheelsight drive --
 navigator of a known hall with MPPI, a planner in a thread, a localization in another process (by wheels), and a camera
 whose frames (15 a second) come from a third process. The parts are suspended (SIGSTOP) or killed (SIGKILL) at a random
 moment of a straight drive; the planner, a thread, hangs or raises in the plan that a box in the way makes necessary.
+For the page the same navigator drives in the session of `wheelsight serve`: its door, a process, is suspended or
+killed, and its event loop, a thread, hangs or ends.
 
 "Motors at zero" is the time from the signal until the controller has duties of zero for good, "way" what the wheels
 roll until then. "Moved later" counts the runs in which the motors turned again: the program is watched for 5 s more.
@@ -14,6 +16,7 @@ A part that was suspended is resumed 5 s after it, and watched for 3 s more.
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import os
 import signal
@@ -22,9 +25,10 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from multiprocessing.sharedctypes import SynchronizedArray
@@ -39,18 +43,22 @@ from benchmarks import machine
 from benchmarks.navigation_page import write_section
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
+from wheelsight.app.page import Access, Driven, Session
+from wheelsight.app.page.server import PageServer, page_app
+from wheelsight.app.page.session import GoToPose
 from wheelsight.config import load_config
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.errors import DeviceError, WheelsightError
 from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera, se3
+from wheelsight.core.robots import Robot
 from wheelsight.estimation import Localizer, LocalizerApart, LocalizerBeside
 from wheelsight.io.devices import LinkRobot, LinkStatus, WheelLink
 from wheelsight.io.devices.camera_driver import DeviceImages, OpenedDevice
 from wheelsight.io.devices.live_camera import StreamingCamera
 from wheelsight.io.devices.simulated_controller import SimulatedController
 from wheelsight.mapping import CellKind, OccupancyGrid
-from wheelsight.navigation import KnownFloor, Navigator, Planned, WorkerBeside
+from wheelsight.navigation import Feedback, KnownFloor, Navigator, Planned, Transition, WorkerBeside
 
 WITHIN_S, WITHIN_M, SPEED_M_S = 0.6, 0.3, 0.5
 _TITLE = "Parts that hang or die"
@@ -64,7 +72,11 @@ _FRAME_S, _LAG_S, _FULL_M_S = 1 / 15, 0.1, 2.6
 _RESUMED_S, _WATCHED_S, _START_S, _STARTS = 5.0, 3.0, 120.0, 3
 # A box fills the hall's middle so far ahead of the base: the plan leads through it no more.
 _BOX_M, _BOX_HALF_M = 3.0, 0.5
-PARTS = ("localization", "camera", "planner", "program")
+PARTS = ("localization", "camera", "planner", "program", "door", "page")
+# They are threads: a signal to the program makes them hang or end.
+_THREADS = ("planner", "page")
+_OF_PAGE = ("door", "page")
+OnTransition = Callable[[Transition], None]
 FAULTS = ("hangs", "dies")
 
 
@@ -186,8 +198,12 @@ def say(*words: object) -> None:
     print(f"{time.monotonic():.4f}", *words, flush=True)
 
 
-def program(port: str) -> None:
-    """The robot's program: drive down the hall, and say what becomes of it; a fault of the planner comes by signal."""
+@contextmanager
+def parts_of(port: str) -> Iterator[tuple[LinkRobot, Callable[[Robot, OnTransition], Navigator]]]:
+    """The robot, and a function that makes its navigator; says "ready" once its processes run.
+
+    A fault of the planner comes by signal: it is in the next plan, which a box in the way makes necessary.
+    """
     config = load_config(
         overrides={"navigation.limits.forward_m_s": SPEED_M_S, "navigation.monitor.blind_m_s": SPEED_M_S}
     )
@@ -209,23 +225,40 @@ def program(port: str) -> None:
         while link.status is not LinkStatus.CONNECTED:
             time.sleep(0.05)
         children = {process.name: process.pid for process in get_context("spawn").active_children()}
-        floor = KnownFloor(hall())
-        navigator = Navigator(
-            robot,
-            localization,
-            floor,
-            config.navigation,
-            planning=planner,
-            trusts_floor=True,
-            on_transition=lambda transition: say("state", transition),
-        )
+
+        def navigator_of(driven: Robot, on_transition: OnTransition) -> Navigator:
+            made = Navigator(
+                driven,
+                localization,
+                KnownFloor(hall()),
+                config.navigation,
+                planning=planner,
+                trusts_floor=True,
+                on_transition=on_transition,
+            )
+            step = made.step
+
+            def shown() -> Feedback:
+                feedback = step()
+                if feedback.pose is not None:
+                    where[:3] = feedback.pose.tolist()
+                return feedback
+
+            made.step = shown  # type: ignore[method-assign]
+            return made
+
         say("ready", children["wheelsight-localizer"], driver.process.pid)
+        yield robot, navigator_of
+
+
+def program(port: str) -> None:
+    """The robot's program: drive down the hall, and say how it ends."""
+    with parts_of(port) as (robot, navigator_of):
+        navigator = navigator_of(robot, lambda transition: say("state", transition))
         navigator.go_to_pose(_GOAL)
         try:
             while not navigator.is_task_complete():
-                feedback = navigator.step()
-                if feedback.pose is not None:
-                    where[:3] = feedback.pose.tolist()
+                navigator.step()
             result = navigator.result
             say("end", "arrived" if result else f"{result.reason}: {result.detail}" if result is not None else "")
             until_s = time.monotonic() + _RESUMED_S + _WATCHED_S
@@ -234,6 +267,63 @@ def program(port: str) -> None:
         except Exception as error:
             robot.stop()
             say("end", f"{type(error).__name__}: {error}")
+            while True:
+                time.sleep(1.0)
+
+
+class HallMaps:
+    """The hall, the only map of a session, in which nothing has a name."""
+
+    first = "hall"
+
+    def __init__(self, navigator_of: Callable[[Robot, OnTransition], Navigator]) -> None:
+        self._navigator_of = navigator_of
+
+    def names(self) -> tuple[str, ...]:
+        """As `Maps`."""
+        return (self.first,)
+
+    def last_saved(self) -> str:
+        """As `Maps`."""
+        return self.first
+
+    @contextmanager
+    def opened(self, name: str, robot: Robot, pose: FloatArray | None, on_transition: OnTransition) -> Iterator[Driven]:
+        """As `Maps`."""
+        yield Driven(self._navigator_of(robot, on_transition), self, is_new=False)
+
+    def where(self) -> dict[str, FloatArray]:
+        """As `Places`."""
+        return {}
+
+    def name(self, name: str, pose: FloatArray) -> None:
+        """As `Places`."""
+
+
+def served_program(port: str) -> None:
+    """The robot's program with its page, as `wheelsight serve --robot` runs it; a fault of the page comes by signal."""
+    settings = load_config().page
+    how: dict[str, Any] = {"paces": False, "on_problem": partial(say, "end")}
+    with (
+        parts_of(port) as (robot, navigator_of),
+        Session(robot, HallMaps(navigator_of), settings, **how) as session,
+    ):
+        app = page_app(
+            session, settings, Access(is_loopback=True, token=""), lambda line: say("refused", line.partition("\n")[0])
+        )
+        with PageServer(app, "127.0.0.1", 0, settings) as server:
+
+            def fail_page(number: int, _: object) -> None:
+                assert server.loop is not None
+                hang = partial(time.sleep, 60.0)
+                server.loop.call_soon_threadsafe(hang if number == signal.SIGUSR1 else server.loop.stop)
+
+            signal.signal(signal.SIGUSR1, fail_page)
+            signal.signal(signal.SIGUSR2, fail_page)
+            say("door", server.door_id)
+            while json.loads(session.latest.text)["phase"] != "driving":
+                time.sleep(0.05)
+            session.ask(GoToPose(type="goal", x_m=_GOAL[0], y_m=_GOAL[1]))
             while True:
                 time.sleep(1.0)
 
@@ -288,7 +378,8 @@ def watched(part: str, fault: str, rng: np.random.Generator) -> Watched:
     found = Watched(part, fault)
     with TemporaryDirectory() as scratch, SimulatedController(Path(scratch)) as controller:
         motors = controller.motors = Motors()
-        command = [sys.executable, "-m", "benchmarks.silent_parts", "--program", str(controller.port)]
+        kind = "--served" if part in _OF_PAGE else "--program"
+        command = [sys.executable, "-m", "benchmarks.silent_parts", kind, str(controller.port)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
             lines: list[list[str]] = []
             reader = threading.Thread(target=lambda: lines.extend(line.split() for line in process.stdout or ()))
@@ -298,6 +389,9 @@ def watched(part: str, fault: str, rng: np.random.Generator) -> Watched:
                 _until(lambda: any(line[1] == "ready" for line in lines), process)
                 (ready,) = [line for line in lines if line[1] == "ready"]
                 pids |= {"localization": int(ready[2]), "camera": int(ready[3]), "program": process.pid}
+                if part in _OF_PAGE:
+                    _until(lambda: any(line[1] == "door" for line in lines), process)
+                    pids["door"] = next(int(line[2]) for line in lines if line[1] == "door")
                 _until(lambda: float(motors.speeds_m_s.mean()) > 0.95 * SPEED_M_S, process)
                 time.sleep(float(rng.uniform(0.0, 0.3)))
                 found.speed_m_s = float(motors.speeds_m_s.mean())
@@ -324,19 +418,21 @@ def driven(part: str, fault: str, rng: np.random.Generator, console: Console) ->
 
 
 def _watch(found: Watched, controller: SimulatedController, pid: int, lines: list[list[str]]) -> None:
-    is_thread = found.part == "planner"
+    is_thread = found.part in _THREADS
     stop, kill = (signal.SIGUSR1, signal.SIGUSR2) if is_thread else (signal.SIGSTOP, signal.SIGKILL)
     begin_s = time.monotonic()
     found.rows.append((begin_s, True, _way_m(controller)))
     os.kill(pid, stop if found.fault == "hangs" else kill)
     is_resumed, fault_s = is_thread or found.fault == "dies", begin_s
+    waits_for_plan = found.part == "planner"
     until_s = begin_s + _RESUMED_S + _WATCHED_S
     while (now_s := time.monotonic()) < until_s:
         found.rows.append((now_s, any(controller.duties), _way_m(controller)))
         if not is_resumed and now_s > begin_s + _RESUMED_S:
             is_resumed = True
-            os.kill(pid, signal.SIGCONT)
-        if is_thread and fault_s == begin_s and any(line[1] == "fault" for line in lines):
+            with suppress(ProcessLookupError):  # a door that hung was replaced
+                os.kill(pid, signal.SIGCONT)
+        if waits_for_plan and fault_s == begin_s and any(line[1] == "fault" for line in lines):
             fault_s = next(float(line[0]) for line in lines if line[1] == "fault")
             until_s = fault_s + _RESUMED_S + _WATCHED_S
         time.sleep(0.002)
@@ -388,9 +484,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="of the moments")
     parser.add_argument("--out", type=Path, help="page whose section is written, docs/benchmarks/navigation.md")
     parser.add_argument("--program", metavar="PORT", help=argparse.SUPPRESS)
+    parser.add_argument("--served", metavar="PORT", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.program is not None:
-        program(arguments.program)
+    if arguments.program or arguments.served:
+        program(arguments.program) if arguments.program else served_program(arguments.served)
         return
     console, runs, rng = Console(width=170), list[Watched](), np.random.default_rng(arguments.seed)
     for part in arguments.parts:

@@ -21,6 +21,7 @@ from live_page.test_server import TOKEN, asked, opened, server
 from wheelsight.app.page import Access, door
 from wheelsight.app.page.door import PULSE, REFUSED, STOP, Budget, Door, Stranger, Strangers
 from wheelsight.app.page.server import PageServer, page_app
+from wheelsight.app.page.session import GoToPose
 
 HALF_SOCKET = (
     "GET /live HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
@@ -116,6 +117,17 @@ def test_a_page_that_hangs_stops_the_robot() -> None:
             served.until(lambda told: told["stopped"] == "the page does not answer")
             assert asked(running.port, "POST", "/stop")[0] == 200, "STOP takes another way"
             goes_on.set()
+
+
+def test_a_page_that_ends_by_an_error_stops_the_robot() -> None:
+    with room_session(paces=False, driver_silent_s=60.0) as served:
+        app = page_app(served.session, replaced({}), Access(True))
+        with PageServer(app, "127.0.0.1", 0, replaced({})) as running:
+            served.session.ask(GoToPose(**GOAL))
+            served.until(lambda told: told["speed_m_s"] > 0.2)
+            assert running.loop is not None
+            running.loop.call_soon_threadsafe(running.loop.stop)
+            served.until(lambda told: told["stopped"].startswith("the page has ended (RuntimeError: "))
 
 
 # ---- the door itself, in this process

@@ -159,7 +159,14 @@ class PageServer:
         return 0 if self._door is None else self._door.process.pid
 
     def _run(self) -> None:
-        asyncio.run(self._serve())
+        problem = ""
+        try:
+            asyncio.run(self._serve())
+        except (Exception, SystemExit) as error:
+            logging.getLogger("uvicorn.page").error("the page has ended", exc_info=error)
+            problem = f" ({type(error).__name__}: {error})".partition("\n")[0]
+        if not self._is_over.is_set():
+            self._app.session.part_fails(f"the page has ended{problem}, and comes with another wheelsight serve")
 
     async def _serve(self) -> None:
         self.loop = asyncio.get_running_loop()
