@@ -123,7 +123,7 @@ def test_a_page_that_ends_by_an_error_stops_the_robot() -> None:
     with room_session(paces=False, driver_silent_s=60.0) as served:
         app = page_app(served.session, replaced({}), Access(True))
         with PageServer(app, "127.0.0.1", 0, replaced({})) as running:
-            served.session.ask(GoToPose(**GOAL))
+            served.session.ask(GoToPose(type="goal", x_m=5.0, y_m=3.0))
             served.until(lambda told: told["speed_m_s"] > 0.2)
             assert running.loop is not None
             running.loop.call_soon_threadsafe(running.loop.stop)
